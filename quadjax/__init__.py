@@ -1,0 +1,1 @@
+"""quadjax: time-optimal quadcopter racing policies, from simulation to fixed-point C."""

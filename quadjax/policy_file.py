@@ -1,0 +1,116 @@
+"""The policy file: a trained policy as plain arrays, which NumPy alone can read and write.
+
+``kernel_0..`` (in, out), ``bias_0..``, ``log_std`` (4,) and ``meta``, a JSON string with
+``format: "quadjax-policy/1"``, ``vehicle: "motor" | "rate"``, ``activation``, ``output``
+(``"clip"`` where it is missing), ``command_low``, ``command_high``, ``observation`` and where the
+policy came from.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.errors import InputError
+from quadjax.files import check_finite, read_layers, read_npz, write_npz
+
+FORMAT = "quadjax-policy/1"
+OBSERVATION_SIZES = {"motor": 24, "rate": 17}
+ACTION_SIZE = 4
+ACTIVATIONS = ("relu", "tanh")
+OUTPUTS = ("clip", "tanh")
+
+
+@dataclasses.dataclass(frozen=True)
+class Policy:
+    """A policy: dense layers, the noise it was trained with, and what it commands.
+
+    The mean action is the network's output, squashed by ``output`` to [-1, 1] and scaled to
+    [``command_low``, ``command_high``].
+    """
+
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,))
+    log_std: np.ndarray  # (4,) natural logarithm of the actions' standard deviation
+    vehicle: str  # "motor" | "rate"
+    activation: str  # of the hidden layers
+    output: str  # "clip" | "tanh"
+    command_low: np.ndarray  # (4,) rpm, or rad/s and m/s^2
+    command_high: np.ndarray  # (4,)
+    observation: dict  # the scaling of the observation it was trained with
+    source: dict  # where it came from
+
+
+def write_policy(path: Path | str, policy: Policy) -> None:
+    """Write a policy file, whole."""
+    arrays: dict[str, np.ndarray] = {"log_std": np.asarray(policy.log_std, np.float32)}
+    for index, (kernel, bias) in enumerate(policy.layers):
+        arrays[f"kernel_{index}"] = np.asarray(kernel, np.float32)
+        arrays[f"bias_{index}"] = np.asarray(bias, np.float32)
+    meta = {
+        "format": FORMAT,
+        "vehicle": policy.vehicle,
+        "activation": policy.activation,
+        "output": policy.output,
+        "command_low": [float(x) for x in policy.command_low],
+        "command_high": [float(x) for x in policy.command_high],
+        "observation": policy.observation,
+        "source": policy.source,
+    }
+    write_npz(path, arrays, meta)
+
+
+def read_policy(path: Path | str) -> Policy:
+    """Read and check a policy file.
+
+    Raises:
+        InputError: a missing, damaged or inconsistent file, in one line.
+    """
+    arrays, meta = read_npz(path, FORMAT)
+    vehicle = _choice(path, meta, "vehicle", tuple(OBSERVATION_SIZES))
+    layers = read_layers(path, arrays)
+    if layers[0][0].shape[0] != OBSERVATION_SIZES[vehicle]:
+        raise InputError(
+            f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but a {vehicle} policy "
+            f"observes {OBSERVATION_SIZES[vehicle]} numbers"
+        )
+    if layers[-1][0].shape[1] != ACTION_SIZE:
+        raise InputError(
+            f"{path}: kernel_{len(layers) - 1} has {layers[-1][0].shape[1]} outputs, "
+            f"expected {ACTION_SIZE}"
+        )
+    log_std = arrays.get("log_std")
+    if log_std is None or log_std.shape != (ACTION_SIZE,):
+        raise InputError(f"{path}: log_std is missing or not of shape ({ACTION_SIZE},)")
+    check_finite(path, "log_std", log_std)
+    low, high = _command(path, meta, "command_low"), _command(path, meta, "command_high")
+    if not np.all(low < high):
+        raise InputError(f"{path}: meta 'command_low' {low.tolist()} is not below 'command_high'")
+    return Policy(
+        layers=tuple(layers),
+        log_std=log_std,
+        vehicle=vehicle,
+        activation=_choice(path, meta, "activation", ACTIVATIONS),
+        output=_choice(path, {"output": "clip"} | meta, "output", OUTPUTS),
+        command_low=low,
+        command_high=high,
+        observation=meta.get("observation") or {},
+        source=meta.get("source") or {},
+    )
+
+
+def _choice(path: Path | str, meta: dict, key: str, allowed: tuple[str, ...]) -> str:
+    if meta.get(key) not in allowed:
+        raise InputError(f"{path}: meta {key!r} is {meta.get(key)!r}, allowed: {list(allowed)}")
+    return meta[key]
+
+
+def _command(path: Path | str, meta: dict, key: str) -> np.ndarray:
+    try:
+        value = np.asarray(meta.get(key), np.float64)
+    except (TypeError, ValueError):
+        value = np.zeros(0)
+    if value.shape != (ACTION_SIZE,) or not np.all(np.isfinite(value)):
+        raise InputError(
+            f"{path}: meta {key!r} is {meta.get(key)!r}, expected {ACTION_SIZE} finite numbers"
+        )
+    return value

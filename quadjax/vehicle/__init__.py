@@ -1,0 +1,1 @@
+"""Physics: frames, forces and moments, motor-level and rate-level models, integrators."""

@@ -1,0 +1,55 @@
+"""Residual thrust and moment networks on top of the nominal model.
+
+N_T has seven inputs (four propeller speeds, body velocity) and one output, a specific force in
+m/s^2; N_M has ten (the same and the body rates) and three outputs in N m. Propeller speeds enter
+scaled to [-1, 1], the others in SI (Ferede et al., arXiv 2311.16948).
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+Layers = tuple[tuple[jax.Array, jax.Array], ...]  # (kernel (in, out), bias (out,)) per layer
+
+
+@struct.dataclass
+class Residual:
+    """Two ReLU networks, the scaling of their inputs and the sign of the first."""
+
+    thrust: Layers  # 7 -> .. -> 1
+    moment: Layers  # 10 -> .. -> 3
+    rpm_min: jax.Array  # rpm that enters as -1
+    rpm_max: jax.Array  # rpm that enters as +1
+    thrust_sign: jax.Array  # +1: added to the body-z specific force; -1: subtracted
+
+
+def relu_network(layers: Layers, inputs: jax.Array) -> jax.Array:
+    """A dense network with ReLU between its layers and none after the last."""
+    hidden = inputs
+    for kernel, bias in layers[:-1]:
+        hidden = jax.nn.relu(hidden @ kernel + bias)
+    kernel, bias = layers[-1]
+    return hidden @ kernel + bias
+
+
+def residual_force_moment(
+    residual: Residual, rpm: jax.Array, body_velocity: jax.Array, body_rates: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """What the networks add to the nominal model.
+
+    Args:
+        residual: the networks.
+        rpm: propeller speeds (4,), rpm.
+        body_velocity: (3,), m/s, body frame.
+        body_rates: (3,), rad/s.
+
+    Returns:
+        The addition to the body-z specific force (), m/s^2, sign already applied, and to the
+        moments (3,), N m.
+    """
+    span = residual.rpm_max - residual.rpm_min
+    scaled_rpm = 2.0 * (rpm - residual.rpm_min) / span - 1.0
+    thrust_inputs = jnp.concatenate([scaled_rpm, body_velocity])
+    force_z = residual.thrust_sign * relu_network(residual.thrust, thrust_inputs)[0]
+    moment = relu_network(residual.moment, jnp.concatenate([thrust_inputs, body_rates]))
+    return force_z, moment
