@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.environment import Environment
+from quadjax.gradients import clip_inward
 from quadjax.race import observation, rules, start
 from quadjax.race.track import Gate, Track, gate, gate_count
 from quadjax.vehicle import motor, rate
@@ -120,7 +121,7 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
     """The command of an action (4,): clipped to [-1, 1], scaled to the nominal range."""
-    parts = [jnp.clip(action[index], -1.0, 1.0) for index in range(4)]
+    parts = [clip_inward(action[index], -1.0, 1.0) for index in range(4)]
     if choices.kind == "motor":
         unit, module = Rotors(*parts), motor
     else:
@@ -134,7 +135,7 @@ def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Arr
     vehicle = _vehicle_params(params, state)
     module = motor if choices.kind == "motor" else rate
     low, high = module.command_range(vehicle.constants)
-    held = jax.tree.map(jnp.clip, command(choices, params, action), low, high)
+    held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
     flown = INTEGRATORS[choices.integrator](
         lambda drone: module.derivative(vehicle, stage(drone, _always(params)), held),
         state.drone,
