@@ -41,6 +41,7 @@ from flax import struct
 
 from quadjax.errors import InputError
 from quadjax.vehicle.motor import MotorParams, force_moment
+from quadjax.vehicle.vector import Rotors, Vec3
 
 Scalar = jax.Array | float
 SQRT2 = float(np.sqrt(2.0))
@@ -62,20 +63,20 @@ class EstimatorParams:
 class Measurement:
     """What is known on board at one sample."""
 
-    gyro: jax.Array  # (3,) p, q, r, rad/s, body
-    specific_force: jax.Array  # (3,) accelerometer less its bias, m/s^2, body
-    rpm: jax.Array  # (4,) propeller speeds, rpm
-    body_velocity: jax.Array  # (3,) m/s, body
+    gyro: Vec3  # p, q, r, rad/s, body
+    specific_force: Vec3  # accelerometer less its bias, m/s^2, body
+    rpm: Rotors  # propeller speeds, rpm
+    body_velocity: Vec3  # m/s, body
 
 
 @struct.dataclass
 class EstimatorState:
     """Two numbers of memory for each of the six channels."""
 
-    moment_1: jax.Array  # (3,) N m
-    moment_2: jax.Array  # (3,) N m
-    force_1: jax.Array  # (3,) m/s^2
-    force_2: jax.Array  # (3,) m/s^2
+    moment_1: Vec3  # N m
+    moment_2: Vec3  # N m
+    force_1: Vec3  # m/s^2
+    force_2: Vec3  # m/s^2
 
 
 def estimator_params(
@@ -127,20 +128,19 @@ def init(params: EstimatorParams, measurement: Measurement) -> EstimatorState:
     one that has just been struck. Pass the same measurement to the first ``update``.
     """
     momentum = _differentiated(params.vehicle, measurement)
-    zeros = jnp.zeros_like(measurement.specific_force)
     # The fixed point of the recursion at y = 0; b_d sums to zero.
-    moment_2 = params.derivative[2] * momentum
+    moment_2 = momentum * params.derivative[2]
     return EstimatorState(
-        moment_1=params.derivative[1] * momentum + moment_2,
+        moment_1=momentum * params.derivative[1] + moment_2,
         moment_2=moment_2,
-        force_1=zeros,
-        force_2=zeros,
+        force_1=jax.tree.map(jnp.zeros_like, measurement.specific_force),
+        force_2=jax.tree.map(jnp.zeros_like, measurement.specific_force),
     )
 
 
 def update(
     params: EstimatorParams, state: EstimatorState, measurement: Measurement
-) -> tuple[EstimatorState, jax.Array, jax.Array]:
+) -> tuple[EstimatorState, Vec3, Vec3]:
     """One sample of the estimator, of one drone.
 
     Args:
@@ -149,42 +149,39 @@ def update(
         measurement: this sample's.
 
     Returns:
-        The new state, the external moment (3,), N m, and the external specific force (3,),
-        m/s^2, both in the body frame and both as late as the filter is (about
-        ``sqrt(2) / (2 pi f_c)``: 28 ms at 8 Hz).
+        The new state, the external moment, N m, and the external specific force, m/s^2, both in
+        the body frame and both as late as the filter is (about ``sqrt(2) / (2 pi f_c)``: 28 ms
+        at 8 Hz).
     """
     momentum = _differentiated(params.vehicle, measurement)
     moment, force = _unexplained(params.vehicle, measurement)
     a, b, b_m, b_d = params.feedback, params.low_pass, params.low_pass_moment, params.derivative
-    moment_ext = b_m[0] * moment + b_d[0] * momentum + state.moment_1
-    force_ext = b[0] * force + state.force_1
+    moment_ext = moment * b_m[0] + momentum * b_d[0] + state.moment_1
+    force_ext = force * b[0] + state.force_1
     new_state = EstimatorState(
-        moment_1=state.moment_2 + b_m[1] * moment + b_d[1] * momentum - a[0] * moment_ext,
-        moment_2=b_m[2] * moment + b_d[2] * momentum - a[1] * moment_ext,
-        force_1=state.force_2 + b[1] * force - a[0] * force_ext,
-        force_2=b[2] * force - a[1] * force_ext,
+        moment_1=state.moment_2 + moment * b_m[1] + momentum * b_d[1] - moment_ext * a[0],
+        moment_2=moment * b_m[2] + momentum * b_d[2] - moment_ext * a[1],
+        force_1=state.force_2 + force * b[1] - force_ext * a[0],
+        force_2=force * b[2] - force_ext * a[1],
     )
     return new_state, moment_ext, force_ext
 
 
-def _differentiated(vehicle: MotorParams, measurement: Measurement) -> jax.Array:
-    """Angular momentum (3,), N m s, less that which rotor acceleration turns into yaw moment."""
-    c, rpm = vehicle.constants, measurement.rpm
-    p, q, r = measurement.gyro[0], measurement.gyro[1], measurement.gyro[2]
-    rotors = c.k_r2 * (-rpm[0] + rpm[1] - rpm[2] + rpm[3])
-    return jnp.stack([c.i_xx * p, c.i_yy * q, c.i_zz * r - rotors])
+def _differentiated(vehicle: MotorParams, measurement: Measurement) -> Vec3:
+    """Angular momentum, N m s, less that which rotor acceleration turns into yaw moment."""
+    c, rpm, rates = vehicle.constants, measurement.rpm, measurement.gyro
+    rotors = c.k_r2 * (-rpm.w1 + rpm.w2 - rpm.w3 + rpm.w4)
+    return Vec3(c.i_xx * rates.x, c.i_yy * rates.y, c.i_zz * rates.z - rotors)
 
 
-def _unexplained(vehicle: MotorParams, measurement: Measurement) -> tuple[jax.Array, jax.Array]:
-    """Gyroscopic less model moment (3,), N m, and measured less model force (3,), m/s^2."""
-    c = vehicle.constants
-    p, q, r = measurement.gyro[0], measurement.gyro[1], measurement.gyro[2]
-    gyroscopic = jnp.stack(
-        [(c.i_zz - c.i_yy) * q * r, (c.i_xx - c.i_zz) * r * p, (c.i_yy - c.i_xx) * p * q]
+def _unexplained(vehicle: MotorParams, measurement: Measurement) -> tuple[Vec3, Vec3]:
+    """Gyroscopic less model moment, N m, and measured less model specific force, m/s^2."""
+    c, rates = vehicle.constants, measurement.gyro
+    p, q, r = rates.x, rates.y, rates.z
+    gyroscopic = Vec3(
+        (c.i_zz - c.i_yy) * q * r, (c.i_xx - c.i_zz) * r * p, (c.i_yy - c.i_xx) * p * q
     )
     # The moment of rotor acceleration is differentiated by the filter, not here.
-    steady = jnp.zeros_like(measurement.rpm)
-    force, moment = force_moment(
-        vehicle, measurement.rpm, steady, measurement.body_velocity, measurement.gyro
-    )
+    steady = jax.tree.map(jnp.zeros_like, measurement.rpm)
+    force, moment = force_moment(vehicle, measurement.rpm, steady, measurement.body_velocity, rates)
     return gyroscopic - moment, measurement.specific_force - force

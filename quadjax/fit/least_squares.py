@@ -4,6 +4,9 @@ Neighbouring samples of a filtered signal are nearly the same sample, so the tex
 errors, which take every row for an independent one, come out many times too small. Here rows are
 grouped into blocks of half a second, and the errors follow from how much the blocks disagree
 (the cluster-robust covariance of Liang and Zeger, 1986).
+
+Noise in a regressor adds to the diagonal of the normal equations and so pulls its constant towards
+zero; what it adds is estimated in ``prepare`` and subtracted (bias-compensated least squares).
 """
 
 from dataclasses import dataclass
@@ -66,7 +69,8 @@ def fit_axis(axis: str, samples: Samples, blocks: np.ndarray, base: MotorConstan
     if told.any():
         scaled = columns[:, told] / size[told]
         remainder = target - columns[:, ~told] @ kept[~told]
-        solution, covariance, condition = _solve(scaled, remainder, blocks)
+        noise = samples.disturbed[axis][:, told] / size[told]
+        solution, covariance, condition = _solve(scaled, noise, remainder, blocks)
         values[told] = solution / size[told]
         errors[told] = np.sqrt(np.diag(covariance)) / size[told]
     error = target - columns @ values
@@ -108,15 +112,19 @@ def _told_apart(columns: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 def _solve(
-    columns: np.ndarray, target: np.ndarray, blocks: np.ndarray
+    columns: np.ndarray, noise: np.ndarray, target: np.ndarray, blocks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Solution, its cluster-robust covariance, and the condition number."""
-    solution = np.linalg.lstsq(columns, target, rcond=None)[0]
+    gram, extra = columns.T @ columns, noise.T @ noise
+    # Noise that rivals the signal is no small correction any more: take off a tenth at most.
+    extra *= min(1.0, 0.1 / max(float((np.diag(extra) / np.diag(gram)).max()), 1e-12))
+    bread = np.linalg.inv(gram - extra)
+    solution = bread @ (columns.T @ target)
     error = target - columns @ solution
     count = int(blocks.max()) + 1
     scores = np.zeros((count, columns.shape[1]))
     np.add.at(scores, blocks, columns * error[:, None])
-    bread = np.linalg.inv(columns.T @ columns)
+    scores -= scores.mean(axis=0)  # what was taken off gives them a mean
     freedom = count / max(1, count - columns.shape[1])
     covariance = freedom * bread @ (scores.T @ scores) @ bread
     return solution, covariance, float(np.linalg.cond(columns))

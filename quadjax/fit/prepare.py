@@ -5,12 +5,17 @@ arXiv 2311.16948: 16 Hz). The nominal model's regressors are formed from the mea
 then filtered like the targets, so that the least squares stay exact for a model that is not linear
 in the propeller speeds; the residual networks, which will see whatever the simulation gives them,
 take the filtered signals themselves.
+
+White noise that the filter leaves in a regressor pulls its constant towards zero. How much there
+is can be read off the part of the spectrum where a quadcopter does not move; the same amount is
+added once more, and what that changes in the regressors (``Samples.disturbed``) is what the least
+squares take off again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt, welch
 
 from quadjax.errors import InputError
 from quadjax.fit.config import PrepareConfig
@@ -25,6 +30,7 @@ class Samples:
 
     motion: Motion  # filtered inputs of the model
     regressors: dict[str, np.ndarray]  # axis: (n, k), filtered
+    disturbed: dict[str, np.ndarray]  # axis: (n, k), what as much noise again adds to regressors
     measured: np.ndarray  # (n, 6) specific force, m/s^2, and moment, N m, filtered; as AXES
     flight: np.ndarray  # (n,) index of the flight
     time: np.ndarray  # (n,) s, in the flight
@@ -35,6 +41,7 @@ class Samples:
         return Samples(
             self.motion[rows],
             {axis: columns[rows] for axis, columns in self.regressors.items()},
+            {axis: columns[rows] for axis, columns in self.disturbed.items()},
             self.measured[rows],
             self.flight[rows],
             self.time[rows],
@@ -114,6 +121,7 @@ def join(parts: list[Samples]) -> Samples:
             )
         ),
         {axis: np.concatenate([part.regressors[axis] for part in parts]) for axis in AXES},
+        {axis: np.concatenate([part.disturbed[axis] for part in parts]) for axis in AXES},
         np.concatenate([part.measured for part in parts]),
         np.concatenate([part.flight for part in parts]),
         np.concatenate([part.time for part in parts]),
@@ -134,27 +142,71 @@ def _prepare_one(
             f"{log.path}: {rows.sum() / log.sample_rate:.3g} s in the air, expected at least "
             f"{min_seconds:g} s (logs.min_seconds)"
         )
-    spacing = 1.0 / log.sample_rate
+    rate = log.sample_rate
 
     def smooth(signal: np.ndarray) -> np.ndarray:
-        return low_pass(signal, log.sample_rate, config.cutoff)
+        return low_pass(signal, rate, config.cutoff)
 
-    def derivative(signal: np.ndarray) -> np.ndarray:
-        return np.gradient(smooth(signal), spacing, axis=0)
+    def filtered_regressors(motion: Motion) -> dict[str, np.ndarray]:
+        return {axis: smooth(columns) for axis, columns in regressors(motion).items()}
 
     still = np.zeros_like(log.rates)
-    raw = Motion(log.rpm, np.gradient(log.rpm, spacing, axis=0), log.body_velocity, log.rates)
-    gyroscopic = smooth(angular_moment(constants, log.rates, still))
-    moment = angular_moment(constants, still, derivative(log.rates)) + gyroscopic
+    rates, rpm = smooth(log.rates), smooth(log.rpm)
+    moment = angular_moment(constants, still, derivative(rates, rate))
+    moment += smooth(angular_moment(constants, log.rates, still))
+    exact = filtered_regressors(_raw_motion(log))
+    noisier = filtered_regressors(_raw_motion(_with_noise_again(log, config.cutoff, index)))
     samples = Samples(
-        Motion(smooth(log.rpm), derivative(log.rpm), smooth(log.body_velocity), smooth(log.rates)),
-        {axis: smooth(columns) for axis, columns in regressors(raw).items()},
+        Motion(rpm, derivative(rpm, rate), smooth(log.body_velocity), rates),
+        exact,
+        {axis: noisier[axis] - exact[axis] for axis in AXES},
         np.concatenate([smooth(log.specific_force), moment], axis=1),
         np.full(len(log.time), index),
         log.time - log.time[0],
-        log.sample_rate,
+        rate,
     )
     return samples[rows]
+
+
+def _raw_motion(log: FlightLog) -> Motion:
+    return Motion(log.rpm, derivative(log.rpm, log.sample_rate), log.body_velocity, log.rates)
+
+
+def derivative(signal: np.ndarray, sample_rate: float) -> np.ndarray:
+    """Time derivative along the first axis, by central differences of fourth order."""
+    slope = np.gradient(signal, 1.0 / sample_rate, axis=0)
+    if len(signal) > 4:
+        near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
+        slope[2:-2] = (8.0 * near - far) * (sample_rate / 12.0)
+    return slope
+
+
+def noise_level(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
+    """Standard deviation (k,) of the white noise on signals (n, k).
+
+    From the median of the spectrum between 0.3 and 0.48 of the sample rate, which no motion of the
+    drone reaches and peaks of vibration do not sway; zero where the filter leaves no such band.
+    """
+    if 0.3 * sample_rate < 2.0 * cutoff:
+        return np.zeros(signal.shape[1])
+    frequency, power = welch(signal, sample_rate, nperseg=min(256, len(signal)), axis=0)
+    band = (frequency > 0.3 * sample_rate) & (frequency < 0.48 * sample_rate)
+    return np.sqrt(np.median(power[band], axis=0) * 0.5 * sample_rate)
+
+
+def _with_noise_again(log: FlightLog, cutoff: float, seed: int) -> FlightLog:
+    random = np.random.default_rng(seed)
+
+    def noisier(signal: np.ndarray) -> np.ndarray:
+        level = noise_level(signal, log.sample_rate, cutoff)
+        return signal + level * random.normal(size=signal.shape)
+
+    return replace(
+        log,
+        rpm=noisier(log.rpm),
+        body_velocity=noisier(log.body_velocity),
+        rates=noisier(log.rates),
+    )
 
 
 def thin(samples: Samples, sample_rate: float) -> Samples:

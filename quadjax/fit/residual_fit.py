@@ -8,6 +8,7 @@ its leave-one-flight-out test, and all of them run as one compiled program.
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -34,6 +35,7 @@ from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.residual import Layers, Residual
 
 LeftOut = frozenset[int]
+Part = tuple[list[Choice], Layers, np.ndarray]  # one network: choices, file layers, grades
 ALL: LeftOut = frozenset()
 
 
@@ -76,17 +78,26 @@ def fit_residuals(
     outer = [ALL] + [frozenset({k}) for k in range(split.folds) if leave_one_out]
     left_outs = _left_outs(split.folds, outer)
     constants = {s: nominal_without(samples, split.fold, s, base) for s in left_outs}
-    finished: dict[LeftOut, dict[str, tuple[list[Choice], Layers, np.ndarray]]] = {
-        s: {} for s in outer
-    }
-    for number, network in enumerate(NETWORKS.values()):
-        report(f"training the {network.name} network")
-        bench = _Bench(network, thinned, fold, base, constants, config, seed + number)
-        teachers = {s: bench.teacher(s, split.folds) for s in outer}
-        report(f"teaching the {network.name} network")
-        taught = teach(list(teachers.values()), config, seed + number)
-        for s, (layers, grade) in zip(outer, taught, strict=True):
-            finished[s][network.name] = (teachers[s].choices, layers, grade)
+    finished: dict[LeftOut, dict[str, Part]] = {s: {} for s in outer}
+
+    def fit_network(network: Network) -> list[Part]:
+        report(f"training the {network.name} network, {len(left_outs)} times {config.seeds} seeds")
+        bench = _Bench(network, thinned, fold, base, constants, config, seed)
+        teachers = [bench.teacher(s, split.folds) for s in outer]
+        report(f"teaching the {network.name} network that the file will hold")
+        taught = teach(teachers, config, seed)
+        return [
+            (teacher.choices, layers, grade)
+            for teacher, (layers, grade) in zip(teachers, taught, strict=True)
+        ]
+
+    # Networks this small leave all but one core idle; the two have nothing to do with each other.
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for network, parts in zip(
+            NETWORKS.values(), pool.map(fit_network, NETWORKS.values()), strict=True
+        ):
+            for s, part in zip(outer, parts, strict=True):
+                finished[s][network.name] = part
     return {s: _assemble(constants[s], base, parts) for s, parts in finished.items()}
 
 
@@ -193,7 +204,7 @@ class _Bench:
 def _assemble(
     constants: MotorConstants,
     base: MotorConstants,
-    parts: dict[str, tuple[list[Choice], Layers, np.ndarray]],
+    parts: dict[str, Part],
 ) -> ResidualFit:
     choices, taught = {}, {}
     for chosen, _, grade in parts.values():

@@ -12,6 +12,7 @@ from quadjax.vehicle import motor
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.frames import attitude, world_to_body
 from quadjax.vehicle.integrate import euler_step, rk4_step
+from quadjax.vehicle.vector import Rotors, Vec3
 
 BEBOP = MotorConstants(
     g=9.81,
@@ -41,14 +42,12 @@ FORCE = np.array([0.3, -0.2, -0.5])
 def _controlled(state, time):
     """Commands that keep the drone lively and upright: damped rates about a wandering target."""
     hover = motor.hover_rpm(BEBOP)
-    target = 0.25 * jnp.stack([jnp.sin(2.1 * time), jnp.sin(1.7 * time + 1), jnp.sin(1.1 * time)])
-    turn = 10.0 * (target - state.euler) - 2.5 * state.rates
-    roll, pitch, yaw = 60.0 * turn[0], 60.0 * turn[1], 120.0 * turn[2]
-    lift = 300.0 * jnp.sin(3.0 * time) + 500.0 * state.velocity[2]
-    mix = jnp.stack(
-        [roll + pitch - yaw, -roll + pitch + yaw, -roll - pitch - yaw, roll - pitch + yaw]
-    )
-    return jnp.clip(hover + lift + mix, 3000.0, 11000.0)
+    target = Vec3(jnp.sin(2.1 * time), jnp.sin(1.7 * time + 1), jnp.sin(1.1 * time)) * 0.25
+    turn = (target - state.euler) * 10.0 - state.rates * 2.5
+    roll, pitch, yaw = 60.0 * turn.x, 60.0 * turn.y, 120.0 * turn.z
+    lift = hover + 300.0 * jnp.sin(3.0 * time) + 500.0 * state.velocity.z
+    mix = (roll + pitch - yaw, -roll + pitch + yaw, -roll - pitch - yaw, roll - pitch + yaw)
+    return Rotors(*(jnp.clip(lift + part, 3000.0, 11000.0) for part in mix))
 
 
 def _fly(vehicle, rate, integrator, substeps, seconds=6.0, onset=2.0):
@@ -59,12 +58,12 @@ def _fly(vehicle, rate, integrator, substeps, seconds=6.0, onset=2.0):
         time = index / rate
         on = jnp.where(time >= onset - 1e-6, 1.0, 0.0)
         state = state.replace(
-            moment_ext=on * jnp.asarray(MOMENT, jnp.float32),
-            force_ext=on * jnp.asarray(FORCE, jnp.float32),
+            moment_ext=Vec3.of(jnp.asarray(MOMENT, jnp.float32)) * on,
+            force_ext=Vec3.of(jnp.asarray(FORCE, jnp.float32)) * on,
         )
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
-        zero = jnp.zeros(4)
-        force, _ = motor.force_moment(vehicle, state.rpm, zero, body_velocity, state.rates)
+        steady = Rotors.same(jnp.zeros(()))
+        force, _ = motor.force_moment(vehicle, state.rpm, steady, body_velocity, state.rates)
         measured = estimator.Measurement(
             gyro=state.rates,
             specific_force=force + state.force_ext,
@@ -72,18 +71,22 @@ def _fly(vehicle, rate, integrator, substeps, seconds=6.0, onset=2.0):
             body_velocity=body_velocity,
         )
         command = _controlled(state, time)
-        for _ in range(substeps):
-            state = integrator(lambda s: motor.derivative(vehicle, s, command), state, dt)
+        state = jax.lax.fori_loop(
+            0,
+            substeps,
+            lambda _, s: integrator(lambda x: motor.derivative(vehicle, x, command), s, dt),
+            state,
+        )
         return state, (measured, on)
 
     start = motor.MotorState(
-        position=jnp.zeros(3),
-        velocity=jnp.array([1.0, -0.5, 0.2]),
-        euler=jnp.array([0.1, -0.2, 0.3]),
-        rates=jnp.array([0.5, -0.4, 0.3]),
-        rpm=jnp.full(4, 7000.0),
-        moment_ext=jnp.zeros(3),
-        force_ext=jnp.zeros(3),
+        position=Vec3.zero(),
+        velocity=Vec3.of(jnp.array([1.0, -0.5, 0.2])),
+        euler=Vec3.of(jnp.array([0.1, -0.2, 0.3])),
+        rates=Vec3.of(jnp.array([0.5, -0.4, 0.3])),
+        rpm=Rotors.same(jnp.asarray(7000.0)),
+        moment_ext=Vec3.zero(),
+        force_ext=Vec3.zero(),
     )
     _, (measured, on) = jax.jit(
         lambda: jax.lax.scan(step, start, jnp.arange(int(seconds * rate)))
@@ -99,11 +102,11 @@ def _run(params, measured):
         return state, (moment, force)
 
     _, (moment, force) = jax.lax.scan(step, estimator.init(params, first), measured)
-    return np.asarray(moment), np.asarray(force)
+    return np.asarray(moment.array()), np.asarray(force.array())
 
 
 def _as_signals(measured):
-    return {name: getattr(measured, name) for name in measured.__dataclass_fields__}
+    return {name: getattr(measured, name).array() for name in measured.__dataclass_fields__}
 
 
 CASES = {
@@ -157,17 +160,17 @@ def test_jax_and_float64_reference_agree(flight):
 def test_batches_and_differentiates():
     vehicle = motor.MotorParams(BEBOP)
     params = estimator.estimator_params(vehicle, 100.0)
-    batch = estimator.Measurement(
-        jnp.ones((5, 3)), jnp.ones((5, 3)), jnp.ones((5, 4)) * 7000.0, jnp.ones((5, 3))
-    )
+    ones = jnp.ones(5)
+    three = Vec3(ones, ones, ones)
+    batch = estimator.Measurement(three, three, Rotors.same(7000.0 * ones), three)
     states = jax.vmap(estimator.init, in_axes=(None, 0))(params, batch)
     states, moment, force = jax.vmap(estimator.update, in_axes=(None, 0, 0))(params, states, batch)
-    assert moment.shape == force.shape == (5, 3)
+    assert moment.array().shape == force.array().shape == (5, 3)
 
     def total(cutoff):
         params = estimator.estimator_params(vehicle, 100.0, cutoff)
         one = jax.tree.map(lambda x: x[0], batch)
-        return estimator.update(params, estimator.init(params, one), one)[2].sum()
+        return estimator.update(params, estimator.init(params, one), one)[2].z
 
     assert np.isfinite(jax.grad(total)(8.0))
 
@@ -175,11 +178,12 @@ def test_batches_and_differentiates():
 def test_a_steady_start_is_no_disturbance():
     vehicle = motor.MotorParams(BEBOP)
     params = estimator.estimator_params(vehicle, 100.0)
-    rpm = jnp.full(4, motor.hover_rpm(BEBOP))
-    at_rest = estimator.Measurement(jnp.zeros(3), jnp.array([0.0, 0.0, -9.81]), rpm, jnp.zeros(3))
+    rpm = Rotors.same(motor.hover_rpm(BEBOP))
+    still = Vec3.zero()
+    at_rest = estimator.Measurement(still, still.replace(z=jnp.asarray(-9.81)), rpm, still)
     _, moment, force = estimator.update(params, estimator.init(params, at_rest), at_rest)
-    np.testing.assert_allclose(moment, 0.0, atol=1e-7)
-    np.testing.assert_allclose(force, 0.0, atol=1e-5)
+    np.testing.assert_allclose(moment.array(), 0.0, atol=1e-7)
+    np.testing.assert_allclose(force.array(), 0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("cutoff", [0.0, -1.0, 50.0, 300.0])

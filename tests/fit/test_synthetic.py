@@ -6,6 +6,7 @@ from quadjax.errors import InputError
 from quadjax.fit.synthetic import make_residual
 from quadjax.residual_file import read_residual, write_residual
 from quadjax.vehicle.residual import residual_force_moment
+from quadjax.vehicle.vector import Rotors, Vec3
 
 
 def _outputs(residual, count=4000):
@@ -13,7 +14,10 @@ def _outputs(residual, count=4000):
     rpm = random.uniform(3000.0, 11000.0, (count, 4)).astype(np.float32)
     velocity = random.uniform(-8.0, 8.0, (count, 3)).astype(np.float32)
     rates = random.uniform(-6.0, 6.0, (count, 3)).astype(np.float32)
-    return jax.vmap(residual_force_moment, in_axes=(None, 0, 0, 0))(residual, rpm, velocity, rates)
+    force, moment = jax.vmap(residual_force_moment, in_axes=(None, 0, 0, 0))(
+        residual, Rotors.of(rpm), Vec3.of(velocity), Vec3.of(rates)
+    )
+    return np.asarray(force), np.asarray(moment.array())
 
 
 def test_outputs_have_the_asked_spread_over_the_envelope():
