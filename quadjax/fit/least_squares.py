@@ -18,7 +18,7 @@ from quadjax.fit.prepare import Samples
 from quadjax.vehicle.constants import MotorConstants
 
 BLOCK = 0.5  # s
-HARDLY = 0.1  # a relative standard error above this earns a warning
+HARDLY = 0.05  # a relative standard error above this earns a warning
 CONDITION = 1e6  # regressors worse conditioned than this (scaled to unit size) are collinear
 
 

@@ -24,14 +24,18 @@ SAMPLES = 20_000
 
 
 def make_residual(
-    seed: int, thrust_std: float = 1.0, moment_std: float = 0.015, width: int = 32
+    seed: int,
+    thrust_std: float = 1.0,
+    moment_std: float | tuple[float, float, float] = 0.015,
+    width: int = 32,
 ) -> Residual:
     """A random residual of a given size.
 
     Args:
         seed: decides everything.
         thrust_std: standard deviation of the body-z specific force over the envelope, m/s^2.
-        moment_std: standard deviation of each moment over the envelope, N m.
+        moment_std: standard deviation of the moments over the envelope, N m; one
+            number for all three axes or one for each.
         width: hidden units of each network.
 
     Returns:
@@ -40,7 +44,8 @@ def make_residual(
     Raises:
         InputError: a spread that is negative or not finite, or a width below one.
     """
-    for name, value in (("thrust_std", thrust_std), ("moment_std", moment_std)):
+    moments = np.broadcast_to(np.asarray(moment_std, np.float64), 3)
+    for name, value in (("thrust_std", thrust_std), *(("moment_std", m) for m in moments)):
         if not (np.isfinite(value) and value >= 0.0):
             raise InputError(f"{name} is {value}, expected a finite number that is not negative")
     if width < 1:
@@ -49,7 +54,7 @@ def make_residual(
     spans = np.array([1.0] * 4 + [VELOCITY] * 3 + [RATE] * 3)
     return Residual(
         thrust=_random_network(random, spans[:7], width, np.array([thrust_std])),
-        moment=_random_network(random, spans, width, np.full(3, moment_std)),
+        moment=_random_network(random, spans, width, moments),
         rpm_min=jnp.float32(RPM_RANGE[0]),
         rpm_max=jnp.float32(RPM_RANGE[1]),
         thrust_sign=jnp.float32(1.0),

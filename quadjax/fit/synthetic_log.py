@@ -18,6 +18,7 @@ from quadjax.vehicle import motor
 from quadjax.vehicle.frames import attitude, world_to_body
 from quadjax.vehicle.integrate import rk4_step
 from quadjax.vehicle.motor import MotorParams, MotorState
+from quadjax.vehicle.residual import residual_force_moment
 from quadjax.vehicle.vector import Rotors, Vec3
 
 SUBSTEPS = 2
@@ -94,6 +95,9 @@ def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> n
         frequency = random.uniform(low, high, 4)
         phase = random.uniform(0.0, 2.0 * np.pi, 4)
         targets += share * size * np.sin(2.0 * np.pi * frequency * time + phase)
+    # Long turns to either side: yaw damping shows in them alone.
+    swing = random.uniform(0.03, 0.06)
+    targets[:, 2] += 4.0 / swing / 10.0 * np.sin(2.0 * np.pi * swing * time[:, 0])
     return targets
 
 
@@ -133,6 +137,10 @@ def _control(vehicle: MotorParams, state: MotorState, target: jax.Array) -> Roto
     effect = Vec3(8.0 * c.k_p * hover / c.i_xx, 8.0 * c.k_q * hover / c.i_yy, 4.0 * c.k_r1 / c.i_zz)
     angle = Vec3.of(target[:3]) - state.euler
     wanted = angle * Vec3(60.0, 60.0, 6.0) - state.rates * Vec3(12.0, 12.0, 4.0)
+    if vehicle.residual is not None:  # an ideal pilot: it knows what it has to work against
+        body_velocity = world_to_body(attitude(state.euler), state.velocity)
+        _, extra = residual_force_moment(vehicle.residual, state.rpm, body_velocity, state.rates)
+        wanted = wanted - extra / Vec3(c.i_xx, c.i_yy, c.i_zz)
     turn = wanted / effect
     roll, pitch, yaw = (jnp.clip(part, -1200.0, 1200.0) for part in turn.components())
     tilt = jnp.clip(jnp.cos(state.euler.x) * jnp.cos(state.euler.y), 0.5, 1.0)
