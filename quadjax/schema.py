@@ -167,10 +167,9 @@ class TrainConfig:
 
     drones: int = 1024
     steps: int = 40_000_000  # environment steps in all
-    chunk_updates: int = 0  # updates per compiled chunk; 0: about two seconds of work
     devices: str = "auto"  # auto | all | a number
     init: str | None = None  # policy file (.npz) to start from
-    evaluate_every: int = 500_000  # steps between timed laps
+    evaluate_every: int = 500_000  # steps between timed laps: one compiled chunk
     checkpoint_seconds: float = 20.0  # at least so long between checkpoints
     tensorboard: bool = False
 
@@ -275,7 +274,6 @@ NOT_NEGATIVE = (
     "ppo.value_coefficient",
     "ppo.entropy_coefficient",
     "shac.final_learning_rate",
-    "train.chunk_updates",
     "train.checkpoint_seconds",
 )
 

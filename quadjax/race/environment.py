@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.environment import Environment
+from quadjax.gradients import clip_inward
 from quadjax.race import observation, rules, start
 from quadjax.race.track import Gate, Track, gate, gate_count
 from quadjax.vehicle import motor, rate
@@ -74,22 +75,27 @@ def _vehicle_params(params: RaceParams, state: RaceState) -> VehicleParams:
 
 def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     """A random start."""
-    gate_key, drone_key, clock_key, constants_key = jax.random.split(key, 4)
-    target = start.start_gate(params.track, gate_key, choices.random_gate)
     constants = params.vehicle.constants
-    drawn = None
+    extra = len(dataclasses.fields(constants)) if choices.randomise else 0
+    drawn = start.draw(key, 2 + start.DRAWS + extra)
+    target = clock = jnp.zeros((), jnp.int32)
+    if choices.random_gate:
+        target = start.start_gate(params.track, drawn[0])
+    if choices.stagger_clocks:
+        clock = (0.5 * (drawn[1] + 1.0) * params.limits.max_steps).astype(jnp.int32)
+    own = None
     if choices.randomise:
-        drawn = constants = start.draw_constants(constants, params.randomise, constants_key)
+        own = constants = start.draw_constants(
+            constants, params.randomise, drawn[2 + start.DRAWS :]
+        )
+    numbers = drawn[2 : 2 + start.DRAWS]
     if choices.kind == "motor":
         drone = start.start_motor(
-            constants, params.track, params.start, params.disturbance, target, drone_key
+            constants, params.track, params.start, params.disturbance, target, numbers
         )
     else:
-        drone = start.start_rate(constants, params.track, params.start, target, drone_key)
-    clock = jnp.zeros((), jnp.int32)
-    if choices.stagger_clocks:
-        clock = jax.random.randint(clock_key, (), 0, params.limits.max_steps)
-    return RaceState(drone, target, clock, jnp.zeros((), jnp.int32), drawn)
+        drone = start.start_rate(constants, params.track, params.start, target, numbers)
+    return RaceState(drone, target, clock, jnp.zeros((), jnp.int32), own)
 
 
 def hover_start(params: RaceParams, constants: Constants | None = None) -> RaceState:
@@ -120,7 +126,7 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
     """The command of an action (4,): clipped to [-1, 1], scaled to the nominal range."""
-    parts = [jnp.clip(action[index], -1.0, 1.0) for index in range(4)]
+    parts = [clip_inward(action[index], -1.0, 1.0) for index in range(4)]
     if choices.kind == "motor":
         unit, module = Rotors(*parts), motor
     else:
@@ -134,7 +140,7 @@ def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Arr
     vehicle = _vehicle_params(params, state)
     module = motor if choices.kind == "motor" else rate
     low, high = module.command_range(vehicle.constants)
-    held = jax.tree.map(jnp.clip, command(choices, params, action), low, high)
+    held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
     flown = INTEGRATORS[choices.integrator](
         lambda drone: module.derivative(vehicle, stage(drone, _always(params)), held),
         state.drone,
