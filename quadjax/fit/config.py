@@ -49,6 +49,13 @@ class PrepareConfig:
 
 
 @dataclass(frozen=True)
+class NominalConfig:
+    """The nominal model."""
+
+    fit: bool = True  # false: keep the base vehicle's constants and fit only what they leave
+
+
+@dataclass(frozen=True)
 class SplitConfig:
     """What is held out: whole flights, or a part of each flight's time."""
 
@@ -67,7 +74,7 @@ class ResidualConfig:
     hidden_thrust: int = 32
     hidden_moment: int = 32
     seeds: int = 5
-    epochs: int = 30
+    epochs: int = 60
     batch: int = 128
     learning_rate: float = 3e-3
     average: float = 0.99  # decay of the average of the weights that is kept
@@ -77,7 +84,7 @@ class ResidualConfig:
     sample_rate: float = 50.0  # Hz, to which the filtered signals are thinned
     caution: float = 1.0  # weight of the worst held-out flight's harm in choosing the shrinkage
     min_gain: float = 0.01  # a smaller relative gain on held-out flights is refused
-    teach_epochs: int = 150  # of the exported network on the ensemble
+    teach_epochs: int = 120  # of the exported network on the ensemble
     margin: float = 0.5  # how far beyond the logs the exported network is taught to stay level
 
 
@@ -87,11 +94,12 @@ class FitConfig:
 
     name: str = "fit"
     runs: str = "runs"  # the results go to runs/NAME
-    vehicle: str = "configs/vehicles/bebop1.yaml"  # base: rate model, and what is not fitted
+    vehicle: str = "bebop1.yaml"  # in configs/vehicles; base: rate model, and what is not fitted
     seed: int = 0
     figures: bool = True
     logs: LogsConfig = field(default_factory=LogsConfig)
     body: BodyConfig = field(default_factory=BodyConfig)
     prepare: PrepareConfig = field(default_factory=PrepareConfig)
+    nominal: NominalConfig = field(default_factory=NominalConfig)
     split: SplitConfig = field(default_factory=SplitConfig)
     residual: ResidualConfig = field(default_factory=ResidualConfig)

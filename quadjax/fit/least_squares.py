@@ -146,8 +146,7 @@ def _warnings(
             )
         elif error > HARDLY * abs(value):
             lines.append(
-                f"{name} ({axis}): poorly determined, {value:.3g} +- {error:.2g} "
-                f"({100.0 * error / max(abs(value), 1e-300):.0f}%): the logs hardly excite it, or "
-                "the nominal model does not fit them"
+                f"{name} ({axis}): the logs hardly excite it, or the nominal model does not fit "
+                f"them: +- {100.0 * error / max(abs(value), 1e-300):.0f}%"
             )
     return tuple(lines)

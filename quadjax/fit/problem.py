@@ -78,9 +78,15 @@ def mirrored(network: Network, inputs: np.ndarray) -> np.ndarray:
 
 
 def nominal_without(
-    samples: Samples, fold: np.ndarray, left_out: frozenset[int], base: MotorConstants
+    samples: Samples,
+    fold: np.ndarray,
+    left_out: frozenset[int],
+    base: MotorConstants,
+    fit: bool = True,
 ) -> MotorConstants:
-    """The nominal model of the rows of all folds but some."""
+    """The nominal model of the rows of all folds but some, or the base's own if not to be fit."""
+    if not fit:
+        return base
     return with_fit(base, fit_nominal(samples[learned_rows(fold, left_out)], base))
 
 

@@ -56,6 +56,7 @@ def fit_residuals(
     config: ResidualConfig,
     seed: int,
     leave_one_out: bool,
+    fit_constants: bool = True,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[LeftOut, ResidualFit]:
     """Fit both networks on all folds and, if asked, once more without each fold.
@@ -67,6 +68,7 @@ def fit_residuals(
         config: the training.
         seed: decides everything random.
         leave_one_out: also fit without each fold, all choices included.
+        fit_constants: fit the nominal model as well, to the same rows each time.
         report: told what is being done.
 
     Returns:
@@ -77,7 +79,7 @@ def fit_residuals(
     thinned, fold = thin(samples, config.sample_rate), split.fold[::every]
     outer = [ALL] + [frozenset({k}) for k in range(split.folds) if leave_one_out]
     left_outs = _left_outs(split.folds, outer)
-    constants = {s: nominal_without(samples, split.fold, s, base) for s in left_outs}
+    constants = {s: nominal_without(samples, split.fold, s, base, fit_constants) for s in left_outs}
     finished: dict[LeftOut, dict[str, Part]] = {s: {} for s in outer}
 
     def fit_network(network: Network) -> list[Part]:
