@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.environment import Environment
-from quadjax.fit import estimator
+from quadjax.fit import estimator as onboard
 from quadjax.fit.estimator import Measurement
 from quadjax.gradients import clip_inward
 from quadjax.race import observation, rules, start
@@ -51,14 +51,14 @@ class RaceParams:
     start: start.StartRange
     disturbance: observation.DisturbanceRange
     randomise: start.RandomiseFractions
-    estimator: estimator.EstimatorParams | None = None  # where the observation is estimated
+    estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
 
 
 @struct.dataclass
 class Estimate:
     """What is believed on board of the external disturbance."""
 
-    filter: estimator.EstimatorState
+    filter: onboard.EstimatorState
     moment: Vec3  # N m, body
     force: Vec3  # m/s^2, body
 
@@ -117,7 +117,7 @@ def with_estimate(params: RaceParams, state: RaceState) -> RaceState:
     if params.estimator is None:
         return state
     measured = _measure(params, state, state.drone)
-    fresh = estimator.init(params.estimator, measured)
+    fresh = onboard.init(params.estimator, measured)
     return state.replace(estimate=Estimate(fresh, Vec3.zero(), Vec3.zero()))
 
 
@@ -256,7 +256,7 @@ def _estimate(params: RaceParams, state: RaceState, drone: Drone) -> Estimate | 
     if state.estimate is None:
         return None
     measured = jax.lax.stop_gradient(_measure(params, state, drone))
-    return Estimate(*estimator.update(params.estimator, state.estimate.filter, measured))
+    return Estimate(*onboard.update(params.estimator, state.estimate.filter, measured))
 
 
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
