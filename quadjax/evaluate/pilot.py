@@ -15,8 +15,8 @@ import numpy as np
 from flax import struct
 
 from quadjax.errors import InputError
-from quadjax.evaluate.laps import Laps, Trace, fly_laps
-from quadjax.policies import Flying, act_deterministic, act_sampled, flying
+from quadjax.evaluate.laps import Actor, Laps, Trace, fly_laps
+from quadjax.policies import Flying, act_sampled, flying
 from quadjax.policy_file import ACTION_SIZE, OBSERVATION_SIZES, Policy
 from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import Choices, RaceParams, command
@@ -34,13 +34,14 @@ KNOWN = ("wrap_next_yaw", "disturbance_input", "disturbance")  # what a policy s
 class Pilot:
     """A policy and the conversions between its scaling and the environment's."""
 
-    policy: Flying | None  # None where the actor holds the policy itself
+    policy: Flying
     see_scale: jax.Array  # (observations,)
     see_offset: jax.Array  # (observations,)
     act_scale: jax.Array  # (4,)
     act_offset: jax.Array  # (4,)
     low: jax.Array  # (4,) lowest command of the environment's vehicle: rpm, or rad/s and m/s^2
     high: jax.Array  # (4,)
+    noise: jax.Array  # () 1 to fly samples, 0 to fly the mean: one compilation for both
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,13 +131,20 @@ def command_ranges(choices: Choices, params: RaceParams) -> Ranges:
     return low, high
 
 
-def make_pilot(config: Config, policy: Policy, vehicle: Ranges, name: str = "policy") -> Pilot:
+def make_pilot(
+    config: Config,
+    policy: Policy,
+    vehicle: Ranges,
+    deterministic: bool,
+    name: str = "policy",
+) -> Pilot:
     """The policy with the conversions to and from the environment's scaling.
 
     Args:
         config: of the race.
         policy: the policy file's content.
         vehicle: the environment's lowest and highest command, (4,) each.
+        deterministic: fly the mean rather than samples.
         name: the file, for messages.
     """
     check_fits(config, policy, name)
@@ -155,7 +163,7 @@ def make_pilot(config: Config, policy: Policy, vehicle: Ranges, name: str = "pol
         for index, key in enumerate(DISTURBANCES):
             factor = widths[key] / trained[key] if trained[key] > 0 else 0.0
             see_scale[FIRST_DISTURBANCE + index] = factor
-    numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle)
+    numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle, float(not deterministic))
     return Pilot(flying(policy), *(jnp.asarray(x, jnp.float32) for x in numbers))
 
 
@@ -166,22 +174,14 @@ def _between(source: Ranges, target: Ranges) -> Ranges:
     return scale, (high + low - to_high - to_low) / (to_high - to_low)
 
 
-def _act(pilot: Pilot, action: jax.Array) -> jax.Array:
-    return jnp.clip(action, -1.0, 1.0) * pilot.act_scale + pilot.act_offset
-
-
 def _see(pilot: Pilot, observation: jax.Array) -> jax.Array:
     return observation * pilot.see_scale + pilot.see_offset
 
 
-def fly_mean(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
-    """The environment's action (4,) for the policy's mean command."""
-    return _act(pilot, act_deterministic(pilot.policy, _see(pilot, observation), noise))
-
-
-def fly_sample(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
-    """The environment's action (4,) for a sample of the policy, of normal ``noise`` (4,)."""
-    return _act(pilot, act_sampled(pilot.policy, _see(pilot, observation), noise))
+def fly(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
+    """The environment's action (4,) for what it shows, with normal ``noise`` (4,)."""
+    action = act_sampled(pilot.policy, _see(pilot, observation), pilot.noise * noise)
+    return jnp.clip(action, -1.0, 1.0) * pilot.act_scale + pilot.act_offset
 
 
 def fly_policy(
@@ -205,8 +205,7 @@ def fly_policy(
     Raises:
         InputError: the policy does not fit the vehicle.
     """
-    actor = fly_mean if deterministic else fly_sample
-    return _fly(config, policy, race, actor, trace, name)
+    return _fly(config, policy, race, fly, deterministic, trace, name)
 
 
 def fly_fixed_point(
@@ -224,15 +223,22 @@ def fly_fixed_point(
         given = commands(_see(pilot, observation))
         return 2.0 * (given - pilot.low) / (pilot.high - pilot.low) - 1.0
 
-    return _fly(config, policy, race, actor, trace, name)
+    return _fly(config, policy, race, actor, True, trace, name)
 
 
 def _fly(
-    config: Config, policy: Policy, race: Race, actor: Callable, trace: bool, name: str
+    config: Config,
+    policy: Policy,
+    race: Race,
+    actor: Actor,
+    deterministic: bool,
+    trace: bool,
+    name: str,
 ) -> tuple[Laps, Trace | None]:
     check_fits(config, policy, name)
     choices, params = race_of(config, policy)
-    pilot = make_pilot(config, policy, command_ranges(choices, params), name)
+    vehicle = command_ranges(choices, params)
+    pilot = make_pilot(config, policy, vehicle, deterministic, name)
     key = jax.random.key(race.seed)
     return fly_laps(
         choices, params, actor, pilot, key, race.laps, race.runs, race.from_hover, trace
