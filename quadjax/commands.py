@@ -1,7 +1,7 @@
 """What the scripts' command lines share."""
 
 import argparse
-import os
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -50,7 +50,7 @@ def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> Non
     """Refuse an output path before any work is done; None is fine.
 
     Args:
-        path: of a file to write; its folder may still have to be made.
+        path: of a file to write; its folder is made.
         suffixes: allowed ones, if they matter.
 
     Raises:
@@ -63,10 +63,9 @@ def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> Non
         raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: {', '.join(suffixes)}")
     if path.is_dir():
         raise InputError(f"{path}: is a directory, expected the name of a file")
-    folder = path.absolute().parent
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    if not folder.is_dir():
-        raise InputError(f"{path}: cannot be written, {folder} is not a directory")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(f"{path}: cannot be written, no permission in {folder}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error

@@ -16,7 +16,8 @@ from quadjax.race.track import Track, gate_count
 from quadjax.vehicle.vector import Vec3
 
 Actor = Callable[[object, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
-SLOWEST = 1.75  # m/s along the track: a drone slower than this has lost its way
+SECONDS_PER_LAP = 8.0  # of 14 m: a drone slower than this has lost its way
+METRES_PER_LAP = 14.0
 
 CRASHES = (
     "",
@@ -268,7 +269,8 @@ def fly_laps(
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)
     dt = float(params.limits.dt)
-    steps = int(np.ceil(laps * lap_length(params.track) / SLOWEST / dt))
+    stretch = max(1.0, lap_length(params.track) / METRES_PER_LAP)
+    steps = round(laps * SECONDS_PER_LAP * stretch / dt)
     race, kept = _race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
     ends = np.asarray(race.lap_end, np.float64).T
     flown = np.where(ends > 0, ends, np.nan)
