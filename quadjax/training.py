@@ -20,7 +20,7 @@ from quadjax.checkpoint import Checkpoints
 from quadjax.config import to_yaml
 from quadjax.devices import choose_devices
 from quadjax.errors import InputError
-from quadjax.evaluate.laps import SECONDS_PER_LAP, Laps, fly_laps
+from quadjax.evaluate.laps import SECONDS_PER_LAP, fly_laps
 from quadjax.files import write_json, write_text
 from quadjax.learn import parallel
 from quadjax.learn.loop import Hooks, Position, Row, run
@@ -28,7 +28,7 @@ from quadjax.learn.networks import ActorCritic
 from quadjax.learn.parallel import Chunk
 from quadjax.learn.state import Learner, TrainState
 from quadjax.learners import build_learner, flying_of, policy_of, start_state
-from quadjax.policies import act_deterministic, act_sampled, flying
+from quadjax.policies import act_deterministic
 from quadjax.policy_file import Policy, write_policy
 from quadjax.progress import TrainingProgress
 from quadjax.race.build import build_params, choices_of
@@ -311,19 +311,3 @@ def peak_memory_mib() -> float | None:
     except ImportError:
         return None
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 0)
-
-
-def time_laps(
-    config: Config, policy: Policy, deterministic: bool, runs: int, seed: int = 0
-) -> Laps:
-    """Timed laps of a policy from hover, by the config's race."""
-    laps, _ = fly_laps(
-        choices_of(config),
-        build_params(config),
-        act_deterministic if deterministic else act_sampled,
-        flying(policy),
-        jax.random.key(seed),
-        config.evaluate.laps,
-        runs,
-    )
-    return laps
