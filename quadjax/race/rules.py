@@ -118,9 +118,9 @@ def reward(
     """The reward () of one step.
 
     Passed: ``gate - gate_offset |p - p_gate|``, and ``early`` times what is left of the step when
-    the plane is met, which turns the worth of time into a slope; collision: ``-collision``; else ``progress`` times
-    the decrease of the distance to the target gate (Ferede et al., arXiv 2311.16948, with the sign
-    that makes progress positive).
+    the plane is met, which turns the worth of time into a slope; collision: ``-collision``; else
+    ``progress`` times the decrease of the distance to the target gate (Ferede et al., arXiv
+    2311.16948, with the sign that makes progress positive).
 
     Args:
         weights: of each term.
