@@ -49,6 +49,7 @@ class RewardConfig:
     collision: float = 10.0  # taken off for a collision
     time: float = 0.0  # taken off per second
     rates: float = 0.0  # taken off per second and rad/s of body rate
+    early: float = 0.0  # per second by which a gate is passed before its step ends
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class EpisodeConfig:
     roll_limit_deg: float = 180.0  # in training
     random_gate: bool = False  # start before any gate, not only the first
     stagger_clocks: bool = False  # start at a random step of the clock
-    disturbance_input: str = "true"  # true | none: what the observation says
+    disturbance_input: str = "true"  # true | estimated | none: what the observation says
     wrap_next_yaw: bool = True  # false: the authors' code's plain difference
 
 
@@ -208,7 +209,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "vehicle.kind": ("motor", "rate"),
     "vehicle.integrator": ("euler", "rk4"),
     "episode.gate_test": ("square", "world_box"),
-    "episode.disturbance_input": ("true", "none"),
+    "episode.disturbance_input": ("true", "estimated", "none"),
     "network.activation": ("relu", "tanh"),
 }
 # Lowest and highest value, and whether each bound itself is allowed.

@@ -118,7 +118,7 @@ def race_of(config: Config, policy: Policy) -> tuple[Choices, RaceParams]:
     seen = policy.observation
     episode = dataclasses.replace(
         config.episode,
-        **{key: seen[key] for key in ("wrap_next_yaw", "disturbance_input") if key in seen},
+        **{key: seen[key] for key in ("wrap_next_yaw",) if key in seen},
     )
     config = dataclasses.replace(config, episode=episode)
     return choices_of(config), build_params(config)
