@@ -89,7 +89,7 @@ def _check_rpm(
     for name, values in zip(columns[quantity], quantities[quantity].T, strict=True):
         where = f"{path}: row {int(rows[0]) + 2}, column {name!r} and on"
         middle = float(np.median(values[rows]))
-        if middle < 1500.0:
+        if middle < 2000.0:
             raise InputError(
                 f"{where}: {middle:.4g} rpm in the middle of a flight; is this rad/s "
                 "(logs.units.rpm)?"
