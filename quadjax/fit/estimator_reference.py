@@ -25,7 +25,8 @@ def estimate(
         vehicle: constants, and residual if any.
         signals: ``gyro`` (n, 3) rad/s, ``specific_force`` (n, 3) m/s^2, ``rpm`` (n, 4) and
             ``body_velocity`` (n, 3) m/s, sampled evenly.
-        sample_rate, cutoff: Hz.
+        sample_rate: Hz.
+        cutoff: of the low-pass, Hz.
         explicit_euler: the samples are the steps of an explicit Euler simulation.
 
     Returns:
