@@ -32,7 +32,8 @@ from quadjax.export.squash import (
 from quadjax.export.squash import UNITS as TANH_UNITS
 from quadjax.export.vectors import SelfTest
 
-BLOCK = 4  # rows of a block, and the multiple that columns are padded to
+BLOCK = 4  # rows of a block
+TURN = 8  # columns, and rows of a hidden layer, are padded to a multiple of this
 PROBE_FACTOR, PROBE_TERM = 1664525, 1013904223
 # Bit patterns that the self-test quantises in every position.
 QUANTIZE_PATTERNS = (
@@ -54,7 +55,7 @@ class Provenance:
 
 @dataclasses.dataclass(frozen=True)
 class PaddedLayer:
-    """A layer as the C has it: rows and columns padded with zeros to multiples of four."""
+    """A layer as the C has it: rows and columns padded with zeros."""
 
     weights: np.ndarray  # (padded rows * padded columns,) int32, in blocks
     bias: np.ndarray  # (padded rows,) int64
@@ -62,10 +63,10 @@ class PaddedLayer:
     columns: int  # padded
 
 
-def pad(layer: FixedLayer, shift: int) -> PaddedLayer:
+def pad(layer: FixedLayer, shift: int, multiple: int) -> PaddedLayer:
     """The layer's tables in the kernels' order; padded rows hold only the rounding half."""
     rows, columns = layer.weights.shape
-    padded_rows, padded_columns = -(-rows // BLOCK) * BLOCK, -(-columns // BLOCK) * BLOCK
+    padded_rows, padded_columns = -(-rows // multiple) * multiple, -(-columns // TURN) * TURN
     weights = np.zeros((padded_rows, padded_columns), np.int32)
     weights[:rows, :columns] = layer.weights
     bias = np.full(padded_rows, 2 ** (shift - 1), np.int64)
@@ -76,8 +77,8 @@ def pad(layer: FixedLayer, shift: int) -> PaddedLayer:
 
 def padded_layers(network: FixedNetwork) -> list[PaddedLayer]:
     """All layers of a network, padded."""
-    hidden = [pad(layer, WORD) for layer in network.hidden]
-    return [*hidden, pad(network.output, network.output_shift)]
+    hidden = [pad(layer, WORD, TURN) for layer in network.hidden]
+    return [*hidden, pad(network.output, network.output_shift, BLOCK)]
 
 
 def tables_hash(layers: list[PaddedLayer]) -> int:
@@ -174,7 +175,10 @@ def _common(network: FixedNetwork, origin: Provenance, vectors: int, layers: int
 def _tables(network: FixedNetwork, layers: list[PaddedLayer]) -> dict[str, str]:
     dimensions, text = [], []
     for index, layer in enumerate(layers):
-        dimensions += [f"  ROWS_{index} = {layer.rows},", f"  COLUMNS_{index} = {layer.columns},"]
+        dimensions.append(
+            f"  ROWS_{index} = {layer.rows}, PADDED_ROWS_{index} = {layer.bias.size}, "
+            f"COLUMNS_{index} = {layer.columns},"
+        )
         text.append(
             f"/* Layer {index}: {layer.rows} rows of {layer.columns} columns, padded. */\n"
             + table("int32_t", f"weight_{index}", str(layer.weights.size), layer.weights)
@@ -194,11 +198,12 @@ def _calls(layers: list[PaddedLayer]) -> dict[str, str]:
         x, y = buffers[index % 2], buffers[(index + 1) % 2]
         calls.append(
             f"  hidden_layer(kernel, weight_{index}, bias_{index}, ROWS_{index}, "
-            f"COLUMNS_{index}, {x}, {y}, trace);"
+            f"PADDED_ROWS_{index}, COLUMNS_{index}, {x}, {y}, trace);"
         )
     last = len(layers) - 1
     calls.append(
-        f"  block_sums(kernel, weight_{last}, bias_{last}, {buffers[last % 2]}, COLUMNS_{last}, sums);"
+        f"  block_sums(kernel, weight_{last}, bias_{last}, {buffers[last % 2]}, COLUMNS_{last}, "
+        "sums);"
     )
     hashes, probes = [], []
     for index, layer in enumerate(layers):
@@ -206,7 +211,7 @@ def _calls(layers: list[PaddedLayer]) -> dict[str, str]:
             f"  digest = digest_table_32(digest, weight_{index}, {layer.weights.size}U);",
             f"  digest = digest_table_64(digest, bias_{index}, {layer.bias.size}U);",
         ]
-        call = f"probe_layer(kernel, weight_{index}, bias_{index}, ROWS_{index}, COLUMNS_{index})"
+        call = f"probe_layer(kernel, weight_{index}, bias_{index}, PADDED_ROWS_{index}, COLUMNS_{index})"
         probes.append(f"  mismatches += ({call} != PROBE_{index}) ? 1U : 0U;")
     return {
         "layer_calls": "\n".join(calls),
@@ -241,7 +246,7 @@ def _vectors(network: FixedNetwork, layers: list[PaddedLayer], test: SelfTest) -
     return {"vector_tables": joined}
 
 
-QUANTIZE_TEST = """/* Zeros, subnormals, ordinary and huge numbers, infinities and NaNs, in every position. */
+QUANTIZE_TEST = """/* Zeros, subnormals, ordinary and huge numbers, infinities and NaNs: in every position. */
 static const uint32_t quantize_pattern[COUNT] = {
 PATTERNS};
 
