@@ -280,8 +280,10 @@ def _squash(network: FixedNetwork) -> str:
             "/* Clamped in the accumulator's own units, so that the shift cannot overflow. */\n"
             + "".join(limits)
             + f"\nstatic int32_t output_command(int64_t sum, uint32_t i) {{\n"
-            f"  sum = (sum < sum_low[i]) ? sum_low[i] : sum;\n"
-            f"  sum = (sum > sum_high[i]) ? sum_high[i] : sum;\n"
+            f"  const int64_t low = sum_low[i];\n"
+            f"  const int64_t high = sum_high[i];\n"
+            f"  sum = (sum < low) ? low : sum;\n"
+            f"  sum = (sum > high) ? high : sum;\n"
             f"  return (int32_t)(sum >> {shift});\n}}\n"
         )
     middle = [(a + b << VALUE_BITS) + (1 << VALUE_BITS) for a, b in zip(low, high, strict=True)]
@@ -313,30 +315,27 @@ def _squash(network: FixedNetwork) -> str:
 
 
 TANH_FUNCTIONS = """
+static int64_t clamp_64(int64_t value, int64_t low, int64_t high) {
+  value = (value < low) ? low : value;
+  return (value > high) ? high : value;
+}
+
 static int32_t tanh_q30(int32_t z_q27) {
-  int32_t magnitude = (z_q27 < 0) ? -z_q27 : z_q27;
-  magnitude = (magnitude > <LAST>) ? <LAST> : magnitude;
+  const int32_t sign = 1 - (int32_t)(((uint32_t)z_q27 >> 31) << 1);
+  const int32_t magnitude = (int32_t)clamp_64((int64_t)z_q27 * sign, 0, <LAST>);
   const int32_t *const cubic = tanh_cubic[magnitude >> <SEGMENT_BITS>];
   const int64_t place = magnitude & <PLACE>;
   int64_t value = cubic[3];
   value = cubic[2] + ((value * place) >> <SEGMENT_BITS>);
   value = cubic[1] + ((value * place) >> <SEGMENT_BITS>);
   value = cubic[0] + ((value * place) >> <SEGMENT_BITS>);
-  value = (value < 0) ? 0 : value;
-  value = (value > <ONE>) ? <ONE> : value;
-  return (z_q27 < 0) ? -(int32_t)value : (int32_t)value;
+  return (int32_t)clamp_64(value, 0, <ONE>) * sign;
 }
 
 static int32_t output_command(int64_t sum, uint32_t i) {
-  const int64_t limit = <LIMIT>;
-  sum = (sum < -limit) ? -limit : sum;
-  sum = (sum > limit) ? limit : sum;
-  const int64_t action = tanh_q30((int32_t)(sum >> <SHIFT>));
-  const int32_t command = (int32_t)((command_middle[i] + command_span[i] * action) >> <LOWEST>);
-  if (command < command_low[i]) {
-    return command_low[i];
-  }
-  return (command > command_high[i]) ? command_high[i] : command;
+  const int32_t z_q27 = (int32_t)(clamp_64(sum, -<LIMIT>, <LIMIT>) >> <SHIFT>);
+  const int64_t doubled = command_middle[i] + (int64_t)command_span[i] * tanh_q30(z_q27);
+  return (int32_t)clamp_64(doubled >> <LOWEST>, command_low[i], command_high[i]);
 }
 """
 

@@ -101,9 +101,11 @@ class Machine:
 
         bottom = STACK_TOP - STACK_SIZE
         self._cpu.mem_write(bottom, bytes([PAINT]) * STACK_SIZE)
+        self._cpu.ctl_flush_tb()  # code that was translated without the hook would not be counted
         hook = self._cpu.hook_add(UC_HOOK_CODE, step)
         self.call(name, *arguments)
         self._cpu.hook_del(hook)
+        self._cpu.ctl_flush_tb()
         painted = np.frombuffer(self._cpu.mem_read(bottom, STACK_SIZE - 64), np.uint8)
         used = np.flatnonzero(painted != PAINT)
         return counted[0], 0 if not used.size else len(painted) - int(used[0])
