@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.vehicle.vector import Vec3
+
 # pi/2 in three float32 parts, so that x - k pi/2 keeps its bits (Cody and Waite, 1980).
 _HALF_PI_PARTS = (1.5703125, 4.837512969970703e-4, 7.549789948768648e-8)
 
@@ -36,11 +38,9 @@ def sincos(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
     sine = reduced + reduced * square * (
         -1.6666654611e-1 + square * (8.3321608736e-3 - square * 1.9515295891e-4)
     )
-    cosine = (
-        1.0
-        - 0.5 * square
-        + square
-        * square
+    cosine = 1.0 - square * (
+        0.5
+        - square
         * (4.166664568298827e-2 + square * (-1.388731625493765e-3 + square * 2.443315711809948e-5))
     )
     quadrant = quarter_turns - 4.0 * jnp.floor(quarter_turns * 0.25)
@@ -78,45 +78,44 @@ class Attitude:
     cos_yaw: jax.Array
 
 
-def attitude(euler: jax.Array) -> Attitude:
-    """Trigonometry of Euler angles (3,), rad."""
-    sine, cosine = sincos(euler)
-    return Attitude(sine[0], cosine[0], sine[1], cosine[1], sine[2], cosine[2])
+def attitude(euler: Vec3) -> Attitude:
+    """Trigonometry of Euler angles (roll, pitch, yaw), rad."""
+    return Attitude(*sincos(euler.x), *sincos(euler.y), *sincos(euler.z))
 
 
-def rotation_matrix(euler: jax.Array) -> jax.Array:
-    """Body-to-world rotation ``Rz(psi) Ry(theta) Rx(phi)``, (3, 3), of Euler angles (3,), rad."""
+def rotation_matrix(euler: Vec3) -> jax.Array:
+    """Body-to-world rotation ``Rz(psi) Ry(theta) Rx(phi)``, (3, 3), of Euler angles, rad."""
     a = attitude(euler)
-    columns = [body_to_world(a, unit) for unit in jnp.eye(3, dtype=euler.dtype)]
-    return jnp.stack(columns, axis=1)
+    columns = [body_to_world(a, Vec3.of(unit)).array() for unit in jnp.eye(3)]
+    return jnp.stack(columns, axis=-1)
 
 
-def body_to_world(a: Attitude, vector: jax.Array) -> jax.Array:
-    """Rotate a body-frame vector (3,) into the world frame."""
-    x, y, z = vector[0], vector[1], vector[2]
+def body_to_world(a: Attitude, vector: Vec3) -> Vec3:
+    """Rotate a body-frame vector into the world frame."""
+    x, y, z = vector.x, vector.y, vector.z
     # Rx, then Ry, then Rz.
     y, z = a.cos_roll * y - a.sin_roll * z, a.sin_roll * y + a.cos_roll * z
     x, z = a.cos_pitch * x + a.sin_pitch * z, -a.sin_pitch * x + a.cos_pitch * z
     x, y = a.cos_yaw * x - a.sin_yaw * y, a.sin_yaw * x + a.cos_yaw * y
-    return jnp.stack([x, y, z])
+    return Vec3(x, y, z)
 
 
-def world_to_body(a: Attitude, vector: jax.Array) -> jax.Array:
-    """Rotate a world-frame vector (3,) into the body frame."""
-    x, y, z = vector[0], vector[1], vector[2]
+def world_to_body(a: Attitude, vector: Vec3) -> Vec3:
+    """Rotate a world-frame vector into the body frame."""
+    x, y, z = vector.x, vector.y, vector.z
     x, y = a.cos_yaw * x + a.sin_yaw * y, -a.sin_yaw * x + a.cos_yaw * y
     x, z = a.cos_pitch * x - a.sin_pitch * z, a.sin_pitch * x + a.cos_pitch * z
     y, z = a.cos_roll * y + a.sin_roll * z, -a.sin_roll * y + a.cos_roll * z
-    return jnp.stack([x, y, z])
+    return Vec3(x, y, z)
 
 
-def euler_rates(a: Attitude, body_rates: jax.Array) -> jax.Array:
-    """Euler angle derivatives ``Q(lambda) Omega`` (3,), rad/s, of body rates (p, q, r), rad/s.
+def euler_rates(a: Attitude, body_rates: Vec3) -> Vec3:
+    """Euler angle derivatives ``Q(lambda) Omega``, rad/s, of body rates (p, q, r), rad/s.
 
     Singular at pitch +-90 deg; the race ends an episode before that.
     """
-    p, q, r = body_rates[0], body_rates[1], body_rates[2]
+    p, q, r = body_rates.x, body_rates.y, body_rates.z
     around_world_down = (a.sin_roll * q + a.cos_roll * r) / a.cos_pitch
-    return jnp.stack(
-        [p + a.sin_pitch * around_world_down, a.cos_roll * q - a.sin_roll * r, around_world_down]
+    return Vec3(
+        p + a.sin_pitch * around_world_down, a.cos_roll * q - a.sin_roll * r, around_world_down
     )

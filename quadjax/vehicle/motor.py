@@ -12,19 +12,20 @@ from flax import struct
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.frames import attitude, body_to_world, euler_rates, world_to_body
 from quadjax.vehicle.residual import Residual, residual_force_moment
+from quadjax.vehicle.vector import Rotors, Vec3
 
 
 @struct.dataclass
 class MotorState:
     """State of one drone."""
 
-    position: jax.Array  # (3,) m, world
-    velocity: jax.Array  # (3,) m/s, world
-    euler: jax.Array  # (3,) roll, pitch, yaw, rad
-    rates: jax.Array  # (3,) p, q, r, rad/s, body
-    rpm: jax.Array  # (4,) propeller speeds, rpm
-    moment_ext: jax.Array  # (3,) external moment, N m, body
-    force_ext: jax.Array  # (3,) external specific force, m/s^2, body
+    position: Vec3  # m, world
+    velocity: Vec3  # m/s, world
+    euler: Vec3  # roll, pitch, yaw, rad
+    rates: Vec3  # p, q, r, rad/s, body
+    rpm: Rotors  # propeller speeds, rpm
+    moment_ext: Vec3  # external moment, N m, body
+    force_ext: Vec3  # external specific force, m/s^2, body
 
 
 @struct.dataclass
@@ -35,97 +36,87 @@ class MotorParams:
     residual: Residual | None = None
 
 
-def nominal_force(c: MotorConstants, rpm: jax.Array, body_velocity: jax.Array) -> jax.Array:
-    """Nominal specific force (3,), m/s^2, body frame, of rpm (4,) and body velocity (3,), m/s."""
-    vx, vy, vz = body_velocity[0], body_velocity[1], body_velocity[2]
-    sum_rpm = rpm[0] + rpm[1] + rpm[2] + rpm[3]
-    sum_squares = rpm[0] ** 2 + rpm[1] ** 2 + rpm[2] ** 2 + rpm[3] ** 2
-    return jnp.stack(
-        [
-            -c.k_x * vx * sum_rpm,
-            -c.k_y * vy * sum_rpm,
-            -c.k_w * sum_squares - c.k_z * vz * sum_rpm - c.k_h * (vx * vx + vy * vy),
-        ]
+def nominal_force(c: MotorConstants, rpm: Rotors, body_velocity: Vec3) -> Vec3:
+    """Nominal specific force, m/s^2, body frame, of propeller speeds, rpm, and velocity, m/s."""
+    vx, vy, vz = body_velocity.x, body_velocity.y, body_velocity.z
+    sum_rpm = rpm.w1 + rpm.w2 + rpm.w3 + rpm.w4
+    sum_squares = rpm.w1 * rpm.w1 + rpm.w2 * rpm.w2 + rpm.w3 * rpm.w3 + rpm.w4 * rpm.w4
+    return Vec3(
+        -c.k_x * vx * sum_rpm,
+        -c.k_y * vy * sum_rpm,
+        -c.k_w * sum_squares - c.k_z * vz * sum_rpm - c.k_h * (vx * vx + vy * vy),
     )
 
 
 def nominal_moment(
-    c: MotorConstants,
-    rpm: jax.Array,
-    rpm_rate: jax.Array,
-    body_velocity: jax.Array,
-    body_rates: jax.Array,
-) -> jax.Array:
-    """Nominal moment (3,), N m, body frame.
+    c: MotorConstants, rpm: Rotors, rpm_rate: Rotors, body_velocity: Vec3, body_rates: Vec3
+) -> Vec3:
+    """Nominal moment, N m, body frame.
 
     Args:
         c: the constants.
-        rpm: propeller speeds (4,), rpm.
-        rpm_rate: their derivatives (4,), rpm/s.
-        body_velocity: (3,), m/s.
-        body_rates: (3,), rad/s.
+        rpm: propeller speeds, rpm.
+        rpm_rate: their derivatives, rpm/s.
+        body_velocity: m/s.
+        body_rates: rad/s.
     """
-    w1, w2, w3, w4 = rpm[0], rpm[1], rpm[2], rpm[3]
-    s1, s2, s3, s4 = w1 * w1, w2 * w2, w3 * w3, w4 * w4
-    acceleration = -rpm_rate[0] + rpm_rate[1] - rpm_rate[2] + rpm_rate[3]
-    return jnp.stack(
-        [
-            c.k_p * (s1 - s2 - s3 + s4) + c.k_pv * body_velocity[1],
-            c.k_q * (s1 + s2 - s3 - s4) + c.k_qv * body_velocity[0],
-            c.k_r1 * (-w1 + w2 - w3 + w4) + c.k_r2 * acceleration - c.k_rr * body_rates[2],
-        ]
+    s1, s2, s3, s4 = (rpm * rpm).components()
+    imbalance = -rpm.w1 + rpm.w2 - rpm.w3 + rpm.w4
+    acceleration = -rpm_rate.w1 + rpm_rate.w2 - rpm_rate.w3 + rpm_rate.w4
+    return Vec3(
+        c.k_p * (s1 - s2 - s3 + s4) + c.k_pv * body_velocity.y,
+        c.k_q * (s1 + s2 - s3 - s4) + c.k_qv * body_velocity.x,
+        c.k_r1 * imbalance + c.k_r2 * acceleration - c.k_rr * body_rates.z,
     )
 
 
 def force_moment(
-    params: MotorParams,
-    rpm: jax.Array,
-    rpm_rate: jax.Array,
-    body_velocity: jax.Array,
-    body_rates: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Specific force (3,), m/s^2, and moment (3,), N m, body frame, with the residual if any."""
+    params: MotorParams, rpm: Rotors, rpm_rate: Rotors, body_velocity: Vec3, body_rates: Vec3
+) -> tuple[Vec3, Vec3]:
+    """Specific force, m/s^2, and moment, N m, body frame, with the residual if there is one."""
     force = nominal_force(params.constants, rpm, body_velocity)
     moment = nominal_moment(params.constants, rpm, rpm_rate, body_velocity, body_rates)
     if params.residual is not None:
         extra_force_z, extra_moment = residual_force_moment(
             params.residual, rpm, body_velocity, body_rates
         )
-        force = jnp.stack([force[0], force[1], force[2] + extra_force_z])
+        force = force.replace(z=force.z + extra_force_z)
         moment = moment + extra_moment
     return force, moment
 
 
-def derivative(params: MotorParams, state: MotorState, rpm_command: jax.Array) -> MotorState:
-    """Time derivative of the state under four rpm commands (4,), as a ``MotorState``."""
+def angular_acceleration(c: MotorConstants, moment: Vec3, rates: Vec3) -> Vec3:
+    """``I^-1 (M - Omega x I Omega)``, rad/s^2, body frame, of a moment, N m, and rates, rad/s."""
+    p, q, r = rates.x, rates.y, rates.z
+    return Vec3(
+        (moment.x + (c.i_yy - c.i_zz) * q * r) / c.i_xx,
+        (moment.y + (c.i_zz - c.i_xx) * r * p) / c.i_yy,
+        (moment.z + (c.i_xx - c.i_yy) * p * q) / c.i_zz,
+    )
+
+
+def derivative(params: MotorParams, state: MotorState, rpm_command: Rotors) -> MotorState:
+    """Time derivative of the state under four rpm commands, as a ``MotorState``."""
     c = params.constants
     a = attitude(state.euler)
     body_velocity = world_to_body(a, state.velocity)
     rpm_rate = (rpm_command - state.rpm) / c.tau
     force, moment = force_moment(params, state.rpm, rpm_rate, body_velocity, state.rates)
     acceleration = body_to_world(a, force + state.force_ext)
-    p, q, r = state.rates[0], state.rates[1], state.rates[2]
-    total = moment + state.moment_ext
     return MotorState(
         position=state.velocity,
-        velocity=jnp.stack([acceleration[0], acceleration[1], acceleration[2] + c.g]),
+        velocity=acceleration.replace(z=acceleration.z + c.g),
         euler=euler_rates(a, state.rates),
-        rates=jnp.stack(
-            [
-                (total[0] + (c.i_yy - c.i_zz) * q * r) / c.i_xx,
-                (total[1] + (c.i_zz - c.i_xx) * r * p) / c.i_yy,
-                (total[2] + (c.i_xx - c.i_yy) * p * q) / c.i_zz,
-            ]
-        ),
+        rates=angular_acceleration(c, moment + state.moment_ext, state.rates),
         rpm=rpm_rate,
-        moment_ext=jnp.zeros_like(state.moment_ext),
-        force_ext=jnp.zeros_like(state.force_ext),
+        moment_ext=Vec3.zero(),
+        force_ext=Vec3.zero(),
     )
 
 
-def command_range(c: MotorConstants) -> tuple[jax.Array, jax.Array]:
-    """Lowest and highest command, each (4,), rpm."""
-    return jnp.stack([jnp.asarray(c.rpm_min)] * 4), jnp.stack([jnp.asarray(c.rpm_max)] * 4)
+def command_range(c: MotorConstants) -> tuple[Rotors, Rotors]:
+    """Lowest and highest command, rpm."""
+    return Rotors.same(c.rpm_min), Rotors.same(c.rpm_max)
 
 
 def hover_rpm(c: MotorConstants) -> jax.Array:

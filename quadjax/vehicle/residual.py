@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.vehicle.vector import Rotors, Vec3
+
 Layers = tuple[tuple[jax.Array, jax.Array], ...]  # (kernel (in, out), bias (out,)) per layer
 
 
@@ -33,23 +35,23 @@ def relu_network(layers: Layers, inputs: jax.Array) -> jax.Array:
 
 
 def residual_force_moment(
-    residual: Residual, rpm: jax.Array, body_velocity: jax.Array, body_rates: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+    residual: Residual, rpm: Rotors, body_velocity: Vec3, body_rates: Vec3
+) -> tuple[jax.Array, Vec3]:
     """What the networks add to the nominal model.
 
     Args:
         residual: the networks.
-        rpm: propeller speeds (4,), rpm.
-        body_velocity: (3,), m/s, body frame.
-        body_rates: (3,), rad/s.
+        rpm: propeller speeds, rpm.
+        body_velocity: m/s, body frame.
+        body_rates: rad/s.
 
     Returns:
         The addition to the body-z specific force (), m/s^2, sign already applied, and to the
-        moments (3,), N m.
+        moments, N m.
     """
     span = residual.rpm_max - residual.rpm_min
-    scaled_rpm = 2.0 * (rpm - residual.rpm_min) / span - 1.0
-    thrust_inputs = jnp.concatenate([scaled_rpm, body_velocity])
+    scaled_rpm = 2.0 * (rpm.array() - residual.rpm_min) / span - 1.0
+    thrust_inputs = jnp.concatenate([scaled_rpm, body_velocity.array()])
     force_z = residual.thrust_sign * relu_network(residual.thrust, thrust_inputs)[0]
-    moment = relu_network(residual.moment, jnp.concatenate([thrust_inputs, body_rates]))
-    return force_z, moment
+    moment_inputs = jnp.concatenate([thrust_inputs, body_rates.array()])
+    return force_z, Vec3.of(relu_network(residual.moment, moment_inputs))

@@ -1,0 +1,1 @@
+"""Timed laps, and the tables, figures and animations made of them."""

@@ -1,0 +1,259 @@
+"""Timed laps by the exact rules, many drones at once."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from quadjax.race import environment
+from quadjax.race.build import exact_rules
+from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.track import gate_count
+from quadjax.vehicle.vector import Vec3
+
+Actor = Callable[[object, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
+SECONDS_PER_LAP = 8.0  # a drone slower than this has lost its way
+
+CRASHES = (
+    "",
+    "hit a gate",
+    "hit the ground",
+    "out of bounds",
+    "lost its attitude",
+    "not finite",
+    "out of time",
+)
+
+
+@struct.dataclass
+class Race:
+    """Drones in a timed race, batched along the last axis."""
+
+    state: RaceState
+    lap_end: jax.Array  # (laps, runs) s since the start; 0 where not flown
+    over: jax.Array  # (runs,) bool
+    crash: jax.Array  # (runs,) index into CRASHES
+
+
+@struct.dataclass
+class Trace:
+    """What was flown: time first, then runs."""
+
+    position: jax.Array  # (time, 3, runs) m, world
+    velocity: jax.Array  # (time, 3, runs) m/s, world
+    euler: jax.Array  # (time, 3, runs) rad
+    rates: jax.Array  # (time, 3, runs) rad/s
+    actuators: jax.Array  # (time, 4 | 1, runs) rpm, or thrust in m/s^2
+    command: jax.Array  # (time, 4, runs)
+    target: jax.Array  # (time, runs)
+    over: jax.Array  # (time, runs) bool, before the step
+
+
+@dataclasses.dataclass(frozen=True)
+class Laps:
+    """The result of timed laps, as NumPy arrays."""
+
+    lap_times: np.ndarray  # (runs, laps) s; NaN where not flown
+    crashes: tuple[str, ...]  # why each run ended early; "" where it did not
+
+    @property
+    def totals(self) -> np.ndarray:
+        """Time of all laps (runs,), s; NaN where not finished."""
+        return self.lap_times.sum(axis=1)
+
+    @property
+    def finished(self) -> int:
+        """How many runs flew all laps."""
+        return int(np.isfinite(self.totals).sum())
+
+    def to_json(self) -> dict[str, object]:
+        """The result as JSON takes it: ``null`` for laps that were not flown."""
+
+        def number(x: float) -> float | None:
+            return round(float(x), 4) if np.isfinite(x) else None
+
+        return {
+            "laps": [[number(x) for x in run] for run in self.lap_times],
+            "totals": [number(x) for x in self.totals],
+            "finished": self.finished,
+            "runs": len(self.crashes),
+            "crashes": list(self.crashes),
+        }
+
+
+def starting_states(
+    choices: Choices, params: RaceParams, key: jax.Array, runs: int, from_hover: bool
+) -> RaceState:
+    """Starts of a race, batched along the last axis.
+
+    Disturbances and constants are drawn as the config says, whether from hover or at random.
+    """
+
+    def one(key: jax.Array) -> RaceState:
+        drawn = environment.reset(choices, params, key)
+        if not from_hover:
+            zero = jnp.zeros((), jnp.int32)
+            return drawn.replace(step=zero, gates_passed=zero)
+        hover = environment.hover_start(params, drawn.constants)
+        if choices.kind == "rate":
+            return hover
+        kept = hover.drone.replace(
+            moment_ext=drawn.drone.moment_ext, force_ext=drawn.drone.force_ext
+        )
+        return hover.replace(drone=kept)
+
+    return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
+
+
+def _crash_code(outcome: environment.rules.Outcome) -> jax.Array:
+    flags = (
+        outcome.gate_collision,
+        outcome.ground,
+        outcome.out_of_bounds,
+        outcome.attitude,
+        outcome.non_finite,
+    )
+    code = jnp.zeros((), jnp.int32)
+    for index, flag in reversed(list(enumerate(flags, start=1))):
+        code = jnp.where(flag, index, code)
+    return code
+
+
+def _step_one(
+    choices: Choices, params: RaceParams, race: Race, action: jax.Array, gates: int
+) -> Race:
+    """One step of one drone; a race that is over stands still."""
+    following, _, outcome = environment.transition(choices, params, race.state, action)
+    laps = race.lap_end.shape[0]
+    passed = following.gates_passed - race.state.gates_passed
+    lap = (following.gates_passed - 1) // gates
+    ended = (passed > 0) & (following.gates_passed % gates == 0) & ~race.over
+    # A start in the middle of the track has its lap where its gates add up to one.
+    now = following.step * params.limits.dt
+    lap_end = jnp.where(ended & (jnp.arange(laps) == lap), now, race.lap_end)
+    crashed = outcome.terminated & ~race.over
+    crash = jnp.where(crashed, _crash_code(outcome), race.crash)
+    over = race.over | crashed | (lap_end[-1] > 0)
+    state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
+    return Race(state, lap_end, over, crash)
+
+
+def _begin(state: RaceState, laps: int) -> Race:
+    runs = state.step.shape[-1]
+    return Race(state, jnp.zeros((laps, runs)), jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32))
+
+
+@functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace"))
+def _race(
+    choices: Choices,
+    actor: Actor,
+    laps: int,
+    steps: int,
+    trace: bool,
+    params: RaceParams,
+    policy: object,
+    state: RaceState,
+    key: jax.Array,
+) -> tuple[Race, Trace | None]:
+    gates = gate_count(params.track)
+    runs = state.step.shape[-1]
+    observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
+    act = jax.vmap(actor, in_axes=(None, 0, 0))
+    step = jax.vmap(
+        lambda race, action: _step_one(choices, params, race, action, gates),
+        in_axes=(-1, 0),
+        out_axes=-1,
+    )
+
+    def one(carry: tuple[Race, jax.Array]) -> tuple[tuple[Race, jax.Array], jax.Array]:
+        race, key = carry
+        key, noise_key = jax.random.split(key)
+        noise = jax.random.normal(noise_key, (runs, 4))
+        action = act(policy, observe(params, race.state), noise)
+        return (step(race, action), key), action
+
+    def record(carry: tuple[Race, jax.Array], _: None) -> tuple[tuple[Race, jax.Array], Trace]:
+        following, action = one(carry)
+        return following, _trace(choices, params, carry[0], action)
+
+    carry = (_begin(state, laps), key)
+    if trace:
+        (race, _), kept = jax.lax.scan(record, carry, None, steps)
+        return race, kept
+
+    def going_on(carry: tuple) -> jax.Array:
+        count, (race, _) = carry
+        return (count < steps) & ~jnp.all(race.over)
+
+    def body(carry: tuple) -> tuple:
+        return carry[0] + 1, one(carry[1])[0]
+
+    _, (race, _) = jax.lax.while_loop(going_on, body, (0, carry))
+    return race, None
+
+
+def _trace(choices: Choices, params: RaceParams, race: Race, action: jax.Array) -> Trace:
+    drone = race.state.drone
+
+    def rows(vector: Vec3) -> jax.Array:
+        return jnp.stack(jax.tree.leaves(vector))
+
+    command = jax.vmap(
+        lambda a: jnp.stack(jax.tree.leaves(environment.command(choices, params, a))), out_axes=-1
+    )(action)
+    return Trace(
+        position=rows(drone.position),
+        velocity=rows(drone.velocity),
+        euler=rows(drone.euler),
+        rates=rows(drone.rates),
+        actuators=rows(drone.rpm if choices.kind == "motor" else drone.thrust),
+        command=command,
+        target=race.state.target,
+        over=race.over,
+    )
+
+
+def fly_laps(
+    choices: Choices,
+    params: RaceParams,
+    actor: Actor,
+    policy: object,
+    key: jax.Array,
+    laps: int = 6,
+    runs: int = 5,
+    from_hover: bool = True,
+    trace: bool = False,
+) -> tuple[Laps, Trace | None]:
+    """Fly a timed race by the exact rules.
+
+    Args:
+        choices: static settings of the race.
+        params: its numbers; margins and training limits are taken off.
+        actor: ``(policy, observation (k,), noise (4,)) -> action (4,)`` of one drone; static.
+        policy: what the actor is given.
+        key: for starts and noise.
+        laps: to fly.
+        runs: at once.
+        from_hover: from hover at the last gate, else from the training's random starts.
+        trace: whether to keep what was flown.
+
+    Returns:
+        The result, and the trace if asked for.
+    """
+    params = exact_rules(params)
+    choices = dataclasses.replace(choices, stagger_clocks=False)
+    start_key, noise_key = jax.random.split(key)
+    states = starting_states(choices, params, start_key, runs, from_hover)
+    steps = int(round(laps * SECONDS_PER_LAP / float(params.limits.dt)))
+    race, kept = _race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
+    ends = np.asarray(race.lap_end, np.float64).T
+    flown = np.where(ends > 0, ends, np.nan)
+    times = np.diff(flown, axis=1, prepend=0.0)
+    codes = np.asarray(race.crash)
+    unfinished = ~np.isfinite(flown[:, -1]) & (codes == 0)
+    codes = np.where(unfinished, CRASHES.index("out of time"), codes)
+    return Laps(times, tuple(CRASHES[code] for code in codes)), kept

@@ -1,0 +1,74 @@
+"""Compiled chunks of updates, data-parallel over devices: environments split, parameters shared."""
+
+import functools
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from quadjax.learn.state import AXIS, Learner, Metrics, TrainState
+
+Chunk = Callable[[object, TrainState], tuple[TrainState, Metrics]]
+
+
+def make_mesh(count: int) -> Mesh:
+    """A mesh of the first ``count`` devices."""
+    return Mesh(np.array(jax.devices()[:count]), (AXIS,))
+
+
+def device_count(lanes: int, wanted: int) -> int:
+    """The most devices, up to ``wanted``, among which the lanes divide evenly."""
+    return max(count for count in range(1, max(wanted, 1) + 1) if lanes % count == 0)
+
+
+def specs_of(state: TrainState) -> TrainState:
+    """How each leaf is split: environments and keys along their last axis, all else shared."""
+
+    def split(leaf: jax.Array) -> PartitionSpec:
+        return PartitionSpec(*(None,) * (leaf.ndim - 1), AXIS)
+
+    shared = jax.tree.map(lambda _: PartitionSpec(), state)
+    return shared.replace(
+        environment=jax.tree.map(split, state.environment), keys=PartitionSpec(AXIS)
+    )
+
+
+def place(state: TrainState, mesh: Mesh) -> TrainState:
+    """The state laid out over the mesh."""
+    shardings = jax.tree.map(
+        lambda spec: NamedSharding(mesh, spec),
+        specs_of(state),
+        is_leaf=lambda x: isinstance(x, PartitionSpec),
+    )
+    return jax.device_put(state, shardings)
+
+
+def compile_options() -> dict[str, bool]:
+    """XLA's own threads get in each other's way in matrices this small: a device a core instead."""
+    return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
+
+
+def make_chunk(learner: Learner, mesh: Mesh, updates: int, state: TrainState) -> Chunk:
+    """``updates`` updates in one compiled call that takes the old state's memory.
+
+    Returns:
+        A function of the environment's parameters and the state, to the next state and the
+        metrics of every update, each (updates,).
+    """
+    specs, shared = specs_of(state), PartitionSpec()
+
+    def many(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
+        return jax.lax.scan(
+            lambda carry, _: learner.update(hyper, params, carry), state, None, updates
+        )
+
+    split = jax.shard_map(
+        many,
+        mesh=mesh,
+        in_specs=(shared, shared, specs),
+        out_specs=(specs, shared),
+        check_vma=False,
+    )
+    compiled = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
+    return functools.partial(compiled, learner.hyper)

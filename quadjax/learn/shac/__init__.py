@@ -1,0 +1,1 @@
+"""Short-horizon actor-critic (Xu et al., 2022): gradients through the simulator."""

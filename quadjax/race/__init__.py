@@ -1,0 +1,1 @@
+"""The task: gates and track, observation, reward, termination, reset, and their environment."""

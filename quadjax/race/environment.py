@@ -1,0 +1,230 @@
+"""The racing environment: vehicle, track, rules and starts as three pure functions of one drone.
+
+``Choices`` are static (they choose code); ``RaceParams`` are traced (they are numbers).
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.environment import Environment
+from quadjax.gradients import clip_inward
+from quadjax.race import observation, rules, start
+from quadjax.race.track import Gate, Track, gate, gate_count
+from quadjax.vehicle import motor, rate
+from quadjax.vehicle.constants import Constants
+from quadjax.vehicle.frames import wrap_angle
+from quadjax.vehicle.integrate import INTEGRATORS
+from quadjax.vehicle.stage import stage
+from quadjax.vehicle.vector import Rotors, Vec3
+
+Drone = motor.MotorState | rate.RateState
+VehicleParams = motor.MotorParams | rate.RateParams
+Command = Rotors | rate.RateCommand
+
+
+@dataclasses.dataclass(frozen=True)
+class Choices:
+    """What chooses code: known when the environment is built."""
+
+    kind: str = "motor"  # "motor" | "rate"
+    integrator: str = "euler"  # "euler" | "rk4"
+    gate_test: str = "square"  # "square" | "world_box"
+    random_gate: bool = False  # start at any gate rather than the last
+    stagger_clocks: bool = False  # episodes start at a random step of their clock
+    randomise: bool = False  # draw the constants anew for every episode
+    disturbance_input: str = "true"  # "true" | "none"
+
+
+@struct.dataclass
+class RaceParams:
+    """Every number of the race."""
+
+    vehicle: VehicleParams
+    track: Track
+    limits: rules.Limits
+    reward: rules.RewardWeights
+    start: start.StartRange
+    disturbance: observation.DisturbanceRange
+    randomise: start.RandomiseFractions
+
+
+@struct.dataclass
+class RaceState:
+    """One drone in its race."""
+
+    drone: Drone
+    target: jax.Array  # () int32, index of the gate to pass next
+    step: jax.Array  # () int32, steps since the episode began
+    gates_passed: jax.Array  # () int32
+    constants: Constants | None  # of this episode, where they are drawn; else None
+
+
+def _always(params: RaceParams) -> jax.Array:
+    """True, in a way that a compiler cannot know; see ``quadjax.vehicle.stage``."""
+    return params.limits.max_steps > 0
+
+
+def _vehicle_params(params: RaceParams, state: RaceState) -> VehicleParams:
+    if state.constants is None:
+        return params.vehicle
+    return params.vehicle.replace(constants=state.constants)
+
+
+def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
+    """A random start."""
+    gate_key, drone_key, clock_key, constants_key = jax.random.split(key, 4)
+    target = start.start_gate(params.track, gate_key, choices.random_gate)
+    constants = params.vehicle.constants
+    drawn = None
+    if choices.randomise:
+        drawn = constants = start.draw_constants(constants, params.randomise, constants_key)
+    if choices.kind == "motor":
+        drone = start.start_motor(
+            constants, params.track, params.start, params.disturbance, target, drone_key
+        )
+    else:
+        drone = start.start_rate(constants, params.track, params.start, target, drone_key)
+    clock = jnp.zeros((), jnp.int32)
+    if choices.stagger_clocks:
+        clock = jax.random.randint(clock_key, (), 0, params.limits.max_steps)
+    return RaceState(drone, target, clock, jnp.zeros((), jnp.int32), drawn)
+
+
+def hover_start(params: RaceParams, constants: Constants | None = None) -> RaceState:
+    """The start of a timed race: hover at the last gate, with ``constants`` if they are drawn."""
+    zero = jnp.zeros((), jnp.int32)
+    drone = start.hover(constants or params.vehicle.constants, params.track)
+    return RaceState(drone, zero, zero, zero, constants)
+
+
+def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
+    """What the policy sees: (24,) for the motor-level vehicle, (17,) for the rate-level one.
+
+    Propeller speeds and thrust are scaled by the nominal range, which is what a policy knows.
+    """
+    g = stage(gate(params.track, state.target), _always(params))
+    nominal = params.vehicle.constants
+    if choices.kind == "rate":
+        numbers = observation.rate_numbers(nominal, state.drone, g)
+        return jnp.stack(stage(numbers, _always(params)))
+    moment, force_z = Vec3.zero(), jnp.zeros(())
+    if choices.disturbance_input == "true":
+        moment, force_z = state.drone.moment_ext, state.drone.force_ext.z
+    numbers = observation.motor_numbers(
+        nominal, state.drone, g, moment, force_z, params.disturbance
+    )
+    return jnp.stack(stage(numbers, _always(params)))
+
+
+def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
+    """The command of an action (4,): clipped to [-1, 1], scaled to the nominal range."""
+    parts = [clip_inward(action[index], -1.0, 1.0) for index in range(4)]
+    if choices.kind == "motor":
+        unit, module = Rotors(*parts), motor
+    else:
+        unit, module = rate.RateCommand(Vec3(*parts[:3]), parts[3]), rate
+    low, high = module.command_range(params.vehicle.constants)
+    return jax.tree.map(lambda u, lo, hi: lo + 0.5 * (hi - lo) * (u + 1.0), unit, low, high)
+
+
+def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> Drone:
+    """The drone one step later, yaw wrapped, commands kept within what the drone can do."""
+    vehicle = _vehicle_params(params, state)
+    module = motor if choices.kind == "motor" else rate
+    low, high = module.command_range(vehicle.constants)
+    held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
+    flown = INTEGRATORS[choices.integrator](
+        lambda drone: module.derivative(vehicle, stage(drone, _always(params)), held),
+        state.drone,
+        params.limits.dt,
+    )
+    wrapped = flown.euler.replace(z=wrap_angle(flown.euler.z))
+    return stage(flown.replace(euler=wrapped), _always(params))
+
+
+def _finite(drone: Drone) -> jax.Array:
+    return jnp.isfinite(sum(jax.tree.leaves(drone)))
+
+
+def judge(
+    choices: Choices, params: RaceParams, state: RaceState, flown: Drone, g: Gate
+) -> rules.Outcome:
+    """What a step from ``state`` to ``flown`` led to, before anything is reset."""
+    limits = params.limits
+    passed, hit = rules.crossing(
+        state.drone.position,
+        flown.position,
+        g,
+        limits.gate_margin,
+        choices.gate_test == "world_box",
+    )
+    position, rates, euler = flown.position, flown.rates, flown.euler
+    outside = (jnp.abs(position.x) > limits.position) | (jnp.abs(position.y) > limits.position)
+    fastest = jnp.maximum(jnp.maximum(jnp.abs(rates.x), jnp.abs(rates.y)), jnp.abs(rates.z))
+    outcome = rules.Outcome(
+        passed=passed,
+        gate_collision=hit,
+        ground=position.z > 0,
+        out_of_bounds=outside | (fastest > limits.rate),
+        attitude=(jnp.abs(euler.y) > limits.pitch) | (jnp.abs(euler.x) > limits.roll),
+        non_finite=~_finite(flown),
+        truncated=state.step + 1 >= limits.max_steps,
+    )
+    ended = outcome.terminated
+    outcome = outcome.replace(passed=passed & ~ended, truncated=outcome.truncated & ~ended)
+    return stage(outcome, _always(params))
+
+
+def transition(
+    choices: Choices, params: RaceParams, state: RaceState, action: jax.Array
+) -> tuple[RaceState, jax.Array, rules.Outcome]:
+    """One step with all that it led to.
+
+    Returns:
+        The next state, the reward () and the outcome. A state that is not finite is replaced by
+        the one before it, so that nothing downstream meets a NaN; the outcome says so.
+    """
+    flown = _fly(choices, params, state, action)
+    g = stage(gate(params.track, state.target), _always(params))
+    outcome = judge(choices, params, state, flown, g)
+    drone = jax.tree.map(
+        lambda new, old: jnp.where(outcome.non_finite, old, new), flown, state.drone
+    )
+    value = rules.reward(
+        params.reward,
+        outcome,
+        state.drone.position,
+        drone.position,
+        drone.rates,
+        g,
+        params.limits.dt,
+    )
+    one = outcome.passed.astype(jnp.int32)
+    count = gate_count(params.track)
+    advanced = state.target + one
+    target = jnp.where(advanced == count, 0, advanced)
+    following = RaceState(drone, target, state.step + 1, state.gates_passed + one, state.constants)
+    return following, value, outcome
+
+
+def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
+    """The environment of ``choices`` behind the learners' seam."""
+
+    def step(
+        params: RaceParams, state: RaceState, action: jax.Array
+    ) -> tuple[RaceState, jax.Array, jax.Array, jax.Array]:
+        following, value, outcome = transition(choices, params, state, action)
+        return following, value, outcome.terminated, outcome.truncated
+
+    return Environment(
+        reset=lambda params, key: reset(choices, params, key),
+        observe=lambda params, state: observe(choices, params, state),
+        step=step,
+        observation_size=(
+            observation.MOTOR_SIZE if choices.kind == "motor" else observation.RATE_SIZE
+        ),
+        action_size=4,
+    )

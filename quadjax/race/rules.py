@@ -1,0 +1,125 @@
+"""The rules of the race: gate crossing, collision, bounds, and the reward they give."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.race.track import Gate, to_gate_frame
+from quadjax.vehicle.vector import Vec3, safe_norm
+
+
+@struct.dataclass
+class Limits:
+    """When an episode ends."""
+
+    dt: jax.Array  # s
+    max_steps: jax.Array  # steps, a truncation
+    position: jax.Array  # m, largest |x| and |y|
+    rate: jax.Array  # rad/s, largest body rate
+    pitch: jax.Array  # rad; below pi/2, where the Euler angles are singular
+    roll: jax.Array  # rad
+    gate_margin: jax.Array  # m taken off each side of every gate's opening
+
+
+@struct.dataclass
+class RewardWeights:
+    """The published reward, and two terms more that are zero by default."""
+
+    progress: jax.Array  # per metre by which the target gate comes nearer
+    gate: jax.Array  # per gate passed
+    gate_offset: jax.Array  # taken off per metre from the gate's centre
+    collision: jax.Array  # taken off for a collision
+    time: jax.Array  # taken off per second
+    rates: jax.Array  # taken off per second and rad/s of body rate
+
+
+@struct.dataclass
+class Outcome:
+    """What one step led to; every flag is a () bool."""
+
+    passed: jax.Array
+    gate_collision: jax.Array
+    ground: jax.Array
+    out_of_bounds: jax.Array
+    attitude: jax.Array  # pitch or roll beyond the limit
+    non_finite: jax.Array
+    truncated: jax.Array
+
+    @property
+    def terminated(self) -> jax.Array:
+        """Whether the episode ended in a collision of any kind."""
+        return (
+            self.gate_collision | self.ground | self.out_of_bounds | self.attitude | self.non_finite
+        )
+
+
+def inside_square(relative: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
+    """Whether a position in the gate's frame is within the opening; the paper's test."""
+    return (jnp.abs(relative.y) <= g.half_width - margin) & (
+        jnp.abs(relative.z) <= g.half_height - margin
+    )
+
+
+def inside_world_box(offset: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
+    """The test of the authors' code: |dx|, |dy|, |dz| below half a gate in world axes."""
+    return (
+        (jnp.abs(offset.x) < g.half_width - margin)
+        & (jnp.abs(offset.y) < g.half_width - margin)
+        & (jnp.abs(offset.z) < g.half_height - margin)
+    )
+
+
+def crossing(
+    before: Vec3, after: Vec3, g: Gate, margin: jax.Array, world_box: bool
+) -> tuple[jax.Array, jax.Array]:
+    """Whether a step passed the gate, and whether it hit it: two () bools.
+
+    A gate is crossed when the position goes from behind its plane to in front of it within one
+    step. Where it is at the first sample past the plane decides between the two.
+
+    Args:
+        before: position before the step, m, world.
+        after: position after it.
+        g: the target gate.
+        margin: () m taken off each side of the opening.
+        world_box: take the authors' code's test instead of the paper's.
+    """
+    relative = to_gate_frame(g, after - g.position)
+    crossed = (to_gate_frame(g, before - g.position).x < 0) & (relative.x >= 0)
+    if world_box:
+        inside = inside_world_box(after - g.position, g, margin)
+    else:
+        inside = inside_square(relative, g, margin)
+    return crossed & inside, crossed & ~inside
+
+
+def reward(
+    weights: RewardWeights,
+    outcome: Outcome,
+    before: Vec3,
+    after: Vec3,
+    body_rates: Vec3,
+    g: Gate,
+    dt: jax.Array,
+) -> jax.Array:
+    """The reward () of one step.
+
+    Passed: ``gate - gate_offset |p - p_gate|``; collision: ``-collision``; else ``progress`` times
+    the decrease of the distance to the target gate (Ferede et al., arXiv 2311.16948, with the sign
+    that makes progress positive).
+
+    Args:
+        weights: of each term.
+        outcome: what the step led to.
+        before: position before the step, m, world.
+        after: position after it.
+        body_rates: after it, rad/s.
+        g: the target gate of the step.
+        dt: () s.
+    """
+    distance = safe_norm(after - g.position)
+    progress = weights.progress * (safe_norm(before - g.position) - distance)
+    passed = weights.gate - weights.gate_offset * distance
+    value = jnp.where(outcome.passed, passed, progress)
+    value = jnp.where(outcome.terminated, -weights.collision, value)
+    return value - dt * (weights.time + weights.rates * safe_norm(body_rates))

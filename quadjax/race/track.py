@@ -1,0 +1,93 @@
+"""Tracks: gates in a fixed order, flown round and round. World NED, metres, radians."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.vehicle.frames import wrap_angle
+from quadjax.vehicle.vector import Vec3
+
+
+@struct.dataclass
+class Track:
+    """Gates as arrays over the gates, with what the observation needs of the one after each."""
+
+    position: Vec3  # of (gates,): centres, m, world
+    yaw: jax.Array  # (gates,) heading of the way through, rad
+    cos_yaw: jax.Array  # (gates,)
+    sin_yaw: jax.Array  # (gates,)
+    half_width: jax.Array  # (gates,) m
+    half_height: jax.Array  # (gates,) m
+    next_position: Vec3  # of (gates,): the next gate's centre in this gate's frame, m
+    next_yaw: jax.Array  # (gates,) the next gate's yaw relative to this gate's, rad
+
+
+@struct.dataclass
+class Gate:
+    """One gate of a track: the fields of ``Track`` at one index."""
+
+    position: Vec3
+    yaw: jax.Array
+    cos_yaw: jax.Array
+    sin_yaw: jax.Array
+    half_width: jax.Array
+    half_height: jax.Array
+    next_position: Vec3
+    next_yaw: jax.Array
+
+
+def make_track(
+    position: jax.Array, yaw: jax.Array, size: jax.Array, wrap_next_yaw: bool = True
+) -> Track:
+    """A track of gates in flying order.
+
+    Args:
+        position: (gates, 3) centres, m, world NED.
+        yaw: (gates,) heading of the way through, rad.
+        size: (gates, 2) width and height of the opening, m.
+        wrap_next_yaw: whether the next gate's relative yaw is wrapped to [-pi, pi], as in the
+            paper, or left as the plain difference, as in the authors' code.
+    """
+    cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
+    to_next = Vec3.of(jnp.roll(position, -1, axis=0) - position)
+    next_yaw = jnp.roll(yaw, -1) - yaw
+    return Track(
+        position=Vec3.of(position),
+        yaw=yaw,
+        cos_yaw=cosine,
+        sin_yaw=sine,
+        half_width=0.5 * size[:, 0],
+        half_height=0.5 * size[:, 1],
+        next_position=Vec3(
+            cosine * to_next.x + sine * to_next.y,
+            -sine * to_next.x + cosine * to_next.y,
+            to_next.z,
+        ),
+        next_yaw=wrap_angle(next_yaw) if wrap_next_yaw else next_yaw,
+    )
+
+
+def gate_count(track: Track) -> int:
+    """How many gates a track has: a shape, so it is known when compiling."""
+    return track.yaw.shape[0]
+
+
+def gate(track: Track, index: jax.Array) -> Gate:
+    """The gate at ``index`` (), by selects rather than a gather.
+
+    A gather is a scalar loop on a CPU; selects over a handful of gates vectorise over the drones.
+    """
+
+    def pick(table: jax.Array) -> jax.Array:
+        value = table[0]
+        for other in range(1, table.shape[0]):
+            value = jnp.where(index == other, table[other], value)
+        return value
+
+    return Gate(**vars(jax.tree.map(pick, track)))
+
+
+def to_gate_frame(g: Gate, vector: Vec3) -> Vec3:
+    """A world-frame vector in the gate's frame: x through the gate, y to its right, z down."""
+    x, y = vector.x, vector.y
+    return Vec3(g.cos_yaw * x + g.sin_yaw * y, -g.sin_yaw * x + g.cos_yaw * y, vector.z)
