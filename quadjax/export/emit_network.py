@@ -128,7 +128,9 @@ def emit_network(network: FixedNetwork, origin: Provenance, test: SelfTest) -> d
     """The header and the source, by file name."""
     layers = padded_layers(network)
     values = _common(network, origin, len(test.inputs), len(layers))
-    values |= _tables(network, layers) | _calls(layers) | _vectors(network, layers, test)
+    values |= (
+        _tables(network, layers) | _calls(layers) | _vectors(network, layers, test, origin.name)
+    )
     hidden = fill("hidden_layer.c.in", values) if network.hidden else ""
     values |= {"hidden_layer": hidden}
     values |= {"squash": _squash(network), "command_function": _command_function(network, values)}
@@ -221,7 +223,9 @@ def _calls(layers: list[PaddedLayer]) -> dict[str, str]:
     }
 
 
-def _vectors(network: FixedNetwork, layers: list[PaddedLayer], test: SelfTest) -> dict[str, str]:
+def _vectors(
+    network: FixedNetwork, layers: list[PaddedLayer], test: SelfTest, name: str
+) -> dict[str, str]:
     command, trace = emulator.forward_traced(network, test.inputs)
     constants = [f"#define TABLES_HASH UINT32_C({tables_hash(layers)})"]
     constants += [
@@ -239,7 +243,9 @@ def _vectors(network: FixedNetwork, layers: list[PaddedLayer], test: SelfTest) -
         "static const uint32_t test_trace[TEST_VECTORS] = {\n"
         + wrapped(f"0x{d:08X}U" for d in emulator.trace_digest(trace).tolist())
         + "};\n",
-        QUANTIZE_TEST.replace("PATTERNS", patterns).replace("COUNT", str(len(QUANTIZE_PATTERNS))),
+        QUANTIZE_TEST.replace("PATTERNS", patterns)
+        .replace("COUNT", str(len(QUANTIZE_PATTERNS)))
+        .replace("@name@", name),
     ]
     joined = "\n".join(text)
     joined = joined.replace("[@@]", f"[{network.outputs}]").replace("[@]", f"[{network.inputs}]")
@@ -257,7 +263,7 @@ static uint32_t quantize_fails(void) {
       uint32_t clipped;
       uint32_t nan;
       const uint32_t bits = quantize_pattern[pattern];
-      const int32_t q = quantize_one(bits, range_exponent[i], &clipped, &nan);
+      const int32_t q = @name@_quantize_one(bits, range_exponent[i], &clipped, &nan);
       digest = digest_word(digest_word(digest_word(digest, (uint32_t)q), clipped), nan);
     }
   }
