@@ -13,6 +13,7 @@ map from action to command folded in and one power-of-two scale for all rows.
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -113,16 +114,34 @@ def convert(policy: Policy, overrides: dict[str, float] | None = None) -> FixedN
     """
     check_policy(policy)
     box = declare(policy, overrides)
-    low = -box.ranges
-    high = box.ranges
-    scale = box.ranges / LARGEST_INPUT
+    hidden = convert_hidden(policy.layers[:-1], box.ranges)
+    return _output_layer(policy, box, hidden)
+
+
+@dataclasses.dataclass(frozen=True)
+class Hidden:
+    """The hidden layers as integers, and what the last of them gives."""
+
+    layers: tuple[FixedLayer, ...]
+    scale: np.ndarray  # real value of one unit of the outputs
+    magnitude: np.ndarray  # largest real output
+
+
+def convert_hidden(
+    layers: Sequence[tuple[np.ndarray, np.ndarray]], ranges: np.ndarray
+) -> Hidden:
+    """The integers of ReLU layers (kernel, bias) over inputs in +-ranges.
+
+    Raises:
+        InputError: a row whose range is not finite.
+    """
+    low, high, scale = -ranges, ranges, ranges / LARGEST_INPUT
     hidden = []
-    for index, (kernel, bias) in enumerate(policy.layers[:-1]):
+    for index, (kernel, bias) in enumerate(layers):
         layer, high = _hidden_layer(index, _exact(kernel).T, _exact(bias), scale, low, high)
         low, scale = np.zeros_like(high), layer.scale
         hidden.append(layer)
-    magnitude = np.maximum(-low, high)
-    return _output_layer(policy, box, tuple(hidden), scale, magnitude)
+    return Hidden(tuple(hidden), scale, np.maximum(-low, high))
 
 
 def _exact(values: np.ndarray) -> np.ndarray:
@@ -190,13 +209,7 @@ def _scale(top: float, total: float, largest: float, columns: int) -> float:
     )
 
 
-def _output_layer(
-    policy: Policy,
-    box: InputBox,
-    hidden: tuple[FixedLayer, ...],
-    scale_in: np.ndarray,
-    magnitude: np.ndarray,
-) -> FixedNetwork:
+def _output_layer(policy: Policy, box: InputBox, hidden: Hidden) -> FixedNetwork:
     """The output layer with the command's range folded in, and the whole network."""
     kernel, bias = _exact(policy.layers[-1][0]).T, _exact(policy.layers[-1][1])
     low, high = policy.command_low, policy.command_high
@@ -207,12 +220,12 @@ def _output_layer(
         kernel, bias = half[:, None] * kernel, half * bias + middle
     else:
         kept = TANH_FRACTION_BITS
-    index, limits = len(hidden), []
+    index, limits = len(hidden.layers), []
     for row in range(len(bias)):
-        total = math.fsum([abs(bias[row]), *np.abs(kernel[row]) * magnitude])
-        largest = np.max(np.abs(kernel[row]) * scale_in)
+        total = math.fsum([abs(bias[row]), *np.abs(kernel[row]) * hidden.magnitude])
+        largest = np.max(np.abs(kernel[row]) * hidden.scale)
         _finite(index, row, total)
-        limits.append(_largest_power(total, largest))
+        limits.append(largest_power(total, largest))
         if limits[-1] <= kept:
             raise InputError(
                 f"layer {index}, row {row}: outputs up to {total:.3g} leave no bits for a "
@@ -220,11 +233,11 @@ def _output_layer(
             )
     power = min(*limits, kept + LARGEST_SHIFT)
     shift = power - kept
-    weights = np.rint(kernel * scale_in * 2.0**power).astype(np.int64).astype(np.int32)
+    weights = np.rint(kernel * hidden.scale * 2.0**power).astype(np.int64).astype(np.int32)
     rounded = [round(float(b) * 2.0**power) + 2 ** (shift - 1) for b in bias]
     return FixedNetwork(
         box=box,
-        hidden=hidden,
+        hidden=hidden.layers,
         output=FixedLayer(
             weights, np.array(rounded, np.int64), np.full(len(bias), 2.0**-fraction_bits)
         ),
@@ -237,7 +250,7 @@ def _output_layer(
     )
 
 
-def _largest_power(total: float, largest: float) -> int:
+def largest_power(total: float, largest: float) -> int:
     """The largest k with total 2^k below 2^62.9 and largest 2^k below 2^31 - 1."""
     bits = [62.9 - math.log2(total)] if total > 0 else []
     bits += [30.99 - math.log2(largest)] if largest > 0 else []

@@ -127,16 +127,16 @@ def _state_fields(
     ]
     low, high = policy.command_low, policy.command_high
     if policy.vehicle == "rate":
-        exponent, rescale = _span(float(low[3]), float(high[3]), of("thrust"))
+        exponent, thrust = _span(float(low[3]), float(high[3]), of("thrust"))
         parts.append(("thrust", [exponent]))
-        scaled: list[Rescale | None] = [rescale]
+        scaled: list[Rescale | None] = [thrust]
     else:
         spans = [_span(float(a), float(b), of("rpm")) for a, b in zip(low, high, strict=True)]
         parts.append(("rpm", [exponent for exponent, _ in spans]))
         external = _external(policy, [of("moment_ext")] * 3 + [of("force_ext")])
         parts.append(("moment_ext", [exponent for exponent, _ in external[:3]]))
         parts.append(("force_ext", [external[3][0]] * 3))
-        scaled = [rescale for _, rescale in spans] + [rescale for _, rescale in external]
+        scaled = [pair[1] for pair in spans] + [pair[1] for pair in external]
     fields = tuple((name, len(exponents)) for name, exponents in parts)
     return fields, tuple(e for _, exponents in parts for e in exponents), tuple(scaled)
 
@@ -146,7 +146,7 @@ def _span(low: float, high: float, network: int) -> tuple[int, Rescale]:
     reach = max(abs(0.5 * (low + high) + s * 0.5 * (high - low) * 2.0**network) for s in (-1, 1))
     exponent = math.ceil(math.log2(reach))
     unit = ONE / 2.0**exponent
-    return exponent, _rescale(
+    return exponent, rescale(
         0.5 * (low + high) * unit, 2.0 / (high - low) * 2.0 ** (exponent - network)
     )
 
@@ -164,11 +164,12 @@ def _external(policy: Policy, network: list[int]) -> list[tuple[int, Rescale | N
             result.append((0, None))
             continue
         state = math.ceil(math.log2(half * 2.0**exponent))
-        result.append((state, _rescale(0.0, 2.0 ** (state - exponent) / half)))
+        result.append((state, rescale(0.0, 2.0 ** (state - exponent) / half)))
     return result
 
 
-def _rescale(middle: float, factor: float) -> Rescale:
+def rescale(middle: float, factor: float) -> Rescale:
+    """Integers of ``(q - middle) factor``, the factor with 30 bits."""
     shift = 30 - math.frexp(factor)[1]
     return Rescale(round(middle), round(factor * 2.0**shift), shift)
 
