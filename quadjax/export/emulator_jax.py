@@ -65,6 +65,27 @@ def fixed_point_actor(
     return commands
 
 
+def fixed_point_action(
+    network: FixedNetwork,
+) -> Callable[[object, jax.Array, jax.Array], jax.Array]:
+    """The fixed-point policy as an actor for ``evaluate.laps.fly_laps``.
+
+    Returns:
+        A function of (anything, observation (inputs,), noise) to the action (4,) in [-1, 1] that
+        stands for the command, to float32's precision. The noise is not used: what flies on board
+        is the mean.
+    """
+    integers = fixed_point_forward(network)
+    low, high = network.command_low, network.command_high
+    middle, span = jnp.asarray(low + high, jnp.int32), np.float32(1.0) / (high - low)
+
+    def act(_policy: object, observation: jax.Array, _noise: jax.Array) -> jax.Array:
+        doubled = 2 * integers(observation) - middle
+        return doubled.astype(jnp.float32) * span.astype(np.float32)
+
+    return act
+
+
 def fixed_point_forward(network: FixedNetwork) -> Callable[[jax.Array], jax.Array]:
     """A function from one observation (inputs,) float32 to commands (outputs,) int32."""
     exponents = jnp.asarray(network.box.exponents, jnp.int32)

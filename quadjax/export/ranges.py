@@ -84,6 +84,10 @@ class InputBox:
             for group, value in groups.items()
         ]
 
+    def columns(self, group: str) -> list[int]:
+        """The indices of a group's inputs."""
+        return [i for i, name in enumerate(self.names) if name.split("[")[0] == group]
+
     def index(self, group: str) -> int:
         """The index of the first input of a group, as in ``DEFAULTS``."""
         return next(i for i, name in enumerate(self.names) if name.split("[")[0] == group)
