@@ -64,7 +64,7 @@ class Networks:
         blank = jnp.zeros((1, self.observation_size))
         return ActorCritic(
             policy=self.policy.init(policy_key, blank)["params"],
-            log_std=jnp.full((self.action_size,), self.log_std),
+            log_std=jnp.full((self.action_size,), self.log_std, jnp.float32),
             value=self.value.init(value_key, blank)["params"],
         )
 

@@ -75,22 +75,27 @@ def _vehicle_params(params: RaceParams, state: RaceState) -> VehicleParams:
 
 def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     """A random start."""
-    gate_key, drone_key, clock_key, constants_key = jax.random.split(key, 4)
-    target = start.start_gate(params.track, gate_key, choices.random_gate)
     constants = params.vehicle.constants
-    drawn = None
+    extra = len(dataclasses.fields(constants)) if choices.randomise else 0
+    drawn = start.draw(key, 2 + start.DRAWS + extra)
+    target = clock = jnp.zeros((), jnp.int32)
+    if choices.random_gate:
+        target = start.start_gate(params.track, drawn[0])
+    if choices.stagger_clocks:
+        clock = (0.5 * (drawn[1] + 1.0) * params.limits.max_steps).astype(jnp.int32)
+    own = None
     if choices.randomise:
-        drawn = constants = start.draw_constants(constants, params.randomise, constants_key)
+        own = constants = start.draw_constants(
+            constants, params.randomise, drawn[2 + start.DRAWS :]
+        )
+    numbers = drawn[2 : 2 + start.DRAWS]
     if choices.kind == "motor":
         drone = start.start_motor(
-            constants, params.track, params.start, params.disturbance, target, drone_key
+            constants, params.track, params.start, params.disturbance, target, numbers
         )
     else:
-        drone = start.start_rate(constants, params.track, params.start, target, drone_key)
-    clock = jnp.zeros((), jnp.int32)
-    if choices.stagger_clocks:
-        clock = jax.random.randint(clock_key, (), 0, params.limits.max_steps)
-    return RaceState(drone, target, clock, jnp.zeros((), jnp.int32), drawn)
+        drone = start.start_rate(constants, params.track, params.start, target, numbers)
+    return RaceState(drone, target, clock, jnp.zeros((), jnp.int32), own)
 
 
 def hover_start(params: RaceParams, constants: Constants | None = None) -> RaceState:

@@ -43,31 +43,37 @@ class RandomiseFractions:
     limits: jax.Array
 
 
-def uniform(key: jax.Array, shape: tuple[int, ...], half: jax.Array) -> jax.Array:
-    """Uniform numbers in [-half, half]."""
-    return half * jax.random.uniform(key, shape, minval=-1.0, maxval=1.0)
+DRAWS = 12 + 4 + 4  # pose and motion, actuators, disturbances: numbers that a start is made of
 
 
-def start_gate(track: Track, key: jax.Array, random_gate: bool) -> jax.Array:
-    """Index () of the first target: the first gate, or any with equal chance."""
-    if random_gate:
-        return jax.random.randint(key, (), 0, gate_count(track))
-    return jnp.zeros((), jnp.int32)
+def draw(key: jax.Array, count: int) -> jax.Array:
+    """Uniform numbers in [-1, 1], (count,); one call for all, which compiles much faster."""
+    return jax.random.uniform(key, (count,), minval=-1.0, maxval=1.0)
+
+
+def between(low: jax.Array, high: jax.Array, drawn: jax.Array) -> jax.Array:
+    """A number drawn from [-1, 1] as one from [low, high]."""
+    return low + 0.5 * (high - low) * (drawn + 1.0)
+
+
+def start_gate(track: Track, drawn: jax.Array) -> jax.Array:
+    """Index () of a gate, any with equal chance, of a number drawn from [-1, 1]."""
+    count = gate_count(track)
+    return jnp.minimum((0.5 * (drawn + 1.0) * count).astype(jnp.int32), count - 1)
 
 
 def _pose(
-    track: Track, span: StartRange, target: jax.Array, key: jax.Array
+    track: Track, span: StartRange, target: jax.Array, drawn: jax.Array
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Position, velocity, Euler angles and body rates around the gate before the target."""
     count = gate_count(track)
-    keys = jax.random.split(key, 4)
     before = gate(track, (target + count - 1) % count)
-    angle = jnp.stack([span.roll_pitch, span.roll_pitch, span.yaw])
+    angle = Vec3(span.roll_pitch, span.roll_pitch, span.yaw)
     return (
-        before.position + Vec3.of(uniform(keys[0], (3,), span.position)),
-        Vec3.of(uniform(keys[1], (3,), span.velocity)),
-        Vec3.of(uniform(keys[2], (3,), angle)),
-        Vec3.of(uniform(keys[3], (3,), span.rates)),
+        before.position + Vec3.of(drawn[0:3]) * span.position,
+        Vec3.of(drawn[3:6]) * span.velocity,
+        Vec3.of(drawn[6:9]) * angle,
+        Vec3.of(drawn[9:12]) * span.rates,
     )
 
 
@@ -77,32 +83,28 @@ def start_motor(
     span: StartRange,
     disturbance: DisturbanceRange,
     target: jax.Array,
-    key: jax.Array,
+    drawn: jax.Array,
 ) -> MotorState:
-    """A random start of the motor-level vehicle, at the gate before ``target``."""
-    pose_key, rpm_key, moment_key, force_key = jax.random.split(key, 4)
-    position, velocity, euler, rates = _pose(track, span, target, pose_key)
-    moment = jnp.stack([disturbance.moment_x, disturbance.moment_y, disturbance.moment_z])
-    force_z = uniform(force_key, (), disturbance.force_z)
+    """The start of the motor-level vehicle at the gate before ``target``, of (DRAWS,) numbers."""
+    position, velocity, euler, rates = _pose(track, span, target, drawn)
+    moment = Vec3(disturbance.moment_x, disturbance.moment_y, disturbance.moment_z)
     return MotorState(
         position=position,
         velocity=velocity,
         euler=euler,
         rates=rates,
-        rpm=Rotors.of(c.rpm_min + (c.rpm_max - c.rpm_min) * jax.random.uniform(rpm_key, (4,))),
-        moment_ext=Vec3.of(uniform(moment_key, (3,), moment)),
-        force_ext=Vec3.zero().replace(z=force_z),
+        rpm=Rotors.of(between(c.rpm_min, c.rpm_max, drawn[12:16])),
+        moment_ext=Vec3.of(drawn[16:19]) * moment,
+        force_ext=Vec3.zero().replace(z=drawn[19] * disturbance.force_z),
     )
 
 
 def start_rate(
-    c: RateConstants, track: Track, span: StartRange, target: jax.Array, key: jax.Array
+    c: RateConstants, track: Track, span: StartRange, target: jax.Array, drawn: jax.Array
 ) -> RateState:
-    """A random start of the rate-level vehicle, at the gate before ``target``."""
-    pose_key, thrust_key = jax.random.split(key)
-    position, velocity, euler, rates = _pose(track, span, target, pose_key)
-    width = span.thrust_high - span.thrust_low
-    thrust = span.thrust_low + width * jax.random.uniform(thrust_key, ())
+    """The start of the rate-level vehicle at the gate before ``target``, of (DRAWS,) numbers."""
+    position, velocity, euler, rates = _pose(track, span, target, drawn)
+    thrust = between(span.thrust_low, span.thrust_high, drawn[12])
     return RateState(
         position=position,
         velocity=velocity,
@@ -125,14 +127,15 @@ def hover(c: Constants, track: Track) -> MotorState | RateState:
     return RateState(*pose, jnp.clip(c.g, c.thrust_min, c.thrust_max))
 
 
-def draw_constants(nominal: Constants, spread: RandomiseFractions, key: jax.Array) -> Constants:
-    """Constants of one episode: each scaled by its own draw from 1 +- its group's fraction."""
+def draw_constants(nominal: Constants, spread: RandomiseFractions, drawn: jax.Array) -> Constants:
+    """Constants of one episode: each scaled by its own draw from 1 +- its group's fraction.
+
+    ``drawn`` holds one number in [-1, 1] for each constant.
+    """
     fraction = {name: getattr(spread, group) for group, names in GROUPS.items() for name in names}
-    names = [field.name for field in dataclasses.fields(nominal)]
-    draws = jax.random.uniform(key, (len(names),), minval=-1.0, maxval=1.0)
     return nominal.replace(
         **{
-            name: getattr(nominal, name) * (1.0 + fraction[name] * draws[index])
-            for index, name in enumerate(names)
+            field.name: getattr(nominal, field.name) * (1.0 + fraction[field.name] * drawn[index])
+            for index, field in enumerate(dataclasses.fields(nominal))
         }
     )

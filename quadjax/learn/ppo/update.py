@@ -147,6 +147,12 @@ def _shuffled(pieces: Batch, batches: int, keys: jax.Array) -> jax.Array:
     return jnp.moveaxis(order.reshape(keys.shape[0], batches, -1), 1, 0)
 
 
+def _rows(pieces: jax.Array, chosen: jax.Array) -> jax.Array:
+    """The chosen pieces of every lane as one batch of rows: flat, as matrix products like it."""
+    taken = jax.vmap(lambda lane, i: lane[i])(pieces, chosen)
+    return taken.reshape(-1, *pieces.shape[3:])
+
+
 def _epochs(
     networks: Networks,
     s: Structure,
@@ -163,7 +169,7 @@ def _epochs(
     pieces = _lay_out(batch, s, keys.shape[0])
 
     def one_batch(carry: tuple, chosen: jax.Array) -> tuple[tuple, Metrics]:
-        rows = jax.tree.map(lambda x: jax.vmap(lambda lane, i: lane[i])(x, chosen), pieces)
+        rows = jax.tree.map(lambda x: _rows(x, chosen), pieces)
         return _gradient_step(networks, s, hyper, rate, carry, rows)
 
     def one_epoch(carry: tuple, keys: jax.Array) -> tuple[tuple, Metrics]:

@@ -198,6 +198,12 @@ def td_lambda_targets(flight: Flight, discount: jax.Array, td_lambda: jax.Array)
     return targets
 
 
+def _rows(lanes: jax.Array, chosen: jax.Array) -> jax.Array:
+    """The chosen environments of every lane as one flat batch of rows."""
+    taken = jax.vmap(lambda lane, i: lane[i])(lanes, chosen)
+    return taken.reshape(-1, *lanes.shape[3:])
+
+
 def _critic(
     networks: Networks,
     s: Structure,
@@ -219,9 +225,7 @@ def _critic(
 
     def one_batch(carry: tuple, chosen: jax.Array) -> tuple[tuple, jax.Array]:
         value, adam = carry
-        observation, target = jax.tree.map(
-            lambda x: jax.vmap(lambda lane, i: lane[i])(x, chosen), rows
-        )
+        observation, target = (_rows(x, chosen) for x in rows)
 
         def loss(value: dict) -> jax.Array:
             predicted = networks.evaluate(state.params.replace(value=value), observation)
