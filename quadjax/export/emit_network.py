@@ -213,7 +213,10 @@ def _calls(layers: list[PaddedLayer]) -> dict[str, str]:
             f"  digest = digest_table_32(digest, weight_{index}, {layer.weights.size}U);",
             f"  digest = digest_table_64(digest, bias_{index}, {layer.bias.size}U);",
         ]
-        call = f"probe_layer(kernel, weight_{index}, bias_{index}, PADDED_ROWS_{index}, COLUMNS_{index})"
+        call = (
+            f"probe_layer(kernel, weight_{index}, bias_{index}, PADDED_ROWS_{index}, "
+            f"COLUMNS_{index})"
+        )
         probes.append(f"  mismatches += ({call} != PROBE_{index}) ? 1U : 0U;")
     return {
         "layer_calls": "\n".join(calls),
@@ -252,7 +255,8 @@ def _vectors(
     return {"vector_tables": joined}
 
 
-QUANTIZE_TEST = """/* Zeros, subnormals, ordinary and huge numbers, infinities and NaNs: in every position. */
+QUANTIZE_TEST = """\
+/* Zeros, subnormals, ordinary and huge numbers, infinities and NaNs: in every position. */
 static const uint32_t quantize_pattern[COUNT] = {
 PATTERNS};
 

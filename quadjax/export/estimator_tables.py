@@ -237,9 +237,7 @@ def _with_residual(tables: EstimatorTables, residual: Residual) -> EstimatorTabl
     reach = max(abs(2.0 * s * 2.0**exponent - low - high) / (high - low) for s in (-1, 1))
     network = math.ceil(math.log2(reach))
     unit = LARGEST_INPUT / 2.0**exponent
-    rpm_input = rescale(
-        0.5 * (low + high) * unit, 2.0 / (high - low) * 2.0 ** (exponent - network)
-    )
+    rpm_input = rescale(0.5 * (low + high) * unit, 2.0 / (high - low) * 2.0 ** (exponent - network))
     ranges = np.ldexp(1.0, np.array([network] * 4 + list(tables.exponents[10:])))
     rates = np.ldexp(1.0, np.array(tables.exponents[:3]))
     channels = tables.channel_exponents

@@ -127,9 +127,7 @@ class Hidden:
     magnitude: np.ndarray  # largest real output
 
 
-def convert_hidden(
-    layers: Sequence[tuple[np.ndarray, np.ndarray]], ranges: np.ndarray
-) -> Hidden:
+def convert_hidden(layers: Sequence[tuple[np.ndarray, np.ndarray]], ranges: np.ndarray) -> Hidden:
     """The integers of ReLU layers (kernel, bias) over inputs in +-ranges.
 
     Raises:

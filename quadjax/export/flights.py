@@ -1,6 +1,7 @@
 """Flights of a policy in its own environment: what its declared ranges and its tests rest on."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import jax
@@ -61,7 +62,7 @@ def own_race(policy: Policy, config_path: Path | None, track: str | None) -> Own
     words += [f"disturbance.{name}={spans[name]}" for name in DISTURBANCES if name in spans]
     for key in ("wrap_next_yaw", "disturbance_input"):
         if key in policy.observation:
-            words.append(f"episode.{key}={str(policy.observation[key]).lower()}")
+            words.append(f"episode.{key}={json.dumps(policy.observation[key])}")
     config = load_config(config_path or REPOSITORY_CONFIGS / "e2e.yaml", words)
     params = build.build_params(config)
     own = OwnRace(build.choices_of(config), params, config)
@@ -74,7 +75,9 @@ def _check_commands(policy: Policy, own: OwnRace) -> None:
     low, high = module.command_range(own.params.vehicle.constants)
     flown = [np.array([float(x) for x in jax.tree.leaves(end)]) for end in (low, high)]
     for name, mine, theirs in zip(
-        ("command_low", "command_high"), (policy.command_low, policy.command_high), flown,
+        ("command_low", "command_high"),
+        (policy.command_low, policy.command_high),
+        flown,
         strict=True,
     ):
         if not np.allclose(mine, theirs, rtol=1e-5, atol=1e-5):
@@ -124,9 +127,7 @@ def drone_of(vehicle: str, state: jax.Array) -> MotorState | RateState:
     pose = [Vec3.of(state[start : start + 3]) for start in (0, 3, 6, 9)]
     if vehicle == "rate":
         return RateState(*pose, state[12])
-    return MotorState(
-        *pose, Rotors.of(state[12:16]), Vec3.of(state[16:19]), Vec3.of(state[19:22])
-    )
+    return MotorState(*pose, Rotors.of(state[12:16]), Vec3.of(state[16:19]), Vec3.of(state[19:22]))
 
 
 def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ def coefficients() -> np.ndarray:
 
 
 def tanh_q(z: np.ndarray) -> np.ndarray:
-    """tanh of Q27 integers below 12 in magnitude, as Q30 integers (int64)."""
+    """Hyperbolic tangent of Q27 integers below 12 in magnitude, as Q30 integers (int64)."""
     magnitude = np.minimum(np.abs(z), (UNITS * SEGMENTS_PER_UNIT << SEGMENT_BITS) - 1)
     row = coefficients().astype(np.int64)[magnitude >> SEGMENT_BITS]
     place = magnitude & ((1 << SEGMENT_BITS) - 1)
