@@ -77,24 +77,52 @@ def convert_policy(request: Request) -> Converted:
     network = convert(policy, request.ranges)
     proof = prove(network, policy)
     own = flights.own_race(policy, request.config, request.track)
-    race = make_tables(network, policy, own.params.track)
     flown = flights.fly(own, policy, FLIGHTS)
     flights.check_box(network.box, flown.observations)
     rows = np.linspace(0, len(flown.states) - 1, min(KEPT_ROWS, len(flown.states))).astype(int)
     kept = flights.Flown(
         flown.observations[rows], flown.states[rows], flown.targets[rows], flown.laps
     )
+    origin = _origin(request, request.policy.name, policy, own)
+    return _complete(request, policy, network, proof, own, kept, len(flown.states), origin)
+
+
+def convert_again(request: Request, report: dict, flown: dict[str, np.ndarray]) -> Converted:
+    """The conversion once more from what lies in a folder, without flying.
+
+    Raises:
+        InputError: whatever is wrong, in one line.
+    """
+    policy = read_policy(request.policy)
+    network = convert(policy, request.ranges)
+    proof = prove(network, policy)
+    own = flights.own_race(policy, request.config, None, request.out / RESIDUAL_FILE)
+    kept = flights.Flown(flown["observations"], flown["states"], flown["targets"], None)
+    origin = _origin(request, report["policy"], policy, own)
+    return _complete(request, policy, network, proof, own, kept, 0, origin)
+
+
+def _complete(
+    request: Request,
+    policy: Policy,
+    network: FixedNetwork,
+    proof: Proof,
+    own: flights.OwnRace,
+    kept: flights.Flown,
+    steps_flown: int,
+    origin: Provenance,
+) -> Converted:
     estimator, residual_hash = _estimator(request, own)
     return Converted(
         policy=policy,
         network=network,
         proof=proof,
-        race=race,
+        race=make_tables(network, policy, own.params.track),
         estimator=estimator,
         kept=kept,
-        steps_flown=len(flown.states),
+        steps_flown=steps_flown,
         own=own,
-        origin=_origin(request, policy, own),
+        origin=origin,
         residual_hash=residual_hash,
     )
 
@@ -110,21 +138,23 @@ def _estimator(request: Request, own: flights.OwnRace) -> tuple[EstimatorTables 
     return tables, sha256(Path(residual)) if residual else ""
 
 
-def _origin(request: Request, policy: Policy, own: flights.OwnRace) -> Provenance:
-    name = request.name if request.name is not None else identifier(request.policy.stem)
+def _origin(
+    request: Request, file: str, policy: Policy, own: flights.OwnRace
+) -> Provenance:
+    name = request.name if request.name is not None else identifier(Path(file).stem)
     if identifier(name) != name:
         raise InputError(f"--name {name!r}: expected a lower-case C identifier")
     policy_hash = sha256(request.policy)
     source = ", ".join(f"{k}={v}" for k, v in policy.source.items() if not isinstance(v, dict))
     lines = (
-        f"Policy   {request.policy.name}, SHA-256 {policy_hash}",
+        f"Policy   {file}, SHA-256 {policy_hash}",
         f"Source   {source or 'not stated in the policy file'}",
         f"Format   quadjax fixed point, version {FORMAT_VERSION}; deterministic (mean) actions",
         f"Track    {own.config.track.name or own.config.track.file}; vehicle "
         f"{own.config.vehicle.name or own.config.vehicle.file}",
     )
     short = tuple(line if len(line) <= 96 else f"{line[:93]}..." for line in lines)
-    return Provenance(name, policy_hash, short, source or request.policy.name)
+    return Provenance(name, policy_hash, short, source or file)
 
 
 def sources(converted: Converted) -> dict[str, str]:

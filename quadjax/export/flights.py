@@ -41,16 +41,19 @@ class Flown:
     observations: np.ndarray  # (n, inputs) float32
     states: np.ndarray  # (n, state_size) float32, in the order of the emitted state
     targets: np.ndarray  # (n,) int32
-    laps: Laps
+    laps: Laps | None  # of all that flew; None for rows read back from a file
 
 
-def own_race(policy: Policy, config_path: Path | None, track: str | None) -> OwnRace:
+def own_race(
+    policy: Policy, config_path: Path | None, track: str | None, residual: Path | None = None
+) -> OwnRace:
     """The race of a config, or of the project's default one, as the policy was trained to see it.
 
     Args:
         policy: its vehicle and the scaling of its observation take the place of the config's.
         config_path: a training config, or ``None`` for the default.
         track: the name of a track file, or ``None`` for the config's.
+        residual: a residual file that takes the place of the config's, if that names one.
 
     Raises:
         InputError: a file that cannot be read, or a scaling that makes no sense.
@@ -64,6 +67,9 @@ def own_race(policy: Policy, config_path: Path | None, track: str | None) -> Own
         if key in policy.observation:
             words.append(f"episode.{key}={json.dumps(policy.observation[key])}")
     config = load_config(config_path or REPOSITORY_CONFIGS / "e2e.yaml", words)
+    if residual is not None and config.vehicle.residual:
+        words.append(f"vehicle.residual={residual}")
+        config = load_config(config_path or REPOSITORY_CONFIGS / "e2e.yaml", words)
     params = build.build_params(config)
     own = OwnRace(build.choices_of(config), params, config)
     _check_commands(policy, own)
@@ -88,7 +94,10 @@ def _check_commands(policy: Policy, own: OwnRace) -> None:
 
 
 def fly(own: OwnRace, policy: Policy, runs: int, laps: int = 6, seed: int = 0) -> Flown:
-    """Fly the float policy, its means, from the training's random starts, and keep all it saw."""
+    """Fly the float policy, its means, from the training's random starts, and keep what it saw.
+
+    What is kept is of the flights that finished, or of all if none did.
+    """
     result, trace = fly_laps(
         own.choices,
         own.params,
@@ -101,15 +110,17 @@ def fly(own: OwnRace, policy: Policy, runs: int, laps: int = 6, seed: int = 0) -
         trace=True,
     )
     assert trace is not None
-    states, targets = _states(trace, policy.vehicle, own, runs, seed)
+    finished = np.array([not crash for crash in result.crashes])
+    counted = finished if finished.any() else ~finished  # what a tumbling wreck sees does not count
+    states, targets = _states(trace, policy.vehicle, own, counted, seed)
     return Flown(observe(own, states, targets), states, targets, result)
 
 
 def _states(
-    trace: Trace, vehicle: str, own: OwnRace, runs: int, seed: int
+    trace: Trace, vehicle: str, own: OwnRace, counted: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States (n, state_size) and targets (n,) of every step before a race was over."""
-    going = ~np.asarray(trace.over)
+    """States (n, state_size) and targets (n,) of every step of the runs that are counted."""
+    going = ~np.asarray(trace.over) & counted
     parts = [trace.position, trace.velocity, trace.euler, trace.rates, trace.actuators]
     rows = [np.moveaxis(np.asarray(part), 1, -1)[going] for part in parts]
     if vehicle == "motor":
@@ -117,7 +128,7 @@ def _states(
         rng = np.random.default_rng(seed)
         span = own.params.disturbance
         half = np.array([float(getattr(span, name)) for name in DISTURBANCES])
-        drawn = rng.uniform(-half, half, (runs, 4))[np.nonzero(going)[1]]
+        drawn = rng.uniform(-half, half, (len(counted), 4))[np.nonzero(going)[1]]
         rows += [drawn[:, :3], np.zeros((len(drawn), 2)), drawn[:, 3:]]
     return np.concatenate(rows, axis=1).astype(np.float32), np.asarray(trace.target)[going]
 
