@@ -34,6 +34,8 @@ def run_check(name: str, check: Callable[[], str]) -> Result:
         verdict, figure = LEFT_OUT, str(reason)
     except Failed as reason:
         verdict, figure = FAILED, str(reason)
+    except Exception as error:  # a check that breaks has not passed
+        verdict, figure = FAILED, f"{type(error).__name__}: {error}"
     return Result(name, verdict, " ".join(figure.split()), time.monotonic() - start)
 
 

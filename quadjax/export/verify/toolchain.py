@@ -20,7 +20,7 @@ WARNINGS = (
 BEBOP = "-mfloat-abi=softfp -mfpu=vfp -march=armv7-a -mtune=cortex-a8 -O3 -std=gnu99 -static".split()
 ZIG = (
     "-target arm-freestanding-eabihf -mcpu=cortex_a9 -O3 -std=c99 -nostdlib -fno-sanitize=all "
-    "-Wl,--image-base=0x10000"
+    "-Wl,--image-base=0x10000 -Wl,--no-gc-sections"
 ).split()
 FREESTANDING = "-nostdlib -nostartfiles -ffreestanding".split()
 
