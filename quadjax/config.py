@@ -85,6 +85,8 @@ def _check_keys(schema: type, tree: object, source: str, prefix: str) -> None:
                 f"{source}: unknown key {prefix}{key}; allowed there: {', '.join(sorted(hints))}"
             )
         kind = _plain(hints[key])
+        if kind is str and isinstance(value, bool):
+            tree[key] = str(value).lower()  # YAML reads the word true as a truth value
         if dataclasses.is_dataclass(kind):
             _check_keys(kind, value, source, f"{prefix}{key}.")
         elif isinstance(value, list):

@@ -65,7 +65,7 @@ class EpisodeConfig:
     roll_limit_deg: float = 180.0  # in training
     random_gate: bool = False  # start before any gate, not only the first
     stagger_clocks: bool = False  # start at a random step of the clock
-    disturbance_input: str = "true"  # true | none: what the observation says
+    disturbance_input: str = "true"  # true | estimated | none: what the observation says
     wrap_next_yaw: bool = True  # false: the authors' code's plain difference
 
 
@@ -208,7 +208,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "vehicle.kind": ("motor", "rate"),
     "vehicle.integrator": ("euler", "rk4"),
     "episode.gate_test": ("square", "world_box"),
-    "episode.disturbance_input": ("true", "none"),
+    "episode.disturbance_input": ("true", "estimated", "none"),
     "network.activation": ("relu", "tanh"),
 }
 # Lowest and highest value, and whether each bound itself is allowed.

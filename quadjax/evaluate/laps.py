@@ -104,7 +104,7 @@ def starting_states(
         kept = hover.drone.replace(
             moment_ext=drawn.drone.moment_ext, force_ext=drawn.drone.force_ext
         )
-        return hover.replace(drone=kept)
+        return environment.with_estimate(params, hover.replace(drone=kept))
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 

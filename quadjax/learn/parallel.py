@@ -4,6 +4,7 @@ import functools
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
@@ -34,8 +35,18 @@ def specs_of(state: TrainState) -> TrainState:
     )
 
 
+def _strong(leaf: jax.Array) -> jax.Array:
+    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        return leaf
+    return leaf.astype(leaf.dtype)
+
+
 def place(state: TrainState, mesh: Mesh) -> TrainState:
-    """The state laid out over the mesh."""
+    """The state laid out over the mesh, with strong types, so that the second call is the first's.
+
+    A weakly typed leaf would come back strong, and everything would be compiled once more.
+    """
+    state = jax.tree.map(_strong, state)
     shardings = jax.tree.map(
         lambda spec: NamedSharding(mesh, spec),
         specs_of(state),

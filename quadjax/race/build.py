@@ -6,6 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.fit.estimator import EstimatorParams, estimator_params
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.observation import DisturbanceRange
 from quadjax.race.rules import Limits, RewardWeights
@@ -59,6 +60,14 @@ def build_track(track: TrackConfig, wrap_next_yaw: bool = True) -> Track:
     )
 
 
+def _estimator(config: Config, vehicle: MotorParams | RateParams) -> EstimatorParams | None:
+    """The onboard estimator of the disturbance, where the observation is to have one."""
+    if config.episode.disturbance_input != "estimated" or config.vehicle.kind != "motor":
+        return None
+    euler = config.vehicle.integrator == "euler"
+    return estimator_params(vehicle, 1.0 / config.episode.dt, explicit_euler=euler)
+
+
 def build_params(config: Config) -> RaceParams:
     """Every number of the race as the config trains it."""
     episode, begin = config.episode, config.start
@@ -79,14 +88,16 @@ def build_params(config: Config) -> RaceParams:
         "thrust_low": begin.thrust[0],
         "thrust_high": begin.thrust[1],
     }
+    vehicle = build_vehicle(config)
     return RaceParams(
-        vehicle=build_vehicle(config),
+        vehicle=vehicle,
         track=build_track(config.track, episode.wrap_next_yaw),
         limits=Limits(**_traced(limits), max_steps=jnp.asarray(episode.max_steps, jnp.int32)),
         reward=RewardWeights(**_traced(vars(config.reward))),
         start=StartRange(**_traced(ranges)),
         disturbance=DisturbanceRange(**_traced(vars(config.disturbance))),
         randomise=RandomiseFractions(**_traced(vars(config.randomise))),
+        estimator=_estimator(config, vehicle),
     )
 
 

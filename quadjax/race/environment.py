@@ -10,12 +10,14 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.environment import Environment
+from quadjax.fit import estimator as onboard
+from quadjax.fit.estimator import Measurement
 from quadjax.gradients import clip_inward
 from quadjax.race import observation, rules, start
 from quadjax.race.track import Gate, Track, gate, gate_count
 from quadjax.vehicle import motor, rate
 from quadjax.vehicle.constants import Constants
-from quadjax.vehicle.frames import wrap_angle
+from quadjax.vehicle.frames import attitude, world_to_body, wrap_angle
 from quadjax.vehicle.integrate import INTEGRATORS
 from quadjax.vehicle.stage import stage
 from quadjax.vehicle.vector import Rotors, Vec3
@@ -35,7 +37,7 @@ class Choices:
     random_gate: bool = False  # start at any gate rather than the last
     stagger_clocks: bool = False  # episodes start at a random step of their clock
     randomise: bool = False  # draw the constants anew for every episode
-    disturbance_input: str = "true"  # "true" | "none"
+    disturbance_input: str = "true"  # "true" | "estimated" | "none"
 
 
 @struct.dataclass
@@ -49,6 +51,16 @@ class RaceParams:
     start: start.StartRange
     disturbance: observation.DisturbanceRange
     randomise: start.RandomiseFractions
+    estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
+
+
+@struct.dataclass
+class Estimate:
+    """What is believed on board of the external disturbance."""
+
+    filter: onboard.EstimatorState
+    moment: Vec3  # N m, body
+    force: Vec3  # m/s^2, body
 
 
 @struct.dataclass
@@ -60,6 +72,7 @@ class RaceState:
     step: jax.Array  # () int32, steps since the episode began
     gates_passed: jax.Array  # () int32
     constants: Constants | None  # of this episode, where they are drawn; else None
+    estimate: Estimate | None = None  # where the observation is estimated; else None
 
 
 def _always(params: RaceParams) -> jax.Array:
@@ -95,14 +108,33 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         )
     else:
         drone = start.start_rate(constants, params.track, params.start, target, numbers)
-    return RaceState(drone, target, clock, jnp.zeros((), jnp.int32), own)
+    zero = jnp.zeros((), jnp.int32)
+    return with_estimate(params, RaceState(drone, target, clock, zero, own))
+
+
+def with_estimate(params: RaceParams, state: RaceState) -> RaceState:
+    """The state with a fresh estimate of the disturbance, where the race has an estimator."""
+    if params.estimator is None:
+        return state
+    measured = _measure(params, state, state.drone)
+    fresh = onboard.init(params.estimator, measured)
+    return state.replace(estimate=Estimate(fresh, Vec3.zero(), Vec3.zero()))
+
+
+def _measure(params: RaceParams, state: RaceState, drone: motor.MotorState) -> Measurement:
+    """What the drone's gyro, accelerometer and tachometers say, without noise."""
+    vehicle = _vehicle_params(params, state)
+    velocity = world_to_body(attitude(drone.euler), drone.velocity)
+    still = Rotors.same(jnp.zeros(()))  # forces do not depend on the propellers' acceleration
+    force, _ = motor.force_moment(vehicle, drone.rpm, still, velocity, drone.rates)
+    return Measurement(drone.rates, force + drone.force_ext, drone.rpm, velocity)
 
 
 def hover_start(params: RaceParams, constants: Constants | None = None) -> RaceState:
     """The start of a timed race: hover at the last gate, with ``constants`` if they are drawn."""
     zero = jnp.zeros((), jnp.int32)
     drone = start.hover(constants or params.vehicle.constants, params.track)
-    return RaceState(drone, zero, zero, zero, constants)
+    return with_estimate(params, RaceState(drone, zero, zero, zero, constants))
 
 
 def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
@@ -118,6 +150,8 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
     moment, force_z = Vec3.zero(), jnp.zeros(())
     if choices.disturbance_input == "true":
         moment, force_z = state.drone.moment_ext, state.drone.force_ext.z
+    elif choices.disturbance_input == "estimated":
+        moment, force_z = state.estimate.moment, state.estimate.force.z
     numbers = observation.motor_numbers(
         nominal, state.drone, g, moment, force_z, params.disturbance
     )
@@ -211,8 +245,18 @@ def transition(
     count = gate_count(params.track)
     advanced = state.target + one
     target = jnp.where(advanced == count, 0, advanced)
-    following = RaceState(drone, target, state.step + 1, state.gates_passed + one, state.constants)
+    passed = state.gates_passed + one
+    believed = _estimate(params, state, drone)
+    following = RaceState(drone, target, state.step + 1, passed, state.constants, believed)
     return following, value, outcome
+
+
+def _estimate(params: RaceParams, state: RaceState, drone: Drone) -> Estimate | None:
+    """The estimate after this step's measurement; no gradient flows through the filter."""
+    if state.estimate is None:
+        return None
+    measured = jax.lax.stop_gradient(_measure(params, state, drone))
+    return Estimate(*onboard.update(params.estimator, state.estimate.filter, measured))
 
 
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:

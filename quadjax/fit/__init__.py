@@ -1,0 +1,1 @@
+"""From flight logs to a model: identification, residual networks, disturbance estimation."""

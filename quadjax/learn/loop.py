@@ -1,0 +1,123 @@
+"""The host's loop over compiled chunks: score, report, save, stop. Every learner shares it."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+from quadjax.learn.networks import ActorCritic
+from quadjax.learn.parallel import Chunk
+from quadjax.learn.state import TrainState
+
+Row = dict[str, float]
+
+
+class NonFiniteError(RuntimeError):
+    """Training met a number that is not finite; says where."""
+
+
+@dataclasses.dataclass
+class Position:
+    """Where a run is: what a checkpoint holds."""
+
+    state: TrainState
+    best: ActorCritic  # the parameters of the best score so far; the latest before the first
+    best_score: float = math.inf
+    best_steps: int = 0
+    chunks: int = 0
+    seconds: float = 0.0  # of training, over all resumptions
+
+
+@dataclasses.dataclass(frozen=True)
+class Hooks:
+    """What happens between chunks."""
+
+    score: Callable[[ActorCritic], float]  # lower is better; infinite where it does not finish
+    report: Callable[[Row], None]
+    save: Callable[[Position], None]
+    stop: Callable[[], bool]
+
+
+def run(
+    chunk: Chunk,
+    params: object,
+    position: Position,
+    hooks: Hooks,
+    chunks: int,
+    steps_per_chunk: int,
+    save_seconds: float,
+    started: float,
+) -> Position:
+    """Train until ``chunks`` chunks are done or ``hooks.stop`` says so, then save.
+
+    Args:
+        chunk: a compiled chunk of updates.
+        params: traced parameters of the environment.
+        position: where to begin.
+        hooks: what to do between chunks.
+        chunks: in the whole run.
+        steps_per_chunk: environment steps of one.
+        save_seconds: at least so long between two checkpoints.
+        started: ``time.monotonic()`` at which ``position.seconds`` counts as zero.
+
+    Raises:
+        NonFiniteError: a metric that is not finite; the last checkpoint stays as it is.
+    """
+    saved = time.monotonic()
+    while position.chunks < chunks and not hooks.stop():
+        begun = time.monotonic()
+        state, metrics = chunk(params, position.state)
+        values = {name: np.asarray(value) for name, value in metrics.items()}
+        check_finite(values, position.chunks * len(next(iter(values.values()))))
+        took = time.monotonic() - begun
+        score = hooks.score(state.params)
+        position = advance(position, state, score, steps_per_chunk, time.monotonic() - started)
+        hooks.report(_row(position, values, score, steps_per_chunk, took))
+        if time.monotonic() - saved > save_seconds and position.chunks < chunks:
+            hooks.save(position)
+            saved = time.monotonic()
+    hooks.save(position)
+    return position
+
+
+def advance(
+    position: Position, state: TrainState, score: float, steps: int, seconds: float
+) -> Position:
+    """The position one chunk later, with the best parameters kept on the host."""
+    following = dataclasses.replace(
+        position, state=state, chunks=position.chunks + 1, seconds=seconds
+    )
+    if score < position.best_score or not math.isfinite(position.best_score):
+        following.best = jax.device_get(state.params)
+        following.best_score = score
+        following.best_steps = following.chunks * steps
+    return following
+
+
+def check_finite(metrics: dict[str, np.ndarray], first_update: int) -> None:
+    """Raise a ``NonFiniteError`` that names the update and the metrics."""
+    bad = {name: np.flatnonzero(~np.isfinite(value)) for name, value in metrics.items()}
+    bad = {name: index for name, index in bad.items() if index.size}
+    if bad:
+        where = min(int(index[0]) for index in bad.values())
+        names = ", ".join(sorted(name for name, index in bad.items() if index[0] == where))
+        raise NonFiniteError(
+            f"not finite at update {first_update + where + 1}: {names}; training stopped, the "
+            "last checkpoint is from before"
+        )
+
+
+def _row(
+    position: Position, values: dict[str, np.ndarray], score: float, steps: int, took: float
+) -> Row:
+    return {
+        "steps": position.chunks * steps,
+        "seconds": position.seconds,
+        "steps_per_second": steps / took,
+        "lap_total": score,
+        "best_lap_total": position.best_score,
+        **{name: float(value.mean()) for name, value in values.items()},
+    }

@@ -1,0 +1,65 @@
+"""Train a racing policy: python scripts/train.py configs/FILE.yaml [key=value ...]."""
+
+import time
+
+STARTED = time.monotonic()  # training time counts from here: imports and compilation included
+
+import argparse  # noqa: E402
+import shutil  # noqa: E402
+from pathlib import Path  # noqa: E402
+
+from quadjax.config import load_config  # noqa: E402
+from quadjax.devices import prepare_devices  # noqa: E402
+from quadjax.errors import InputError, command_line  # noqa: E402
+
+
+def parse_arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description="Train a racing policy. Everything is left in runs/NAME: the config, the "
+        "metrics, the checkpoints, the policy file, the lap table and the figures.",
+        epilog="Example: python scripts/train.py configs/e2e_shac.yaml seed=3 name=third "
+        "train.steps=5000000",
+    )
+    parser.add_argument("config", help="YAML file, such as configs/e2e_shac.yaml")
+    parser.add_argument(
+        "words", nargs="*", metavar="key=value", help="overrides, such as ppo.epochs=4"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="delete an earlier run of the same name"
+    )
+    parser.add_argument("--runs", default="runs", metavar="DIR", help="where runs go (runs)")
+    return parser.parse_intermixed_args()
+
+
+@command_line
+def main() -> int:
+    """Train, then print and keep the results."""
+    arguments = parse_arguments()
+    config = load_config(arguments.config, arguments.words)
+    directory = Path(arguments.runs) / config.name
+    if arguments.overwrite and arguments.resume:
+        raise InputError("--overwrite and --resume exclude each other")
+    if arguments.overwrite:
+        shutil.rmtree(directory, ignore_errors=True)
+    prepare_devices(config.train.devices)
+    from quadjax.learn.loop import NonFiniteError
+    from quadjax.results import present
+    from quadjax.training import train
+
+    try:
+        result = train(config, directory, arguments.resume, STARTED)
+    except NonFiniteError as error:
+        print(f"error: {error}")
+        return 1
+    if not result.finished:
+        again = " ".join([arguments.config, *arguments.words])
+        print(f"Stopped and saved. Go on with: python scripts/train.py {again} --resume")
+        return 130
+    present(config, result)
+    return 0
+
+
+if __name__ == "__main__":
+    main()
