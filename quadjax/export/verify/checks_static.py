@@ -106,14 +106,15 @@ static void run_network(void) {
     x[i] = any_float();
   }
   (void)@name@_quantize(x, q);
+  for (int i = 0; i < <size>; ++i) {
+    /*@ assert -@NAME@_INPUT_ONE <= q[i] <= @NAME@_INPUT_ONE; */
+  }
 }
 
 static void run_race(void) {
   @name@_state state;
   @name@_race race;
-  <kind> out[4];
   int32_t q[<size>];
-  @name@_event event;
   float *const numbers = (float *)&state;
   for (int i = 0; i < <states>; ++i) {
     numbers[i] = any_float();
@@ -121,11 +122,9 @@ static void run_race(void) {
   @name@_race_start(&race, state.position, Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU));
   (void)@name@_race_update(&race, state.position);
   (void)@name@_observe(&state, Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU), q);
-  for (int i = 0; i < <size>; ++i) {
-    /*@ assert -2147483647 <= q[i] <= 2147483647; */
+  for (int i = 0; i < 6; ++i) {
+    /*@ assert -@NAME@_INPUT_ONE <= q[i] <= @NAME@_INPUT_ONE; */
   }
-  (void)event;
-  (void)out;
 }
 <estimator>
 void eva_main(void);

@@ -28,6 +28,7 @@ void harness_estimate(const float *measurements, float *out, uint32_t count) {
 """
 MEMORY = """
 #include <stddef.h>
+/* What a compiler may call where there is no C library, by its own and by the ARM ABI's names. */
 void *memset(void *to, int value, size_t size);
 void *memcpy(void *restrict to, const void *restrict from, size_t size);
 void *memset(void *to, int value, size_t size) {
@@ -45,6 +46,16 @@ void *memcpy(void *restrict to, const void *restrict from, size_t size) {
   }
   return to;
 }
+#define ABI(suffix)                                                                     \\
+  void __aeabi_memclr##suffix(void *to, size_t size);                                   \\
+  void __aeabi_memset##suffix(void *to, size_t size, int value);                        \\
+  void __aeabi_memcpy##suffix(void *to, const void *from, size_t size);                 \\
+  void __aeabi_memclr##suffix(void *to, size_t size) { memset(to, 0, size); }           \\
+  void __aeabi_memset##suffix(void *to, size_t size, int value) { memset(to, value, size); } \\
+  void __aeabi_memcpy##suffix(void *to, const void *from, size_t size) { memcpy(to, from, size); }
+ABI()
+ABI(4)
+ABI(8)
 """
 
 
