@@ -11,7 +11,7 @@ from quadjax.learn.shac import update as shac
 from quadjax.learn.state import Learner, TrainState
 from quadjax.policies import Flying
 from quadjax.policy_file import Policy, read_policy
-from quadjax.race.build import build_params, choices_of
+from quadjax.race.build import choices_of
 from quadjax.race.environment import RaceParams, make_environment
 from quadjax.schema import Config
 
@@ -124,8 +124,3 @@ def policy_of(config: Config, params: ActorCritic, source: dict) -> Policy:
         },
         source=source,
     )
-
-
-def build_race(config: Config) -> RaceParams:
-    """The traced parameters that a learner is driven with."""
-    return build_params(config)

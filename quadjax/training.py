@@ -7,24 +7,28 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
 import jax
 import numpy as np
+from jax.sharding import Mesh
 
 from quadjax.checkpoint import Checkpoints
 from quadjax.config import to_yaml
 from quadjax.devices import choose_devices
 from quadjax.errors import InputError
-from quadjax.evaluate.laps import SECONDS_PER_LAP, Laps, fly_laps
+from quadjax.evaluate.laps import SECONDS_PER_LAP, fly_laps
 from quadjax.files import write_json, write_text
 from quadjax.learn import parallel
 from quadjax.learn.loop import Hooks, Position, Row, run
 from quadjax.learn.networks import ActorCritic
+from quadjax.learn.parallel import Chunk
+from quadjax.learn.state import Learner, TrainState
 from quadjax.learners import build_learner, flying_of, policy_of, start_state
-from quadjax.policies import act_deterministic, act_sampled, flying
+from quadjax.policies import act_deterministic
 from quadjax.policy_file import Policy, write_policy
 from quadjax.progress import TrainingProgress
 from quadjax.race.build import build_params, choices_of
@@ -68,26 +72,27 @@ def train(
     learner = build_learner(config)
     count = choose_devices(config.train.devices, learner.lanes)
     mesh = parallel.make_mesh(count)
-    first = parallel.place(start_state(config, learner, params), mesh)
     updates = max(1, round(config.train.evaluate_every / learner.steps_per_update))
     steps_per_chunk = updates * learner.steps_per_update
     chunks = max(1, round(config.train.steps / steps_per_chunk))
     _claim(config, directory, resume)
     checkpoints = Checkpoints(directory / "checkpoints")
-    position = Position(state=first, best=jax.device_get(first.params))
-    if resume and checkpoints.any:
-        position = checkpoints.restore(position)
-        position.state = parallel.place(position.state, mesh)
-        started = time.monotonic() - position.seconds
-    metrics = MetricsFile(directory, position.chunks * steps_per_chunk, config.train.tensorboard)
+    score = Score(config, params)
     with interruptions() as stop, TrainingProgress(chunks * steps_per_chunk, config.name) as show:
+        chunk, first = _compile(config, learner, params, mesh, updates, score)
+        position = Position(state=first, best=jax.device_get(first.params))
+        if resume and checkpoints.any:
+            position = checkpoints.restore(position)
+            position.state = parallel.place(position.state, mesh)
+            started = time.monotonic() - position.seconds
+        done = position.chunks * steps_per_chunk
+        metrics = MetricsFile(directory, done, config.train.tensorboard)
 
         def report(row: Row) -> None:
             metrics.write(row)
             show.show(row)
 
-        hooks = Hooks(Score(config, params), report, checkpoints.save, stop.is_set)
-        chunk = parallel.make_chunk(learner, mesh, updates, first)
+        hooks = Hooks(score, report, checkpoints.save, stop.is_set)
         position = run(
             chunk,
             params,
@@ -101,6 +106,30 @@ def train(
     checkpoints.close()
     metrics.close()
     return _finish(config, directory, position, steps_per_chunk, position.chunks >= chunks, count)
+
+
+def _compile(
+    config: Config,
+    learner: Learner,
+    params: RaceParams,
+    mesh: Mesh,
+    updates: int,
+    score: "Score",
+) -> tuple[Chunk, TrainState]:
+    """The compiled chunk and the first state, with the score's flight compiled meanwhile."""
+
+    def initial() -> TrainState:
+        return parallel.place(start_state(config, learner, params), mesh)
+
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(initial)
+        flown = pool.submit(lambda: score(first.result().params))
+        shapes = jax.eval_shape(learner.init, params, jax.random.key(config.seed))
+        chunk = parallel.compile_chunk(
+            learner, mesh, updates, params, parallel.abstract(shapes, mesh)
+        )
+        flown.result()
+        return chunk, first.result()
 
 
 def _claim(config: Config, directory: Path, resume: bool) -> None:
@@ -282,19 +311,3 @@ def peak_memory_mib() -> float | None:
     except ImportError:
         return None
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 0)
-
-
-def time_laps(
-    config: Config, policy: Policy, deterministic: bool, runs: int, seed: int = 0
-) -> Laps:
-    """Timed laps of a policy from hover, by the config's race."""
-    laps, _ = fly_laps(
-        choices_of(config),
-        build_params(config),
-        act_deterministic if deterministic else act_sampled,
-        flying(policy),
-        jax.random.key(seed),
-        config.evaluate.laps,
-        runs,
-    )
-    return laps

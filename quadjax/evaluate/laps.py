@@ -12,11 +12,12 @@ from flax import struct
 from quadjax.race import environment
 from quadjax.race.build import exact_rules
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.track import gate_count
+from quadjax.race.track import Track, gate_count
 from quadjax.vehicle.vector import Vec3
 
 Actor = Callable[[object, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
-SECONDS_PER_LAP = 8.0  # a drone slower than this has lost its way
+SECONDS_PER_LAP = 8.0  # of 14 m: a drone slower than this has lost its way
+METRES_PER_LAP = 14.0
 
 CRASHES = (
     "",
@@ -59,6 +60,7 @@ class Laps:
 
     lap_times: np.ndarray  # (runs, laps) s; NaN where not flown
     crashes: tuple[str, ...]  # why each run ended early; "" where it did not
+    seconds: np.ndarray  # (runs,) s from the start to the run's end, however it ended
 
     @property
     def totals(self) -> np.ndarray:
@@ -70,18 +72,36 @@ class Laps:
         """How many runs flew all laps."""
         return int(np.isfinite(self.totals).sum())
 
+    def laps_flown(self) -> np.ndarray:
+        """How many laps each run flew, (runs,)."""
+        return np.isfinite(self.lap_times).sum(axis=1)
+
     def to_json(self) -> dict[str, object]:
-        """The result as JSON takes it: ``null`` for laps that were not flown."""
+        """The result as JSON takes it: ``null`` for laps that were not flown.
+
+        Of the runs that ended early, ``crashes`` says which (from 0), in which lap (from 1), after
+        how many seconds and why.
+        """
 
         def number(x: float) -> float | None:
             return round(float(x), 4) if np.isfinite(x) else None
 
+        flown = self.laps_flown()
         return {
             "laps": [[number(x) for x in run] for run in self.lap_times],
             "totals": [number(x) for x in self.totals],
             "finished": self.finished,
             "runs": len(self.crashes),
-            "crashes": list(self.crashes),
+            "crashes": [
+                {
+                    "run": run,
+                    "lap": int(flown[run]) + 1,
+                    "seconds": number(self.seconds[run]),
+                    "reason": reason,
+                }
+                for run, reason in enumerate(self.crashes)
+                if reason
+            ],
         }
 
 
@@ -248,7 +268,9 @@ def fly_laps(
     choices = dataclasses.replace(choices, stagger_clocks=False)
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)
-    steps = int(round(laps * SECONDS_PER_LAP / float(params.limits.dt)))
+    dt = float(params.limits.dt)
+    stretch = max(1.0, lap_length(params.track) / METRES_PER_LAP)
+    steps = round(laps * SECONDS_PER_LAP * stretch / dt)
     race, kept = _race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
     ends = np.asarray(race.lap_end, np.float64).T
     flown = np.where(ends > 0, ends, np.nan)
@@ -256,4 +278,11 @@ def fly_laps(
     codes = np.asarray(race.crash)
     unfinished = ~np.isfinite(flown[:, -1]) & (codes == 0)
     codes = np.where(unfinished, CRASHES.index("out of time"), codes)
-    return Laps(times, tuple(CRASHES[code] for code in codes)), kept
+    seconds = np.asarray(race.state.step, np.float64) * dt
+    return Laps(times, tuple(CRASHES[code] for code in codes), seconds), kept
+
+
+def lap_length(track: Track) -> float:
+    """Length of a lap along straight lines from gate to gate, m."""
+    centres = np.stack([np.asarray(x, np.float64) for x in track.position.components()], axis=-1)
+    return float(np.linalg.norm(np.roll(centres, -1, axis=0) - centres, axis=1).sum())

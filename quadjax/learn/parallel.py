@@ -1,6 +1,5 @@
 """Compiled chunks of updates, data-parallel over devices: environments split, parameters shared."""
 
-import functools
 from collections.abc import Callable
 
 import jax
@@ -41,18 +40,29 @@ def _strong(leaf: jax.Array) -> jax.Array:
     return leaf.astype(leaf.dtype)
 
 
-def place(state: TrainState, mesh: Mesh) -> TrainState:
-    """The state laid out over the mesh, with strong types, so that the second call is the first's.
-
-    A weakly typed leaf would come back strong, and everything would be compiled once more.
-    """
-    state = jax.tree.map(_strong, state)
-    shardings = jax.tree.map(
+def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
+    return jax.tree.map(
         lambda spec: NamedSharding(mesh, spec),
         specs_of(state),
         is_leaf=lambda x: isinstance(x, PartitionSpec),
     )
-    return jax.device_put(state, shardings)
+
+
+def place(state: TrainState, mesh: Mesh) -> TrainState:
+    """The state laid out over the mesh.
+
+    With strong types: a weakly typed leaf would come back strong and not fit its own program.
+    """
+    return jax.device_put(jax.tree.map(_strong, state), _shardings(state, mesh))
+
+
+def abstract(state: TrainState, mesh: Mesh) -> TrainState:
+    """Shapes, types and shardings of a placed state, of one from ``jax.eval_shape``."""
+    return jax.tree.map(
+        lambda x, sharding: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding),
+        state,
+        _shardings(state, mesh),
+    )
 
 
 def compile_options() -> dict[str, bool]:
@@ -60,8 +70,20 @@ def compile_options() -> dict[str, bool]:
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
-def make_chunk(learner: Learner, mesh: Mesh, updates: int, state: TrainState) -> Chunk:
-    """``updates`` updates in one compiled call that takes the old state's memory.
+def compile_chunk(
+    learner: Learner, mesh: Mesh, updates: int, params: object, state: TrainState
+) -> Chunk:
+    """``updates`` updates as one compiled program that takes the old state's memory.
+
+    Compiled here and now, so that nothing is compiled twice and a state of another shape is an
+    error rather than a wait.
+
+    Args:
+        learner: what to run.
+        mesh: the devices.
+        updates: in one call.
+        params: traced parameters of the environment.
+        state: a placed state, or its ``abstract`` one.
 
     Returns:
         A function of the environment's parameters and the state, to the next state and the
@@ -81,5 +103,12 @@ def make_chunk(learner: Learner, mesh: Mesh, updates: int, state: TrainState) ->
         out_specs=(specs, shared),
         check_vma=False,
     )
-    compiled = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
-    return functools.partial(compiled, learner.hyper)
+    everywhere = NamedSharding(mesh, shared)
+    hyper, params = jax.device_put((learner.hyper, params), everywhere)
+    jitted = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
+    program = jitted.lower(hyper, params, state).compile()
+
+    def chunk(params: object, state: TrainState) -> tuple[TrainState, Metrics]:
+        return program(hyper, jax.device_put(params, everywhere), state)
+
+    return chunk

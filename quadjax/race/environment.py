@@ -95,7 +95,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     if choices.random_gate:
         target = start.start_gate(params.track, drawn[0])
     if choices.stagger_clocks:
-        clock = (0.5 * (drawn[1] + 1.0) * params.limits.max_steps).astype(jnp.int32)
+        most = params.limits.max_steps.astype(drawn.dtype)
+        clock = (0.5 * (drawn[1] + 1.0) * most).astype(jnp.int32)
     own = None
     if choices.randomise:
         own = constants = start.draw_constants(

@@ -1,0 +1,124 @@
+"""Training curves from the metrics of one or several runs."""
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from quadjax.errors import InputError
+from quadjax.evaluate.figures import INK, MUTED, SERIES, new_figure, tidy
+
+Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)
+ACROSS = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}
+UPWARDS = {"reward": "reward per step", "lap_total": "all laps (s)", "crash_rate": "crash rate"}
+LAP_RANGE = 1.6  # the lap axis ends at so many times the best
+
+
+def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
+    """The columns of a metrics CSV, (rows,) each; an empty cell is NaN.
+
+    A last line that is cut short, as a killed run leaves it, is dropped.
+
+    Raises:
+        InputError: no such file, no rows, or a cell that is no number, by line and column.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as stream:
+            names, *rows = list(csv.reader(stream)) or [[]]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    if rows and len(rows[-1]) < len(names):
+        rows.pop()
+    if not names or not rows:
+        raise InputError(f"{path}: holds no rows of metrics")
+    table = np.full((len(rows), len(names)), np.nan)
+    for index, row in enumerate(rows):
+        if len(row) != len(names):
+            raise InputError(f"{path} line {index + 2}: {len(row)} cells, expected {len(names)}")
+        for column, cell in enumerate(row):
+            try:
+                table[index, column] = float(cell) if cell.strip() else np.nan
+            except ValueError:
+                raise InputError(
+                    f"{path} line {index + 2}: {names[column]} is {cell!r}, expected a number"
+                ) from None
+    return dict(zip(names, table.T, strict=True))
+
+
+def training_figure(
+    runs: Mapping[str, Metrics], title: str = "", reference: tuple[str, float] | None = None
+) -> Figure:
+    """Reward, lap time and crash rate against wall time and environment steps.
+
+    Draws those of the columns ``reward``, ``lap_total`` and ``crash_rate`` that the first run has,
+    against ``seconds`` and ``steps``.
+
+    Args:
+        runs: metrics by the name of their run.
+        title: over the picture.
+        reference: a label and a time, s, to draw into the lap panels.
+
+    Raises:
+        InputError: none of the columns is there.
+    """
+    first = next(iter(runs.values()), {})
+    across = [name for name in ACROSS if name in first]
+    upwards = [name for name in UPWARDS if name in first and np.isfinite(first[name]).any()]
+    if not across or not upwards:
+        raise InputError(
+            f"metrics have the columns {', '.join(first) or 'none'}; expected one of "
+            f"{', '.join(ACROSS)} and one of {', '.join(UPWARDS)}"
+        )
+    figure = new_figure(4.6 * len(across) + 0.6, 2.1 * len(upwards) + 0.7)
+    grid = figure.subplots(len(upwards), len(across), sharex="col", sharey="row", squeeze=False)
+    for up, line in zip(upwards, grid, strict=True):
+        for along, axes in zip(across, line, strict=True):
+            tidy(axes)
+            _draw_runs(axes, runs, along, up)
+            if up == "lap_total":
+                _lap_axis(axes, runs, reference)
+        line[0].set_ylabel(UPWARDS[up], color=INK)
+    for along, axes in zip(across, grid[-1], strict=True):
+        axes.set_xlabel(ACROSS[along][0], color=INK)
+        axes.set_xlim(left=0.0)
+    if len(runs) > 1:
+        grid[0][-1].legend(loc="lower right", frameon=False, labelcolor=INK, fontsize=8)
+    grid[0][0].set_title(title, color=INK, fontsize=13, loc="left", pad=10)
+    return figure
+
+
+def _draw_runs(axes: Axes, runs: Mapping[str, Metrics], along: str, up: str) -> None:
+    for index, (name, columns) in enumerate(runs.items()):
+        if along not in columns or up not in columns:
+            continue
+        x, y = columns[along] * ACROSS[along][1], columns[up]
+        fine = np.isfinite(x) & np.isfinite(y)
+        colour = SERIES[index % len(SERIES)]
+        mark = "o" if up == "lap_total" else None
+        axes.plot(x[fine], y[fine], color=colour, lw=1.5, marker=mark, markersize=3, label=name)
+
+
+def _lap_axis(axes: Axes, runs: Mapping[str, Metrics], reference: tuple[str, float] | None) -> None:
+    """Show the times near the best one; the first laps ever flown are far off and say little."""
+    times = np.concatenate([columns["lap_total"] for columns in runs.values()])
+    best = float(np.nanmin(np.where(np.isfinite(times), times, np.nan)))
+    lowest = best
+    if reference is not None:
+        label, time = reference
+        axes.axhline(time, color=MUTED, lw=1.0, ls="--", zorder=1)
+        axes.annotate(
+            label,
+            xy=(1.0, time),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 3),
+            textcoords="offset points",
+            ha="right",
+            fontsize=8,
+            color=MUTED,
+        )
+        lowest = min(best, time)
+    highest = float(np.nanmax(np.where(np.isfinite(times), times, np.nan)))
+    axes.set_ylim(0.97 * lowest, min(1.03 * max(highest, lowest), LAP_RANGE * lowest))

@@ -1,0 +1,116 @@
+"""The lap table: one line per policy, a column per lap, the total, the best and who finished.
+
+The published lines are those of Ferede et al. (arXiv 2311.16948): six laps from hover.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from quadjax.evaluate.laps import Laps
+from quadjax.schema import TrackConfig
+
+PUBLISHED_LAPS = 6
+PUBLISHED_GATES = (  # x, y, z, m, and yaw, deg
+    (2.0, -1.5, -1.5, 45.0),
+    (2.0, 1.5, -1.5, 135.0),
+    (-2.0, 1.5, -1.5, 225.0),
+    (-2.0, -1.5, -1.5, 315.0),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One line of the table; times in seconds, NaN where there is none."""
+
+    label: str
+    laps: tuple[float, ...]
+    total: float
+    best: float
+    finished: int | None = None  # runs that flew every lap
+    runs: int | None = None
+
+
+PUBLISHED = (
+    Row("E2E simulated", (2.97, 2.51, 2.56, 2.55, 2.59, 2.57), 15.75, np.nan),
+    Row("INDI simulated", (3.20, 2.82, 2.75, 2.80, 2.81, 2.76), 17.14, np.nan),
+    Row("E2E flown, mean of 5", (3.22, 2.79, 2.85, 2.82, 2.84, 2.83), 17.35, 17.09),
+    Row("INDI flown, mean of 5", (3.28, 2.80, 2.82, 2.82, 2.84, 2.83), 17.40, 17.26),
+)
+
+
+def lap_row(label: str, laps: Laps) -> Row:
+    """The mean over the runs that flew every lap, and the best total among them.
+
+    Where no run finished, each lap is the mean over the runs that flew it.
+    """
+    done = np.isfinite(laps.totals)
+    times = laps.lap_times[done] if done.any() else laps.lap_times
+    means = tuple(_mean(times[:, lap]) for lap in range(times.shape[1]))
+    totals = laps.totals[done]
+    best = float(totals.min()) if done.any() else np.nan
+    return Row(label, means, _mean(totals), best, laps.finished, len(laps.crashes))
+
+
+def _mean(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else np.nan
+
+
+def is_published_track(track: TrackConfig) -> bool:
+    """Whether the gates stand where they stood for the published lap times."""
+    gates = [(*gate.position, gate.yaw_deg) for gate in track.gates]
+    return len(gates) == len(PUBLISHED_GATES) and np.allclose(gates, PUBLISHED_GATES)
+
+
+def published_rows(track: TrackConfig, laps: int, from_hover: bool = True) -> tuple[Row, ...]:
+    """The published lines, where they can be compared: same track, laps and start."""
+    if from_hover and laps == PUBLISHED_LAPS and is_published_track(track):
+        return PUBLISHED
+    return ()
+
+
+def format_table(own: Sequence[Row], published: Sequence[Row] = ()) -> str:
+    """The table as plain text, at most 100 columns for six laps.
+
+    Args:
+        own: lines of this project.
+        published: lines to set beside them.
+    """
+    rows = [*own, *published]
+    laps = max(len(row.laps) for row in rows)
+    label = max(len(row.label) for row in rows)
+    titles = [*(f"lap {lap + 1}" for lap in range(laps)), "total", "best", "finished"]
+    head = " ".join([" " * label, *(f"{title:>{_width(title)}}" for title in titles)])
+    lines = [head, "-" * len(head), *(_line(row, label, titles, laps) for row in own)]
+    if published:
+        lines += [f"published {'-' * (len(head) - 10)}"]
+        lines += [_line(row, label, titles, laps) for row in published]
+    return "\n".join([*lines, "seconds; means over the runs that finished"])
+
+
+def _width(title: str) -> int:
+    return max(len(title), 6)
+
+
+def _line(row: Row, label: int, titles: list[str], laps: int) -> str:
+    times = [*row.laps, *[np.nan] * (laps - len(row.laps)), row.total, row.best]
+    cells = [f"{time:.2f}" if np.isfinite(time) else "-" for time in times]
+    cells.append("-" if row.runs is None else f"{row.finished}/{row.runs}")
+    return " ".join(
+        [
+            f"{row.label:<{label}}",
+            *(f"{c:>{_width(title)}}" for c, title in zip(cells, titles, strict=True)),
+        ]
+    )
+
+
+def describe_crashes(laps: Laps) -> str:
+    """One line for every run that ended early; empty if none did."""
+    flown = laps.laps_flown()
+    return "\n".join(
+        f"run {run + 1}: {reason} in lap {flown[run] + 1} after {laps.seconds[run]:.2f} s"
+        for run, reason in enumerate(laps.crashes)
+        if reason
+    )

@@ -1,0 +1,6 @@
+import pytest
+
+
+@pytest.fixture(scope="package", autouse=True)
+def _strict(strict_promotion):
+    """Every test of this room runs without silent promotions."""

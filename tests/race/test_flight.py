@@ -1,0 +1,171 @@
+"""Whole flights of the environment against the reference, command by command."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.race import environment
+from quadjax.race.environment import RaceState, make_environment
+from tests import reference as ref
+from tests.convert import residual_of, rows_of, state_of
+from tests.race.support import compiled_transition, make_race, race_state
+
+COUNT, STEPS = 50, 30
+
+
+def double(tree):
+    return jax.tree.map(
+        lambda x: x.astype(jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree
+    )
+
+
+def flight(choices, params, kind, rows, actions, constants=None):
+    """Rows after every step of ``actions`` (steps, n, 4), in double precision."""
+    count = jnp.zeros(len(rows), jnp.int32)
+    state = RaceState(state_of(kind, rows), count, count, count, constants)
+    kept = []
+    for action in actions:
+        state, _, _ = compiled_transition(choices)(double(params), state, jnp.asarray(action))
+        kept.append(rows_of(state.drone))
+    return np.stack(kept)
+
+
+def command_rows(kind, c, actions, own=None):
+    """The command of each action, within what the drone itself can do."""
+    own = own or c
+    unit = np.clip(actions, -1, 1)
+    if kind == "motor":
+        command = c["rpm_min"] + (unit + 1) / 2 * (c["rpm_max"] - c["rpm_min"])
+        return np.clip(command, own["rpm_min"], own["rpm_max"])
+    high = np.array([c["p_max"], c["q_max"], c["r_max"], c["thrust_max"]])
+    low = np.array([-c["p_max"], -c["q_max"], -c["r_max"], c["thrust_min"]])
+    bound = np.array([own["p_max"], own["q_max"], own["r_max"], own["thrust_max"]])
+    floor = np.array([-own["p_max"], -own["q_max"], -own["r_max"], own["thrust_min"]])
+    return np.clip(low + (unit + 1) / 2 * (high - low), floor, bound)
+
+
+def reference_flight(kind, c, rows, commands, integrator, residual=None, dt=0.01):
+    def slope(x, command):
+        if kind == "rate":
+            return ref.rate_derivative(c, x, command)
+        return ref.motor_derivative(c, x, command, residual)
+
+    kept = []
+    for command in commands:
+        k1 = slope(rows, command)
+        if integrator == "rk4":
+            k2 = slope(rows + dt / 2 * k1, command)
+            k3 = slope(rows + dt / 2 * k2, command)
+            k4 = slope(rows + dt * k3, command)
+            k1 = (k1 + 2 * k2 + 2 * k3 + k4) / 6
+        rows = rows + dt * k1
+        rows[:, 8] = ref.wrap(rows[:, 8])
+        kept.append(rows)
+    return np.stack(kept)
+
+
+def gentle(kind):
+    rows = ref.random_states(kind, COUNT, seed=8)
+    rows[:, ref.EULER] *= [0.2, 0.2, 1.0]
+    rows[:, ref.RATES] *= 0.05
+    rows[:, ref.V] *= 0.2
+    if kind == "motor":
+        rows[:, ref.RPM] = 7000 + 0.2 * (rows[:, ref.RPM] - 7000)
+        rows[:, ref.MOMENT] *= 0.05
+    draw = np.random.default_rng(9)
+    mean = draw.uniform(-0.2, 0.2, (1, COUNT, 1))
+    return rows, mean + draw.normal(0, 0.02, (STEPS, COUNT, 4))
+
+
+def close(found, wanted):
+    scale = np.maximum(np.abs(wanted).max(axis=(0, 1)), 1e-2)
+    turned = np.abs(found[..., 8] - wanted[..., 8]) > 6
+    found[..., 8] -= np.where(turned, np.sign(found[..., 8]) * 2 * np.pi, 0)
+    assert np.max(np.abs(found - wanted) / scale) < 1e-7
+
+
+@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_flight_follows_the_reference(kind, integrator):
+    choices, params = make_race(f"vehicle.kind={kind}", f"vehicle.integrator={integrator}")
+    c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
+    rows, actions = gentle(kind)
+    residual = None
+    with jax.enable_x64(True):
+        exact = type(params.vehicle.constants)(**{k: jnp.asarray(v, float) for k, v in c.items()})
+        params = params.replace(vehicle=params.vehicle.replace(constants=exact))
+        params = params.replace(limits=double(params.limits).replace(dt=jnp.asarray(0.01)))
+        if kind == "motor":
+            residual = ref.random_residual(-1.0)
+            vehicle = params.vehicle.replace(residual=residual_of(residual))
+            params = params.replace(vehicle=vehicle)
+        found = flight(choices, params, kind, rows, actions)
+    commands = command_rows(kind, c, actions)
+    close(found, reference_flight(kind, c, rows, commands, integrator, residual))
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_actions_are_clipped_and_scaled_to_the_nominal_range(kind):
+    choices, params = make_race(f"vehicle.kind={kind}")
+    c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
+    actions = np.random.default_rng(1).uniform(-2, 2, (200, 4)).astype(np.float32)
+    found = jax.vmap(lambda a: environment.command(choices, params, a))(actions)
+    found = np.stack(jax.tree.leaves(found), axis=-1)
+    np.testing.assert_allclose(found, command_rows(kind, c, actions), rtol=1e-6, atol=1e-5)
+    inside = np.abs(actions) <= 1
+    assert inside.any() and not inside.all()
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_drawn_constants_are_flown_and_limit_the_command(kind):
+    choices, params = make_race(f"vehicle.kind={kind}", "randomise.limits=0.2")
+    c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
+    own = {name: value * (1 + 0.1 * np.sin(i)) for i, (name, value) in enumerate(c.items())}
+    rows, actions = gentle(kind)
+    actions = np.sign(actions[:3]) * 1.5
+    with jax.enable_x64(True):
+        exact = type(params.vehicle.constants)(**{k: jnp.asarray(v, float) for k, v in c.items()})
+        params = params.replace(
+            vehicle=params.vehicle.replace(constants=exact),
+            limits=double(params.limits).replace(dt=jnp.asarray(0.01)),
+        )
+        drawn = type(exact)(**{k: jnp.full(COUNT, v) for k, v in own.items()})
+        found = flight(choices, params, kind, rows, actions, drawn)
+    commands = command_rows(kind, c, actions, own)
+    close(found, reference_flight(kind, own, rows, commands, "euler"))
+
+
+@pytest.mark.parametrize(("kind", "size"), [("motor", 24), ("rate", 17)])
+def test_the_seam(kind, size):
+    """Three functions of one drone; the outcome's two ends stay apart."""
+    choices, params = make_race(f"vehicle.kind={kind}", "episode.max_steps=2")
+    env = make_environment(choices)
+    assert (env.observation_size, env.action_size) == (size, 4)
+    state = env.reset(params, jax.random.key(0))
+    assert env.observe(params, state).shape == (size,)
+    ends = []
+    for _ in range(2):
+        state, reward, terminated, truncated = env.step(params, state, jnp.zeros(4))
+        assert reward.shape == () and reward.dtype == jnp.float32
+        ends.append((bool(terminated), bool(truncated)))
+    assert ends == [(False, False), (False, True)]
+
+
+def test_one_pass_of_the_square_with_gates_counted():
+    """A straight line through the first gate, gravity and all, from the last gate's side."""
+    choices, params = make_race()
+    rows = np.zeros((1, 22))
+    rows[:, ref.P] = ref.GATES[0] - 0.3 * np.array([np.sqrt(0.5), np.sqrt(0.5), 0])
+    rows[:, ref.V] = 3 * np.array([np.sqrt(0.5), np.sqrt(0.5), 0])
+    rows[:, ref.RPM] = 7497
+    state = race_state("motor", rows)
+    action = jnp.full((1, 4), (7497 - 7000) / 4000, jnp.float32)
+    passes, rewards = [], []
+    for _ in range(15):
+        state, reward, outcome = compiled_transition(choices)(params, state, action)
+        passes.append(bool(outcome.passed[0]))
+        rewards.append(float(reward[0]))
+    at = passes.index(True)
+    assert sum(passes) == 1 and 8 <= at <= 11 and state.gates_passed[0] == 1
+    assert rewards[at] > 9 and max(rewards[:at]) < 0.031

@@ -1,0 +1,144 @@
+"""What the policy sees, against an independent version and under symmetries."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.race.build import build_params, build_track, choices_of
+from quadjax.race.track import make_track
+from tests import reference as ref
+from tests.race.support import compiled_observe, make_config, make_race, race_state, track_of
+
+PAPER = (
+    "disturbance.moment_x=0.03",
+    "disturbance.moment_y=0.03",
+    "disturbance.moment_z=0.01",
+    "disturbance.force_z=0.5",
+)
+COUNT = 500
+CONSTANTS = {"motor": ref.MOTOR, "rate": ref.RATE}
+
+
+def circuit(gates):
+    """Gates anywhere, turned anyhow."""
+    draw = np.random.default_rng(gates)
+    if gates == 4:
+        return ref.GATES, ref.GATE_YAW
+    return draw.uniform(-5, 5, (gates, 3)), draw.uniform(-4, 8, gates)
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+@pytest.mark.parametrize("gates", [1, 4, 6, 20])
+@pytest.mark.parametrize("wrap", [True, False])
+def test_against_an_independent_version(kind, gates, wrap):
+    choices, params = make_race(f"vehicle.kind={kind}", *PAPER)
+    centres, yaw = circuit(gates)
+    params = params.replace(track=track_of(centres, yaw, wrap))
+    rows = ref.random_states(kind, COUNT)
+    target = np.arange(COUNT) % gates
+    found = np.asarray(compiled_observe(choices)(params, race_state(kind, rows, target)))
+    assert found.shape == (COUNT, 24 if kind == "motor" else 17) and found.dtype == np.float32
+    wanted = ref.observation(kind, CONSTANTS[kind], rows, target, centres, yaw, wrap_next_yaw=wrap)
+    away = np.abs(np.abs(wanted[:, 8]) - np.pi) > 1e-3  # where the wrap may fall on either side
+    np.testing.assert_allclose(found[away], wanted[away], atol=2e-5)
+    assert away.mean() > 0.95
+
+
+def test_by_hand():
+    choices, params = make_race(*PAPER)
+    rows = np.zeros((1, 22))
+    rows[0, ref.P] = ref.GATES[0] + [1, 0, -0.5]
+    rows[0, ref.V], rows[0, ref.EULER], rows[0, ref.RATES] = [0, 2, 3], [0.1, 0.2, 0.3], [4, 5, 6]
+    rows[0, ref.RPM] = [3000, 5000, 7000, 11000]
+    rows[0, ref.MOMENT], rows[0, 21] = [0.03, -0.015, 0.005], -0.25
+    found = compiled_observe(choices)(params, race_state("motor", rows))[0]
+    c = np.sqrt(0.5)
+    expected = [c, -c, -0.5, 2 * c, 2 * c, 3, 0.1, 0.2, 0.3 - np.pi / 4, 4, 5, 6]
+    expected += [-1, -0.5, 0, 1, 3 * c, 3 * c, 0, np.pi / 2, 1, -0.5, 0.5, -0.5]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_next_yaw_of_the_square_track():
+    """A quarter turn to each next gate, but for the plain difference where the list wraps."""
+    config = make_config()
+    wrapped = np.asarray(build_track(config.track, True).next_yaw)
+    plain = np.asarray(build_track(config.track, False).next_yaw)
+    np.testing.assert_allclose(wrapped, np.pi / 2, atol=1e-6)
+    np.testing.assert_allclose(plain, [np.pi / 2] * 3 + [-1.5 * np.pi], atol=1e-6)
+    for word, expected in (("true", wrapped), ("false", plain)):
+        track = make_race(f"episode.wrap_next_yaw={word}")[1].track
+        np.testing.assert_array_equal(track.next_yaw, expected)
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_unchanged_when_all_is_turned_and_moved(kind):
+    choices, params = make_race(f"vehicle.kind={kind}", *PAPER)
+    rows, target = ref.random_states(kind, COUNT), np.arange(COUNT) % 4
+    turn, move = 2.2, np.array([3.0, -4.0, 0.7])
+    matrix = ref.elementary(2, np.array(turn))
+    turned = rows.copy()
+    turned[:, ref.P] = rows[:, ref.P] @ matrix.T + move
+    turned[:, ref.V] = rows[:, ref.V] @ matrix.T
+    turned[:, 8] = ref.wrap(rows[:, 8] + turn)
+    moved = track_of(ref.GATES @ matrix.T + move, ref.GATE_YAW + turn)
+    observe = compiled_observe(choices)
+    before = np.asarray(observe(params, race_state(kind, rows, target)))
+    after = np.asarray(observe(params.replace(track=moved), race_state(kind, turned, target)))
+    away = np.abs(np.abs(before[:, 8]) - np.pi) > 1e-3
+    np.testing.assert_allclose(after[away], before[away], atol=3e-5)
+    other = np.asarray(observe(params, race_state(kind, turned, target)))
+    assert np.abs(other[:, :2] - before[:, :2]).max() > 1
+
+
+def test_disturbances_that_are_not_told():
+    rows = ref.random_states("motor", COUNT)
+    state = race_state("motor", rows)
+    for words in ((*PAPER, "episode.disturbance_input=none"), ()):
+        choices, params = make_race(*words)
+        found = compiled_observe(choices)(params, state)
+        assert np.all(np.isfinite(found))
+        np.testing.assert_array_equal(found[:, 20:], 0.0)
+    choices, params = make_race(*PAPER)
+    told = compiled_observe(choices)(params, state)
+    np.testing.assert_array_equal(told[:, :20], found[:, :20])
+    assert np.all(np.abs(told[:, 20:]).max(axis=0) > 0.9)
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_actuators_are_scaled_by_the_nominal_range(kind):
+    """A policy does not know the range of the drone that was drawn."""
+    choices, params = make_race(f"vehicle.kind={kind}", "randomise.limits=0.2")
+    rows = ref.random_states(kind, 3)
+    state = race_state(kind, rows)
+    own = params.vehicle.constants.replace(
+        **{
+            name: 0.8 * getattr(params.vehicle.constants, name) * jnp.ones(())
+            for name in (("rpm_max",) if kind == "motor" else ("thrust_max",))
+        }
+    )
+    own = type(own)(**{name: jnp.broadcast_to(value, (3,)) for name, value in vars(own).items()})
+    found = compiled_observe(choices)(params, state.replace(constants=own))
+    wanted = ref.observation(kind, CONSTANTS[kind], rows, np.zeros(3, int), ref.GATES, ref.GATE_YAW)
+    columns = slice(12, 16) if kind == "motor" else slice(12, 13)
+    np.testing.assert_allclose(found[:, columns], wanted[:, columns], atol=1e-5)
+
+
+def test_shipped_tracks():
+    square = make_race()[1].track
+    np.testing.assert_allclose(square.position.array(), ref.GATES)
+    np.testing.assert_allclose(square.yaw, ref.GATE_YAW, rtol=1e-6)
+    np.testing.assert_array_equal(square.half_width, 0.5)
+    np.testing.assert_array_equal(square.half_height, 0.5)
+    config = make_config("track.file=figure8.yaml")
+    track = build_params(config).track
+    assert track.yaw.shape == (6,) and choices_of(config).kind == "motor"
+    for index, gate in enumerate(config.track.gates):
+        np.testing.assert_allclose(track.position.array()[index], gate.position, rtol=1e-6)
+        assert float(track.yaw[index]) == pytest.approx(np.radians(gate.yaw_deg), rel=1e-6)
+        assert 2 * float(track.half_width[index]) == pytest.approx(gate.size[0], rel=1e-6)
+        assert 2 * float(track.half_height[index]) == pytest.approx(gate.size[1], rel=1e-6)
+
+
+def test_width_and_height_are_told_apart():
+    track = make_track(jnp.zeros((1, 3)), jnp.zeros(1), jnp.array([[3.0, 1.0]]))
+    assert track.half_width[0] == 1.5 and track.half_height[0] == 0.5

@@ -1,0 +1,315 @@
+"""Gates, collisions, ends of an episode and the reward, one step at a time."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.race import rules
+from quadjax.race.build import exact_rules
+from quadjax.race.track import gate
+from tests import reference as ref
+from tests.convert import rows_of, vec3
+from tests.race.support import (
+    HOVER,
+    compiled_transition,
+    level,
+    make_race,
+    normal,
+    race_state,
+    step,
+    through,
+    track_of,
+)
+
+FLAGS = ("gate_collision", "ground", "out_of_bounds", "attitude", "non_finite")
+FAR = np.array([0.0, 0.0, -1.5])  # in the middle of the track, away from every plane
+
+
+@pytest.fixture(scope="module")
+def race():
+    return make_race()
+
+
+def cross(track, target, before, after, margin=0.0, world_box=False):
+    """(passed, hit) of moves between rows of positions."""
+    g = gate(track, jnp.int32(target))
+    before, after = (np.atleast_2d(np.asarray(x, np.float32)) for x in (before, after))
+    decide = jax.vmap(lambda b, a: rules.crossing(b, a, g, jnp.float32(margin), world_box))
+    passed, hit = decide(vec3(before), vec3(after))
+    return np.asarray(passed), np.asarray(hit)
+
+
+@pytest.mark.parametrize("target", range(4))
+@pytest.mark.parametrize("world_box", [False, True])
+def test_each_gate_is_passed_forwards_only(target, world_box):
+    track = track_of(ref.GATES, ref.GATE_YAW)
+    behind, ahead = through(target, -0.05), through(target, 0.05)
+    assert cross(track, target, behind, ahead, 0, world_box) == (True, False)
+    assert cross(track, target, ahead, behind, 0, world_box) == (False, False)
+    assert cross(track, target, through(target, -0.1), behind, 0, world_box) == (False, False)
+    assert cross(track, target, ahead, through(target, 0.1), 0, world_box) == (False, False)
+
+
+@pytest.mark.parametrize("target", range(4))
+@pytest.mark.parametrize("margin", [0.0, 0.1])
+def test_inside_the_square_passes_and_outside_collides(target, margin):
+    track, edge = track_of(ref.GATES, ref.GATE_YAW), 0.5 - margin
+    for right, down in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]:
+        for offset, passes in [(edge - 0.01, True), (edge + 0.01, False)]:
+            before = through(target, -0.05, offset * right, offset * down)
+            after = through(target, 0.05, offset * right, offset * down)
+            assert cross(track, target, before, after, margin) == (passes, not passes)
+
+
+def test_gates_have_their_own_width_and_height():
+    track = track_of(np.array([[0, 0, -2.0]]), np.zeros(1), size=(2.0, 0.6))
+    for right, down, passes in [
+        (0.9, 0, True),
+        (1.1, 0, False),
+        (0, 0.25, True),
+        (0, -0.35, False),
+    ]:
+        move = [-0.05, right, -2 + down], [0.05, right, -2 + down]
+        assert cross(track, 0, *move) == (passes, not passes)
+        assert cross(track, 0, *move, world_box=True) == (passes, not passes)
+
+
+def test_the_plane_itself_counts_as_past_it():
+    track = track_of(np.array([[0, 0, -2.0]]), np.zeros(1))
+    assert cross(track, 0, [-0.1, 0, -2], [0.0, 0, -2]) == (True, False)
+    assert cross(track, 0, [0.0, 0, -2], [0.1, 0, -2]) == (False, False)
+
+
+def test_world_box_is_measured_in_world_axes():
+    """At 45 deg the box's corner reaches 0.707 m sideways, where the square ends at 0.5 m."""
+    track = track_of(ref.GATES, ref.GATE_YAW)
+    for right, square, box in [(0.4, True, True), (0.6, False, True), (0.75, False, False)]:
+        move = through(0, -0.05, right), through(0, 0.001, right)
+        assert cross(track, 0, *move) == (square, not square)
+        assert cross(track, 0, *move, world_box=True) == (box, not box)
+    low = through(0, -0.05, 0, 0.51), through(0, 0.001, 0, 0.51)
+    assert cross(track, 0, *low, world_box=True) == (False, True)
+    straight = track_of(np.array([[0, 0, -2.0]]), np.zeros(1))
+    assert cross(straight, 0, [-0.2, 0, -2], [0.49, 0, -2], world_box=True) == (True, False)
+    assert cross(straight, 0, [-0.2, 0, -2], [0.51, 0, -2], world_box=True) == (False, True)
+    assert cross(straight, 0, [-0.2, 0, -2], [0.51, 0, -2]) == (True, False)
+    assert cross(straight, 0, [-0.2, 0, -2], [0.3, 0, -2], 0.3, True) == (False, True)
+
+
+@pytest.mark.parametrize("target", range(4))
+def test_passing_advances_the_target_and_wraps_round(race, target):
+    rows = level(through(target, -0.02, 0.1, -0.2), 5 * normal(target))
+    following, value, outcome = step(race, rows, target, clock=7)
+    assert outcome.passed[0] and not outcome.terminated[0] and not outcome.truncated[0]
+    assert following.target[0] == (target + 1) % 4
+    assert following.gates_passed[0] == 1 and following.step[0] == 8
+    offset = np.linalg.norm([0.03, 0.1, 0.2])
+    assert value[0] == pytest.approx(10 - 10 * offset, abs=1e-4)
+
+
+@pytest.mark.parametrize("target", range(4))
+def test_missing_the_opening_is_a_collision(race, target):
+    rows = level(through(target, -0.02, 0.6), 5 * normal(target))
+    following, value, outcome = step(race, rows, target)
+    assert flags(outcome, 0) == {"gate_collision"} and not outcome.passed[0]
+    assert following.target[0] == target and following.gates_passed[0] == 0
+    assert value[0] == -10
+
+
+def test_only_the_target_gate_counts(race):
+    rows = level(np.stack([through(0, -0.02), through(0, -0.02, 0.6)]), 5 * normal(0))
+    following, value, outcome = step(race, rows, target=2)
+    assert not np.any(outcome.passed) and not np.any(outcome.terminated)
+    np.testing.assert_array_equal(following.target, 2)
+    assert np.all(np.abs(value) <= 0.05 + 1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 6, 20])
+def test_any_number_of_gates(race, count):
+    """Round a circle of gates, through each in turn and back to the first."""
+    turn = 2 * np.pi * np.arange(count) / count
+    gates = np.stack([4 * np.cos(turn), 4 * np.sin(turn), np.full(count, -2.0)], 1)
+    params = race[1].replace(track=track_of(gates, turn + np.pi / 2))
+    ahead = np.stack([-np.sin(turn), np.cos(turn), 0 * turn], 1)
+    rows = level(gates - 0.02 * ahead, 5 * ahead)
+    following, _, outcome = step((race[0], params), rows, target=np.arange(count))
+    assert np.all(outcome.passed)
+    np.testing.assert_array_equal(following.target, (np.arange(count) + 1) % count)
+
+
+def flags(outcome, index):
+    return {name for name in FLAGS if bool(getattr(outcome, name)[index])}
+
+
+def test_every_way_to_crash(race):
+    """The ground, the four walls and the attitude; close to each limit, and no other flag."""
+    _, params = race
+    limits = params.limits.replace(pitch=jnp.float32(1.0), roll=jnp.float32(1.5))
+    race = (race[0], params.replace(limits=limits))
+    cases = []
+
+    def case(expected, position=FAR, velocity=(0, 0, 0), **columns):
+        row = level(position, np.asarray(velocity, float))[0]
+        for column, value in columns.items():
+            row[int(column[1:])] = value
+        cases.append((expected, row))
+
+    case(set())
+    case({"ground"}, [0, 0, -0.02], [0, 0, 5])
+    case(set(), [0, 0, -0.08], [0, 0, 5])
+    case(set(), [0, 0, -60], [0, 0, -5])
+    for axis in (0, 1):
+        for sign in (1, -1):
+            move = sign * np.eye(3)[axis]
+            case({"out_of_bounds"}, FAR + 9.98 * move, 5 * move)
+            case(set(), FAR + 9.9 * move, 5 * move)
+    for column in ("c9", "c10", "c11"):
+        for sign in (1, -1):
+            case({"out_of_bounds"}, **{column: sign * 1010.0})
+            case(set(), **{column: sign * 900.0})
+    for column, limit in (("c6", 1.5), ("c7", 1.0)):
+        for sign in (1, -1):
+            case({"attitude"}, **{column: sign * (limit + 0.01)})
+            case(set(), **{column: sign * (limit - 0.01)})
+    expected, rows = zip(*cases, strict=True)
+    rows = np.stack(rows)
+    # High rates turn the drone within the step, which is not what is asked here.
+    limits = limits.replace(roll=jnp.float32(1e3), pitch=jnp.float32(1e3))
+    fast = np.abs(rows[:, ref.RATES]).max(axis=1) > 100
+    for chosen, bound in ((~fast, race[1].limits), (fast, limits)):
+        params = race[1].replace(limits=bound)
+        following, value, outcome = step((race[0], params), rows[chosen], target=1)
+        for index, wanted in enumerate(np.array(expected, object)[chosen]):
+            assert flags(outcome, index) == wanted, rows[chosen][index]
+            assert bool(outcome.terminated[index]) == bool(wanted)
+            assert (float(value[index]) == -10) == bool(wanted)
+        np.testing.assert_array_equal(following.target, 1)
+
+
+def test_a_crash_at_the_gate_is_no_pass(race):
+    """Through the opening, but below the ground, in a gate that reaches into it."""
+    track = track_of(np.array([[0, 0, -0.2]]), np.zeros(1))
+    rows = level(np.array([-0.02, 0, 0.1]), np.array([5.0, 0, 0]))
+    following, value, outcome = step((race[0], race[1].replace(track=track)), rows)
+    assert flags(outcome, 0) == {"ground"} and not outcome.passed[0]
+    assert following.gates_passed[0] == 0 and value[0] == -10
+
+
+def test_truncation_is_not_termination(race):
+    rows = np.repeat(level(FAR, np.zeros(3)), 3, axis=0)
+    rows[2, 2], rows[2, 5] = -0.01, 5.0
+    _, value, outcome = step(race, rows, clock=np.array([1198, 1199, 1199]))
+    np.testing.assert_array_equal(outcome.truncated, [False, True, False])
+    np.testing.assert_array_equal(outcome.terminated, [False, False, True])
+    assert float(value[1]) == pytest.approx(float(value[0]), abs=1e-6) and value[2] == -10
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_state_that_is_not_finite_is_a_crash_and_nothing_more(kind, bad):
+    race = make_race(f"vehicle.kind={kind}", "reward.rates=0.1", "reward.time=0.2")
+    rows = ref.random_states(kind, 4)
+    rows[:, ref.P], rows[:, ref.RATES] = FAR, 0.5
+    velocity = rows.copy()
+    velocity[1, 3] = 3e38  # its square is not finite, nor is its drag
+    velocity[1, 6:9] = 0.3
+    action = np.full((4, 4), 0.1, np.float32)
+    action[2, 3] = bad
+    following, value, outcome = step(race, velocity, action=action, kind=kind)
+    state = rows_of(following.drone)
+    assert np.all(np.isfinite(state[[0, 2, 3]])) and np.all(
+        np.isfinite(value[jnp.array([0, 2, 3])])
+    )
+    if np.isnan(bad):
+        assert flags(outcome, 2) == {"non_finite"} and outcome.terminated[2]
+        np.testing.assert_array_equal(state[2], velocity[2].astype(np.float32))
+        assert value[2] == pytest.approx(-10 - 0.01 * (0.2 + 0.1 * np.sqrt(0.75)), rel=1e-5)
+    else:  # an infinite action is a saturated one
+        assert not outcome.terminated[2]
+    assert not outcome.non_finite[0] and not outcome.non_finite[3]
+    if kind == "motor":
+        assert outcome.non_finite[1] and outcome.terminated[1]
+        np.testing.assert_array_equal(state[1], velocity[1].astype(np.float32))
+
+
+def weights(**kept):
+    zeros = {field.name: 0.0 for field in dataclasses.fields(rules.RewardWeights)} | kept
+    return rules.RewardWeights(**{name: jnp.float32(value) for name, value in zeros.items()})
+
+
+@pytest.mark.parametrize(
+    ("kept", "expected"),
+    [  # flying on, passing, hitting
+        ({"progress": 2.0}, (2 * 0.05, 0.0, 0.0)),
+        ({"gate": 3.0}, (0.0, 3.0, 0.0)),
+        ({"gate_offset": 4.0}, (0.0, -4 * np.hypot(0.03, 0.2), 0.0)),
+        ({"collision": 5.0}, (0.0, 0.0, -5.0)),
+        ({"time": 6.0}, (-0.06, -0.06, -0.06)),
+        ({"rates": 7.0}, (-0.07 * 1.5, -0.07 * 1.5, -0.07 * 1.5)),
+    ],
+)
+def test_each_term_of_the_reward(race, kept, expected):
+    rows = level(np.stack([through(0, -1), through(0, -0.02, 0.2), through(0, -0.02, 0.6)]), 0.0)
+    rows[:, ref.V] = 5 * normal(0)
+    choices, params = race
+    quiet = {name: jnp.float32(0) for name in ("k_pv", "k_qv", "k_rr")}
+    still = params.vehicle.constants.replace(
+        **quiet, i_xx=jnp.float32(1), i_yy=jnp.float32(1), i_zz=jnp.float32(1)
+    )
+    params = params.replace(reward=weights(**kept), vehicle=params.vehicle.replace(constants=still))
+    rows[:, ref.RATES] = [1.0, 1.0, 0.5]
+    _, value, outcome = step((choices, params), rows)
+    assert outcome.passed[1] and outcome.gate_collision[2]
+    np.testing.assert_allclose(value, expected, atol=2e-5)
+
+
+def test_default_reward_is_the_published_one(race):
+    values = {name: float(x) for name, x in vars(race[1].reward).items()}
+    assert values == {
+        "progress": 1.0,
+        "gate": 10.0,
+        "gate_offset": 10.0,
+        "collision": 10.0,
+        "time": 0.0,
+        "rates": 0.0,
+    }
+
+
+def test_default_limits_are_the_published_ones(race):
+    limits = {name: float(x) for name, x in vars(race[1].limits).items()}
+    assert limits["dt"] == pytest.approx(0.01) and limits["max_steps"] == 1200
+    assert limits["position"] == 10 and limits["rate"] == 1000 and limits["gate_margin"] == 0
+    exact = exact_rules(make_race("episode.gate_margin=0.1", "episode.pitch_limit_deg=60")[1])
+    assert float(exact.limits.gate_margin) == 0
+    assert float(exact.limits.pitch) == pytest.approx(np.radians(89))
+    assert float(exact.limits.roll) > np.pi
+
+
+def test_gate_margin_of_the_config(race):
+    margin = make_race("episode.gate_margin=0.1")
+    rows = level(through(1, -0.02, 0.45), 5 * normal(1))
+    assert step(race, rows, 1)[2].passed[0] and step(margin, rows, 1)[2].gate_collision[0]
+    box = make_race("episode.gate_test=world_box")
+    rows = level(through(1, -0.02, 0.6), 2.5 * normal(1))
+    assert step(race, rows, 1)[2].gate_collision[0] and step(box, rows, 1)[2].passed[0]
+
+
+def test_yaw_stays_wrapped(race):
+    rows = np.repeat(level(FAR, np.zeros(3)), 2, axis=0)
+    rows[:, 8], rows[:, 11] = [3.14, -3.14], [10.0, -10.0]
+    yaw = rows_of(step(race, rows)[0].drone)[:, 8]
+    np.testing.assert_allclose(yaw, [3.24 - 2 * np.pi, 2 * np.pi - 3.24], atol=1e-4)
+
+
+def test_one_compilation_serves_every_set_of_numbers(race):
+    compiled = compiled_transition(race[0])
+    before = compiled._cache_size()
+    changed = make_race("vehicle.motor.k_w=5e-8", "reward.gate=1", "episode.max_steps=300")[1]
+    state = race_state("motor", level(FAR, np.zeros(3)))
+    compiled(race[1], state, jnp.full((1, 4), HOVER, jnp.float32))
+    after = compiled._cache_size()
+    compiled(changed, state, jnp.full((1, 4), HOVER, jnp.float32))
+    assert compiled._cache_size() == after and after - before <= 1

@@ -1,0 +1,167 @@
+"""Where episodes begin: ranges, gates, clocks, disturbances and drawn constants."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.race import environment
+from quadjax.race.start import RandomiseFractions, draw_constants
+from quadjax.vehicle.constants import GROUPS
+from tests import reference as ref
+from tests.convert import rows_of
+from tests.race.support import compiled_reset, make_race, track_of
+
+COUNT = 4000
+AUTHORS = ("start.roll_pitch_deg=20", "start.rates=0.1")
+
+
+def starts(*words):
+    choices, params = make_race(*words)
+    state = compiled_reset(choices)(params, jax.random.split(jax.random.key(0), COUNT))
+    return state, rows_of(state.drone)
+
+
+def spans(values, low, high):
+    """Whether drawn numbers fill [low, high] and no more, evenly."""
+    low, high = (np.broadcast_to(x, values.shape[1:]).astype(float) for x in (low, high))
+    width = high - low
+    assert np.all(values.min(axis=0) >= low - 1e-5) and np.all(values.max(axis=0) <= high + 1e-5)
+    assert np.all(values.min(axis=0) <= low + 0.01 * width)
+    assert np.all(values.max(axis=0) >= high - 0.01 * width)
+    np.testing.assert_allclose(values.mean(axis=0), 0.5 * (low + high), atol=0.03 * width.max())
+    np.testing.assert_allclose(values.std(axis=0), width / np.sqrt(12), rtol=0.05)
+
+
+def independent(rows, columns):
+    """Whether no two drawn columns go together."""
+    correlation = np.corrcoef(rows[:, columns].T) - np.eye(len(columns))
+    assert np.max(np.abs(correlation)) < 0.08
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+@pytest.mark.parametrize(("words", "tilt", "rates"), [((), 40.0, 1.0), (AUTHORS, 20.0, 0.1)])
+def test_ranges(kind, words, tilt, rates):
+    state, rows = starts(f"vehicle.kind={kind}", *words)
+    spans(rows[:, ref.P] - ref.GATES[3], -0.5, 0.5)
+    spans(rows[:, ref.V], -0.5, 0.5)
+    angle = np.radians([tilt, tilt, 180.0])
+    spans(rows[:, ref.EULER], -angle, angle)
+    spans(rows[:, ref.RATES], -rates, rates)
+    if kind == "motor":
+        spans(rows[:, ref.RPM], 3000.0, 11000.0)
+        np.testing.assert_array_equal(rows[:, 16:], 0.0)
+    else:
+        spans(rows[:, ref.THRUST], 7.4, 7.6)
+    independent(rows, list(range(16 if kind == "motor" else 13)))
+    for count in (state.target, state.step, state.gates_passed):
+        assert count.dtype == jnp.int32
+        np.testing.assert_array_equal(count, 0)
+    assert state.constants is None
+
+
+def test_each_range_of_the_config():
+    _, rows = starts(
+        "start.position=0.1", "start.velocity=2", "start.yaw_deg=30", "vehicle.motor.rpm_min=5000"
+    )
+    spans(rows[:, ref.P] - ref.GATES[3], -0.1, 0.1)
+    spans(rows[:, ref.V], -2, 2)
+    spans(rows[:, 8:9], -np.pi / 6, np.pi / 6)
+    spans(rows[:, ref.RPM], 5000.0, 11000.0)
+    _, rows = starts("vehicle.kind=rate", "start.thrust=[2, 9]")
+    spans(rows[:, ref.THRUST], 2.0, 9.0)
+
+
+def test_disturbances():
+    names = ("moment_x=0.03", "moment_y=0.02", "moment_z=0.01", "force_z=0.5")
+    _, rows = starts(*(f"disturbance.{name}" for name in names))
+    spans(rows[:, ref.MOMENT], [-0.03, -0.02, -0.01], [0.03, 0.02, 0.01])
+    spans(rows[:, 21:22], -0.5, 0.5)
+    np.testing.assert_array_equal(rows[:, 19:21], 0.0)
+    independent(rows, [0, 5, 8, 11, 12, 15, 16, 17, 18, 21])
+
+
+@pytest.mark.parametrize("gates", [1, 4, 6, 20])
+def test_random_gate(gates):
+    choices, params = make_race("episode.random_gate=true")
+    turn = 2 * np.pi * np.arange(gates) / gates
+    centres = np.stack([9 * np.cos(turn), 9 * np.sin(turn), np.full(gates, -2.0)], 1)
+    params = params.replace(track=track_of(centres, turn))
+    keys = jax.random.split(jax.random.key(1), COUNT)
+    state = compiled_reset(choices)(params, keys)
+    target = np.asarray(state.target)
+    share = np.bincount(target, minlength=gates) / COUNT
+    assert len(share) == gates
+    np.testing.assert_allclose(share, 1 / gates, atol=4 * np.sqrt(0.25 / gates / COUNT) + 0.005)
+    offset = rows_of(state.drone)[:, ref.P] - centres[(target - 1) % gates]
+    spans(offset, -0.5, 0.5)
+
+
+def test_staggered_clocks():
+    state, rows = starts("episode.stagger_clocks=true", "episode.random_gate=true")
+    clock = np.asarray(state.step)
+    assert clock.min() >= 0 and clock.max() < 1200
+    assert np.abs(np.histogram(clock, 10, (0, 1200))[0] / COUNT - 0.1).max() < 0.02
+    assert abs(np.corrcoef(clock, np.asarray(state.target))[0, 1]) < 0.08
+    assert abs(np.corrcoef(clock, rows[:, 8])[0, 1]) < 0.08
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_each_group_of_constants_is_drawn_by_itself(kind):
+    nominal = make_race(f"vehicle.kind={kind}")[1].vehicle.constants
+    none = {field.name: jnp.float32(0) for field in dataclasses.fields(RandomiseFractions)}
+    assert set(none) == set(GROUPS)
+    drawn = jax.random.uniform(
+        jax.random.key(0), (COUNT, len(vars(nominal))), minval=-1.0, maxval=1.0
+    )
+    draw = jax.jit(jax.vmap(draw_constants, in_axes=(None, None, 0)))
+    for group, names in GROUPS.items():
+        found = draw(nominal, RandomiseFractions(**none | {group: jnp.float32(0.2)}), drawn)
+        for name, values in vars(found).items():
+            value = float(getattr(nominal, name))
+            if name in names and value != 0:
+                spans(np.asarray(values)[:, None] / value, 0.8, 1.2)
+            else:
+                np.testing.assert_array_equal(values, np.float32(value))
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_randomisation_of_the_config_reaches_the_episode(kind):
+    """The drawn constants are the episode's own, drawn apart from its start."""
+    words = (f"vehicle.kind={kind}", "randomise.lag=0.3", "randomise.limits=0.1")
+    state, rows = starts(*words)
+    lags = {"motor": ("tau",), "rate": ("tau_rate", "tau_thrust")}[kind]
+    nominal = make_race(*words)[1].vehicle.constants
+    for name in lags:
+        values = np.asarray(getattr(state.constants, name))
+        spans(values[:, None] / float(getattr(nominal, name)), 0.7, 1.3)
+        for column in range(13):
+            assert abs(np.corrcoef(values, rows[:, column])[0, 1]) < 0.08
+    np.testing.assert_array_equal(state.constants.g, np.float32(9.81))
+    if kind == "motor":  # the propellers start within what this drone can do
+        low = np.asarray(state.constants.rpm_min)[:, None]
+        high = np.asarray(state.constants.rpm_max)[:, None]
+        spans((rows[:, ref.RPM] - low) / (high - low), 0.0, 1.0)
+
+
+def test_hover_start():
+    for kind, actuators in (("motor", 7497.0), ("rate", 9.81)):
+        _, params = make_race(f"vehicle.kind={kind}")
+        state = environment.hover_start(params)
+        row = rows_of(state.drone)
+        np.testing.assert_allclose(row[ref.P], ref.GATES[3])
+        np.testing.assert_array_equal(row[[3, 4, 5, 6, 7, 9, 10, 11]], 0.0)
+        assert row[8] == pytest.approx(0.0, abs=1e-6)  # the first gate is straight north
+        np.testing.assert_allclose(row[12 : 16 if kind == "motor" else 13], actuators, rtol=1e-4)
+        assert state.target == 0 and state.step == 0 and state.gates_passed == 0
+
+
+def test_starts_repeat_with_their_key():
+    choices, params = make_race()
+    reset = compiled_reset(choices)
+    one, two = (reset(params, jax.random.split(jax.random.key(7), COUNT)) for _ in range(2))
+    jax.tree.map(np.testing.assert_array_equal, one, two)
+    other = reset(params, jax.random.split(jax.random.key(8), COUNT))
+    assert np.all(rows_of(one.drone)[:, 0] != rows_of(other.drone)[:, 0])

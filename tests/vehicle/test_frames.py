@@ -1,0 +1,121 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.vehicle import frames
+from quadjax.vehicle.vector import Rotors, Vec3, dot, safe_norm
+from tests import reference as ref
+from tests.convert import vec3
+
+
+@pytest.fixture(scope="module")
+def draw():
+    return np.random.default_rng(3)
+
+
+@pytest.fixture(scope="module")
+def euler():
+    return ref.random_states("motor", 3000)[:, ref.EULER]
+
+
+def test_sincos_stays_within_1e_7_over_20_rad():
+    angle = np.linspace(-20, 20, 400_001).astype(np.float32)
+    sine, cosine = jax.jit(frames.sincos)(angle)
+    assert np.max(np.abs(np.asarray(sine, float) - np.sin(angle.astype(float)))) < 1e-7
+    assert np.max(np.abs(np.asarray(cosine, float) - np.cos(angle.astype(float)))) < 1e-7
+
+
+def test_sincos_at_quarter_turns():
+    sine, cosine = frames.sincos(jnp.asarray(np.pi / 2 * np.arange(-8, 9), jnp.float32))
+    np.testing.assert_allclose(sine, np.tile([0, 1, 0, -1], 5)[:17], atol=1e-6)
+    np.testing.assert_allclose(cosine, np.tile([1, 0, -1, 0], 5)[:17], atol=1e-6)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_sincos_derivative(wide):
+    angle = np.linspace(-20, 20, 1001)
+    with jax.enable_x64(wide):
+        x = jnp.asarray(angle, jnp.float64 if wide else jnp.float32)
+        d_sine = jax.vmap(jax.grad(lambda a: frames.sincos(a)[0]))(x)
+        d_cosine = jax.vmap(jax.grad(lambda a: frames.sincos(a)[1]))(x)
+        assert d_sine.dtype == x.dtype
+    tolerance = 1e-12 if wide else 1e-6
+    np.testing.assert_allclose(d_sine, np.cos(np.asarray(x, float)), atol=tolerance)
+    np.testing.assert_allclose(d_cosine, -np.sin(np.asarray(x, float)), atol=tolerance)
+
+
+def test_wrap_angle():
+    angle = np.linspace(-30, 30, 2001).astype(np.float32)
+    wrapped = np.asarray(frames.wrap_angle(jnp.asarray(angle)), float)
+    assert np.max(np.abs(wrapped)) <= np.pi + 1e-5
+    turns = (angle - wrapped) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-5)
+    gradient = jax.vmap(jax.grad(frames.wrap_angle))(jnp.asarray(angle))
+    np.testing.assert_array_equal(gradient, 1.0)
+
+
+def test_rotation_matrix_is_the_product_of_yaw_pitch_and_roll(euler):
+    with jax.enable_x64(True):
+        found = np.asarray(jax.vmap(frames.rotation_matrix)(vec3(euler)))
+    np.testing.assert_allclose(found, ref.rotation(euler), atol=1e-13)
+    assert np.max(np.abs(found @ np.swapaxes(found, 1, 2) - np.eye(3))) < 1e-13
+    np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-13)
+
+
+def test_rotation_by_hand():
+    nose_east = frames.rotation_matrix(Vec3(*map(jnp.float32, (0.0, 0.0, np.pi / 2))))
+    np.testing.assert_allclose(nose_east @ jnp.array([1.0, 0, 0]), [0, 1, 0], atol=1e-6)
+    nose_up = frames.rotation_matrix(Vec3(*map(jnp.float32, (0.0, np.pi / 2, 0.0))))
+    np.testing.assert_allclose(nose_up @ jnp.array([1.0, 0, 0]), [0, 0, -1], atol=1e-6)
+    right_wing_down = frames.rotation_matrix(Vec3(*map(jnp.float32, (np.pi / 2, 0.0, 0.0))))
+    np.testing.assert_allclose(right_wing_down @ jnp.array([0, 1.0, 0]), [0, 0, 1], atol=1e-6)
+
+
+def test_body_and_world_are_inverse(euler, draw):
+    vector = draw.normal(size=euler.shape)
+    with jax.enable_x64(True):
+        a = frames.attitude(vec3(euler))
+        world = frames.body_to_world(a, vec3(vector))
+        np.testing.assert_allclose(
+            world.array(), ref.rotate(ref.rotation(euler), vector), atol=1e-12
+        )
+        np.testing.assert_allclose(frames.world_to_body(a, world).array(), vector, atol=1e-12)
+
+
+def test_euler_rates_turn_the_rotation_matrix_as_the_body_rates_do(euler, draw):
+    """``R' = R [Omega]x``, with the derivative of R taken numerically."""
+    rates = draw.uniform(-10, 10, euler.shape)
+    with jax.enable_x64(True):
+        found = np.asarray(frames.euler_rates(frames.attitude(vec3(euler)), vec3(rates)).array())
+    np.testing.assert_allclose(found, ref.euler_rates(euler, rates), rtol=1e-9, atol=1e-9)
+    h = 1e-6
+    slope = (ref.rotation(euler + h * found) - ref.rotation(euler - h * found)) / (2 * h)
+    spin = np.zeros((len(rates), 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        spin[:, k, j], spin[:, j, k] = rates[:, i], -rates[:, i]
+    scale = 1 + np.abs(found).max(axis=1)[:, None, None] ** 2
+    assert np.max(np.abs(slope - ref.rotation(euler) @ spin) / scale) < 1e-7
+
+
+def test_vector_arithmetic():
+    a, b = Vec3.of(jnp.array([1.0, 2.0, 3.0])), Vec3.of(jnp.array([4.0, -5.0, 6.0]))
+    np.testing.assert_array_equal((a + b).array(), [5, -3, 9])
+    np.testing.assert_array_equal((a - b).array(), [-3, 7, -3])
+    np.testing.assert_array_equal((a * b).array(), [4, -10, 18])
+    np.testing.assert_array_equal((2.0 * a).array(), [2, 4, 6])
+    np.testing.assert_array_equal((a * 2.0).array(), [2, 4, 6])
+    np.testing.assert_array_equal((b / 2.0).array(), [2, -2.5, 3])
+    assert dot(a, b) == 12 and len(a) == 3 and a[1] == 2
+    rotors = Rotors.of(jnp.arange(4.0))
+    np.testing.assert_array_equal(rotors.array(), [0, 1, 2, 3])
+    np.testing.assert_array_equal(Rotors.same(7.0).array(), [7, 7, 7, 7])
+    assert len({id(component) for component in Vec3.zero().components()}) == 3
+
+
+def test_safe_norm():
+    assert safe_norm(Vec3(jnp.float32(3.0), jnp.float32(0.0), jnp.float32(-4.0))) == 5
+    gradient = jax.grad(safe_norm)
+    np.testing.assert_array_equal(gradient(Vec3.zero()).array(), [0, 0, 0])
+    slope = gradient(Vec3(jnp.float32(3.0), jnp.float32(0.0), jnp.float32(-4.0))).array()
+    np.testing.assert_allclose(slope, [0.6, 0, -0.8], rtol=1e-6)

@@ -1,0 +1,273 @@
+"""Both models against the double-precision reference, term by term and sign by sign."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.vehicle import motor, rate
+from quadjax.vehicle.constants import GROUPS, MotorConstants, RateConstants, constant_names
+from tests import reference as ref
+from tests.convert import command_of, constants, residual_of, rows_of, state_of
+
+COUNT = 4000
+FORCES = ("k_x", "k_y", "k_z", "k_w", "k_h")
+MOMENTS = ("k_p", "k_q", "k_pv", "k_qv", "k_r1", "k_r2", "k_rr")
+# The derivative's columns that a term reaches: world acceleration, or one body acceleration.
+REACHES = {
+    **{name: (3, 4, 5) for name in FORCES},
+    **{"k_p": (9,), "k_pv": (9,), "k_q": (10,), "k_qv": (10,)},
+    **{"k_r1": (11,), "k_r2": (11,), "k_rr": (11,)},
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _double():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="module")
+def motor_rows():
+    return ref.random_states("motor", COUNT), ref.random_commands("motor", COUNT)
+
+
+@pytest.fixture(scope="module")
+def motor_slope():
+    """Rows of derivatives; one compilation for all sets of constants."""
+    fly = jax.jit(jax.vmap(motor.derivative, in_axes=(None, 0, 0)))
+
+    def slope(values, rows, commands, residual=None):
+        net = None if residual is None else residual_of(residual)
+        params = motor.MotorParams(constants("motor", values), net)
+        return rows_of(fly(params, state_of("motor", rows), command_of("motor", commands)))
+
+    return slope
+
+
+def agree(found, expected, tolerance=1e-11):
+    scale = np.maximum(np.abs(expected).max(axis=0), 1e-3)
+    assert np.max(np.abs(found - expected) / scale) < tolerance
+
+
+def quiet(**kept):
+    """The Bebop's constants with every force and moment off but for those ``kept``."""
+    return ref.MOTOR | dict.fromkeys(FORCES + MOMENTS, 0.0) | kept
+
+
+def at_rest(**columns):
+    """One level drone at rest with equal propellers, but for the columns given."""
+    rows = np.zeros((1, 22))
+    rows[:, ref.RPM] = 7000.0
+    for column, value in columns.items():
+        rows[0, int(column[1:])] = value
+    return rows
+
+
+HOLD = np.full((1, 4), 7000.0)
+
+
+def test_motor_model(motor_rows, motor_slope):
+    found = motor_slope(ref.MOTOR, *motor_rows)
+    agree(found, ref.motor_derivative(ref.MOTOR, *motor_rows))
+    np.testing.assert_array_equal(found[:, 16:], 0.0)
+
+
+@pytest.mark.parametrize("name", FORCES + MOMENTS)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_each_term_alone(motor_rows, motor_slope, name, sign):
+    values = quiet(**{name: sign * ref.MOTOR[name]})
+    found = motor_slope(values, *motor_rows)
+    agree(found, ref.motor_derivative(values, *motor_rows))
+    change = np.abs(found - motor_slope(quiet(), *motor_rows)).max(axis=0)
+    assert set(np.flatnonzero(change > 1e-6)) == set(REACHES[name])
+
+
+@pytest.mark.parametrize("name", ["g", "i_xx", "i_yy", "i_zz", "tau"])
+def test_each_property(motor_rows, motor_slope, name):
+    values = ref.MOTOR | {name: 1.3 * ref.MOTOR[name]}
+    agree(motor_slope(values, *motor_rows), ref.motor_derivative(values, *motor_rows))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_residual_networks(motor_rows, motor_slope, sign):
+    residual = ref.random_residual(sign)
+    found = motor_slope(ref.MOTOR, *motor_rows, residual)
+    agree(found, ref.motor_derivative(ref.MOTOR, *motor_rows, residual))
+    change = found - motor_slope(ref.MOTOR, *motor_rows)
+    assert np.abs(change[:, 3:6]).max() > 0.5 and np.abs(change[:, 9:12]).max() > 5
+    body = ref.rotate(np.swapaxes(ref.rotation(motor_rows[0][:, ref.EULER]), 1, 2), change[:, 3:6])
+    np.testing.assert_allclose(body[:, :2], 0.0, atol=1e-12)
+
+
+def test_residual_sign_turns_the_thrust_and_not_the_moment(motor_rows, motor_slope):
+    base = motor_slope(ref.MOTOR, *motor_rows)
+    up, down = (
+        motor_slope(ref.MOTOR, *motor_rows, ref.random_residual(sign)) - base
+        for sign in (1.0, -1.0)
+    )
+    np.testing.assert_allclose(up[:, 3:6], -down[:, 3:6], atol=1e-12)
+    np.testing.assert_allclose(up[:, 9:12], down[:, 9:12], atol=1e-12)
+
+
+def test_residual_input_order(motor_slope):
+    """One linear unit for each input in turn: propellers scaled, then velocity, then rates."""
+    rows = ref.random_states("motor", 1)
+    rows[:, ref.EULER] = 0.0
+    rpm = (rows[0, ref.RPM] - 3000) / 4000 - 1
+    inputs = np.concatenate([rpm, rows[0, ref.V], rows[0, ref.RATES]])
+    base = motor_slope(ref.MOTOR, rows, HOLD)
+    for index, value in enumerate(inputs):
+        one = np.zeros((10, 1))
+        one[index] = 1.0
+        nothing = (np.zeros((7, 1)), np.zeros(1))
+        bias = np.full(1, 100.0)  # keeps the unit on
+        residual = {
+            "thrust": [nothing if index > 6 else (one[:7], bias), (np.ones((1, 1)), -bias)],
+            "moment": [
+                (one, bias),
+                (1e-4 * np.array([[1.0, 2, 3]]), -1e-2 * np.array([1.0, 2, 3])),
+            ],
+            "rpm_min": 3000.0,
+            "rpm_max": 11000.0,
+            "thrust_sign": 1.0,
+        }
+        change = (motor_slope(ref.MOTOR, rows, HOLD, residual) - base)[0]
+        if index < 7:
+            np.testing.assert_allclose(change[5], value, rtol=1e-6)
+        inertia = np.array([ref.MOTOR[name] for name in ("i_xx", "i_yy", "i_zz")])
+        np.testing.assert_allclose(
+            change[9:12] * inertia, 1e-4 * value * np.arange(1, 4), rtol=1e-6
+        )
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_external_force_and_moment(motor_slope, axis):
+    rows = at_rest()
+    rows[0, 19 + axis], rows[0, 16 + axis] = 0.3, 0.01
+    change = (motor_slope(quiet(), rows, HOLD) - motor_slope(quiet(), at_rest(), HOLD))[0]
+    expected = np.zeros(22)
+    expected[3 + axis] = 0.3
+    expected[9 + axis] = 0.01 / [0.000906, 0.001242, 0.002054][axis]
+    np.testing.assert_allclose(change, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("columns", "command", "column", "sign"),
+    [
+        ({"c3": 5.0}, HOLD, 3, -1),  # flying forward: drag backward
+        ({"c4": 5.0}, HOLD, 4, -1),  # flying right: drag to the left
+        ({"c3": 5.0}, HOLD, 10, +1),  # flying forward: nose up
+        ({"c4": 5.0}, HOLD, 9, -1),  # flying right: right wing up
+        ({"c12": 7100.0, "c15": 7100.0}, HOLD, 9, +1),  # left propellers faster: roll right
+        ({"c12": 7100.0, "c13": 7100.0}, HOLD, 10, +1),  # front propellers faster: nose up
+        ({"c13": 7100.0, "c15": 7100.0}, HOLD + [0, 100, 0, 100], 11, +1),  # yaw right
+        ({}, np.array([[7000.0, 8000, 7000, 8000]]), 11, +1),  # spinning up those two as well
+        ({"c11": 3.0}, HOLD, 11, -1),  # yaw damping
+        ({"c12": 9000.0}, np.array([[9000.0, 7000, 7000, 7000]]), 5, -1),  # more thrust: up
+    ],
+)
+def test_signs_by_hand(motor_slope, columns, command, column, sign):
+    base = motor_slope(ref.MOTOR, at_rest(), HOLD)
+    change = motor_slope(ref.MOTOR, at_rest(**columns), command) - base
+    assert sign * change[0, column] > 1e-4
+
+
+def test_sideways_flow_adds_lift_and_climbing_takes_thrust(motor_slope):
+    still = motor_slope(ref.MOTOR, at_rest(), HOLD)[0, 5]
+    fast = motor_slope(ref.MOTOR, at_rest(c3=5.0), HOLD)[0, 5]
+    assert fast - still == pytest.approx(-0.0625501332 * 25, rel=1e-9)
+    sinking = motor_slope(ref.MOTOR, at_rest(c5=2.0), HOLD)[0, 5]
+    assert sinking - still == pytest.approx(-2.7862899e-05 * 2 * 28000, rel=1e-9)
+
+
+def test_published_checks():
+    c = constants("motor", ref.MOTOR)
+    assert float(motor.hover_rpm(c)) == pytest.approx(7497, abs=1)
+    full = 4 * ref.MOTOR["k_w"] * 11000**2
+    assert full == pytest.approx(21.1, abs=0.05)
+    low, high = motor.command_range(c)
+    np.testing.assert_array_equal(low.array(), 3000.0)
+    np.testing.assert_array_equal(high.array(), 11000.0)
+
+
+def test_hover_is_an_equilibrium(motor_slope):
+    hover = float(motor.hover_rpm(constants("motor", ref.MOTOR)))
+    rows = at_rest()
+    rows[:, ref.RPM] = hover
+    rows[:, 8] = 0.7
+    slope = motor_slope(ref.MOTOR, rows, np.full((1, 4), hover))
+    np.testing.assert_allclose(slope, 0.0, atol=1e-12)
+
+
+def test_gyroscopic_moment_conserves_energy_and_angular_momentum(motor_rows, motor_slope):
+    slope = motor_slope(quiet(), motor_rows[0] * np.r_[[1] * 16, [0] * 6], motor_rows[1])
+    inertia = np.array([ref.MOTOR[name] for name in ("i_xx", "i_yy", "i_zz")])
+    rates, spin_up = motor_rows[0][:, ref.RATES], slope[:, ref.RATES]
+    np.testing.assert_allclose(np.sum(rates * inertia * spin_up, axis=1), 0.0, atol=1e-12)
+    assert np.abs(spin_up).max() > 10
+
+
+def test_single_precision_is_close(motor_rows):
+    rows, commands = motor_rows
+    with jax.enable_x64(False):
+        params = motor.MotorParams(
+            MotorConstants(**{k: jnp.float32(v) for k, v in ref.MOTOR.items()})
+        )
+        state = state_of("motor", rows.astype(np.float32))
+        command = command_of("motor", commands.astype(np.float32))
+        found = jax.jit(jax.vmap(motor.derivative, in_axes=(None, 0, 0)))(params, state, command)
+        assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(found))
+        found = rows_of(found)
+    agree(found, ref.motor_derivative(ref.MOTOR, rows, commands), 3e-6)
+
+
+@pytest.fixture(scope="module")
+def rate_slope():
+    fly = jax.jit(jax.vmap(rate.derivative, in_axes=(None, 0, 0)))
+
+    def slope(values, rows, commands):
+        params = rate.RateParams(constants("rate", values))
+        return rows_of(fly(params, state_of("rate", rows), command_of("rate", commands)))
+
+    return slope
+
+
+def test_rate_model(rate_slope):
+    rows, commands = ref.random_states("rate", COUNT), ref.random_commands("rate", COUNT)
+    agree(rate_slope(ref.RATE, rows, commands), ref.rate_derivative(ref.RATE, rows, commands))
+    for name in ("g", "d_x", "d_y", "tau_rate", "tau_thrust"):
+        for factor in (0.0, 1.7):
+            if factor == 0.0 and name.startswith("tau"):
+                continue
+            values = ref.RATE | {name: factor * ref.RATE[name]}
+            found = rate_slope(values, rows, commands)
+            agree(found, ref.rate_derivative(values, rows, commands))
+            assert np.abs(found - rate_slope(ref.RATE, rows, commands)).max() > 0.1
+
+
+def test_rate_model_by_hand(rate_slope):
+    rows = np.array([[0, 0, 0, 2.0, 3.0, 4.0, 0, 0, 0, 0.3, 0.2, 0.1, 9.0]])
+    found = rate_slope(ref.RATE, rows, np.array([[0.6, 0.2, -0.2, 9.3]]))[0]
+    expected = [2, 3, 4, -0.68, -1.29, 0.81, 0.3, 0.2, 0.1, 10.0, 0.0, -10.0, 10.0]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_rate_hover_is_an_equilibrium(rate_slope):
+    rows = np.zeros((1, 13))
+    rows[0, 8], rows[0, 12] = -1.1, 9.81
+    slope = rate_slope(ref.RATE, rows, np.array([[0, 0, 0, 9.81]]))
+    np.testing.assert_allclose(slope, 0.0, atol=1e-12)
+
+
+def test_rate_command_range():
+    low, high = rate.command_range(constants("rate", ref.RATE | {"p_max": 1, "q_max": 2}))
+    np.testing.assert_array_equal(jax.tree.leaves(low), [-1, -2, -3, 0])
+    np.testing.assert_array_equal(jax.tree.leaves(high), [1, 2, 3, 15])
+
+
+def test_every_constant_is_in_one_group():
+    grouped = [name for names in GROUPS.values() for name in names]
+    every = {*constant_names(MotorConstants), *constant_names(RateConstants)}
+    assert len(grouped) == len(set(grouped))
+    assert set(grouped) == every
