@@ -15,6 +15,8 @@ from quadjax.race.environment import RaceParams, make_environment
 from quadjax.schema import Config
 from quadjax.vehicle.residual import Residual
 
+STEPS_PER_CALL = 4_000_000  # environment steps in one timed call, about
+
 
 @dataclasses.dataclass(frozen=True)
 class Speed:
@@ -92,3 +94,99 @@ def environment_loop(
     placed = place(state, split)
     arguments = (params, placed, placed, jax.device_put(action, NamedSharding(mesh, specs[3])))
     return jax.jit(sharded, compiler_options=parallel.compile_options()), arguments
+
+
+def measure_environment(
+    config: Config, drones: int, residual: bool, observed: bool, repeats: int
+) -> Speed:
+    """Environment steps a second: step, reset where an episode ended, and maybe the observation.
+
+    Args:
+        config: of the race.
+        drones: in all; split over as many devices as divide them.
+        residual: fly with random residual networks.
+        observed: make the observation too.
+        repeats: to take the median of.
+    """
+    params = build_params(config)
+    if residual:
+        vehicle = params.vehicle.replace(residual=random_residual())
+        params = params.replace(vehicle=vehicle)
+    devices = choose_devices("auto", drones)
+    steps = min(20_000, max(50, STEPS_PER_CALL // drones))
+    loop, arguments = environment_loop(config, params, drones, steps, devices, observed)
+    began = time.perf_counter()
+    compiled = loop.lower(*arguments).compile()
+    compile_seconds = time.perf_counter() - began
+
+    def call() -> None:
+        jax.block_until_ready(compiled(*arguments))
+
+    return _speed(call, drones * steps, repeats, drones, devices, compile_seconds)
+
+
+def measure_training(config: Config, repeats: int) -> Speed:
+    """Training steps a second of a config, from its first updates."""
+    learner, params = build_learner(config), build_params(config)
+    devices = choose_devices(config.train.devices, learner.lanes)
+    mesh = parallel.make_mesh(devices)
+    state = parallel.place(start_state(config, learner, params), mesh)
+    updates = max(1, round(STEPS_PER_CALL / 10 / learner.steps_per_update))
+    chunk = parallel.make_chunk(learner, mesh, updates, state)
+    began = time.perf_counter()
+    compiled = chunk.func.lower(*chunk.args, params, state).compile()
+    compile_seconds = time.perf_counter() - began
+
+    def call() -> None:
+        nonlocal state
+        state, _ = jax.block_until_ready(compiled(*chunk.args, params, state))
+
+    steps = updates * learner.steps_per_update
+    return _speed(call, steps, repeats, config.train.drones, devices, compile_seconds)
+
+
+def _speed(
+    call: Callable[[], None],
+    steps: int,
+    repeats: int,
+    drones: int,
+    devices: int,
+    compile_seconds: float,
+) -> Speed:
+    call()  # the first call also touches memory for the first time
+    speeds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        speeds.append(steps / (time.perf_counter() - began))
+    middle = statistics.median(speeds)
+    return Speed(drones, devices, compile_seconds, middle, min(speeds), max(speeds))
+
+
+def machine() -> dict[str, str | int | float | None]:
+    """What this was measured on: processor, cores, memory, JAX and its device."""
+    return {
+        "processor": _processor(),
+        "cores": core_count(),
+        "memory_gib": _memory_gib(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "device": jax.devices()[0].device_kind,
+        "backend": jax.default_backend(),
+    }
+
+
+def _processor() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or "unknown"
+
+
+def _memory_gib() -> float | None:
+    try:
+        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
+    except (AttributeError, OSError, ValueError):
+        return None
