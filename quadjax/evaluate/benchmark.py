@@ -1,16 +1,24 @@
 """Speed of the environment and of training, compile time apart."""
 
+import contextlib
 import dataclasses
+import os
+import platform
+import statistics
+import time
 from collections.abc import Callable
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
+from quadjax.devices import choose_devices, core_count
 from quadjax.learn import parallel
 from quadjax.learn.state import AXIS, where_done
-from quadjax.race.build import choices_of
+from quadjax.learners import build_learner, start_state
+from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import RaceParams, make_environment
 from quadjax.schema import Config
 from quadjax.vehicle.residual import Residual
