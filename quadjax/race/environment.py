@@ -147,20 +147,23 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
 
     Propeller speeds and thrust are scaled by the nominal range, which is what a policy knows.
     """
-    g = staged(gate, _always(params), params.track, state.target)
+    always = _always(params)
+    g = staged(gate, always, params.track, state.target)
+    return jnp.stack(staged(functools.partial(_numbers, choices), always, params, state, g))
+
+
+def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) -> list[jax.Array]:
     nominal = params.vehicle.constants
     if choices.kind == "rate":
-        numbers = observation.rate_numbers(nominal, state.drone, g)
-        return jnp.stack(stage(numbers, _always(params)))
+        return observation.rate_numbers(nominal, state.drone, g)
     moment, force_z = Vec3.zero(), jnp.zeros(())
     if choices.disturbance_input == "true":
         moment, force_z = state.drone.moment_ext, state.drone.force_ext.z
     elif choices.disturbance_input == "estimated":
         moment, force_z = state.estimate.moment, state.estimate.force.z
-    numbers = observation.motor_numbers(
+    return observation.motor_numbers(
         nominal, state.drone, g, moment, force_z, params.disturbance
     )
-    return jnp.stack(stage(numbers, _always(params)))
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
