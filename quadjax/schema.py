@@ -49,6 +49,7 @@ class RewardConfig:
     collision: float = 10.0  # taken off for a collision
     time: float = 0.0  # taken off per second
     rates: float = 0.0  # taken off per second and rad/s of body rate
+    early: float = 0.0  # per second by which a gate is passed before its step ends
 
 
 @dataclass(frozen=True)

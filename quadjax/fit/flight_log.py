@@ -4,6 +4,7 @@ Rows are numbered as an editor or a spreadsheet shows them: the header is row 1.
 """
 
 import csv
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 from quadjax.errors import InputError
 from quadjax.fit.columns import REQUIRED, check_logs_config, scale_of, wanted_columns
 from quadjax.fit.config import LogsConfig
-from quadjax.fit.log_checks import check_time, check_units
+from quadjax.fit.log_checks import check_angles, check_time, check_units
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,8 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
         quantities[quantity] = values[:, 0] if len(group) == 1 else values
         start += len(group)
     check_time(path, wanted["time"][0], quantities["time"], config)
+    if "euler" in wanted:
+        check_angles(path, wanted["euler"], quantities["euler"])
     quantities = _to_standard_frames(quantities, config)
     check_units(path, wanted, quantities)
     return _assemble(path, quantities)
@@ -126,15 +129,17 @@ def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
     columns = [header.index(name) for name in names]
     try:
         # Most files are sound: read them fast, and look for the culprit only where that fails.
-        table = np.loadtxt(
-            path,
-            delimiter=",",
-            skiprows=1,
-            usecols=columns,
-            ndmin=2,
-            comments=None,
-            encoding="utf-8-sig",
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # no rows: said below, in a line
+            table = np.loadtxt(
+                path,
+                delimiter=",",
+                skiprows=1,
+                usecols=columns,
+                ndmin=2,
+                comments=None,
+                encoding="utf-8-sig",
+            )
     except (ValueError, UnicodeDecodeError):
         raise _culprit(path, header, names) from None
     if not np.isfinite(table).all():

@@ -58,7 +58,7 @@ def check_units(
         _check_rpm(path, columns, quantities, "rpm_command")
     _check_acceleration(path, columns["acceleration"], quantities)
     if "euler" in quantities:
-        _check_angles(path, columns, quantities)
+        _check_gyro(path, columns, quantities)
     _check_largest(path, columns["gyro"], quantities["gyro"], 60.0, "rad/s", "deg/s")
     _check_largest(
         path,
@@ -89,7 +89,7 @@ def _check_rpm(
     for name, values in zip(columns[quantity], quantities[quantity].T, strict=True):
         where = f"{path}: row {int(rows[0]) + 2}, column {name!r} and on"
         middle = float(np.median(values[rows]))
-        if middle < 1500.0:
+        if middle < 2000.0:
             raise InputError(
                 f"{where}: {middle:.4g} rpm in the middle of a flight; is this rad/s "
                 "(logs.units.rpm)?"
@@ -131,20 +131,21 @@ def _check_acceleration(
         )
 
 
-def _check_angles(
+def check_angles(path: Path | str, names: list[str], angles: np.ndarray) -> None:
+    """Roll, pitch and yaw (n, 3) as the log has them must look like radians."""
+    for axis, limit in ((0, 3.2), (1, 1.6), (2, 1000.0)):
+        row = int(np.abs(angles[:, axis]).argmax())
+        if abs(angles[row, axis]) > limit:
+            raise InputError(
+                f"{path}: row {row + 2}, column {names[axis]!r}: an angle of "
+                f"{angles[row, axis]:.3g} rad; is this in degrees (logs.units.angle)?"
+            )
+
+
+def _check_gyro(
     path: Path | str, columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
 ) -> None:
-    """Roll and pitch must be angles in rad, and the gyro must be their derivative."""
-    names = columns.get("euler") or columns["quaternion"]
-    tilt = np.abs(quantities["euler"][:, :2])
-    row = int(tilt.max(axis=1).argmax())
-    if tilt[row].max() > 3.2 or tilt[:, 1].max() > 1.6:
-        row = row if tilt[row].max() > 3.2 else int(tilt[:, 1].argmax())
-        axis = int(tilt[row].argmax()) if tilt[row].max() > 3.2 else 1
-        raise InputError(
-            f"{path}: row {row + 2}, column {names[axis]!r}: an angle of {tilt[row, axis]:.3g} "
-            "rad; is this in degrees (logs.units.angle)?"
-        )
+    """The gyro must be what the angles' derivative says."""
     slope, likeness = _gyro_against_angles(quantities)
     if likeness > 0.5 and not 0.2 < slope < 5.0:
         row = int(np.abs(quantities["gyro"][:, 0]).argmax())

@@ -5,6 +5,7 @@ against the measurement: noise in the measured speed then does not pull the answ
 when the derivative is regressed on ``u - omega``.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,17 +50,7 @@ def fit_motor_lag(logs: list[FlightLog], flying: list[np.ndarray], base_tau: flo
     def errors(tau: float) -> np.ndarray:
         return np.concatenate([rpm - _follow(tau, rpm, u, f, s) for rpm, u, f, s in usable])
 
-    grid = np.geomspace(SHORTEST, LONGEST, 25)
-    best = int(np.argmin([(errors(tau) ** 2).sum() for tau in grid]))
-    bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
-    tau = float(
-        minimize_scalar(
-            lambda t: (errors(t) ** 2).sum(),
-            bounds=bounds,
-            method="bounded",
-            options={"xatol": 1e-6},
-        ).x
-    )
+    tau, at_the_edge = _minimise(lambda t: float((errors(t) ** 2).sum()))
     error = errors(tau)
     step = 1e-3 * tau
     slope = (errors(tau + step) - errors(tau - step)) / (2.0 * step)
@@ -67,11 +58,20 @@ def fit_motor_lag(logs: list[FlightLog], flying: list[np.ndarray], base_tau: flo
     measured = np.concatenate([rpm for rpm, _, _, _ in usable])
     spread = ((measured - measured.mean(axis=0)) ** 2).sum()
     warning = None
-    if best in (0, len(grid) - 1):
+    if at_the_edge:
         warning = f"tau: the best value, {tau:.3g} s, is at the edge of what was tried"
     elif standard_error > HARDLY * tau:
         warning = f"tau: the logs hardly excite it: {tau:.3g} +- {standard_error:.2g} s"
     return LagFit(tau, standard_error, float(1.0 - (error**2).sum() / spread), warning)
+
+
+def _minimise(cost: Callable[[float], float]) -> tuple[float, bool]:
+    """The time constant of least cost, and whether it is at the edge of what was tried."""
+    grid = np.geomspace(SHORTEST, LONGEST, 25)
+    best = int(np.argmin([cost(tau) for tau in grid]))
+    bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6})
+    return float(found.x), best in (0, len(grid) - 1)
 
 
 def _unknown(base_tau: float, reason: str) -> LagFit:

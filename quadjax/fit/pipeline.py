@@ -99,7 +99,8 @@ def run_fit(
     report("fitting the nominal model")
     learned = samples[learned_rows(split.fold, ALL)]
     axes = fit_nominal(learned, base.motor)
-    lag = fit_motor_lag(logs, [airborne(log, config.prepare) for log in logs], base.motor.tau)
+    known = [log for log in logs if log.name not in config.split.test_flights]
+    lag = fit_motor_lag(known, [airborne(log, config.prepare) for log in known], base.motor.tau)
     constants = base.motor
     if config.nominal.fit:
         constants = with_fit(base.motor, axes).replace(tau=lag.tau)

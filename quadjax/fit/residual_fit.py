@@ -80,27 +80,18 @@ def fit_residuals(
     outer = [ALL] + [frozenset({k}) for k in range(split.folds) if leave_one_out]
     left_outs = _left_outs(split.folds, outer)
     constants = {s: nominal_without(samples, split.fold, s, base, fit_constants) for s in left_outs}
-    finished: dict[LeftOut, dict[str, Part]] = {s: {} for s in outer}
 
     def fit_network(network: Network) -> list[Part]:
         report(f"training the {network.name} network, {len(left_outs)} times {config.seeds} seeds")
         bench = _Bench(network, thinned, fold, base, constants, config, seed)
         teachers = [bench.teacher(s, split.folds) for s in outer]
         report(f"teaching the {network.name} network that the file will hold")
-        taught = teach(teachers, config, seed)
-        return [
-            (teacher.choices, layers, grade)
-            for teacher, (layers, grade) in zip(teachers, taught, strict=True)
-        ]
+        return _taught(teachers, config, seed)
 
     # Networks this small leave all but one core idle; the two have nothing to do with each other.
     with ThreadPoolExecutor(max_workers=2) as pool:
-        for network, parts in zip(
-            NETWORKS.values(), pool.map(fit_network, NETWORKS.values()), strict=True
-        ):
-            for s, part in zip(outer, parts, strict=True):
-                finished[s][network.name] = part
-    return {s: _assemble(constants[s], base, parts) for s, parts in finished.items()}
+        thrust, moment = pool.map(fit_network, NETWORKS.values())
+    return {s: _assemble(constants[s], base, thrust[i], moment[i]) for i, s in enumerate(outer)}
 
 
 def check_residual_config(config: ResidualConfig) -> None:
@@ -203,17 +194,22 @@ class _Bench:
         return Teacher(self.network, choices, [self.tasks[key] for key in keys], params)
 
 
+def _taught(teachers: list[Teacher], config: ResidualConfig, seed: int) -> list[Part]:
+    taught = teach(teachers, config, seed)
+    return [
+        (teacher.choices, layers, grade)
+        for teacher, (layers, grade) in zip(teachers, taught, strict=True)
+    ]
+
+
 def _assemble(
-    constants: MotorConstants,
-    base: MotorConstants,
-    parts: dict[str, Part],
+    constants: MotorConstants, base: MotorConstants, thrust: Part, moment: Part
 ) -> ResidualFit:
     choices, taught = {}, {}
-    for chosen, _, grade in parts.values():
+    for chosen, _, grade in (thrust, moment):
         for choice, share in zip(chosen, grade, strict=True):
             choices[choice.axis], taught[choice.axis] = choice, float(share)
-    residual = _residual(base, parts["thrust"][1], parts["moment"][1])
-    return ResidualFit(constants, residual, choices, taught)
+    return ResidualFit(constants, _residual(base, thrust[1], moment[1]), choices, taught)
 
 
 def _residual(base: MotorConstants, thrust: Layers, moment: Layers) -> Residual:

@@ -2,9 +2,12 @@
 
 To try the fit on a drone whose every constant is known. The drone follows wandering attitudes and
 climbs under a simple controller; commands are held between samples and the motion between them is
-integrated by Runge-Kutta, so the logs are those of a continuous flight.
+integrated by Runge-Kutta, so the logs are those of a continuous flight. As a command::
+
+    python -m quadjax.fit.synthetic_log --flights 4 --out logs
 """
 
+import argparse
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,7 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.errors import InputError, command_line
 from quadjax.files import whole_file
+from quadjax.fit.vehicle_file import read_vehicle
+from quadjax.residual_file import read_residual
 from quadjax.vehicle import motor
 from quadjax.vehicle.frames import attitude, world_to_body
 from quadjax.vehicle.integrate import rk4_step
@@ -147,3 +153,33 @@ def _control(vehicle: MotorParams, state: MotorState, target: jax.Array) -> Roto
     lift = hover / jnp.sqrt(tilt) + 400.0 * (target[3] + state.velocity.z)  # z down
     mix = (roll + pitch - yaw, -roll + pitch + yaw, -roll - pitch - yaw, roll - pitch + yaw)
     return Rotors(*(jnp.clip(lift + part, c.rpm_min, c.rpm_max) for part in mix))
+
+
+def main() -> None:
+    """Write flight logs of a simulated drone."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--vehicle", default="bebop1.yaml", help="a file of configs/vehicles")
+    parser.add_argument("--residual", type=Path, help="a residual file (.npz)")
+    parser.add_argument("--flights", type=int, default=4)
+    parser.add_argument("--seconds", type=float, default=30.0, help="of each flight")
+    parser.add_argument("--seed", type=int, default=0, help="of the first flight")
+    parser.add_argument("--out", type=Path, required=True, help="the folder to write to")
+    words = parser.parse_args()
+    if words.flights < 1 or not 1.0 <= words.seconds <= 3600.0 or words.seed < 0:
+        raise InputError("expected --flights of 1 or more, --seconds of 1 to 3600, --seed >= 0")
+    residual = read_residual(words.residual) if words.residual else None
+    vehicle = MotorParams(read_vehicle(words.vehicle, Path()).motor, residual)
+    for index in range(words.flights):
+        columns = simulate_flight(vehicle, words.seed + index, words.seconds)
+        if not all(np.isfinite(values).all() for values in columns.values()):
+            raise InputError(
+                f"flight {index} with seed {words.seed + index} got out of control; is the "
+                "residual stronger than the motors?"
+            )
+        path = words.out / f"flight_{index}.csv"
+        write_log(path, columns)
+        print(f"wrote {path}")
+
+
+if __name__ == "__main__":
+    command_line(main)()
