@@ -344,6 +344,10 @@ def _check_lists(config: Config) -> None:
                 raise InputError(
                     f"track.gates[{index}].{name} is {value}, expected {count} finite numbers"
                 )
+        if not math.isfinite(gate.yaw_deg):
+            raise InputError(
+                f"track.gates[{index}].yaw_deg is {gate.yaw_deg}, expected a finite number"
+            )
         if min(gate.size) <= 2 * config.episode.gate_margin:
             raise InputError(
                 f"track.gates[{index}].size is {gate.size}, expected more than twice the "
