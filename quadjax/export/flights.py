@@ -185,3 +185,27 @@ def fly_both(
     act = fixed_point_action(network)
     as_fixed, _ = fly_laps(own.choices, own.params, act, None, key, **common)
     return as_float, as_fixed
+
+
+def fly_traced(
+    own: OwnRace, policy: Policy, runs: int, laps: int, seed: int = 2
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Flights of the float policy: positions (n, 3) and the target at each, run by run."""
+    _, trace = fly_laps(
+        own.choices,
+        own.params,
+        act_deterministic,
+        flying(policy),
+        jax.random.key(seed),
+        laps=laps,
+        runs=runs,
+        from_hover=True,
+        trace=True,
+    )
+    assert trace is not None
+    flown = []
+    for run in range(runs):
+        going = ~np.asarray(trace.over)[:, run]
+        positions = np.asarray(trace.position)[going][:, :, run]
+        flown.append((positions, np.asarray(trace.target)[going][:, run]))
+    return flown
