@@ -14,6 +14,7 @@ from tests.learn.probes import ENVIRONMENT, NETWORKS, probe
 
 ENVIRONMENTS = 64
 UPDATES = 5  # of a chunk
+WHOLE = 150  # of a run
 
 
 def ppo_hyper(**numbers: float) -> ppo.Hyper:
@@ -54,18 +55,18 @@ def shac_hyper(**numbers: float) -> shac.Hyper:
     return shac.Hyper(**{k: jnp.float32(v) for k, v in (values | numbers).items()})
 
 
-def make(name: str, updates: int = 150, **numbers: float) -> Learner:
+def make(name: str, **numbers: float) -> Learner:
     if name == "ppo":
-        structure = ppo.Structure(ENVIRONMENTS, 8, 2, 2, updates)
+        structure = ppo.Structure(ENVIRONMENTS, 8, 2, 2, WHOLE)
         return ppo.make_learner(ENVIRONMENT, NETWORKS, structure, ppo_hyper(**numbers))
-    structure = shac.Structure(ENVIRONMENTS, 4, 2, 2, updates)
+    structure = shac.Structure(ENVIRONMENTS, 4, 2, 2, WHOLE)
     return shac.make_learner(ENVIRONMENT, NETWORKS, structure, shac_hyper(**numbers))
 
 
 @functools.cache
-def _program(name: str, devices: int, updates: int, whole: int):
+def _program(name: str, devices: int):
     """A chunk that takes its hyperparameters too: one program for every test."""
-    learner = make(name, whole)
+    learner = make(name)
     mesh = parallel.make_mesh(devices)
     state = parallel.place(jax.jit(learner.init)(probe(), jax.random.key(0)), mesh)
     specs = parallel.specs_of(state)
@@ -73,7 +74,7 @@ def _program(name: str, devices: int, updates: int, whole: int):
 
     def many(hyper, params, state):
         return jax.lax.scan(
-            lambda carry, _: learner.update(hyper, params, carry), state, None, updates
+            lambda carry, _: learner.update(hyper, params, carry), state, None, UPDATES
         )
 
     split = jax.shard_map(
@@ -96,10 +97,9 @@ class Run:
         params: object,
         seed: int = 0,
         devices: int = 1,
-        whole: int = 150,
         **numbers,
     ) -> None:
-        self.learner, mesh, self.program = _program(name, devices, UPDATES, whole)
+        self.learner, mesh, self.program = _program(name, devices)
         self.hyper = {"ppo": ppo_hyper, "shac": shac_hyper}[name](**numbers)
         self.params = params
         state = jax.jit(self.learner.init)(params, jax.random.key(seed))

@@ -10,7 +10,7 @@ import pytest
 from quadjax.learn import parallel
 from quadjax.learn.loop import NonFiniteError, check_finite
 from tests.learn.probes import observations, probe
-from tests.learn.support import UPDATES, Run, make, plain
+from tests.learn.support import UPDATES, WHOLE, Run, make, plain
 
 BOTH = pytest.mark.parametrize("name", ["ppo", "shac"])
 SCALE = {"ppo": 1.0, "shac": 0.5}  # of the rewards that the value sees
@@ -90,13 +90,36 @@ def test_the_same_on_any_number_of_devices(name):
         np.testing.assert_array_equal(state.environment.sign, alone.environment.sign)
 
 
-@BOTH
-def test_resumed_is_the_same_bit_for_bit(name):
+class Compilations(logging.Handler):
+    """Counts the programs that XLA compiles under ``jax.log_compiles``."""
+
+    def __init__(self):
+        super().__init__()
+        self.count = 0
+
+    def emit(self, record):
+        self.count += "Finished XLA compilation of jit(many)" in record.getMessage()
+
+
+@pytest.fixture(scope="module", params=["ppo", "shac"])
+def built(request):
+    """A learner, its mesh, its compiled chunk, its first state and the compilations so far."""
+    compilations = Compilations()
+    logger = logging.getLogger("jax")
+    logger.addHandler(compilations)
+    learner, mesh = make(request.param), parallel.make_mesh(2)
     params = probe(place=1.0, move=0.5, length=3.0)
-    learner, mesh = make(name), parallel.make_mesh(2)
     begin = jax.jit(learner.init)(params, jax.random.key(3))
+    with jax.log_compiles():
+        chunk = parallel.compile_chunk(learner, mesh, 3, params, parallel.place(begin, mesh))
+    yield mesh, chunk, begin, compilations
+    logger.removeHandler(compilations)
+
+
+def test_resumed_is_the_same_bit_for_bit(built):
+    mesh, chunk, begin, _ = built
+    params = probe(place=1.0, move=0.5, length=3.0)
     kept = plain(begin)
-    chunk = parallel.compile_chunk(learner, mesh, 3, params, parallel.place(begin, mesh))
 
     def restored(leaves):
         """A state made of NumPy arrays, as from a file."""
@@ -109,41 +132,24 @@ def test_resumed_is_the_same_bit_for_bit(name):
         ]
         return parallel.place(jax.tree.unflatten(shape, made), mesh)
 
-    def straight():
-        state = restored(kept)
-        for _ in range(4):
-            state, metrics = chunk(params, state)
-        return plain(state), metrics
-
-    def stopped():
-        state, _ = chunk(params, restored(kept))
-        state, _ = chunk(params, restored(plain(state)))
-        state, _ = chunk(params, restored(plain(state)))
-        state, metrics = chunk(params, restored(plain(state)))
-        return plain(state), metrics
-
-    (one, first), (two, second) = straight(), stopped()
-    for found, wanted in zip(two, one, strict=True):
+    straight, stopped = restored(kept), restored(kept)
+    for _ in range(4):
+        straight, first = chunk(params, straight)
+        stopped, second = chunk(params, stopped)
+        stopped = restored(plain(stopped))
+    for found, wanted in zip(plain(stopped), plain(straight), strict=True):
         np.testing.assert_array_equal(found, wanted)
     jax.tree.map(np.testing.assert_array_equal, first, second)
-    assert any(np.any(x != y) for x, y in zip(kept, one, strict=True))
+    assert any(np.any(x != y) for x, y in zip(kept, plain(straight), strict=True))
 
 
-@BOTH
-def test_a_chunk_never_compiles_again(name, caplog):
-    params = probe(best=1.0)
-    learner, mesh = make(name), parallel.make_mesh(2)
-    state = parallel.place(jax.jit(learner.init)(params, jax.random.key(0)), mesh)
-    with jax.log_compiles(), caplog.at_level(logging.WARNING):
-        chunk = parallel.compile_chunk(learner, mesh, 3, params, state)
-        compiled = [r for r in caplog.records if "Finished XLA compilation" in r.getMessage()]
-        caplog.clear()
+def test_a_chunk_is_compiled_once(built):
+    mesh, chunk, begin, compilations = built
+    state = parallel.place(jax.tree.map(jnp.copy, begin), mesh)
+    with jax.log_compiles():
         for weight in (1.0, 2.0, 3.0):
             state, metrics = chunk(probe(best=weight), state)
-        again = [
-            r for r in caplog.records if "Finished XLA compilation of jit(many)" in r.getMessage()
-        ]
-    assert len(compiled) == 1 and not again
+    assert compilations.count == 1
     assert int(state.update) == 9 and all(x.shape == (3,) for x in metrics.values())
 
 
@@ -187,18 +193,22 @@ def test_what_is_not_finite_changes_no_parameter(name, bad):
 
 
 def test_schedules_reach_their_end_points():
-    run = Run("ppo", probe(best=1.0), whole=UPDATES, learning_rate=0.02, final_learning_rate=0.01)
-    rate = run.train(1)["learning_rate"]
-    np.testing.assert_allclose(rate, np.linspace(0.02, 0.01, UPDATES + 1)[:-1], rtol=1e-5)
-    np.testing.assert_allclose(run.train(1)["learning_rate"], 0.01, rtol=1e-5)
-    run = Run("shac", probe(best=1.0), whole=UPDATES, std=0.4, final_std=0.2)
-    metrics = run.train(1)
-    np.testing.assert_allclose(metrics["std"], np.linspace(0.4, 0.2, UPDATES + 1)[:-1], rtol=1e-5)
-    np.testing.assert_allclose(metrics["learning_rate"][0], 1e-2, rtol=1e-5)
-    metrics = run.train(1)
-    np.testing.assert_allclose(metrics["std"], 0.2, rtol=1e-5)
-    np.testing.assert_allclose(metrics["learning_rate"], 1e-3, rtol=1e-5)
-    np.testing.assert_allclose(np.exp(run.state.params.log_std), 0.2, rtol=1e-5)
+    def metrics(name, update, **numbers):
+        run = Run(name, probe(best=1.0), **numbers)
+        run.state = run.state.replace(update=run.state.update + update)
+        return run.train(1), run.state.params.log_std
+
+    def line(start, end, first):
+        return start + (end - start) * np.minimum((first + np.arange(UPDATES)) / WHOLE, 1.0)
+
+    rates = {"learning_rate": 0.02, "final_learning_rate": 0.01}
+    for first in (0, WHOLE - 2, WHOLE + 5):
+        found, _ = metrics("ppo", first, **rates)
+        np.testing.assert_allclose(found["learning_rate"], line(0.02, 0.01, first), rtol=1e-5)
+        found, log_std = metrics("shac", first, std=0.4, final_std=0.2, **rates)
+        np.testing.assert_allclose(found["learning_rate"], line(0.02, 0.01, first), rtol=1e-5)
+        np.testing.assert_allclose(found["std"], line(0.4, 0.2, first), rtol=1e-5)
+        np.testing.assert_allclose(np.exp(log_std), line(0.4, 0.2, first)[-1], rtol=1e-5)
 
 
 def test_metrics_count_ends():
