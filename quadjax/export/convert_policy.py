@@ -138,9 +138,7 @@ def _estimator(request: Request, own: flights.OwnRace) -> tuple[EstimatorTables 
     return tables, sha256(Path(residual)) if residual else ""
 
 
-def _origin(
-    request: Request, file: str, policy: Policy, own: flights.OwnRace
-) -> Provenance:
+def _origin(request: Request, file: str, policy: Policy, own: flights.OwnRace) -> Provenance:
     name = request.name if request.name is not None else identifier(Path(file).stem)
     if identifier(name) != name:
         raise InputError(f"--name {name!r}: expected a lower-case C identifier")

@@ -79,9 +79,7 @@ def _writable(elf: Path, work: Path) -> int:
 
     with open(elf, "rb") as stream:
         sections = ELFFile(stream).iter_sections()
-        return sum(
-            s["sh_size"] for s in sections if s["sh_flags"] & 1 and s["sh_flags"] & 2
-        )
+        return sum(s["sh_size"] for s in sections if s["sh_flags"] & 1 and s["sh_flags"] & 2)
 
 
 def _arm_check(c: Context, compiler: Compiler, tag: str, kernel: int) -> str:

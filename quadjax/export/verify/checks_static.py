@@ -43,9 +43,7 @@ def _eva_main(c: Context) -> Path:
     folder, name = c.folder, c.folder.name
     low, high = folder.network.command_low, folder.network.command_high
     size = folder.network.inputs
-    asserts = "\n".join(
-        f"  /*@ assert {low[i]} <= command[{i}] <= {high[i]}; */" for i in range(4)
-    )
+    asserts = "\n".join(f"  /*@ assert {low[i]} <= command[{i}] <= {high[i]}; */" for i in range(4))
     motor = folder.policy.vehicle == "motor"
     kind = "uint16_t" if motor else "float"
     unit = 2.0**folder.network.fraction_bits

@@ -17,7 +17,9 @@ WARNINGS = (
     "-Wstrict-prototypes -Wnested-externs -Wredundant-decls -Wswitch-default -Wundef "
     "-Wwrite-strings -Wformat-security -Wvla -Wdouble-promotion -Wfloat-equal"
 ).split()
-BEBOP = "-mfloat-abi=softfp -mfpu=vfp -march=armv7-a -mtune=cortex-a8 -O3 -std=gnu99 -static".split()
+BEBOP = (
+    "-mfloat-abi=softfp -mfpu=vfp -march=armv7-a -mtune=cortex-a8 -O3 -std=gnu99 -static".split()
+)
 ZIG = (
     "-target arm-freestanding-eabihf -mcpu=cortex_a9 -O3 -std=c99 -nostdlib -fno-sanitize=all "
     "-Wl,--image-base=0x10000 -Wl,--no-gc-sections"
@@ -42,7 +44,9 @@ class Compiler:
         words = [*self.command, *self.flags, *extra, *map(str, sources), "-o", str(output)]
         done = subprocess.run(words, capture_output=True, text=True)
         if done.returncode:
-            lines = [line for line in done.stderr.splitlines() if "error" in line or "warning" in line]
+            lines = [
+                line for line in done.stderr.splitlines() if "error" in line or "warning" in line
+            ]
             raise Failed(f"{self.name}: {(lines or done.stderr.splitlines() or ['failed'])[0]}")
         return output
 
