@@ -85,6 +85,8 @@ def _check_keys(schema: type, tree: object, source: str, prefix: str) -> None:
                 f"{source}: unknown key {prefix}{key}; allowed there: {', '.join(sorted(hints))}"
             )
         kind = _plain(hints[key])
+        if value is None and kind is not hints[key]:
+            continue
         _check_value(kind, value, source, f"{prefix}{key}")
         tree[key] = _as_meant(kind, value)
         if dataclasses.is_dataclass(kind):
