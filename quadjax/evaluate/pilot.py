@@ -114,7 +114,11 @@ def _policy_disturbance(policy: Policy, default: dict[str, float], name: str) ->
 
 
 def race_of(config: Config, policy: Policy) -> tuple[Choices, RaceParams]:
-    """The race of a config, observed the way the policy was trained to."""
+    """The race of a config, with the next gate's yaw wrapped or not as the policy knows it.
+
+    Where the disturbance comes from (true, estimated or none) is the race's choice, not the
+    policy's: it is what a drone can measure.
+    """
     seen = policy.observation
     episode = dataclasses.replace(
         config.episode,

@@ -161,9 +161,7 @@ def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) ->
         moment, force_z = state.drone.moment_ext, state.drone.force_ext.z
     elif choices.disturbance_input == "estimated":
         moment, force_z = state.estimate.moment, state.estimate.force.z
-    return observation.motor_numbers(
-        nominal, state.drone, g, moment, force_z, params.disturbance
-    )
+    return observation.motor_numbers(nominal, state.drone, g, moment, force_z, params.disturbance)
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
