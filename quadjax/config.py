@@ -85,12 +85,33 @@ def _check_keys(schema: type, tree: object, source: str, prefix: str) -> None:
                 f"{source}: unknown key {prefix}{key}; allowed there: {', '.join(sorted(hints))}"
             )
         kind = _plain(hints[key])
-        if kind is str and isinstance(value, bool):
-            tree[key] = str(value).lower()  # YAML reads the word true as a truth value
+        if value is None and kind is not hints[key]:
+            continue
+        _check_value(kind, value, source, f"{prefix}{key}")
+        tree[key] = _as_meant(kind, value)
         if dataclasses.is_dataclass(kind):
             _check_keys(kind, value, source, f"{prefix}{key}.")
         elif isinstance(value, list):
             _check_items(kind, value, source, f"{prefix}{key}")
+
+
+def _check_value(kind: object, value: object, source: str, name: str) -> None:
+    """Refuse what OmegaConf would pass over or answer without naming the key."""
+    container = typing.get_origin(kind)
+    if container in (list, dict) and not isinstance(value, container):
+        wanted = "list" if container is list else "mapping"
+        raise InputError(f"{source}: {name}: {value!r} is not a {wanted}")
+    if value == "???":
+        raise InputError(f"{source}: {name} is '???', expected a value")
+
+
+def _as_meant(kind: object, value: object) -> object:
+    """A value as its field's type takes it: YAML reads true as a truth value, 2e6 as a float."""
+    if kind is str and isinstance(value, bool):
+        return str(value).lower()
+    if kind is int and isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
 
 
 def _check_items(kind: object, values: list, source: str, name: str) -> None:
@@ -98,6 +119,9 @@ def _check_items(kind: object, values: list, source: str, name: str) -> None:
     for index, value in enumerate(values):
         if inner and dataclasses.is_dataclass(inner[0]):
             _check_keys(inner[0], value, source, f"{name}[{index}].")
+        elif inner and inner[0] in (int, float):
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise InputError(f"{source}: {name}[{index}] is {value!r}, expected a number")
 
 
 def _plain(hint: object) -> object:
@@ -113,6 +137,12 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Tree:
         seen: set[object] = set()
         for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(
+                    None, None, "a key is not a plain word", key_node.start_mark
+                )
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                continue
             key = self.construct_object(key_node, deep=True)
             if key in seen:
                 raise yaml.constructor.ConstructorError(
@@ -150,7 +180,8 @@ def _parse_yaml(text: str, source: str, mapping: bool = False) -> object:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}:" if mark else ""
-        raise InputError(f"{source}:{where} {getattr(error, 'problem', error)}") from error
+        reason = " ".join(str(getattr(error, "problem", error)).split())
+        raise InputError(f"{source}:{where} {reason}") from error
     if mapping and value is None:
         return {}
     if mapping and not isinstance(value, dict):
@@ -223,6 +254,8 @@ def _with_file(
     if not isinstance(name, str):
         raise InputError(f"{section}.file is {name!r}, expected the name of a file")
     path = find_file(name, f"{section}s", beside)
+    if path != REPOSITORY_CONFIGS / f"{section}s" / name:
+        own = {**own, "file": str(path.resolve())}  # found again from wherever this is saved
     return {**tree, section: merge_trees(values(read_yaml(path), path), own)}
 
 
@@ -244,6 +277,7 @@ def _track_values(tree: Tree, path: Path) -> Tree:
 def _check_constants(config: Config) -> None:
     """Every constant of both models is there, is a finite number and makes sense."""
     positive = {"g", "i_xx", "i_yy", "i_zz", "k_w", "tau", "tau_rate", "tau_thrust"}
+    positive |= {"p_max", "q_max", "r_max"}
     for section, kind in (("motor", MotorConstants), ("rate", RateConstants)):
         values, names = getattr(config.vehicle, section), constant_names(kind)
         for name in [*values, *names]:

@@ -122,10 +122,13 @@ def read_layers(
 
 
 def check_finite(path: Path | str, name: str, array: np.ndarray) -> None:
-    """Raise an ``InputError`` that names the first entry of an array that is no finite number."""
+    """Raise an ``InputError`` that names the first entry that is not finite in single precision."""
     if array.dtype.kind not in "fiu":
         raise InputError(f"{path}: {name} holds {array.dtype}, expected numbers")
-    bad = np.argwhere(~np.isfinite(array))
+    with np.errstate(over="ignore"):
+        bad = np.argwhere(~np.isfinite(array.astype(np.float32)))
     if bad.size:
         index = tuple(int(i) for i in bad[0])
-        raise InputError(f"{path}: {name}{list(index)} is {array[index]}, expected a finite number")
+        raise InputError(
+            f"{path}: {name}{list(index)} is {array[index]}, expected a finite float32"
+        )

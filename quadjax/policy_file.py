@@ -93,8 +93,8 @@ def read_policy(path: Path | str) -> Policy:
         output=_choice(path, {"output": "clip"} | meta, "output", OUTPUTS),
         command_low=low,
         command_high=high,
-        observation=meta.get("observation") or {},
-        source=meta.get("source") or {},
+        observation=_observation(path, meta),
+        source=_source(meta),
     )
 
 
@@ -102,6 +102,19 @@ def _choice(path: Path | str, meta: dict, key: str, allowed: tuple[str, ...]) ->
     if meta.get(key) not in allowed:
         raise InputError(f"{path}: meta {key!r} is {meta.get(key)!r}, allowed: {list(allowed)}")
     return meta[key]
+
+
+def _observation(path: Path | str, meta: dict) -> dict:
+    value = meta.get("observation") or {}
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: meta 'observation' is {value!r}, expected a mapping")
+    return value
+
+
+def _source(meta: dict) -> dict:
+    """Where the policy came from; whoever wrote the file may have put it in their own words."""
+    value = meta.get("source") or {}
+    return value if isinstance(value, dict) else {"source": value}
 
 
 def _command(path: Path | str, meta: dict, key: str) -> np.ndarray:

@@ -57,7 +57,7 @@ def read_residual(path: Path | str) -> Residual:
     rpm_min, rpm_max = _number(path, meta, "rpm_min"), _number(path, meta, "rpm_max")
     if not rpm_min < rpm_max:
         raise InputError(f"{path}: meta 'rpm_min' {rpm_min} is not below 'rpm_max' {rpm_max}")
-    if meta.get("thrust_sign") not in (1, -1):
+    if isinstance(meta.get("thrust_sign"), bool) or meta.get("thrust_sign") not in (1, -1):
         raise InputError(
             f"{path}: meta 'thrust_sign' is {meta.get('thrust_sign')!r}, allowed: [1, -1]"
         )

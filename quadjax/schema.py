@@ -49,6 +49,7 @@ class RewardConfig:
     collision: float = 10.0  # taken off for a collision
     time: float = 0.0  # taken off per second
     rates: float = 0.0  # taken off per second and rad/s of body rate
+    early: float = 0.0  # per second by which a gate is passed before its step ends
 
 
 @dataclass(frozen=True)
@@ -343,6 +344,10 @@ def _check_lists(config: Config) -> None:
                 raise InputError(
                     f"track.gates[{index}].{name} is {value}, expected {count} finite numbers"
                 )
+        if not math.isfinite(gate.yaw_deg):
+            raise InputError(
+                f"track.gates[{index}].yaw_deg is {gate.yaw_deg}, expected a finite number"
+            )
         if min(gate.size) <= 2 * config.episode.gate_margin:
             raise InputError(
                 f"track.gates[{index}].size is {gate.size}, expected more than twice the "

@@ -212,7 +212,9 @@ class MetricsFile:
         self._path = directory / "metrics.csv"
         self._stream = None
         self._rows = read_metrics(self._path) if steps and self._path.exists() else []
-        self._rows = [row for row in self._rows if row["steps"] <= steps]
+        self._rows = [
+            row | {"steps": int(row["steps"])} for row in self._rows if row["steps"] <= steps
+        ]
         self._tensorboard = _tensorboard(directory) if tensorboard else None
 
     def write(self, row: Row) -> None:

@@ -8,6 +8,7 @@ import argparse  # noqa: E402
 import shutil  # noqa: E402
 from pathlib import Path  # noqa: E402
 
+from quadjax.commands import Parser, parse  # noqa: E402
 from quadjax.config import load_config  # noqa: E402
 from quadjax.devices import prepare_devices  # noqa: E402
 from quadjax.errors import InputError, command_line  # noqa: E402
@@ -15,7 +16,7 @@ from quadjax.errors import InputError, command_line  # noqa: E402
 
 def parse_arguments() -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description="Train a racing policy. Everything is left in runs/NAME: the config, the "
         "metrics, the checkpoints, the policy file, the lap table and the figures.",
         epilog="Example: python scripts/train.py configs/e2e_shac.yaml seed=3 name=third "
@@ -30,7 +31,7 @@ def parse_arguments() -> argparse.Namespace:
         "--overwrite", action="store_true", help="delete an earlier run of the same name"
     )
     parser.add_argument("--runs", default="runs", metavar="DIR", help="where runs go (runs)")
-    return parser.parse_intermixed_args()
+    return parse(parser)
 
 
 @command_line

@@ -7,15 +7,26 @@ import pytest
 
 jax.config.update("jax_num_cpu_devices", 8)  # before anything starts the backend
 
-STRICT = {"jax_numpy_rank_promotion": "raise", "jax_numpy_dtype_promotion": "strict"}
+RANKS = {"jax_numpy_rank_promotion": "raise"}
+TYPES = {"jax_numpy_dtype_promotion": "strict"}
+
+
+def _with(settings: dict[str, str]) -> Iterator[None]:
+    before = {name: getattr(jax.config, name) for name in settings}
+    for name, value in settings.items():
+        jax.config.update(name, value)
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
 
 
 @pytest.fixture(scope="package")
 def strict_promotion() -> Iterator[None]:
     """No silent broadcasting and no silent change of dtype."""
-    before = {name: getattr(jax.config, name) for name in STRICT}
-    for name, value in STRICT.items():
-        jax.config.update(name, value)
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
+    yield from _with(RANKS | TYPES)
+
+
+@pytest.fixture(scope="package")
+def strict_ranks() -> Iterator[None]:
+    """No silent broadcasting; Optax itself mixes dtypes."""
+    yield from _with(RANKS)

@@ -4,6 +4,9 @@
 """
 
 import dataclasses
+import functools
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +22,13 @@ from quadjax.vehicle import motor, rate
 from quadjax.vehicle.constants import Constants
 from quadjax.vehicle.frames import attitude, world_to_body, wrap_angle
 from quadjax.vehicle.integrate import INTEGRATORS
-from quadjax.vehicle.stage import stage
+from quadjax.vehicle.stage import stage, stage_backwards, staged, staged_values
 from quadjax.vehicle.vector import Rotors, Vec3
 
 Drone = motor.MotorState | rate.RateState
 VehicleParams = motor.MotorParams | rate.RateParams
 Command = Rotors | rate.RateCommand
+Kept = TypeVar("Kept")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,20 +147,23 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
 
     Propeller speeds and thrust are scaled by the nominal range, which is what a policy knows.
     """
-    g = stage(gate(params.track, state.target), _always(params))
+    always = _always(params)
+    g = staged(gate, always, params.track, state.target)
+    return jnp.stack(staged(functools.partial(_numbers, choices), always, params, state, g))
+
+
+def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) -> list[jax.Array]:
     nominal = params.vehicle.constants
     if choices.kind == "rate":
-        numbers = observation.rate_numbers(nominal, state.drone, g)
-        return jnp.stack(stage(numbers, _always(params)))
+        return observation.rate_numbers(nominal, state.drone, g)
     moment, force_z = Vec3.zero(), jnp.zeros(())
     if choices.disturbance_input == "true":
         moment, force_z = state.drone.moment_ext, state.drone.force_ext.z
     elif choices.disturbance_input == "estimated":
         moment, force_z = state.estimate.moment, state.estimate.force.z
-    numbers = observation.motor_numbers(
+    return observation.motor_numbers(
         nominal, state.drone, g, moment, force_z, params.disturbance
     )
-    return jnp.stack(stage(numbers, _always(params)))
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
@@ -176,13 +183,21 @@ def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Arr
     module = motor if choices.kind == "motor" else rate
     low, high = module.command_range(vehicle.constants)
     held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
+    always = _always(params)
+    # One step of Euler's method starts from the carry of a loop, which is kept anyway.
+    begin = stage_backwards if choices.integrator == "euler" else stage
+    keep = functools.partial(_keep, always)
     flown = INTEGRATORS[choices.integrator](
-        lambda drone: module.derivative(vehicle, stage(drone, _always(params)), held),
+        lambda drone: module.derivative(vehicle, begin(drone, always), held, keep),
         state.drone,
         params.limits.dt,
     )
     wrapped = flown.euler.replace(z=wrap_angle(flown.euler.z))
-    return stage(flown.replace(euler=wrapped), _always(params))
+    return flown.replace(euler=wrapped)
+
+
+def _keep(always: jax.Array, function: Callable[..., Kept], *arguments: object) -> Kept:
+    return staged_values(function, always, *arguments)
 
 
 def _finite(drone: Drone) -> jax.Array:
@@ -215,7 +230,7 @@ def judge(
     )
     ended = outcome.terminated
     outcome = outcome.replace(passed=passed & ~ended, truncated=outcome.truncated & ~ended)
-    return stage(outcome, _always(params))
+    return outcome
 
 
 def transition(
@@ -227,9 +242,10 @@ def transition(
         The next state, the reward () and the outcome. A state that is not finite is replaced by
         the one before it, so that nothing downstream meets a NaN; the outcome says so.
     """
-    flown = _fly(choices, params, state, action)
-    g = stage(gate(params.track, state.target), _always(params))
-    outcome = judge(choices, params, state, flown, g)
+    always = _always(params)
+    flown = staged(functools.partial(_fly, choices), always, params, state, action)
+    g = staged(gate, always, params.track, state.target)
+    outcome = staged(functools.partial(judge, choices), always, params, state, flown, g)
     drone = jax.tree.map(
         lambda new, old: jnp.where(outcome.non_finite, old, new), flown, state.drone
     )

@@ -23,7 +23,7 @@ class Limits:
 
 @struct.dataclass
 class RewardWeights:
-    """The published reward, and two terms more that are zero by default."""
+    """The published reward, and three terms more that are zero by default."""
 
     progress: jax.Array  # per metre by which the target gate comes nearer
     gate: jax.Array  # per gate passed
@@ -31,6 +31,7 @@ class RewardWeights:
     collision: jax.Array  # taken off for a collision
     time: jax.Array  # taken off per second
     rates: jax.Array  # taken off per second and rad/s of body rate
+    early: jax.Array  # per second by which a gate is passed before its step ends
 
 
 @struct.dataclass
@@ -93,6 +94,18 @@ def crossing(
     return crossed & inside, crossed & ~inside
 
 
+def crossing_fraction(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
+    """The part () of a step after which the straight line between its ends meets the gate's plane.
+
+    Meaningful for a step that crosses it; its gradient says how to cross earlier, which a reward
+    that counts whole steps cannot.
+    """
+    start = to_gate_frame(g, before - g.position).x
+    end = to_gate_frame(g, after - g.position).x
+    crossed = (start < 0) & (end >= 0)
+    return jnp.where(crossed, -start / jnp.where(crossed, end - start, 1.0), 0.0)
+
+
 def reward(
     weights: RewardWeights,
     outcome: Outcome,
@@ -104,9 +117,10 @@ def reward(
 ) -> jax.Array:
     """The reward () of one step.
 
-    Passed: ``gate - gate_offset |p - p_gate|``; collision: ``-collision``; else ``progress`` times
-    the decrease of the distance to the target gate (Ferede et al., arXiv 2311.16948, with the sign
-    that makes progress positive).
+    Passed: ``gate - gate_offset |p - p_gate|``, and ``early`` times what is left of the step when
+    the plane is met, which turns the worth of time into a slope; collision: ``-collision``; else
+    ``progress`` times the decrease of the distance to the target gate (Ferede et al., arXiv
+    2311.16948, with the sign that makes progress positive).
 
     Args:
         weights: of each term.
@@ -120,6 +134,7 @@ def reward(
     distance = safe_norm(after - g.position)
     progress = weights.progress * (safe_norm(before - g.position) - distance)
     passed = weights.gate - weights.gate_offset * distance
+    passed = passed + weights.early * dt * (1.0 - crossing_fraction(before, after, g))
     value = jnp.where(outcome.passed, passed, progress)
     value = jnp.where(outcome.terminated, -weights.collision, value)
     return value - dt * (weights.time + weights.rates * safe_norm(body_rates))

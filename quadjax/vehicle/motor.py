@@ -12,6 +12,7 @@ from flax import struct
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.frames import attitude, body_to_world, euler_rates, world_to_body
 from quadjax.vehicle.residual import Residual, residual_force_moment
+from quadjax.vehicle.stage import Keep, call
 from quadjax.vehicle.vector import Rotors, Vec3
 
 
@@ -95,11 +96,16 @@ def angular_acceleration(c: MotorConstants, moment: Vec3, rates: Vec3) -> Vec3:
     )
 
 
-def derivative(params: MotorParams, state: MotorState, rpm_command: Rotors) -> MotorState:
-    """Time derivative of the state under four rpm commands, as a ``MotorState``."""
+def derivative(
+    params: MotorParams, state: MotorState, rpm_command: Rotors, keep: Keep = call
+) -> MotorState:
+    """Time derivative of the state under four rpm commands, as a ``MotorState``.
+
+    ``keep`` calls a function in a way that its values are computed once.
+    """
     c = params.constants
-    a = attitude(state.euler)
-    body_velocity = world_to_body(a, state.velocity)
+    a = keep(attitude, state.euler)
+    body_velocity = keep(world_to_body, a, state.velocity)
     rpm_rate = (rpm_command - state.rpm) / c.tau
     force, moment = force_moment(params, state.rpm, rpm_rate, body_velocity, state.rates)
     acceleration = body_to_world(a, force + state.force_ext)

@@ -8,6 +8,7 @@ from flax import struct
 
 from quadjax.vehicle.constants import RateConstants
 from quadjax.vehicle.frames import attitude, body_to_world, euler_rates, world_to_body
+from quadjax.vehicle.stage import Keep, call
 from quadjax.vehicle.vector import Vec3
 
 
@@ -37,11 +38,16 @@ class RateParams:
     constants: RateConstants
 
 
-def derivative(params: RateParams, state: RateState, command: RateCommand) -> RateState:
-    """Time derivative of the state under a command, as a ``RateState``."""
+def derivative(
+    params: RateParams, state: RateState, command: RateCommand, keep: Keep = call
+) -> RateState:
+    """Time derivative of the state under a command, as a ``RateState``.
+
+    ``keep`` calls a function in a way that its values are computed once.
+    """
     c = params.constants
-    a = attitude(state.euler)
-    body_velocity = world_to_body(a, state.velocity)
+    a = keep(attitude, state.euler)
+    body_velocity = keep(world_to_body, a, state.velocity)
     force = Vec3(-c.d_x * body_velocity.x, -c.d_y * body_velocity.y, -state.thrust)
     acceleration = body_to_world(a, force)
     return RateState(

@@ -2,5 +2,5 @@ import pytest
 
 
 @pytest.fixture(scope="package", autouse=True)
-def _strict(strict_promotion):
-    """Every test of this room runs without silent promotions."""
+def _strict(strict_ranks):
+    """Every test of this room runs without silent broadcasting."""

@@ -27,6 +27,7 @@ class Rollout:
 
 def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
     """Log density (..) of an action (.., k) under independent normals."""
+    log_std = jnp.broadcast_to(log_std, action.shape)
     scaled = (action - mean) * jnp.exp(-log_std)
     return -0.5 * jnp.sum(scaled**2 + 2.0 * log_std + jnp.log(2.0 * jnp.pi), axis=-1)
 
@@ -93,7 +94,7 @@ def _step(
     observe = jax.vmap(environment.observe, in_axes=(None, -1))
     observation = observe(environment_params, state)
     mean = networks.mean(params, observation)
-    action = mean + jnp.exp(params.log_std) * noise
+    action = mean + jnp.broadcast_to(jnp.exp(params.log_std), noise.shape) * noise
     step = jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0))
     following, reward, terminated, truncated = step(environment_params, state, action)
     rollout = Rollout(

@@ -161,7 +161,10 @@ def _epochs(
     batch: Batch,
     keys: jax.Array,
 ) -> tuple[ActorCritic, optax.OptState, Metrics]:
-    """All epochs of all batches; a batch whose KL is beyond the limit changes nothing."""
+    """All epochs of all batches.
+
+    A batch whose KL is beyond the limit or whose gradient is not finite changes nothing.
+    """
     fraction = state.update.astype(jnp.float32) / s.updates
     rate = linear(hyper.learning_rate, hyper.final_learning_rate, fraction)
     epoch_keys = jnp.stack(split_keys(keys, s.epochs))
@@ -202,11 +205,12 @@ def _gradient_step(
         hyper.entropy_coefficient,
     )
     gradient, metrics = jax.lax.pmean((gradient, metrics), AXIS)
+    finite = jnp.isfinite(optax.global_norm(gradient))
     gradient, norm = _clip(gradient, hyper.gradient_norm, s.separate_clip)
     adam = optax.scale_by_adam(eps=hyper.adam_epsilon)
     direction, new_optimiser = adam.update(gradient, optimiser)
     new_params = jax.tree.map(lambda p, d: p - rate * d, params, direction)
-    fine = metrics["approx_kl"] <= hyper.kl_limit
+    fine = (metrics["approx_kl"] <= hyper.kl_limit) & finite
     metrics |= {"gradient_norm": norm, "skipped": 1.0 - fine.astype(norm.dtype)}
     kept = select_finite(fine, (new_params, new_optimiser), carry)
     return kept, metrics

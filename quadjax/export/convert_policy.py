@@ -1,0 +1,248 @@
+"""The whole conversion: from a policy file to a folder of C with its proof and its vectors."""
+
+import dataclasses
+import hashlib
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.config import to_yaml
+from quadjax.errors import InputError
+from quadjax.export import flights
+from quadjax.export.emit_estimator import emit_estimator
+from quadjax.export.emit_network import Provenance, emit_network
+from quadjax.export.emit_paparazzi import emit_paparazzi
+from quadjax.export.emit_race import emit_race, self_test_states
+from quadjax.export.estimator_tables import EstimatorTables, make_estimator
+from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork, convert
+from quadjax.export.proof import Proof, prove
+from quadjax.export.race_tables import RaceTables, make_tables
+from quadjax.export.render import identifier
+from quadjax.export.report import make_report, measure, report_text
+from quadjax.export.vectors import self_test_inputs
+from quadjax.files import whole_file, write_json, write_text
+from quadjax.policy_file import Policy, read_policy
+from quadjax.vehicle.motor import MotorParams
+
+FLIGHTS = 32
+KEPT_ROWS = 20_000  # flown rows that go along for the verification
+BOX_SAMPLES = 20_000
+POLICY_FILE, RESIDUAL_FILE = "policy.npz", "residual.npz"
+CONFIG_FILE, FLOWN_FILE = "config.yaml", "flown.npz"
+
+
+@dataclasses.dataclass(frozen=True)
+class Request:
+    """What was asked of the converter."""
+
+    policy: Path
+    out: Path
+    ranges: dict[str, float]
+    name: str | None = None
+    track: str | None = None  # a file of configs/tracks, or a path
+    config: Path | None = None  # the training config, or the project's default
+    sample_rate: float = 512.0  # Hz, of the estimator
+    cutoff: float = 8.0  # Hz
+
+
+@dataclasses.dataclass(frozen=True)
+class Converted:
+    """All that the emitted files are made from."""
+
+    policy: Policy
+    network: FixedNetwork
+    proof: Proof
+    race: RaceTables
+    estimator: EstimatorTables | None
+    kept: flights.Flown  # evenly spread rows of the flights
+    steps_flown: int
+    own: flights.OwnRace
+    origin: Provenance
+    residual_hash: str
+
+
+def sha256(path: Path) -> str:
+    """The SHA-256 of a file, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def convert_policy(request: Request) -> Converted:
+    """Convert and prove; fly; refuse what must not fly.
+
+    Raises:
+        InputError: whatever is wrong, in one line.
+    """
+    policy = read_policy(request.policy)
+    network = convert(policy, request.ranges)
+    proof = prove(network, policy)
+    own = flights.own_race(policy, request.config, request.track)
+    flown = flights.fly(own, policy, FLIGHTS)
+    flights.check_box(network.box, flown.observations)
+    rows = np.linspace(0, len(flown.states) - 1, min(KEPT_ROWS, len(flown.states))).astype(int)
+    kept = flights.Flown(
+        flown.observations[rows], flown.states[rows], flown.targets[rows], flown.laps
+    )
+    origin = _origin(request, request.policy.name, policy, own)
+    return _complete(request, policy, network, proof, own, kept, len(flown.states), origin)
+
+
+def convert_again(request: Request, report: dict, flown: dict[str, np.ndarray]) -> Converted:
+    """The conversion once more from what lies in a folder, without flying.
+
+    Raises:
+        InputError: whatever is wrong, in one line.
+    """
+    policy = read_policy(request.policy)
+    network = convert(policy, request.ranges)
+    proof = prove(network, policy)
+    own = flights.own_race(policy, request.config, None, request.out / RESIDUAL_FILE)
+    kept = flights.Flown(flown["observations"], flown["states"], flown["targets"], None)
+    origin = _origin(request, report["policy"], policy, own)
+    return _complete(request, policy, network, proof, own, kept, 0, origin)
+
+
+def _complete(
+    request: Request,
+    policy: Policy,
+    network: FixedNetwork,
+    proof: Proof,
+    own: flights.OwnRace,
+    kept: flights.Flown,
+    steps_flown: int,
+    origin: Provenance,
+) -> Converted:
+    estimator, residual_hash = _estimator(request, own)
+    return Converted(
+        policy=policy,
+        network=network,
+        proof=proof,
+        race=make_tables(network, policy, own.params.track),
+        estimator=estimator,
+        kept=kept,
+        steps_flown=steps_flown,
+        own=own,
+        origin=origin,
+        residual_hash=residual_hash,
+    )
+
+
+def _estimator(request: Request, own: flights.OwnRace) -> tuple[EstimatorTables | None, str]:
+    vehicle = own.params.vehicle
+    if not isinstance(vehicle, MotorParams):
+        return None, ""  # a rate-level policy does not see the disturbances
+    residual = own.config.vehicle.residual
+    tables = make_estimator(
+        vehicle.constants, vehicle.residual, request.sample_rate, request.cutoff
+    )
+    return tables, sha256(Path(residual)) if residual else ""
+
+
+def _origin(request: Request, file: str, policy: Policy, own: flights.OwnRace) -> Provenance:
+    name = request.name if request.name is not None else identifier(Path(file).stem)
+    if identifier(name) != name:
+        raise InputError(f"--name {name!r}: expected a lower-case C identifier")
+    policy_hash = sha256(request.policy)
+    source = ", ".join(f"{k}={v}" for k, v in policy.source.items() if not isinstance(v, dict))
+    lines = (
+        f"Policy   {file}, SHA-256 {policy_hash}",
+        f"Source   {source or 'not stated in the policy file'}",
+        f"Format   quadjax fixed point, version {FORMAT_VERSION}; deterministic (mean) actions",
+        f"Track    {own.config.track.name or own.config.track.file}; vehicle "
+        f"{own.config.vehicle.name or own.config.vehicle.file}",
+    )
+    short = tuple(line if len(line) <= 96 else f"{line[:93]}..." for line in lines)
+    return Provenance(name, policy_hash, short, source or file)
+
+
+def sources(converted: Converted) -> dict[str, str]:
+    """Every emitted C file and header, by its path in the folder."""
+    network, origin, flown = converted.network, converted.origin, converted.kept
+    files = emit_network(network, origin, self_test_inputs(network, flown.observations))
+    states, targets = self_test_states(converted.race, flown.states, flown.targets)
+    kind = "uint16_t" if network.vehicle == "motor" else "float"
+    files |= emit_race(converted.race, origin, kind, states, targets)
+    if converted.estimator is not None:
+        files |= emit_estimator(converted.estimator, origin, converted.residual_hash)
+    return files | emit_paparazzi(network, origin)
+
+
+def report_of(converted: Converted, request: Request) -> dict[str, object]:
+    """The report as JSON takes it; it is also how the folder can be verified again."""
+    network, policy, flown = converted.network, converted.policy, converted.kept
+    rng = np.random.default_rng(0)
+    shape = (BOX_SAMPLES, network.inputs)
+    box = (rng.uniform(-1.0, 1.0, shape) * network.box.ranges).astype(np.float32)
+    measured = {
+        "the whole box": measure(network, policy, box),
+        "flown": measure(network, policy, flown.observations),
+    }
+    extra = {
+        "policy": request.policy.name,
+        "policy_sha256": converted.origin.policy_hash,
+        "source": policy.source,
+        "name": converted.origin.name,
+        "track": converted.own.config.track.name,
+        "deterministic": True,
+        "ranges": request.ranges,
+        "estimator": _estimator_report(converted),
+        "flights": {
+            "runs": len(flown.laps.crashes),
+            "finished": flown.laps.finished,
+            "laps": flown.laps.lap_times.shape[1],
+            "observations": converted.steps_flown,
+        },
+    }
+    return make_report(network, converted.proof, measured, extra)
+
+
+def _estimator_report(converted: Converted) -> dict[str, object] | None:
+    tables = converted.estimator
+    if tables is None:
+        return None
+    return {
+        "sample_rate": tables.sample_rate,
+        "cutoff": tables.cutoff,
+        "residual_sha256": converted.residual_hash,
+        "channel_ranges": [2.0**e for e in tables.channel_exponents],
+    }
+
+
+def write_folder(request: Request) -> tuple[Converted, dict[str, object]]:
+    """Convert, and write the C, the report and what the verification needs.
+
+    Raises:
+        InputError: whatever is wrong, in one line; then nothing has been written.
+    """
+    converted = convert_policy(request)
+    report = report_of(converted, request)
+    name, out = converted.origin.name, request.out
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out}: is no folder")
+    for file, text in sources(converted).items():
+        write_text(out / file, text)
+    write_json(out / f"{name}_report.json", report)
+    write_text(out / f"{name}_report.txt", report_text(report, name))
+    _keep_inputs(converted, request)
+    return converted, report
+
+
+def _keep_inputs(converted: Converted, request: Request) -> None:
+    """What the verification needs to make it all again: policy, config, residual and flights."""
+    out, kept = request.out, converted.kept
+    copies = {POLICY_FILE: request.policy}
+    config = converted.own.config
+    if config.vehicle.residual:
+        copies[RESIDUAL_FILE] = Path(config.vehicle.residual)
+    for name, source in copies.items():
+        if source.resolve() != (out / name).resolve():
+            with whole_file(out / name) as temporary:
+                shutil.copyfile(source, temporary)
+    write_text(out / CONFIG_FILE, to_yaml(config))
+    with whole_file(out / FLOWN_FILE) as temporary, open(temporary, "wb") as stream:
+        np.savez_compressed(
+            stream,
+            observations=kept.observations,
+            states=kept.states,
+            targets=kept.targets.astype(np.int32),
+        )

@@ -1,0 +1,274 @@
+"""The disturbance estimator in fixed point: model and filter as integers.
+
+The method is that of ``quadjax.fit.estimator``. Measurements become integers of 2^-30 of their
+ranges; products of two of them (monomials) are kept in Q30; the model is a sum of monomials times
+constants, in fine units of 2^-46 of the channel's range; and the filter keeps its memory in those
+fine units. With ``K / 2^32`` the low-pass gain, ``K = 2^30 + a1 + a2`` exactly (``a`` in Q30), so
+the gain at rest is one without rounding::
+
+    y  = K (x + d) + s1        d = 2 f_s times what is differentiated
+    s1 = s2 + 2 K x - a1 y
+    s2 = K (x - d) - a2 y
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from quadjax.errors import InputError
+from quadjax.export.fixed import LARGEST_INPUT, FixedLayer, convert_hidden, largest_power
+from quadjax.export.race_tables import Rescale, rescale
+from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.residual import Residual
+
+MODEL_BITS, DIFFERENCE_BITS = 14, 10  # of a monomial's constant beyond the fine unit's
+FINE_BITS = 46  # a channel's range is 2^46 fine units
+Q30 = 30
+LOW_PASS_BITS = 32
+RESIDUAL_LIMIT = 1 << (FINE_BITS - 1)  # its output is held to half a channel's range
+GYRO_EXPONENT, FORCE_EXPONENT, VELOCITY_EXPONENT = 5, 7, 5  # +-32 rad/s, 128 m/s^2, 32 m/s
+MONOMIALS = (
+    *("p", "q", "r", "a_x", "a_y", "a_z", "v_x", "v_y"),
+    *("qr", "rp", "pq", "roll_squares", "pitch_squares", "sum_squares", "imbalance"),
+    *("v_x_sum", "v_y_sum", "v_z_sum", "speed_squares"),
+)
+CHANNELS = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
+
+
+@dataclasses.dataclass(frozen=True)
+class FixedResidual:
+    """A residual network as integers: ReLU layers and a linear output in fine units."""
+
+    hidden: tuple[FixedLayer, ...]
+    output: FixedLayer
+    shifts: tuple[int, ...]  # from each output's accumulator to fine units
+
+
+@dataclasses.dataclass(frozen=True)
+class EstimatorTables:
+    """Integers of the estimator."""
+
+    sample_rate: float  # Hz
+    cutoff: float  # Hz
+    exponents: tuple[int, ...]  # gyro 3, specific force 3, rpm 4, body velocity 3
+    channel_exponents: tuple[int, ...]  # of the six channels
+    model: np.ndarray  # (6, monomials) int64: what is unexplained but for the residual
+    differentiated: np.ndarray  # (3, monomials) int64
+    a1: int  # Q30
+    a2: int  # Q30
+    gain: int  # K, Q32
+    rpm_input: Rescale | None  # rpm to the residual's input
+    rpm_input_exponent: int
+    thrust: FixedResidual | None  # its output is added to the body-z force
+    moment: FixedResidual | None
+
+
+def monomial_units(exponents: tuple[int, ...]) -> np.ndarray:
+    """The real value of one unit of each monomial."""
+    g, a, w, v = exponents[0], exponents[3], exponents[6], exponents[10]
+    powers = [g] * 3 + [a] * 3 + [v] * 2 + [2 * g] * 3 + [2 * w] * 3 + [w] + [v + w] * 3 + [2 * v]
+    return np.ldexp(1.0, np.array(powers) - Q30)
+
+
+def monomial_bounds() -> np.ndarray:
+    """The largest magnitude of each monomial, as an integer; rounding adds at most one."""
+    ones = [1] * 11 + [2, 2, 4, 4, 4, 4, 4, 2]
+    return np.array(ones, np.int64) * LARGEST_INPUT + 2
+
+
+def make_estimator(
+    constants: MotorConstants,
+    residual: Residual | None,
+    sample_rate: float = 512.0,
+    cutoff: float = 8.0,
+) -> EstimatorTables:
+    """The integers of the estimator of one vehicle.
+
+    Raises:
+        InputError: a cut-off that is not between a thousandth and a quarter of the sample rate;
+            constants that leave no room for the proof.
+    """
+    if not 0.001 * sample_rate <= cutoff <= 0.25 * sample_rate:
+        raise InputError(
+            f"estimator cut-off {cutoff:g} Hz, allowed: {0.001 * sample_rate:g} to "
+            f"{0.25 * sample_rate:g} Hz at a sample rate of {sample_rate:g} Hz"
+        )
+    rpm_exponent = math.ceil(math.log2(1.25 * float(constants.rpm_max)))
+    exponents = (GYRO_EXPONENT,) * 3 + (FORCE_EXPONENT,) * 3
+    exponents += (rpm_exponent,) * 4 + (VELOCITY_EXPONENT,) * 3
+    a1, a2 = _feedback(sample_rate, cutoff)
+    units = monomial_units(exponents)
+    model, differentiated = _model(constants), _differentiated(constants) * 2.0 * sample_rate
+    channels = _channel_exponents(model, differentiated, units, residual, sample_rate, cutoff)
+    fine = np.ldexp(1.0, np.array(channels) - FINE_BITS)
+    tables = EstimatorTables(
+        sample_rate=sample_rate,
+        cutoff=cutoff,
+        exponents=exponents,
+        channel_exponents=channels,
+        model=_integers(model * units / fine[:, None], MODEL_BITS),
+        differentiated=_integers(differentiated * units / fine[:3, None], DIFFERENCE_BITS),
+        a1=a1,
+        a2=a2,
+        gain=(1 << Q30) + a1 + a2,
+        rpm_input=None,
+        rpm_input_exponent=0,
+        thrust=None,
+        moment=None,
+    )
+    if residual is not None:
+        tables = _with_residual(tables, residual)
+    prove_estimator(tables)
+    return tables
+
+
+def _integers(coefficients: np.ndarray, bits: int) -> np.ndarray:
+    return np.rint(coefficients * 2.0**bits).astype(np.int64)
+
+
+def prove_estimator(tables: EstimatorTables) -> None:
+    """Prove that no measurement can overflow the model or the filter.
+
+    Raises:
+        InputError: a channel of which a sum may reach 2^63.
+    """
+    bounds = monomial_bounds().astype(object)
+    sums = np.abs(tables.model.astype(object)) @ bounds
+    changes = np.abs(tables.differentiated.astype(object)) @ bounds
+    straight, derivative = filter_gains(tables.sample_rate, tables.cutoff)
+    for index, name in enumerate(CHANNELS):
+        x = (int(sums[index]) >> MODEL_BITS) + 2
+        d = (int(changes[index]) >> DIFFERENCE_BITS) + 2 if index < len(changes) else 0
+        if tables.thrust is not None:
+            x += RESIDUAL_LIMIT
+        y = straight * x + derivative * d
+        # The memory is at most what one more sample and three products can make of it.
+        checks = (
+            max(int(sums[index]), int(changes[index]) if d else 0),
+            ((x + d) >> 16) * tables.gain,
+            int(8.0 * (y + x + d)),
+        )
+        if max(checks) >= 2**62 or y >= 2.0**FINE_BITS:
+            raise InputError(
+                f"estimator channel {name}: its sums may reach 2^{math.log2(max(checks)):.1f}, "
+                "allowed: below 2^62; take a lower cut-off"
+            )
+
+
+def _feedback(sample_rate: float, cutoff: float) -> tuple[int, int]:
+    """a[1] and a[2] of the second-order Butterworth low-pass, Q30."""
+    w = math.tan(math.pi * cutoff / sample_rate)
+    n = 1.0 / (1.0 + math.sqrt(2.0) * w + w * w)
+    one = float(1 << Q30)
+    return (
+        round(2.0 * n * (w * w - 1.0) * one),
+        round(n * (1.0 - math.sqrt(2.0) * w + w * w) * one),
+    )
+
+
+def _row(**terms: float) -> list[float]:
+    return [float(terms.get(name, 0.0)) for name in MONOMIALS]
+
+
+def _model(c: MotorConstants) -> np.ndarray:
+    """Gyroscopic less model moment, and measured less model force: (6, monomials)."""
+    return np.array(
+        [
+            _row(qr=c.i_zz - c.i_yy, roll_squares=-c.k_p, v_y=-c.k_pv),
+            _row(rp=c.i_xx - c.i_zz, pitch_squares=-c.k_q, v_x=-c.k_qv),
+            _row(pq=c.i_yy - c.i_xx, imbalance=-c.k_r1, r=c.k_rr),
+            _row(a_x=1.0, v_x_sum=c.k_x),
+            _row(a_y=1.0, v_y_sum=c.k_y),
+            _row(a_z=1.0, sum_squares=c.k_w, v_z_sum=c.k_z, speed_squares=c.k_h),
+        ]
+    )
+
+
+def _differentiated(c: MotorConstants) -> np.ndarray:
+    """Angular momentum less that of the rotors' acceleration: (3, monomials)."""
+    return np.array([_row(p=c.i_xx), _row(q=c.i_yy), _row(r=c.i_zz, imbalance=-c.k_r2)])
+
+
+def filter_gains(sample_rate: float, cutoff: float) -> tuple[float, float]:
+    """Bounds of the low-pass's and of its derivative's output over the largest input.
+
+    The sums of the magnitudes of the impulse responses, of ``K (1 + z^-1)^2`` and ``K (1 - z^-2)``
+    over the filter's denominator (the factor 2 f_s is in what is differentiated).
+    """
+    a1, a2 = (x / float(1 << Q30) for x in _feedback(sample_rate, cutoff))
+    gain = 0.25 * (1.0 + a1 + a2)
+    steps = round(20.0 * sample_rate / cutoff)
+    sums = []
+    for b in ((1.0, 2.0, 1.0), (1.0, 0.0, -1.0)):
+        s1 = s2 = total = 0.0
+        for step in range(steps):
+            x = [gain * c if step == 0 else 0.0 for c in b]
+            y = x[0] + s1
+            s1, s2 = s2 + x[1] - a1 * y, x[2] - a2 * y
+            total += abs(y)
+        sums.append(1.001 * total)
+    return sums[0], sums[1]
+
+
+def _channel_exponents(
+    model: np.ndarray,
+    differentiated: np.ndarray,
+    units: np.ndarray,
+    residual: Residual | None,
+    sample_rate: float,
+    cutoff: float,
+) -> tuple[int, ...]:
+    """Ranges that neither what goes into the filters nor what comes out can leave."""
+    largest = units * monomial_bounds()
+    straight, derivative = filter_gains(sample_rate, cutoff)
+    bounds = np.abs(model) @ largest
+    outputs = straight * bounds
+    outputs[:3] += derivative * (np.abs(differentiated) @ largest)
+    if residual is not None:
+        # What the residual adds is held to half the range: room for it before and after the filter.
+        bounds, outputs = 2.0 * bounds, outputs / (1.0 - 0.5 * straight)
+    return tuple(math.ceil(math.log2(1.01 * x)) for x in np.maximum(bounds, outputs))
+
+
+def _with_residual(tables: EstimatorTables, residual: Residual) -> EstimatorTables:
+    low, high = float(residual.rpm_min), float(residual.rpm_max)
+    exponent = tables.exponents[6]
+    reach = max(abs(2.0 * s * 2.0**exponent - low - high) / (high - low) for s in (-1, 1))
+    network = math.ceil(math.log2(reach))
+    unit = LARGEST_INPUT / 2.0**exponent
+    rpm_input = rescale(0.5 * (low + high) * unit, 2.0 / (high - low) * 2.0 ** (exponent - network))
+    ranges = np.ldexp(1.0, np.array([network] * 4 + list(tables.exponents[10:])))
+    rates = np.ldexp(1.0, np.array(tables.exponents[:3]))
+    channels = tables.channel_exponents
+    sign = float(residual.thrust_sign)
+    return dataclasses.replace(
+        tables,
+        rpm_input=rpm_input,
+        rpm_input_exponent=network,
+        thrust=_network("thrust", residual.thrust, ranges, channels[5:], sign),
+        moment=_network("moment", residual.moment, np.append(ranges, rates), channels[:3], 1.0),
+    )
+
+
+def _network(
+    name: str, layers: tuple, ranges: np.ndarray, channels: tuple[int, ...], sign: float
+) -> FixedResidual:
+    layers = [(np.asarray(k), np.asarray(b)) for k, b in layers]
+    hidden = convert_hidden(layers[:-1], ranges)
+    kernel = sign * layers[-1][0].astype(np.float64).T
+    bias = sign * layers[-1][1].astype(np.float64)
+    weights, biases, shifts = [], [], []
+    for row, exponent in enumerate(channels):
+        total = math.fsum([abs(bias[row]), *np.abs(kernel[row]) * hidden.magnitude])
+        if not math.isfinite(total):
+            raise InputError(f"{name} network, row {row}: its range is not finite")
+        largest = float(np.max(np.abs(kernel[row]) * hidden.scale))
+        power = min(largest_power(total, largest), FINE_BITS - exponent + 30)
+        weights.append(np.rint(kernel[row] * hidden.scale * 2.0**power).astype(np.int64))
+        biases.append(round(float(bias[row]) * 2.0**power))
+        shifts.append(power - (FINE_BITS - exponent))
+    output = FixedLayer(
+        np.array(weights), np.array(biases, np.int64), np.ldexp(1.0, np.array(channels) - FINE_BITS)
+    )
+    return FixedResidual(hidden.layers, output, tuple(shifts))

@@ -1,0 +1,195 @@
+"""Proof that no input can overflow: exact integer intervals, and an a-priori error bound.
+
+Intervals are computed in Python's own integers from the box of inputs on. For every row
+``|bias| + sum_j |w_ij| max|x_j| < 2**63``, so any order of summation is safe, and for every hidden
+row ``0 <= y <= 2**30 - 1``. That holds for every input, not for a sample.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from quadjax.errors import InputError
+from quadjax.export.fixed import (
+    LARGEST_HIDDEN,
+    LARGEST_INPUT,
+    TANH_FRACTION_BITS,
+    TANH_LIMIT,
+    WORD,
+    FixedLayer,
+    FixedNetwork,
+)
+from quadjax.export.squash import SQUASH_ERROR
+from quadjax.policy_file import Policy
+
+ACCUMULATOR = 2**63
+
+
+@dataclasses.dataclass(frozen=True)
+class RowRange:
+    """Exact ranges of one row for every input in the box."""
+
+    low: int  # of the accumulator
+    high: int
+    magnitude: int  # |bias| + sum |w| max|x|, which bounds every partial sum
+
+
+@dataclasses.dataclass(frozen=True)
+class Proof:
+    """What was proven of a network."""
+
+    rows: tuple[tuple[RowRange, ...], ...]  # per layer
+    error_bound: np.ndarray  # (outputs,) |command - real arithmetic|, in the command's unit
+    inactive: tuple[int, ...]  # hidden neurons per layer that no input activates
+
+    @property
+    def accumulator_bits(self) -> list[float]:
+        """Bits of the largest accumulator of each layer, out of 63."""
+        return [max(math.log2(max(row.magnitude, 1)) for row in layer) for layer in self.rows]
+
+
+def prove(network: FixedNetwork, policy: Policy) -> Proof:
+    """Prove the ranges of a network and bound its error against the real-valued policy.
+
+    Raises:
+        InputError: a row whose accumulator may overflow or whose output may leave its range, or
+            a table of the wrong shape, by layer and row.
+    """
+    low = [-LARGEST_INPUT] * network.inputs
+    high = [LARGEST_INPUT] * network.inputs
+    layers, inactive = [], []
+    for index, layer in enumerate(network.layers):
+        hidden = index < len(network.hidden)
+        rows = prove_layer(index, layer, low, high, hidden)
+        layers.append(rows)
+        if hidden:
+            low = [max(0, row.low >> WORD) for row in rows]
+            high = [max(0, row.high >> WORD) for row in rows]
+            inactive.append(sum(value == 0 for value in high))
+    _prove_output(network, layers[-1])
+    return Proof(tuple(layers), error_bound(network, policy, layers), tuple(inactive))
+
+
+def prove_layer(
+    index: int, layer: FixedLayer, low: list[int], high: list[int], hidden: bool
+) -> tuple[RowRange, ...]:
+    """Exact ranges of a layer's rows for integer inputs in [low, high].
+
+    Raises:
+        InputError: a row that fails.
+    """
+    if layer.weights.shape != (len(layer.bias), len(low)):
+        raise InputError(
+            f"layer {index}: weights of shape {layer.weights.shape} do not fit {len(low)} inputs "
+            f"and {len(layer.bias)} rows"
+        )
+    rows = []
+    for number, (weights, bias) in enumerate(
+        zip(layer.weights.tolist(), layer.bias.tolist(), strict=True)
+    ):
+        row = _row_range(weights, bias, low, high)
+        if row.magnitude >= ACCUMULATOR:
+            raise InputError(
+                f"layer {index}, row {number}: the accumulator may reach "
+                f"2^{math.log2(row.magnitude):.2f}, allowed: below 2^63"
+            )
+        if hidden and row.high >> WORD > LARGEST_HIDDEN:
+            raise InputError(
+                f"layer {index}, row {number}: the output may reach {row.high >> WORD}, "
+                f"allowed: {LARGEST_HIDDEN}"
+            )
+        rows.append(row)
+    return tuple(rows)
+
+
+def _row_range(weights: list[int], bias: int, low: list[int], high: list[int]) -> RowRange:
+    bottom = top = bias
+    magnitude = abs(bias)
+    for w, a, b in zip(weights, low, high, strict=True):
+        bottom += w * (a if w > 0 else b)
+        top += w * (b if w > 0 else a)
+        magnitude += abs(w) * max(-a, b)
+    return RowRange(bottom, top, magnitude)
+
+
+def _prove_output(network: FixedNetwork, rows: tuple[RowRange, ...]) -> None:
+    """The clamp makes the output's range; its limits must themselves fit."""
+    index = len(network.hidden)
+    for number in range(len(rows)):
+        if network.squash == "tanh":
+            limit = TANH_LIMIT << TANH_FRACTION_BITS
+        else:
+            limit = max(
+                abs(int(network.command_low[number])), abs(int(network.command_high[number]))
+            )
+        if limit << network.output_shift >= ACCUMULATOR or limit >= 2**31:
+            raise InputError(f"layer {index}, row {number}: its clamp does not fit in 63 bits")
+
+
+def error_bound(
+    network: FixedNetwork, policy: Policy, rows: list[tuple[RowRange, ...]]
+) -> np.ndarray:
+    """Bound of |fixed point - real arithmetic| of each command, for every input in the box.
+
+    ``e_i <= sum_j |W_ij| e_j + sum_j |w_ij s_i' - W_ij s_j| y_j + |b_i s_i' - B_i| + s_i / 2``
+    with ``s_i'`` the real value of one unit of the accumulator; ReLU and the clamp enlarge no
+    error. Rounded up at every step by more than float64 can lose.
+    """
+    largest = np.full(network.inputs, float(LARGEST_INPUT))
+    scale_in = network.box.ranges / LARGEST_INPUT
+    error = scale_in.copy()  # truncation to the input's grid
+    for index, layer in enumerate(network.hidden):
+        kernel, bias = (np.asarray(x, np.float32).astype(np.float64) for x in policy.layers[index])
+        real = layer.bias - 2.0 ** (WORD - 1)
+        unit = layer.scale / 2.0**WORD
+        error = _layer_error(layer, kernel.T, bias, real, unit, scale_in, largest, error)
+        error = _up(error + 0.5 * layer.scale)
+        high = np.array([max(0, row.high >> WORD) for row in rows[index]], np.float64)
+        error = np.where(high == 0, 0.0, error)  # provably inactive in reals as in integers
+        largest, scale_in = high, layer.scale
+    return _output_error(network, policy, scale_in, largest, error)
+
+
+def _output_error(
+    network: FixedNetwork,
+    policy: Policy,
+    scale_in: np.ndarray,
+    largest: np.ndarray,
+    error: np.ndarray,
+) -> np.ndarray:
+    kernel, bias = (np.asarray(x, np.float32).astype(np.float64) for x in policy.layers[-1])
+    half = 0.5 * (policy.command_high - policy.command_low)
+    middle = 0.5 * (policy.command_high + policy.command_low)
+    kept = TANH_FRACTION_BITS if network.squash == "tanh" else network.fraction_bits
+    if network.squash == "clip":
+        kernel, bias = kernel * half, bias * half + middle
+    unit = np.full(network.outputs, 2.0 ** -(kept + network.output_shift))
+    real = network.output.bias - 2.0 ** (network.output_shift - 1)
+    total = _layer_error(network.output, kernel.T, bias, real, unit, scale_in, largest, error)
+    total = _up(total + 2.0 ** -(kept + 1))
+    if network.squash == "tanh":
+        total = _up(half * (total + SQUASH_ERROR))
+    return _up(total + 2.0**-network.fraction_bits)
+
+
+def _layer_error(
+    layer: FixedLayer,
+    kernel: np.ndarray,
+    bias: np.ndarray,
+    integer_bias: np.ndarray,
+    unit: np.ndarray,
+    scale_in: np.ndarray,
+    largest: np.ndarray,
+    error: np.ndarray,
+) -> np.ndarray:
+    """The bound before rounding to the output's grid (rows,); kernel is (rows, columns)."""
+    rounding = np.abs(layer.weights * unit[:, None] - kernel * scale_in)
+    rounding = rounding + 2.0**-50 * np.abs(kernel * scale_in)
+    bias_error = np.abs(integer_bias * unit - bias) + 2.0**-50 * np.abs(bias)
+    return _up(np.abs(kernel) @ error + rounding @ largest + bias_error)
+
+
+def _up(values: np.ndarray) -> np.ndarray:
+    """Rounded up by more than the arithmetic that made it can have lost."""
+    return values * (1.0 + 2.0**-40)

@@ -1,0 +1,197 @@
+"""Checks on an emulated Cortex-A9: bits, instructions, stack, writable data."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.export.verify.context import Context
+from quadjax.export.verify.harness import (
+    machine_infer,
+    write_float,
+    write_harness,
+    write_memory,
+)
+from quadjax.export.verify.result import LeftOut, require
+from quadjax.export.verify.toolchain import (
+    FREESTANDING,
+    WARNINGS,
+    Compiler,
+    armhf,
+    bebop,
+    has_module,
+    need_program,
+    zig_arm,
+)
+
+SCALAR, NEON = 0, 1
+LARGEST_STACK = 2048
+COUNTED = 12  # vectors whose instructions are counted
+
+
+def _need_emulator() -> None:
+    for module in ("unicorn", "elftools"):
+        if not has_module(module):
+            raise LeftOut(f"no {module}; pip install 'quadjax[verify]'")
+
+
+def _build(c: Context, compiler: Compiler, tag: str) -> Path:
+    output = c.work / f"{tag}.elf"
+    if output.is_file():
+        return output
+    folder = c.folder
+    with_neon = f"-D{folder.name.upper()}_WITH_NEON=1"
+    extra = [with_neon, f"-I{folder.path}", f"-Wl,-e,{folder.name}_forward"]
+    extra += FREESTANDING if compiler.name != "zig cc" else []
+    sources = [*folder.files, write_harness(folder, c.work), write_memory(c.work)]
+    return compiler.build(sources, output, extra)
+
+
+def _count(c: Context, elf: Path, kernel: int) -> tuple[int, int]:
+    """Instructions and stack of one inference, the same for ordinary and hostile data."""
+    from quadjax.export.verify.machine import Machine
+
+    machine = Machine(elf)
+    picked = [c.vectors[i] for i in np.linspace(0, c.count - 1, COUNTED).astype(int)]
+    picked += [c.hostile[i] for i in np.linspace(0, len(c.hostile) - 1, COUNTED).astype(int)]
+    counts, stack = set(), 0
+    for vector in picked:
+        machine.release()
+        status, command = machine.reserve(8), machine.reserve(16)
+        x = machine.place(vector)
+        name = f"{c.folder.name}_forward_with"
+        count, used = machine.count(name, status, kernel, x, command)
+        counts.add(count)
+        stack = max(stack, used)
+    require(len(counts) == 1, f"instructions depend on the data: {min(counts)} to {max(counts)}")
+    require(stack < LARGEST_STACK or max(_widths(c)) > 120, f"{stack} bytes of stack")
+    return counts.pop(), stack
+
+
+def _widths(c: Context) -> list[int]:
+    return [len(layer.bias) for layer in c.folder.network.layers]
+
+
+def _writable(elf: Path, work: Path) -> int:
+    """Bytes of writable data that the policy's own files bring."""
+    from elftools.elf.elffile import ELFFile
+
+    with open(elf, "rb") as stream:
+        sections = ELFFile(stream).iter_sections()
+        return sum(s["sh_size"] for s in sections if s["sh_flags"] & 1 and s["sh_flags"] & 2)
+
+
+def _arm_check(c: Context, compiler: Compiler, tag: str, kernel: int) -> str:
+    from quadjax.export.verify.machine import Machine
+
+    _need_emulator()
+    elf = _build(c, compiler, tag)
+    machine = Machine(elf)
+    mismatches = machine.call(f"{c.folder.name}_self_test_with", kernel)
+    require(mismatches == 0, f"{mismatches} self-test mismatches")
+    for name in ("race", "estimator"):
+        if f"{c.folder.name}_{name}_self_test" in machine.symbols:
+            mismatches = machine.call(f"{c.folder.name}_{name}_self_test")
+            require(mismatches == 0, f"{mismatches} {name} self-test mismatches")
+    c.same(tag, machine_infer(machine, kernel, c.vectors), c.expected)
+    c.same(tag, machine_infer(machine, kernel, c.hostile), c.expected_hostile)
+    writable = _writable(elf, c.work)
+    require(writable == 0, f"{writable} bytes of writable data")
+    count, stack = _count(c, elf, kernel)
+    return (
+        f"{c.count} vectors the same; {count:,} instructions whatever the data, "
+        f"{stack} B stack, no writable data"
+    )
+
+
+def check_zig_scalar(c: Context) -> str:
+    """Scalar kernel, compiled by zig for a Cortex-A9 without NEON."""
+    return _arm_check(c, zig_arm(neon=False), "zig_scalar", SCALAR)
+
+
+def check_zig_neon(c: Context) -> str:
+    """NEON kernel, compiled by zig."""
+    return _arm_check(c, zig_arm(neon=True), "zig_neon", NEON)
+
+
+def check_bebop_scalar(c: Context) -> str:
+    """Scalar kernel, compiled by GCC with Paparazzi's flags."""
+    return _arm_check(c, bebop(), "bebop", SCALAR)
+
+
+def check_bebop_neon(c: Context) -> str:
+    """NEON kernel, compiled by GCC with Paparazzi's flags."""
+    return _arm_check(c, bebop(), "bebop", NEON)
+
+
+def float_instructions(c: Context, compiler: Compiler, tag: str) -> int:
+    """Instructions of one inference of the float version."""
+    from quadjax.export.verify.machine import Machine
+
+    if c.folder.policy.output == "tanh":
+        raise LeftOut("the float version of a tanh output needs a C library")
+    extra = ["-Wl,-e,float_forward"] + (FREESTANDING if compiler.name != "zig cc" else [])
+    elf = compiler.build([write_float(c.folder, c.work), write_memory(c.work)], c.work / tag, extra)
+    machine = Machine(elf)
+    x = machine.place(c.folder.observations[0])
+    return machine.count("float_forward", x, machine.reserve(16))[0]
+
+
+def check_against_float(c: Context) -> str:
+    """Instructions beside float C by the same compiler and flags."""
+    _need_emulator()
+    parts = []
+    compilers: tuple[tuple[str, Callable[[], Compiler], str, int], ...] = (
+        ("zig scalar", lambda: zig_arm(neon=False), "zig_scalar", SCALAR),
+        ("zig NEON", lambda: zig_arm(neon=True), "zig_neon", NEON),
+        ("gcc, Bebop's flags", bebop, "bebop", SCALAR),
+        ("gcc, Bebop's flags, NEON", bebop, "bebop", NEON),
+    )
+    for name, make, tag, kernel in compilers:
+        try:
+            compiler = make()
+        except LeftOut:
+            continue
+        single = float_instructions(c, compiler, f"{tag}_{kernel}_float.elf")
+        fixed, _ = _count(c, _build(c, compiler, tag), kernel)
+        parts.append(f"{name} {fixed:,} (float {single:,})")
+    return "; ".join(parts)
+
+
+def _qemu(c: Context, compiler: Compiler, tag: str, kernels: str) -> str:
+    qemu = need_program("qemu-arm")
+    folder = c.folder
+    extra = ["-DHARNESS_MAIN", f"-D{folder.name.upper()}_WITH_NEON=1", f"-I{folder.path}"]
+    program = compiler.build(
+        [*folder.files, write_harness(folder, c.work)], c.work / f"{tag}_main", extra
+    )
+    given, written = c.work / "vectors.bin", c.work / "rows.bin"
+    both = np.concatenate([c.vectors, c.hostile])
+    both.tofile(given)
+    for kernel in kernels:
+        words = [qemu, "-cpu", "cortex-a9", str(program), str(given), str(written), kernel]
+        done = subprocess.run(words, capture_output=True, text=True)
+        require(done.returncode == 0, f"exit status {done.returncode} {done.stderr[:200]}")
+        rows = np.fromfile(written, np.int32).reshape(-1, 7)
+        c.same(tag, rows, np.concatenate([c.expected, c.expected_hostile]))
+    return f"{len(both)} vectors the same, kernels {'scalar and NEON' if len(kernels) > 1 else '-'}"
+
+
+def check_warnings_bebop(c: Context) -> str:
+    """No warning from the cross compiler under Paparazzi's flags."""
+    compiler = bebop()
+    for source in c.folder.files:
+        extra = [*WARNINGS, "-c", f"-D{c.folder.name.upper()}_WITH_NEON=1"]
+        compiler.build([source], c.work / "warnings_arm.o", extra)
+    return f"{compiler.name}, {len(WARNINGS) - 1} warning options, none raised"
+
+
+def check_qemu_armel(c: Context) -> str:
+    """Paparazzi's flags under QEMU's Cortex-A9."""
+    return _qemu(c, bebop(), "armel", "sn")
+
+
+def check_qemu_armhf(c: Context) -> str:
+    """Hard float under QEMU's Cortex-A9."""
+    return _qemu(c, armhf(), "armhf", "sn")

@@ -1,0 +1,199 @@
+"""Checks of the bits: sources, emulators, the host's C, hostile inputs, accuracy, mutations."""
+
+import ctypes
+import re
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from quadjax.export import emulator
+from quadjax.export.emit_network import BLOCK, padded_layers
+from quadjax.export.emulator_jax import fixed_point_forward
+from quadjax.export.report import float64_commands
+from quadjax.export.verify.context import Context
+from quadjax.export.verify.harness import (
+    float_commands,
+    float_library,
+    write_harness,
+)
+from quadjax.export.verify.result import require
+from quadjax.export.verify.toolchain import WARNINGS, host
+
+ACCURACY_SAMPLES = 100_000
+LARGEST_ERROR = {"motor": 0.5, "rate": 1e-4}  # rpm; of the range
+RANDOM_BITS = 50
+
+
+def check_sources(c: Context) -> str:
+    """Every C file is, byte for byte, what the converter writes for this policy."""
+    for file, text in c.folder.sources.items():
+        path = c.folder.path / file
+        require(path.is_file(), f"{file} is missing")
+        require(path.read_text("utf-8") == text, f"{file} is not what the converter writes")
+    return f"{len(c.folder.sources)} files as the converter writes them"
+
+
+def check_proof(c: Context) -> str:
+    """The proof was repeated when the folder was read; this is its figure."""
+    bits = max(c.folder.proof.accumulator_bits)
+    bound = float(np.max(c.folder.proof.error_bound))
+    unit = "rpm" if c.folder.policy.vehicle == "motor" else "rad/s or m/s^2"
+    return f"largest sum 2^{bits:.3f} < 2^63 for every input; error at most {bound:.3g} {unit}"
+
+
+def check_warnings(c: Context) -> str:
+    """No warning under the strict set."""
+    compiler = host()
+    for source in c.folder.files:
+        compiler.build([source], c.work / "warnings.o", [*WARNINGS, "-O3", "-c"])
+    return f"{compiler.name}, {len(WARNINGS) - 1} warning options, none raised"
+
+
+def check_jax(c: Context) -> str:
+    """JAX and NumPy agree."""
+    forward = jax.jit(jax.vmap(fixed_point_forward(c.folder.network)))
+    size = 8192
+    for start in range(0, c.count, size):
+        part = c.vectors[start : start + size]
+        found = np.asarray(forward(np.resize(part, (size, part.shape[1]))))[: len(part)]
+        wrong = np.any(found != c.expected[start : start + size, :4], axis=1)
+        require(not wrong.any(), f"{wrong.sum()} vectors differ, first {start + wrong.argmax()}")
+    found = np.asarray(forward(c.hostile))
+    require(bool(np.all(found == c.expected_hostile[:, :4])), "hostile vectors differ")
+    return f"{c.count} vectors, the same commands"
+
+
+def check_host(c: Context) -> str:
+    """The host's C and NumPy agree: commands, every accumulator, status."""
+    require(c.library.self_test() == 0, "self-test mismatches")
+    c.same(host().name, c.library.infer(c.vectors), c.expected)
+    return f"{host().name}: {c.count} vectors, the same commands, sums and status"
+
+
+def check_hostile(c: Context) -> str:
+    """NaN, infinite, huge and subnormal inputs give commands in range and the right status."""
+    rows = c.library.infer(c.hostile)
+    c.same("hostile vectors", rows, c.expected_hostile)
+    network = c.folder.network
+    low, high = network.command_low, network.command_high
+    require(bool(np.all((rows[:, :4] >= low) & (rows[:, :4] <= high))), "a command out of range")
+    place = np.uint32(1) << np.arange(network.inputs, dtype=np.uint32)
+    nan = (np.isnan(c.hostile) * place).sum(1, dtype=np.uint32)
+    beyond = ~np.isnan(c.hostile) & (np.abs(c.hostile) > network.box.ranges)
+    clipped = (beyond * place).sum(1, dtype=np.uint32)
+    require(bool(np.all(rows[:, 6].view(np.uint32) == nan)), "wrong NaN status")
+    require(bool(np.all(rows[:, 5].view(np.uint32) == clipped)), "wrong clipped status")
+    command = c.library.command(c.hostile).astype(np.float64)
+    unit = 2.0**network.fraction_bits
+    require(
+        bool(np.all((command >= low / unit - 1e-6) & (command <= high / unit + 1e-6))),
+        "a command of the forward function out of range",
+    )
+    return f"{len(rows)} vectors: in range, right status"
+
+
+def check_accuracy(c: Context) -> str:
+    """Largest error against float64, beside float32 C's own."""
+    folder = c.folder
+    rng = np.random.default_rng(3)
+    shape = (ACCURACY_SAMPLES, folder.network.inputs)
+    box = (rng.uniform(-1.0, 1.0, shape) * folder.network.box.ranges).astype(np.float32)
+    library = float_library(folder, host(), c.work)
+    scale = np.ones(4)
+    if folder.policy.vehicle == "rate":
+        scale = folder.policy.command_high - folder.policy.command_low
+    unit = "rpm" if folder.policy.vehicle == "motor" else "of range"
+    limit, parts = LARGEST_ERROR[folder.policy.vehicle], []
+    for name, x in (("box", box), ("flown", folder.observations)):
+        exact = float64_commands(folder.policy, x)
+        fixed = float(np.max(np.abs(emulator.commands(folder.network, x) - exact) / scale))
+        single = float(np.max(np.abs(float_commands(library, x) - exact) / scale))
+        parts.append(f"{name} {fixed:.2g} (float32 C: {single:.2g}) {unit}")
+        require(fixed <= limit, f"{parts[-1]}: above {limit}")
+        require(fixed <= single, f"{parts[-1]}: above float32's own")
+    return "; ".join(parts)
+
+
+def _mutant(c: Context, old: str, new: str, name: str) -> int:
+    """Mismatches that the self-test reports of a mutated source."""
+    folder, work = c.folder, c.work / name
+    work.mkdir(exist_ok=True)
+    text = folder.sources[f"{folder.name}.c"]
+    require(old in text, f"nothing to mutate: {old!r}")
+    source = work / f"{folder.name}.c"
+    source.write_text(_without_hash(text.replace(old, new, 1)))
+    others = [f for f in folder.files if f.name != source.name]
+    output = work / "mutant.so"
+    extra = ["-shared", "-fPIC", f"-I{folder.path}"]
+    host().build([source, *others, write_harness(folder, work)], output, extra)
+    return _self_test(output, folder.name)
+
+
+def _without_hash(text: str) -> str:
+    """The self-test without the hash of the tables: only vectors and probes are left."""
+    return text.replace("(tables_hash() != TABLES_HASH)", "(tables_hash() == 0U)")
+
+
+def _self_test(path: Path, name: str) -> int:
+    return int(getattr(ctypes.CDLL(str(path)), f"{name}_self_test")())
+
+
+def check_mutations(c: Context) -> str:
+    """A flipped bit, a dropped rounding term and a wrong shift are caught by the vectors alone."""
+    folder = c.folder
+    shift = "sum >> 32" if folder.network.hidden else f"sum >> {folder.network.output_shift}"
+    wrong = shift[:-2] + str(int(shift[-2:]) - 1)
+    caught_shift = _mutant(c, shift, wrong, "shift")
+    require(caught_shift > 0, "a shift of 31 was not caught")
+    half = str(int(folder.network.layers[0].bias[0]))
+    less = str(int(folder.network.layers[0].bias[0]) - 2**31)
+    caught_half = _mutant(c, f"INT64_C({half})", f"INT64_C({less})", "rounding")
+    require(caught_half > 0, "a dropped rounding term was not caught")
+    tables = _Tables(c)
+    caught = [_flip_caught(c, tables, number) for number in range(RANDOM_BITS)]
+    require(all(caught), f"{RANDOM_BITS - sum(caught)} flipped bits were not caught")
+    return f"shift of 31, dropped rounding and {sum(caught)} of {RANDOM_BITS} random bits caught"
+
+
+def _flip_caught(c: Context, tables: "_Tables", number: int) -> bool:
+    """Whether the vectors and probes of the self-test see one flipped weight bit."""
+    rng = np.random.default_rng(1000 + number)
+    layers = c.folder.network.layers
+    sizes = np.array([layer.weights.size for layer in layers])
+    index = int(rng.choice(len(layers), p=sizes / sizes.sum()))
+    row = int(rng.integers(layers[index].weights.shape[0]))
+    column = int(rng.integers(layers[index].weights.shape[1]))
+    return tables.flip(index, row, column, int(rng.integers(32))) > 0
+
+
+class _Tables:
+    """The C with its tables writable and without their hash: only vectors and probes are left."""
+
+    def __init__(self, c: Context) -> None:
+        folder = c.folder
+        text = folder.sources[f"{folder.name}.c"]
+        text = re.sub(r"static const int32_t (weight_\d+)\[", r"int32_t \1[", text)
+        text = _without_hash(text)
+        work = c.work / "tables"
+        work.mkdir(exist_ok=True)
+        source = work / f"{folder.name}.c"
+        source.write_text(text)
+        output = work / "tables.so"
+        host().build([source], output, ["-shared", "-fPIC", f"-I{folder.path}"])
+        self._library = ctypes.CDLL(str(output))
+        self._test = getattr(self._library, f"{folder.name}_self_test")
+        self._network = folder.network
+        require(int(self._test()) == 0, "the unmutated tables fail")
+
+    def flip(self, layer: int, row: int, column: int, bit: int) -> int:
+        """Mismatches with one bit of one weight flipped; it is flipped back."""
+        padded = padded_layers(self._network)[layer]
+        place = (row // BLOCK) * padded.columns * BLOCK + column * BLOCK + row % BLOCK
+        table = (ctypes.c_uint32 * padded.weights.size).in_dll(self._library, f"weight_{layer}")
+        expected = int(self._network.layers[layer].weights[row, column]) & 0xFFFFFFFF
+        require(table[place] == expected, "the table is not where it was thought to be")
+        table[place] ^= 1 << bit
+        found = int(self._test())
+        table[place] ^= 1 << bit
+        return found

@@ -1,0 +1,70 @@
+"""What the checks share: the folder, the vectors, what NumPy says of them."""
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.export import emulator
+from quadjax.export.vectors import check_vectors, hostile_vectors
+from quadjax.export.verify.folder import Folder
+from quadjax.export.verify.harness import HostLibrary, host_library
+from quadjax.export.verify.result import Failed
+from quadjax.export.verify.toolchain import host
+
+BATCH = 50_000  # vectors that NumPy takes at a time
+
+
+def expected_rows(folder: Folder, x: np.ndarray) -> np.ndarray:
+    """Rows (n, 7) int32, as the harness gives them, by the NumPy emulator."""
+    rows = []
+    for start in range(0, len(x), BATCH):
+        part = x[start : start + BATCH]
+        q, clipped, nan = emulator.quantize(folder.network, part)
+        command, trace = emulator.forward_traced(folder.network, q)
+        digest = emulator.trace_digest(trace)
+        columns = [digest, clipped, nan]
+        words = np.stack([c.astype(np.uint32).view(np.int32) for c in columns], axis=1)
+        rows.append(np.concatenate([command, words], axis=1))
+    return np.concatenate(rows)
+
+
+@dataclasses.dataclass
+class Context:
+    """One verification."""
+
+    folder: Folder
+    work: Path  # a temporary folder for what is built
+    count: int  # vectors
+
+    @functools.cached_property
+    def vectors(self) -> np.ndarray:
+        """Corner, trajectory, uniform and Gaussian vectors, float32."""
+        return check_vectors(self.folder.network, self.count, self.folder.observations)
+
+    @functools.cached_property
+    def hostile(self) -> np.ndarray:
+        """NaN, infinity, huge and subnormal numbers in every position, float32."""
+        return hostile_vectors(self.folder.network)
+
+    @functools.cached_property
+    def expected(self) -> np.ndarray:
+        """What NumPy says of the vectors."""
+        return expected_rows(self.folder, self.vectors)
+
+    @functools.cached_property
+    def expected_hostile(self) -> np.ndarray:
+        """What NumPy says of the hostile vectors."""
+        return expected_rows(self.folder, self.hostile)
+
+    @functools.cached_property
+    def library(self) -> HostLibrary:
+        """The C on this machine."""
+        return host_library(self.folder, host(), self.work)
+
+    def same(self, who: str, rows: np.ndarray, expected: np.ndarray) -> None:
+        """Raise ``Failed`` unless rows are NumPy's, bit for bit."""
+        wrong = np.flatnonzero(np.any(rows != expected, axis=1))
+        if wrong.size:
+            raise Failed(f"{who}: {wrong.size} of {len(rows)} vectors differ, first {wrong[0]}")

@@ -1,0 +1,111 @@
+"""An emulated Cortex-A9 that runs compiled functions and counts their instructions.
+
+Needs the packages of the ``verify`` extra: ``unicorn`` and ``pyelftools``.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from elftools.elf.elffile import ELFFile
+from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_ARM, Uc
+from unicorn.arm_const import (
+    UC_ARM_REG_C1_C0_2,
+    UC_ARM_REG_FPEXC,
+    UC_ARM_REG_LR,
+    UC_ARM_REG_R0,
+    UC_ARM_REG_R1,
+    UC_ARM_REG_R2,
+    UC_ARM_REG_R3,
+    UC_ARM_REG_SP,
+    UC_CPU_ARM_CORTEX_A9,
+)
+
+PAGE = 4096
+STACK_TOP, STACK_SIZE = 0x7000_0000, 1 << 20
+HEAP, HEAP_SIZE = 0x4000_0000, 1 << 28
+RETURN = 0x3000_0000  # an address that holds no code: the end of a call
+PAINT = 0xA5
+ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)
+
+
+class Machine:
+    """A Cortex-A9 with VFP and NEON switched on, and one ELF file in its memory."""
+
+    def __init__(self, path: Path) -> None:
+        """Load an ELF executable; its symbols become callable."""
+        self._cpu = Uc(UC_ARCH_ARM, UC_MODE_ARM)
+        self._cpu.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_A9)
+        self.symbols: dict[str, int] = {}
+        self._load(path)
+        self._cpu.mem_map(STACK_TOP - STACK_SIZE, STACK_SIZE)
+        self._cpu.mem_map(HEAP, HEAP_SIZE)
+        self._cpu.mem_map(RETURN, PAGE)
+        self._cpu.reg_write(
+            UC_ARM_REG_C1_C0_2, self._cpu.reg_read(UC_ARM_REG_C1_C0_2) | (0xF << 20)
+        )
+        self._cpu.reg_write(UC_ARM_REG_FPEXC, 0x40000000)
+        self._free = HEAP
+
+    def _load(self, path: Path) -> None:
+        with open(path, "rb") as stream:
+            elf = ELFFile(stream)
+            pages = set()
+            segments = [s for s in elf.iter_segments() if s["p_type"] == "PT_LOAD"]
+            for segment in segments:
+                start = segment["p_vaddr"] // PAGE
+                end = (segment["p_vaddr"] + segment["p_memsz"] + PAGE - 1) // PAGE
+                pages |= set(range(start, end))
+            for page in sorted(pages):
+                self._cpu.mem_map(page * PAGE, PAGE)
+            for segment in segments:
+                self._cpu.mem_write(segment["p_vaddr"], segment.data())
+            for symbol in elf.get_section_by_name(".symtab").iter_symbols():
+                self.symbols[symbol.name] = symbol["st_value"]
+
+    def place(self, values: np.ndarray) -> int:
+        """Copy an array into the machine; returns its address, a multiple of 16."""
+        address = self.reserve(values.nbytes)
+        self._cpu.mem_write(address, np.ascontiguousarray(values).tobytes())
+        return address
+
+    def reserve(self, size: int) -> int:
+        """The address of ``size`` bytes."""
+        address = self._free
+        self._free += -(-max(size, 1) // 64) * 64
+        return address
+
+    def release(self) -> None:
+        """Forget everything that was placed or reserved."""
+        self._free = HEAP
+
+    def read(self, address: int, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
+        """Copy an array out of the machine."""
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        return np.frombuffer(self._cpu.mem_read(address, size), dtype).reshape(shape).copy()
+
+    def call(self, name: str, *arguments: int) -> int:
+        """Call a function of up to four integer or pointer arguments; returns r0."""
+        self._cpu.reg_write(UC_ARM_REG_SP, STACK_TOP - 64)
+        self._cpu.reg_write(UC_ARM_REG_LR, RETURN)
+        for register, value in zip(ARGUMENTS, arguments, strict=False):
+            self._cpu.reg_write(register, value)
+        self._cpu.emu_start(self.symbols[name], RETURN)
+        return self._cpu.reg_read(UC_ARM_REG_R0)
+
+    def count(self, name: str, *arguments: int) -> tuple[int, int]:
+        """Instructions and bytes of stack that one call takes."""
+        counted = [0]
+
+        def step(_cpu: Uc, _address: int, _size: int, _data: object) -> None:
+            counted[0] += 1
+
+        bottom = STACK_TOP - STACK_SIZE
+        self._cpu.mem_write(bottom, bytes([PAINT]) * STACK_SIZE)
+        self._cpu.ctl_flush_tb()  # code that was translated without the hook would not be counted
+        hook = self._cpu.hook_add(UC_HOOK_CODE, step)
+        self.call(name, *arguments)
+        self._cpu.hook_del(hook)
+        self._cpu.ctl_flush_tb()
+        painted = np.frombuffer(self._cpu.mem_read(bottom, STACK_SIZE - 64), np.uint8)
+        used = np.flatnonzero(painted != PAINT)
+        return counted[0], 0 if not used.size else len(painted) - int(used[0])

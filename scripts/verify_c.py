@@ -1,0 +1,57 @@
+"""Build and run an exported folder with whatever this machine has, and say what held.
+
+    python scripts/verify_c.py DIR
+
+A C compiler of the host, or the one that pip installs, and an emulated Cortex-A9 (pip install
+'quadjax[verify]') are enough. With arm-linux-gnueabi-gcc, arm-linux-gnueabihf-gcc, qemu-arm,
+frama-c and cppcheck on the path more is checked; what is missing is left out with the reason.
+Exit status 0: no check failed.
+"""
+
+import argparse
+import dataclasses
+import sys
+from pathlib import Path
+
+from quadjax.errors import InputError, command_line
+from quadjax.export.verify.result import FAILED, table_text
+from quadjax.export.verify.run import verify
+from quadjax.files import write_json
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, help="what export_c.py wrote")
+    parser.add_argument(
+        "--vectors", type=int, default=20_000, help="vectors for every build (default 20000)"
+    )
+    parser.add_argument("--flights", type=int, default=0, help="flights of the closed loop")
+    parser.add_argument("--json", type=Path, help="write the table there too")
+    return parser.parse_args()
+
+
+@command_line
+def main() -> int:
+    """Verify, and print the table."""
+    words = parse()
+    if words.vectors < 100 or words.flights < 0:
+        raise InputError("--vectors: at least 100; --flights: not negative")
+
+    def announce(name: str) -> None:
+        if sys.stderr.isatty():
+            print(f"\r\033[K{name} ..", end="", file=sys.stderr, flush=True)
+
+    results = verify(words.folder, words.vectors, words.flights, announce)
+    if sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr)
+    print(table_text(results))
+    if words.json:
+        write_json(words.json, [dataclasses.asdict(result) for result in results])
+    return int(any(result.verdict == FAILED for result in results))
+
+
+if __name__ == "__main__":
+    main()

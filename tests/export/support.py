@@ -1,0 +1,93 @@
+"""Made-up policies, and what the tests of the export room share."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadjax.export.emit_network import Provenance, emit_network
+from quadjax.export.fixed import FixedNetwork, convert
+from quadjax.export.vectors import self_test_inputs
+from quadjax.policy_file import Policy
+
+DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
+WIDE = {"position": 64.0, "velocity": 64.0, "rates": 1024.0, "next_position": 8.0}
+ORIGIN = Provenance("made", "00" * 32, ("Policy   made up",), "tests")
+
+
+def made_policy(
+    width: int = 16,
+    vehicle: str = "motor",
+    seed: int = 0,
+    output: str = "clip",
+    depth: int = 3,
+    gain: float = 1.0,
+    activation: str = "relu",
+) -> Policy:
+    """A random policy that reacts to all that it sees."""
+    rng = np.random.default_rng(seed)
+    sizes = [24 if vehicle == "motor" else 17] + [width] * depth + [4]
+    layers = []
+    for a, b in zip(sizes[:-1], sizes[1:], strict=True):
+        kernel = gain * rng.standard_normal((a, b)) * np.sqrt(2.0 / a)
+        layers.append(
+            (kernel.astype(np.float32), (0.1 * rng.standard_normal(b)).astype(np.float32))
+        )
+    layers[-1] = (np.float32(0.3) * layers[-1][0], layers[-1][1])
+    motor = vehicle == "motor"
+    return Policy(
+        layers=tuple(layers),
+        log_std=np.zeros(4, np.float32),
+        vehicle=vehicle,
+        activation=activation,
+        output=output,
+        command_low=np.full(4, 3000.0) if motor else np.array([-3.0, -3.0, -3.0, 0.0]),
+        command_high=np.full(4, 11000.0) if motor else np.array([3.0, 3.0, 3.0, 15.0]),
+        observation={"disturbance": DISTURBANCE} if motor else {},
+        source={"made": "up"},
+    )
+
+
+def observations(network: FixedNetwork, count: int, seed: int = 0) -> np.ndarray:
+    """Observations of all sizes, some outside the box, some not numbers, float32."""
+    rng = np.random.default_rng(seed)
+    size = rng.choice([0.01, 0.3, 1.0, 3.0], (count, 1))
+    x = (rng.uniform(-1.0, 1.0, (count, network.inputs)) * network.box.ranges * size).astype(
+        np.float32
+    )
+    bad = np.array([np.nan, np.inf, -np.inf, 1e-42, 3e38], np.float32)
+    rows = rng.integers(0, count, len(bad) * 4)
+    x[rows, rng.integers(0, network.inputs, len(rows))] = np.tile(bad, 4)
+    return x
+
+
+def need(program: str) -> str:
+    """Skip unless a program is on the path."""
+    found = shutil.which(program)
+    if found is None:
+        pytest.skip(f"no {program} on this machine")
+    return found
+
+
+def write_network(network: FixedNetwork, folder: Path) -> Path:
+    """The emitted network in a folder; returns its source."""
+    for name, text in emit_network(network, ORIGIN, self_test_inputs(network, None)).items():
+        (folder / name).write_text(text)
+    return folder / "made.c"
+
+
+POLICIES = {
+    "motor 64": {"width": 64},
+    "rate": {"vehicle": "rate"},
+    "tanh": {"output": "tanh"},
+    "narrow": {"width": 5, "depth": 1},
+    "linear": {"depth": 0},
+    "wide": {"width": 300, "depth": 2, "vehicle": "rate", "output": "tanh"},
+}
+
+
+def named_network(name: str) -> tuple[Policy, FixedNetwork]:
+    """One of ``POLICIES``, converted."""
+    policy = made_policy(**POLICIES[name])
+    return policy, convert(policy)

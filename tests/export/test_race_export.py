@@ -1,0 +1,145 @@
+"""The observation, the gate logic and the estimator in fixed point, beside the Python."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.errors import InputError
+from quadjax.export import estimator_emulator, flights, race_emulator
+from quadjax.export.estimator_tables import make_estimator
+from quadjax.export.fixed import convert
+from quadjax.export.race_tables import make_tables
+from quadjax.export.verify.checks_flight import _measurements
+from quadjax.fit.estimator_reference import estimate
+from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.residual import Residual
+from tests.export.support import WIDE, made_policy
+
+
+def random_states(rng, count, vehicle):
+    """States that a race may meet, (n, state_size) float32; yaw wound up several turns."""
+    parts = [rng.uniform(-4, 4, (count, 3)), rng.normal(0, 5, (count, 3))]
+    parts += [rng.uniform(-1, 1, (count, 2)), rng.uniform(-20, 20, (count, 1))]
+    parts.append(rng.normal(0, 4, (count, 3)))
+    if vehicle == "rate":
+        parts.append(rng.uniform(0, 15, (count, 1)))
+    else:
+        parts.append(rng.uniform(3000, 11000, (count, 4)))
+        parts.append(rng.uniform(-1, 1, (count, 3)) * [0.03, 0.03, 0.01])
+        parts.append(rng.uniform(-0.5, 0.5, (count, 3)))
+    return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+@pytest.mark.parametrize("vehicle", ["motor", "rate"])
+@pytest.mark.parametrize("track", ["square4.yaml", "figure8.yaml"])
+def test_observation_is_the_environments(vehicle, track):
+    policy = made_policy(8, vehicle)
+    own = flights.own_race(policy, None, track)
+    ranges = {k: v for k, v in WIDE.items() if k != "next_position"} | {"next_position": 16.0}
+    network = convert(policy, ranges)
+    tables = make_tables(network, policy, own.params.track)
+    rng = np.random.default_rng(0)
+    states, targets = random_states(rng, 2000, vehicle), rng.integers(0, tables.gates, 2000)
+    observed = race_emulator.observe(tables, states, targets)
+    assert not (observed.clipped | observed.nan | observed.outside).any()
+    shown = flights.observe(own, states, targets)
+    error = np.abs(observed.q / 2.0**30 * network.box.ranges - shown)
+    # The yaw of 20 rad itself has float32 steps of 2e-6 rad in the environment.
+    tolerance = np.maximum(1e-6 * network.box.ranges, 4e-6)
+    assert np.all(error <= tolerance)
+
+
+def test_yaw_wraps_at_any_turn_without_a_loop():
+    policy = made_policy(8, "rate")
+    own = flights.own_race(policy, None, None)
+    tables = make_tables(convert(policy), policy, own.params.track)
+    yaw = np.linspace(-63.0, 63.0, 20001)
+    wrapped = race_emulator.wrap(tables, np.rint(yaw * 2.0**30).astype(np.int64)) / 2.0**30
+    exact = np.arctan2(np.sin(yaw), np.cos(yaw))
+    away = np.abs(np.abs(exact) - np.pi) > 1e-6
+    assert np.abs(wrapped - exact)[away].max() < 1e-7
+    assert np.abs(wrapped).max() <= np.pi + 1e-6
+
+
+def test_state_status_and_edges():
+    policy = made_policy(8)
+    own = flights.own_race(policy, None, None)
+    tables = make_tables(convert(policy), policy, own.params.track)
+    states = random_states(np.random.default_rng(0), 3, "motor")
+    states[0, 2], states[1, 8], states[2, 3] = np.nan, np.inf, 20.0
+    observed = race_emulator.observe(tables, states, np.zeros(3, int))
+    assert observed.nan.tolist() == [4, 0, 0]
+    assert observed.clipped.tolist() == [0, 256, 0]
+    assert observed.outside[2] != 0  # 20 m/s is in the state's range, not in the network's
+    assert np.abs(observed.q).max() <= 2**30
+
+
+def test_gates_are_passed_and_missed():
+    policy = made_policy(8, "rate")
+    own = flights.own_race(policy, None, None)
+    tables = make_tables(convert(policy), policy, own.params.track)
+    unit = 2.0 ** (30 - tables.exponents[0])
+    gate = np.array([2.0, -1.5, -1.5])
+    ahead = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0])
+    right = np.array([-ahead[1], ahead[0], 0.0])
+
+    def event(start, end):
+        points = [np.rint(p * unit).astype(np.int64)[None] for p in (start, end)]
+        return int(race_emulator.gate_event(tables, *points, np.zeros(1, int))[0])
+
+    through = (gate - 0.1 * ahead, gate + 0.1 * ahead)
+    assert event(*through) == race_emulator.PASSED
+    assert event(*reversed(through)) == race_emulator.NO_EVENT
+    beside = [p + 0.51 * right for p in through]
+    assert event(*beside) == race_emulator.MISSED
+    assert event(*[p + 0.49 * right for p in through]) == race_emulator.PASSED
+    above = [p - np.array([0, 0, 0.51]) for p in through]
+    assert event(*above) == race_emulator.MISSED
+
+
+def made_residual(rng):
+    def network(inputs, outputs, gain):
+        sizes = [(inputs, 32, 0.3), (32, outputs, gain)]
+        return tuple(
+            (
+                jnp.asarray(g * rng.standard_normal((a, b)), jnp.float32),
+                jnp.asarray(g * 0.1 * rng.standard_normal(b), jnp.float32),
+            )
+            for a, b, g in sizes
+        )
+
+    ends = [jnp.float32(x) for x in (3000.0, 11000.0, -1.0)]
+    return Residual(network(7, 1, 0.1), network(10, 3, 0.002), *ends)
+
+
+@pytest.mark.parametrize("with_residual", [False, True])
+@pytest.mark.parametrize("rate, cutoff", [(512.0, 8.0), (400.0, 16.0)])
+def test_estimator_is_the_reference(with_residual, rate, cutoff):
+    rng = np.random.default_rng(0)
+    constants = flights.own_race(made_policy(8), None, None).params.vehicle.constants
+    residual = made_residual(rng) if with_residual else None
+    tables = make_estimator(constants, residual, rate, cutoff)
+    measured = _measurements(rng, rate, 4.0)
+    memory = estimator_emulator.start(tables, measured[:1])
+    found = np.concatenate(
+        [
+            estimator_emulator.outputs(tables, estimator_emulator.update(tables, memory, row[None]))
+            for row in measured
+        ]
+    )
+    exact = measured.astype(np.float64)
+    signals = {
+        "gyro": exact[:, 0:3],
+        "specific_force": exact[:, 3:6],
+        "rpm": exact[:, 6:10],
+        "body_velocity": exact[:, 10:13],
+    }
+    moment, force = estimate(MotorParams(constants, residual), signals, rate, cutoff)
+    assert np.abs(found[:, :3] - moment).max() < 1e-6
+    assert np.abs(found[:, 3:] - force).max() < 2e-5
+
+
+def test_estimator_refuses_a_cutoff_without_room():
+    constants = flights.own_race(made_policy(8), None, None).params.vehicle.constants
+    with pytest.raises(InputError, match="cut-off"):
+        make_estimator(constants, None, 512.0, 200.0)

@@ -1,0 +1,153 @@
+"""Gradients through short flights against central differences, in double precision."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from quadjax.race import environment
+from quadjax.race.environment import RaceState
+from tests import reference as ref
+from tests.convert import residual_of, state_of
+from tests.race.support import make_race
+from tests.race.test_flight import double
+
+STEPS = 12
+QUICK = {"xla_backend_optimization_level": 0}  # compiled soon rather than well
+TERMS = ("progress", "gate", "gate_offset", "collision", "time", "rates")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _double():
+    with jax.enable_x64(True):
+        yield
+
+
+def approach(kind):
+    """On the way to the first gate, off its centre, passing it halfway through the flight."""
+    rows = np.zeros((1, 22 if kind == "motor" else 13))
+    ahead = np.array([np.cos(ref.GATE_YAW[0]), np.sin(ref.GATE_YAW[0]), 0])
+    rows[:, ref.P] = ref.GATES[0] - 0.33 * ahead + [0.1, -0.15, 0.2]
+    rows[:, ref.V] = 5 * ahead + [0.3, -0.2, 0.4]
+    rows[:, ref.EULER], rows[:, ref.RATES] = [0.3, -0.4, 0.6], [0.8, -1.1, 0.6]
+    if kind == "motor":
+        rows[:, ref.RPM] = [7000, 7500, 6500, 7200]
+        rows[:, ref.MOMENT], rows[:, ref.FORCE] = [0.003, -0.002, 0.001], [0.0, 0.0, 0.3]
+    else:
+        rows[:, 12] = 9.0
+    return jax.tree.map(lambda x: x[0], state_of(kind, rows))
+
+
+@functools.cache
+def flights(kind, integrator, residual):
+    """The flight's return, its gradient and many returns at once, each compiled once."""
+    choices, params = make_race(f"vehicle.kind={kind}", f"vehicle.integrator={integrator}")
+    params = double(params)
+    if residual:
+        net = residual_of(ref.random_residual(1.0))
+        params = params.replace(vehicle=params.vehicle.replace(residual=net))
+    actions = np.random.default_rng(4).uniform(-0.4, 0.4, (STEPS, 4))
+    drone = approach(kind)
+    flat, unravel = ravel_pytree((drone, jnp.asarray(actions)))
+    size = ravel_pytree(
+        (
+            jax.tree.map(lambda x: jnp.where(jnp.abs(x) > 1000, 1e3, 0.1), drone),
+            jnp.full((STEPS, 4), 0.3),
+        )
+    )[0]
+
+    def outcome(moves, weights):
+        drone, actions = unravel(flat + size * moves)
+        zero = jnp.zeros((), jnp.int32)
+        race = params.replace(reward=weights)
+
+        def step(state, action):
+            state, value, outcome = environment.transition(choices, race, state, action)
+            return state, (value, outcome.passed, outcome.terminated)
+
+        state = RaceState(drone, zero, zero, zero, None)
+        _, (values, passed, ended) = jax.lax.scan(step, state, actions)
+        return jnp.sum(values), (passed, ended)
+
+    def value(moves, weights):
+        return outcome(moves, weights)[0]
+
+    both = jax.jit(jax.value_and_grad(outcome, has_aux=True), compiler_options=QUICK)
+    many = jax.jit(jax.vmap(value, in_axes=(0, None)), compiler_options=QUICK)
+    return both, many, flat.size, params.reward
+
+
+@pytest.mark.parametrize(
+    ("kind", "integrator", "residual"),
+    [("motor", "euler", False), ("motor", "euler", True), ("rate", "euler", False)],
+)
+@pytest.mark.parametrize("term", [*TERMS, "all"])
+def test_gradient_of_the_return(kind, integrator, residual, term):
+    both, many, size, reward = flights(kind, integrator, residual)
+    weight = dict.fromkeys(TERMS, 0.0) | {"gate": 10.0}
+    if term == "all":
+        weight = {"progress": 1.0, "gate": 10, "gate_offset": 10, "collision": 10, "time": 1}
+        weight |= {"rates": 0.05}
+    elif term != "gate":
+        weight |= {"gate": 0.0, term: 2.0}
+    weights = reward.replace(**{name: jnp.asarray(value, float) for name, value in weight.items()})
+    (_, (passed, ended)), slope = both(jnp.zeros(size), weights)
+    assert np.sum(passed) == 1 and not np.any(ended) and 3 < np.argmax(passed) < STEPS - 1
+    h = 1e-4
+    ahead, back = many(h * jnp.eye(size), weights), many(-h * jnp.eye(size), weights)
+    measured = np.asarray(ahead - back) / (2 * h)
+    if term in ("gate", "time", "collision"):  # constant as long as the same things happen
+        np.testing.assert_array_equal(slope, 0.0)
+        np.testing.assert_allclose(measured, 0.0, atol=1e-9)
+        return
+    assert np.abs(measured).max() > 1e-3
+    np.testing.assert_allclose(slope, measured, atol=2e-6 * np.abs(measured).max())
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_saturated_actions_can_come_back(kind):
+    """Beyond the limit the gradient is the one at the limit, or nothing, by its direction."""
+    choices, params = make_race(f"vehicle.kind={kind}")
+    params, zero = double(params), jnp.zeros((), jnp.int32)
+    state = RaceState(approach(kind), zero, zero, zero, None)
+
+    def speed(action):
+        following, _, _ = environment.transition(choices, params, state, action)
+        drone = following.drone
+        return drone.rpm.w1 if kind == "motor" else drone.thrust
+
+    index = 0 if kind == "motor" else 3
+    slope = jax.jit(jax.grad(lambda action, sign: sign * speed(action)), compiler_options=QUICK)
+    inside = slope(jnp.zeros(4), 1.0)[index]
+    high, low = jnp.full(4, 1.7), jnp.full(4, -1.7)
+    assert inside > 0
+    assert slope(high, 1.0)[index] == pytest.approx(float(inside))
+    assert slope(high, -1.0)[index] == 0
+    assert slope(low, -1.0)[index] == pytest.approx(-float(inside))
+    assert slope(low, 1.0)[index] == 0
+
+
+def test_gradient_is_finite_where_a_flight_ends():
+    """At the gate's very centre, with no rates, in a crash and at the last step."""
+    choices, params = make_race("reward.rates=0.1")
+    params, zero = double(params), jnp.zeros((), jnp.int32)
+    base = approach("motor")
+    still = jax.tree.map(jnp.zeros_like, base.rates)
+    at_gate = jax.tree.map(lambda x: x[0], params.track.position)
+    below = base.position.replace(z=jnp.asarray(-0.001))
+    hard = base.velocity.replace(z=jnp.asarray(3.0))
+    cases = [
+        base.replace(position=at_gate, velocity=still, rates=still, euler=still),
+        base.replace(position=below, velocity=hard),
+    ]
+
+    def value(drone, action):
+        state = RaceState(drone, zero, jnp.asarray(1199, jnp.int32), zero, None)
+        return environment.transition(choices, params, state, action)[1]
+
+    slope = jax.jit(jax.grad(value, (0, 1)), compiler_options=QUICK)
+    for drone in cases:
+        assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(slope(drone, jnp.zeros(4))))

@@ -1,0 +1,298 @@
+"""Policy and residual files: they come back as they went, and damage is one clear line."""
+
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+from quadjax.errors import InputError
+from quadjax.files import read_npz, whole_file, write_json, write_text
+from quadjax.policy_file import Policy, read_policy, write_policy
+from quadjax.residual_file import read_residual, write_residual
+from tests import reference as ref
+from tests.convert import residual_of
+
+POLICY_META = {
+    "format": "quadjax-policy/1",
+    "vehicle": "rate",
+    "activation": "relu",
+    "output": "clip",
+    "command_low": [-3, -3, -3, 0],
+    "command_high": [3, 3, 3, 15],
+    "observation": {"wrap_next_yaw": True},
+    "source": {"run": "test"},
+}
+RESIDUAL_META = {
+    "format": "quadjax-residual/1",
+    "rpm_min": 3000,
+    "rpm_max": 11000,
+    "thrust_sign": -1,
+    "source": "a flight",
+}
+
+
+def policy_arrays():
+    draw = np.random.default_rng(0)
+    sizes = (17, 8, 6, 4)
+    arrays = {"log_std": draw.normal(size=4).astype(np.float32)}
+    for i, (rows, columns) in enumerate(zip(sizes, sizes[1:], strict=False)):
+        arrays[f"kernel_{i}"] = draw.normal(size=(rows, columns)).astype(np.float32)
+        arrays[f"bias_{i}"] = draw.normal(size=columns).astype(np.float32)
+    return arrays
+
+
+def residual_arrays():
+    draw = np.random.default_rng(0)
+    arrays = {}
+    for name, (rows, columns) in {"thrust": (7, 1), "moment": (10, 3)}.items():
+        for i, shape in enumerate([(rows, 32), (32, columns)]):
+            arrays[f"{name}_kernel_{i}"] = draw.normal(size=shape).astype(np.float32)
+            arrays[f"{name}_bias_{i}"] = draw.normal(size=shape[1]).astype(np.float32)
+    return arrays
+
+
+def save(path, arrays, meta):
+    """As anybody would with NumPy alone."""
+    text = meta if isinstance(meta, str) else json.dumps(meta)
+    np.savez(path, **arrays, **({} if meta is None else {"meta": text}))
+    return path
+
+
+def refusal(read, path):
+    with pytest.raises(InputError) as caught:
+        read(path)
+    text = str(caught.value)
+    assert "\n" not in text and str(path) in text, text
+    return text
+
+
+def test_policy_of_plain_numpy(tmp_path):
+    arrays = policy_arrays()
+    bare = {key: value for key, value in POLICY_META.items() if key != "output"}
+    policy = read_policy(save(tmp_path / "p.npz", arrays, bare))
+    assert (policy.vehicle, policy.activation, policy.output) == ("rate", "relu", "clip")
+    assert len(policy.layers) == 3
+    for i, (kernel, bias) in enumerate(policy.layers):
+        np.testing.assert_array_equal(kernel, arrays[f"kernel_{i}"])
+        np.testing.assert_array_equal(bias, arrays[f"bias_{i}"])
+    np.testing.assert_array_equal(policy.log_std, arrays["log_std"])
+    np.testing.assert_array_equal(policy.command_high, [3, 3, 3, 15])
+    assert policy.observation == POLICY_META["observation"]
+
+
+def test_policy_comes_back_as_it_went(tmp_path):
+    first = read_policy(save(tmp_path / "a.npz", policy_arrays(), POLICY_META | {"output": "tanh"}))
+    write_policy(tmp_path / "new" / "b.npz", first)
+    second = read_policy(tmp_path / "new" / "b.npz")
+    for name in Policy.__dataclass_fields__:
+        left, right = getattr(first, name), getattr(second, name)
+        if name == "layers":
+            for one, two in zip(left, right, strict=True):
+                np.testing.assert_array_equal(one[0], two[0])
+                np.testing.assert_array_equal(one[1], two[1])
+        else:
+            np.testing.assert_array_equal(left, right)
+    names = np.load(tmp_path / "new" / "b.npz", allow_pickle=False).files
+    expected = {f"{kind}_{i}" for kind in ("kernel", "bias") for i in range(3)}
+    assert set(names) == expected | {"log_std", "meta"}
+
+
+def test_a_source_in_anybody_s_own_words(tmp_path):
+    for source, expected in (
+        ("my drone", {"source": "my drone"}),
+        (None, {}),
+        ({"a": 1}, {"a": 1}),
+    ):
+        path = save(tmp_path / "p.npz", policy_arrays(), POLICY_META | {"source": source})
+        assert read_policy(path).source == expected
+
+
+def without(arrays, *names):
+    return {key: value for key, value in arrays.items() if key not in names}
+
+
+def poked(arrays, name, value):
+    array = arrays[name].copy()
+    array.flat[3] = value
+    return arrays | {name: array}
+
+
+POLICY_DAMAGE = {
+    "no bias": (lambda a: without(a, "bias_1"), {}, "bias_1 is missing"),
+    "no first layer": (lambda a: without(a, "kernel_0"), {}, "kernel_0 is missing"),
+    "no last layer": (lambda a: without(a, "kernel_2", "bias_2"), {}, "outputs"),
+    "a gap": (lambda a: without(a, "kernel_1", "bias_1"), {}, "outputs"),
+    "no log_std": (lambda a: without(a, "log_std"), {}, "log_std"),
+    "long log_std": (lambda a: a | {"log_std": np.zeros(5)}, {}, "log_std"),
+    "nan": (lambda a: poked(a, "kernel_1", np.nan), {}, "kernel_1[0, 3] is nan"),
+    "infinite": (lambda a: poked(a, "bias_0", np.inf), {}, "bias_0[3] is inf"),
+    "nan log_std": (lambda a: poked(a, "log_std", np.nan), {}, "log_std"),
+    "too large": (lambda a: a | {"bias_0": np.full(8, 1e300)}, {}, "bias_0"),
+    "turned": (lambda a: a | {"kernel_1": a["kernel_1"].T}, {}, "kernel_1"),
+    "flat": (lambda a: a | {"kernel_0": a["kernel_0"].ravel()}, {}, "kernel_0"),
+    "empty": (lambda a: a | {"kernel_0": np.zeros((0, 8))}, {}, "kernel_0"),
+    "short bias": (lambda a: a | {"bias_0": a["bias_0"][:-1]}, {}, "bias_0"),
+    "words": (lambda a: a | {"bias_0": np.array(["x"] * 8)}, {}, "bias_0"),
+    "complex": (lambda a: a | {"bias_0": a["bias_0"] + 1j}, {}, "bias_0"),
+    "other inputs": (lambda a: a, {"vehicle": "motor"}, "17"),
+    "format": (lambda a: a, {"format": "quadjax-policy/9"}, "quadjax-policy/9"),
+    "a residual": (lambda a: a, {"format": "quadjax-residual/1"}, "quadjax-residual/1"),
+    "vehicle": (lambda a: a, {"vehicle": "boat"}, "boat"),
+    "list of vehicles": (lambda a: a, {"vehicle": ["rate"]}, "vehicle"),
+    "activation": (lambda a: a, {"activation": "gelu"}, "gelu"),
+    "output": (lambda a: a, {"output": "round"}, "round"),
+    "three limits": (lambda a: a, {"command_low": [0, 0, 0]}, "command_low"),
+    "word limits": (lambda a: a, {"command_low": "low"}, "command_low"),
+    "nan limits": (lambda a: a, {"command_high": [1, 2, 3, float("nan")]}, "command_high"),
+    "no limits": (lambda a: a, {"command_high": None}, "command_high"),
+    "crossed limits": (lambda a: a, {"command_high": [-3, 3, 3, 15]}, "command_low"),
+    "observation": (lambda a: a, {"observation": [1, 2]}, "observation"),
+}
+
+
+@pytest.mark.parametrize("damage", POLICY_DAMAGE)
+def test_damaged_policy(tmp_path, damage):
+    change, meta, says = POLICY_DAMAGE[damage]
+    path = save(tmp_path / "p.npz", change(policy_arrays()), POLICY_META | meta)
+    assert says in refusal(read_policy, path)
+
+
+RESIDUAL_DAMAGE = {
+    "no moment": (lambda a: without(a, "moment_kernel_0"), {}, "moment_kernel_0 is missing"),
+    "no thrust bias": (lambda a: without(a, "thrust_bias_1"), {}, "thrust_bias_1 is missing"),
+    "inputs": (lambda a: a | {"thrust_kernel_0": np.zeros((8, 32))}, {}, "thrust network"),
+    "outputs": (
+        lambda a: a | {"moment_kernel_1": np.zeros((32, 2)), "moment_bias_1": np.zeros(2)},
+        {},
+        "moment network",
+    ),
+    "nan": (lambda a: poked(a, "thrust_bias_0", np.nan), {}, "thrust_bias_0[3] is nan"),
+    "sign": (lambda a: a, {"thrust_sign": 0}, "thrust_sign"),
+    "no sign": (lambda a: a, {"thrust_sign": None}, "thrust_sign"),
+    "truth for a sign": (lambda a: a, {"thrust_sign": True}, "thrust_sign"),
+    "word for rpm": (lambda a: a, {"rpm_min": "3000"}, "rpm_min"),
+    "nan rpm": (lambda a: a, {"rpm_max": float("nan")}, "rpm_max"),
+    "crossed rpm": (lambda a: a, {"rpm_max": 2000}, "rpm_min"),
+    "a policy": (lambda a: a, {"format": "quadjax-policy/1"}, "quadjax-policy/1"),
+}
+
+
+@pytest.mark.parametrize("damage", RESIDUAL_DAMAGE)
+def test_damaged_residual(tmp_path, damage):
+    change, meta, says = RESIDUAL_DAMAGE[damage]
+    path = save(tmp_path / "r.npz", change(residual_arrays()), RESIDUAL_META | meta)
+    assert says in refusal(read_residual, path)
+
+
+READERS = pytest.mark.parametrize("read", [read_policy, read_residual])
+
+
+@READERS
+def test_what_is_no_such_file(tmp_path, read):
+    assert "no such file" in refusal(read, tmp_path / "none.npz")
+    assert "no such file" in refusal(read, tmp_path)
+    path = tmp_path / "f.npz"
+    path.write_bytes(b"")
+    refusal(read, path)
+    path.write_bytes(b"PK\x03\x04 not a zip at all")
+    refusal(read, path)
+    path.write_text("hello\nworld\n")
+    refusal(read, path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("meta.npy", b"\x93NUMPY garbage")
+    refusal(read, path)
+    with open(path, "wb") as stream:
+        np.save(stream, np.zeros(3))
+    refusal(read, path)
+
+
+@READERS
+def test_meta_that_is_none(tmp_path, read):
+    arrays = policy_arrays()
+    assert "meta" in refusal(read, save(tmp_path / "a.npz", arrays, None))
+    assert "JSON" in refusal(read, save(tmp_path / "b.npz", arrays, "{not json"))
+    assert "format" in refusal(read, save(tmp_path / "c.npz", arrays, "[1, 2]"))
+    assert "format" in refusal(read, save(tmp_path / "d.npz", arrays, "{}"))
+
+
+@READERS
+def test_pickles_are_never_loaded(tmp_path, read):
+    class Trap:
+        def __reduce__(self):
+            return (pytest.fail, ("a pickle was loaded",))
+
+    path = tmp_path / "p.npz"
+    np.savez(path, kernel_0=np.array([Trap()], object), meta=json.dumps(POLICY_META))
+    refusal(read, path)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.98])
+def test_truncated_files(tmp_path, share):
+    for read, arrays, meta in (
+        (read_policy, policy_arrays(), POLICY_META),
+        (read_residual, residual_arrays(), RESIDUAL_META),
+    ):
+        path = save(tmp_path / "f.npz", arrays, meta)
+        whole = path.read_bytes()
+        path.write_bytes(whole[: int(share * len(whole))])
+        refusal(read, path)
+
+
+def test_flipped_bits(tmp_path):
+    """Whatever byte is damaged: a file as it was, or one line."""
+    path = save(tmp_path / "p.npz", policy_arrays(), POLICY_META)
+    whole = path.read_bytes()
+    draw = np.random.default_rng(0)
+    refused = 0
+    for place in draw.integers(0, len(whole), 150):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(draw.integers(8))
+        path.write_bytes(damaged)
+        try:
+            read_policy(path)
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused > 50
+
+
+def test_residual_comes_back_as_it_went(tmp_path):
+    residual = residual_of(ref.random_residual(-1.0))
+    write_residual(tmp_path / "r.npz", residual, {"flights": 3})
+    found = read_residual(tmp_path / "r.npz")
+    for name in ("thrust", "moment"):
+        for one, two in zip(getattr(found, name), getattr(residual, name), strict=True):
+            np.testing.assert_allclose(one[0], two[0], rtol=1e-6)
+            np.testing.assert_allclose(one[1], two[1], rtol=1e-6)
+    assert (found.rpm_min, found.rpm_max, found.thrust_sign) == (2500, 10500, -1)
+    plain = read_residual(save(tmp_path / "n.npz", residual_arrays(), RESIDUAL_META))
+    assert plain.thrust_sign == -1 and plain.moment[1][0].shape == (32, 3)
+
+
+def test_whole_file_leaves_the_old_one_when_writing_fails(tmp_path):
+    path = tmp_path / "deep" / "a.txt"
+    write_text(path, "old")
+    with pytest.raises(RuntimeError), whole_file(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert [p.name for p in path.parent.iterdir()] == ["a.txt"]
+    write_text(path, "new")
+    assert path.read_text() == "new"
+
+
+def test_json_has_no_nan(tmp_path):
+    with pytest.raises(ValueError):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert not (tmp_path / "a.json").exists()
+    write_json(tmp_path / "a.json", {"x": 1.5})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"x": 1.5}
+
+
+def test_read_npz_gives_arrays_and_meta(tmp_path):
+    arrays, meta = read_npz(
+        save(tmp_path / "a.npz", {"x": np.arange(3)}, {"format": "f/1", "k": 2}), "f/1"
+    )
+    np.testing.assert_array_equal(arrays["x"], [0, 1, 2])
+    assert set(arrays) == {"x"} and meta == {"format": "f/1", "k": 2}

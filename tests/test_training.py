@@ -1,0 +1,182 @@
+"""Whole runs: the same bits after a stop, a kill at any moment, and every shipped config."""
+
+import csv
+import dataclasses
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadjax import training
+from quadjax.checkpoint import Checkpoints
+from quadjax.config import load_config
+from quadjax.errors import InputError
+from quadjax.learn import loop
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIGS = ROOT / "configs"
+TINY = [
+    "train.drones=16",
+    "network.hidden=[8]",
+    "ppo.steps_per_update=8",
+    "ppo.batches=2",
+    "ppo.epochs=1",
+    "shac.horizon=4",
+    "evaluate.laps=1",
+    "train.steps=512",
+    "train.evaluate_every=128",
+    "train.devices=2",
+]
+TIMES = ("seconds", "steps_per_second")
+
+
+def config_of(name, *words):
+    return load_config(CONFIGS / name, [*TINY, *words])
+
+
+def arrays(path):
+    with np.load(path) as archive:
+        return {name: archive[name] for name in archive.files if name != "meta"}
+
+
+def rows(path):
+    with open(path, newline="") as stream:
+        found = list(csv.DictReader(stream))
+    return [{k: v for k, v in row.items() if k not in TIMES} for row in found]
+
+
+@contextmanager
+def after(reports):
+    """Interruptions that come once ``stop`` has been asked so many times."""
+
+    class Stop:
+        asked = 0
+
+        def is_set(self):
+            self.asked += 1
+            return self.asked > reports
+
+    yield Stop()
+
+
+@pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
+def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name):
+    config = config_of(name)
+    whole = training.train(config, tmp_path / "whole")
+    assert whole.finished
+    monkeypatch.setattr(training, "interruptions", lambda: after(2))
+    part = training.train(config, tmp_path / "part")
+    assert not part.finished
+    assert part.summary["steps"] == 256
+    monkeypatch.undo()
+    training.train(config, tmp_path / "part", resume=True)
+    first, second = (arrays(tmp_path / run / "policy_last.npz") for run in ("whole", "part"))
+    for key, value in first.items():
+        np.testing.assert_array_equal(value, second[key], err_msg=key)
+    assert rows(tmp_path / "whole/metrics.csv") == rows(tmp_path / "part/metrics.csv")
+
+
+def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
+    config = config_of("e2e_ppo.yaml", "train.steps=128")
+    training.train(config, tmp_path / "run")
+    with pytest.raises(InputError, match="--resume"):
+        training.train(config, tmp_path / "run")
+    other = dataclasses.replace(config, seed=7)
+    with pytest.raises(InputError, match="seed: 0.*seed: 7"):
+        training.train(other, tmp_path / "run", resume=True)
+
+
+def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
+    config = config_of("e2e_ppo.yaml")
+    compiled = training.parallel.compile_chunk
+
+    def broken(*arguments):
+        chunk, calls = compiled(*arguments), []
+
+        def run(params, state):
+            state, metrics = chunk(params, state)
+            calls.append(1)
+            if len(calls) == 3:
+                metrics["value_loss"] = metrics["value_loss"].at[0].set(np.nan)
+            return state, metrics
+
+        return run
+
+    monkeypatch.setattr(training.parallel, "compile_chunk", broken)
+    monkeypatch.setattr(loop.time, "monotonic", iter(range(0, 10**6, 1000)).__next__)
+    with pytest.raises(loop.NonFiniteError, match="update 3: value_loss"):
+        training.train(config, tmp_path / "run")
+    assert Checkpoints(tmp_path / "run/checkpoints").any
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_shipped_config_trains(tmp_path, path):
+    words = TINY
+    if "paper" in path.stem or "authors" in path.stem:
+        words = [*TINY, "ppo.shuffle_block=1"]
+    config = load_config(path, [*words, "train.steps=256"])
+    result = training.train(config, tmp_path / "run")
+    assert result.finished
+    assert result.policy.vehicle == config.vehicle.kind
+    assert all(np.isfinite(kernel).all() for kernel, _ in result.policy.layers)
+
+
+def command(runs, *words):
+    script = str(ROOT / "scripts/train.py")
+    return [sys.executable, script, str(CONFIGS / "e2e_ppo.yaml"), *words, "--runs", str(runs)]
+
+
+def start(runs, *words):
+    return subprocess.Popen(
+        command(runs, *words), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT
+    )
+
+
+LONG = [w for w in TINY if "train.steps" not in w]
+LONG += ["train.steps=12800", "train.checkpoint_seconds=0", "name=killed"]
+
+
+def test_killed_at_any_moment_it_resumes(tmp_path):
+    latest = tmp_path / "killed/checkpoints/latest"
+    clock = random.Random(0)
+    for _ in range(3):
+        process = start(tmp_path, *LONG, "--resume")
+        deadline = time.monotonic() + 120
+        before = {p.name for p in latest.glob("*")}
+        while {p.name for p in latest.glob("*")} == before and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(clock.uniform(0.0, 0.5))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert Checkpoints(tmp_path / "killed/checkpoints").any
+    process = start(tmp_path, *LONG, "--resume")
+    output, _ = process.communicate(timeout=300)
+    assert process.returncode == 0, output
+    summary = json.loads((tmp_path / "killed/summary.json").read_text())
+    assert summary["finished"]
+    steps = [float(row["steps"]) for row in rows(tmp_path / "killed/metrics.csv")]
+    assert steps == sorted(set(steps))
+    assert steps[-1] == 12800
+    for name in ("laps.json", "trajectory.png", "curves.png", "policy.npz", "config.yaml"):
+        assert (tmp_path / "killed" / name).stat().st_size > 0
+
+
+def test_interrupted_it_saves_and_says_how_to_go_on(tmp_path):
+    words = [w for w in LONG if "train.steps" not in w] + ["train.steps=12800000"]
+    process = start(tmp_path, *words)
+    metrics = tmp_path / "killed/metrics.csv"
+    deadline = time.monotonic() + 120
+    while not metrics.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 130, output
+    assert "--resume" in output
+    assert not json.loads((tmp_path / "killed/summary.json").read_text())["finished"]
