@@ -1,11 +1,16 @@
 """Eight host devices for the sharding tests; strict promotion for the rooms that keep to it."""
 
+import tempfile
 from collections.abc import Iterator
 
 import jax
 import pytest
 
 jax.config.update("jax_num_cpu_devices", 8)  # before anything starts the backend
+# Programs that several tests share are compiled once a session.
+CACHE = tempfile.TemporaryDirectory(prefix="quadjax-tests-")
+jax.config.update("jax_compilation_cache_dir", CACHE.name)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 RANKS = {"jax_numpy_rank_promotion": "raise"}
 TYPES = {"jax_numpy_dtype_promotion": "strict"}
