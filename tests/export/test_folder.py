@@ -1,0 +1,171 @@
+"""The whole way: a policy file to a folder of C, verified, and into an autopilot."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from quadjax.errors import InputError
+from quadjax.export.convert_policy import Request, write_folder
+from quadjax.export.verify import checks_arm, checks_bits, checks_flight, checks_static
+from quadjax.export.verify.context import Context
+from quadjax.export.verify.folder import read_folder
+from quadjax.export.verify.result import FAILED, run_check
+from quadjax.export.verify.toolchain import WARNINGS
+from quadjax.policy_file import write_policy
+from tests.export.support import WIDE, made_policy, need
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+STUBS = Path(__file__).parent / "paparazzi_stubs"
+COUNT = 2000
+
+
+def export(folder, vehicle="motor", **words):
+    """A made-up policy exported; its flights are short, so its ranges are wide."""
+    policy = folder / "policy.npz"
+    write_policy(policy, made_policy(24, vehicle, gain=0.5))
+    out = folder / "c"
+    write_folder(Request(policy=policy, out=out, ranges=WIDE, name="made", **words))
+    return out
+
+
+@pytest.fixture(scope="module", params=["motor", "rate"])
+def exported(request, tmp_path_factory):
+    return export(tmp_path_factory.mktemp(request.param), request.param)
+
+
+@pytest.fixture(scope="module")
+def context(exported, tmp_path_factory):
+    return Context(read_folder(exported), tmp_path_factory.mktemp("work"), COUNT)
+
+
+CHECKS = [
+    *(getattr(checks_bits, n) for n in vars(checks_bits) if n.startswith("check_")),
+    checks_flight.check_observation,
+    checks_flight.check_gates,
+    checks_flight.check_estimator,
+    checks_arm.check_zig_neon,
+    checks_arm.check_bebop_scalar,
+    checks_arm.check_bebop_neon,
+    checks_arm.check_warnings_bebop,
+    checks_static.check_sanitizers,
+    checks_static.check_eva,
+]
+CHECKS = [c for c in CHECKS if c.__name__ != "check_vectors"]
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda c: c.__name__.removeprefix("check_"))
+def test_a_check_of_an_exported_folder(check, context):
+    result = run_check(check.__name__, lambda: check(context))
+    if result.verdict == "left out":
+        pytest.skip(result.figure)
+    assert result.verdict != FAILED, result.figure
+
+
+def test_a_tampered_source_fails(exported, context, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(exported, copy)
+    source = copy / "made.c"
+    source.write_text(source.read_text().replace("sum >> 32", "sum >> 31", 1))
+    tampered = Context(read_folder(copy), tmp_path, COUNT)
+    for check in (checks_bits.check_sources, checks_bits.check_host):
+        assert run_check("", lambda check=check: check(tampered)).verdict == FAILED
+
+
+def test_what_lies_in_the_folder(exported):
+    names = {p.relative_to(exported).as_posix() for p in exported.rglob("*") if p.is_file()}
+    expected = {"made.c", "made.h", "made_race.c", "made_race.h", "made_report.json"}
+    expected |= {"made_report.txt", "policy.npz", "config.yaml", "flown.npz"}
+    expected |= {"paparazzi/made.xml", "paparazzi/made_module.c", "paparazzi/made_module.h"}
+    assert expected <= names
+
+
+def module_run(exported, tmp_path, broken):
+    """Build the Paparazzi module with stand-ins for Paparazzi, and run it once."""
+    compiler = need("gcc")
+    modules = tmp_path / "modules" / "made"
+    modules.mkdir(parents=True)
+    for path in [*exported.glob("*.[ch]"), *exported.glob("paparazzi/*.[ch]")]:
+        shutil.copy(path, modules)
+    if broken:
+        source = modules / "made.c"
+        source.write_text(source.read_text().replace("sum >> 32", "sum >> 31", 1))
+    command = "uint16_t" if (exported / "made_estimator.c").exists() else "float"
+    defines = ["-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1", f"-DCOMMAND={command}"]
+    include = [f"-I{tmp_path}", f"-I{modules}", f"-isystem{STUBS}"]
+    strict = [w for w in WARNINGS if w not in ("-Wpedantic",)]
+    words = [compiler, "-std=gnu99", "-O2", *defines, *include]
+    objects = []
+    for source in modules.glob("*.c"):
+        objects.append(tmp_path / f"{source.stem}.o")
+        subprocess.run([*words, *strict, "-c", source, "-o", objects[-1]], check=True)
+    program = tmp_path / "autopilot"
+    subprocess.run([*words, STUBS / "autopilot_main.c", *objects, "-o", program], check=True)
+    done = subprocess.run([program], capture_output=True, text=True, check=True)
+    return done.stdout.split()
+
+
+def test_the_paparazzi_module_flies(exported, tmp_path):
+    mismatches, fails, before, flies, motors, sent, command = module_run(exported, tmp_path, False)
+    assert (mismatches, fails, before, flies, motors) == ("0", "0", "0", "1", "1")
+    assert int(sent) == 13
+    if (exported / "made_estimator.c").exists():
+        assert 3000 <= float(command) <= 11000
+    else:
+        assert abs(float(command)) <= 3
+
+
+def test_the_paparazzi_module_refuses_to_arm(exported, tmp_path):
+    mismatches, fails, before, flies, motors, _, command = module_run(exported, tmp_path, True)
+    assert int(mismatches) > 0
+    assert (fails, before, flies, motors, command) == ("1", "0", "0", "0", "0")
+
+
+def test_the_module_names_every_source(exported):
+    text = (exported / "paparazzi" / "made.xml").read_text()
+    for source in exported.glob("*.c"):
+        assert f'name="{source.name}"' in text
+    assert 'freq="512"' in text
+
+
+def test_refuses_a_range_that_its_own_flights_leave(tmp_path):
+    policy = tmp_path / "policy.npz"
+    write_policy(policy, made_policy(24, gain=0.5))
+    request = Request(policy, tmp_path / "c", WIDE | {"velocity": 0.125})
+    with pytest.raises(InputError, match="own flights leave the declared range.*velocity"):
+        write_folder(request)
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["missing.npz"], "missing.npz"),
+        (["policy.npz", "--range", "velocity=3"], "power of two"),
+        (["policy.npz", "--name", "No Name"], "identifier"),
+        (["policy.npz", "--track", "nowhere.yaml"], "nowhere.yaml"),
+    ],
+)
+def test_one_line_on_the_command_line(words, said, tmp_path):
+    policy = made_policy(8)
+    write_policy(tmp_path / "policy.npz", policy)
+    script = REPOSITORY / "scripts" / "export_c.py"
+    done = subprocess.run(
+        [sys.executable, script, *words, "--out", "c"],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(REPOSITORY), "PATH": "", "JAX_PLATFORMS": "cpu"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert said in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_verify_refuses_another_folder(tmp_path):
+    with pytest.raises(InputError, match="report.json"):
+        read_folder(tmp_path)
+    (tmp_path / "x_report.json").write_text("{}")
+    with pytest.raises(InputError):
+        read_folder(tmp_path)
