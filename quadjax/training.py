@@ -184,7 +184,7 @@ class Score:
         """Nothing is flown yet."""
         self._choices, self._params = choices_of(config), params
         self._activation, self._laps = config.network.activation, config.evaluate.laps
-        drawn = any(value > 0 for value in vars(config.disturbance).values())
+        drawn = any(value > 0 for value in config.disturbance.half_widths.values())
         self._runs = 16 if drawn or self._choices.randomise else 1
 
     def __call__(self, params: ActorCritic) -> float:

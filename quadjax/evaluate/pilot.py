@@ -162,7 +162,7 @@ def make_pilot(
     see_scale[first : first + count] = back_scale[-count:]
     see_offset[first : first + count] = back_offset[-count:]
     if policy.vehicle == "motor":
-        widths = vars(config.disturbance)
+        widths = config.disturbance.half_widths
         trained = _policy_disturbance(policy, dict(widths), name)
         for index, key in enumerate(DISTURBANCES):
             factor = widths[key] / trained[key] if trained[key] > 0 else 0.0

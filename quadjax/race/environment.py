@@ -41,6 +41,7 @@ class Choices:
     random_gate: bool = False  # start at any gate rather than the last
     stagger_clocks: bool = False  # episodes start at a random step of their clock
     randomise: bool = False  # draw the constants anew for every episode
+    differs: bool = False  # the drone that flies has constants of its own
     disturbance_input: str = "true"  # "true" | "estimated" | "none"
 
 
@@ -55,6 +56,7 @@ class RaceParams:
     start: start.StartRange
     disturbance: observation.DisturbanceRange
     randomise: start.RandomiseFractions
+    actual: Constants | None = None  # factors on the constants of the drone that flies
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
 
 
@@ -102,6 +104,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         most = params.limits.max_steps.astype(drawn.dtype)
         clock = (0.5 * (drawn[1] + 1.0) * most).astype(jnp.int32)
     own = None
+    if choices.differs:
+        own = constants = jax.tree.map(jnp.multiply, constants, params.actual)
     if choices.randomise:
         own = constants = start.draw_constants(
             constants, params.randomise, drawn[2 + start.DRAWS :]
