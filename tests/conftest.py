@@ -1,32 +1,5 @@
-"""Eight host devices for the sharding tests; strict promotion for the rooms that keep to it."""
-
-from collections.abc import Iterator
+"""Eight host devices, for the tests of learners that share a batch among devices."""
 
 import jax
-import pytest
 
 jax.config.update("jax_num_cpu_devices", 8)  # before anything starts the backend
-
-RANKS = {"jax_numpy_rank_promotion": "raise"}
-TYPES = {"jax_numpy_dtype_promotion": "strict"}
-
-
-def _with(settings: dict[str, str]) -> Iterator[None]:
-    before = {name: getattr(jax.config, name) for name in settings}
-    for name, value in settings.items():
-        jax.config.update(name, value)
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-
-
-@pytest.fixture(scope="package")
-def strict_promotion() -> Iterator[None]:
-    """No silent broadcasting and no silent change of dtype."""
-    yield from _with(RANKS | TYPES)
-
-
-@pytest.fixture(scope="package")
-def strict_ranks() -> Iterator[None]:
-    """No silent broadcasting; Optax itself mixes dtypes."""
-    yield from _with(RANKS)
