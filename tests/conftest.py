@@ -1,12 +1,16 @@
+<<<<<<< HEAD
 """Eight host devices for the sharding tests; strict promotion for the rooms that keep to it."""
 
 import tempfile
 from collections.abc import Iterator
+=======
+"""Eight host devices, for the tests of learners that share a batch among devices."""
+>>>>>>> tests
 
 import jax
-import pytest
 
 jax.config.update("jax_num_cpu_devices", 8)  # before anything starts the backend
+<<<<<<< HEAD
 # Programs that several tests share are compiled once a session.
 CACHE = tempfile.TemporaryDirectory(prefix="quadjax-tests-")
 jax.config.update("jax_compilation_cache_dir", CACHE.name)
@@ -35,3 +39,5 @@ def strict_promotion() -> Iterator[None]:
 def strict_ranks() -> Iterator[None]:
     """No silent broadcasting; Optax itself mixes dtypes."""
     yield from _with(RANKS)
+=======
+>>>>>>> tests
