@@ -31,7 +31,7 @@ train-indi: setup ## the same for the INDI policy
 test: setup ## lint and run all tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: setup ## ruff alone
 	$(BIN)/ruff check .

@@ -85,6 +85,8 @@ def _check_keys(schema: type, tree: object, source: str, prefix: str) -> None:
                 f"{source}: unknown key {prefix}{key}; allowed there: {', '.join(sorted(hints))}"
             )
         kind = _plain(hints[key])
+        if value is None and kind is not hints[key]:
+            continue
         _check_value(kind, value, source, f"{prefix}{key}")
         tree[key] = _as_meant(kind, value)
         if dataclasses.is_dataclass(kind):
@@ -288,6 +290,7 @@ def _check_constants(config: Config) -> None:
                 raise InputError(f"{key} is {values[name]}, expected a finite number")
             if name in positive and values[name] <= 0:
                 raise InputError(f"{key} is {values[name]}, expected a positive number")
+    _check_actual(config)
     motor, rate = config.vehicle.motor, config.vehicle.rate
     for section, values, low, high in (
         ("motor", motor, "rpm_min", "rpm_max"),
@@ -298,6 +301,17 @@ def _check_constants(config: Config) -> None:
                 f"vehicle.{section}.{low} is {values[low]}, "
                 f"expected less than {high} {values[high]}"
             )
+
+
+def _check_actual(config: Config) -> None:
+    """The flown drone's factors name constants of its model and are positive."""
+    names = constant_names(MotorConstants if config.vehicle.kind == "motor" else RateConstants)
+    for name, factor in config.vehicle.actual.items():
+        key = f"vehicle.actual.{name}"
+        if name not in names:
+            raise InputError(f"unknown key {key}; allowed there: {', '.join(names)}")
+        if not (math.isfinite(factor) and factor > 0):
+            raise InputError(f"{key} is {factor}, expected a positive factor")
 
 
 def to_yaml(config: Config) -> str:

@@ -108,7 +108,7 @@ def policy_of(config: Config, params: ActorCritic, source: dict) -> Policy:
         rates = [vehicle.rate[name] for name in ("p_max", "q_max", "r_max")]
         low = [-x for x in rates] + [vehicle.rate["thrust_min"]]
         high = rates + [vehicle.rate["thrust_max"]]
-    ranges = {"disturbance": vars(config.disturbance)} if vehicle.kind == "motor" else {}
+    ranges = {"disturbance": config.disturbance.half_widths} if vehicle.kind == "motor" else {}
     return Policy(
         layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers_of(params.policy)),
         log_std=np.asarray(params.log_std),

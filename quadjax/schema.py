@@ -19,6 +19,9 @@ class VehicleConfig:
     mass: float = 1.0  # kg, only to report newtons
     motor: dict[str, float] = field(default_factory=dict)
     rate: dict[str, float] = field(default_factory=dict)
+    # Factors on constants of the drone that flies, where it is not the one that the policy and
+    # its estimator know: {k_w: 0.96} for four per cent less thrust.
+    actual: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,12 @@ class DisturbanceConfig:
     moment_y: float = 0.0  # N m; the paper: 0.03
     moment_z: float = 0.0  # N m; the paper: 0.01
     force_z: float = 0.0  # m/s^2; the paper: 0.5
+    steady_moment: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N m, always there
+
+    @property
+    def half_widths(self) -> dict[str, float]:
+        """The ranges by name, without the steady part: what scales the observation."""
+        return {name: value for name, value in vars(self).items() if name != "steady_moment"}
 
 
 @dataclass(frozen=True)
@@ -335,6 +344,9 @@ def _check_lists(config: Config) -> None:
     low_high = config.start.thrust
     fine = len(low_high) == 2 and 0 <= low_high[0] <= low_high[1]
     _require(config, "start.thrust", fine, "[lowest, highest], not negative")
+    steady = config.disturbance.steady_moment
+    fine = len(steady) == 3 and all(math.isfinite(x) for x in steady)
+    _require(config, "disturbance.steady_moment", fine, "three finite numbers, N m")
     if not config.track.gates:
         raise InputError(f"track.gates is empty in {config.track.file}, expected one gate or more")
     for index, gate in enumerate(config.track.gates):

@@ -184,7 +184,7 @@ class Score:
         """Nothing is flown yet."""
         self._choices, self._params = choices_of(config), params
         self._activation, self._laps = config.network.activation, config.evaluate.laps
-        drawn = any(value > 0 for value in vars(config.disturbance).values())
+        drawn = any(value > 0 for value in config.disturbance.half_widths.values())
         self._runs = 16 if drawn or self._choices.randomise else 1
 
     def __call__(self, params: ActorCritic) -> float:
@@ -212,7 +212,9 @@ class MetricsFile:
         self._path = directory / "metrics.csv"
         self._stream = None
         self._rows = read_metrics(self._path) if steps and self._path.exists() else []
-        self._rows = [row for row in self._rows if row["steps"] <= steps]
+        self._rows = [
+            row | {"steps": int(row["steps"])} for row in self._rows if row["steps"] <= steps
+        ]
         self._tensorboard = _tensorboard(directory) if tensorboard else None
 
     def write(self, row: Row) -> None:

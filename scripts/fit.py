@@ -32,7 +32,9 @@ def main() -> None:
     config = load_fit_config(arguments.config, arguments.words)
     folder = Path(config.runs) / config.name
     columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    quiet = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
         task = progress.add_task("starting", total=8 if config.residual.fit else 4)
 
         def report(line: str) -> None:

@@ -279,10 +279,13 @@ def test_fill_serves_other_schemas():
     @dataclasses.dataclass(frozen=True)
     class Small:
         x: float = 1.0
+        y: list[float] | None = None
 
     assert fill(Small, {"x": 2}, "s.yaml") == Small(2.0)
-    with pytest.raises(InputError, match=r"s.yaml: unknown key y"):
-        fill(Small, {"y": 2}, "s.yaml")
+    assert fill(Small, {"y": None}, "s.yaml") == Small()
+    assert fill(Small, {"y": [1, 2]}, "s.yaml").y == [1.0, 2.0]
+    with pytest.raises(InputError, match=r"s.yaml: unknown key z"):
+        fill(Small, {"z": 2}, "s.yaml")
 
 
 def test_merge_trees():

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import os
 import random
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -134,8 +136,15 @@ def command(runs, *words):
 
 
 def start(runs, *words):
+    cache = jax.config.jax_compilation_cache_dir
+    own = {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": cache}
     return subprocess.Popen(
-        command(runs, *words), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT
+        command(runs, *words),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | own,
     )
 
 

@@ -140,14 +140,13 @@ def measure_training(config: Config, repeats: int) -> Speed:
     mesh = parallel.make_mesh(devices)
     state = parallel.place(start_state(config, learner, params), mesh)
     updates = max(1, round(STEPS_PER_CALL / 10 / learner.steps_per_update))
-    chunk = parallel.make_chunk(learner, mesh, updates, state)
     began = time.perf_counter()
-    compiled = chunk.func.lower(*chunk.args, params, state).compile()
+    chunk = parallel.compile_chunk(learner, mesh, updates, params, state)
     compile_seconds = time.perf_counter() - began
 
     def call() -> None:
         nonlocal state
-        state, _ = jax.block_until_ready(compiled(*chunk.args, params, state))
+        state, _ = jax.block_until_ready(chunk(params, state))
 
     steps = updates * learner.steps_per_update
     return _speed(call, steps, repeats, config.train.drones, devices, compile_seconds)

@@ -114,7 +114,11 @@ def _policy_disturbance(policy: Policy, default: dict[str, float], name: str) ->
 
 
 def race_of(config: Config, policy: Policy) -> tuple[Choices, RaceParams]:
-    """The race of a config, observed the way the policy was trained to."""
+    """The race of a config, with the next gate's yaw wrapped or not as the policy knows it.
+
+    Where the disturbance comes from (true, estimated or none) is the race's choice, not the
+    policy's: it is what a drone can measure.
+    """
     seen = policy.observation
     episode = dataclasses.replace(
         config.episode,
@@ -158,7 +162,7 @@ def make_pilot(
     see_scale[first : first + count] = back_scale[-count:]
     see_offset[first : first + count] = back_offset[-count:]
     if policy.vehicle == "motor":
-        widths = vars(config.disturbance)
+        widths = config.disturbance.half_widths
         trained = _policy_disturbance(policy, dict(widths), name)
         for index, key in enumerate(DISTURBANCES):
             factor = widths[key] / trained[key] if trained[key] > 0 else 0.0

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -13,10 +14,11 @@ from quadjax.race.rules import Limits, RewardWeights
 from quadjax.race.start import RandomiseFractions, StartRange
 from quadjax.race.track import Track, make_track
 from quadjax.residual_file import read_residual
-from quadjax.schema import Config, TrackConfig
-from quadjax.vehicle.constants import MotorConstants, RateConstants
+from quadjax.schema import Config, DisturbanceConfig, TrackConfig
+from quadjax.vehicle.constants import Constants, MotorConstants, RateConstants
 from quadjax.vehicle.motor import MotorParams
 from quadjax.vehicle.rate import RateParams
+from quadjax.vehicle.vector import Vec3
 
 
 def choices_of(config: Config) -> Choices:
@@ -29,6 +31,7 @@ def choices_of(config: Config) -> Choices:
         random_gate=config.episode.random_gate,
         stagger_clocks=config.episode.stagger_clocks,
         randomise=any(fraction > 0 for fraction in fractions),
+        differs=bool(config.vehicle.actual),
         disturbance_input=config.episode.disturbance_input,
     )
 
@@ -58,6 +61,19 @@ def build_track(track: TrackConfig, wrap_next_yaw: bool = True) -> Track:
         jnp.asarray(np.array([g.size for g in track.gates], np.float32)),
         wrap_next_yaw,
     )
+
+
+def _disturbance(section: DisturbanceConfig) -> DisturbanceRange:
+    steady = Vec3(*(jnp.float32(x) for x in section.steady_moment))
+    return DisturbanceRange(**_traced(section.half_widths), steady_moment=steady)
+
+
+def _actual(config: Config, vehicle: MotorParams | RateParams) -> Constants | None:
+    """Factors on the constants of the drone that flies, one for all that are not named."""
+    if not config.vehicle.actual:
+        return None
+    ones = jax.tree.map(jnp.ones_like, vehicle.constants)
+    return ones.replace(**_traced(config.vehicle.actual))
 
 
 def _estimator(config: Config, vehicle: MotorParams | RateParams) -> EstimatorParams | None:
@@ -95,8 +111,9 @@ def build_params(config: Config) -> RaceParams:
         limits=Limits(**_traced(limits), max_steps=jnp.asarray(episode.max_steps, jnp.int32)),
         reward=RewardWeights(**_traced(vars(config.reward))),
         start=StartRange(**_traced(ranges)),
-        disturbance=DisturbanceRange(**_traced(vars(config.disturbance))),
+        disturbance=_disturbance(config.disturbance),
         randomise=RandomiseFractions(**_traced(vars(config.randomise))),
+        actual=_actual(config, vehicle),
         estimator=_estimator(config, vehicle),
     )
 

@@ -41,6 +41,7 @@ class Choices:
     random_gate: bool = False  # start at any gate rather than the last
     stagger_clocks: bool = False  # episodes start at a random step of their clock
     randomise: bool = False  # draw the constants anew for every episode
+    differs: bool = False  # the drone that flies has constants of its own
     disturbance_input: str = "true"  # "true" | "estimated" | "none"
 
 
@@ -55,6 +56,7 @@ class RaceParams:
     start: start.StartRange
     disturbance: observation.DisturbanceRange
     randomise: start.RandomiseFractions
+    actual: Constants | None = None  # factors on the constants of the drone that flies
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
 
 
@@ -102,6 +104,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         most = params.limits.max_steps.astype(drawn.dtype)
         clock = (0.5 * (drawn[1] + 1.0) * most).astype(jnp.int32)
     own = None
+    if choices.differs:
+        own = constants = jax.tree.map(jnp.multiply, constants, params.actual)
     if choices.randomise:
         own = constants = start.draw_constants(
             constants, params.randomise, drawn[2 + start.DRAWS :]
@@ -147,20 +151,21 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
 
     Propeller speeds and thrust are scaled by the nominal range, which is what a policy knows.
     """
-    g = staged(gate, _always(params), params.track, state.target)
+    always = _always(params)
+    g = staged(gate, always, params.track, state.target)
+    return jnp.stack(staged(functools.partial(_numbers, choices), always, params, state, g))
+
+
+def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) -> list[jax.Array]:
     nominal = params.vehicle.constants
     if choices.kind == "rate":
-        numbers = observation.rate_numbers(nominal, state.drone, g)
-        return jnp.stack(stage(numbers, _always(params)))
+        return observation.rate_numbers(nominal, state.drone, g)
     moment, force_z = Vec3.zero(), jnp.zeros(())
     if choices.disturbance_input == "true":
         moment, force_z = state.drone.moment_ext, state.drone.force_ext.z
     elif choices.disturbance_input == "estimated":
         moment, force_z = state.estimate.moment, state.estimate.force.z
-    numbers = observation.motor_numbers(
-        nominal, state.drone, g, moment, force_z, params.disturbance
-    )
-    return jnp.stack(stage(numbers, _always(params)))
+    return observation.motor_numbers(nominal, state.drone, g, moment, force_z, params.disturbance)
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:

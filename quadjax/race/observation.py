@@ -26,6 +26,7 @@ class DisturbanceRange:
     moment_y: jax.Array
     moment_z: jax.Array
     force_z: jax.Array  # m/s^2
+    steady_moment: Vec3  # N m, added to what is drawn
 
 
 def pose_in_gate_frame(drone: MotorState | RateState, g: Gate) -> list[jax.Array]:

@@ -94,7 +94,7 @@ def start_motor(
         euler=euler,
         rates=rates,
         rpm=Rotors.of(between(c.rpm_min, c.rpm_max, drawn[12:16])),
-        moment_ext=Vec3.of(drawn[16:19]) * moment,
+        moment_ext=Vec3.of(drawn[16:19]) * moment + disturbance.steady_moment,
         force_ext=Vec3.zero().replace(z=drawn[19] * disturbance.force_z),
     )
 

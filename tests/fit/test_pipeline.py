@@ -112,10 +112,11 @@ def test_every_config_of_the_folder_is_sound():
 
 def test_real_flights_left_out_are_not_harmed(real_flights, tmp_path):
     """A shorter training than the default's: the harm is prevented by then."""
-    config = load_fit_config(
-        REPOSITORY / "configs/fit/racing_quad.yaml",
-        [f"logs.files=[{real_flights[0].parent}/*.csv]", "residual.seeds=3", "residual.epochs=20"],
-    )
+    words = [
+        f"logs.files=[{real_flights[0].parent}/*.csv]",
+        "residual={seeds: 3, epochs: 15, teach_epochs: 40}",
+    ]
+    config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", words)
     from quadjax.fit.pipeline import changes, run_fit
 
     result = run_fit(config, tmp_path)

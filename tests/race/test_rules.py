@@ -246,6 +246,7 @@ def weights(**kept):
         ({"progress": 2.0}, (2 * 0.05, 0.0, 0.0)),
         ({"gate": 3.0}, (0.0, 3.0, 0.0)),
         ({"gate_offset": 4.0}, (0.0, -4 * np.hypot(0.03, 0.2), 0.0)),
+        ({"early": 300.0}, (0.0, 300 * 0.01 * 0.6, 0.0)),  # the plane is met after 2 of 5 cm
         ({"collision": 5.0}, (0.0, 0.0, -5.0)),
         ({"time": 6.0}, (-0.06, -0.06, -0.06)),
         ({"rates": 7.0}, (-0.07 * 1.5, -0.07 * 1.5, -0.07 * 1.5)),
@@ -272,6 +273,7 @@ def test_default_reward_is_the_published_one(race):
         "progress": 1.0,
         "gate": 10.0,
         "gate_offset": 10.0,
+        "early": 0.0,
         "collision": 10.0,
         "time": 0.0,
         "rates": 0.0,

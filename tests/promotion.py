@@ -1,0 +1,22 @@
+"""Settings of JAX under which a silent broadcast or change of dtype is an error."""
+
+import contextlib
+from collections.abc import Iterator
+
+import jax
+
+RANKS = {"jax_numpy_rank_promotion": "raise"}
+TYPES = {"jax_numpy_dtype_promotion": "strict"}
+
+
+@contextlib.contextmanager
+def settings(values: dict[str, str]) -> Iterator[None]:
+    """JAX with ``values`` of its configuration, and as it was afterwards."""
+    before = {name: getattr(jax.config, name) for name in values}
+    for name, value in values.items():
+        jax.config.update(name, value)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
