@@ -77,13 +77,13 @@ def convert_policy(request: Request) -> Converted:
     network = convert(policy, request.ranges)
     proof = prove(network, policy)
     own = flights.own_race(policy, request.config, request.track)
+    origin = _origin(request, request.policy.name, policy, own)
     flown = flights.fly(own, policy, FLIGHTS)
     flights.check_box(network.box, flown.observations)
     rows = np.linspace(0, len(flown.states) - 1, min(KEPT_ROWS, len(flown.states))).astype(int)
     kept = flights.Flown(
         flown.observations[rows], flown.states[rows], flown.targets[rows], flown.laps
     )
-    origin = _origin(request, request.policy.name, policy, own)
     return _complete(request, policy, network, proof, own, kept, len(flown.states), origin)
 
 

@@ -15,8 +15,9 @@ from quadjax.export.fixed import FixedNetwork
 from quadjax.export.ranges import InputBox
 from quadjax.policies import act_deterministic, flying
 from quadjax.policy_file import Policy
-from quadjax.race import build, environment
+from quadjax.race import build, environment, rules
 from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.track import gate
 from quadjax.schema import Config
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateState
@@ -209,3 +210,37 @@ def fly_traced(
         positions = np.asarray(trace.position)[going][:, :, run]
         flown.append((positions, np.asarray(trace.target)[going][:, run]))
     return flown
+
+
+def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A path that reaches every gate in turn, now through its opening and now beside it.
+
+    Returns:
+        Positions (steps, 3) float32, and the target (steps,) after each by the simulator's rules.
+    """
+    rng = np.random.default_rng(seed)
+    track = own.params.track
+    centre = np.stack([np.asarray(x) for x in track.position.components()], axis=1)
+    ahead = np.stack([np.asarray(track.cos_yaw), np.asarray(track.sin_yaw)], axis=1)
+    half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
+
+    def crossed(before: jax.Array, after: jax.Array, target: jax.Array) -> jax.Array:
+        ends = (Vec3.of(before), Vec3.of(after))
+        return rules.crossing(*ends, gate(track, target), jax.numpy.zeros(()), False)[0]
+
+    crossed = jax.jit(crossed)
+    target, position = 0, np.float32(centre[-1])
+    positions, targets = [], []
+    while len(positions) < steps:
+        aside, above = rng.uniform(-1.6, 1.6, 2) * half[target]
+        way = np.array([*ahead[target], 0.0])
+        goal = centre[target] + np.array([-way[1] * aside, way[0] * aside, above])
+        for end in (goal - 0.5 * way, goal + 0.5 * way):
+            start = position
+            for part in np.linspace(0.04, 1.0, 25):
+                after = np.float32(start + part * (end - start))
+                target = (target + int(crossed(position, after, target))) % len(centre)
+                position = after
+                positions.append(position)
+                targets.append(target)
+    return np.array(positions[:steps], np.float32), np.array(targets[:steps], np.int32)

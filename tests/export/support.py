@@ -12,7 +12,7 @@ from quadjax.export.vectors import self_test_inputs
 from quadjax.policy_file import Policy
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
-WIDE = {"position": 64.0, "velocity": 64.0, "rates": 1024.0, "next_position": 8.0}
+WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 8.0}
 ORIGIN = Provenance("made", "00" * 32, ("Policy   made up",), "tests")
 
 

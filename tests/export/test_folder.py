@@ -27,7 +27,8 @@ def export(folder, vehicle="motor", **words):
     policy = folder / "policy.npz"
     write_policy(policy, made_policy(24, vehicle, gain=0.5))
     out = folder / "c"
-    write_folder(Request(policy=policy, out=out, ranges=WIDE, name="made", **words))
+    ranges = WIDE if vehicle == "motor" else WIDE | {"rates": 8.0, "velocity": 32.0}
+    write_folder(Request(policy=policy, out=out, ranges=ranges, name="made", **words))
     return out
 
 
