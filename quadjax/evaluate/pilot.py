@@ -20,13 +20,12 @@ from quadjax.policies import Flying, act_sampled, flying
 from quadjax.policy_file import ACTION_SIZE, OBSERVATION_SIZES, Policy
 from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import Choices, RaceParams, command
-from quadjax.race.observation import DisturbanceRange
-from quadjax.schema import CHOICES, Config
+from quadjax.schema import CHOICES, Config, DisturbanceConfig
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
 FIRST_ACTUATOR = 12  # where propeller speeds or thrust begin in an observation
 FIRST_DISTURBANCE = 20  # where the motor-level vehicle's four disturbances begin
-DISTURBANCES = tuple(field.name for field in dataclasses.fields(DisturbanceRange))
+DISTURBANCES = tuple(DisturbanceConfig().half_widths)
 KNOWN = ("wrap_next_yaw", "disturbance_input", "disturbance")  # what a policy says of its scaling
 
 
