@@ -10,17 +10,16 @@ all. docs/on_your_drone.md says how to put it on a drone.
 import argparse
 from pathlib import Path
 
+from quadjax.commands import Parser, parse
 from quadjax.errors import command_line
 from quadjax.export.convert_policy import Request, write_folder
 from quadjax.export.ranges import parse_overrides
 from quadjax.export.report import report_text
 
 
-def parse() -> argparse.Namespace:
+def arguments() -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", type=Path, help="policy file (.npz)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the C")
     parser.add_argument("--name", help="prefix of every C symbol; default: the file's name")
@@ -37,13 +36,13 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--config", type=Path, help="training config whose race the policy flies")
     parser.add_argument("--sample-rate", type=float, default=512.0, help="of the estimator, Hz")
     parser.add_argument("--cutoff", type=float, default=8.0, help="of the estimator, Hz")
-    return parser.parse_args()
+    return parse(parser)
 
 
 @command_line
 def main() -> None:
     """Convert, write, and print the report."""
-    words = parse()
+    words = arguments()
     request = Request(
         policy=words.policy,
         out=words.out,

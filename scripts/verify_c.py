@@ -13,32 +13,33 @@ import dataclasses
 import sys
 from pathlib import Path
 
+from quadjax.commands import Parser, check_writable, count, parse
 from quadjax.errors import InputError, command_line
 from quadjax.export.verify.result import FAILED, table_text
 from quadjax.export.verify.run import verify
 from quadjax.files import write_json
 
 
-def parse() -> argparse.Namespace:
+def arguments() -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="what export_c.py wrote")
     parser.add_argument(
-        "--vectors", type=int, default=20_000, help="vectors for every build (default 20000)"
+        "--vectors", type=count, default=20_000, help="vectors for every build (default 20000)"
     )
-    parser.add_argument("--flights", type=int, default=0, help="flights of the closed loop")
+    parser.add_argument("--flights", type=count, default=0, help="flights of the closed loop")
     parser.add_argument("--json", type=Path, help="write the table there too")
-    return parser.parse_args()
+    words = parse(parser)
+    check_writable(words.json, (".json",))
+    return words
 
 
 @command_line
 def main() -> int:
     """Verify, and print the table."""
-    words = parse()
-    if words.vectors < 100 or words.flights < 0:
-        raise InputError("--vectors: at least 100; --flights: not negative")
+    words = arguments()
+    if words.vectors < 100:
+        raise InputError(f"--vectors {words.vectors}: expected at least 100")
 
     def announce(name: str) -> None:
         if sys.stderr.isatty():
