@@ -4,7 +4,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-EXTRAS := test,verify,tensorboard
+EXTRAS := test,verify,tensorboard,sweep,sweep-postgresql,gym
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train train-indi test lint format benchmark clean

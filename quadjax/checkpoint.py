@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
+from quadjax import hosts
 from quadjax.errors import InputError
 from quadjax.learn.loop import Position
 from quadjax.learn.networks import ActorCritic
@@ -20,13 +21,6 @@ logging.getLogger("absl").setLevel(logging.ERROR)
 
 def _is_key(leaf: object) -> bool:
     return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-
-
-def _plain(state: TrainState) -> TrainState:
-    """PRNG keys as the integers that they are, everything on the host."""
-    return jax.device_get(
-        jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, state)
-    )
 
 
 def _as_before(plain: TrainState, like: TrainState) -> TrainState:
@@ -43,14 +37,19 @@ class Checkpoints:
     def __init__(self, directory: Path | str) -> None:
         """Open, and create where it is not there."""
         directory = Path(directory).resolve()
-        keep = ocp.CheckpointManagerOptions(
-            max_to_keep=1, create=True, enable_async_checkpointing=False
-        )
-        self._latest = ocp.CheckpointManager(directory / "latest", options=keep)
-        self._best = ocp.CheckpointManager(directory / "best", options=keep)
+        self._latest = self._best = None
+        if hosts.is_first():
+            self._latest = _manager(directory / "latest")
+            self._best = _manager(directory / "best")
 
     def save(self, position: Position) -> None:
-        """Save the position, and the best parameters if they are new."""
+        """Save the position, and the best parameters if they are new.
+
+        All processes of a run gather the state; the first one writes.
+        """
+        plain = hosts.gather(position.state)
+        if self._latest is None:
+            return
         meta = {
             "best_score": position.best_score if math.isfinite(position.best_score) else None,
             "best_steps": position.best_steps,
@@ -58,7 +57,7 @@ class Checkpoints:
             "seconds": position.seconds,
         }
         if self._latest.latest_step() != position.chunks:
-            tree = {"state": _plain(position.state), "best": jax.device_get(position.best)}
+            tree = {"state": plain, "best": jax.device_get(position.best)}
             self._latest.save(position.chunks, args=_both(tree, meta))
         if self._best.latest_step() != position.best_steps and position.best_steps:
             self._best.save(position.best_steps, args=_both({"best": position.best}, meta))
@@ -68,7 +67,8 @@ class Checkpoints:
     @property
     def any(self) -> bool:
         """Whether there is a checkpoint to go on from."""
-        return self._latest.latest_step() is not None
+        there = self._latest is not None and self._latest.latest_step() is not None
+        return hosts.agree(there)
 
     def restore(self, like: Position) -> Position:
         """The latest position.
@@ -79,8 +79,27 @@ class Checkpoints:
         Raises:
             InputError: the checkpoint is of a run of another shape, or damaged.
         """
+        tree = {"state": hosts.gather(like.state), "best": jax.device_get(like.best)}
+        restored, meta = tree, {}
+        if self._latest is not None:
+            restored, meta = self._read(tree)
+        restored = hosts.share(restored)
+        score = meta.get("best_score")
+        numbers = [meta.get(name, 0) for name in ("best_steps", "chunks", "seconds")]
+        best_steps, chunks, seconds = hosts.share(np.asarray(numbers, np.float64)).tolist()
+        return dataclasses.replace(
+            like,
+            state=_as_before(restored["state"], like.state),
+            best=ActorCritic(**vars(restored["best"])),
+            best_score=math.inf if score is None else score,
+            best_steps=int(best_steps),
+            chunks=int(chunks),
+            seconds=seconds,
+        )
+
+    def _read(self, tree: dict) -> tuple[dict, dict]:
+        """The latest checkpoint's tree, of the shapes of ``tree``, and what is beside it."""
         step = self._latest.latest_step()
-        tree = {"state": _plain(like.state), "best": jax.device_get(like.best)}
         shapes = jax.tree.map(
             lambda x: jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype), tree
         )
@@ -96,22 +115,26 @@ class Checkpoints:
             raise InputError(
                 f"{self._latest.directory}: checkpoint {step} cannot be read ({reason})"
             ) from error
-        meta, restored = found["meta"], found["tree"]
-        score = meta["best_score"]
-        return dataclasses.replace(
-            like,
-            state=_as_before(restored["state"], like.state),
-            best=ActorCritic(**vars(restored["best"])),
-            best_score=math.inf if score is None else score,
-            best_steps=meta["best_steps"],
-            chunks=meta["chunks"],
-            seconds=meta["seconds"],
-        )
+        return found["tree"], found["meta"]
 
     def close(self) -> None:
         """Release what Orbax holds."""
-        self._latest.close()
-        self._best.close()
+        for manager in (self._latest, self._best):
+            if manager is not None:
+                manager.close()
+
+
+def _manager(directory: Path) -> ocp.CheckpointManager:
+    """A manager of one checkpoint, which this process runs by itself."""
+    directory.mkdir(parents=True, exist_ok=True)
+    processes = ocp.options.MultiprocessingOptions(
+        primary_host=0, active_processes={0}, barrier_sync_key_prefix=directory.name
+    )
+    together = {} if hosts.alone() else {"multiprocessing_options": processes}
+    options = ocp.CheckpointManagerOptions(
+        max_to_keep=1, create=False, enable_async_checkpointing=False, **together
+    )
+    return ocp.CheckpointManager(directory, options=options)
 
 
 def _both(tree: dict, meta: dict) -> ocp.args.Composite:

@@ -6,7 +6,6 @@ Whatever is wrong is one ``InputError`` that names the key, the value and what i
 """
 
 import dataclasses
-import math
 import re
 import types
 import typing
@@ -18,9 +17,9 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from quadjax.checks import check
 from quadjax.errors import InputError
-from quadjax.schema import Config, check
-from quadjax.vehicle.constants import MotorConstants, RateConstants, constant_names
+from quadjax.schema import Config
 
 Schema = TypeVar("Schema")
 Tree = dict[str, object]
@@ -39,7 +38,6 @@ def load_config(path: Path | str, words: Sequence[str] = ()) -> Config:
     tree = _with_file(tree, "track", _track_values, Path(path).parent)
     config = fill(Config, tree, str(path))
     check(config)
-    _check_constants(config)
     return config
 
 
@@ -101,6 +99,10 @@ def _check_value(kind: object, value: object, source: str, name: str) -> None:
     if container in (list, dict) and not isinstance(value, container):
         wanted = "list" if container is list else "mapping"
         raise InputError(f"{source}: {name}: {value!r} is not a {wanted}")
+    if container is dict and typing.get_args(kind)[1:] == (float,):
+        for key, number in value.items():
+            if isinstance(number, bool) or not isinstance(number, (int, float)):
+                raise InputError(f"{source}: {name}.{key} is {number!r}, expected a number")
     if value == "???":
         raise InputError(f"{source}: {name} is '???', expected a value")
 
@@ -272,46 +274,6 @@ def _track_values(tree: Tree, path: Path) -> Tree:
         if key not in ("name", "gates"):
             raise InputError(f"{path}: unknown key {key}; allowed: gates, name")
     return tree
-
-
-def _check_constants(config: Config) -> None:
-    """Every constant of both models is there, is a finite number and makes sense."""
-    positive = {"g", "i_xx", "i_yy", "i_zz", "k_w", "tau", "tau_rate", "tau_thrust"}
-    positive |= {"p_max", "q_max", "r_max"}
-    for section, kind in (("motor", MotorConstants), ("rate", RateConstants)):
-        values, names = getattr(config.vehicle, section), constant_names(kind)
-        for name in [*values, *names]:
-            key = f"vehicle.{section}.{name}"
-            if name not in names:
-                raise InputError(f"unknown key {key}; allowed there: {', '.join(names)}")
-            if name not in values:
-                raise InputError(f"{key} is missing from {config.vehicle.file}")
-            if not math.isfinite(values[name]):
-                raise InputError(f"{key} is {values[name]}, expected a finite number")
-            if name in positive and values[name] <= 0:
-                raise InputError(f"{key} is {values[name]}, expected a positive number")
-    _check_actual(config)
-    motor, rate = config.vehicle.motor, config.vehicle.rate
-    for section, values, low, high in (
-        ("motor", motor, "rpm_min", "rpm_max"),
-        ("rate", rate, "thrust_min", "thrust_max"),
-    ):
-        if values[low] >= values[high]:
-            raise InputError(
-                f"vehicle.{section}.{low} is {values[low]}, "
-                f"expected less than {high} {values[high]}"
-            )
-
-
-def _check_actual(config: Config) -> None:
-    """The flown drone's factors name constants of its model and are positive."""
-    names = constant_names(MotorConstants if config.vehicle.kind == "motor" else RateConstants)
-    for name, factor in config.vehicle.actual.items():
-        key = f"vehicle.actual.{name}"
-        if name not in names:
-            raise InputError(f"unknown key {key}; allowed there: {', '.join(names)}")
-        if not (math.isfinite(factor) and factor > 0):
-            raise InputError(f"{key} is {factor}, expected a positive factor")
 
 
 def to_yaml(config: Config) -> str:

@@ -31,7 +31,7 @@ def prepare_devices(wanted: str) -> None:
 
 
 def choose_devices(wanted: str, lanes: int) -> int:
-    """How many devices to train on.
+    """How many devices of each process to train on.
 
     Two devices of one core each train faster than one of two cores: XLA's own threads get in each
     other's way in matrices this small.
@@ -43,12 +43,20 @@ def choose_devices(wanted: str, lanes: int) -> int:
     Raises:
         InputError: a number of devices that is not there or does not divide the drones.
     """
-    there = jax.local_device_count()
+    there, processes = jax.local_device_count(), jax.process_count()
+    if lanes % processes:
+        raise InputError(
+            f"--processes is {processes}, expected a divisor of the {lanes} shares into which "
+            "train.drones divides; train.shares says how many there may be"
+        )
+    lanes //= processes
     if wanted == "auto":
         return device_count(lanes, there)
     count = there if wanted == "all" else int(wanted)
     if count > there:
         raise InputError(f"train.devices is {wanted}, but this process has {there}")
+    if count > core_count() and jax.default_backend() == "cpu":
+        raise InputError(f"train.devices is {wanted}, allowed: at most {core_count()} (cores)")
     if lanes % count:
         raise InputError(
             f"train.devices is {wanted} ({count}), expected a divisor of the {lanes} shares into "

@@ -6,6 +6,8 @@ import os
 import sys
 from collections.abc import Callable
 
+INTERRUPTED = 130  # exit status of what Ctrl-C ended
+
 
 class InputError(ValueError):
     """Bad input: one line that names the file, key, row or value and what is allowed."""
@@ -22,6 +24,9 @@ def command_line(main: Callable[[], int | None]) -> Callable[[], None]:
         except InputError as error:
             print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
             status = 2
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            status = INTERRUPTED
         except BrokenPipeError:
             # The reader (head, less) has gone: nothing more to say, not even at exit.
             with contextlib.suppress(OSError):

@@ -53,6 +53,14 @@ def write_npz(path: Path | str, arrays: dict[str, np.ndarray], meta: dict[str, o
         np.savez(stream, **arrays, meta=np.array(json.dumps(meta)))
 
 
+def check_file(path: Path | str) -> None:
+    """Raise an ``InputError`` for a path that is no file, or a directory."""
+    if Path(path).is_dir():
+        raise InputError(f"{path}: is a directory, expected a file")
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file")
+
+
 def read_npz(path: Path | str, expected_format: str) -> tuple[dict[str, np.ndarray], dict]:
     """Read an ``.npz`` file that ``write_npz`` or anybody's NumPy wrote.
 
@@ -66,8 +74,9 @@ def read_npz(path: Path | str, expected_format: str) -> tuple[dict[str, np.ndarr
     Raises:
         InputError: no such file, not an npz, damaged, pickled, or of another format.
     """
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
+    check_file(path)
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path}: not an .npz file")
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
@@ -114,21 +123,25 @@ def read_layers(
                 f"{path}: {b_name} has shape {bias.shape}, expected ({kernel.shape[1]},)"
             )
         for name, array in ((k_name, kernel), (b_name, bias)):
-            check_finite(path, name, array)
+            check_finite(path, name, array, layer=len(layers))
         layers.append((kernel, bias))
     if not layers:
         raise InputError(f"{path}: {prefix}kernel_0 is missing")
     return layers
 
 
-def check_finite(path: Path | str, name: str, array: np.ndarray) -> None:
-    """Raise an ``InputError`` that names the first entry that is not finite in single precision."""
+def check_finite(path: Path | str, name: str, array: np.ndarray, layer: int | None = None) -> None:
+    """Raise an ``InputError`` that names the first entry that is not finite in single precision.
+
+    Of a layer's kernel (in, out) or bias (out,) it names layer and row too, a row being an output.
+    """
     if array.dtype.kind not in "fiu":
         raise InputError(f"{path}: {name} holds {array.dtype}, expected numbers")
     with np.errstate(over="ignore"):
         bad = np.argwhere(~np.isfinite(array.astype(np.float32)))
     if bad.size:
         index = tuple(int(i) for i in bad[0])
+        row = "" if layer is None else f"layer {layer}, row {index[-1]}: "
         raise InputError(
-            f"{path}: {name}{list(index)} is {array[index]}, expected a finite float32"
+            f"{path}: {row}{name}{list(index)} is {array[index]}, expected a finite float32"
         )

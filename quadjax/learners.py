@@ -1,5 +1,7 @@
 """From a config to a learner on the racing environment."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,7 +31,18 @@ def build_networks(config: Config) -> Networks:
         hidden=tuple(config.network.hidden),
         activation=config.network.activation,
         log_std=config.network.log_std,
+        bounded=noise_on(config) == "clipped_mean",
     )
+
+
+def noise_on(config: Config) -> str:
+    """Where a learner's noise goes, as a policy file says it: ``mean`` or ``clipped_mean``.
+
+    PPO's goes on the network's own output, which may be far beyond the limits: there the noise does
+    nothing, which lets a policy be sure. SHAC's noise is set, not learned: it goes on the clipped
+    mean, so that exploring never ends at a limit. Each learns much worse the other way round.
+    """
+    return "clipped_mean" if config.algorithm == "shac" else "mean"
 
 
 def build_learner(config: Config) -> Learner[RaceParams]:
@@ -46,6 +59,7 @@ def build_learner(config: Config) -> Learner[RaceParams]:
             updates=_updates(config, section.steps_per_update),
             shuffle_block=section.shuffle_block,
             separate_clip=section.separate_clip,
+            shares=config.train.shares,
         )
         return ppo.make_learner(environment, networks, structure, _leaves(ppo.Hyper, section))
     section = config.shac
@@ -55,29 +69,45 @@ def build_learner(config: Config) -> Learner[RaceParams]:
         critic_passes=section.critic_passes,
         critic_batches=section.critic_batches,
         updates=_updates(config, section.horizon),
+        shares=config.train.shares,
     )
     return shac.make_learner(environment, networks, structure, _leaves(shac.Hyper, section))
 
 
+def plan(config: Config, steps_per_update: int) -> tuple[int, int]:
+    """Updates of one chunk, and chunks of the whole run: whole numbers, each at least one.
+
+    A run of fewer steps than ``train.evaluate_every`` is one short chunk.
+    """
+    wanted = max(1, round(config.train.steps / steps_per_update))
+    updates = min(wanted, max(1, round(config.train.evaluate_every / steps_per_update)))
+    return updates, max(1, round(wanted / updates))
+
+
 def _updates(config: Config, steps: int) -> int:
-    return max(1, config.train.steps // (config.train.drones * steps))
+    """Updates of the whole run: the length of the schedules."""
+    return math.prod(plan(config, config.train.drones * steps))
 
 
-def start_state(config: Config, learner: Learner, params: RaceParams) -> TrainState:
-    """A run's first state; its policy is that of ``train.init``, if there is one."""
+def start_state(
+    config: Config, learner: Learner, params: RaceParams, initial: Policy | None = None
+) -> TrainState:
+    """A run's first state, with the policy ``initial`` if there is one."""
     state = jax.jit(learner.init)(params, jax.random.key(config.seed))
-    if config.train.init is None:
+    if initial is None:
         return state
-    policy = read_policy(config.train.init)
-    return state.replace(params=with_policy(config, state.params, policy))
+    return state.replace(params=with_policy(state.params, initial))
 
 
-def with_policy(config: Config, params: ActorCritic, policy: Policy) -> ActorCritic:
-    """Fresh parameters whose policy is that of a file.
+def initial_policy(config: Config) -> Policy | None:
+    """The policy of ``train.init``, if there is one.
 
     Raises:
-        InputError: the file's network is not the config's.
+        InputError: a file that cannot be read, or whose network is not the config's.
     """
+    if config.train.init is None:
+        return None
+    policy = read_policy(config.train.init)
     widths = [int(kernel.shape[1]) for kernel, _ in policy.layers[:-1]]
     wanted = list(config.network.hidden)
     for name, found, allowed in (
@@ -90,6 +120,11 @@ def with_policy(config: Config, params: ActorCritic, policy: Policy) -> ActorCri
             raise InputError(
                 f"train.init: {config.train.init} has {name} {found}, the config {allowed}"
             )
+    return policy
+
+
+def with_policy(params: ActorCritic, policy: Policy) -> ActorCritic:
+    """Parameters whose policy is that of a file."""
     log_std = jnp.asarray(policy.log_std, jnp.float32)
     return params.replace(policy=tree_of(list(policy.layers)), log_std=log_std)
 
@@ -115,6 +150,7 @@ def policy_of(config: Config, params: ActorCritic, source: dict) -> Policy:
         vehicle=vehicle.kind,
         activation=config.network.activation,
         output="clip",
+        noise_on=noise_on(config),
         command_low=np.array(low),
         command_high=np.array(high),
         observation={

@@ -19,6 +19,7 @@ OBSERVATION_SIZES = {"motor": 24, "rate": 17}
 ACTION_SIZE = 4
 ACTIVATIONS = ("relu", "tanh")
 OUTPUTS = ("clip", "tanh")
+NOISE = ("mean", "clipped_mean")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +39,7 @@ class Policy:
     command_high: np.ndarray  # (4,)
     observation: dict  # the scaling of the observation it was trained with
     source: dict  # where it came from
+    noise_on: str = "mean"  # "mean" | "clipped_mean": what the noise of a sample is added to
 
 
 def write_policy(path: Path | str, policy: Policy) -> None:
@@ -51,6 +53,7 @@ def write_policy(path: Path | str, policy: Policy) -> None:
         "vehicle": policy.vehicle,
         "activation": policy.activation,
         "output": policy.output,
+        "noise_on": policy.noise_on,
         "command_low": [float(x) for x in policy.command_low],
         "command_high": [float(x) for x in policy.command_high],
         "observation": policy.observation,
@@ -89,12 +92,13 @@ def read_policy(path: Path | str) -> Policy:
         layers=tuple(layers),
         log_std=log_std,
         vehicle=vehicle,
-        activation=_choice(path, meta, "activation", ACTIVATIONS),
+        activation=_activation(path, meta),
         output=_choice(path, {"output": "clip"} | meta, "output", OUTPUTS),
         command_low=low,
         command_high=high,
         observation=_observation(path, meta),
         source=_source(meta),
+        noise_on=_choice(path, {"noise_on": "mean"} | meta, "noise_on", NOISE),
     )
 
 
@@ -102,6 +106,13 @@ def _choice(path: Path | str, meta: dict, key: str, allowed: tuple[str, ...]) ->
     if meta.get(key) not in allowed:
         raise InputError(f"{path}: meta {key!r} is {meta.get(key)!r}, allowed: {list(allowed)}")
     return meta[key]
+
+
+def _activation(path: Path | str, meta: dict) -> str:
+    try:
+        return _choice(path, meta, "activation", ACTIVATIONS)
+    except InputError as error:
+        raise InputError(f"{error}; it is that of layer 0, row 0 and every hidden row") from None
 
 
 def _observation(path: Path | str, meta: dict) -> dict:

@@ -84,7 +84,7 @@ class TrainingProgress:
         now = time.monotonic()
         if now - self._logged >= LOG_SECONDS or row["steps"] >= self._total:
             self._logged = now
-            left = row["seconds"] * (self._total / row["steps"] - 1.0)
+            left = (self._total - row["steps"]) / row["steps_per_second"]
             share = 100.0 * row["steps"] / self._total
             print(
                 f"{self._description}: {share:3.0f}%  {row['seconds']:.0f} s  {status}  "

@@ -1,10 +1,6 @@
 """The schema of a training config: every key, its default and the values it may take."""
 
-import dataclasses
-import math
 from dataclasses import dataclass, field
-
-from quadjax.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -53,6 +49,8 @@ class RewardConfig:
     time: float = 0.0  # taken off per second
     rates: float = 0.0  # taken off per second and rad/s of body rate
     early: float = 0.0  # per second by which a gate is passed before its step ends
+    edge: float = 0.0  # taken off per metre beyond the safe part of a gate's opening, passed or hit
+    edge_margin: float = 0.1  # m between the safe part and each edge of the opening
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class EpisodeConfig:
     position_limit: float = 10.0  # m
     rate_limit: float = 1000.0  # rad/s
     pitch_limit_deg: float = 85.0  # in training
-    roll_limit_deg: float = 180.0  # in training
+    roll_limit_deg: float = 180.0  # in training; 180: none
     random_gate: bool = False  # start before any gate, not only the first
     stagger_clocks: bool = False  # start at a random step of the clock
     disturbance_input: str = "true"  # true | estimated | none: what the observation says
@@ -145,6 +143,7 @@ class PPOConfig:
     separate_clip: bool = True  # clip the policy's and the value's gradients apart
     kl_limit: float = 0.03  # batches whose KL from the old policy is larger are skipped
     reward_scale: float = 1.0
+    warm_up: int = 0  # updates of the value alone, for a policy from train.init
 
 
 @dataclass(frozen=True)
@@ -169,6 +168,7 @@ class SHACConfig:
     std: float = 0.3  # of the actions while training
     final_std: float = 0.3
     reward_scale: float = 0.1
+    warm_up: int = 0  # updates of the value alone, for a policy from train.init
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,8 @@ class TrainConfig:
 
     drones: int = 1024
     steps: int = 40_000_000  # environment steps in all
-    devices: str = "auto"  # auto | all | a number
+    devices: str = "auto"  # auto | all | a number, of each process
+    shares: int = 8  # a power of two: at most so many devices may share the drones
     init: str | None = None  # policy file (.npz) to start from
     evaluate_every: int = 500_000  # steps between timed laps: one compiled chunk
     checkpoint_seconds: float = 20.0  # at least so long between checkpoints
@@ -211,179 +212,3 @@ class Config:
     shac: SHACConfig = field(default_factory=SHACConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
-
-
-CHOICES: dict[str, tuple[str, ...]] = {
-    "algorithm": ("ppo", "shac"),
-    "vehicle.kind": ("motor", "rate"),
-    "vehicle.integrator": ("euler", "rk4"),
-    "episode.gate_test": ("square", "world_box"),
-    "episode.disturbance_input": ("true", "estimated", "none"),
-    "network.activation": ("relu", "tanh"),
-}
-# Lowest and highest value, and whether each bound itself is allowed.
-_UNIT = (0.0, 1.0)
-CLOSED: dict[str, tuple[float, float]] = {
-    "seed": (0, 2**31 - 1),
-    "ppo.gae_lambda": _UNIT,
-    "shac.td_lambda": _UNIT,
-    "shac.state_gradient_decay": _UNIT,
-    "shac.critic_target_rate": _UNIT,
-    "start.roll_pitch_deg": (0.0, 89.0),
-    "start.yaw_deg": (0.0, 180.0),
-    "episode.pitch_limit_deg": (1.0, 89.0),
-    "episode.roll_limit_deg": (1.0, 180.0),
-    **{f"randomise.{f.name}": (0.0, 0.9) for f in dataclasses.fields(RandomiseConfig)},
-}
-HALF_OPEN_DISCOUNT = ("ppo.discount", "shac.discount")  # [0, 1)
-AT_LEAST_ONE = (
-    "episode.max_steps",
-    "ppo.steps_per_update",
-    "ppo.batches",
-    "ppo.epochs",
-    "shac.horizon",
-    "shac.critic_passes",
-    "shac.critic_batches",
-    "train.drones",
-    "train.steps",
-    "train.evaluate_every",
-    "evaluate.laps",
-    "evaluate.runs",
-)
-POSITIVE = (
-    "vehicle.mass",
-    "episode.dt",
-    "episode.position_limit",
-    "episode.rate_limit",
-    "ppo.learning_rate",
-    "ppo.adam_epsilon",
-    "ppo.clip",
-    "ppo.gradient_norm",
-    "ppo.kl_limit",
-    "ppo.reward_scale",
-    "shac.learning_rate",
-    "shac.gradient_norm",
-    "shac.critic_learning_rate",
-    "shac.critic_gradient_norm",
-    "shac.state_gradient_clip",
-    "shac.std",
-    "shac.final_std",
-    "shac.reward_scale",
-)
-NOT_NEGATIVE = (
-    "episode.gate_margin",
-    "start.position",
-    "start.velocity",
-    "start.rates",
-    "disturbance.moment_x",
-    "disturbance.moment_y",
-    "disturbance.moment_z",
-    "disturbance.force_z",
-    "ppo.shuffle_block",
-    "ppo.final_learning_rate",
-    "ppo.value_coefficient",
-    "ppo.entropy_coefficient",
-    "shac.final_learning_rate",
-    "train.checkpoint_seconds",
-)
-
-
-def value_at(config: object, key: str) -> object:
-    """The value at a dotted key."""
-    for part in key.split("."):
-        config = getattr(config, part)
-    return config
-
-
-def check(config: Config) -> None:
-    """Raise an ``InputError`` that names the key, the value and what is allowed."""
-    _check_finite(config, "")
-    for key, allowed in CHOICES.items():
-        _require(config, key, value_at(config, key) in allowed, f"one of {', '.join(allowed)}")
-    for key, (low, high) in CLOSED.items():
-        _require(config, key, low <= value_at(config, key) <= high, f"{low} to {high}")
-    for key in HALF_OPEN_DISCOUNT:
-        _require(config, key, 0 <= value_at(config, key) < 1, "at least 0 and less than 1")
-    for key in AT_LEAST_ONE:
-        _require(config, key, value_at(config, key) >= 1, "at least 1")
-    for key in POSITIVE:
-        _require(config, key, value_at(config, key) > 0, "a positive number")
-    for key in NOT_NEGATIVE:
-        _require(config, key, value_at(config, key) >= 0, "not negative")
-    _check_name(config)
-    _check_lists(config)
-    _check_sizes(config)
-
-
-def _require(config: Config, key: str, fine: bool, allowed: str) -> None:
-    if not fine:
-        raise InputError(f"{key} is {value_at(config, key)!r}, allowed: {allowed}")
-
-
-def _check_finite(node: object, prefix: str) -> None:
-    for item in dataclasses.fields(node):
-        value, key = getattr(node, item.name), f"{prefix}{item.name}"
-        if dataclasses.is_dataclass(value):
-            _check_finite(value, f"{key}.")
-        values = value if isinstance(value, (list, tuple)) else [value]
-        if any(isinstance(x, float) and not math.isfinite(x) for x in values):
-            raise InputError(f"{key} is {value!r}, allowed: finite numbers")
-
-
-def _check_name(config: Config) -> None:
-    fine = bool(config.name) and all(c.isalnum() or c in "._-" for c in config.name)
-    _require(config, "name", fine and not config.name.startswith("."), "letters, digits, . _ -")
-    devices = config.train.devices
-    fine = devices in ("auto", "all") or (devices.isdigit() and int(devices) >= 1)
-    _require(config, "train.devices", fine, "auto, all, or a number from 1")
-
-
-def _check_lists(config: Config) -> None:
-    widths = config.network.hidden
-    _require(config, "network.hidden", bool(widths) and min(widths) >= 1, "widths of at least 1")
-    low_high = config.start.thrust
-    fine = len(low_high) == 2 and 0 <= low_high[0] <= low_high[1]
-    _require(config, "start.thrust", fine, "[lowest, highest], not negative")
-    steady = config.disturbance.steady_moment
-    fine = len(steady) == 3 and all(math.isfinite(x) for x in steady)
-    _require(config, "disturbance.steady_moment", fine, "three finite numbers, N m")
-    if not config.track.gates:
-        raise InputError(f"track.gates is empty in {config.track.file}, expected one gate or more")
-    for index, gate in enumerate(config.track.gates):
-        for name, count in (("position", 3), ("size", 2)):
-            value = getattr(gate, name)
-            if len(value) != count or not all(math.isfinite(x) for x in value):
-                raise InputError(
-                    f"track.gates[{index}].{name} is {value}, expected {count} finite numbers"
-                )
-        if not math.isfinite(gate.yaw_deg):
-            raise InputError(
-                f"track.gates[{index}].yaw_deg is {gate.yaw_deg}, expected a finite number"
-            )
-        if min(gate.size) <= 2 * config.episode.gate_margin:
-            raise InputError(
-                f"track.gates[{index}].size is {gate.size}, expected more than twice the "
-                f"episode.gate_margin {config.episode.gate_margin}"
-            )
-
-
-def _check_sizes(config: Config) -> None:
-    ppo, shac, drones = config.ppo, config.shac, config.train.drones
-    if config.algorithm == "ppo":
-        block = ppo.shuffle_block or ppo.steps_per_update
-        if ppo.steps_per_update % block:
-            raise InputError(
-                f"ppo.shuffle_block is {block}, expected a divisor of ppo.steps_per_update "
-                f"{ppo.steps_per_update}"
-            )
-        blocks = drones * (ppo.steps_per_update // block)
-        if blocks % ppo.batches:
-            raise InputError(
-                f"ppo.batches is {ppo.batches}, expected a divisor of the {blocks} blocks of "
-                f"an update (train.drones {drones} x {ppo.steps_per_update // block})"
-            )
-    elif drones % shac.critic_batches:
-        raise InputError(
-            f"shac.critic_batches is {shac.critic_batches}, expected a divisor of train.drones "
-            f"{drones}"
-        )

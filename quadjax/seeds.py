@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.config import load_config
+from quadjax.errors import INTERRUPTED, InputError
 from quadjax.evaluate import pilot
 from quadjax.policy_file import read_policy
+from quadjax.run_folder import check_same
 
 TRAIN = Path(__file__).resolve().parent.parent / "scripts" / "train.py"
 
@@ -23,7 +25,8 @@ class SeedResult:
     seed: int
     seconds: float  # of training, imports and compilation included
     steps: int
-    first_seconds: float | None  # first flight of all laps under 15.70 s
+    reference: float | None  # s for all laps, of the published policy of this race
+    first_seconds: float | None  # of training until the first flight under the reference
     first_steps: int | None
     last: float | None  # all laps, deterministic from hover, the last policy
     best: float | None  # the same, the best policy
@@ -37,18 +40,24 @@ class SeedResult:
 def train_seed(config: str, words: Sequence[str], seed: int, runs: Path) -> Path:
     """Train one seed in a process of its own; the folder of its run.
 
-    Goes on with a run that was begun, and leaves a finished one as it is.
+    Goes on with a run that was begun, and leaves a finished one of the same config as it is.
 
     Raises:
-        RuntimeError: the training failed.
+        InputError: a run of that name and another config is there, or the training failed; it has
+            said why.
+        KeyboardInterrupt: the training was stopped; it has saved.
     """
     name = f"{load_config(config, words).name}_seed{seed}"
+    own = [*words, f"seed={seed}", f"name={name}"]
+    check_same(load_config(config, own), runs / name)
     summary = runs / name / "summary.json"
     if not (summary.exists() and json.loads(summary.read_text())["finished"]):
-        command = [sys.executable, str(TRAIN), config, *words, f"seed={seed}", f"name={name}"]
-        done = subprocess.run([*command, "--resume", "--runs", str(runs)], check=False)
-        if done.returncode:
-            raise RuntimeError(f"training seed {seed} failed with status {done.returncode}")
+        command = [sys.executable, str(TRAIN), config, *own, "--resume", "--runs", str(runs)]
+        status = subprocess.run(command, check=False).returncode
+        if status == INTERRUPTED:
+            raise KeyboardInterrupt
+        if status:
+            raise InputError(f"training seed {seed} failed with status {status}")
     return runs / name
 
 
@@ -61,12 +70,13 @@ def judge_seed(run: Path, flights: int) -> SeedResult:
     mean, _ = pilot.fly_policy(config, policy, pilot.Race(laps, 1, True, 0), True)
     hover, _ = pilot.fly_policy(config, policy, pilot.Race(laps, flights, True, 1), False)
     random, _ = pilot.fly_policy(config, policy, pilot.Race(laps, flights, False, 2), False)
-    first = summary["first_under_15.70"] or {"seconds": None, "steps": None}
+    first = summary["first_under"] or {"total": None, "seconds": None, "steps": None}
     done = hover.totals[np.isfinite(hover.totals)]
     return SeedResult(
         seed=summary["seed"],
         seconds=summary["seconds"],
         steps=summary["steps"],
+        reference=first["total"],
         first_seconds=first["seconds"],
         first_steps=first["steps"],
         last=summary["last_lap_total"],
@@ -88,7 +98,7 @@ COLUMNS = (
     ("seed", lambda r: str(r.seed)),
     ("train s", lambda r: f"{r.seconds:.0f}"),
     ("M steps", lambda r: f"{r.steps / 1e6:.1f}"),
-    ("<15.70 at s", lambda r: _cell(r.first_seconds, 0)),
+    ("<{reference} at s", lambda r: _cell(r.first_seconds, 0)),
     ("at M steps", lambda r: _cell(r.first_steps and r.first_steps / 1e6, 1)),
     ("last", lambda r: _cell(r.last, 2)),
     ("best", lambda r: _cell(r.best, 2)),
@@ -105,7 +115,8 @@ def _cell(value: float | None, digits: int) -> str:
 
 def format_seeds(results: Sequence[SeedResult]) -> str:
     """A Markdown table, one line per seed."""
-    head = "| " + " | ".join(title for title, _ in COLUMNS) + " |"
+    reference = _cell(results[0].reference, 2)
+    head = "| " + " | ".join(title.format(reference=reference) for title, _ in COLUMNS) + " |"
     rule = "|" + "---|" * len(COLUMNS)
     lines = ["| " + " | ".join(show(r) for _, show in COLUMNS) + " |" for r in results]
     return "\n".join([head, rule, *lines])

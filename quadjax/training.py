@@ -1,41 +1,39 @@
 """A whole training run: from a config to a policy file, its lap table and its figures."""
 
-import csv
 import dataclasses
+import functools
+import json
 import math
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
 import jax
-import numpy as np
 from jax.sharding import Mesh
 
+from quadjax import hosts
 from quadjax.checkpoint import Checkpoints
-from quadjax.config import to_yaml
 from quadjax.devices import choose_devices
-from quadjax.errors import InputError
-from quadjax.evaluate.laps import SECONDS_PER_LAP, fly_laps
-from quadjax.files import write_json, write_text
+from quadjax.evaluate.tables import published_total
+from quadjax.files import write_json
 from quadjax.learn import parallel
 from quadjax.learn.loop import Hooks, Position, Row, run
-from quadjax.learn.networks import ActorCritic
 from quadjax.learn.parallel import Chunk
 from quadjax.learn.state import Learner, TrainState
-from quadjax.learners import build_learner, flying_of, policy_of, start_state
-from quadjax.policies import act_deterministic
-from quadjax.policy_file import Policy, write_policy
+from quadjax.learners import build_learner, initial_policy, plan, policy_of, start_state
+from quadjax.metrics import MetricsFile, check_tensorboard, rows_of
+from quadjax.policy_file import Policy, read_policy, write_policy
 from quadjax.progress import TrainingProgress
-from quadjax.race.build import build_params, choices_of
+from quadjax.race.build import build_params
 from quadjax.race.environment import RaceParams
+from quadjax.run_folder import claim_directory, remove_run
 from quadjax.schema import Config
-
-FLYING_TOTAL = 15.70  # s for six laps: what the published E2E policy needs in a faithful simulator
+from quadjax.score import Score
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +47,12 @@ class Result:
 
 
 def train(
-    config: Config, directory: Path | str, resume: bool = False, started: float | None = None
+    config: Config,
+    directory: Path | str,
+    resume: bool = False,
+    started: float | None = None,
+    enough: Callable[[Row], bool] | None = None,
+    overwrite: bool = False,
 ) -> Result:
     """Train a policy and leave everything in ``directory``.
 
@@ -61,9 +64,12 @@ def train(
         directory: where to; must hold no run unless it is resumed.
         resume: go on from the last checkpoint, if there is one.
         started: ``time.monotonic()`` from which training time counts; now if not given.
+        enough: asked after every chunk with its row of metrics; true ends the run there.
+        overwrite: begin anew where there is a run already.
 
     Raises:
-        InputError: a directory with a run in it that is not resumed, or a run of another config.
+        InputError: a directory with a run in it that is not resumed, a run of another config, or a
+            file of the config that cannot be used; all before anything is written or compiled.
         NonFiniteError: training met a number that is not finite.
     """
     started = time.monotonic() if started is None else started
@@ -72,14 +78,23 @@ def train(
     learner = build_learner(config)
     count = choose_devices(config.train.devices, learner.lanes)
     mesh = parallel.make_mesh(count)
-    updates = max(1, round(config.train.evaluate_every / learner.steps_per_update))
+    hosts.meet(mesh)
+    updates, chunks = plan(config, learner.steps_per_update)
     steps_per_chunk = updates * learner.steps_per_update
-    chunks = max(1, round(config.train.steps / steps_per_chunk))
-    _claim(config, directory, resume)
+    initial = initial_policy(config)
+    if config.train.tensorboard:
+        check_tensorboard()
+    if hosts.is_first():
+        if overwrite:
+            remove_run(directory)
+        claim_directory(config, directory, resume)
+    if (done := _finished(directory)) is not None:
+        return done
     checkpoints = Checkpoints(directory / "checkpoints")
     score = Score(config, params)
     with interruptions() as stop, TrainingProgress(chunks * steps_per_chunk, config.name) as show:
-        chunk, first = _compile(config, learner, params, mesh, updates, score)
+        begin = functools.partial(start_state, config, learner, params, initial)
+        chunk, first = _compile(learner, params, mesh, updates, score, begin)
         position = Position(state=first, best=jax.device_get(first.params))
         if resume and checkpoints.any:
             position = checkpoints.restore(position)
@@ -89,10 +104,16 @@ def train(
         metrics = MetricsFile(directory, done, config.train.tensorboard)
 
         def report(row: Row) -> None:
-            metrics.write(row)
-            show.show(row)
+            if hosts.is_first():
+                metrics.write(row)
+                show.show(row)
+            if enough is not None and enough(row):
+                ended.append(row)
 
-        hooks = Hooks(score, report, checkpoints.save, stop.is_set)
+        ended: list[Row] = []
+        hooks = Hooks(
+            score, report, checkpoints.save, lambda: stop.is_set() or bool(ended), hosts.agree
+        )
         position = run(
             chunk,
             params,
@@ -105,26 +126,23 @@ def train(
         )
     checkpoints.close()
     metrics.close()
-    return _finish(config, directory, position, steps_per_chunk, position.chunks >= chunks, count)
+    finished = position.chunks >= chunks
+    return finish_run(config, directory, position, steps_per_chunk, finished, mesh.size)
 
 
 def _compile(
-    config: Config,
     learner: Learner,
     params: RaceParams,
     mesh: Mesh,
     updates: int,
-    score: "Score",
+    score: Score,
+    begin: Callable[[], TrainState],
 ) -> tuple[Chunk, TrainState]:
     """The compiled chunk and the first state, with the score's flight compiled meanwhile."""
-
-    def initial() -> TrainState:
-        return parallel.place(start_state(config, learner, params), mesh)
-
     with ThreadPoolExecutor(2) as pool:
-        first = pool.submit(initial)
+        first = pool.submit(lambda: parallel.place(begin(), mesh))
         flown = pool.submit(lambda: score(first.result().params))
-        shapes = jax.eval_shape(learner.init, params, jax.random.key(config.seed))
+        shapes = jax.eval_shape(learner.init, params, jax.random.key(0))
         chunk = parallel.compile_chunk(
             learner, mesh, updates, params, parallel.abstract(shapes, mesh)
         )
@@ -132,29 +150,23 @@ def _compile(
         return chunk, first.result()
 
 
-def _claim(config: Config, directory: Path, resume: bool) -> None:
-    """Write the config, or see that the one that is there is the same."""
-    path = directory / "config.yaml"
-    text = to_yaml(config)
-    if path.exists() and (directory / "checkpoints" / "latest").exists():
-        if not resume:
-            raise InputError(
-                f"{directory} holds a run already: go on with --resume, begin anew with "
-                "--overwrite, or choose another name=NAME"
-            )
-        old, new = path.read_text(encoding="utf-8").splitlines(), text.splitlines()
-        for before, now in zip(old, new, strict=False):
-            if before != now:
-                raise InputError(
-                    f"{path} says '{before.strip()}', the run to resume '{now.strip()}': "
-                    "resume with the same config, or choose another name=NAME"
-                )
-    write_text(path, text)
+def _finished(directory: Path) -> Result | None:
+    """The result of a run that has flown all its steps already; None if it has not."""
+    path = directory / "summary.json"
+    if jax.process_count() > 1 or not path.exists():
+        return None
+    summary = json.loads(path.read_text(encoding="utf-8"))
+    if not summary["finished"]:
+        return None
+    return Result(directory, read_policy(directory / "policy.npz"), True, summary)
 
 
 @contextmanager
 def interruptions() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or a termination request sets; a second Ctrl-C interrupts at once."""
+    """An event that Ctrl-C or a termination request sets; a second Ctrl-C interrupts at once.
+
+    A handler of the caller's own hears of the first one too.
+    """
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop
@@ -164,6 +176,8 @@ def interruptions() -> Iterator[threading.Event]:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
+        if callable(before[number]) and before[number] is not signal.default_int_handler:
+            before[number](number, frame)
 
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -173,90 +187,7 @@ def interruptions() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-class Score:
-    """Mean time of all laps, deterministic, from hover; a lap not flown counts eight seconds.
-
-    One flight where every flight is the same; sixteen where disturbances or constants are drawn.
-    Infinite where no flight finishes.
-    """
-
-    def __init__(self, config: Config, params: RaceParams) -> None:
-        """Nothing is flown yet."""
-        self._choices, self._params = choices_of(config), params
-        self._activation, self._laps = config.network.activation, config.evaluate.laps
-        drawn = any(value > 0 for value in config.disturbance.half_widths.values())
-        self._runs = 16 if drawn or self._choices.randomise else 1
-
-    def __call__(self, params: ActorCritic) -> float:
-        """Fly the policy."""
-        local = jax.device_put(params, jax.local_devices()[0])
-        laps, _ = fly_laps(
-            self._choices,
-            self._params,
-            act_deterministic,
-            flying_of(local, self._activation),
-            jax.random.key(0),
-            self._laps,
-            self._runs,
-        )
-        if laps.finished == 0:
-            return math.inf
-        return float(np.nan_to_num(laps.totals, nan=SECONDS_PER_LAP * self._laps).mean())
-
-
-class MetricsFile:
-    """``metrics.csv``: a row per chunk, cut back to the checkpoint when a run is resumed."""
-
-    def __init__(self, directory: Path, steps: int, tensorboard: bool) -> None:
-        """Open ``directory/metrics.csv`` after the last row of at most ``steps`` steps."""
-        self._path = directory / "metrics.csv"
-        self._stream = None
-        self._rows = read_metrics(self._path) if steps and self._path.exists() else []
-        self._rows = [
-            row | {"steps": int(row["steps"])} for row in self._rows if row["steps"] <= steps
-        ]
-        self._tensorboard = _tensorboard(directory) if tensorboard else None
-
-    def write(self, row: Row) -> None:
-        """Add a row."""
-        if self._stream is None:
-            self._stream = open(self._path, "w", newline="", encoding="utf-8")  # noqa: SIM115
-            self._writer = csv.DictWriter(self._stream, list(row))
-            self._writer.writeheader()
-            self._writer.writerows(self._rows)
-        self._writer.writerow(row)
-        self._stream.flush()
-        if self._tensorboard is not None:
-            for name, value in row.items():
-                if math.isfinite(value):
-                    self._tensorboard.add_scalar(name, value, int(row["steps"]))
-
-    def close(self) -> None:
-        """Close the files."""
-        if self._stream is not None:
-            self._stream.close()
-        if self._tensorboard is not None:
-            self._tensorboard.close()
-
-
-def _tensorboard(directory: Path) -> object:
-    try:
-        from tensorboardX import SummaryWriter
-    except ImportError:
-        raise InputError(
-            "train.tensorboard is true, but tensorboardX is not installed: "
-            "pip install 'quadjax[tensorboard]'"
-        ) from None
-    return SummaryWriter(str(directory / "tensorboard"))
-
-
-def read_metrics(path: Path | str) -> list[Row]:
-    """The rows of a ``metrics.csv``."""
-    with open(path, newline="", encoding="utf-8") as stream:
-        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(stream)]
-
-
-def _finish(
+def finish_run(
     config: Config,
     directory: Path,
     position: Position,
@@ -264,8 +195,7 @@ def _finish(
     finished: bool,
     devices: int,
 ) -> Result:
-    """The policy files and the summary."""
-    rows = read_metrics(directory / "metrics.csv")
+    """The policy files and the summary; the first process of several writes them."""
     source = {
         "project": "quadjax",
         "config": config.name,
@@ -275,11 +205,14 @@ def _finish(
         "residual": config.vehicle.residual,
     }
     policy = policy_of(config, position.best, source)
+    if not hosts.is_first():
+        return Result(directory, policy, finished, {})
+    path = directory / "metrics.csv"
+    rows = rows_of(path) if path.exists() else []
     last_source = source | {"steps": position.chunks * steps_per_chunk}
     write_policy(directory / "policy.npz", policy)
     last = policy_of(config, jax.device_get(position.state.params), last_source)
     write_policy(directory / "policy_last.npz", last)
-    under = [row for row in rows if row["lap_total"] < FLYING_TOTAL]
     last_score = rows[-1]["lap_total"] if rows else math.inf
     summary = {
         "name": config.name,
@@ -291,15 +224,22 @@ def _finish(
         "best_lap_total": _number(position.best_score),
         "best_steps": position.best_steps,
         "last_lap_total": _number(last_score),
-        "first_under_15.70": (
-            {"seconds": round(under[0]["seconds"], 1), "steps": int(under[0]["steps"])}
-            if under
-            else None
-        ),
+        "first_under": _first_under(config, rows),
         "peak_memory_mib": peak_memory_mib(),
     }
     write_json(directory / "summary.json", summary)
     return Result(directory, policy, finished, summary)
+
+
+def _first_under(config: Config, rows: list[Row]) -> dict[str, float | None] | None:
+    """When laps were first faster than the published policy's; None where it flew another race."""
+    published = published_total(config)
+    if published is None:
+        return None
+    under = [row for row in rows if row["lap_total"] < published[1]]
+    seconds = round(under[0]["seconds"], 1) if under else None
+    steps = int(under[0]["steps"]) if under else None
+    return {"total": published[1], "seconds": seconds, "steps": steps}
 
 
 def _number(value: float) -> float | None:

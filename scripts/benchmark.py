@@ -3,20 +3,26 @@
 Environment steps a second (a step and the reset of finished episodes) against the number of
 drones, with and without residual networks; training steps a second of the presets; and the peak
 memory of each. Every measurement runs in a process of its own and is the median of its repeats.
+With --sb3, the published hyperparameters by quadjax and by Stable-Baselines3 for equal time.
 """
 
-import argparse
-import dataclasses
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
+import time
 
-from quadjax.commands import Parser, check_writable, count, parse
-from quadjax.config import load_config
-from quadjax.devices import prepare_devices
-from quadjax.errors import InputError, command_line
+STARTED = time.monotonic()  # a side of the side-by-side counts from here
+
+import argparse  # noqa: E402
+import dataclasses  # noqa: E402
+import json  # noqa: E402
+import os  # noqa: E402
+import subprocess  # noqa: E402
+import sys  # noqa: E402
+import tempfile  # noqa: E402
+from pathlib import Path  # noqa: E402
+
+from quadjax.commands import Parser, check_writable, count, parse  # noqa: E402
+from quadjax.config import load_config  # noqa: E402
+from quadjax.devices import prepare_devices  # noqa: E402
+from quadjax.errors import InputError, command_line  # noqa: E402
 
 DRONES = tuple(4**power for power in range(9))  # 1 to 65,536
 QUICK_DRONES = (1, 64, 4096, 65_536)
@@ -30,16 +36,24 @@ PRESETS = ("e2e.yaml", "e2e_ppo.yaml", "e2e_paper.yaml")
 class Job:
     """One measurement: of the environment, or of a preset's training."""
 
-    kind: str  # "environment" | "observed" | "residual" | "training"
+    kind: str  # "environment" | "observed" | "residual" | "training" | "ours" | "sb3"
     config: str
     drones: int
     repeats: int
+    seconds: float = 0.0  # of a side of the side-by-side
+    devices: str = "auto"  # train.devices of a preset's training
 
 
 def _arguments() -> argparse.Namespace:
     parser = Parser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer sizes and repeats")
     parser.add_argument("--repeats", type=count, help="of each measurement (7, or 3 with --quick)")
+    parser.add_argument(
+        "--sb3",
+        type=count,
+        metavar="SECONDS",
+        help="only train e2e_paper.yaml so long by quadjax and by Stable-Baselines3, side by side",
+    )
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
     parser.add_argument("--job", help=argparse.SUPPRESS)
     arguments = parse(parser)
@@ -56,12 +70,33 @@ def _jobs(quick: bool, repeats: int) -> list[Job]:
     ]
     jobs.append(Job("observed", environment, OBSERVED, repeats))
     present = [CONFIGS / name for name in PRESETS if (CONFIGS / name).is_file()]
-    return jobs + [Job("training", str(path), 0, max(2, repeats // 2)) for path in present]
+    few = max(2, repeats // 2)
+    alone = [Job("training", environment, 0, few, devices="1")]  # what more devices are worth
+    return jobs + [Job("training", str(path), 0, few) for path in present] + alone
+
+
+def _run_side(job: Job) -> dict[str, object]:
+    """Train one side in this process, for its time."""
+    config = load_config(job.config)
+    per_update = config.train.drones * config.ppo.steps_per_update
+    config = load_config(job.config, [f"train.evaluate_every={per_update}"])
+    prepare_devices("auto" if job.kind == "ours" else "1")
+    from quadjax import side_by_side
+    from quadjax.evaluate.benchmark import machine
+
+    if job.kind == "ours":
+        with tempfile.TemporaryDirectory() as folder:
+            side = side_by_side.ours(config, job.seconds, STARTED, Path(folder) / "run")
+    else:
+        side = side_by_side.stable_baselines(config, job.seconds, STARTED)
+    return {"side": dataclasses.asdict(side), "machine": machine()}
 
 
 def _run_job(job: Job) -> dict[str, object]:
     """Measure in this process."""
-    config = load_config(job.config)
+    if job.kind in ("ours", "sb3"):
+        return _run_side(job)
+    config = load_config(job.config, [f"train.devices='{job.devices}'"])
     prepare_devices("auto")
     from quadjax.evaluate import benchmark
     from quadjax.training import peak_memory_mib
@@ -129,6 +164,30 @@ def _print_results(results: list[dict[str, object]]) -> None:
             )
 
 
+def _side_by_side(seconds: int, path: str | None) -> int:
+    """Both sides one after the other, on this machine."""
+    from quadjax.files import write_json
+    from quadjax.progress import bar
+    from quadjax.side_by_side import Side, format_sides
+
+    found = []
+    with bar(counted=True) as progress:
+        task = progress.add_task("training side by side", total=2)
+        for kind in ("ours", "sb3"):
+            found.append(_measure(Job(kind, str(CONFIGS / "e2e_paper.yaml"), 0, 1, seconds)))
+            progress.advance(task)
+    machine, sides = found[0]["machine"], [row["side"] for row in found]
+    _print_machine(machine)
+    run = (
+        f"e2e_paper.yaml, seed 0, {seconds} s of wall time each from the start of the process; "
+        "laps of the last policy, deterministic from hover"
+    )
+    print(format_sides([Side(**side) for side in sides], run))
+    if path:
+        write_json(path, {"machine": machine, "run": run, "sides": sides})
+    return 0
+
+
 @command_line
 def main() -> int:
     """Measure, print, and write the numbers if asked."""
@@ -139,6 +198,8 @@ def main() -> int:
     from quadjax.files import write_json
     from quadjax.progress import bar
 
+    if arguments.sb3:
+        return _side_by_side(arguments.sb3, arguments.json)
     jobs = _jobs(arguments.quick, arguments.repeats or (3 if arguments.quick else 7))
     results = []
     with bar(counted=True) as progress:

@@ -11,10 +11,11 @@ from rich.console import Console
 
 from quadjax.commands import Parser, check_writable, count, parse, seed
 from quadjax.config import load_config
-from quadjax.errors import command_line
+from quadjax.errors import InputError, command_line
 from quadjax.evaluate import pilot, tables
 from quadjax.evaluate.laps import Laps, Trace
 from quadjax.evaluate.recording import choose, distinct, recordings
+from quadjax.export.ranges import parse_overrides
 from quadjax.files import write_json
 from quadjax.policy_file import Policy, read_policy
 from quadjax.progress import bar
@@ -36,11 +37,22 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument(
         "--fixed-point", action="store_true", help="fly the exported fixed-point code's numbers"
     )
+    parser.add_argument(
+        "--range",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="NAME=R",
+        dest="ranges",
+        help="with --fixed-point: the ranges that it was exported with, where not the default",
+    )
     parser.add_argument("--json", metavar="FILE.json", help="write the laps")
     parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from above")
     parser.add_argument("--signals", metavar="FILE.png", help="draw propellers and rates over time")
     parser.add_argument("--animation", metavar="FILE.gif", help="animate the flight")
     arguments = parse(parser)
+    if arguments.ranges and not arguments.fixed_point:
+        raise InputError("--range is of --fixed-point, which is missing")
     check_writable(arguments.json)
     check_writable(arguments.figure, PICTURES)
     check_writable(arguments.signals, PICTURES)
@@ -54,10 +66,11 @@ def _fly_all(
     """Every flight of the table by its label; the first is the one to keep."""
     trace = any((arguments.figure, arguments.signals, arguments.animation))
     if arguments.fixed_point:
-        flown = pilot.fly_fixed_point(config, policy, race, trace, arguments.policy)
+        ranges = parse_overrides(arguments.ranges)
+        flown = pilot.fly_fixed_point(config, policy, race, trace, arguments.policy, ranges)
         return {"fixed point, mean action": flown}
     modes = {"deterministic": True} if arguments.deterministic else {}
-    modes = modes or {f"sampled, {race.runs} runs": False, "deterministic": True}
+    modes = modes or {f"sampled, {tables.counted(race.runs, 'run')}": False, "deterministic": True}
     return {
         label: pilot.fly_policy(config, policy, race, mean, trace, arguments.policy)
         for label, mean in modes.items()
@@ -67,14 +80,16 @@ def _fly_all(
 def _draw(
     config: Config, laps: Laps, trace: Trace, arguments: argparse.Namespace, console: Console
 ) -> None:
-    from quadjax.evaluate.figures import save_figure, signals_figure, trajectory_figure
+    from quadjax.evaluate.figures import (
+        flight_title,
+        save_figure,
+        signals_figure,
+        trajectory_figure,
+    )
 
     flights = distinct(recordings(trace, laps, config.episode.dt))
     shown, gates = choose(flights), config.track.gates
-    flown = len(shown.lap_ends)
-    title = f"{flown} {'lap' if flown == 1 else 'laps'} in {shown.time[-1]:.2f} s"
-    if shown.crash:
-        title += f", then {shown.crash}"
+    title = flight_title(shown)
     if arguments.figure:
         save_figure(trajectory_figure([shown], gates, title), arguments.figure)
         console.print(f"wrote {arguments.figure}", highlight=False)
@@ -108,7 +123,7 @@ def main() -> int:
     with console.status("compiling and flying"):
         flown = _fly_all(config, policy, race, arguments)
     rows = [tables.lap_row(label, laps) for label, (laps, _) in flown.items()]
-    published = tables.published_rows(config.track, race.laps, race.from_hover)
+    published = tables.published_rows(config, race.laps, race.from_hover)
     print(tables.format_table(rows, published))
     for label, (laps, _) in flown.items():
         for line in tables.describe_crashes(laps).splitlines():
@@ -116,6 +131,7 @@ def main() -> int:
     laps, trace = next(iter(flown.values()))
     if arguments.json:
         write_json(arguments.json, laps.to_json())
+        console.print(f"wrote {arguments.json}", highlight=False)
     if trace is not None:
         _draw(config, laps, trace, arguments, console)
     return 0

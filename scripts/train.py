@@ -5,13 +5,14 @@ import time
 STARTED = time.monotonic()  # training time counts from here: imports and compilation included
 
 import argparse  # noqa: E402
-import shutil  # noqa: E402
+import shlex  # noqa: E402
+import sys  # noqa: E402
 from pathlib import Path  # noqa: E402
 
-from quadjax.commands import Parser, parse  # noqa: E402
+from quadjax.commands import Parser, count, parse  # noqa: E402
 from quadjax.config import load_config  # noqa: E402
 from quadjax.devices import prepare_devices  # noqa: E402
-from quadjax.errors import InputError, command_line  # noqa: E402
+from quadjax.errors import INTERRUPTED, InputError, command_line  # noqa: E402
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -30,6 +31,13 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument(
         "--overwrite", action="store_true", help="delete an earlier run of the same name"
     )
+    parser.add_argument(
+        "--coordinator",
+        metavar="HOST:PORT",
+        help="train over several processes: where the first one listens, or auto on a cluster",
+    )
+    parser.add_argument("--processes", type=count, help="how many processes there are")
+    parser.add_argument("--process", type=int, help="which of them this one is, from 0")
     parser.add_argument("--runs", default="runs", metavar="DIR", help="where runs go (runs)")
     return parse(parser)
 
@@ -42,22 +50,25 @@ def main() -> int:
     directory = Path(arguments.runs) / config.name
     if arguments.overwrite and arguments.resume:
         raise InputError("--overwrite and --resume exclude each other")
-    if arguments.overwrite:
-        shutil.rmtree(directory, ignore_errors=True)
     prepare_devices(config.train.devices)
+    from quadjax import hosts
+
+    hosts.connect(arguments.coordinator, arguments.processes, arguments.process)
     from quadjax.learn.loop import NonFiniteError
     from quadjax.results import present
     from quadjax.training import train
 
     try:
-        result = train(config, directory, arguments.resume, STARTED)
+        result = train(config, directory, arguments.resume, STARTED, overwrite=arguments.overwrite)
     except NonFiniteError as error:
-        print(f"error: {error}")
+        print(f"error: {error}", file=sys.stderr)
         return 1
+    if not hosts.is_first():
+        return 0 if result.finished else INTERRUPTED
     if not result.finished:
-        again = " ".join([arguments.config, *arguments.words])
-        print(f"Stopped and saved. Go on with: python scripts/train.py {again} --resume")
-        return 130
+        again = [arguments.config, *arguments.words, "--resume", "--runs", arguments.runs]
+        print(f"Stopped and saved. Go on with: python scripts/train.py {shlex.join(again)}")
+        return INTERRUPTED
     present(config, result)
     return 0
 

@@ -3,7 +3,7 @@
     python scripts/verify_c.py DIR
 
 A C compiler of the host, or the one that pip installs, and an emulated Cortex-A9 (pip install
-'quadjax[verify]') are enough. With arm-linux-gnueabi-gcc, arm-linux-gnueabihf-gcc, qemu-arm,
+-e '.[verify]') are enough. With arm-linux-gnueabi-gcc, arm-linux-gnueabihf-gcc, qemu-arm,
 frama-c and cppcheck on the path more is checked; what is missing is left out with the reason.
 Exit status 0: no check failed.
 """
@@ -25,7 +25,7 @@ def arguments() -> argparse.Namespace:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="what export_c.py wrote")
     parser.add_argument(
-        "--vectors", type=count, default=20_000, help="vectors for every build (default 20000)"
+        "--vectors", type=count, default=5_000, help="vectors for every build (default 5000)"
     )
     parser.add_argument("--flights", type=count, default=0, help="flights of the closed loop")
     parser.add_argument("--json", type=Path, help="write the table there too")

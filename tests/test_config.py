@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from quadjax import schema
+from quadjax import checks
 from quadjax.config import REPOSITORY_CONFIGS, fill, load_config, merge_trees, parse_words, to_yaml
 from quadjax.errors import InputError, command_line
-from quadjax.schema import Config
+from quadjax.schema import Config, RewardConfig
 from tests import reference as ref
 
 SHIPPED = sorted(REPOSITORY_CONFIGS.glob("*.yaml"))
@@ -45,7 +45,7 @@ def test_every_shipped_vehicle_loads(path):
 def test_paper_presets_weigh_the_reward_as_published():
     for path in SHIPPED:
         if path.stem.endswith("_paper"):
-            assert load_config(path).reward == schema.RewardConfig()
+            assert load_config(path).reward == RewardConfig()
 
 
 def test_defaults_are_the_published_model():
@@ -263,11 +263,44 @@ def test_vehicle_files_are_checked(tmp_path):
     assert "track.gates" in refusal(tmp_path / "d.yaml")
 
 
+@pytest.mark.parametrize(
+    "word",
+    [
+        "vehicle.residual=file.npz",
+        "disturbance.steady_moment=[0.01,0,0]",
+        "randomise.thrust=0.1",
+        "episode.disturbance_input=estimated",
+    ],
+)
+def test_what_would_change_nothing_is_refused(word):
+    load_config(BLANK, [word])
+    assert word.split("=")[0] in refusal(BLANK, "vehicle.kind=rate", word)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["episode.max_steps=3000000000"],
+        ["episode.dt=5"],
+        ["train.steps=1000000000000000"],
+        ["vehicle.motor.rpm_min=-5000"],
+        ["vehicle.motor.k_w=[1]"],
+        ["randomise.limits=0.9"],
+    ],
+)
+def test_what_is_out_of_all_proportion_is_refused(words):
+    assert words[0].split("=")[0] in refusal(BLANK, *words)
+
+
+def test_a_constant_is_a_number():
+    assert "vehicle.motor.k_w is {'x': 1}" in refusal(BLANK, "vehicle.motor.k_w.x=1")
+
+
 def test_every_bound_names_a_key_that_exists():
-    groups = (schema.CHOICES, schema.CLOSED, schema.HALF_OPEN_DISCOUNT, schema.AT_LEAST_ONE)
-    for group in (*groups, schema.POSITIVE, schema.NOT_NEGATIVE):
+    groups = (checks.CHOICES, checks.CLOSED, checks.HALF_OPEN_DISCOUNT, checks.AT_LEAST_ONE)
+    for group in (*groups, checks.POSITIVE, checks.NOT_NEGATIVE):
         for key in group:
-            schema.value_at(Config(), key)
+            checks.value_at(Config(), key)
 
 
 def test_configs_are_frozen():

@@ -191,7 +191,7 @@ READERS = pytest.mark.parametrize("read", [read_policy, read_residual])
 @READERS
 def test_what_is_no_such_file(tmp_path, read):
     assert "no such file" in refusal(read, tmp_path / "none.npz")
-    assert "no such file" in refusal(read, tmp_path)
+    assert "is a directory" in refusal(read, tmp_path)
     path = tmp_path / "f.npz"
     path.write_bytes(b"")
     refusal(read, path)

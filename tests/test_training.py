@@ -21,6 +21,8 @@ from quadjax.checkpoint import Checkpoints
 from quadjax.config import load_config
 from quadjax.errors import InputError
 from quadjax.learn import loop
+from quadjax.learn.networks import layers_of
+from quadjax.policy_file import read_policy
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"
@@ -83,6 +85,9 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name)
     for key, value in first.items():
         np.testing.assert_array_equal(value, second[key], err_msg=key)
     assert rows(tmp_path / "whole/metrics.csv") == rows(tmp_path / "part/metrics.csv")
+    monkeypatch.setattr(training, "_compile", None)  # what is finished compiles nothing again
+    again = training.train(config, tmp_path / "part", resume=True)
+    assert again.finished and again.summary["steps"] == whole.summary["steps"]
 
 
 def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
@@ -93,11 +98,74 @@ def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
     other = dataclasses.replace(config, seed=7)
     with pytest.raises(InputError, match="seed: 0.*seed: 7"):
         training.train(other, tmp_path / "run", resume=True)
+    assert training.train(other, tmp_path / "run", overwrite=True).finished
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match="not deleted"):
+        training.train(other, tmp_path / "mine", overwrite=True)
+    assert (tmp_path / "mine/thesis.txt").exists()
+
+
+def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
+    for word in ("train.init=none.npz", "vehicle.residual=none.npz"):
+        with pytest.raises(InputError, match="none.npz"):
+            training.train(config_of("e2e_ppo.yaml", word), tmp_path / "run")
+    narrow = training.train(config_of("e2e_ppo.yaml", "network.hidden=[4]"), tmp_path / "narrow")
+    policy = f"train.init={narrow.directory / 'policy.npz'}"
+    with pytest.raises(InputError, match=r"hidden widths \[4\], the config \[8\]"):
+        training.train(config_of("e2e_ppo.yaml", policy), tmp_path / "run", overwrite=True)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
+def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
+    first = training.train(config_of(name, "train.steps=128"), tmp_path / "first")
+    word = f"train.init={first.directory / 'policy_last.npz'}"
+    held = [f"{section}.warm_up=1000" for section in ("ppo", "shac")]
+    second = training.train(config_of(name, word, *held, "seed=1"), tmp_path / "second")
+    before, after = (arrays(run.directory / "policy_last.npz") for run in (first, second))
+    for key in set(before) - {"log_std"}:
+        np.testing.assert_array_equal(before[key], after[key], err_msg=key)
+
+
+def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "interruptions", lambda: after(0))
+    result = training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
+    assert not result.finished and result.summary["steps"] == 0
+    monkeypatch.undo()
+    assert training.train(config_of("e2e_ppo.yaml"), tmp_path / "run", resume=True).finished
+
+
+def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
+    compiled, after_chunk = [], []
+
+    def listen(event, duration, **details):
+        if event.endswith("backend_compile_duration"):
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    show = training.TrainingProgress.show
+
+    def watch(progress, row):
+        after_chunk.append(len(compiled))
+        show(progress, row)
+
+    monkeypatch.setattr(training.TrainingProgress, "show", watch)
+    training.train(config_of("e2e_shac.yaml"), tmp_path / "run")
+    assert len(after_chunk) == 4 and after_chunk[0] > 0
+    assert after_chunk[1:] == after_chunk[:1] * 3
+
+
+def test_a_short_run_is_one_short_chunk(tmp_path):
+    words = ("train.steps=64", "train.evaluate_every=1000000", "ppo.steps_per_update=4")
+    assert training.train(config_of("e2e_ppo.yaml", *words), tmp_path / "run").summary[
+        "steps"
+    ] == pytest.approx(64)
 
 
 def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
     config = config_of("e2e_ppo.yaml")
-    compiled = training.parallel.compile_chunk
+    compiled, kept = training.parallel.compile_chunk, []
 
     def broken(*arguments):
         chunk, calls = compiled(*arguments), []
@@ -105,6 +173,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
         def run(params, state):
             state, metrics = chunk(params, state)
             calls.append(1)
+            kept.append(jax.device_get(state.params))
             if len(calls) == 3:
                 metrics["value_loss"] = metrics["value_loss"].at[0].set(np.nan)
             return state, metrics
@@ -112,10 +181,18 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
         return run
 
     monkeypatch.setattr(training.parallel, "compile_chunk", broken)
-    monkeypatch.setattr(loop.time, "monotonic", iter(range(0, 10**6, 1000)).__next__)
+    config = dataclasses.replace(
+        config, train=dataclasses.replace(config.train, checkpoint_seconds=0.0)
+    )
     with pytest.raises(loop.NonFiniteError, match="update 3: value_loss"):
         training.train(config, tmp_path / "run")
-    assert Checkpoints(tmp_path / "run/checkpoints").any
+    monkeypatch.undo()
+    monkeypatch.setattr(training, "interruptions", lambda: after(0))
+    training.train(config, tmp_path / "run", resume=True)
+    saved = read_policy(tmp_path / "run/policy_last.npz")
+    for (kernel, bias), found in zip(layers_of(kept[1].policy), saved.layers, strict=True):
+        np.testing.assert_array_equal(kernel, found[0])
+        np.testing.assert_array_equal(bias, found[1])
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
@@ -170,9 +247,14 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
     assert process.returncode == 0, output
     summary = json.loads((tmp_path / "killed/summary.json").read_text())
     assert summary["finished"]
-    steps = [float(row["steps"]) for row in rows(tmp_path / "killed/metrics.csv")]
-    assert steps == sorted(set(steps))
-    assert steps[-1] == 12800
+    steps = [int(row["steps"]) for row in rows(tmp_path / "killed/metrics.csv")]
+    assert steps == list(range(128, 12801, 128))
+    unbroken = training.train(config_of("e2e_ppo.yaml", *LONG, "name=unbroken"), tmp_path / "whole")
+    first, second = (
+        arrays(run / "policy_last.npz") for run in (unbroken.directory, tmp_path / "killed")
+    )
+    for key, value in first.items():
+        np.testing.assert_array_equal(value, second[key], err_msg=key)
     for name in ("laps.json", "trajectory.png", "curves.png", "policy.npz", "config.yaml"):
         assert (tmp_path / "killed" / name).stat().st_size > 0
 

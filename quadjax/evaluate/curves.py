@@ -1,8 +1,6 @@
 """Training curves from the metrics of one or several runs."""
 
-import csv
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,37 +13,6 @@ Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)
 ACROSS = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}
 UPWARDS = {"reward": "reward per step", "lap_total": "all laps (s)", "crash_rate": "crash rate"}
 LAP_RANGE = 1.6  # the lap axis ends at so many times the best
-
-
-def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
-    """The columns of a metrics CSV, (rows,) each; an empty cell is NaN.
-
-    A last line that is cut short, as a killed run leaves it, is dropped.
-
-    Raises:
-        InputError: no such file, no rows, or a cell that is no number, by line and column.
-    """
-    try:
-        with open(path, newline="", encoding="utf-8") as stream:
-            names, *rows = list(csv.reader(stream)) or [[]]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
-    if rows and len(rows[-1]) < len(names):
-        rows.pop()
-    if not names or not rows:
-        raise InputError(f"{path}: holds no rows of metrics")
-    table = np.full((len(rows), len(names)), np.nan)
-    for index, row in enumerate(rows):
-        if len(row) != len(names):
-            raise InputError(f"{path} line {index + 2}: {len(row)} cells, expected {len(names)}")
-        for column, cell in enumerate(row):
-            try:
-                table[index, column] = float(cell) if cell.strip() else np.nan
-            except ValueError:
-                raise InputError(
-                    f"{path} line {index + 2}: {names[column]} is {cell!r}, expected a number"
-                ) from None
-    return dict(zip(names, table.T, strict=True))
 
 
 def training_figure(
@@ -97,7 +64,7 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Metrics], along: str, up: str) -> 
         x, y = columns[along] * ACROSS[along][1], columns[up]
         fine = np.isfinite(x) & np.isfinite(y)
         colour = SERIES[index % len(SERIES)]
-        mark = "o" if up == "lap_total" else None
+        mark = "o" if up == "lap_total" or np.count_nonzero(fine) == 1 else None
         axes.plot(x[fine], y[fine], color=colour, lw=1.5, marker=mark, markersize=3, label=name)
 
 
@@ -118,7 +85,10 @@ def _lap_axis(axes: Axes, runs: Mapping[str, Metrics], reference: tuple[str, flo
             ha="right",
             fontsize=8,
             color=MUTED,
+            annotation_clip=True,
         )
         lowest = min(best, time)
     highest = float(np.nanmax(np.where(np.isfinite(times), times, np.nan)))
+    if reference is not None:
+        highest = max(highest, reference[1])
     axes.set_ylim(0.97 * lowest, min(1.03 * max(highest, lowest), LAP_RANGE * lowest))

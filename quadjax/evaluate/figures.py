@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from quadjax.errors import InputError
 from quadjax.evaluate.recording import Recording
+from quadjax.evaluate.tables import counted
 from quadjax.files import whole_file
 from quadjax.schema import GateConfig
 
@@ -94,6 +95,12 @@ def trajectory_figure(
     return figure
 
 
+def flight_title(flight: Recording) -> str:
+    """What was flown and how it ended, in a few words."""
+    title = f"{counted(len(flight.lap_ends), 'lap')} in {flight.time[-1]:.2f} s"
+    return f"{title}, then {flight.crash}" if flight.crash else title
+
+
 def _extent(
     flights: Sequence[Recording], gates: Sequence[GateConfig]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -103,7 +110,8 @@ def _extent(
         np.array([gate.position[:2]]) + s * gate.size[0] for gate in gates for s in (-0.5, 0.5)
     ]
     every = np.concatenate(points)
-    return every.min(axis=0) - 0.3, every.max(axis=0) + 0.3
+    room = 0.3 + 0.1 * float(np.ptp(every, axis=0).max())  # for the gates' numbers outside
+    return every.min(axis=0) - room, every.max(axis=0) + room
 
 
 def speed_range(flights: Sequence[Recording]) -> tuple[float, float]:

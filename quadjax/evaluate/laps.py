@@ -12,6 +12,7 @@ from flax import struct
 from quadjax.race import environment
 from quadjax.race.build import exact_rules
 from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.rules import Outcome
 from quadjax.race.track import Track, gate_count
 from quadjax.vehicle.vector import Vec3
 
@@ -129,7 +130,7 @@ def starting_states(
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 
 
-def _crash_code(outcome: environment.rules.Outcome) -> jax.Array:
+def _crash_code(outcome: Outcome) -> jax.Array:
     flags = (
         outcome.gate_collision,
         outcome.ground,
@@ -148,12 +149,25 @@ def _step_one(
 ) -> Race:
     """One step of one drone; a race that is over stands still."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
+    return score(race, following, outcome, params.limits.dt, gates)
+
+
+def score(race: Race, following: RaceState, outcome: Outcome, dt: jax.Array, gates: int) -> Race:
+    """One drone's race after a step: its laps, whether it is over, and why.
+
+    Args:
+        race: before the step; one that is over stands still.
+        following: the state after it.
+        outcome: what the step led to.
+        dt: () s, of a step.
+        gates: of the track.
+    """
     laps = race.lap_end.shape[0]
     passed = following.gates_passed - race.state.gates_passed
     lap = (following.gates_passed - 1) // gates
     ended = (passed > 0) & (following.gates_passed % gates == 0) & ~race.over
     # A start in the middle of the track has its lap where its gates add up to one.
-    now = following.step * params.limits.dt
+    now = following.step.astype(dt.dtype) * dt
     lap_end = jnp.where(ended & (jnp.arange(laps) == lap), now, race.lap_end)
     crashed = outcome.terminated & ~race.over
     crash = jnp.where(crashed, _crash_code(outcome), race.crash)
@@ -162,13 +176,14 @@ def _step_one(
     return Race(state, lap_end, over, crash)
 
 
-def _begin(state: RaceState, laps: int) -> Race:
+def begin(state: RaceState, laps: int) -> Race:
+    """Drones before a race of some laps, batched along the last axis."""
     runs = state.step.shape[-1]
     return Race(state, jnp.zeros((laps, runs)), jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32))
 
 
 @functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace"))
-def _race(
+def fly_race(
     choices: Choices,
     actor: Actor,
     laps: int,
@@ -179,6 +194,7 @@ def _race(
     state: RaceState,
     key: jax.Array,
 ) -> tuple[Race, Trace | None]:
+    """Fly from given states for at most ``steps`` steps; see ``fly_laps``."""
     gates = gate_count(params.track)
     runs = state.step.shape[-1]
     observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
@@ -200,7 +216,7 @@ def _race(
         following, action = one(carry)
         return following, _trace(choices, params, carry[0], action)
 
-    carry = (_begin(state, laps), key)
+    carry = (begin(state, laps), key)
     if trace:
         (race, _), kept = jax.lax.scan(record, carry, None, steps)
         return race, kept
@@ -268,10 +284,19 @@ def fly_laps(
     choices = dataclasses.replace(choices, stagger_clocks=False)
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)
-    dt = float(params.limits.dt)
+    steps = step_limit(params, laps)
+    race, kept = fly_race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
+    return laps_of(race, float(params.limits.dt)), kept
+
+
+def step_limit(params: RaceParams, laps: int) -> int:
+    """Steps after which a race is out of time."""
     stretch = max(1.0, lap_length(params.track) / METRES_PER_LAP)
-    steps = round(laps * SECONDS_PER_LAP * stretch / dt)
-    race, kept = _race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
+    return round(laps * SECONDS_PER_LAP * stretch / float(params.limits.dt))
+
+
+def laps_of(race: Race, dt: float) -> Laps:
+    """The result of a race that is over, ``dt`` s a step."""
     ends = np.asarray(race.lap_end, np.float64).T
     flown = np.where(ends > 0, ends, np.nan)
     times = np.diff(flown, axis=1, prepend=0.0)
@@ -279,7 +304,7 @@ def fly_laps(
     unfinished = ~np.isfinite(flown[:, -1]) & (codes == 0)
     codes = np.where(unfinished, CRASHES.index("out of time"), codes)
     seconds = np.asarray(race.state.step, np.float64) * dt
-    return Laps(times, tuple(CRASHES[code] for code in codes), seconds), kept
+    return Laps(times, tuple(CRASHES[code] for code in codes), seconds)
 
 
 def lap_length(track: Track) -> float:

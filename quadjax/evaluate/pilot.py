@@ -2,8 +2,9 @@
 
 The environment scales actions and observations by its own vehicle's ranges; a policy was trained
 with those in its file. Both are converted here, so that a policy commands the rpm (or rates and
-thrust) that its file says, whatever the vehicle's own limits are, and sees its propeller speeds,
-thrust and disturbances in the scaling that it was trained with.
+thrust) that its file says, whatever the vehicle's own limits are, and sees its propeller speeds and
+thrust in the scaling that it was trained with. The race itself scales the disturbances as the file
+says, because it may draw none and yet meet some: a steady moment, or less thrust than modelled.
 """
 
 import dataclasses
@@ -14,17 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from quadjax.checks import CHOICES
 from quadjax.errors import InputError
 from quadjax.evaluate.laps import Actor, Laps, Trace, fly_laps
 from quadjax.policies import Flying, act_sampled, flying
 from quadjax.policy_file import ACTION_SIZE, OBSERVATION_SIZES, Policy
-from quadjax.race.build import build_params, choices_of
+from quadjax.race.build import build_params, choices_of, disturbance_range
 from quadjax.race.environment import Choices, RaceParams, command
-from quadjax.schema import CHOICES, Config, DisturbanceConfig
+from quadjax.schema import Config, DisturbanceConfig
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
 FIRST_ACTUATOR = 12  # where propeller speeds or thrust begin in an observation
-FIRST_DISTURBANCE = 20  # where the motor-level vehicle's four disturbances begin
 DISTURBANCES = tuple(DisturbanceConfig().half_widths)
 KNOWN = ("wrap_next_yaw", "disturbance_input", "disturbance")  # what a policy says of its scaling
 
@@ -113,10 +114,11 @@ def _policy_disturbance(policy: Policy, default: dict[str, float], name: str) ->
 
 
 def race_of(config: Config, policy: Policy) -> tuple[Choices, RaceParams]:
-    """The race of a config, with the next gate's yaw wrapped or not as the policy knows it.
+    """The race of a config, seen as the policy knows it.
 
-    Where the disturbance comes from (true, estimated or none) is the race's choice, not the
-    policy's: it is what a drone can measure.
+    The next gate's yaw is wrapped or not, and the disturbances are scaled, as its file says: also
+    where the race draws none, or others. Where the disturbance comes from (true, estimated or none)
+    is the race's choice, not the policy's: it is what a drone can measure.
     """
     seen = policy.observation
     episode = dataclasses.replace(
@@ -124,7 +126,10 @@ def race_of(config: Config, policy: Policy) -> tuple[Choices, RaceParams]:
         **{key: seen[key] for key in ("wrap_next_yaw",) if key in seen},
     )
     config = dataclasses.replace(config, episode=episode)
-    return choices_of(config), build_params(config)
+    drawn = config.disturbance
+    trained = _policy_disturbance(policy, drawn.half_widths, "policy")
+    scaling = disturbance_range(dataclasses.replace(drawn, **trained))
+    return choices_of(config), build_params(config).replace(seen=scaling)
 
 
 def command_ranges(choices: Choices, params: RaceParams) -> Ranges:
@@ -160,12 +165,6 @@ def make_pilot(
     back_scale, back_offset = _between(vehicle, own)
     see_scale[first : first + count] = back_scale[-count:]
     see_offset[first : first + count] = back_offset[-count:]
-    if policy.vehicle == "motor":
-        widths = config.disturbance.half_widths
-        trained = _policy_disturbance(policy, dict(widths), name)
-        for index, key in enumerate(DISTURBANCES):
-            factor = widths[key] / trained[key] if trained[key] > 0 else 0.0
-            see_scale[FIRST_DISTURBANCE + index] = factor
     numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle, float(not deterministic))
     return Pilot(flying(policy), *(jnp.asarray(x, jnp.float32) for x in numbers))
 
@@ -212,15 +211,22 @@ def fly_policy(
 
 
 def fly_fixed_point(
-    config: Config, policy: Policy, race: Race, trace: bool = False, name: str = "policy"
+    config: Config,
+    policy: Policy,
+    race: Race,
+    trace: bool = False,
+    name: str = "policy",
+    ranges: dict[str, float] | None = None,
 ) -> tuple[Laps, Trace | None]:
     """Time the laps of a policy as the exported fixed-point code computes it, bit for bit.
 
-    Like the code on the drone it flies the mean. Arguments and errors as of ``fly_policy``.
+    Like the code on the drone it flies the mean, and what is outside the declared ranges (the
+    converter's defaults, or ``ranges``) it sees at their edge. Other arguments and errors as of
+    ``fly_policy``.
     """
     from quadjax.export.emulator_jax import fixed_point_actor
 
-    commands: Callable[[jax.Array], jax.Array] = fixed_point_actor(policy)
+    commands: Callable[[jax.Array], jax.Array] = fixed_point_actor(policy, ranges)
 
     def actor(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
         given = commands(_see(pilot, observation))

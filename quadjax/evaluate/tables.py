@@ -9,9 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from quadjax.evaluate.laps import Laps
-from quadjax.schema import TrackConfig
+from quadjax.schema import Config
 
 PUBLISHED_LAPS = 6
+PUBLISHED_DT = 0.01  # s
+PUBLISHED_SIZE = (1.0, 1.0)  # m, of every gate
 PUBLISHED_GATES = (  # x, y, z, m, and yaw, deg
     (2.0, -1.5, -1.5, 45.0),
     (2.0, 1.5, -1.5, 135.0),
@@ -39,6 +41,12 @@ PUBLISHED = (
     Row("INDI flown, mean of 5", (3.28, 2.80, 2.82, 2.82, 2.84, 2.83), 17.40, 17.26),
 )
 
+# What the published policies need for six laps in a faithful simulator, s, by the vehicle they fly.
+PUBLISHED_TOTALS = {
+    "motor": ("published E2E policy", 15.70),
+    "rate": ("published INDI policy", 17.04),
+}
+
 
 def lap_row(label: str, laps: Laps) -> Row:
     """The mean over the runs that flew every lap, and the best total among them.
@@ -58,17 +66,26 @@ def _mean(values: np.ndarray) -> float:
     return float(finite.mean()) if finite.size else np.nan
 
 
-def is_published_track(track: TrackConfig) -> bool:
-    """Whether the gates stand where they stood for the published lap times."""
-    gates = [(*gate.position, gate.yaw_deg) for gate in track.gates]
-    return len(gates) == len(PUBLISHED_GATES) and np.allclose(gates, PUBLISHED_GATES)
+def is_published_race(config: Config) -> bool:
+    """Whether gates and time step are those of the published lap times."""
+    gates = [(*gate.position, gate.yaw_deg, *gate.size) for gate in config.track.gates]
+    published = [(*gate, *PUBLISHED_SIZE) for gate in PUBLISHED_GATES]
+    same = len(gates) == len(published) and np.allclose(gates, published)
+    return same and config.episode.dt == PUBLISHED_DT
 
 
-def published_rows(track: TrackConfig, laps: int, from_hover: bool = True) -> tuple[Row, ...]:
-    """The published lines, where they can be compared: same track, laps and start."""
-    if from_hover and laps == PUBLISHED_LAPS and is_published_track(track):
+def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[Row, ...]:
+    """The published lines, where they can be compared: same race, laps and start."""
+    if from_hover and laps == PUBLISHED_LAPS and is_published_race(config):
         return PUBLISHED
     return ()
+
+
+def published_total(config: Config) -> tuple[str, float] | None:
+    """Label and time, s, of the published policy that a training run is measured against."""
+    if config.evaluate.laps == PUBLISHED_LAPS and is_published_race(config):
+        return PUBLISHED_TOTALS[config.vehicle.kind]
+    return None
 
 
 def format_table(own: Sequence[Row], published: Sequence[Row] = ()) -> str:
@@ -106,11 +123,19 @@ def _line(row: Row, label: int, titles: list[str], laps: int) -> str:
     )
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun: 1 lap, 2 laps."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def describe_crashes(laps: Laps) -> str:
-    """One line for every run that ended early; empty if none did."""
-    flown = laps.laps_flown()
+    """One line for every way in which runs ended early, with their numbers from 1; or nothing."""
+    flown, ways = laps.laps_flown(), {}
+    for run, reason in enumerate(laps.crashes):
+        if reason:
+            how = f"{reason} in lap {flown[run] + 1} after {laps.seconds[run]:.2f} s"
+            ways.setdefault(how, []).append(str(run + 1))
     return "\n".join(
-        f"run {run + 1}: {reason} in lap {flown[run] + 1} after {laps.seconds[run]:.2f} s"
-        for run, reason in enumerate(laps.crashes)
-        if reason
+        f"{'run' if len(runs) == 1 else 'runs'} {', '.join(runs)}: {how}"
+        for how, runs in ways.items()
     )

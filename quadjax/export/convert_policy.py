@@ -2,7 +2,9 @@
 
 import dataclasses
 import hashlib
+import itertools
 import shutil
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +25,13 @@ from quadjax.export.report import make_report, measure, report_text
 from quadjax.export.vectors import self_test_inputs
 from quadjax.files import whole_file, write_json, write_text
 from quadjax.policy_file import Policy, read_policy
+from quadjax.schema import Config
 from quadjax.vehicle.motor import MotorParams
 
 FLIGHTS = 32
 KEPT_ROWS = 20_000  # flown rows that go along for the verification
 BOX_SAMPLES = 20_000
+COMMENT_WIDTH = 96
 POLICY_FILE, RESIDUAL_FILE = "policy.npz", "residual.npz"
 CONFIG_FILE, FLOWN_FILE = "config.yaml", "flown.npz"
 
@@ -117,7 +121,7 @@ def _complete(
         policy=policy,
         network=network,
         proof=proof,
-        race=make_tables(network, policy, own.params.track),
+        race=make_tables(network, policy, own.params.track, own.choices.gate_test == "world_box"),
         estimator=estimator,
         kept=kept,
         steps_flown=steps_flown,
@@ -143,16 +147,19 @@ def _origin(request: Request, file: str, policy: Policy, own: flights.OwnRace) -
     if identifier(name) != name:
         raise InputError(f"--name {name!r}: expected a lower-case C identifier")
     policy_hash = sha256(request.policy)
-    source = ", ".join(f"{k}={v}" for k, v in policy.source.items() if not isinstance(v, dict))
-    lines = (
+    said = {k: v for k, v in policy.source.items() if v is not None and not isinstance(v, dict)}
+    source = ", ".join(f"{key}={value}" for key, value in said.items())
+    track, vehicle = (
+        part.name or Path(part.file).name for part in (own.config.track, own.config.vehicle)
+    )
+    facts = (
         f"Policy   {file}, SHA-256 {policy_hash}",
         f"Source   {source or 'not stated in the policy file'}",
         f"Format   quadjax fixed point, version {FORMAT_VERSION}; deterministic (mean) actions",
-        f"Track    {own.config.track.name or own.config.track.file}; vehicle "
-        f"{own.config.vehicle.name or own.config.vehicle.file}",
+        f"Track    {track}; vehicle {vehicle}",
     )
-    short = tuple(line if len(line) <= 96 else f"{line[:93]}..." for line in lines)
-    return Provenance(name, policy_hash, short, source or file)
+    lines = [textwrap.wrap(fact, COMMENT_WIDTH, subsequent_indent=" " * 9) for fact in facts]
+    return Provenance(name, policy_hash, tuple(itertools.chain(*lines)), source or file)
 
 
 def sources(converted: Converted) -> dict[str, str]:
@@ -227,6 +234,19 @@ def write_folder(request: Request) -> tuple[Converted, dict[str, object]]:
     return converted, report
 
 
+def _by_itself(config: Config, out: Path) -> Config:
+    """The config with copies in ``out`` of a track or vehicle file of the user's own."""
+    for section in ("track", "vehicle"):
+        part = getattr(config, section)
+        source = Path(part.file)
+        if source.is_absolute():
+            if source.resolve() != (out / source.name).resolve():
+                write_text(out / source.name, source.read_text("utf-8"))
+            part = dataclasses.replace(part, file=source.name)
+            config = dataclasses.replace(config, **{section: part})
+    return config
+
+
 def _keep_inputs(converted: Converted, request: Request) -> None:
     """What the verification needs to make it all again: policy, config, residual and flights."""
     out, kept = request.out, converted.kept
@@ -238,7 +258,7 @@ def _keep_inputs(converted: Converted, request: Request) -> None:
         if source.resolve() != (out / name).resolve():
             with whole_file(out / name) as temporary:
                 shutil.copyfile(source, temporary)
-    write_text(out / CONFIG_FILE, to_yaml(config))
+    write_text(out / CONFIG_FILE, to_yaml(_by_itself(config, out)))
     with whole_file(out / FLOWN_FILE) as temporary, open(temporary, "wb") as stream:
         np.savez_compressed(
             stream,

@@ -59,6 +59,7 @@ def emit_estimator(
         "channel_units": wrapped(
             [f"{2.0 ** (e - Q30)!r}F" for e in tables.channel_exponents]
         ).strip(),
+        "unused": _unused(tables),
         "model": _rows("x", tables.model, "MODEL_BITS"),
         "differentiated": _rows("d", tables.differentiated, "DIFFERENCE_BITS"),
         "residual_call": "" if tables.thrust is None else "  subtract_residual(s, x);",
@@ -84,6 +85,13 @@ def _rows(target: str, coefficients: np.ndarray, bits: str) -> str:
         total = " +\n                     ".join(terms) or "0"
         lines.append(f"  {target}[{index}] = round_shift({total},\n                     {bits});")
     return "\n".join(lines)
+
+
+def _unused(tables: EstimatorTables) -> str:
+    """Statements that keep a compiler quiet about products that this vehicle's model has not."""
+    used = np.any(tables.model != 0, axis=0) | np.any(tables.differentiated != 0, axis=0)
+    names = [name for name, needed in zip(MONOMIALS, used, strict=True) if not needed]
+    return "\n".join(f"  (void){name};" for name in names if not name.startswith("a_"))
 
 
 def _residual(tables: EstimatorTables) -> str:

@@ -39,9 +39,18 @@ static void estimate(@name@_state *state) {
   for (uint32_t i = 0U; i < 4U; ++i) {
     m.rpm[i] = state->rpm[i];
   }
-  (void)@name@_estimator_update(&module.estimator, &m, state->moment_ext, state->force_ext);
+  const @name@_estimator_status status =
+      @name@_estimator_update(&module.estimator, &m, state->moment_ext, state->force_ext);
+  if (module.flying && ((status.clipped | status.nan) != 0U)) {
+    ++module.log.estimator_steps;
+  }
 }
 """
+ESTIMATOR_COUNTER = """\
+  uint32_t estimator_steps; /* in which a measurement was clipped or not a number */
+"""
+ESTIMATOR_VALUE = """,
+                    (float)module.log.estimator_steps"""
 GIVE_RPM = """\
   static const uint8_t motor[4] = @NAME@_MOTORS;
   for (uint32_t i = 0U; i < 4U; ++i) {
@@ -83,6 +92,8 @@ def emit_paparazzi(network: FixedNetwork, origin: Provenance) -> dict[str, str]:
             named('#include "modules/@name@/@name@_estimator.h"\n') if motor else ""
         ),
         "estimator_member": named("  @name@_estimator estimator;\n") if motor else "",
+        "estimator_counter": ESTIMATOR_COUNTER if motor else "",
+        "estimator_value": ESTIMATOR_VALUE if motor else "",
         "read_actuators": named(READ_RPM if motor else READ_THRUST),
         "estimate": named(ESTIMATE) if motor else "",
         "estimate_call": "  estimate(&state);\n" if motor else "",

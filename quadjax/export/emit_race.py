@@ -17,6 +17,18 @@ FIELD_NOTES = {
     "moment_ext": "external moment, N m, body",
     "force_ext": "external specific force, m/s^2, body",
 }
+SQUARE = """\
+/* Whether a point, relative to the gate's centre, is within the opening: along the gate's axes. */
+static bool is_inside(const gate *g, int64_t x, int64_t y, int64_t z) {
+  return (magnitude(round_shift(across(g, x, y), Q30)) <= g->half_width) &&
+         (magnitude(z) <= g->half_height);
+}"""
+WORLD_BOX = """\
+/* Whether a point, relative to the gate's centre, is within the opening: along the world's axes. */
+static bool is_inside(const gate *g, int64_t x, int64_t y, int64_t z) {
+  return (magnitude(x) < g->half_width) && (magnitude(y) < g->half_width) &&
+         (magnitude(z) < g->half_height);
+}"""
 RANDOM_TESTS, FLOWN_TESTS = 6, 10
 
 
@@ -68,6 +80,7 @@ def emit_race(
         "turns_per_unit": str(tables.turns_per_unit),
         "two_pi": str(tables.two_pi),
         "gate_table": _gate_table(tables),
+        "opening": WORLD_BOX if tables.world_box else SQUARE,
         "exponents": ", ".join(map(str, tables.exponents)),
         "state_values": wrapped(f"state->{name}" for name in names),
         "scaled_inputs": _scaled_inputs(tables),

@@ -81,9 +81,9 @@ def check_policy(policy: Policy) -> None:
         InputError: an activation other than ReLU, a weight or bias that is not finite, or a motor
             command that no ``uint16_t`` rpm can hold.
     """
-    if policy.activation != "relu":
+    if policy.activation != "relu" and len(policy.layers) > 1:
         raise InputError(
-            f"activation {policy.activation!r} of hidden layer 0, row 0 and all others is "
+            f"layer 0, row 0 and every hidden row: activation {policy.activation!r} is "
             "unsupported in fixed point, allowed: ['relu']"
         )
     for index, (kernel, bias) in enumerate(policy.layers):

@@ -1,10 +1,13 @@
 """Flights of a policy in its own environment: what its declared ranges and its tests rest on."""
 
 import dataclasses
+import functools
+import itertools
 import json
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config import REPOSITORY_CONFIGS, load_config
@@ -23,6 +26,8 @@ from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateState
 from quadjax.vehicle.vector import Rotors, Vec3
 
+Carry = tuple[jax.Array, jax.Array]  # a position and the target after it
+LOST_CONTROL = ("lost its attitude", "out of bounds", "not finite")  # of CRASHES
 DISTURBANCES = ("moment_x", "moment_y", "moment_z", "force_z")
 
 
@@ -51,15 +56,17 @@ def own_race(
     """The race of a config, or of the project's default one, as the policy was trained to see it.
 
     Args:
-        policy: its vehicle and the scaling of its observation take the place of the config's.
+        policy: its vehicle, the scaling of its observation and the limits of its commands take the
+            place of the config's.
         config_path: a training config, or ``None`` for the default.
         track: the name of a track file, or ``None`` for the config's.
         residual: a residual file that takes the place of the config's, if that names one.
 
     Raises:
-        InputError: a file that cannot be read, or a scaling that makes no sense.
+        InputError: a file that cannot be read, a scaling that makes no sense, or limits that no
+            vehicle of the policy's kind has.
     """
-    words = [f"vehicle.kind={policy.vehicle}"]
+    words = [f"vehicle.kind={policy.vehicle}", *_limits(policy)]
     if track is not None:
         words.append(f"track.file={track}")
     spans = policy.observation.get("disturbance") or {}
@@ -71,33 +78,26 @@ def own_race(
     if residual is not None and config.vehicle.residual:
         words.append(f"vehicle.residual={residual}")
         config = load_config(config_path or REPOSITORY_CONFIGS / "e2e.yaml", words)
-    params = build.build_params(config)
-    own = OwnRace(build.choices_of(config), params, config)
-    _check_commands(policy, own)
-    return own
+    return OwnRace(build.choices_of(config), build.build_params(config), config)
 
 
-def _check_commands(policy: Policy, own: OwnRace) -> None:
-    module = environment.motor if policy.vehicle == "motor" else environment.rate
-    low, high = module.command_range(own.params.vehicle.constants)
-    flown = [np.array([float(x) for x in jax.tree.leaves(end)]) for end in (low, high)]
-    for name, mine, theirs in zip(
-        ("command_low", "command_high"),
-        (policy.command_low, policy.command_high),
-        flown,
-        strict=True,
-    ):
-        if not np.allclose(mine, theirs, rtol=1e-5, atol=1e-5):
-            raise InputError(
-                f"policy {name} {mine.tolist()} is not that of the vehicle "
-                f"{own.config.vehicle.file}, {theirs.tolist()}; give its config with --config"
-            )
+def _limits(policy: Policy) -> list[str]:
+    """Words for a config: a vehicle whose commands have the policy's limits."""
+    low, high = policy.command_low.tolist(), policy.command_high.tolist()
+    if policy.vehicle == "motor":
+        if len(set(low)) > 1 or len(set(high)) > 1:
+            raise InputError(f"policy commands {low}..{high} rpm: expected the same for all motors")
+        return [f"vehicle.motor.rpm_min={low[0]!r}", f"vehicle.motor.rpm_max={high[0]!r}"]
+    if low[:3] != [-x for x in high[:3]]:
+        raise InputError(f"policy commands rates of {low[:3]}..{high[:3]} rad/s: expected +-")
+    words = [f"vehicle.rate.{axis}_max={x!r}" for axis, x in zip("pqr", high, strict=False)]
+    return [*words, f"vehicle.rate.thrust_min={low[3]!r}", f"vehicle.rate.thrust_max={high[3]!r}"]
 
 
 def fly(own: OwnRace, policy: Policy, runs: int, laps: int = 6, seed: int = 0) -> Flown:
     """Fly the float policy, its means, from the training's random starts, and keep what it saw.
 
-    What is kept is of the flights that finished, or of all if none did.
+    What is kept is of all flights but those that lost control, or of all if every one did.
     """
     result, trace = fly_laps(
         own.choices,
@@ -111,8 +111,8 @@ def fly(own: OwnRace, policy: Policy, runs: int, laps: int = 6, seed: int = 0) -
         trace=True,
     )
     assert trace is not None
-    finished = np.array([not crash for crash in result.crashes])
-    counted = finished if finished.any() else ~finished  # what a tumbling wreck sees does not count
+    held = np.array([crash not in LOST_CONTROL for crash in result.crashes])
+    counted = held if held.any() else ~held  # what a tumbling wreck sees does not count
     states, targets = _states(trace, policy.vehicle, own, counted, seed)
     return Flown(observe(own, states, targets), states, targets, result)
 
@@ -146,7 +146,7 @@ def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray
     """What the environment shows of states (n, state_size) towards targets (n,): float32."""
 
     def one(state: jax.Array, target: jax.Array) -> jax.Array:
-        zero = jax.numpy.zeros((), jax.numpy.int32)
+        zero = jnp.zeros((), jnp.int32)
         drone = drone_of(own.choices.kind, state)
         race = RaceState(drone, target, zero, zero, None)
         return environment.observe(own.choices, own.params, race)
@@ -188,10 +188,8 @@ def fly_both(
     return as_float, as_fixed
 
 
-def fly_traced(
-    own: OwnRace, policy: Policy, runs: int, laps: int, seed: int = 2
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Flights of the float policy: positions (n, 3) and the target at each, run by run."""
+def fly_traced(own: OwnRace, policy: Policy, runs: int, laps: int, seed: int = 2) -> Trace:
+    """Flights of the float policy from hover, step by step."""
     _, trace = fly_laps(
         own.choices,
         own.params,
@@ -204,8 +202,13 @@ def fly_traced(
         trace=True,
     )
     assert trace is not None
+    return trace
+
+
+def paths(trace: Trace) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Positions (n, 3) and the target at each, run by run."""
     flown = []
-    for run in range(runs):
+    for run in range(np.shape(trace.over)[1]):
         going = ~np.asarray(trace.over)[:, run]
         positions = np.asarray(trace.position)[going][:, :, run]
         flown.append((positions, np.asarray(trace.target)[going][:, run]))
@@ -224,23 +227,27 @@ def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndar
     ahead = np.stack([np.asarray(track.cos_yaw), np.asarray(track.sin_yaw)], axis=1)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
 
-    def crossed(before: jax.Array, after: jax.Array, target: jax.Array) -> jax.Array:
-        ends = (Vec3.of(before), Vec3.of(after))
-        return rules.crossing(*ends, gate(track, target), jax.numpy.zeros(()), False)[0]
+    world_box = own.choices.gate_test == "world_box"
 
-    crossed = jax.jit(crossed)
+    def follow(carry: Carry, after: jax.Array) -> tuple[Carry, jax.Array]:
+        before, target = carry
+        ends = (Vec3.of(before), Vec3.of(after))
+        passed, _ = rules.crossing(*ends, gate(track, target), jnp.zeros(()), world_box)
+        following = (target + passed.astype(jnp.int32)) % len(centre)
+        return (after, following), following
+
+    follow = jax.jit(functools.partial(jax.lax.scan, follow))
     target, position = 0, np.float32(centre[-1])
     positions, targets = [], []
-    while len(positions) < steps:
+    while len(targets) < steps:
         aside, above = rng.uniform(-1.6, 1.6, 2) * half[target]
         way = np.array([*ahead[target], 0.0])
         goal = centre[target] + np.array([-way[1] * aside, way[0] * aside, above])
-        for end in (goal - 0.5 * way, goal + 0.5 * way):
-            start = position
-            for part in np.linspace(0.04, 1.0, 25):
-                after = np.float32(start + part * (end - start))
-                target = (target + int(crossed(position, after, target))) % len(centre)
-                position = after
-                positions.append(position)
-                targets.append(target)
+        ends = np.array([position, goal - 0.5 * way, goal + 0.5 * way])
+        part = np.linspace(0.04, 1.0, 25)[:, None]
+        leg = np.float32(np.concatenate([a + part * (b - a) for a, b in itertools.pairwise(ends)]))
+        _, after = follow((position, jnp.int32(target)), leg)
+        positions += list(leg)
+        targets += after.tolist()
+        target, position = targets[-1], leg[-1]
     return np.array(positions[:steps], np.float32), np.array(targets[:steps], np.int32)

@@ -105,6 +105,10 @@ def gate_event(
     _, y, z = _rotate(new, cosine, sine, ROTATION_BITS)
     now = cosine * new[:, 0] + sine * new[:, 1]
     half = tables.half_size[target]
-    inside = (np.abs(y) <= half[:, 0]) & (np.abs(z) <= half[:, 1])
+    if tables.world_box:
+        aside = np.maximum(np.abs(new[:, 0]), np.abs(new[:, 1]))
+        inside = (aside < half[:, 0]) & (np.abs(new[:, 2]) < half[:, 1])
+    else:
+        inside = (np.abs(y) <= half[:, 0]) & (np.abs(z) <= half[:, 1])
     crossed = (was < 0) & (now >= 0)
     return np.where(crossed, np.where(inside, PASSED, MISSED), NO_EVENT)

@@ -49,6 +49,7 @@ class RaceTables:
     scaled: tuple[Rescale | None, ...]  # rpm or thrust, then disturbances; None: always zero
     turns_per_unit: int  # 2^32 / (2 pi): turns of a yaw in Q24 are its product in Q56
     two_pi: int  # Q30
+    world_box: bool  # a gate's opening is tested along the world's axes, not its own
 
     @property
     def gates(self) -> int:
@@ -61,8 +62,16 @@ class RaceTables:
         return len(self.exponents)
 
 
-def make_tables(network: FixedNetwork, policy: Policy, track: Track) -> RaceTables:
+def make_tables(
+    network: FixedNetwork, policy: Policy, track: Track, world_box: bool = False
+) -> RaceTables:
     """The integers of a policy's observation on a track.
+
+    Args:
+        network: whose box the observation is scaled to.
+        policy: whose limits and scaling it has.
+        track: the gates.
+        world_box: test a gate's opening as the authors' code does; see ``rules.inside_world_box``.
 
     Raises:
         InputError: a gate farther away than 2^15 m, or a next gate outside the network's box.
@@ -92,6 +101,7 @@ def make_tables(network: FixedNetwork, policy: Policy, track: Track) -> RaceTabl
         scaled=scaled,
         turns_per_unit=round(2.0**32 / (2.0 * math.pi)),
         two_pi=round(2.0 * math.pi * ONE),
+        world_box=world_box,
     )
 
 

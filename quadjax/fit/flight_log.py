@@ -126,6 +126,7 @@ def _header(path: Path | str) -> list[str]:
 
 def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
     """The named columns (n, k) as float64, every one a finite number."""
+    _check_rows(path, header)
     columns = [header.index(name) for name in names]
     try:
         # Most files are sound: read them fast, and look for the culprit only where that fails.
@@ -138,6 +139,7 @@ def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
                 usecols=columns,
                 ndmin=2,
                 comments=None,
+                quotechar='"',
                 encoding="utf-8-sig",
             )
     except (ValueError, UnicodeDecodeError):
@@ -145,6 +147,24 @@ def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
     if not np.isfinite(table).all():
         raise _culprit(path, header, names)
     return table
+
+
+def _check_rows(path: Path | str, header: list[str]) -> None:
+    """No row may be empty, but at the end, or have more cells than there are columns."""
+    empty = None
+    with open(path, newline="", encoding="utf-8-sig", errors="replace") as stream:
+        for row, cells in enumerate(csv.reader(stream), start=1):
+            if not any(cells):
+                empty = empty or row
+                continue
+            if empty:
+                raise InputError(f"{path}: row {empty}, column {header[0]!r} and on is empty")
+            beyond = [cell for cell in cells[len(header) :] if cell.strip()]
+            if beyond:
+                raise InputError(
+                    f"{path}: row {row} goes on after the last column, {header[-1]!r}, with "
+                    f"{beyond[0]!r}"
+                )
 
 
 def _culprit(path: Path | str, header: list[str], names: list[str]) -> InputError:
@@ -180,7 +200,7 @@ def _to_standard_frames(
     if "quaternion" in result:
         rotation = _rotation_of_quaternion(result["quaternion"])
     elif "euler" in result:
-        rotation = _rotation_of_euler(result["euler"])
+        rotation = rotation_of_euler(result["euler"])
     else:
         return result
     if config.body_frame == "FLU":
@@ -195,7 +215,7 @@ def _to_standard_frames(
     return result
 
 
-def _rotation_of_euler(euler: np.ndarray) -> np.ndarray:
+def rotation_of_euler(euler: np.ndarray) -> np.ndarray:
     """``Rz(psi) Ry(theta) Rx(phi)``, (n, 3, 3), of angles (n, 3), rad."""
     (sx, sy, sz), (cx, cy, cz) = np.sin(euler).T, np.cos(euler).T
     rows = [

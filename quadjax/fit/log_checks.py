@@ -17,8 +17,8 @@ def check_time(path: Path | str, column: str, time: np.ndarray, config: LogsConf
     """Time must run forwards without gaps, for long enough, at a plausible rate."""
     if len(time) < 2:
         raise InputError(
-            f"{path}: column {column!r}: the file has {len(time)} rows of data (the last is row "
-            f"{len(time) + 1}), expected at least {config.min_seconds:g} s of flight"
+            f"{path}: row {len(time) + 1}, column {column!r}: the file ends here, after "
+            f"{len(time)} rows of data, expected at least {config.min_seconds:g} s of flight"
         )
     steps = np.diff(time)
     backwards = np.flatnonzero(steps <= 0.0)
@@ -60,6 +60,9 @@ def check_units(
     if "euler" in quantities:
         _check_gyro(path, columns, quantities)
     _check_largest(path, columns["gyro"], quantities["gyro"], 60.0, "rad/s", "deg/s")
+    _check_largest(
+        path, columns["acceleration"], quantities["acceleration"], 400.0, "m/s^2", "milli-g"
+    )
     _check_largest(
         path,
         columns.get("body_velocity") or columns["world_velocity"],

@@ -15,7 +15,7 @@ from quadjax.fit.least_squares import AxisFit, fit_nominal, with_fit
 from quadjax.fit.motor_lag import LagFit, fit_motor_lag
 from quadjax.fit.nominal import AXES
 from quadjax.fit.prepare import Samples, airborne, prepare
-from quadjax.fit.problem import learned_rows, nominal_error
+from quadjax.fit.problem import learned_rows, nominal_error, nominal_without
 from quadjax.fit.residual_fit import (
     ALL,
     LeftOut,
@@ -172,11 +172,15 @@ def _fit_residuals(
             config.nominal.fit,
             report,
         )
-    learned = samples[learned_rows(split.fold, ALL)]
-    constants = base.motor
-    if config.nominal.fit:
-        constants = with_fit(constants, fit_nominal(learned, constants))
-    return {ALL: ResidualFit(constants, zero_residual(base.motor), {}, {})}
+    zero, outer = zero_residual(base.motor), [ALL]
+    if config.split.leave_one_out and split.by == "flight" and split.folds > 1:
+        outer += [frozenset({fold}) for fold in range(split.folds)]
+    fold, fit = split.fold, config.nominal.fit
+    constants = [nominal_without(samples, fold, left_out, base.motor, fit) for left_out in outer]
+    return {
+        left_out: ResidualFit(found, zero, {}, {})
+        for left_out, found in zip(outer, constants, strict=True)
+    }
 
 
 def _judge_held_out(

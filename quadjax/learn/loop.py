@@ -39,6 +39,7 @@ class Hooks:
     report: Callable[[Row], None]
     save: Callable[[Position], None]
     stop: Callable[[], bool]
+    agree: Callable[[bool], bool] = bool  # of all processes: whether any says so
 
 
 def run(
@@ -67,7 +68,7 @@ def run(
         NonFiniteError: a metric that is not finite; the last checkpoint stays as it is.
     """
     saved = time.monotonic()
-    while position.chunks < chunks and not hooks.stop():
+    while position.chunks < chunks and not hooks.agree(hooks.stop()):
         begun = time.monotonic()
         state, metrics = chunk(params, position.state)
         values = {name: np.asarray(value) for name, value in metrics.items()}
@@ -75,8 +76,9 @@ def run(
         took = time.monotonic() - begun
         score = hooks.score(state.params)
         position = advance(position, state, score, steps_per_chunk, time.monotonic() - started)
-        hooks.report(_row(position, values, score, steps_per_chunk, took))
-        if time.monotonic() - saved > save_seconds and position.chunks < chunks:
+        hooks.report(row_of(position, values, score, steps_per_chunk, took))
+        due = hooks.agree(time.monotonic() - saved > save_seconds)
+        if due and position.chunks < chunks:
             hooks.save(position)
             saved = time.monotonic()
     hooks.save(position)
@@ -105,14 +107,23 @@ def check_finite(metrics: dict[str, np.ndarray], first_update: int) -> None:
         where = min(int(index[0]) for index in bad.values())
         names = ", ".join(sorted(name for name, index in bad.items() if index[0] == where))
         raise NonFiniteError(
-            f"not finite at update {first_update + where + 1}: {names}; training stopped, the "
-            "last checkpoint is from before"
+            f"not finite at update {first_update + where + 1}: {names}; training stopped, and any "
+            "checkpoint is from before"
         )
 
 
-def _row(
+def row_of(
     position: Position, values: dict[str, np.ndarray], score: float, steps: int, took: float
 ) -> Row:
+    """One chunk's row of metrics.
+
+    Args:
+        position: after the chunk.
+        values: metrics of the chunk's updates, (updates,) each.
+        score: of the policy now.
+        steps: of the chunk.
+        took: seconds of the chunk.
+    """
     return {
         "steps": position.chunks * steps,
         "seconds": position.seconds,

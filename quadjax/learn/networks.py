@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.gradients import clip_inward
+
 ACTIVATIONS = {"relu": nn.relu, "tanh": nn.tanh}
 
 
@@ -47,6 +49,7 @@ class Networks:
     hidden: tuple[int, ...]
     activation: str = "relu"
     log_std: float = 0.0  # at the start
+    bounded: bool = False  # clip the mean action to [-1, 1] before noise comes on top
 
     @property
     def policy(self) -> MLP:
@@ -69,8 +72,13 @@ class Networks:
         )
 
     def mean(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
-        """Mean action (.., actions) before any clipping."""
-        return self.policy.apply({"params": params.policy}, observation)
+        """Mean action (.., actions), to which noise is added.
+
+        Where it is ``bounded``, the clip's gradient brings back what is beyond it; see
+        ``quadjax.gradients.clip_inward``.
+        """
+        mean = self.policy.apply({"params": params.policy}, observation)
+        return clip_inward(mean, -1.0, 1.0) if self.bounded else mean
 
     def evaluate(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
         """Value (..) of an observation (.., observation_size)."""

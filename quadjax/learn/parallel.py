@@ -7,19 +7,25 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from quadjax.hosts import spread
 from quadjax.learn.state import AXIS, Learner, Metrics, TrainState
 
 Chunk = Callable[[object, TrainState], tuple[TrainState, Metrics]]
 
 
 def make_mesh(count: int) -> Mesh:
-    """A mesh of the first ``count`` devices."""
-    return Mesh(np.array(jax.devices()[:count]), (AXIS,))
+    """A mesh of the first ``count`` devices of every process."""
+    each: dict[int, list[jax.Device]] = {}
+    for device in jax.devices():
+        each.setdefault(device.process_index, []).append(device)
+    chosen = [device for process in sorted(each) for device in each[process][:count]]
+    return Mesh(np.array(chosen), (AXIS,))
 
 
 def device_count(lanes: int, wanted: int) -> int:
-    """The most devices, up to ``wanted``, among which the lanes divide evenly."""
-    return max(count for count in range(1, max(wanted, 1) + 1) if lanes % count == 0)
+    """The most devices, up to ``wanted``, among which the lanes divide evenly; 0 if none do."""
+    counts = range(1, max(wanted, 1) + 1)
+    return max((count for count in counts if lanes % count == 0), default=0)
 
 
 def specs_of(state: TrainState) -> TrainState:
@@ -53,7 +59,7 @@ def place(state: TrainState, mesh: Mesh) -> TrainState:
 
     With strong types: a weakly typed leaf would come back strong and not fit its own program.
     """
-    return jax.device_put(jax.tree.map(_strong, state), _shardings(state, mesh))
+    return spread(jax.tree.map(_strong, state), _shardings(state, mesh))
 
 
 def abstract(state: TrainState, mesh: Mesh) -> TrainState:
@@ -104,11 +110,11 @@ def compile_chunk(
         check_vma=False,
     )
     everywhere = NamedSharding(mesh, shared)
-    hyper, params = jax.device_put((learner.hyper, params), everywhere)
+    hyper, params = spread((learner.hyper, params), everywhere)
     jitted = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
     program = jitted.lower(hyper, params, state).compile()
 
     def chunk(params: object, state: TrainState) -> tuple[TrainState, Metrics]:
-        return program(hyper, jax.device_put(params, everywhere), state)
+        return program(hyper, spread(params, everywhere), state)
 
     return chunk

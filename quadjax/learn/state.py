@@ -99,6 +99,6 @@ def linear(start: jax.Array, end: jax.Array, fraction: jax.Array) -> jax.Array:
 
 def clip_by_norm(tree: object, limit: jax.Array) -> tuple[object, jax.Array]:
     """A gradient scaled to a global norm of at most ``limit``, and the norm before."""
-    norm = optax.global_norm(tree)
+    norm = optax.tree.norm(tree)
     scale = jnp.minimum(1.0, limit / jnp.maximum(norm, 1e-12))
     return jax.tree.map(lambda g: g * scale, tree), norm

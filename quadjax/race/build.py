@@ -63,7 +63,8 @@ def build_track(track: TrackConfig, wrap_next_yaw: bool = True) -> Track:
     )
 
 
-def _disturbance(section: DisturbanceConfig) -> DisturbanceRange:
+def disturbance_range(section: DisturbanceConfig) -> DisturbanceRange:
+    """The disturbances that are drawn, and the steady ones."""
     steady = Vec3(*(jnp.float32(x) for x in section.steady_moment))
     return DisturbanceRange(**_traced(section.half_widths), steady_moment=steady)
 
@@ -92,7 +93,7 @@ def build_params(config: Config) -> RaceParams:
         "position": episode.position_limit,
         "rate": episode.rate_limit,
         "pitch": math.radians(episode.pitch_limit_deg),
-        "roll": math.radians(episode.roll_limit_deg),
+        "roll": math.radians(episode.roll_limit_deg) if episode.roll_limit_deg < 180 else math.inf,
         "gate_margin": episode.gate_margin,
     }
     ranges = {
@@ -111,7 +112,7 @@ def build_params(config: Config) -> RaceParams:
         limits=Limits(**_traced(limits), max_steps=jnp.asarray(episode.max_steps, jnp.int32)),
         reward=RewardWeights(**_traced(vars(config.reward))),
         start=StartRange(**_traced(ranges)),
-        disturbance=_disturbance(config.disturbance),
+        disturbance=disturbance_range(config.disturbance),
         randomise=RandomiseFractions(**_traced(vars(config.randomise))),
         actual=_actual(config, vehicle),
         estimator=_estimator(config, vehicle),
@@ -119,11 +120,10 @@ def build_params(config: Config) -> RaceParams:
 
 
 def exact_rules(params: RaceParams) -> RaceParams:
-    """The same race by its exact rules: no margin, and attitudes up to the singularity."""
+    """The same race by its exact rules: no margin, any roll, and pitch up to the singularity."""
     limits = params.limits.replace(
         gate_margin=jnp.zeros(()),
         pitch=jnp.asarray(math.radians(89.0), jnp.float32),
-        roll=jnp.asarray(4.0, jnp.float32),
-        rate=jnp.asarray(1000.0, jnp.float32),
+        roll=jnp.asarray(jnp.inf, jnp.float32),
     )
     return params.replace(limits=limits)

@@ -58,6 +58,9 @@ class RaceParams:
     randomise: start.RandomiseFractions
     actual: Constants | None = None  # factors on the constants of the drone that flies
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
+    # What scales the disturbances in the observation, where it is not what is drawn: a policy keeps
+    # the scaling that it was trained with, whatever the race draws.
+    seen: observation.DisturbanceRange | None = None
 
 
 @struct.dataclass
@@ -165,7 +168,8 @@ def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) ->
         moment, force_z = state.drone.moment_ext, state.drone.force_ext.z
     elif choices.disturbance_input == "estimated":
         moment, force_z = state.estimate.moment, state.estimate.force.z
-    return observation.motor_numbers(nominal, state.drone, g, moment, force_z, params.disturbance)
+    span = params.disturbance if params.seen is None else params.seen
+    return observation.motor_numbers(nominal, state.drone, g, moment, force_z, span)
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
@@ -180,7 +184,7 @@ def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
 
 
 def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> Drone:
-    """The drone one step later, yaw wrapped, commands kept within what the drone can do."""
+    """The drone a step later, roll and yaw wrapped, commands kept within what it can do."""
     vehicle = _vehicle_params(params, state)
     module = motor if choices.kind == "motor" else rate
     low, high = module.command_range(vehicle.constants)
@@ -194,7 +198,8 @@ def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Arr
         state.drone,
         params.limits.dt,
     )
-    wrapped = flown.euler.replace(z=wrap_angle(flown.euler.z))
+    euler = flown.euler
+    wrapped = euler.replace(x=wrap_angle(euler.x), z=wrap_angle(euler.z))
     return flown.replace(euler=wrapped)
 
 
@@ -260,14 +265,19 @@ def transition(
         g,
         params.limits.dt,
     )
+    following = progressed(params, state, drone, outcome)
+    return following.replace(estimate=_estimate(params, state, drone)), value, outcome
+
+
+def progressed(
+    params: RaceParams, state: RaceState, drone: Drone, outcome: rules.Outcome
+) -> RaceState:
+    """The race one step on: the drone, its next target, its clock and its gates."""
     one = outcome.passed.astype(jnp.int32)
-    count = gate_count(params.track)
     advanced = state.target + one
-    target = jnp.where(advanced == count, 0, advanced)
+    target = jnp.where(advanced == gate_count(params.track), 0, advanced)
     passed = state.gates_passed + one
-    believed = _estimate(params, state, drone)
-    following = RaceState(drone, target, state.step + 1, passed, state.constants, believed)
-    return following, value, outcome
+    return state.replace(drone=drone, target=target, step=state.step + 1, gates_passed=passed)
 
 
 def _estimate(params: RaceParams, state: RaceState, drone: Drone) -> Estimate | None:

@@ -20,7 +20,7 @@ RATE_SIZE = 17
 
 @struct.dataclass
 class DisturbanceRange:
-    """Half-widths of the external disturbances drawn at reset; they scale the observation too."""
+    """Half-widths of the external disturbances drawn at reset, or of those that are observed."""
 
     moment_x: jax.Array  # N m
     moment_y: jax.Array

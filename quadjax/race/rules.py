@@ -23,7 +23,7 @@ class Limits:
 
 @struct.dataclass
 class RewardWeights:
-    """The published reward, and three terms more that are zero by default."""
+    """The published reward, and further terms that are zero by default."""
 
     progress: jax.Array  # per metre by which the target gate comes nearer
     gate: jax.Array  # per gate passed
@@ -32,6 +32,8 @@ class RewardWeights:
     time: jax.Array  # taken off per second
     rates: jax.Array  # taken off per second and rad/s of body rate
     early: jax.Array  # per second by which a gate is passed before its step ends
+    edge: jax.Array  # taken off per metre beyond the safe part of the opening, passed or hit
+    edge_margin: jax.Array  # m between the safe part and each edge of the opening
 
 
 @struct.dataclass
@@ -106,6 +108,18 @@ def crossing_fraction(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
     return jnp.where(crossed, -start / jnp.where(crossed, end - start, 1.0), 0.0)
 
 
+def beyond_safe(after: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
+    """How far () outside the safe part of the gate's opening, m in each axis, summed; at most 2 m.
+
+    The safe part ends ``margin`` inside each edge. Whether a gate is hit is a step without slope;
+    this says, at the crossing, which way the step is and how near.
+    """
+    relative = to_gate_frame(g, after - g.position)
+    width = jnp.clip(jnp.abs(relative.y) - (g.half_width - margin), 0.0, 1.0)
+    height = jnp.clip(jnp.abs(relative.z) - (g.half_height - margin), 0.0, 1.0)
+    return width + height
+
+
 def reward(
     weights: RewardWeights,
     outcome: Outcome,
@@ -120,7 +134,8 @@ def reward(
     Passed: ``gate - gate_offset |p - p_gate|``, and ``early`` times what is left of the step when
     the plane is met, which turns the worth of time into a slope; collision: ``-collision``; else
     ``progress`` times the decrease of the distance to the target gate (Ferede et al., arXiv
-    2311.16948, with the sign that makes progress positive).
+    2311.16948, with the sign that makes progress positive). A gate passed or hit beyond the safe
+    part of its opening costs ``edge`` per metre on top.
 
     Args:
         weights: of each term.
@@ -137,4 +152,6 @@ def reward(
     passed = passed + weights.early * dt * (1.0 - crossing_fraction(before, after, g))
     value = jnp.where(outcome.passed, passed, progress)
     value = jnp.where(outcome.terminated, -weights.collision, value)
+    edge = weights.edge * beyond_safe(after, g, weights.edge_margin)
+    value = value - jnp.where(outcome.passed | outcome.gate_collision, edge, 0.0)
     return value - dt * (weights.time + weights.rates * safe_norm(body_rates))

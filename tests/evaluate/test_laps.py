@@ -2,12 +2,19 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config import load_config
 from quadjax.evaluate import tables
 from quadjax.evaluate.laps import fly_laps
 from quadjax.evaluate.recording import choose, distinct, recordings
 from tests.evaluate.support import rate_race, script, scripted
+from tests.race.support import BLANK
 
 LAPS = 2
+WIDE = (
+    "track.gates=[{position: [2, -1.5, -1.5], yaw_deg: 45, size: [3, 3]},"
+    "{position: [2, 1.5, -1.5], yaw_deg: 135},{position: [-2, 1.5, -1.5], yaw_deg: 225},"
+    "{position: [-2, -1.5, -1.5], yaw_deg: 315}]"
+)
 
 
 def fly(**wishes: float):
@@ -70,7 +77,7 @@ def test_every_early_end_has_its_reason(reason, wishes):
     crash = laps.to_json()["crashes"][1]
     assert crash["run"] == 1 and crash["lap"] == 1 and crash["reason"] == reason
     assert 0 < crash["seconds"] <= LAPS * 8.0
-    assert tables.describe_crashes(laps).splitlines()[0].startswith(f"run 1: {reason} in lap 1")
+    assert tables.describe_crashes(laps).splitlines()[0].startswith(f"runs 1, 2: {reason} in lap 1")
 
 
 def test_json_has_the_promised_keys(flown):
@@ -83,13 +90,19 @@ def test_json_has_the_promised_keys(flown):
 
 def test_the_table_sets_published_times_beside(flown):
     config, laps, _ = flown
-    assert tables.is_published_track(config.track)
-    assert tables.published_rows(config.track, 5) == ()
-    assert tables.published_rows(config.track, 6, from_hover=False) == ()
+    assert tables.published_rows(config, 6) == tables.PUBLISHED
+    assert tables.published_rows(config, 5) == ()
+    assert tables.published_rows(config, 6, from_hover=False) == ()
+    for words in (["episode.dt=0.005"], ["track.file=figure8.yaml"], [WIDE]):
+        assert tables.published_rows(load_config(BLANK, words), 6) == ()
+        assert tables.published_total(load_config(BLANK, words)) is None
+    assert tables.published_total(load_config(BLANK))[1] == 15.70
+    assert tables.published_total(load_config(BLANK, ["vehicle.kind=rate"]))[1] == 17.04
+    assert tables.published_total(load_config(BLANK, ["evaluate.laps=1"])) is None
     for row in tables.PUBLISHED:
         assert sum(row.laps) == pytest.approx(row.total, abs=0.03)
     own = tables.lap_row("own", laps)
     assert own.total == pytest.approx(laps.totals.mean())
-    text = tables.format_table([own], tables.published_rows(config.track, 6))
+    text = tables.format_table([own], tables.published_rows(config, 6))
     assert "2/2" in text and "15.75" in text and "17.26" in text
     assert max(len(line) for line in text.splitlines()) <= 100

@@ -6,9 +6,10 @@ from PIL import Image
 
 from quadjax.errors import InputError
 from quadjax.evaluate import animation, scene
-from quadjax.evaluate.curves import read_metrics, training_figure
+from quadjax.evaluate.curves import training_figure
 from quadjax.evaluate.figures import save_figure, signals_figure, trajectory_figure
 from quadjax.evaluate.recording import Recording
+from quadjax.metrics import read_metrics
 from quadjax.schema import GateConfig
 
 GATES = [GateConfig([2.0, 0.0, -1.5], 90.0), GateConfig([-2.0, 0.0, -1.5], 270.0, [2.0, 1.0])]

@@ -8,6 +8,7 @@ from quadjax.errors import InputError
 from quadjax.evaluate import pilot
 from quadjax.policies import flying, mean_action
 from quadjax.race import environment
+from quadjax.vehicle.vector import Vec3
 from tests.evaluate.support import random_policy
 from tests.race.support import BLANK
 
@@ -48,12 +49,21 @@ def test_the_policy_commands_what_its_file_says():
 
 
 def test_disturbances_are_seen_in_the_policys_scale():
+    """Also where the race draws none, and meets a steady moment all the same."""
     widths = {"moment_x": 0.02, "moment_y": 0.02, "moment_z": 0.0, "force_z": 1.0}
     policy = random_policy(observation={"disturbance": widths})
-    words = [f"disturbance.{name}={value}" for name, value in widths.items()]
-    words[0], words[2] = "disturbance.moment_x=0.04", "disturbance.moment_z=0.01"
-    _, _, ready = make(policy, *words)
-    np.testing.assert_allclose(ready.see_scale[20:], [2.0, 1.0, 0.0, 1.0])
+    for words in ([], ["disturbance.moment_x=0.04", "disturbance.moment_z=0.01"]):
+        choices, params, _ = make(policy, *words)
+        state = environment.hover_start(params)
+        moment = Vec3.of(jnp.array([0.04, -0.01, 0.005]))
+        met = state.drone.replace(moment_ext=moment, force_ext=moment.replace(z=jnp.array(-0.5)))
+        observed = environment.observe(choices, params, state.replace(drone=met))
+        np.testing.assert_allclose(observed[20:], [2.0, -0.5, 0.0, -0.5], rtol=1e-6)
+
+
+def test_a_policy_that_says_nothing_has_the_races_scale():
+    choices, params, _ = make(random_policy(), "disturbance.moment_x=0.04")
+    assert float(params.seen.moment_x) == np.float32(0.04) and float(params.seen.force_z) == 0.0
 
 
 def test_the_observation_is_made_as_the_policy_was_trained():

@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from quadjax.export.emit_network import Provenance, emit_network
 from quadjax.export.fixed import FixedNetwork, convert
 from quadjax.export.vectors import self_test_inputs
 from quadjax.policy_file import Policy
+from quadjax.vehicle.residual import Residual
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
 WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 8.0}
@@ -24,10 +26,11 @@ def made_policy(
     depth: int = 3,
     gain: float = 1.0,
     activation: str = "relu",
+    hidden: tuple[int, ...] | None = None,
 ) -> Policy:
-    """A random policy that reacts to all that it sees."""
+    """A random policy that reacts to all that it sees; ``hidden`` instead of width and depth."""
     rng = np.random.default_rng(seed)
-    sizes = [24 if vehicle == "motor" else 17] + [width] * depth + [4]
+    sizes = [24 if vehicle == "motor" else 17, *(hidden or [width] * depth), 4]
     layers = []
     for a, b in zip(sizes[:-1], sizes[1:], strict=True):
         kernel = gain * rng.standard_normal((a, b)) * np.sqrt(2.0 / a)
@@ -47,6 +50,23 @@ def made_policy(
         observation={"disturbance": DISTURBANCE} if motor else {},
         source={"made": "up"},
     )
+
+
+def made_residual(rng: np.random.Generator, gain: float = 1.0) -> Residual:
+    """Random residual networks, of both signs."""
+
+    def network(inputs: int, outputs: int, last: float) -> tuple:
+        sizes = [(inputs, 32, 0.3), (32, outputs, gain * last)]
+        return tuple(
+            (
+                jnp.asarray(g * rng.standard_normal((a, b)), jnp.float32),
+                jnp.asarray(g * 0.1 * rng.standard_normal(b), jnp.float32),
+            )
+            for a, b, g in sizes
+        )
+
+    ends = [jnp.float32(x) for x in (3000.0, 11000.0, -1.0)]
+    return Residual(network(7, 1, 0.1), network(10, 3, 0.002), *ends)
 
 
 def observations(network: FixedNetwork, count: int, seed: int = 0) -> np.ndarray:
@@ -83,6 +103,8 @@ POLICIES = {
     "tanh": {"output": "tanh"},
     "narrow": {"width": 5, "depth": 1},
     "linear": {"depth": 0},
+    "mixed": {"hidden": (96, 96, 48)},
+    "odd": {"hidden": (33, 7, 18), "output": "tanh"},
     "wide": {"width": 300, "depth": 2, "vehicle": "rate", "output": "tanh"},
 }
 

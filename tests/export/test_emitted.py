@@ -9,8 +9,9 @@ from quadjax.export import emulator
 from quadjax.export.fixed import convert
 from quadjax.export.proof import prove
 from quadjax.export.vectors import check_vectors, hostile_vectors
+from quadjax.export.verify.harness import write_memory
 from quadjax.export.verify.result import LeftOut
-from quadjax.export.verify.toolchain import WARNINGS, host
+from quadjax.export.verify.toolchain import WARNINGS, host, zig_arm
 from tests.export.support import POLICIES, made_policy, named_network, write_network
 
 
@@ -56,6 +57,18 @@ def test_the_same_bits_without_a_warning(name, compiler, tmp_path):
     command, trace = emulator.forward_traced(network, q)
     columns = [*command.T, emulator.trace_digest(trace), clipped, nan]
     assert np.array_equal(infer(library, network, x), np.stack(columns, axis=1).astype(np.int64))
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_both_kernels_on_a_cortex_a9(name, tmp_path):
+    for module in ("unicorn", "elftools", "ziglang"):
+        pytest.importorskip(module)
+    from quadjax.export.verify.machine import Machine
+
+    sources = [write_network(named_network(name)[1], tmp_path), write_memory(tmp_path)]
+    elf = zig_arm(neon=True).build(sources, tmp_path / "arm.elf", ["-Wl,-e,made_forward"])
+    machine = Machine(elf)
+    assert [machine.call("made_self_test_with", kernel) for kernel in (0, 1)] == [0, 0]
 
 
 def test_any_integer_input_is_defined(compiler, tmp_path):

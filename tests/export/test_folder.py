@@ -1,34 +1,61 @@
 """The whole way: a policy file to a folder of C, verified, and into an autopilot."""
 
+import dataclasses
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from quadjax.config import REPOSITORY_CONFIGS
 from quadjax.errors import InputError
 from quadjax.export.convert_policy import Request, write_folder
-from quadjax.export.verify import checks_arm, checks_bits, checks_flight, checks_static
+from quadjax.export.verify import checks_bits, checks_flight, run
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
 from quadjax.export.verify.result import FAILED, run_check
 from quadjax.export.verify.toolchain import WARNINGS
 from quadjax.policy_file import write_policy
-from tests.export.support import WIDE, made_policy, need
+from quadjax.residual_file import write_residual
+from tests.export.support import WIDE, made_policy, made_residual, need
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 STUBS = Path(__file__).parent / "paparazzi_stubs"
 COUNT = 2000
 
 
-def export(folder, vehicle="motor", **words):
-    """A made-up policy exported; its flights are short, so its ranges are wide."""
-    policy = folder / "policy.npz"
+TRACK = """\
+gates:
+  - {position: [2.0, -1.5, -1.5], yaw_deg: 45, size: [1.2, 0.8]}
+  - {position: [2.0, 1.5, -1.5], yaw_deg: 135}
+  - {position: [-2.0, -1.5, -1.5], yaw_deg: 315}
+"""
+
+
+def export(folder, vehicle="motor"):
+    """A made-up policy exported; its flights are short, so its ranges are wide.
+
+    The motor-level one has a residual, a track of its own, the authors' gate test and a vehicle
+    without some effects.
+    """
+    policy, out = folder / "policy.npz", folder / "c"
     write_policy(policy, made_policy(24, vehicle, gain=0.5))
-    out = folder / "c"
-    ranges = WIDE if vehicle == "motor" else WIDE | {"rates": 8.0, "velocity": 32.0}
-    write_folder(Request(policy=policy, out=out, ranges=ranges, name="made", **words))
+    if vehicle == "rate":
+        ranges = WIDE | {"rates": 8.0, "velocity": 32.0}
+        write_folder(Request(policy=policy, out=out, ranges=ranges, name="made"))
+        return out
+    write_residual(folder / "made_up.npz", made_residual(np.random.default_rng(0), 0.1), {})
+    config, track = folder / "config.yaml", folder / "triangle.yaml"
+    track.write_text(TRACK)
+    config.write_text(
+        f"base: {REPOSITORY_CONFIGS / 'e2e.yaml'}\nepisode: {{gate_test: world_box}}\nvehicle:\n"
+        f"  residual: {folder / 'made_up.npz'}\n  motor: {{k_h: 0.0, k_r2: 0.0}}\n"
+    )
+    write_folder(Request(policy, out, WIDE, name="made", track=str(track), config=config))
+    for path in (config, track, folder / "made_up.npz", policy):
+        path.unlink()  # the folder stands by itself
     return out
 
 
@@ -42,24 +69,12 @@ def context(exported, tmp_path_factory):
     return Context(read_folder(exported), tmp_path_factory.mktemp("work"), COUNT)
 
 
-CHECKS = [
-    *(getattr(checks_bits, n) for n in vars(checks_bits) if n.startswith("check_")),
-    checks_flight.check_observation,
-    checks_flight.check_gates,
-    checks_flight.check_estimator,
-    checks_arm.check_zig_neon,
-    checks_arm.check_bebop_scalar,
-    checks_arm.check_bebop_neon,
-    checks_arm.check_warnings_bebop,
-    checks_static.check_sanitizers,
-    checks_static.check_eva,
-]
-CHECKS = [c for c in CHECKS if c.__name__ != "check_vectors"]
+CHECKS = {**dict(run.CHECKS), "closed loop": lambda c: checks_flight.check_closed_loop(c, 8)}
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda c: c.__name__.removeprefix("check_"))
-def test_a_check_of_an_exported_folder(check, context):
-    result = run_check(check.__name__, lambda: check(context))
+@pytest.mark.parametrize("name", CHECKS)
+def test_a_check_of_an_exported_folder(name, context):
+    result = run_check(name, lambda: CHECKS[name](context))
     if result.verdict == "left out":
         pytest.skip(result.figure)
     assert result.verdict != FAILED, result.figure
@@ -96,12 +111,11 @@ def module_run(exported, tmp_path, broken):
     command = "uint16_t" if (exported / "made_estimator.c").exists() else "float"
     defines = ["-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1", f"-DCOMMAND={command}"]
     include = [f"-I{tmp_path}", f"-I{modules}", f"-isystem{STUBS}"]
-    strict = [w for w in WARNINGS if w not in ("-Wpedantic",)]
     words = [compiler, "-std=gnu99", "-O2", *defines, *include]
     objects = []
     for source in modules.glob("*.c"):
         objects.append(tmp_path / f"{source.stem}.o")
-        subprocess.run([*words, *strict, "-c", source, "-o", objects[-1]], check=True)
+        subprocess.run([*words, *WARNINGS, "-c", source, "-o", objects[-1]], check=True)
     program = tmp_path / "autopilot"
     subprocess.run([*words, STUBS / "autopilot_main.c", *objects, "-o", program], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=True)
@@ -111,8 +125,9 @@ def module_run(exported, tmp_path, broken):
 def test_the_paparazzi_module_flies(exported, tmp_path):
     mismatches, fails, before, flies, motors, sent, command = module_run(exported, tmp_path, False)
     assert (mismatches, fails, before, flies, motors) == ("0", "0", "0", "1", "1")
-    assert int(sent) == 13
-    if (exported / "made_estimator.c").exists():
+    motor = (exported / "made_estimator.c").exists()
+    assert int(sent) == (14 if motor else 13)
+    if motor:
         assert 3000 <= float(command) <= 11000
     else:
         assert abs(float(command)) <= 3
@@ -147,11 +162,19 @@ def test_refuses_a_range_that_its_own_flights_leave(tmp_path):
         (["policy.npz", "--range", "velocity=3"], "power of two"),
         (["policy.npz", "--name", "No Name"], "identifier"),
         (["policy.npz", "--track", "nowhere.yaml"], "nowhere.yaml"),
+        (["nan.npz"], "layer 1, row 6"),
+        (["tanh.npz"], "layer 0, row 0"),
+        (["huge.npz"], "layer 3, row 2"),
     ],
 )
 def test_one_line_on_the_command_line(words, said, tmp_path):
     policy = made_policy(8)
     write_policy(tmp_path / "policy.npz", policy)
+    write_policy(tmp_path / "tanh.npz", dataclasses.replace(policy, activation="tanh"))
+    for name, layer, row, value in (("nan", 1, 6, np.nan), ("huge", 3, 2, 1e30)):
+        broken = made_policy(8)
+        broken.layers[layer][0][2, row] = value
+        write_policy(tmp_path / f"{name}.npz", broken)
     script = REPOSITORY / "scripts" / "export_c.py"
     done = subprocess.run(
         [sys.executable, script, *words, "--out", "c"],

@@ -1,19 +1,20 @@
 """The observation, the gate logic and the estimator in fixed point, beside the Python."""
 
-import jax.numpy as jnp
+import dataclasses
+
 import numpy as np
 import pytest
 
+from quadjax.config import REPOSITORY_CONFIGS
 from quadjax.errors import InputError
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
 from quadjax.export.race_tables import make_tables
-from quadjax.export.verify.checks_flight import _measurements
+from quadjax.export.verify import measurements
 from quadjax.fit.estimator_reference import estimate
 from quadjax.vehicle.motor import MotorParams
-from quadjax.vehicle.residual import Residual
-from tests.export.support import WIDE, made_policy
+from tests.export.support import WIDE, made_policy, made_residual
 
 
 def random_states(rng, count, vehicle):
@@ -97,19 +98,39 @@ def test_gates_are_passed_and_missed():
     assert event(*above) == race_emulator.MISSED
 
 
-def made_residual(rng):
-    def network(inputs, outputs, gain):
-        sizes = [(inputs, 32, 0.3), (32, outputs, gain)]
-        return tuple(
-            (
-                jnp.asarray(g * rng.standard_normal((a, b)), jnp.float32),
-                jnp.asarray(g * 0.1 * rng.standard_normal(b), jnp.float32),
-            )
-            for a, b, g in sizes
-        )
+@pytest.mark.parametrize("config", ["indi.yaml", "authors_code.yaml"])
+def test_gates_along_a_wandering_path_are_the_simulators(config):
+    policy = made_policy(8, "rate")
+    own = flights.own_race(policy, REPOSITORY_CONFIGS / config, None)
+    world_box = own.choices.gate_test == "world_box"
+    assert world_box == (config == "authors_code.yaml")
+    network = convert(policy, {"next_yaw": 8.0})
+    tables = make_tables(network, policy, own.params.track, world_box)
+    positions, targets = flights.wander(own, 3000)
+    q = np.trunc(positions.astype(np.float64) * 2.0 ** (30 - tables.exponents[0])).astype(np.int64)
+    events = race_emulator.gate_event(tables, q[:-1], q[1:], targets[:-1])
+    assert np.array_equal(events == race_emulator.PASSED, targets[1:] != targets[:-1])
+    assert np.sum(events == race_emulator.PASSED) > 5 and np.sum(events == race_emulator.MISSED) > 5
 
-    ends = [jnp.float32(x) for x in (3000.0, 11000.0, -1.0)]
-    return Residual(network(7, 1, 0.1), network(10, 3, 0.002), *ends)
+
+def test_a_policys_own_limits_are_the_vehicles():
+    policy = dataclasses.replace(made_policy(8), command_high=np.full(4, 12000.0))
+    constants = flights.own_race(policy, None, None).params.vehicle.constants
+    assert (float(constants.rpm_min), float(constants.rpm_max)) == (3000.0, 12000.0)
+    rate = made_policy(8, "rate")
+    high = np.array([3.0, 3.0, 2.0, 16.0])
+    rate = dataclasses.replace(rate, command_low=-high * [1, 1, 1, 0], command_high=high)
+    constants = flights.own_race(rate, None, None).params.vehicle.constants
+    assert (float(constants.r_max), float(constants.thrust_max)) == (2.0, 16.0)
+
+
+def test_refuses_limits_that_no_vehicle_has():
+    unequal = dataclasses.replace(made_policy(8), command_low=np.arange(4.0))
+    with pytest.raises(InputError, match="same for all motors"):
+        flights.own_race(unequal, None, None)
+    skewed = dataclasses.replace(made_policy(8, "rate"), command_low=np.full(4, -1.0))
+    with pytest.raises(InputError, match="rad/s"):
+        flights.own_race(skewed, None, None)
 
 
 @pytest.mark.parametrize("with_residual", [False, True])
@@ -119,7 +140,7 @@ def test_estimator_is_the_reference(with_residual, rate, cutoff):
     constants = flights.own_race(made_policy(8), None, None).params.vehicle.constants
     residual = made_residual(rng) if with_residual else None
     tables = make_estimator(constants, residual, rate, cutoff)
-    measured = _measurements(rng, rate, 4.0)
+    measured = measurements.thrown(rng, rate, 4.0)
     memory = estimator_emulator.start(tables, measured[:1])
     found = np.concatenate(
         [
@@ -127,14 +148,9 @@ def test_estimator_is_the_reference(with_residual, rate, cutoff):
             for row in measured
         ]
     )
-    exact = measured.astype(np.float64)
-    signals = {
-        "gyro": exact[:, 0:3],
-        "specific_force": exact[:, 3:6],
-        "rpm": exact[:, 6:10],
-        "body_velocity": exact[:, 10:13],
-    }
-    moment, force = estimate(MotorParams(constants, residual), signals, rate, cutoff)
+    moment, force = estimate(
+        MotorParams(constants, residual), measurements.signals(measured), rate, cutoff
+    )
     assert np.abs(found[:, :3] - moment).max() < 1e-6
     assert np.abs(found[:, 3:] - force).max() < 2e-5
 

@@ -139,6 +139,7 @@ BAD = {
         ["row", "'rate_p'", "deg/s"],
     ),
     "infinite": (lambda c: {"vel_x": _poke(c["vel_x"], 3, np.inf)}, ["row 5", "'vel_x'", "inf"]),
+    "a spike": (lambda c: {"ekf_U2": _poke(c["ekf_U2"], 8, 1e6)}, ["row 10", "'ekf_U2'", "m/s^2"]),
     "ms as s": (lambda c: {"time": c["time"] * 1e3}, ["row 3", "'time'", "logs.units.time"]),
 }
 
@@ -162,7 +163,10 @@ def test_bad_files_are_one_line(tmp_path, columns):
     cases = {
         "missing column": (None, ["row 1", "'rpm_obs_3'", "missing"]),
         "empty": ("", ["row 1", "empty"]),
-        "header only": (lines[0] + "\n", ["0 rows"]),
+        "header only": (lines[0] + "\n", ["row 1", "'time'", "0 rows"]),
+        "one row": ("\n".join(lines[:2]), ["row 2", "'time'", "1 rows"]),
+        "empty row": ("\n".join([*lines[:50], "", *lines[50:]]), ["row 51", "'time'", "empty"]),
+        "long row": ("\n".join([*lines[:50], lines[50] + ",7", *lines[51:]]), ["row 51", "'7'"]),
         "short": ("\n".join(lines[:100]), ["row 100", "ends after"]),
         "cut short": ("\n".join(lines)[: -len(lines[-1]) // 2], ["row", "column"]),
         "text": (text.replace(lines[5].split(",")[6], "abc", 1), ["column", "'abc'"]),
@@ -182,6 +186,15 @@ def test_bad_files_are_one_line(tmp_path, columns):
     path.write_bytes(b"\xff\xfe\x00\x01" * 100)
     with pytest.raises(InputError):
         read_log(path, PAPARAZZI)
+
+
+def test_quotes_and_empty_lines_at_the_end_are_read(tmp_path, columns):
+    path = _write(tmp_path, columns)
+    expected = read_log(path, PAPARAZZI)
+    lines = path.read_text().splitlines()
+    quoted = ['"' + line.replace(",", '","') + '",' for line in lines[1:]]
+    path.write_text("\r\n".join([lines[0], *quoted, "", ""]))
+    np.testing.assert_array_equal(read_log(path, PAPARAZZI).rpm, expected.rpm)
 
 
 def test_missing_files_and_impossible_configs(tmp_path):

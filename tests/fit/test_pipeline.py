@@ -70,6 +70,17 @@ def test_the_command_does_all_of_it(folder):
     assert read_yaml(results / "config.yaml")["name"] == "all"
 
 
+def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
+    from quadjax.fit.pipeline import changes, run_fit
+
+    words = [f"logs.files=[{folder}/*.csv]", "residual.fit=false"]
+    result = run_fit(load_fit_config(CONFIG, words), folder)
+    assert [judged.name for judged in result.held_out] == ["flight_0", "flight_1", "flight_2"]
+    for judged in result.held_out:
+        assert not changes(judged).any()
+        assert (judged.rmse(judged.nominal) > 0.0).all()
+
+
 @pytest.mark.parametrize(
     "words",
     [

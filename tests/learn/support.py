@@ -1,5 +1,6 @@
 """Small learners on the probes, compiled once for all their tests."""
 
+import dataclasses
 import functools
 
 import jax
@@ -30,6 +31,7 @@ def ppo_hyper(**numbers: float) -> ppo.Hyper:
         "gradient_norm": 0.5,
         "kl_limit": 1.0,
         "reward_scale": 1.0,
+        "warm_up": 0,
     }
     return ppo.Hyper(**{k: jnp.float32(v) for k, v in (values | numbers).items()})
 
@@ -51,6 +53,7 @@ def shac_hyper(**numbers: float) -> shac.Hyper:
         "std": 0.3,
         "final_std": 0.1,
         "reward_scale": 0.5,
+        "warm_up": 0,
     }
     return shac.Hyper(**{k: jnp.float32(v) for k, v in (values | numbers).items()})
 
@@ -60,7 +63,8 @@ def make(name: str, **numbers: float) -> Learner:
         structure = ppo.Structure(ENVIRONMENTS, 8, 2, 2, WHOLE)
         return ppo.make_learner(ENVIRONMENT, NETWORKS, structure, ppo_hyper(**numbers))
     structure = shac.Structure(ENVIRONMENTS, 4, 2, 2, WHOLE)
-    return shac.make_learner(ENVIRONMENT, NETWORKS, structure, shac_hyper(**numbers))
+    bounded = dataclasses.replace(NETWORKS, bounded=True)
+    return shac.make_learner(ENVIRONMENT, bounded, structure, shac_hyper(**numbers))
 
 
 @functools.cache

@@ -76,15 +76,18 @@ def test_action_whose_reward_comes_through_the_state(name):
 def test_the_same_on_any_number_of_devices(name):
     def trained(devices):
         run = Run(name, probe(place=1.0, move=0.5, length=3.0, shown=0.3), devices=devices)
-        run.train(10 // UPDATES)
-        return run.state
+        chunks = [run.train(1) for _ in range(10 // UPDATES)]
+        return run.state, {key: np.concatenate([c[key] for c in chunks]) for key in chunks[0]}
 
-    alone = trained(1)
+    alone, wanted = trained(1)
     for devices in (2, 4, 8):
-        state = trained(devices)
+        state, found = trained(devices)
+        for key in ("policy_loss", "value_loss"):
+            assert found[key].shape == (10,)
+            np.testing.assert_allclose(found[key], wanted[key], rtol=1e-4, atol=1e-5)
         assert len(state.environment.place.sharding.device_set) == devices
-        for found, wanted in zip(plain(state.params), plain(alone.params), strict=True):
-            np.testing.assert_allclose(found, wanted, atol=2e-4)
+        for here, there in zip(plain(state.params), plain(alone.params), strict=True):
+            np.testing.assert_allclose(here, there, atol=2e-4)
         np.testing.assert_array_equal(plain(state.keys)[0], plain(alone.keys)[0])
         np.testing.assert_allclose(state.environment.place, alone.environment.place, atol=2e-4)
         np.testing.assert_array_equal(state.environment.sign, alone.environment.sign)
@@ -190,6 +193,17 @@ def test_what_is_not_finite_changes_no_parameter(name, bad):
     assert np.all(metrics["skipped"] == 1)
     with pytest.raises(NonFiniteError, match="update 6"):
         check_finite(metrics, UPDATES)
+
+
+@BOTH
+def test_a_policy_stands_still_while_the_value_warms_up(name):
+    run = Run(name, probe(best=1.0), warm_up=UPDATES)
+    begin = run.state.params
+    run.train(1)
+    after = run.state.params
+    assert not changed(begin.policy, after.policy) and changed(begin.value, after.value)
+    run.train(1)
+    assert changed(begin.policy, run.state.params.policy)
 
 
 def test_schedules_reach_their_end_points():

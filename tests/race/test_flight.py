@@ -60,7 +60,7 @@ def reference_flight(kind, c, rows, commands, integrator, residual=None, dt=0.01
             k4 = slope(rows + dt * k3, command)
             k1 = (k1 + 2 * k2 + 2 * k3 + k4) / 6
         rows = rows + dt * k1
-        rows[:, 8] = ref.wrap(rows[:, 8])
+        rows[:, [6, 8]] = ref.wrap(rows[:, [6, 8]])
         kept.append(rows)
     return np.stack(kept)
 

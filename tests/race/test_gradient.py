@@ -17,7 +17,7 @@ from tests.race.test_flight import double
 
 STEPS = 12
 QUICK = {"xla_backend_optimization_level": 0}  # compiled soon rather than well
-TERMS = ("progress", "gate", "gate_offset", "early", "collision", "time", "rates")
+TERMS = ("progress", "gate", "gate_offset", "early", "collision", "time", "rates", "edge")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -90,9 +90,10 @@ def test_gradient_of_the_return(kind, integrator, residual, term):
     weight = dict.fromkeys(TERMS, 0.0) | {"gate": 10.0}
     if term == "all":
         weight = {"progress": 1.0, "gate": 10, "gate_offset": 10, "collision": 10, "time": 1}
-        weight |= {"rates": 0.05, "early": 1.0}
+        weight |= {"rates": 0.05, "early": 1.0, "edge": 5.0}
     elif term != "gate":
         weight |= {"gate": 0.0, term: 2.0}
+    weight |= {"edge_margin": 0.45}  # so that the flight passes beyond the safe part
     weights = reward.replace(**{name: jnp.asarray(value, float) for name, value in weight.items()})
     (_, (passed, ended)), slope = both(jnp.zeros(size), weights)
     assert np.sum(passed) == 1 and not np.any(ended) and 3 < np.argmax(passed) < STEPS - 1

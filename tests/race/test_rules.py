@@ -248,6 +248,8 @@ def weights(**kept):
         ({"gate_offset": 4.0}, (0.0, -4 * np.hypot(0.03, 0.2), 0.0)),
         ({"early": 300.0}, (0.0, 300 * 0.01 * 0.6, 0.0)),  # the plane is met after 2 of 5 cm
         ({"collision": 5.0}, (0.0, 0.0, -5.0)),
+        ({"edge": 4.0, "edge_margin": 0.4}, (0.0, -4 * 0.1, -4 * 0.5)),
+        ({"edge": 4.0, "edge_margin": 0.1}, (0.0, 0.0, -4 * 0.2)),
         ({"time": 6.0}, (-0.06, -0.06, -0.06)),
         ({"rates": 7.0}, (-0.07 * 1.5, -0.07 * 1.5, -0.07 * 1.5)),
     ],
@@ -277,7 +279,20 @@ def test_default_reward_is_the_published_one(race):
         "collision": 10.0,
         "time": 0.0,
         "rates": 0.0,
+        "edge": 0.0,
+        "edge_margin": pytest.approx(0.1),
     }
+
+
+def test_a_roll_has_no_end():
+    """Upside down is no crash: the angle goes on from the other side."""
+    race = make_race()
+    rows = level(through(0, -2.0), 0.0)
+    rows[:, ref.EULER], rows[:, ref.RATES] = [np.pi - 0.01, 0, 0], [5.0, 0, 0]
+    for choices, params in (race, (race[0], exact_rules(race[1]))):
+        states, _, outcome = step((choices, params), rows)
+        assert not outcome.terminated[0]
+        np.testing.assert_allclose(states.drone.euler.x[0], 0.04 - np.pi, atol=2e-3)
 
 
 def test_default_limits_are_the_published_ones(race):

@@ -1,5 +1,6 @@
 """Checks on an emulated Cortex-A9: bits, instructions, stack, writable data."""
 
+import contextlib
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -7,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.export.verify.context import Context
+from quadjax.export.verify.float_version import write_float
 from quadjax.export.verify.harness import (
     machine_infer,
-    write_float,
     write_harness,
     write_memory,
 )
@@ -26,14 +27,14 @@ from quadjax.export.verify.toolchain import (
 )
 
 SCALAR, NEON = 0, 1
-LARGEST_STACK = 2048
+LARGEST_STACK, WIDE = 2048, 120  # bytes, for networks of up to so many neurons a layer
 COUNTED = 12  # vectors whose instructions are counted
 
 
 def _need_emulator() -> None:
     for module in ("unicorn", "elftools"):
         if not has_module(module):
-            raise LeftOut(f"no {module}; pip install 'quadjax[verify]'")
+            raise LeftOut(f"no {module}; pip install -e '.[verify]'")
 
 
 def _build(c: Context, compiler: Compiler, tag: str) -> Path:
@@ -65,12 +66,13 @@ def _count(c: Context, elf: Path, kernel: int) -> tuple[int, int]:
         counts.add(count)
         stack = max(stack, used)
     require(len(counts) == 1, f"instructions depend on the data: {min(counts)} to {max(counts)}")
-    require(stack < LARGEST_STACK or max(_widths(c)) > 120, f"{stack} bytes of stack")
+    _check_stack(c, stack)
     return counts.pop(), stack
 
 
-def _widths(c: Context) -> list[int]:
-    return [len(layer.bias) for layer in c.folder.network.layers]
+def _check_stack(c: Context, stack: int) -> None:
+    widest = max(len(layer.bias) for layer in c.folder.network.layers)
+    require(stack < LARGEST_STACK or widest > WIDE, f"{stack} bytes of stack")
 
 
 def _writable(elf: Path, work: Path) -> int:
@@ -138,25 +140,65 @@ def float_instructions(c: Context, compiler: Compiler, tag: str) -> int:
     return machine.count("float_forward", x, machine.reserve(16))[0]
 
 
-def check_against_float(c: Context) -> str:
-    """Instructions beside float C by the same compiler and flags."""
-    _need_emulator()
-    parts = []
-    compilers: tuple[tuple[str, Callable[[], Compiler], str, int], ...] = (
+def _compilers() -> list[tuple[str, Compiler, str, int]]:
+    """Those that are found: name, compiler, tag of its build and kernel."""
+    makers: tuple[tuple[str, Callable[[], Compiler], str, int], ...] = (
         ("zig scalar", lambda: zig_arm(neon=False), "zig_scalar", SCALAR),
         ("zig NEON", lambda: zig_arm(neon=True), "zig_neon", NEON),
         ("gcc, Bebop's flags", bebop, "bebop", SCALAR),
         ("gcc, Bebop's flags, NEON", bebop, "bebop", NEON),
     )
-    for name, make, tag, kernel in compilers:
-        try:
-            compiler = make()
-        except LeftOut:
-            continue
+    found = []
+    for name, make, tag, kernel in makers:
+        with contextlib.suppress(LeftOut):
+            found.append((name, make(), tag, kernel))
+    if not found:
+        raise LeftOut("no compiler for ARM; pip install -e '.[verify]'")
+    return found
+
+
+def check_against_float(c: Context) -> str:
+    """Instructions beside float C by the same compiler and flags."""
+    _need_emulator()
+    parts = []
+    for name, compiler, tag, kernel in _compilers():
         single = float_instructions(c, compiler, f"{tag}_{kernel}_float.elf")
         fixed, _ = _count(c, _build(c, compiler, tag), kernel)
         parts.append(f"{name} {fixed:,} (float {single:,})")
     return "; ".join(parts)
+
+
+def check_step(c: Context) -> str:
+    """Instructions and stack of all that runs on board at each step, at most."""
+    _need_emulator()
+    parts = []
+    for name, compiler, tag, kernel in _compilers():
+        race, estimator, stack = _count_step(c, _build(c, compiler, tag), kernel)
+        _check_stack(c, stack)
+        more = f" + estimator {estimator:,}" if estimator else ""
+        parts.append(f"{name} {race:,}{more}, {stack} B stack")
+    return "; ".join(parts)
+
+
+def _count_step(c: Context, elf: Path, kernel: int) -> tuple[int, int, int]:
+    """Largest instructions of ``race_step`` and ``estimator_update``, and stack, of any data."""
+    from quadjax.export.verify.machine import Machine
+
+    machine, prefix = Machine(elf), c.folder.name
+    flown = np.linspace(0, len(c.folder.states) - 1, COUNTED).astype(int)
+    hostile = np.linspace(0, len(c.hostile) - 1, COUNTED).astype(int)
+    states = [*c.folder.states[flown], *c.hostile[hostile, : c.folder.states.shape[1]]]
+    race, status, command = (machine.reserve(size) for size in (64, 16, 16))
+    memory, moment, force = (machine.reserve(size) for size in (128, 16, 16))
+    largest = np.zeros((2, 2), int)
+    for state in states:
+        x = machine.place(state)
+        used = [machine.count(f"{prefix}_race_step", status, race, kernel, x, command, 0), (0, 0)]
+        if c.folder.estimator is not None:
+            update = f"{prefix}_estimator_update"
+            used[1] = machine.count(update, status, memory, x, moment, force)
+        largest = np.maximum(largest, used)
+    return int(largest[0, 0]), int(largest[1, 0]), int(largest[:, 1].max())
 
 
 def _qemu(c: Context, compiler: Compiler, tag: str, kernels: str) -> str:

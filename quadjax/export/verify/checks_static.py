@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.export.verify.context import Context
+from quadjax.export.verify.eva import write_eva_main
 from quadjax.export.verify.harness import write_harness
 from quadjax.export.verify.result import Failed, LeftOut, require
 from quadjax.export.verify.toolchain import Compiler, host, need_program
 
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -g -O1".split()
 SANITIZED_VECTORS = 5_000
+EVA_SECONDS = 600
 EVA = "-machdep gcc_x86_32 -eva -eva-slevel 40000 -warn-special-float none".split()
 
 
@@ -39,122 +41,19 @@ def check_sanitizers(c: Context) -> str:
     return f"{len(rows)} vectors and all self-tests, no report"
 
 
-def _eva_main(c: Context) -> Path:
-    folder, name = c.folder, c.folder.name
-    low, high = folder.network.command_low, folder.network.command_high
-    size = folder.network.inputs
-    asserts = "\n".join(f"  /*@ assert {low[i]} <= command[{i}] <= {high[i]}; */" for i in range(4))
-    motor = folder.policy.vehicle == "motor"
-    kind = "uint16_t" if motor else "float"
-    unit = 2.0**folder.network.fraction_bits
-    if motor:
-        bounds = "\n".join(
-            f"  /*@ assert {int(low[i] / unit)} <= out[{i}] <= {int(high[i] / unit)}; */"
-            for i in range(4)
-        )
-    else:
-        bounds = ""
-    estimator = folder.estimator is not None
-    text = (
-        EVA_MAIN.replace("<asserts>", asserts)
-        .replace("<bounds>", bounds)
-        .replace("<kind>", kind)
-        .replace("<size>", str(size))
-        .replace("<states>", str(folder.race.state_size))
-        .replace("<include>", f'#include "{name}_estimator.h"' if estimator else "")
-        .replace("<estimator>", EVA_ESTIMATOR if estimator else "")
-        .replace("<call>", "  run_estimator();" if estimator else "")
-        .replace("@name@", name)
-        .replace("@NAME@", name.upper())
-    )
-    path = c.work / "eva_main.c"
-    path.write_text(text)
-    return path
-
-
-EVA_MAIN = """\
-#include "@name@_race.h"
-<include>
-extern int Frama_C_interval(int low, int high);
-extern unsigned Frama_C_unsigned_int_interval(unsigned low, unsigned high);
-
-/* Any bits at all: NaN, infinities, everything. */
-static float any_float(void) {
-  union {
-    float value;
-    unsigned bits;
-  } pun;
-  pun.bits = Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU);
-  return pun.value;
-}
-
-static void run_network(void) {
-  int32_t q[<size>];
-  int32_t command[4];
-  <kind> out[4];
-  for (int i = 0; i < <size>; ++i) {
-    q[i] = Frama_C_interval(-2147483647 - 1, 2147483647);
-  }
-  @name@_forward_q(q, command);
-<asserts>
-  @name@_command(command, out);
-<bounds>
-  float x[<size>];
-  for (int i = 0; i < <size>; ++i) {
-    x[i] = any_float();
-  }
-  (void)@name@_quantize(x, q);
-  for (int i = 0; i < <size>; ++i) {
-    /*@ assert -@NAME@_INPUT_ONE <= q[i] <= @NAME@_INPUT_ONE; */
-  }
-}
-
-static void run_race(void) {
-  @name@_state state;
-  @name@_race race;
-  int32_t q[<size>];
-  float *const numbers = (float *)&state;
-  for (int i = 0; i < <states>; ++i) {
-    numbers[i] = any_float();
-  }
-  @name@_race_start(&race, state.position, Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU));
-  (void)@name@_race_update(&race, state.position);
-  (void)@name@_observe(&state, Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU), q);
-  for (int i = 0; i < 6; ++i) {
-    /*@ assert -@NAME@_INPUT_ONE <= q[i] <= @NAME@_INPUT_ONE; */
-  }
-}
-<estimator>
-void eva_main(void);
-void eva_main(void) {
-  run_network();
-  run_race();
-<call>
-}
-"""
-EVA_ESTIMATOR = """
-/* One sample from any memory that the filters can hold. */
-static void run_estimator(void) {
-  @name@_measurement m;
-  @name@_estimator estimator = {{0}, {0}, 0U};
-  float moment[3];
-  float force[3];
-  float *const numbers = (float *)&m;
-  for (int i = 0; i < 13; ++i) {
-    numbers[i] = any_float();
-  }
-  (void)@name@_estimator_update(&estimator, &m, moment, force);
-}
-"""
-
-
 def _eva(c: Context, sources: list[Path], tag: str) -> tuple[int, str]:
     """Alarms and the summary of an analysis."""
     program = need_program("frama-c")
     widest = max(max(layer.weights.shape) for layer in c.folder.network.layers)
     words = [program, *EVA, "-eva-min-loop-unroll", str(max(130, widest + 10)), "-main", "eva_main"]
-    words += [f"-cpp-extra-args=-I{c.folder.path}", *map(str, [_eva_main(c), *sources])]
-    done = subprocess.run(words, capture_output=True, text=True)
+    words += [
+        f"-cpp-extra-args=-I{c.folder.path}",
+        *map(str, [write_eva_main(c.folder, c.work), *sources]),
+    ]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=EVA_SECONDS)
+    except subprocess.TimeoutExpired:
+        raise Failed(f"frama-c: no result within {EVA_SECONDS} s") from None
     (c.work / f"eva_{tag}.log").write_text(done.stdout + done.stderr)
     found = re.search(r"(\d+) alarms? generated", done.stdout)
     if done.returncode or not found:

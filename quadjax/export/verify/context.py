@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.export import emulator
+from quadjax.evaluate.laps import Trace
+from quadjax.export import emulator, flights
 from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.export.verify.folder import Folder
 from quadjax.export.verify.harness import HostLibrary, host_library
 from quadjax.export.verify.result import Failed
 from quadjax.export.verify.toolchain import host
 
+TRACED_RUNS, TRACED_LAPS = 4, 3
 BATCH = 50_000  # vectors that NumPy takes at a time
 
 
@@ -62,6 +64,11 @@ class Context:
     def library(self) -> HostLibrary:
         """The C on this machine."""
         return host_library(self.folder, host(), self.work)
+
+    @functools.cached_property
+    def trace(self) -> Trace:
+        """A few flights of the float policy, step by step."""
+        return flights.fly_traced(self.folder.own, self.folder.policy, TRACED_RUNS, TRACED_LAPS)
 
     def same(self, who: str, rows: np.ndarray, expected: np.ndarray) -> None:
         """Raise ``Failed`` unless rows are NumPy's, bit for bit."""

@@ -2,11 +2,13 @@
 
 import ctypes
 import dataclasses
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from quadjax.export.render import fill, wrapped
+from quadjax.export.render import fill
 from quadjax.export.verify.folder import Folder
 from quadjax.export.verify.machine import Machine
 from quadjax.export.verify.toolchain import Compiler
@@ -25,6 +27,12 @@ void harness_estimate(const float *measurements, float *out, uint32_t count) {
     out += 6;
   }
 }
+"""
+ESTIMATOR_STEP = """\
+  static @name@_estimator estimator;
+  float moment[3];
+  float force[3];
+  (void)@name@_estimator_update(&estimator, (const @name@_measurement *)x, moment, force);
 """
 MEMORY = """
 #include <stddef.h>
@@ -68,6 +76,7 @@ def write_harness(folder: Folder, work: Path) -> Path:
         "command_type": "uint16_t" if folder.policy.vehicle == "motor" else "float",
         "estimator_include": f'#include "{folder.name}_estimator.h"\n' if motor else "",
         "estimator_batch": ESTIMATOR_BATCH.replace("@name@", folder.name) if motor else "",
+        "estimator_step": ESTIMATOR_STEP.replace("@name@", folder.name) if motor else "",
         "estimator_test": f" + {folder.name}_estimator_self_test()" if motor else "",
     }
     path = work / "harness.c"
@@ -80,75 +89,6 @@ def write_memory(work: Path) -> Path:
     path = work / "memory.c"
     path.write_text(MEMORY)
     return path
-
-
-def write_float(folder: Folder, work: Path) -> Path:
-    """The policy in float32 C, as one would write it by hand: the measure of error and speed."""
-    tables, calls, widest = [], [], folder.network.inputs
-    source = "x"
-    for index, (kernel, bias) in enumerate(folder.policy.layers):
-        rows, columns = kernel.shape[1], kernel.shape[0]
-        widest = max(widest, rows)
-        for name, values in (("w", kernel.T), ("b", bias)):
-            numbers = wrapped(f"{float(v)!r}F" for v in np.ravel(values))
-            tables.append(f"static const float {name}{index}[{values.size}] = {{\n{numbers}}};")
-        target = ("a", "b")[index % 2]
-        relu = int(index < len(folder.policy.layers) - 1)
-        calls.append(f"  layer(w{index}, b{index}, {rows}, {columns}, {source}, {target}, {relu});")
-        source = target
-    squash = {
-        "clip": "a < -1.0F ? -1.0F : (a > 1.0F ? 1.0F : a)",
-        "tanh": "tanhf(a)",
-    }[folder.policy.output]
-    low, high = folder.policy.command_low, folder.policy.command_high
-    ends = [
-        f"static const float {name}[4] = {{{', '.join(f'{float(v)!r}F' for v in values)}}};"
-        for name, values in (("low", low), ("span", 0.5 * (high - low)))
-    ]
-    text = FLOAT.replace("<tables>", "\n".join([*tables, *ends])).replace("<widest>", str(widest))
-    text = text.replace("<calls>", "\n".join(calls)).replace("<source>", source)
-    text = text.replace("<inputs>", str(folder.network.inputs)).replace("<squash>", squash)
-    include = "#include <math.h>\n" if folder.policy.output == "tanh" else ""
-    path = work / "float.c"
-    path.write_text(include + text)
-    return path
-
-
-FLOAT = """\
-<tables>
-static void layer(const float *w, const float *b, int rows, int columns, const float *x, float *y,
-                  int relu) {
-  for (int row = 0; row < rows; ++row) {
-    float sum = b[row];
-    for (int column = 0; column < columns; ++column) {
-      sum += w[row * columns + column] * x[column];
-    }
-    y[row] = (relu && sum < 0.0F) ? 0.0F : sum;
-  }
-}
-
-void float_forward(const float *x, float *command);
-void float_forward(const float *x, float *command) {
-  float a[<widest>];
-  float b[<widest>];
-<calls>
-  (void)a;
-  (void)b;
-  for (int i = 0; i < 4; ++i) {
-    const float *const last = <source>;
-    const float value = last[i];
-    const float a = value;
-    command[i] = low[i] + span[i] * ((<squash>) + 1.0F);
-  }
-}
-
-void float_batch(const float *x, float *command, unsigned count);
-void float_batch(const float *x, float *command, unsigned count) {
-  for (unsigned i = 0; i < count; ++i) {
-    float_forward(x + i * <inputs>, command + i * 4);
-  }
-}
-"""
 
 
 @dataclasses.dataclass
@@ -210,30 +150,23 @@ class HostLibrary:
         return self._call(f"{self.folder.name}_self_test")
 
 
+def load_library(
+    compiler: Compiler, sources: Sequence[Path], output: Path, extra: Sequence[str] = ()
+) -> ctypes.CDLL:
+    """Build C that needs no C library for this machine, and load it."""
+    words, sources = ["-shared", "-fPIC", *extra], list(sources)
+    if compiler.name == "zig cc" and sys.platform == "linux":
+        # Otherwise it would first build parts of a C library, which takes it seconds.
+        words.append("-nostdlib")
+        sources.append(write_memory(output.parent))
+    return ctypes.CDLL(str(compiler.build(sources, output, words)))
+
+
 def host_library(folder: Folder, compiler: Compiler, work: Path) -> HostLibrary:
     """Build the folder's C for this machine and load it."""
     sources = [*folder.files, write_harness(folder, work)]
-    output = work / "host.so"
-    compiler.build(sources, output, ["-shared", "-fPIC", f"-I{folder.path}"])
-    return HostLibrary(ctypes.CDLL(str(output)), folder)
-
-
-def float_library(folder: Folder, compiler: Compiler, work: Path) -> ctypes.CDLL:
-    """The float version for this machine, without fused or reordered arithmetic."""
-    output = work / "float.so"
-    extra = ["-shared", "-fPIC", "-ffp-contract=off", "-lm"]
-    compiler.build([write_float(folder, work)], output, extra)
-    return ctypes.CDLL(str(output))
-
-
-def float_commands(library: ctypes.CDLL, x: np.ndarray) -> np.ndarray:
-    """Commands (n, 4) float32 of the float version."""
-    x = np.ascontiguousarray(x, np.float32)
-    out = np.zeros((len(x), 4), np.float32)
-    library.float_batch(
-        x.ctypes.data_as(ctypes.c_void_p), out.ctypes.data_as(ctypes.c_void_p), len(x)
-    )
-    return out
+    library = load_library(compiler, sources, work / "host.so", [f"-I{folder.path}"])
+    return HostLibrary(library, folder)
 
 
 def machine_infer(machine: Machine, kernel: int, x: np.ndarray) -> np.ndarray:

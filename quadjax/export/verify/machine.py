@@ -84,8 +84,10 @@ class Machine:
         return np.frombuffer(self._cpu.mem_read(address, size), dtype).reshape(shape).copy()
 
     def call(self, name: str, *arguments: int) -> int:
-        """Call a function of up to four integer or pointer arguments; returns r0."""
+        """Call a function of integer or pointer arguments; returns r0."""
+        beyond = np.array(arguments[len(ARGUMENTS) :], np.uint32)  # these go on the stack
         self._cpu.reg_write(UC_ARM_REG_SP, STACK_TOP - 64)
+        self._cpu.mem_write(STACK_TOP - 64, beyond.tobytes())
         self._cpu.reg_write(UC_ARM_REG_LR, RETURN)
         for register, value in zip(ARGUMENTS, arguments, strict=False):
             self._cpu.reg_write(register, value)

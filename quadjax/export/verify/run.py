@@ -28,6 +28,7 @@ CHECKS: tuple[tuple[str, Check], ...] = (
     ("Cortex-A9 scalar, gcc", checks_arm.check_bebop_scalar),
     ("Cortex-A9 NEON, gcc", checks_arm.check_bebop_neon),
     ("against float C", checks_arm.check_against_float),
+    ("a step on board", checks_arm.check_step),
     ("warnings, gcc armel", checks_arm.check_warnings_bebop),
     ("QEMU armel", checks_arm.check_qemu_armel),
     ("QEMU armhf", checks_arm.check_qemu_armhf),
@@ -39,7 +40,7 @@ CHECKS: tuple[tuple[str, Check], ...] = (
 
 def verify(
     path: Path,
-    vectors: int = 20_000,
+    vectors: int = 5_000,
     runs: int = 0,
     announce: Callable[[str], None] = lambda _: None,
 ) -> list[Result]:

@@ -41,6 +41,7 @@ class Hyper:
     gradient_norm: jax.Array
     kl_limit: jax.Array
     reward_scale: jax.Array
+    warm_up: jax.Array  # updates of the value alone
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +55,7 @@ class Structure:
     updates: int  # in the whole run: the schedule's length
     shuffle_block: int = 0  # consecutive steps kept together; 0: all of an update
     separate_clip: bool = True  # clip the policy's and the value's gradients apart
+    shares: int = 8  # of the environments, at most: a power of two
 
     @property
     def block(self) -> int:
@@ -66,7 +68,7 @@ def make_learner(
 ) -> Learner:
     """PPO on an environment."""
     s = structure
-    lanes = count_lanes(s.environments, s.steps // s.block, s.batches)
+    lanes = count_lanes(s.environments, s.steps // s.block, s.batches, s.shares)
 
     def init(environment_params: object, key: jax.Array) -> TrainState:
         network_key, reset_key, lane_key = jax.random.split(key, 3)
@@ -167,13 +169,15 @@ def _epochs(
     """
     fraction = state.update.astype(jnp.float32) / s.updates
     rate = linear(hyper.learning_rate, hyper.final_learning_rate, fraction)
+    policy_rate = jnp.where(state.update < hyper.warm_up, 0.0, rate)
+    rates = ActorCritic(policy=policy_rate, log_std=policy_rate, value=rate)
     epoch_keys = jnp.stack(split_keys(keys, s.epochs))
 
     pieces = _lay_out(batch, s, keys.shape[0])
 
     def one_batch(carry: tuple, chosen: jax.Array) -> tuple[tuple, Metrics]:
         rows = jax.tree.map(lambda x: _rows(x, chosen), pieces)
-        return _gradient_step(networks, s, hyper, rate, carry, rows)
+        return _gradient_step(networks, s, hyper, rates, carry, rows)
 
     def one_epoch(carry: tuple, keys: jax.Array) -> tuple[tuple, Metrics]:
         return jax.lax.scan(one_batch, carry, _shuffled(pieces, s.batches, keys))
@@ -191,7 +195,7 @@ def _gradient_step(
     networks: Networks,
     s: Structure,
     hyper: Hyper,
-    rate: jax.Array,
+    rates: ActorCritic,
     carry: tuple[ActorCritic, optax.OptState],
     batch: Batch,
 ) -> tuple[tuple[ActorCritic, optax.OptState], Metrics]:
@@ -205,11 +209,16 @@ def _gradient_step(
         hyper.entropy_coefficient,
     )
     gradient, metrics = jax.lax.pmean((gradient, metrics), AXIS)
-    finite = jnp.isfinite(optax.global_norm(gradient))
+    finite = jnp.isfinite(optax.tree.norm(gradient))
     gradient, norm = _clip(gradient, hyper.gradient_norm, s.separate_clip)
     adam = optax.scale_by_adam(eps=hyper.adam_epsilon)
     direction, new_optimiser = adam.update(gradient, optimiser)
-    new_params = jax.tree.map(lambda p, d: p - rate * d, params, direction)
+    new_params = jax.tree.map(
+        lambda rate, part, d: jax.tree.map(lambda p, d: p - rate * d, part, d),
+        rates,
+        params,
+        direction,
+    )
     fine = (metrics["approx_kl"] <= hyper.kl_limit) & finite
     metrics |= {"gradient_norm": norm, "skipped": 1.0 - fine.astype(norm.dtype)}
     kept = select_finite(fine, (new_params, new_optimiser), carry)

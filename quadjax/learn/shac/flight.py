@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.environment import Environment
-from quadjax.gradients import clip_inward, tame
+from quadjax.gradients import tame
 from quadjax.learn.networks import ActorCritic, Networks
 from quadjax.learn.state import where_done
 
@@ -69,7 +69,7 @@ def fly(
         state, gamma, total = carry
         state = tame(state, bounds.decay, bounds.limit)
         observation = observe(environment_params, state)
-        mean = clip_inward(networks.mean(params, observation), -1.0, 1.0)
+        mean = networks.mean(params, observation)
         following, reward, terminated, truncated = step(environment_params, state, mean + noise)
         ahead = networks.evaluate(target, observe(environment_params, following))
         ended = jnp.where(truncated, discount * ahead, 0.0)

@@ -44,6 +44,7 @@ class Hyper:
     std: jax.Array
     final_std: jax.Array
     reward_scale: jax.Array
+    warm_up: jax.Array  # updates of the critic alone
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +56,7 @@ class Structure:
     critic_passes: int
     critic_batches: int
     updates: int  # in the whole run: the schedules' length
+    shares: int = 8  # of the environments, at most: a power of two
 
 
 def make_learner(
@@ -62,7 +64,7 @@ def make_learner(
 ) -> Learner:
     """SHAC on a differentiable environment."""
     s = structure
-    lanes = count_lanes(s.environments, 1, s.critic_batches)
+    lanes = count_lanes(s.environments, 1, s.critic_batches, s.shares)
 
     def init(environment_params: object, key: jax.Array) -> TrainState:
         network_key, reset_key, lane_key = jax.random.split(key, 3)
@@ -137,7 +139,10 @@ def _actor(
     noise: jax.Array,
     fraction: jax.Array,
 ) -> tuple[dict, optax.OptState, object, Flight, Metrics]:
-    """Ascend the return of a short flight; a gradient that is not finite changes nothing."""
+    """Ascend the return of a short flight.
+
+    A gradient that is not finite changes nothing; nor does one while the critic warms up.
+    """
     bounds = Bounds(hyper.state_gradient_decay, hyper.state_gradient_clip)
 
     def loss(policy: dict) -> tuple[jax.Array, tuple[object, Flight]]:
@@ -162,7 +167,8 @@ def _actor(
     rate = linear(hyper.learning_rate, hyper.final_learning_rate, fraction)
     policy, adam = _adam_step(hyper, rate, gradient, state.params.policy, state.optimiser[0])
     fine = jnp.isfinite(norm)
-    policy, adam = select_finite(fine, (policy, adam), (state.params.policy, state.optimiser[0]))
+    moves = fine & (state.update >= hyper.warm_up)
+    policy, adam = select_finite(moves, (policy, adam), (state.params.policy, state.optimiser[0]))
     metrics = {
         "policy_loss": value,
         "gradient_norm": norm,

@@ -1,0 +1,94 @@
+"""Measurements to try the estimator with: flown, and of a drone that is thrown about."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from quadjax.evaluate.laps import Trace
+from quadjax.fit import estimator
+from quadjax.vehicle.frames import attitude, world_to_body
+from quadjax.vehicle.motor import MotorParams, force_moment
+from quadjax.vehicle.vector import Rotors, Vec3
+
+# Standard deviation of the noise: gyro, rad/s; accelerometer, m/s^2; rpm; body velocity, m/s.
+NOISE = np.array([0.1] * 3 + [0.5] * 3 + [20.0] * 4 + [0.02] * 3)
+PUSH = np.array([0.3, -0.2, 0.4])  # m/s^2, an external force for the estimator to find
+
+
+def _noisy(rng: np.random.Generator, clean: np.ndarray) -> np.ndarray:
+    return (clean + NOISE * rng.standard_normal(clean.shape)).astype(np.float32)
+
+
+def thrown(rng: np.random.Generator, rate: float, seconds: float) -> np.ndarray:
+    """A drone that is thrown about, (n, 13) float32 at ``rate`` Hz, with noise."""
+    t = np.arange(round(rate * seconds)) / rate
+    gyro = [8.0 * np.sin(2 * np.pi * f * t + f) for f in (1.3, 2.1, 0.7)]
+    force = [5.0 * np.sin(3 * t), 4.0 * np.cos(2 * t), -9.8 + 6.0 * np.sin(7 * t)]
+    rpm = [7500.0 + 2500.0 * np.sin(9 * t + i) for i in range(4)]
+    velocity = [6.0 * np.sin(t), 3.0 * np.sin(2 * t), 2.0 * np.cos(t)]
+    return _noisy(rng, np.stack([*gyro, *force, *rpm, *velocity], axis=1))
+
+
+def flown(
+    rng: np.random.Generator, vehicle: MotorParams, trace: Trace, dt: float, rate: float
+) -> np.ndarray:
+    """What the sensors of flights say, (runs, n, 13) float32 at ``rate`` Hz, with noise.
+
+    Args:
+        rng: of the noise.
+        vehicle: its forces are what the accelerometer feels, and ``PUSH`` besides.
+        trace: a step every ``dt`` seconds; in between by cubic splines, to the end of the shortest.
+        dt: s.
+        rate: Hz.
+    """
+    parts = (trace.velocity, trace.euler, trace.rates, trace.actuators)
+    rows = [np.asarray(part, np.float64) for part in parts]  # (time, k, runs)
+    rows[1] = np.unwrap(rows[1], axis=0)
+    steps = int(np.min(np.sum(~np.asarray(trace.over), axis=0)))
+    state = np.moveaxis(np.concatenate(rows, axis=1)[:steps], 2, 0)
+    samples = np.arange(int(rate * dt * (steps - 1))) / rate
+    between = CubicSpline(dt * np.arange(steps), state, axis=1)(samples)
+    measure = jax.jit(jax.vmap(jax.vmap(functools.partial(_measure, vehicle))))
+    return _noisy(rng, np.asarray(measure(jnp.asarray(between, jnp.float32)), np.float64))
+
+
+def _measure(vehicle: MotorParams, state: jax.Array) -> jax.Array:
+    velocity, euler, rates = (Vec3.of(state[i : i + 3]) for i in (0, 3, 6))
+    rpm = Rotors.of(state[9:13])
+    seen = world_to_body(attitude(euler), velocity)
+    force, _ = force_moment(vehicle, rpm, Rotors.same(jnp.zeros(())), seen, rates)
+    force = force + Vec3(*(jnp.float32(x) for x in PUSH))
+    numbers = [rates, force, rpm, seen]
+    return jnp.stack([x for vector in numbers for x in vector.components()])
+
+
+def signals(measured: np.ndarray) -> dict[str, np.ndarray]:
+    """Measurements (n, 13) as ``fit.estimator_reference`` takes them, float64."""
+    exact = measured.astype(np.float64)
+    names = ("gyro", "specific_force", "rpm", "body_velocity")
+    return dict(zip(names, np.split(exact, (3, 6, 10), axis=1), strict=True))
+
+
+def estimate_as_trained(
+    vehicle: MotorParams, measured: np.ndarray, rate: float, cutoff: float
+) -> np.ndarray:
+    """Moments and forces (runs, n, 6) float32 by the estimator that a policy trains with."""
+    params = estimator.estimator_params(vehicle, rate, cutoff)
+
+    def measurement(row: jax.Array) -> estimator.Measurement:
+        gyro, force, velocity = (Vec3.of(row[i : i + 3]) for i in (0, 3, 10))
+        return estimator.Measurement(gyro, force, Rotors.of(row[6:10]), velocity)
+
+    def one(
+        state: estimator.EstimatorState, row: jax.Array
+    ) -> tuple[estimator.EstimatorState, jax.Array]:
+        state, moment, force = estimator.update(params, state, measurement(row))
+        return state, jnp.stack([*moment.components(), *force.components()])
+
+    def run(rows: jax.Array) -> jax.Array:
+        return jax.lax.scan(one, estimator.init(params, measurement(rows[0])), rows)[1]
+
+    return np.asarray(jax.jit(jax.vmap(run))(measured))

@@ -1,0 +1,32 @@
+"""What a policy does in training and in flight is one and the same."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.config import load_config
+from quadjax.learners import build_networks, policy_of
+from quadjax.policies import act_deterministic, act_sampled, flying
+from tests.race.support import BLANK
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "shac"])
+def test_training_and_flight_share_one_head(algorithm):
+    """Noise comes on top of the same mean, also where the network is far beyond the limits."""
+    config = load_config(BLANK, ["network.hidden=[8]", f"algorithm={algorithm}"])
+    networks = build_networks(config)
+    params = networks.init(jax.random.key(0))
+    last = jax.tree.map(lambda x: 300.0 * x, params.policy["Dense_1"])
+    params = params.replace(policy=params.policy | {"Dense_1": last})
+    seen = jax.random.normal(jax.random.key(1), (64, networks.observation_size))
+    raw = np.asarray(networks.policy.apply({"params": params.policy}, seen))
+    assert (raw > 1.5).any() and (raw < -1.5).any() and (np.abs(raw) < 0.9).any()
+    trained = np.asarray(networks.mean(params, seen))
+    np.testing.assert_array_equal(trained, np.clip(raw, -1, 1) if algorithm == "shac" else raw)
+    policy = flying(policy_of(config, params, {}))
+    noise = jnp.full((64, 4), -0.3)
+    flown = jax.vmap(act_deterministic, in_axes=(None, 0, 0))(policy, seen, noise)
+    np.testing.assert_allclose(flown, trained, atol=1e-5)
+    sampled = jax.vmap(act_sampled, in_axes=(None, 0, 0))(policy, seen, noise)
+    np.testing.assert_allclose(sampled, trained - 0.3 * np.exp(params.log_std), atol=1e-5)

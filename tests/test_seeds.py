@@ -1,0 +1,37 @@
+"""Several seeds of one config, trained, flown and tabulated."""
+
+import numpy as np
+import pytest
+
+from quadjax import seeds
+from quadjax.errors import InputError
+from tests.test_training import CONFIGS, TINY
+
+CONFIG = str(CONFIGS / "e2e_ppo.yaml")
+
+
+def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
+    folder = seeds.train_seed(CONFIG, TINY, 3, tmp_path)
+    before = (folder / "summary.json").stat().st_mtime_ns
+    assert seeds.train_seed(CONFIG, TINY, 3, tmp_path) == folder
+    assert (folder / "summary.json").stat().st_mtime_ns == before
+    with pytest.raises(InputError, match="discount"):
+        seeds.train_seed(CONFIG, [*TINY, "ppo.discount=0.9"], 3, tmp_path)
+    result = seeds.judge_seed(folder, 2)
+    assert result.seed == 3 and result.steps == 512 and result.sampled_runs == 2
+    table = seeds.format_seeds([result])
+    assert len({line.count("|") for line in table.splitlines()}) == 1
+    assert result.reference is None and "| <- at s |" in table  # one lap has no published time
+
+
+def test_the_table_names_the_published_time():
+    numbers = {field: 1.0 for field in seeds.SeedResult.__dataclass_fields__}
+    result = seeds.SeedResult(**numbers | {"reference": 17.04, "seed": 2, "last": None})
+    head, _, row = seeds.format_seeds([result]).splitlines()
+    assert "<17.04 at s" in head and "| 2 |" in row and "| - |" in row
+    assert np.isfinite(result.best)
+
+
+def test_a_training_that_fails_is_one_line(tmp_path):
+    with pytest.raises(InputError, match="seed 0 failed with status 2"):
+        seeds.train_seed(CONFIG, [*TINY, "train.init=none.npz"], 0, tmp_path)
