@@ -1,0 +1,153 @@
+"""The race as Gymnasium sees it."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from quadjax.config import load_config
+from quadjax.race.build import build_params, choices_of
+from quadjax.race.environment import make_environment
+
+gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
+from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
+
+from quadjax.gym import ID, RaceEnv, RaceVectorEnv  # noqa: E402
+from tests.race.support import BLANK  # noqa: E402
+
+N = 6
+
+
+def short(*words: str):
+    """Episodes of five steps, if nobody crashes first."""
+    return load_config(BLANK, ["episode.max_steps=5", *words])
+
+
+def hover(n: int = N) -> np.ndarray:
+    return np.zeros((n, 4), np.float32)
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_gymnasiums_own_checker_passes(kind):
+    config = load_config(BLANK, [f"vehicle.kind={kind}"])
+    env = gymnasium.make(ID, config=config, disable_env_checker=True).unwrapped
+    assert isinstance(env, RaceEnv)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Observations have no bounds, and there is nothing to render.
+        warnings.filterwarnings("ignore", message=".*(infinity|unlimited|render).*")
+        check_env(env)
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_spaces_and_shapes(mode):
+    env = gymnasium.make_vec(ID, num_envs=N, config=short(), autoreset_mode=mode).unwrapped
+    assert isinstance(env, RaceVectorEnv) and env.metadata["autoreset_mode"] == mode
+    observation, infos = env.reset(seed=3)
+    assert observation in env.observation_space and observation.shape == (N, 24) and infos == {}
+    assert env.action_space.contains(hover())
+    found = env.step(hover())
+    for value, dtype in zip(found[:4], ("f4", "f8", "?", "?"), strict=True):
+        assert value.dtype == np.dtype(dtype) and len(value) == N
+    again, _ = env.reset(seed=3)
+    np.testing.assert_array_equal(observation, again)
+    other, _ = env.reset()
+    assert not np.array_equal(again, other)
+
+
+def test_a_truncation_is_no_crash_and_shows_where_it_ended():
+    """The final observation is the step's own, before the reset: it equals the race's."""
+    config = short("start.position=0", "start.velocity=0", "start.roll_pitch_deg=0")
+    same = RaceVectorEnv(N, config, "SameStep")
+    off = RaceVectorEnv(N, config, "Disabled")
+    same.reset(seed=1)
+    off.reset(seed=1)
+    for step in range(5):
+        found, reference = same.step(hover()), off.step(hover())
+        np.testing.assert_allclose(found[1], reference[1], atol=1e-6)
+        assert found[3].all() == (step == 4) and not found[2].any()
+        if step < 4:
+            assert "final_obs" not in found[4]
+            np.testing.assert_allclose(found[0], reference[0], atol=1e-6)
+    infos = found[4]
+    assert infos["_final_obs"].all() and infos["_final_info"].all()
+    np.testing.assert_allclose(np.stack(infos["final_obs"]), reference[0], atol=1e-6)
+    assert np.abs(found[0] - reference[0]).max() > 0.05  # the next episode has begun
+    with pytest.raises(RuntimeError, match="reset_mask"):
+        off.step(hover())
+    mask = np.arange(N) < 2
+    begun, _ = off.reset(options={"reset_mask": mask})
+    np.testing.assert_array_equal(begun[~mask], reference[0][~mask])
+    assert np.abs(begun[mask] - reference[0][mask]).max() > 0.05
+
+
+def test_a_crash_is_no_truncation():
+    """Upside down from the start: the roll limit ends every episode at its first step."""
+    env = RaceVectorEnv(N, load_config(BLANK, ["episode.roll_limit_deg=1"]), "SameStep")
+    env.reset(seed=0)
+    _, reward, terminated, truncated, infos = env.step(hover())
+    assert terminated.any() and not truncated.any()
+    np.testing.assert_array_equal(infos["_final_obs"], terminated)
+    assert all((x is not None) == t for x, t in zip(infos["final_obs"], terminated, strict=True))
+    np.testing.assert_allclose(reward[terminated], -10.0)
+
+
+def test_the_next_episode_begins_a_step_later_where_asked():
+    env = RaceVectorEnv(N, short(), "NextStep")
+    env.reset(seed=1)
+    for _ in range(5):
+        ended = env.step(hover())
+    assert (ended[2] | ended[3]).all() and "final_obs" not in ended[4]
+    begun, reward, terminated, truncated, _ = env.step(hover())
+    assert not reward.any() and not terminated.any() and not truncated.any()
+    assert np.abs(begun - ended[0]).max() > 0.05
+    following = env.step(hover())
+    assert following[1].all()
+
+
+def test_a_wrapper_counts_episodes():
+    env = RecordEpisodeStatistics(RaceVectorEnv(N, short(), "SameStep"))
+    env.reset(seed=1)
+    for _ in range(5):
+        _, _, terminated, truncated, infos = env.step(hover())
+    assert (truncated | terminated).any()
+    lengths = infos["episode"]["l"]
+    assert lengths[truncated].tolist() == [5] * int(truncated.sum())
+
+
+def test_it_is_the_race_that_is_trained():
+    """The same rewards as the learners' environment, step for step."""
+    import jax
+
+    config = load_config(BLANK)
+    env = RaceVectorEnv(1, config, "Disabled")
+    env.reset(seed=2)
+    race, params = make_environment(choices_of(config)), build_params(config)
+    state = jax.tree.map(lambda x: x[..., 0], env._drones.state)
+    action = np.array([0.1, -0.2, 0.3, 0.0], np.float32)
+    following, reward, _, _ = jax.jit(race.step)(params, state, action)
+    found = env.step(action[None])
+    np.testing.assert_allclose(found[1][0], reward, atol=1e-6)
+    np.testing.assert_allclose(found[0][0], race.observe(params, following), atol=1e-5)
+
+
+def test_stable_baselines_learns_on_it():
+    """Its own view: one key for both ends of an episode, the last observation beside it."""
+    pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
+    from quadjax.sb3 import RaceVecEnv, make_ppo
+
+    env = RaceVecEnv(N, short(), seed=0)
+    env.reset()
+    for _ in range(5):
+        observation, _, done, infos = env.step(hover())
+    assert done.any() and observation.shape == (N, 24)
+    for flag, info in zip(done, infos, strict=True):
+        assert flag == ("terminal_observation" in info)
+    assert any(info.get("TimeLimit.truncated") for info in infos)
+    words = ["algorithm=ppo", "train.drones=8", "ppo.steps_per_update=16", "ppo.epochs=1"]
+    model = make_ppo(short(*words, "ppo.batches=2", "network.hidden=[8]"), seed=0)
+    before = [p.detach().clone() for p in model.policy.parameters()]
+    model.learn(128)
+    assert any((p != q).any() for p, q in zip(model.policy.parameters(), before, strict=True))
