@@ -1,0 +1,1 @@
+"""The stand-in plant: what the training model leaves out, sensors, estimator, inner loop."""

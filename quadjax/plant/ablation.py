@@ -1,0 +1,72 @@
+"""What of residual, estimate and randomisation helps: E2E policies to hold against each other.
+
+Each variant is a policy file, how it was trained, and what it is told of the disturbance on the
+stand-in plant. One policy is flown with its disturbance input true, estimated and none.
+"""
+
+import dataclasses
+from pathlib import Path
+
+RESIDUAL = "quadjax/pretrained/standin_residual.npz"
+STEPS = "train.steps=12000000"
+_RANDOM = ("inertia", "thrust", "drag", "moment", "velocity_moment", "yaw", "lag")
+
+
+@dataclasses.dataclass(frozen=True)
+class Variant:
+    """One line of the ablation.
+
+    Attributes:
+        group: what is varied.
+        label: this line's value of it.
+        policy: name of the policy, a file of the ablation's folder.
+        training: config and ``key=value`` words that train it.
+        residual: whether it believes in the stand-in plant's residual.
+        disturbance_input: what it is told on the plant.
+    """
+
+    group: str
+    label: str
+    policy: str
+    training: tuple[str, ...]
+    residual: bool = False
+    disturbance_input: str = "estimated"
+
+    def command(self, runs: str = "runs") -> str:
+        """The command that trains its policy into ``RUNS/POLICY/policy.npz``."""
+        words = " ".join(self.training)
+        return f"python scripts/train.py {words} name={self.policy} seed=0 --runs {runs}"
+
+    def path(self, folder: Path) -> Path:
+        """Its policy file in the ablation's folder."""
+        return folder / f"{self.policy}.npz"
+
+
+def _randomised(percent: int) -> Variant:
+    words = tuple(f"randomise.{group}={percent / 100}" for group in _RANDOM)
+    training = ("configs/e2e_robust.yaml", STEPS, *words)
+    return Variant("randomisation", f"{percent}%", f"e2e_random_{percent}", training)
+
+
+_DISTURBED = ("configs/e2e_disturbed.yaml", STEPS, f"vehicle.residual={RESIDUAL}")
+
+VARIANTS = (
+    Variant("residual", "without", "e2e_nominal", ("configs/e2e_shac.yaml", STEPS)),
+    Variant(
+        "residual",
+        "with",
+        "e2e_residual",
+        ("configs/e2e_shac.yaml", STEPS, f"vehicle.residual={RESIDUAL}"),
+        True,
+    ),
+    Variant("disturbance input", "true", "e2e_told", _DISTURBED, True, "true"),
+    Variant("disturbance input", "estimated", "e2e_told", _DISTURBED, True, "estimated"),
+    Variant("disturbance input", "none", "e2e_told", _DISTURBED, True, "none"),
+    *(_randomised(percent) for percent in (0, 10, 20, 30)),
+)
+
+
+def present(folder: Path) -> tuple[list[Variant], list[Variant]]:
+    """The variants whose policy files are in a folder, and those that are not."""
+    have = [variant for variant in VARIANTS if variant.path(folder).is_file()]
+    return have, [variant for variant in VARIANTS if variant not in have]

@@ -1,0 +1,122 @@
+"""From a config to the numbers of the stand-in plant."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.fit.vehicle_file import BaseVehicle, read_vehicle
+from quadjax.plant.effects import FlexParams, RotorParams
+from quadjax.plant.gusts import gust_params
+from quadjax.plant.plant import PlantParams
+from quadjax.plant.plant_schema import PlantConfig
+from quadjax.plant.power import PowerParams
+from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.vector import Rotors
+
+AIR_DENSITY = 1.225  # kg/m^3
+KNOWN = ("g", "rpm_min", "rpm_max")  # constants that are not drawn
+
+
+def nominal_vehicle(config: PlantConfig) -> BaseVehicle:
+    """The drone as the training model takes it.
+
+    Raises:
+        InputError: a vehicle file that cannot be read.
+    """
+    return read_vehicle(config.vehicle, Path())
+
+
+def build_plant(config: PlantConfig, residual: object = None) -> PlantParams:
+    """The plant's numbers.
+
+    Args:
+        config: of the plant.
+        residual: networks that are true of the plant, beyond its effects; for tests.
+
+    Raises:
+        InputError: a vehicle file that cannot be read.
+    """
+    base = nominal_vehicle(config)
+    nominal = {name: float(getattr(base.motor, name)) for name in constant_names(MotorConstants)}
+    factors, rotor_factors = drawn_factors(config)
+    own = {name: value * factors.get(name, 1.0) for name, value in nominal.items()}
+    constants = MotorConstants(**_traced(own))
+    step = 1.0 / config.sample_rate
+    gusts = config.gusts
+    return PlantParams(
+        vehicle=MotorParams(constants, residual),
+        rotor_factor=Rotors(*(jnp.float32(x) for x in rotor_factors)),
+        rotors=_rotors(config, base.mass, own["g"]),
+        power=_power(config, nominal),
+        flex=_flex(config),
+        gusts=gust_params(
+            gusts.wind, gusts.altitude, gusts.least_airspeed, step, config.effects.gusts
+        ),
+        step=jnp.float32(step),
+        command_delay=round(config.delay.command * config.sample_rate),
+        measurement_delay=round(config.delay.measurement * config.sample_rate),
+        substeps=config.substeps,
+        integrator=config.integrator,
+    )
+
+
+def drawn_factors(config: PlantConfig) -> tuple[dict[str, float], np.ndarray]:
+    """Factors on the drone's constants by name, and on each rotor's speed (4,)."""
+    random = np.random.default_rng(config.constants.seed)
+    spread = config.constants.spread * config.effects.constants
+    names = [name for name in constant_names(MotorConstants) if name not in KNOWN]
+    factors = dict(zip(names, 1.0 + spread * random.uniform(-1.0, 1.0, len(names)), strict=True))
+    unlike = config.motors.rotor_spread * config.effects.constants
+    return factors, 1.0 + unlike * random.uniform(-1.0, 1.0, 4)
+
+
+def _traced(values: dict[str, float]) -> dict[str, jax.Array]:
+    return {name: jnp.asarray(value, jnp.float32) for name, value in values.items()}
+
+
+def _rotors(config: PlantConfig, mass: float, gravity: float) -> RotorParams:
+    r, on = config.rotors, config.effects
+    area = 4.0 * np.pi * r.radius**2
+    # Momentum theory at hover: v_i = sqrt(T / (2 rho A)) (Leishman, 2006, equation 2.15).
+    induced = np.sqrt(mass * gravity / (2.0 * AIR_DENSITY * area))
+    numbers = {
+        "mass": mass,
+        "radius": r.radius,
+        "height": r.height,
+        "advance_loss": on.inflow * r.advance_loss,
+        "ground": on.ground * r.ground_discs,
+        "induced": induced,
+        "flap": on.flapping,
+        "flap_gain": r.flap_gain,
+        "lock_number": r.lock_number,
+        "hub_stiffness": r.hub_stiffness,
+    }
+    return RotorParams(**_traced(numbers))
+
+
+def _power(config: PlantConfig, nominal: dict[str, float]) -> PowerParams:
+    m, b, on = config.motors, config.battery, config.effects
+    numbers = {
+        "lag": on.motors * m.lag,
+        "shortfall": on.motors * m.shortfall,
+        "hover": np.sqrt(nominal["g"] / (4.0 * nominal["k_w"])),
+        "sags": on.battery,
+        "drop": b.drop / b.voltage,
+        "resistance": b.resistance * b.hover_current / b.voltage,
+        "drain": b.hover_current / (3600.0 * b.capacity),
+        "rpm_full": b.rpm_full,
+    }
+    return PowerParams(**_traced(numbers))
+
+
+def _flex(config: PlantConfig) -> FlexParams:
+    f = config.flex
+    numbers = {
+        "frequency": 2.0 * np.pi * f.frequency,
+        "damping": f.damping,
+        "participation": config.effects.flex * f.participation,
+    }
+    return FlexParams(**_traced(numbers))

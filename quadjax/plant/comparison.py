@@ -1,0 +1,157 @@
+"""E2E and INDI in the simulator and on the stand-in plant: flights, rows and numbers."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.evaluate import pilot
+from quadjax.evaluate.laps import Laps, Trace
+from quadjax.evaluate.tables import Row, lap_row
+from quadjax.plant.ablation import RESIDUAL, Variant
+from quadjax.plant.plant_schema import EffectsConfig, PlantConfig
+from quadjax.plant.race import Flights, fly_plan, plan_flights, race_config
+from quadjax.policy_file import Policy, read_policy
+from quadjax.schema import Config
+
+FLIGHTS = 5  # whose mean and best the paper gives
+EFFECTS = tuple(item.name for item in dataclasses.fields(EffectsConfig))
+Report = Callable[[str], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Contender:
+    """A policy to compare."""
+
+    name: str  # "E2E" | "INDI"
+    policy: Policy
+    file: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """One contender in both worlds."""
+
+    contender: Contender
+    simulated: Laps
+    trace: Trace
+    flown: Flights
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What is compared and how."""
+
+    race: Config
+    plant: PlantConfig
+    laps: int = 6
+    runs: int = 100
+    seed: int = 0
+
+
+def contender(name: str, file: str) -> Contender:
+    """A policy file as a contender.
+
+    Raises:
+        InputError: a file that cannot be read.
+    """
+    return Contender(name, read_policy(file), file)
+
+
+def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
+    """Fly one contender in the simulator and on the plant."""
+    report(f"{own.name}: simulator")
+    race = pilot.Race(setting.laps, setting.runs, seed=setting.seed)
+    config = race_config(setting.race, own.policy)
+    simulated, trace = pilot.fly_policy(config, own.policy, race, False, True, own.file)
+    report(f"{own.name}: stand-in plant")
+    return Compared(own, simulated, trace, fly(setting, setting.plant, own))
+
+
+def fly(setting: Setting, plant: PlantConfig, own: Contender) -> Flights:
+    """A contender's flights on a plant."""
+    plan = plan_flights(
+        setting.race, plant, own.policy, own.file, setting.laps, setting.runs, FLIGHTS
+    )
+    return fly_plan(plan, setting.seed)
+
+
+def first(laps: Laps, count: int = FLIGHTS) -> Laps:
+    """The first runs alone."""
+    return Laps(laps.lap_times[:count], laps.crashes[:count], laps.seconds[:count])
+
+
+def rows(compared: Compared) -> list[Row]:
+    """The paper's lines of one contender: simulated, and five flights on the plant.
+
+    Beside each stands the success of all runs.
+    """
+    name = compared.contender.name
+    flown = compared.flown.laps
+    five = lap_row(f"{name} stand-in plant, mean of {FLIGHTS}", first(flown))
+    five = dataclasses.replace(five, finished=flown.finished, runs=len(flown.crashes))
+    return [lap_row(f"{name} simulated", compared.simulated), five]
+
+
+def all_runs_row(label: str, laps: Laps) -> Row:
+    """The mean over every run that finished."""
+    return lap_row(label, laps)
+
+
+def without_each(setting: Setting, own: Contender, report: Report) -> dict[str, Laps]:
+    """The plant as it is, and with each effect in turn switched off."""
+    result = {}
+    for name in EFFECTS:
+        report(f"{own.name}: stand-in plant without {name}")
+        off = dataclasses.replace(setting.plant.effects, **{name: 0.0})
+        plant = dataclasses.replace(setting.plant, effects=off)
+        result[f"without {name}"] = fly(setting, plant, own).laps
+    report(f"{own.name}: stand-in plant without delays")
+    delay = dataclasses.replace(setting.plant.delay, command=0.0, measurement=0.0)
+    plant = dataclasses.replace(setting.plant, delay=delay)
+    result["without delays"] = fly(setting, plant, own).laps
+    report(f"{own.name}: stand-in plant with the truth for estimates")
+    plant = dataclasses.replace(setting.plant, navigation="truth", disturbance_input="true")
+    result["with true states"] = fly(setting, plant, own).laps
+    return result
+
+
+def fly_variant(setting: Setting, variant: Variant, folder: Path, report: Report) -> Laps:
+    """One line of the ablation."""
+    report(f"ablation: {variant.group} {variant.label}")
+    vehicle = dataclasses.replace(
+        setting.race.vehicle, residual=RESIDUAL if variant.residual else None
+    )
+    own = dataclasses.replace(setting, race=dataclasses.replace(setting.race, vehicle=vehicle))
+    plant = dataclasses.replace(setting.plant, disturbance_input=variant.disturbance_input)
+    return fly(own, plant, contender("E2E", str(variant.path(folder)))).laps
+
+
+def saturation(flights: Flights, low: float, high: float) -> float:
+    """Share of the rpm commands of the recorded runs that are at a limit of the motors."""
+    commands = np.stack([np.asarray(x) for x in flights.frames.rpm_command.components()])
+    going = ~flights.frames.over
+    at_limit = (commands <= low + 1.0) | (commands >= high - 1.0)
+    return float(at_limit[:, going].mean())
+
+
+def simulated_saturation(trace: Trace, low: float, high: float) -> float:
+    """The same of a trace of the simulator, for the motor-level vehicle."""
+    command = np.moveaxis(np.asarray(trace.command), 1, 0)
+    at_limit = (command <= low + 1.0) | (command >= high - 1.0)
+    return float(at_limit[:, ~np.asarray(trace.over)].mean())
+
+
+def lead(e2e: Compared, indi: Compared) -> str:
+    """Where E2E's lead in the simulator goes on the plant, as a line of text."""
+    sets = [lap_row("", laps) for laps in (e2e.simulated, indi.simulated)]
+    sets += [lap_row("", laps) for laps in (e2e.flown.laps, indi.flown.laps)]
+    before, after = (np.array(sets[i + 1].laps) - np.array(sets[i].laps) for i in (0, 2))
+    total_before, total_after = (sets[i + 1].total - sets[i].total for i in (0, 2))
+    later = slice(1, None)
+    return (
+        f"E2E's lead over INDI: {total_before:+.2f} s simulated, {total_after:+.2f} s on the "
+        f"stand-in plant; first lap {before[0]:+.2f} -> {after[0]:+.2f} s, each later lap "
+        f"{before[later].mean():+.2f} -> {after[later].mean():+.2f} s"
+    )

@@ -1,0 +1,187 @@
+"""The whole comparison: flights, tables, figures and files."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from quadjax.evaluate.figures import save_figure, trajectory_figure
+from quadjax.evaluate.laps import Laps
+from quadjax.evaluate.recording import recordings as simulated_recordings
+from quadjax.evaluate.tables import Row, format_table, lap_row, published_rows
+from quadjax.files import write_json, write_text
+from quadjax.plant import comparison_figures as figures
+from quadjax.plant.ablation import present
+from quadjax.plant.comparison import (
+    EFFECTS,
+    FLIGHTS,
+    Compared,
+    Contender,
+    Report,
+    Setting,
+    compare_one,
+    fly_variant,
+    lead,
+    rows,
+    saturation,
+    simulated_saturation,
+    without_each,
+)
+from quadjax.plant.flight_log import gate_centres
+from quadjax.plant.race import recordings
+
+PARTS = ("table", "effects", "ablation")
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """Which parts, where the ablation's policies are, and where to write."""
+
+    parts: tuple[str, ...]
+    ablation: Path
+    folder: Path
+
+    def steps(self) -> int:
+        """How often the run will report."""
+        own = 4 + 1 if "table" in self.parts else 0
+        own += 2 * (len(EFFECTS) + 2) if "effects" in self.parts else 0
+        return own + (len(present(self.ablation)[0]) if "ablation" in self.parts else 0)
+
+
+def run_comparison(
+    setting: Setting, contenders: tuple[Contender, Contender], wanted: Wanted, report: Report
+) -> str:
+    """Fly all that is wanted, write it, and return the tables as text.
+
+    Args:
+        setting: race and plant.
+        contenders: E2E and INDI.
+        wanted: parts and places.
+        report: told what is being done.
+
+    Raises:
+        InputError: policies that do not fit, or files that cannot be read.
+    """
+    texts: list[str] = []
+    result: dict[str, object] = {"runs": setting.runs, "laps": setting.laps, "seed": setting.seed}
+    if "table" in wanted.parts:
+        e2e, indi = (compare_one(setting, own, report) for own in contenders)
+        report("drawing")
+        texts += _table(setting, e2e, indi, result)
+        _draw(setting, e2e, indi, wanted.folder, result)
+    if "effects" in wanted.parts:
+        texts.append(_effects(setting, contenders, result, report))
+    if "ablation" in wanted.parts:
+        texts.append(_ablation(setting, wanted.ablation, result, report))
+    text = "\n\n".join(texts)
+    write_text(wanted.folder / "table.txt", text + "\n")
+    write_json(wanted.folder / "compare.json", result)
+    config = yaml.safe_dump(dataclasses.asdict(setting.plant), sort_keys=False)
+    write_text(wanted.folder / "config.yaml", config)
+    return text
+
+
+def _table(setting: Setting, e2e: Compared, indi: Compared, result: dict) -> list[str]:
+    low, high = (setting.race.vehicle.motor[key] for key in ("rpm_min", "rpm_max"))
+    for name, own in (("E2E", e2e), ("INDI", indi)):
+        result[name] = {
+            "policy": Path(own.contender.file).name,
+            "simulated": own.simulated.to_json(),
+            "stand-in plant": own.flown.laps.to_json(),
+            "commands at a limit": saturation(own.flown, low, high),
+        }
+    held = simulated_saturation(e2e.trace, low, high)
+    result["E2E"]["commands at a limit, simulated"] = held
+    both = [*rows(e2e), *rows(indi)]
+    table = format_table(both, published_rows(setting.race.track, setting.laps))
+    notes = [
+        f"mean and best of {FLIGHTS} flights on the stand-in plant; finished: of all runs",
+        lead(e2e, indi),
+        f"E2E's rpm commands at a limit: {100.0 * held:.0f}% simulated, "
+        f"{100.0 * result['E2E']['commands at a limit']:.0f}% on the stand-in plant",
+    ]
+    for name, own in (("E2E", e2e), ("INDI", indi)):
+        crashes = [crash for crash in own.flown.laps.crashes if crash]
+        if crashes:
+            kinds = {kind: crashes.count(kind) for kind in dict.fromkeys(crashes)}
+            counts = ", ".join(f"{kind} {number}" for kind, number in kinds.items())
+            notes.append(f"{name} on the stand-in plant, early ends: {counts}")
+    return [table + "\n" + "\n".join(notes)]
+
+
+def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result: dict) -> None:
+    gates, centres = setting.race.track.gates, gate_centres(setting.race)
+    dt = setting.race.episode.dt
+    lines = {}
+    for name, own in (("E2E", e2e), ("INDI", indi)):
+        stem = name.lower()
+        few = simulated_recordings(own.trace, own.simulated, dt)[:FLIGHTS]
+        title = f"{name} in the simulator, {FLIGHTS} flights"
+        save_figure(trajectory_figure(few, gates, title), folder / f"{stem}_simulator.png")
+        title = f"{name} on the stand-in plant, {FLIGHTS} flights"
+        flown = recordings(own.flown)
+        save_figure(trajectory_figure(flown, gates, title), folder / f"{stem}_plant.png")
+        lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centres)
+        best = _best(own.flown.laps)
+        lines[f"{name} stand-in plant"] = figures.flown_progress(own.flown, best, centres)
+    slowest = max(time[-1] / max(made[-1], 1e-3) for time, made in lines.values())
+    title = "relative progress"
+    save_figure(figures.progress_figure(lines, 1.0 / slowest, title), folder / "progress.png")
+    constants = setting.race.vehicle
+    figure, deviation = figures.rpm_figure(e2e.flown, constants.motor["tau"])
+    save_figure(figure, folder / "rpm.png")
+    taus = [constants.rate["tau_rate"]] * 3 + [constants.rate["tau_thrust"]]
+    other, of_rates = figures.rates_figure(indi.flown, taus)
+    save_figure(other, folder / "rates.png")
+    result["rms deviation from first order"] = {
+        "rpm": [round(float(x), 1) for x in deviation],
+        "rates and thrust": [round(float(x), 3) for x in of_rates],
+    }
+
+
+def _best(laps: Laps) -> int:
+    """The recorded run with the most laps, and the fastest of those."""
+    flown = laps.laps_flown()[:FLIGHTS]
+    totals = np.nan_to_num(laps.totals[:FLIGHTS], nan=np.inf)
+    return int(np.lexsort((totals, -flown))[0])
+
+
+def _effects(
+    setting: Setting, contenders: tuple[Contender, ...], result: dict, report: Report
+) -> str:
+    lines: list[Row] = []
+    result["effects"] = {}
+    for own in contenders:
+        flown = without_each(setting, own, report)
+        result["effects"][own.name] = {key: _summary(laps) for key, laps in flown.items()}
+        lines += [lap_row(f"{own.name} {key}", laps) for key, laps in flown.items()]
+    return "stand-in plant with one effect switched off, all runs\n" + format_table(lines)
+
+
+def _ablation(setting: Setting, folder: Path, result: dict, report: Report) -> str:
+    have, missing = present(folder)
+    lines: list[Row] = []
+    result["ablation"] = {}
+    for variant in have:
+        laps = fly_variant(setting, variant, folder, report)
+        label = f"{variant.group}: {variant.label}"
+        result["ablation"][label] = _summary(laps)
+        lines.append(lap_row(label, laps))
+    texts = ["ablation: E2E on the stand-in plant, all runs"]
+    if lines:
+        texts.append(format_table(lines))
+    for command in dict.fromkeys(variant.command() for variant in missing):
+        texts.append(f"not flown, no policy in {folder.name}/: {command}")
+    return "\n".join(texts)
+
+
+def _summary(laps: Laps) -> dict[str, float | int | None]:
+    """Mean of the runs that finished, best, and how many did."""
+    done = laps.totals[np.isfinite(laps.totals)]
+    return {
+        "mean": round(float(done.mean()), 3) if done.size else None,
+        "best": round(float(done.min()), 3) if done.size else None,
+        "finished": laps.finished,
+        "runs": len(laps.crashes),
+    }

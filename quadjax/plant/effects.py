@@ -1,0 +1,123 @@
+"""What the stand-in plant's air, rotors and frame do beyond the training model.
+
+Each function gives what is *added* to the nominal force or moment, or to a state's derivative, and
+gives exactly nothing where its strength is zero. World NED, body FRD; forces are specific.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.vector import Rotors, Vec3
+
+RPM_PER_RAD_S = 60.0 / (2.0 * jnp.pi)
+_NEAREST = 0.5  # rotor radii between disc and ground, below which the ground's effect grows no more
+_LEAST_RPM = 500.0  # below which a disc is taken to turn as fast as this
+
+
+@struct.dataclass
+class RotorParams:
+    """Rotors in the air; strengths are taken in."""
+
+    mass: jax.Array  # kg
+    radius: jax.Array  # m
+    height: jax.Array  # m above the centre of gravity
+    advance_loss: jax.Array  # c of C_T0 (1 - c J^2)
+    ground: jax.Array  # factor on (R / 4 h)^2
+    induced: jax.Array  # m/s, the induced velocity at hover
+    flap: jax.Array  # strength of the flapping moments
+    flap_gain: jax.Array  # rad per advance ratio
+    lock_number: jax.Array
+    hub_stiffness: jax.Array  # N m/rad
+
+
+@struct.dataclass
+class FlexParams:
+    """The frame's first mode about each axis."""
+
+    frequency: jax.Array  # rad/s
+    damping: jax.Array  # of critical
+    participation: jax.Array  # share of the angular acceleration that drives it
+
+
+def advance_loss(r: RotorParams, c: MotorConstants, air_velocity: Vec3) -> jax.Array:
+    """Specific force () along body z, m/s^2, that is lost to air coming down on the rotors.
+
+    A propeller's thrust coefficient falls with its advance ratio ``J = V / (n D)`` faster than in
+    proportion (measured curves: Brandt and Selig, "Propeller performance data at low Reynolds
+    numbers", AIAA 2011-1255). The nominal model has the linear part, ``k_z``; this is the rest,
+    ``C_T = C_T0 (1 - c J^2)`` with ``V`` the climb along the rotors' axis: of four rotors
+    ``4 k_w c (60 V / D)^2``, whatever their speed. Nothing in a descent.
+    """
+    climb = jnp.maximum(-air_velocity.z, 0.0)
+    turns = 30.0 * climb / r.radius  # V / D in turns a minute, D = 2 R
+    return 4.0 * c.k_w * r.advance_loss * turns * turns
+
+
+def ground_gain(
+    r: RotorParams, c: MotorConstants, rpm: Rotors, air_velocity: Vec3, altitude: jax.Array
+) -> jax.Array:
+    """Specific force () along body z, m/s^2, that the ground adds; negative, so upwards.
+
+    Cheeseman and Bennett, "The effect of the ground on a helicopter rotor in forward flight",
+    ARC R&M 3021, 1955: ``T / T_free = 1 / (1 - (R / 4 h)^2 / (1 + (V / v_i)^2))`` with the height
+    ``h`` of the disc, the horizontal speed ``V`` and the induced velocity ``v_i``. Four rotors
+    close together count as one disc of their area (``ground`` = 4).
+
+    Args:
+        r: of the rotors.
+        c: of the drone.
+        rpm: propeller speeds, rpm.
+        air_velocity: m/s, body.
+        altitude: () of the centre of gravity above the ground, m.
+    """
+    height = jnp.maximum(altitude + r.height, _NEAREST * r.radius)
+    ratio = r.radius / (4.0 * height)
+    speed = (air_velocity.x * air_velocity.x + air_velocity.y * air_velocity.y) / (
+        r.induced * r.induced
+    )
+    near = jnp.minimum(r.ground * ratio * ratio / (1.0 + speed), 0.5)
+    s = rpm * rpm
+    return -c.k_w * (s.w1 + s.w2 + s.w3 + s.w4) * (near / (1.0 - near))
+
+
+def flapping_moment(
+    r: RotorParams, c: MotorConstants, rpm: Rotors, air_velocity: Vec3, rates: Vec3
+) -> Vec3:
+    """Moment, N m, body, of discs that tilt back from the flow and lag behind the body.
+
+    Mahony, Kumar and Corke, "Multirotor aerial vehicles", IEEE Robotics and Automation Magazine
+    19(3), 2012, and Hoffmann, Huang, Waslander and Tomlin, AIAA 2007-6461: a disc tilts away from
+    the flow by ``a V / (omega R)`` and, on a body that turns at ``q``, lags by
+    ``16 q / (gamma omega)``; the tilt acts through the thrust at the discs' height and through the
+    stiffness of the hubs.
+
+    Arguments as of ``ground_gain``, and the body rates, rad/s.
+    """
+    s = rpm * rpm
+    newtons = r.mass * c.k_w * (s.w1 + s.w2 + s.w3 + s.w4)
+    mean = jnp.maximum(0.25 * (rpm.w1 + rpm.w2 + rpm.w3 + rpm.w4), _LEAST_RPM) / RPM_PER_RAD_S
+    arm = r.flap * (r.height * newtons + r.hub_stiffness)
+    per_speed = r.flap_gain / (mean * r.radius)
+    per_rate = 16.0 / (r.lock_number * mean)
+    roll = -arm * (per_speed * air_velocity.y + per_rate * rates.x)
+    pitch = arm * (per_speed * air_velocity.x - per_rate * rates.y)
+    return Vec3(roll, pitch, jnp.zeros_like(roll))
+
+
+def flex_acceleration(f: FlexParams, angle: Vec3, rate: Vec3, driving: Vec3) -> Vec3:
+    """Second derivative, rad/s^2, of the frame's deflection about each axis.
+
+    A mode of the structure in its own coordinate (Meirovitch, "Fundamentals of vibrations", 2001,
+    chapter 7): ``eta'' + 2 zeta omega eta' + omega^2 eta = -b alpha`` with ``alpha`` the body's
+    angular acceleration. What is mounted on it turns at the body's rates plus ``eta'``.
+
+    Args:
+        f: the mode.
+        angle: deflection, rad.
+        rate: its derivative, rad/s.
+        driving: the rigid body's angular acceleration, rad/s^2.
+    """
+    stiffness, damper = f.frequency * f.frequency, 2.0 * f.damping * f.frequency
+    return driving * (-f.participation) - angle * stiffness - rate * damper

@@ -1,0 +1,127 @@
+"""What the navigation filter believes of the present, with its standard deviations."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.plant import covariance as cov
+from quadjax.plant import quaternion
+from quadjax.plant.covariance import Growth, Transition
+from quadjax.plant.ekf import EkfState, Motion, Sample, advance, keeper
+from quadjax.plant.ekf_params import EkfParams
+from quadjax.plant.matrix import Sym3, apply
+from quadjax.vehicle.frames import attitude
+from quadjax.vehicle.vector import Vec3
+
+
+@struct.dataclass
+class Belief:
+    """Seven vectors: values, or their standard deviations in the same units."""
+
+    position: Vec3  # m, world
+    velocity: Vec3  # m/s, world
+    euler: Vec3  # roll, pitch, yaw, rad
+    rates: Vec3  # rad/s, body
+    specific_force: Vec3  # m/s^2, body
+    gyro_bias: Vec3  # rad/s, body
+    accelerometer_bias: Vec3  # m/s^2, body
+
+
+@struct.dataclass
+class Estimate:
+    """What is believed of the present."""
+
+    value: Belief
+    std: Belief
+
+
+def estimate(params: EkfParams, state: EkfState) -> Estimate:
+    """The present motion of one drone: the delayed estimate carried on over what waits.
+
+    Rates and specific force are the newest sample less its bias, carried on by the low-pass's
+    delay along the last difference. Their standard deviation holds the noise, the bias's and the
+    part that such a straight line misses, from the mean square of recent second differences.
+
+    Args:
+        params: of the filter.
+        state: from ``ekf.init`` or ``ekf.update``.
+    """
+    newest, before, motion = state.newest, state.before, state.motion
+    rates = newest.gyro + (newest.gyro - before.gyro) * params.gyro_lead - motion.gyro_bias
+    force = newest.force + (newest.force - before.force) * params.force_lead - motion.force_bias
+    present = _present(params, state, rates, force)
+    value = Belief(
+        present.position,
+        present.velocity,
+        quaternion.to_euler(present.attitude),
+        rates,
+        force,
+        motion.gyro_bias,
+        motion.force_bias,
+    )
+    return Estimate(value, _deviations(params, state, present, value.euler))
+
+
+def _present(params: EkfParams, state: EkfState, rates: Vec3, force: Vec3) -> Motion:
+    keep, motion, last = keeper(params), state.motion, state.last
+    for sample in state.waiting:
+        motion = keep(_advanced, params.gravity, motion, last, sample)
+        last = sample
+    # The rest of the way without a measurement: rates and force as they are carried on.
+    now = Sample(rates + motion.gyro_bias, force + motion.force_bias, params.late)
+    return keep(_advanced, params.gravity, motion, last, now)
+
+
+def _advanced(gravity: jax.Array, motion: Motion, before: Sample, after: Sample) -> Motion:
+    return advance(gravity, motion, before, after)[0]
+
+
+def _deviations(params: EkfParams, state: EkfState, present: Motion, euler: Vec3) -> Belief:
+    p, motion = state.covariance, state.motion
+    time = params.late + sum(sample.step for sample in state.waiting)
+    fall = params.gravity * time
+    turn = present.velocity - motion.velocity
+    moved = present.position - motion.position - motion.velocity * time
+    ahead = Transition(
+        time, turn.replace(z=turn.z - fall), quaternion.matrix(present.attitude) * time
+    )
+    densities = (params.force_density, params.gyro_density, params.gyro_walk, params.force_walk)
+    growth = Growth(*(density * time for density in densities))
+    moved = moved.replace(z=moved.z - 0.5 * fall * time)
+    position, velocity, turned = cov.variances_ahead(p, ahead, moved, growth)
+    gyro_bias = p.diagonal[cov.GYRO_BIAS].diagonal()
+    force_bias = p.diagonal[cov.FORCE_BIAS].diagonal()
+    variances = Belief(
+        position,
+        velocity,
+        _euler_variances(turned, euler),
+        _missed(params.gyro_variance, params.gyro_lead, gyro_bias, state.unrest.gyro),
+        _missed(params.force_variance, params.force_lead, force_bias, state.unrest.force),
+        gyro_bias,
+        force_bias,
+    )
+    return jax.tree.map(lambda x: jnp.sqrt(jnp.maximum(x, 0.0)), variances)
+
+
+def _missed(noise: jax.Array, lead: jax.Array, bias: Vec3, unrest: Vec3) -> Vec3:
+    """Variances of a measurement carried on by ``lead`` samples along its last difference.
+
+    A straight line misses ``lead (lead + 1) / 2`` second differences. Twice that is allowed for,
+    because they come in jumps, with every new command.
+    """
+    return bias + unrest * (lead * (lead + 1.0)) ** 2 + Vec3(noise, noise, noise)
+
+
+def _euler_variances(turned: Sym3, euler: Vec3) -> Vec3:
+    """Variances of roll, pitch and yaw, rad^2, of the covariance of a turn of the world's axes."""
+    a = attitude(euler)
+    cos_pitch = jnp.maximum(a.cos_pitch, 1e-3)
+    zero = jnp.zeros_like(cos_pitch)
+    tangent = a.sin_pitch / cos_pitch
+    rows = (
+        Vec3(a.cos_yaw / cos_pitch, a.sin_yaw / cos_pitch, zero),
+        Vec3(-a.sin_yaw, a.cos_yaw, zero),
+        Vec3(a.cos_yaw * tangent, a.sin_yaw * tangent, zero + 1.0),
+    )
+    spread = (apply(turned.full(), row) for row in rows)
+    return Vec3(*(r.x * s.x + r.y * s.y + r.z * s.z for r, s in zip(rows, spread, strict=True)))

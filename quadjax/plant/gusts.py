@@ -1,0 +1,91 @@
+"""Dryden turbulence at low altitude, one gust velocity of one drone.
+
+MIL-F-8785C (1980), section 3.7, and MIL-HDBK-1797 (1997), appendix A: white noise through
+
+    H_u = sigma_u sqrt(2 L_u / (pi V)) / (1 + L_u s / V)
+    H_v = sigma_v sqrt(L_v / (pi V)) (1 + sqrt(3) L_v s / V) / (1 + L_v s / V)^2     and so w
+
+with, below 1000 ft at an altitude of h feet, ``L_w = h``, ``L_u = L_v = h / (0.177 + 0.000823
+h)^1.2``, ``sigma_w = 0.1 W_20``, ``sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4``.
+
+The second filter is ``sqrt(3) a + (1 - sqrt(3)) b`` of the noise through one lag, ``a``, and
+through two, ``b``; the states here have unit output, so that a deviation of zero is calm air.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from quadjax.vehicle.vector import Vec3, safe_norm
+
+SQRT3 = float(np.sqrt(3.0))
+METRES_PER_FOOT = 0.3048
+DRAWS = 3  # normal numbers of a step
+START_DRAWS = 6
+
+
+@struct.dataclass
+class GustParams:
+    """Turbulence about a drone."""
+
+    deviation: Vec3  # m/s, of the three components
+    length: Vec3  # m, their scales
+    least_airspeed: jax.Array  # m/s
+    step: jax.Array  # s
+
+
+@struct.dataclass
+class GustState:
+    """Two numbers of memory for each component; of the first, u, the second is not used."""
+
+    first: Vec3
+    second: Vec3
+
+
+def gust_params(
+    wind: float, altitude: float, least_airspeed: float, step: float, strength: float = 1.0
+) -> GustParams:
+    """The turbulence of a wind at 20 ft, m/s, and an altitude, m."""
+    feet = altitude / METRES_PER_FOOT
+    shape = 0.177 + 0.000823 * feet
+    vertical = 0.1 * wind * strength
+    along = vertical / shape**0.4
+    scale = feet / shape**1.2 * METRES_PER_FOOT
+    numbers = ((along, along, vertical), (scale, scale, altitude))
+    deviation, length = (Vec3(*(jnp.float32(x) for x in triple)) for triple in numbers)
+    return GustParams(deviation, length, jnp.float32(least_airspeed), jnp.float32(step))
+
+
+def init(drawn: jax.Array) -> GustState:
+    """Turbulence that has been there for long, of (START_DRAWS,) standard normal numbers."""
+    a, rest = Vec3.of(drawn[0:3]), Vec3.of(drawn[3:6])
+    half = float(np.sqrt(0.5))
+    first = Vec3(a.x, half * a.y, half * a.z)
+    second = first * 0.5 + rest * float(np.sqrt(0.125))
+    return GustState(first, second)
+
+
+def update(params: GustParams, state: GustState, velocity: Vec3, drawn: jax.Array) -> GustState:
+    """The turbulence one step later, of a drone at ``velocity``, m/s, and (DRAWS,) normal numbers.
+
+    The lags of one step are exact for white noise: ``a <- phi a + ..`` with
+    ``phi = exp(-V dt / L)`` keeps the variance whatever the step is.
+    """
+    speed = jnp.maximum(safe_norm(velocity), params.least_airspeed)
+    first, second = [], []
+    for axis in range(3):
+        kept = jnp.exp(-speed * params.step / params.length[axis])
+        variance = 1.0 if axis == 0 else 0.5
+        new = kept * state.first[axis] + jnp.sqrt(variance * (1.0 - kept * kept)) * drawn[axis]
+        middle = 0.5 * (state.first[axis] + new)
+        first.append(new)
+        second.append(kept * state.second[axis] + (1.0 - kept) * middle)
+    return GustState(Vec3(*first), Vec3(*second))
+
+
+def velocity(params: GustParams, state: GustState) -> Vec3:
+    """The gust, m/s: u along north, v along east, w along down."""
+    a, b = state.first, state.second
+    shaped = Vec3(a.x, SQRT3 * a.y + (1.0 - SQRT3) * b.y, SQRT3 * a.z + (1.0 - SQRT3) * b.z)
+    return shaped * params.deviation

@@ -1,0 +1,214 @@
+"""The inner loop on board: body rates and specific thrust to rpm, by incremental inversion.
+
+Smeur, Chu and de Croon, "Adaptive incremental nonlinear dynamic inversion for attitude control of
+micro air vehicles", Journal of Guidance, Control, and Dynamics 39(3), 2016. What the effectiveness
+does not explain of the measured acceleration is taken from the filtered measurement, the rest from
+the rotors' present speeds, both through the same filter ``H``, so that they are of one time::
+
+    alpha = G(omega) + H[ Omega' - G(omega) - G2 omega' ]        (+ G2 omega')
+    T     = T(omega) + H[ -f_z - T(omega) ]
+
+``G`` is the angular acceleration of the rotors' speeds and ``G2`` that of their change, which in
+yaw is the larger; ``f_z`` is the accelerometer. As in the onboard estimator of external moments
+(``quadjax.fit.estimator``), differentiation is part of the filter.
+
+The actuators are first-order lags, ``omega' = (u - omega) / tau``, so that an rpm command is a
+rotor acceleration. Wanted is the one that makes roll, pitch and thrust follow with lags of their
+own, shorter than the motors', and yaw at once, with ``nu = gain (Omega_c - Omega)``::
+
+    G omega'  = (nu - alpha) / moment_lag       T' = (T_c - T) / thrust_lag
+    G2 omega' = nu - alpha                      in yaw
+
+The four rows are solved at the present speeds. With ``x = omega omega'`` the signs of roll, pitch,
+yaw and thrust are orthogonal, so the solution is explicit. Where a motor saturates, roll and pitch
+go first, thrust next and yaw last: each is added as far as it fits.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.fit.estimator import estimator_params
+from quadjax.plant.plant_schema import IndiConfig
+from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.rate import RateCommand
+from quadjax.vehicle.vector import Rotors, Vec3
+
+ROLL = Rotors(1.0, -1.0, -1.0, 1.0)
+PITCH = Rotors(1.0, 1.0, -1.0, -1.0)
+YAW = Rotors(-1.0, 1.0, -1.0, 1.0)
+
+
+@struct.dataclass
+class IndiParams:
+    """Numbers of the inner loop; all of it traced."""
+
+    constants: MotorConstants  # what it believes of the drone
+    feedback: jax.Array  # (2,) of the filter
+    low_pass: jax.Array  # (3,)
+    derivative: jax.Array  # (3,) 1/s
+    rate_gain: Vec3  # 1/s
+    moment_lag: jax.Array  # s
+    thrust_lag: jax.Array  # s
+    least_rpm: jax.Array  # rpm
+
+
+@struct.dataclass
+class Felt:
+    """What the inner loop measures at one sample."""
+
+    gyro: Vec3  # rad/s, body, less its bias
+    force_z: jax.Array  # () m/s^2, accelerometer along body z, less its bias
+    rpm: Rotors  # rpm
+
+
+@struct.dataclass
+class IndiState:
+    """Two numbers of memory for each of the filter's four channels, and the last estimate."""
+
+    memory_1: Vec3
+    memory_2: Vec3
+    thrust_1: jax.Array
+    thrust_2: jax.Array
+    thrust: jax.Array  # () specific thrust as it is estimated now, m/s^2
+
+
+def indi_params(constants: MotorConstants, config: IndiConfig, sample_rate: float) -> IndiParams:
+    """The inner loop of a drone that is believed to have ``constants``, at a rate in Hz."""
+    numbers = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), constants)
+    shared = estimator_params(MotorParams(numbers), sample_rate, config.cutoff)
+    gains = (config.roll_gain, config.pitch_gain, config.yaw_gain)
+    return IndiParams(
+        constants=numbers,
+        feedback=shared.feedback,
+        low_pass=shared.low_pass,
+        derivative=shared.derivative,
+        rate_gain=Vec3(*(jnp.float32(gain) for gain in gains)),
+        moment_lag=jnp.float32(config.moment_lag),
+        thrust_lag=jnp.float32(config.thrust_lag),
+        least_rpm=jnp.float32(config.least_rpm),
+    )
+
+
+def total(signs: Rotors, values: Rotors) -> jax.Array:
+    """Sum () over the rotors of signs times values."""
+    parts = zip(signs.components(), values.components(), strict=True)
+    return sum(sign * value for sign, value in parts)
+
+
+def explained(c: MotorConstants, rpm: Rotors) -> tuple[Vec3, jax.Array]:
+    """Angular acceleration, rad/s^2, and specific thrust (), m/s^2, of the rotors' speeds."""
+    square = rpm * rpm
+    turning = Vec3(
+        total(ROLL, square) * (c.k_p / c.i_xx),
+        total(PITCH, square) * (c.k_q / c.i_yy),
+        total(YAW, rpm) * (c.k_r1 / c.i_zz),
+    )
+    return turning, c.k_w * (square.w1 + square.w2 + square.w3 + square.w4)
+
+
+def _differentiated(c: MotorConstants, felt: Felt) -> Vec3:
+    """Body rates less what the rotors' change of speed turned into yaw, rad/s."""
+    return felt.gyro.replace(z=felt.gyro.z - total(YAW, felt.rpm) * (c.k_r2 / c.i_zz))
+
+
+def init(params: IndiParams, felt: Felt) -> IndiState:
+    """The filter before the first sample: nothing that the model does not explain until now."""
+    steady = _differentiated(params.constants, felt)
+    memory_2 = steady * params.derivative[2]
+    _, thrust = explained(params.constants, felt.rpm)
+    zero = jnp.zeros_like(felt.force_z)
+    memory_1 = steady * params.derivative[1] + memory_2
+    return IndiState(memory_1, memory_2, zero, zero, thrust)
+
+
+def update(
+    params: IndiParams, state: IndiState, felt: Felt, command: RateCommand
+) -> tuple[IndiState, Rotors]:
+    """One sample of the inner loop of one drone.
+
+    Args:
+        params: of the loop.
+        state: from ``init`` or the last ``update``.
+        felt: this sample's measurements.
+        command: body rates, rad/s, and specific thrust, m/s^2, that are wanted.
+
+    Returns:
+        The new state and the rpm commands, within the range of the motors.
+    """
+    c, b, b_d, a = params.constants, params.low_pass, params.derivative, params.feedback
+    turning, lift = explained(c, felt.rpm)
+    rates = _differentiated(c, felt)
+    rest = rates * b_d[0] - turning * b[0] + state.memory_1
+    off = -felt.force_z - lift
+    rest_thrust = off * b[0] + state.thrust_1
+    following = IndiState(
+        memory_1=state.memory_2 + rates * b_d[1] - turning * b[1] - rest * a[0],
+        memory_2=rates * b_d[2] - turning * b[2] - rest * a[1],
+        thrust_1=state.thrust_2 + off * b[1] - rest_thrust * a[0],
+        thrust_2=off * b[2] - rest_thrust * a[1],
+        thrust=lift + rest_thrust,
+    )
+    wanted = (command.rates - felt.gyro) * params.rate_gain - (turning + rest)
+    rise = (command.thrust - following.thrust) / params.thrust_lag
+    return following, allocate(params, felt.rpm, wanted, rise)
+
+
+def allocate(params: IndiParams, rpm: Rotors, wanted: Vec3, rise: jax.Array) -> Rotors:
+    """Rpm commands that give a change of the accelerations, as far as the motors go.
+
+    Args:
+        params: of the loop.
+        rpm: propeller speeds, rpm.
+        wanted: change of the angular acceleration, rad/s^2.
+        rise: () wanted derivative of the specific thrust, m/s^3.
+    """
+    c = params.constants
+    speed = jax.tree.map(lambda w: jnp.maximum(w, params.least_rpm), rpm)
+    low = (rpm * -1.0 + c.rpm_min) * speed / c.tau
+    high = (rpm * -1.0 + c.rpm_max) * speed / c.tau
+    roll = wanted.x * c.i_xx / (8.0 * c.k_p * params.moment_lag)
+    pitch = wanted.y * c.i_yy / (8.0 * c.k_q * params.moment_lag)
+    turn = ROLL * roll + PITCH * pitch
+    turn = turn * _share(turn, low, high)
+    lift = jnp.clip(rise / (8.0 * c.k_w), _most(low - turn), -_most(turn - high))
+    base = turn + lift
+    slowness = jax.tree.map(lambda w: 1.0 / w, speed)
+    coupled = total(YAW, base * slowness)
+    yaw = (wanted.z * (c.i_zz / c.k_r2) - coupled) / total(Rotors.same(1.0), slowness)
+    added = YAW * yaw
+    x = base + added * _fits(base, added, low, high)
+    commands = rpm + x * slowness * c.tau
+    return jax.tree.map(lambda u: jnp.clip(u, c.rpm_min, c.rpm_max), commands)
+
+
+def _most(values: Rotors) -> jax.Array:
+    return jnp.maximum(jnp.maximum(values.w1, values.w2), jnp.maximum(values.w3, values.w4))
+
+
+def _share(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
+    """Largest share () of a turn that fits within the limits with some thrust added to it."""
+    share = jnp.ones_like(turn.w1)
+    for i in range(4):
+        for j in range(4):
+            apart = turn[j] - turn[i]
+            room = high[j] - low[i]
+            fits = room / jnp.where(apart > room, apart, 1.0)
+            share = jnp.where(apart > room, jnp.minimum(share, fits), share)
+    return jnp.maximum(share, 0.0)
+
+
+def _fits(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.Array:
+    """Largest share () of ``added`` that fits within the limits on top of ``base``."""
+    share = jnp.ones_like(base.w1)
+    for b, d, least, most in zip(
+        base.components(), added.components(), low.components(), high.components(), strict=True
+    ):
+        room = jnp.where(d > 0.0, most - b, b - least)
+        size = jnp.abs(d)
+        tight = size > room
+        share = jnp.where(
+            tight, jnp.minimum(share, jnp.maximum(room, 0.0) / jnp.where(tight, size, 1.0)), share
+        )
+    return share

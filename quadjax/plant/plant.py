@@ -1,0 +1,189 @@
+"""The stand-in plant: the motor-level drone with what the training model leaves out.
+
+One drone's functions; batch with ``vmap``. With every strength zero the derivative is that of
+``quadjax.vehicle.motor``.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.plant import effects, gusts, power
+from quadjax.plant.effects import FlexParams, RotorParams
+from quadjax.plant.gusts import GustParams, GustState
+from quadjax.plant.power import PowerParams
+from quadjax.plant.truth import Truth
+from quadjax.vehicle import motor
+from quadjax.vehicle.frames import (
+    attitude,
+    body_to_world,
+    euler_rates,
+    world_to_body,
+    wrap_angle,
+)
+from quadjax.vehicle.integrate import INTEGRATORS
+from quadjax.vehicle.motor import MotorParams, MotorState
+from quadjax.vehicle.stage import Keep, call
+from quadjax.vehicle.vector import Rotors, Vec3
+
+
+@struct.dataclass
+class PlantParams:
+    """Every number of the plant; traced but for what chooses code."""
+
+    vehicle: MotorParams  # the drone's own constants
+    rotor_factor: Rotors  # on each rotor's speed where it makes force and moment
+    rotors: RotorParams
+    power: PowerParams
+    flex: FlexParams
+    gusts: GustParams
+    step: jax.Array  # s, of one sample
+    command_delay: int = struct.field(pytree_node=False, default=0)  # samples
+    measurement_delay: int = struct.field(pytree_node=False, default=0)  # samples
+    substeps: int = struct.field(pytree_node=False, default=1)  # physics steps in a sample
+    integrator: str = struct.field(pytree_node=False, default="rk4")
+
+
+@struct.dataclass
+class Physics:
+    """What is integrated."""
+
+    body: MotorState
+    rpm_rate: Rotors  # rpm/s, where the motors are of second order
+    flex: Vec3  # deflection of the frame, rad
+    flex_rate: Vec3  # rad/s
+    charge: jax.Array  # () left in the battery, 0 to 1
+
+
+@struct.dataclass
+class PlantState:
+    """One drone."""
+
+    physics: Physics
+    gusts: GustState
+    commands: tuple[Rotors, ...]  # on their way to the motors, rpm, the oldest first
+
+
+def begin(params: PlantParams, body: MotorState, charge: jax.Array, drawn: jax.Array) -> PlantState:
+    """A drone that starts as ``body``, nothing bent, commands that hold its propellers' speeds.
+
+    Args:
+        params: of the plant.
+        body: the motion at the start.
+        charge: () of the battery, 0 to 1.
+        drawn: (gusts.START_DRAWS,) standard normal numbers.
+    """
+    physics = Physics(
+        body, jax.tree.map(jnp.zeros_like, body.rpm), Vec3.zero(), Vec3.zero(), charge
+    )
+    return PlantState(physics, gusts.init(drawn), (body.rpm,) * params.command_delay)
+
+
+def forces(
+    params: PlantParams, physics: Physics, rpm_rate: Rotors, air_velocity: Vec3
+) -> tuple[Vec3, Vec3]:
+    """Specific force, m/s^2, and moment, N m, of rotors and air, body frame.
+
+    Args:
+        params: of the plant.
+        physics: the state.
+        rpm_rate: derivatives of the propeller speeds, rpm/s.
+        air_velocity: of the drone through the air, m/s, body.
+    """
+    body, c = physics.body, params.vehicle.constants
+    rpm = body.rpm * params.rotor_factor
+    force, moment = motor.force_moment(params.vehicle, rpm, rpm_rate, air_velocity, body.rates)
+    lost = effects.advance_loss(params.rotors, c, air_velocity)
+    lift = effects.ground_gain(params.rotors, c, rpm, air_velocity, -body.position.z)
+    flapping = effects.flapping_moment(params.rotors, c, rpm, air_velocity, body.rates)
+    return force.replace(z=force.z + (lost + lift)), moment + flapping
+
+
+def derivative(
+    params: PlantParams, physics: Physics, command: Rotors, wind: Vec3, keep: Keep = call
+) -> Physics:
+    """Time derivative under four rpm commands in a wind, m/s, world; as a ``Physics``."""
+    body, c = physics.body, params.vehicle.constants
+    a = keep(attitude, body.euler)
+    air_velocity = keep(world_to_body, a, body.velocity - wind)
+    top = power.reachable(params.power, body.rpm, physics.charge)
+    rpm_rate, rpm_bend = power.rotor_rates(
+        params.power, c.tau, body.rpm, physics.rpm_rate, command, top
+    )
+    force, moment = keep(forces, params, physics, rpm_rate, air_velocity)
+    acceleration = body_to_world(a, force + body.force_ext)
+    turning = motor.angular_acceleration(c, moment + body.moment_ext, body.rates)
+    bend = effects.flex_acceleration(params.flex, physics.flex, physics.flex_rate, turning)
+    return Physics(
+        body=MotorState(
+            position=body.velocity,
+            velocity=acceleration.replace(z=acceleration.z + c.g),
+            euler=euler_rates(a, body.rates),
+            rates=turning,
+            rpm=rpm_rate,
+            moment_ext=Vec3.zero(),
+            force_ext=Vec3.zero(),
+        ),
+        rpm_rate=rpm_bend,
+        flex=physics.flex_rate,
+        flex_rate=bend,
+        charge=power.charge_rate(params.power, body.rpm),
+    )
+
+
+def update(
+    params: PlantParams, state: PlantState, command: Rotors, drawn: jax.Array, keep: Keep = call
+) -> PlantState:
+    """One drone one sample later.
+
+    Args:
+        params: of the plant.
+        state: from ``begin`` or the last ``update``.
+        command: rpm, kept within the range of the drone's motors.
+        drawn: (gusts.DRAWS,) standard normal numbers.
+        keep: calls a function in a way that its values are computed once.
+    """
+    low, high = motor.command_range(params.vehicle.constants)
+    held = jax.tree.map(jnp.clip, command, low, high)
+    applied, *waiting = (*state.commands, held)
+    physics, integrate = state.physics, INTEGRATORS[params.integrator]
+    wind = gusts.velocity(params.gusts, state.gusts)
+
+    def advance(_: int, now: Physics) -> Physics:
+        return integrate(
+            lambda at: keep(derivative, params, at, applied, wind),
+            now,
+            params.step / params.substeps,
+        )
+
+    if params.substeps == 1:
+        physics = advance(0, physics)
+    else:
+        physics = jax.lax.fori_loop(0, params.substeps, advance, physics)
+    euler = physics.body.euler
+    body = physics.body.replace(euler=euler.replace(z=wrap_angle(euler.z)))
+    following = gusts.update(params.gusts, state.gusts, body.velocity, drawn)
+    return PlantState(physics.replace(body=body), following, tuple(waiting))
+
+
+def truth_of(params: PlantParams, state: PlantState) -> Truth:
+    """What is true of the drone where its sensors sit; bent frames turn at their own rate."""
+    physics, body = state.physics, state.physics.body
+    force, _ = loads(params, state)
+    return Truth(
+        position=body.position,
+        velocity=body.velocity,
+        euler=body.euler,
+        rates=body.rates + physics.flex_rate,
+        specific_force=force + body.force_ext,
+        rpm=body.rpm,
+    )
+
+
+def loads(params: PlantParams, state: PlantState) -> tuple[Vec3, Vec3]:
+    """Specific force, m/s^2, and moment, N m, body, less the reaction to rotors that speed up."""
+    body = state.physics.body
+    wind = gusts.velocity(params.gusts, state.gusts)
+    air_velocity = world_to_body(attitude(body.euler), body.velocity - wind)
+    steady = Rotors.same(jnp.zeros(()))
+    return forces(params, state.physics, steady, air_velocity)

@@ -1,0 +1,12 @@
+"""The stand-in plant with all effects off, and with only some."""
+
+import dataclasses
+
+from quadjax.plant.identify import without_effects
+from quadjax.plant.plant_schema import NO_EFFECTS, PlantConfig
+
+OFF = without_effects(PlantConfig())
+
+
+def only(**strengths: float) -> PlantConfig:
+    return dataclasses.replace(OFF, effects=dataclasses.replace(NO_EFFECTS, **strengths))

@@ -1,0 +1,135 @@
+"""Filter states to test with, and known motions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadjax.plant.covariance import Covariance
+from quadjax.plant.ekf import Motion, Sample
+from quadjax.plant.flights import Seen
+from quadjax.plant.matrix import Mat3, Sym3
+from quadjax.plant.quaternion import Quaternion
+from quadjax.plant.sensor_schema import (
+    AccelerometerConfig,
+    EkfConfig,
+    GyroConfig,
+    MocapConfig,
+    NavigationConfig,
+    RpmConfig,
+    SensorsConfig,
+)
+from quadjax.plant.truth import Truth
+from quadjax.vehicle.vector import Rotors, Vec3
+from tests.plant.reference import Nominal
+
+RATE = 500.0
+# Only what makes signals late is left: low-pass filters and latency.
+ONLY_LATE = SensorsConfig(
+    GyroConfig(noise=0.0, bias=0.0, bias_walk=0.0),
+    AccelerometerConfig(noise=0.0, bias=0.0, bias_walk=0.0),
+    RpmConfig(0.0, 0.0),
+    MocapConfig(position_noise=0.0, attitude_noise=0.0, dropout=0.0),
+)
+EXACT = EkfConfig(start_gyro_bias=0.0, start_accelerometer_bias=0.0)
+
+
+def navigation(sensors: SensorsConfig, ekf: EkfConfig = EXACT) -> NavigationConfig:
+    return NavigationConfig(sensors, ekf)
+
+
+def vec3(values: np.ndarray) -> Vec3:
+    return Vec3.of(jnp.asarray(values, jnp.float32))
+
+
+def quaternion_of(rotation: Rotation) -> Quaternion:
+    x, y, z, w = rotation.as_quat()
+    return Quaternion(*(jnp.float32(number) for number in (w, x, y, z)))
+
+
+def rotation_of(q: Quaternion) -> Rotation:
+    return Rotation.from_quat(np.stack([np.float64(x) for x in (q.x, q.y, q.z, q.w)], axis=-1))
+
+
+def random_filter(seed: int) -> tuple[Nominal, np.ndarray, tuple[Sample, Sample]]:
+    """A state in mid-flight, a covariance with every correlation, and two inertial samples."""
+    random = np.random.default_rng(seed)
+    state = Nominal(
+        random.normal(size=3),
+        4.0 * random.normal(size=3),
+        Rotation.random(random_state=seed),
+        0.01 * random.normal(size=3),
+        0.1 * random.normal(size=3),
+    )
+    scales = np.repeat([1e-3, 2e-2, 3e-3, 5e-3, 0.1], 3)
+    root = np.eye(15) + 0.2 * random.normal(size=(15, 15))
+    covariance = scales[:, None] * (root @ root.T) * scales
+    rates, force = 3.0 * random.normal(size=3), np.array([0.5, -0.4, -14.0])
+    samples = tuple(
+        Sample(vec3(rates + 0.1 * change), vec3(force + change), jnp.float32(1.0 / RATE))
+        for change in random.normal(size=(2, 3))
+    )
+    return state, covariance, samples
+
+
+def motion_of(state: Nominal) -> Motion:
+    return Motion(
+        vec3(state.position),
+        vec3(state.velocity),
+        quaternion_of(state.attitude),
+        vec3(state.gyro_bias),
+        vec3(state.force_bias),
+    )
+
+
+def nominal_of(motion: Motion) -> Nominal:
+    vectors = (motion.position, motion.velocity, motion.gyro_bias, motion.force_bias)
+    position, velocity, gyro, force = (np.float64(v.array()) for v in vectors)
+    return Nominal(position, velocity, rotation_of(motion.attitude), gyro, force)
+
+
+def covariance_of(dense: np.ndarray) -> Covariance:
+    def block(i: int, j: int) -> Mat3:
+        return Mat3(*(vec3(row) for row in dense[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]))
+
+    return Covariance(
+        tuple(Sym3.of(block(i, i)) for i in range(5)),
+        tuple(block(i, j) for i in range(5) for j in range(i + 1, 5)),
+    )
+
+
+def correlation(dense: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """A covariance in units of the standard deviations of another."""
+    return dense / np.sqrt(np.outer(np.diag(scale), np.diag(scale)))
+
+
+def loop(samples: int, drones: int, turn_rate: float = 4.0) -> Seen:
+    """Loops at a steady rate, nose over: pitch goes through 90 deg twice in each turn.
+
+    Samples first, drones last; the first sample is the start.
+    """
+    time = np.arange(samples) / RATE
+    angle = turn_rate * time
+    radius, zero = 1.5, np.zeros_like(time)
+    # Round a circle in the plane y = 0, the body's z axis pointing outwards: x forward.
+    position = radius * np.stack([np.sin(angle), zero, np.cos(angle)])
+    velocity = radius * turn_rate * np.stack([np.cos(angle), zero, -np.sin(angle)])
+    outward = position / radius
+    acceleration = -radius * turn_rate**2 * outward
+    body = Rotation.from_rotvec(np.stack([zero, angle, zero], axis=-1))
+    force = body.inv().apply(acceleration.T - np.array([0.0, 0.0, 9.81])).T
+    yaw, pitch, roll = body.as_euler("ZYX").T
+    rates = np.stack([zero, zero + turn_rate, zero])
+
+    def each(rows: np.ndarray) -> Vec3:
+        wide = np.broadcast_to(rows[:, :, None], (3, samples, drones))
+        return Vec3(*(jnp.asarray(row, jnp.float32) for row in wide))
+
+    euler = np.stack([roll, pitch, yaw])
+    rpm = Rotors.same(jnp.full((samples, drones), 7000.0))
+    truth = Truth(*(each(x) for x in (position, velocity, euler, rates, force)), rpm)
+    return Seen(truth, jnp.zeros((samples, drones), bool))
+
+
+def at(tree: object, index: object) -> object:
+    return jax.tree.map(lambda x: x[index], tree)

@@ -1,0 +1,113 @@
+"""Motors, battery, frame and gusts of the stand-in plant, each as its source says."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import periodogram
+
+from quadjax.plant import effects, gusts, power
+from quadjax.plant.build import build_plant
+from quadjax.vehicle.vector import Rotors, Vec3
+from tests import reference as ref
+from tests.plant import effects_reference as source
+from tests.plant.standin import OFF, only
+
+
+def test_motors_answer_in_second_order():
+    params = build_plant(only(motors=1.0)).power
+    lag, tau = float(params.lag), 0.06
+    dt, count = 1e-4, 3000
+
+    def one(carry, _):
+        w, rate = carry
+        u = Rotors.same(jnp.float32(8000.0))
+        a, b = power.rotor_rates(params, jnp.float32(tau), w, rate, u, jnp.inf)
+        following = (w + a * dt, rate + b * dt)
+        return following, following[0].w1
+
+    start = (Rotors.same(jnp.float32(7000.0)), Rotors.same(jnp.float32(0.0)))
+    flown = np.asarray(jax.jit(lambda: jax.lax.scan(one, start, None, count)[1])())
+    hover, short = float(params.hover), float(params.shortfall)
+    end = 8000.0 - short * (8000.0 - hover)
+    time = dt * np.arange(1, count + 1)
+    expected = 7000.0 + (end - 7000.0) * source.second_order(tau, lag, time)
+    assert np.abs(flown - expected).max() < 3.0
+    first = 7000.0 + (8000.0 - 7000.0) * (1.0 - np.exp(-time / tau))
+    early = time < 0.01
+    assert np.all(flown[early] < first[early])  # later than the model, and never quite there
+    assert short > 0 and flown[-1] < 8000.0 - 5.0
+
+
+def test_the_battery_lowers_what_can_be_reached():
+    config = only(battery=1.0)
+    p, b = build_plant(config).power, config.battery
+    rpm = Rotors.same(jnp.float32(9000.0))
+    found = float(power.reachable(p, rpm, jnp.float32(0.7)))
+    current = b.hover_current * (9000.0 / np.sqrt(9.81 / (4.0 * ref.MOTOR["k_w"]))) ** 3
+    volts = b.voltage - b.drop * 0.3 - b.resistance * current
+    assert found == pytest.approx(b.rpm_full * volts / b.voltage, rel=1e-5)
+    assert float(power.charge_rate(p, rpm)) == pytest.approx(-current / 3600 / b.capacity, rel=1e-5)
+    assert np.isinf(float(power.reachable(build_plant(OFF).power, rpm, jnp.float32(0.0))))
+
+
+def test_the_frame_rings_at_its_frequency():
+    """After a blow the deflection swings at the damped frequency and dies as the damping says."""
+    config = only(flex=1.0)
+    params = build_plant(config)
+    f, zero = config.flex, jnp.zeros(())
+    omega, dt, count = 2.0 * np.pi * f.frequency, 1e-4, 2000
+
+    def one(carry, _):
+        angle, rate = carry
+        still = Vec3(zero, zero, zero)
+        bend = effects.flex_acceleration(params.flex, angle, rate, still)
+        rate = rate + bend * dt
+        return (angle + rate * dt, rate), angle.x
+
+    start = (Vec3(zero, zero, zero), Vec3(zero + 1.0, zero, zero))
+    flown = np.asarray(jax.jit(lambda: jax.lax.scan(one, start, None, count)[1])())
+    time = dt * np.arange(count)
+    damped = omega * np.sqrt(1.0 - f.damping**2)
+    expected = np.exp(-f.damping * omega * time) * np.sin(damped * time) / damped
+    assert np.abs(flown - expected).max() < 0.02 / omega
+    driven = effects.flex_acceleration(
+        params.flex, Vec3(zero, zero, zero), Vec3(zero, zero, zero), Vec3(zero + 1.0, zero, zero)
+    )
+    assert float(driven.x) == pytest.approx(-f.participation)
+
+
+def test_gusts_have_drydens_spread_and_spectrum():
+    wind, altitude, speed, step = 5.0, 6.1, 6.0, 0.02
+    params = gusts.gust_params(wind, altitude, 1.0, step)
+    feet = altitude / 0.3048
+    along = 0.1 * wind / (0.177 + 0.000823 * feet) ** 0.4
+    length = feet / (0.177 + 0.000823 * feet) ** 1.2 * 0.3048
+    runs, count = 256, 2048
+    moving = Vec3(jnp.float32(speed), jnp.float32(0.0), jnp.float32(0.0))
+
+    @jax.jit
+    def fly(key):
+        start = jax.vmap(gusts.init, -1, -1)(jax.random.normal(key, (gusts.START_DRAWS, runs)))
+
+        def one(state, key):
+            drawn = jax.random.normal(key, (gusts.DRAWS, runs))
+            update = jax.vmap(gusts.update, (None, -1, None, -1), -1)
+            state = update(params, state, moving, drawn)
+            return state, gusts.velocity(params, state).array()
+
+        return jax.lax.scan(one, start, jax.random.split(key, count))[1]
+
+    flown = np.asarray(fly(jax.random.key(0)), np.float64)  # (time, runs, 3)
+    deviations, lengths = (along, along, 0.1 * wind), (length, length, altitude)
+    np.testing.assert_allclose(flown.std(axis=(0, 1)), deviations, rtol=0.08)
+    hertz, density = periodogram(flown, 1.0 / step, window="hann", axis=0)
+    frequency, density = 2.0 * np.pi * hertz, density / (2.0 * np.pi)
+    for axis in range(3):
+        for low, high in ((1.0, 2.0), (4.0, 8.0)):
+            band = (frequency > low) & (frequency < high)
+            expected = source.dryden_power(
+                deviations[axis], lengths[axis], speed, frequency[band], axis == 0
+            )
+            found = density[band, :, axis].mean()
+            assert found == pytest.approx(expected.mean(), rel=0.12)

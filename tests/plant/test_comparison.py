@@ -1,0 +1,83 @@
+"""The comparison's numbers: progress, first-order models, and the ablation's list."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadjax.config import load_config
+from quadjax.plant.ablation import VARIANTS, present
+from quadjax.plant.comparison_figures import first_order, progress
+from tests import reference as ref
+
+ROOT = Path(__file__).resolve().parents[2]
+COMPARE = ROOT / "scripts" / "compare.py"
+
+
+def test_progress_grows_from_gate_to_gate():
+    """Straight from the last gate through the first two, at an even speed."""
+    corners = ref.GATES[[3, 0, 1]]
+    parts = np.linspace(0.0, 1.0, 50)[:, None]
+    legs = [a + parts * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)]
+    target = np.repeat([0, 1], 50)
+    made = progress(np.concatenate(legs), target, ref.GATES)
+    assert made[0] == 0.0 and made[-1] == pytest.approx(0.5)
+    assert np.all(np.diff(made) >= -1e-12)
+    np.testing.assert_allclose(made[25], 0.125, atol=0.005)
+
+
+def test_a_first_order_lag_of_held_commands():
+    dt, tau = 0.002, 0.06
+    command = np.full((200, 2), 5.0)
+    made = first_order(command, np.array([1.0, 5.0]), tau, dt)
+    time = dt * np.arange(200)
+    np.testing.assert_allclose(made[:, 0], 5.0 - 4.0 * np.exp(-time / tau), rtol=1e-9)
+    np.testing.assert_allclose(made[:, 1], 5.0)
+
+
+def test_the_ablation_has_what_the_paper_argues():
+    lines = {(variant.group, variant.label) for variant in VARIANTS}
+    assert {("residual", "with"), ("residual", "without")} <= lines
+    assert {("disturbance input", x) for x in ("true", "estimated", "none")} <= lines
+    assert {("randomisation", f"{x}%") for x in (0, 10, 20, 30)} <= lines
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: f"{v.group} {v.label}")
+def test_its_policies_can_be_trained(variant, monkeypatch):
+    """The words are a config that the schema takes, but for a residual that is made elsewhere."""
+    monkeypatch.chdir(ROOT)
+    config, *words = variant.training
+    read = load_config(ROOT / config, [f"name={variant.policy}", *words])
+    assert read.name == variant.policy and read.vehicle.kind == "motor"
+    assert variant.policy in variant.command() and config in variant.command()
+
+
+def test_what_is_missing_is_known(tmp_path):
+    (tmp_path / "e2e_told.npz").write_bytes(b"")
+    have, missing = present(tmp_path)
+    assert {variant.policy for variant in have} == {"e2e_told"} and len(have) == 3
+    assert len(have) + len(missing) == len(VARIANTS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        (["--parts", "tables"], "--parts"),
+        (["--e2e", "missing.npz"], "missing.npz"),
+        (["--e2e", "INDI"], "a policy for the rate"),
+        (["effects.wind=1"], "effects.wind"),
+        (["--runs", "0"], "--runs"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(monkeypatch, capsys, arguments, names):
+    indi = str(ROOT / "quadjax" / "pretrained" / "indi.npz")
+    given = [indi if word == "INDI" else word for word in arguments]
+    words = [str(COMPARE), str(ROOT / "configs" / "plant" / "standin.yaml"), *given]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(COMPARE), run_name="__main__")
+    assert end.value.code == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("error: ") and names in lines[0]

@@ -1,0 +1,213 @@
+"""The stand-in plant's physics: the training model with all off, and each effect as its source."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.errors import InputError
+from quadjax.plant import effects, gusts, plant
+from quadjax.plant.build import build_plant, drawn_factors
+from quadjax.plant.plant_schema import PlantConfig, load_plant_config
+from quadjax.vehicle import motor
+from quadjax.vehicle.frames import wrap_angle
+from quadjax.vehicle.integrate import euler_step
+from quadjax.vehicle.vector import Rotors, Vec3
+from tests import reference as ref
+from tests.convert import command_of, rotors, rows_of, state_of, vec3
+from tests.plant import effects_reference as source
+from tests.plant.standin import OFF, only
+
+COUNT = 200
+
+
+def physics_of(rows: np.ndarray, charge: float = 1.0) -> plant.Physics:
+    body = state_of("motor", rows.astype(np.float32))
+    zero = jnp.zeros(len(rows), jnp.float32)
+    still, straight = Rotors.same(zero), Vec3(zero, zero, zero)
+    return plant.Physics(body, still, straight, straight, zero + charge)
+
+
+@functools.cache
+def compiled_slope():
+    return jax.jit(jax.vmap(plant.derivative, in_axes=(None, 0, 0, None)))
+
+
+def slope(config: PlantConfig, rows: np.ndarray, commands: np.ndarray, **physics: object):
+    params = build_plant(config)
+    state = physics_of(rows).replace(**physics)
+    u = command_of("motor", commands.astype(np.float32))
+    return compiled_slope()(params, state, u, Vec3(*jnp.zeros((3,), jnp.float32)))
+
+
+@pytest.fixture(scope="module")
+def rows():
+    drawn = ref.random_states("motor", COUNT)
+    drawn[:, 2] = np.random.default_rng(5).uniform(-3.0, -0.05, COUNT)
+    return drawn
+
+
+@pytest.fixture(scope="module")
+def commands():
+    return ref.random_commands("motor", COUNT)
+
+
+def agree(found, expected, tolerance=1e-6):
+    scale = np.maximum(np.abs(expected).max(axis=0), 1e-3)
+    assert np.max(np.abs(np.asarray(found, np.float64) - expected) / scale) < tolerance
+
+
+def test_with_all_off_its_derivative_is_the_training_models(rows, commands):
+    found = slope(OFF, rows, commands)
+    agree(rows_of(found.body), ref.motor_derivative(ref.MOTOR, rows, commands), 2e-6)
+    for left in jax.tree.leaves((found.rpm_rate, found.flex, found.flex_rate, found.charge)):
+        assert not np.any(np.asarray(left))
+
+
+def test_with_all_off_it_flies_as_the_training_model():
+    """A second of flight in the training's own steps, to 1e-6."""
+    with jax.enable_x64(True):  # so that what is left is not the rounding of two programs
+        found, expected = _flown_both_ways()
+    assert np.ptp(expected[..., ref.V]) > 1.0
+    agree(found.reshape(-1, 22), expected.reshape(-1, 22))
+
+
+def _flown_both_ways() -> tuple[np.ndarray, np.ndarray]:
+    config = dataclasses.replace(OFF, sample_rate=100.0, control_rate=100.0, integrator="euler")
+    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), build_plant(config))
+    start = state_of("motor", ref.random_states("motor", 8) * 0.2)
+    u = Rotors(*(8000.0 + 500.0 * jnp.sin(jnp.arange(100.0) + k) for k in range(4)))
+    none = jnp.zeros(gusts.START_DRAWS)
+
+    def plants(body, u):
+        state = plant.begin(params, body, jnp.ones(()), none)
+
+        def one(state, u):
+            state = plant.update(params, state, u, none[: gusts.DRAWS])
+            return state, state.physics.body
+
+        return jax.lax.scan(one, state, u)[1]
+
+    def models(body, u):
+        def one(body, u):
+            body = euler_step(lambda at: motor.derivative(params.vehicle, at, u), body, params.step)
+            body = body.replace(euler=body.euler.replace(z=wrap_angle(body.euler.z)))
+            return body, body
+
+        return jax.lax.scan(one, body, u)[1]
+
+    both = jax.jit(jax.vmap(lambda body, u: (plants(body, u), models(body, u)), (0, None)))
+    found, expected = (rows_of(states) for states in both(start, u))
+    return found, expected
+
+
+def parts(params: object) -> dict:
+    return {key: np.float64(value) for key, value in vars(params).items()}
+
+
+def test_air_from_above_takes_thrust(rows, commands):
+    params = build_plant(only(inflow=1.0))
+    climb = np.linspace(-6.0, 10.0, 50)
+    zero = jnp.zeros(50, jnp.float32)
+    air = Vec3(zero, zero, jnp.asarray(-climb, jnp.float32))
+    found = effects.advance_loss(params.rotors, params.vehicle.constants, air)
+    agree(found, source.advance_loss(ref.MOTOR, parts(params.rotors), climb))
+    assert np.all(np.asarray(found)[climb <= 0] == 0.0) and np.all(
+        np.diff(found)[climb[1:] > 0] > 0
+    )
+    # At 5 m/s of climb it is about a tenth of the weight, and it points down.
+    level = rows[:1] * 0.0
+    level[:, ref.RPM], level[0, 5] = 7497.0, -5.0
+    hover = np.full((1, 4), 7497.0)
+    lost = slope(only(inflow=1.0), level, hover).body.velocity.z
+    lost = float(lost[0] - slope(OFF, level, hover).body.velocity.z[0])
+    assert 0.5 < lost < 2.0
+
+
+def test_ground_effect_is_cheeseman_and_bennetts():
+    params = build_plant(only(ground=1.0))
+    altitude = np.linspace(0.05, 1.0, 40)
+    speed = np.linspace(0.0, 8.0, 40)
+    zero = jnp.zeros(40, jnp.float32)
+    rpm = Rotors.same(zero + 7497.0)
+    air = Vec3(jnp.asarray(0.6 * speed, jnp.float32), jnp.asarray(0.8 * speed, jnp.float32), zero)
+    c = params.vehicle.constants
+    found = effects.ground_gain(params.rotors, c, rpm, air, jnp.asarray(altitude, jnp.float32))
+    thrust = 4.0 * ref.MOTOR["k_w"] * 7497.0**2
+    ratio = source.ground_ratio(parts(params.rotors), altitude, speed)
+    agree(found, -thrust * (ratio - 1.0), 1e-5)
+    assert found[0] < -1.0 and abs(found[-1]) < 0.02
+
+
+def test_discs_tilt_back_and_lag_behind(rows, commands):
+    params = build_plant(only(flapping=1.0))
+    v, rates = rows[:, ref.V], rows[:, ref.RATES]
+    found = effects.flapping_moment(
+        params.rotors,
+        params.vehicle.constants,
+        rotors(rows[:, ref.RPM].astype(np.float32)),
+        vec3(v.astype(np.float32)),
+        vec3(rates.astype(np.float32)),
+    )
+    expected = source.flapping(ref.MOTOR, parts(params.rotors), rows[:, ref.RPM], v, rates)
+    agree(np.stack([np.asarray(x) for x in found.components()], 1), expected, 1e-5)
+    # Forward flight pitches the nose up, as k_qv does; a turning body is damped.
+    level = np.zeros((1, 22))
+    level[:, ref.RPM], level[0, 3] = 7497.0, 5.0
+    hover = np.full((1, 4), 7497.0)
+    on, off = slope(only(flapping=1.0), level, hover), slope(OFF, level, hover)
+    assert float(on.body.rates.y[0] - off.body.rates.y[0]) > 0.1
+
+
+def test_commands_arrive_late():
+    config = dataclasses.replace(OFF, delay=dataclasses.replace(OFF.delay, command=0.006))
+    params = build_plant(config)
+    assert params.command_delay == 3
+    body = state_of("motor", np.zeros(22, np.float32) + np.eye(22, dtype=np.float32)[12] * 0)
+    body = body.replace(rpm=Rotors.same(jnp.float32(7000.0)))
+    none = jnp.zeros(gusts.START_DRAWS)
+    state = plant.begin(params, body, jnp.ones(()), none)
+    update = jax.jit(plant.update)
+    speeds = []
+    for _ in range(5):
+        state = update(params, state, Rotors.same(jnp.float32(9000.0)), none[: gusts.DRAWS])
+        speeds.append(float(state.physics.body.rpm.w1))
+    assert speeds[:3] == [7000.0] * 3 and speeds[3] > 7000.0
+
+
+def test_constants_are_drawn_once_within_their_spread():
+    config = only(constants=1.0)
+    factors, rotor_factors = drawn_factors(config)
+    values = np.array(list(factors.values()))
+    assert np.abs(values - 1.0).max() <= config.constants.spread and values.std() > 0.005
+    assert not {"g", "rpm_min", "rpm_max"} & set(factors)
+    assert drawn_factors(config)[0] == factors and np.ptp(rotor_factors) > 0
+    other = dataclasses.replace(config, constants=dataclasses.replace(config.constants, seed=9))
+    assert drawn_factors(other)[0] != factors
+    off, level = drawn_factors(OFF)
+    assert set(off.values()) == {1.0} and np.all(level == 1.0)
+
+
+@pytest.mark.parametrize(
+    ("word", "names"),
+    [
+        ("control_rate=300", "control_rate"),
+        ("sample_rate=400", "sample_rate"),
+        ("substeps=0", "substeps"),
+        ("navigation=gps", "navigation"),
+        ("effects.flapping=-1", "effects.flapping"),
+        ("effects.noise=1", "effects.noise"),
+        ("battery.charge=[1.0,0.5]", "battery.charge"),
+        ("delay.command=1.0", "delay.command"),
+        ("indi.cutoff=400", "indi.cutoff"),
+        ("rotors.radius=0", "rotors.radius"),
+        ("sensors.mocap.rate=0", "sensors.mocap.rate"),
+    ],
+)
+def test_impossible_values_are_one_line(word, names):
+    with pytest.raises(InputError) as error:
+        load_plant_config("configs/plant/standin.yaml", [word])
+    assert names in str(error.value) and "\n" not in str(error.value)
