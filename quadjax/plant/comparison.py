@@ -64,7 +64,7 @@ def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
     report(f"{own.name}: simulator")
     race = pilot.Race(setting.laps, setting.runs, seed=setting.seed)
     config = race_config(setting.race, own.policy)
-    simulated, trace = pilot.fly_policy(config, own.policy, race, False, True, own.file)
+    simulated, trace = pilot.fly_policy(config, own.policy, race, True, True, own.file)
     report(f"{own.name}: stand-in plant")
     return Compared(own, simulated, trace, fly(setting, setting.plant, own))
 

@@ -72,7 +72,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("config", help="YAML file of configs/plant")
     parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
     parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
-    parser.add_argument("--race", default=str(REPOSITORY_CONFIGS / "e2e.yaml"), metavar="FILE")
+    parser.add_argument("--race", default=str(REPOSITORY_CONFIGS / "e2e_shac.yaml"), metavar="FILE")
     parser.add_argument("--flights", type=count, default=4, help="of each policy")
     parser.add_argument("--laps", type=count, default=6)
     parser.add_argument("--seed", type=seed, default=0)
