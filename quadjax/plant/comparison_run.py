@@ -94,7 +94,7 @@ def _table(setting: Setting, e2e: Compared, indi: Compared, result: dict) -> lis
     held = simulated_saturation(e2e.trace, low, high)
     result["E2E"]["commands at a limit, simulated"] = held
     both = [*rows(e2e), *rows(indi)]
-    table = format_table(both, published_rows(setting.race.track, setting.laps))
+    table = format_table(both, published_rows(setting.race, setting.laps))
     notes = [
         f"mean and best of {FLIGHTS} flights on the stand-in plant; finished: of all runs",
         lead(e2e, indi),

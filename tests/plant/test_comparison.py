@@ -3,17 +3,53 @@
 import runpy
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadjax.config import load_config
+from quadjax.evaluate.laps import Laps
 from quadjax.plant.ablation import VARIANTS, present
+from quadjax.plant.comparison import Compared, Setting, contender
 from quadjax.plant.comparison_figures import first_order, progress
+from quadjax.plant.comparison_run import _table
+from quadjax.plant.plant_schema import PlantConfig
+from quadjax.plant.race import Flights
+from quadjax.vehicle.vector import Rotors
 from tests import reference as ref
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPARE = ROOT / "scripts" / "compare.py"
+
+
+def compared(name: str, file: str, lap: float, crashes: tuple[str, ...]) -> Compared:
+    """Six laps of ``lap`` s simulated and 0.1 s more on the plant; all rpm commands at 11000."""
+    simulated = Laps(np.full((2, 6), lap), ("", ""), np.full(2, 6 * lap))
+    times = np.full((len(crashes), 6), lap + 0.1)
+    times[[bool(crash) for crash in crashes], 3:] = np.nan
+    flown = Laps(times, crashes, np.nansum(times, axis=1))
+    over = np.zeros((10, 1), bool)
+    frames = SimpleNamespace(rpm_command=Rotors.same(np.full((10, 1), 11000.0)), over=over)
+    trace = SimpleNamespace(command=np.full((10, 4, 1), 7000.0), over=over)
+    own = contender(name, str(ROOT / "quadjax" / "pretrained" / file))
+    return Compared(own, simulated, trace, Flights(flown, frames, 0.002))
+
+
+def test_the_table_stands_beside_the_published_one():
+    setting = Setting(load_config(ROOT / "configs" / "e2e.yaml"), PlantConfig(), runs=6)
+    e2e = compared("E2E", "e2e.npz", 2.5, ("",) * 5 + ("hit a gate",))
+    indi = compared("INDI", "indi.npz", 2.75, ("",) * 6)
+    text = _table(setting, e2e, indi, {})[0]
+    for line in (
+        "E2E stand-in plant, mean of 5",
+        "E2E flown, mean of 5",
+        "5/6",
+        "E2E's lead over INDI: +1.50 s simulated, +1.50 s on the stand-in plant",
+        "0% simulated, 100% on the stand-in plant",
+        "E2E on the stand-in plant, early ends: hit a gate 1",
+    ):
+        assert line in text, text
 
 
 def test_progress_grows_from_gate_to_gate():
