@@ -1,7 +1,7 @@
 """E2E and INDI in the simulator and on the stand-in plant: flights, rows and numbers."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -99,21 +99,28 @@ def all_runs_row(label: str, laps: Laps) -> Row:
     return lap_row(label, laps)
 
 
-def without_each(setting: Setting, own: Contender, report: Report) -> dict[str, Laps]:
-    """The plant as it is, and with each effect in turn switched off."""
+def changed_plants(plant: PlantConfig) -> dict[str, PlantConfig]:
+    """The plant with each effect in turn switched off, without delays, and with true states."""
     result = {}
     for name in EFFECTS:
-        report(f"{own.name}: stand-in plant without {name}")
-        off = dataclasses.replace(setting.plant.effects, **{name: 0.0})
-        plant = dataclasses.replace(setting.plant, effects=off)
-        result[f"without {name}"] = fly(setting, plant, own).laps
-    report(f"{own.name}: stand-in plant without delays")
-    delay = dataclasses.replace(setting.plant.delay, command=0.0, measurement=0.0)
-    plant = dataclasses.replace(setting.plant, delay=delay)
-    result["without delays"] = fly(setting, plant, own).laps
-    report(f"{own.name}: stand-in plant with the truth for estimates")
-    plant = dataclasses.replace(setting.plant, navigation="truth", disturbance_input="true")
-    result["with true states"] = fly(setting, plant, own).laps
+        off = dataclasses.replace(plant.effects, **{name: 0.0})
+        result[f"without {name}"] = dataclasses.replace(plant, effects=off)
+    delay = dataclasses.replace(plant.delay, command=0.0, measurement=0.0)
+    result["without delays"] = dataclasses.replace(plant, delay=delay)
+    truth = {"navigation": "truth", "disturbance_input": "true"}
+    result["with true states"] = dataclasses.replace(plant, **truth)
+    return result
+
+
+def without_each(
+    setting: Setting, own: Contender, report: Report, only: Sequence[str] | None = None
+) -> dict[str, Laps]:
+    """A contender on each of ``changed_plants``, or on those that ``only`` names."""
+    result = {}
+    for label, plant in changed_plants(setting.plant).items():
+        if only is None or label in only:
+            report(f"{own.name}: stand-in plant {label}")
+            result[label] = fly(setting, plant, own).laps
     return result
 
 

@@ -11,10 +11,10 @@ import pytest
 from quadjax.config import load_config
 from quadjax.evaluate.laps import Laps
 from quadjax.plant.ablation import VARIANTS, present
-from quadjax.plant.comparison import Compared, Setting, contender
+from quadjax.plant.comparison import Compared, Setting, changed_plants, contender
 from quadjax.plant.comparison_figures import first_order, progress
-from quadjax.plant.comparison_run import _table
-from quadjax.plant.plant_schema import PlantConfig
+from quadjax.plant.comparison_run import best_recorded, limit_shares, table_text
+from quadjax.plant.plant_schema import NO_EFFECTS, PlantConfig
 from quadjax.plant.race import Flights
 from quadjax.vehicle.vector import Rotors
 from tests import reference as ref
@@ -40,7 +40,7 @@ def test_the_table_stands_beside_the_published_one():
     setting = Setting(load_config(ROOT / "configs" / "e2e.yaml"), PlantConfig(), runs=6)
     e2e = compared("E2E", "e2e.npz", 2.5, ("",) * 5 + ("hit a gate",))
     indi = compared("INDI", "indi.npz", 2.75, ("",) * 6)
-    text = _table(setting, e2e, indi, {})[0]
+    text = table_text(setting, e2e, indi)
     for line in (
         "E2E stand-in plant, mean of 5",
         "E2E flown, mean of 5",
@@ -50,6 +50,24 @@ def test_the_table_stands_beside_the_published_one():
         "E2E on the stand-in plant, early ends: hit a gate 1",
     ):
         assert line in text, text
+    assert limit_shares(setting, e2e) == (1.0, 0.0)
+    assert limit_shares(setting, indi) == (1.0, None)
+
+
+def test_the_best_recorded_flight_has_the_most_laps():
+    times = np.array([[2.0, np.nan], [3.0, 3.0], [2.5, 2.5], [2.0, np.nan], [3.0, 2.9], [1.0, 1.0]])
+    assert best_recorded(Laps(times, ("",) * 6, np.zeros(6))) == 2  # the sixth is not recorded
+
+
+def test_each_change_of_the_plant_switches_one_thing_off():
+    plants = changed_plants(PlantConfig())
+    effects = {name: getattr(PlantConfig().effects, name) for name in vars(NO_EFFECTS)}
+    for name in effects:
+        changed = plants.pop(f"without {name}")
+        assert vars(changed.effects) == effects | {name: 0.0}
+    still, known = plants.pop("without delays"), plants.pop("with true states")
+    assert still.delay.command == still.delay.measurement == 0.0 and not plants
+    assert (known.navigation, known.disturbance_input) == ("truth", "true")
 
 
 def test_progress_grows_from_gate_to_gate():
