@@ -78,7 +78,7 @@ def write_animation(
                 duration=durations,
                 loop=0,
                 disposal=1,
-                optimize=False,
+                optimize=True,  # what stands still is not written again
             )
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error

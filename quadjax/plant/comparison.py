@@ -151,14 +151,21 @@ def simulated_saturation(trace: Trace, low: float, high: float) -> float:
 
 
 def lead(e2e: Compared, indi: Compared) -> str:
-    """Where E2E's lead in the simulator goes on the plant, as a line of text."""
-    sets = [lap_row("", laps) for laps in (e2e.simulated, indi.simulated)]
-    sets += [lap_row("", laps) for laps in (e2e.flown.laps, indi.flown.laps)]
-    before, after = (np.array(sets[i + 1].laps) - np.array(sets[i].laps) for i in (0, 2))
-    total_before, total_after = (sets[i + 1].total - sets[i].total for i in (0, 2))
-    later = slice(1, None)
+    """Where E2E's lead in the simulator goes on the plant, as a line of text; + where E2E leads."""
+    worlds = {
+        "simulated": (e2e.simulated, indi.simulated),
+        "on the stand-in plant": (e2e.flown.laps, indi.flown.laps),
+    }
+    totals, firsts, later = [], [], []
+    for world, both in worlds.items():
+        for own, laps in zip((e2e, indi), both, strict=True):
+            if not laps.finished:
+                return f"E2E's lead over INDI: {own.contender.name} finished no run {world}"
+        ahead = np.subtract(*(lap_row("", laps).laps for laps in reversed(both)))
+        totals.append(f"{ahead.sum():+.2f} s {world}")
+        firsts.append(f"{ahead[0]:+.2f}")
+        later.append(f"{ahead[1:].mean() if len(ahead) > 1 else np.nan:+.2f}")
     return (
-        f"E2E's lead over INDI: {total_before:+.2f} s simulated, {total_after:+.2f} s on the "
-        f"stand-in plant; first lap {before[0]:+.2f} -> {after[0]:+.2f} s, each later lap "
-        f"{before[later].mean():+.2f} -> {after[later].mean():+.2f} s"
+        f"E2E's lead over INDI: {', '.join(totals)}; first lap {' -> '.join(firsts)} s, each later "
+        f"lap {' -> '.join(later)} s"
     )

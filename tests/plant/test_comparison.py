@@ -11,7 +11,7 @@ import pytest
 from quadjax.config import load_config
 from quadjax.evaluate.laps import Laps
 from quadjax.plant.ablation import VARIANTS, present
-from quadjax.plant.comparison import Compared, Setting, changed_plants, contender
+from quadjax.plant.comparison import Compared, Setting, changed_plants, contender, lead
 from quadjax.plant.comparison_figures import first_order, progress
 from quadjax.plant.comparison_run import best_recorded, limit_shares, table_text
 from quadjax.plant.plant_schema import NO_EFFECTS, PlantConfig
@@ -45,13 +45,20 @@ def test_the_table_stands_beside_the_published_one():
         "E2E stand-in plant, mean of 5",
         "E2E flown, mean of 5",
         "5/6",
-        "E2E's lead over INDI: +1.50 s simulated, +1.50 s on the stand-in plant",
+        "E2E's lead over INDI: +1.50 s simulated, +1.50 s on the stand-in plant; "
+        "first lap +0.25 -> +0.25 s, each later lap +0.25 -> +0.25 s",
         "0% simulated, 100% on the stand-in plant",
         "E2E on the stand-in plant, early ends: hit a gate 1",
     ):
         assert line in text, text
     assert limit_shares(setting, e2e) == (1.0, 0.0)
     assert limit_shares(setting, indi) == (1.0, None)
+
+
+def test_no_lead_where_nobody_finished():
+    e2e = compared("E2E", "e2e.npz", 2.5, ("",) * 6)
+    indi = compared("INDI", "indi.npz", 2.75, ("hit a gate",) * 6)
+    assert lead(e2e, indi).endswith("INDI finished no run on the stand-in plant")
 
 
 def test_the_best_recorded_flight_has_the_most_laps():
