@@ -25,6 +25,7 @@ WIDTH, HEIGHT = 960, 440  # px
 SMOOTH = 2
 COLOURS = 96
 SHADES = 24  # of the trail
+NAME_OFFSET = 30  # px, before halving, of a drone's name from its middle
 
 
 def frame_count(flights: Sequence[Recording]) -> int:
@@ -38,6 +39,7 @@ def write_animation(
     gates: Sequence[GateConfig],
     path: Path | str,
     advance: Callable[[], object] = lambda: None,
+    names: Sequence[str] = (),
 ) -> None:
     """Write flights as an animated GIF, in real time, whole.
 
@@ -46,6 +48,7 @@ def write_animation(
         gates: of the track, in flying order.
         path: ``.gif``.
         advance: called after every frame.
+        names: to write beside the drones, one for each flight, or none.
 
     Raises:
         InputError: another suffix, no flight, or a path that cannot be written.
@@ -54,7 +57,7 @@ def write_animation(
         raise InputError(f"{path}: suffix is {Path(path).suffix!r}, allowed: .gif")
     if not flights:
         raise InputError(f"{path}: no flight to animate")
-    film = Film(flights, gates)
+    film = Film(flights, gates, names)
     count = frame_count(flights)
     palette = film.palette(count)
     durations = [1000 // FRAMES_PER_SECOND] * (count - 1) + [int(1000 * HOLD_SECONDS)]
@@ -75,7 +78,7 @@ def write_animation(
                 duration=durations,
                 loop=0,
                 disposal=1,
-                optimize=False,
+                optimize=True,  # what stands still is not written again
             )
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
@@ -84,9 +87,15 @@ def write_animation(
 class Film:
     """Frames of some flights: what stands still is drawn once."""
 
-    def __init__(self, flights: Sequence[Recording], gates: Sequence[GateConfig]) -> None:
+    def __init__(
+        self,
+        flights: Sequence[Recording],
+        gates: Sequence[GateConfig],
+        names: Sequence[str] = (),
+    ) -> None:
         """Choose the views and draw the track."""
         self._flights = flights
+        self._names = names or [""] * len(flights)
         self._laps = max(len(flight.lap_ends) for flight in flights)
         self._shown = speed_range(flights)
         shades = SPEED_COLOURS(np.linspace(0.0, 1.0, SHADES))[:, :3]
@@ -146,11 +155,14 @@ class Film:
         now = index / FRAMES_PER_SECOND
         image = self._still.copy()
         draw = ImageDraw.Draw(image)
-        for flight in self._flights:
+        for flight, name in zip(self._flights, self._names, strict=True):
             last = min(int(np.searchsorted(flight.time, now + 1e-9)), len(flight.time) - 1)
             ended = now >= flight.time[-1]
             for view in self._views:
                 self._draw_flight(draw, view, flight, last, ended)
+                x, y = view.project(flight.position[last])
+                place = (x + NAME_OFFSET, y - NAME_OFFSET)
+                draw.text(place, name, font=self._fonts[13], fill=scene.TEXT, anchor="ls")
         self._draw_clock(draw, now)
         return image.reduce(SMOOTH)
 
