@@ -15,6 +15,7 @@ from quadjax.errors import InputError, command_line
 from quadjax.evaluate import pilot, tables
 from quadjax.evaluate.laps import Laps, Trace
 from quadjax.evaluate.recording import choose, distinct, recordings
+from quadjax.export.pilot import fly_fixed_point
 from quadjax.export.ranges import parse_overrides
 from quadjax.files import write_json
 from quadjax.policy_file import Policy, read_policy
@@ -67,7 +68,7 @@ def _fly_all(
     trace = any((arguments.figure, arguments.signals, arguments.animation))
     if arguments.fixed_point:
         ranges = parse_overrides(arguments.ranges)
-        flown = pilot.fly_fixed_point(config, policy, race, trace, arguments.policy, ranges)
+        flown = fly_fixed_point(config, policy, race, trace, arguments.policy, ranges)
         return {"fixed point, mean action": flown}
     modes = {"deterministic": True} if arguments.deterministic else {}
     modes = modes or {f"sampled, {tables.counted(race.runs, 'run')}": False, "deterministic": True}
