@@ -9,7 +9,8 @@ import argparse
 
 from rich.console import Console
 
-from quadjax.commands import Parser, check_writable, count, parse, seed
+from quadjax.checks import MOST_LAPS, MOST_RUNS
+from quadjax.commands import Parser, check_writable, count_up_to, parse, seed
 from quadjax.config import load_config
 from quadjax.errors import InputError, command_line
 from quadjax.evaluate import pilot, tables
@@ -30,8 +31,10 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("config", help="YAML file, as for training")
     parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
     parser.add_argument("--policy", required=True, metavar="FILE.npz", help="policy file")
-    parser.add_argument("--laps", type=count, help="laps of a run (the config's, 6)")
-    parser.add_argument("--runs", type=count, help="runs (the config's, 5)")
+    parser.add_argument(
+        "--laps", type=count_up_to(MOST_LAPS), help="laps of a run (the config's, 6)"
+    )
+    parser.add_argument("--runs", type=count_up_to(MOST_RUNS), help="runs (the config's, 5)")
     parser.add_argument("--deterministic", action="store_true", help="fly the mean only")
     parser.add_argument("--start", choices=("hover", "random"), default="hover")
     parser.add_argument("--seed", type=seed, default=0, help="of noise, disturbances and starts")

@@ -8,7 +8,8 @@ starts flew every lap. The figure has the learning curves of all configs side by
 import dataclasses
 from pathlib import Path
 
-from quadjax.commands import Parser, check_writable, count, parse
+from quadjax.checks import MOST_RUNS
+from quadjax.commands import Parser, check_writable, count, count_up_to, parse
 from quadjax.errors import command_line
 from quadjax.files import write_json
 
@@ -24,7 +25,9 @@ def main() -> int:
         help="YAML files, as for training, and changes to all of them",
     )
     parser.add_argument("--seeds", type=count, default=5, help="how many, from 0 (5)")
-    parser.add_argument("--flights", type=count, default=100, help="sampled flights (100)")
+    parser.add_argument(
+        "--flights", type=count_up_to(MOST_RUNS), default=100, help="sampled flights (100)"
+    )
     parser.add_argument("--runs", default="runs", metavar="DIR", help="where runs go (runs)")
     parser.add_argument("--figure", metavar="FILE", help="learning curves (runs/NAMES_seeds.png)")
     arguments = parse(parser)
