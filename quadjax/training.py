@@ -26,7 +26,7 @@ from quadjax.learn.loop import Hooks, Position, Row, run
 from quadjax.learn.parallel import Chunk
 from quadjax.learn.state import Learner, TrainState
 from quadjax.learners import build_learner, initial_policy, plan, policy_of, start_state
-from quadjax.metrics import MetricsFile, check_tensorboard, rows_of
+from quadjax.metrics import MetricsFile, check_tensorboard, rows_of, timed
 from quadjax.policy_file import Policy, read_policy, write_policy
 from quadjax.progress import TrainingProgress
 from quadjax.race.build import build_params
@@ -104,6 +104,7 @@ def train(
         metrics = MetricsFile(directory, done, config.train.tensorboard)
 
         def report(row: Row) -> None:
+            row = timed(row)
             if hosts.is_first():
                 metrics.write(row)
                 show.show(row)

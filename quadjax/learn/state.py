@@ -14,7 +14,7 @@ from quadjax.environment import Environment
 from quadjax.learn.networks import ActorCritic
 
 Params = TypeVar("Params")
-AXIS = "drones"  # name of the mesh axis over which a batch of environments is split
+AXIS = "environments"  # name of the mesh axis over which a batch of environments is split
 
 
 @struct.dataclass
