@@ -17,7 +17,7 @@ from quadjax.evaluate import pilot, tables
 from quadjax.evaluate.laps import Laps, Trace
 from quadjax.evaluate.recording import choose, distinct, recordings
 from quadjax.export.pilot import fly_fixed_point
-from quadjax.export.ranges import parse_overrides
+from quadjax.export.ranges import add_range_option, parse_overrides
 from quadjax.files import write_json
 from quadjax.policy_file import Policy, read_policy
 from quadjax.progress import bar
@@ -41,14 +41,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument(
         "--fixed-point", action="store_true", help="fly the exported fixed-point code's numbers"
     )
-    parser.add_argument(
-        "--range",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="NAME=R",
-        dest="ranges",
-        help="with --fixed-point: the ranges that it was exported with, where not the default",
+    add_range_option(
+        parser, "with --fixed-point: the ranges that it was exported with, where not the default"
     )
     parser.add_argument("--json", metavar="FILE.json", help="write the laps")
     parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from above")
