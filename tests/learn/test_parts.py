@@ -14,7 +14,7 @@ from quadjax.learn.ppo.advantage import advantages
 from quadjax.learn.ppo.loss import normalise
 from quadjax.learn.ppo.rollout import block_length, log_probability
 from quadjax.learn.shac.flight import Flight
-from quadjax.learn.shac.update import td_lambda_targets
+from quadjax.learn.shac.targets import td_lambda_targets
 
 TIME, COUNT = 30, 7
 

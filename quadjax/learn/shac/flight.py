@@ -1,5 +1,7 @@
 """Short flights of the current policy, differentiable from action to reward."""
 
+import functools
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -67,20 +69,8 @@ def fly(
     """
     chex.assert_tree_shape_suffix((state, fresh), noise.shape[1:2])
 
-    def one(carry: Carry, noise: jax.Array) -> tuple[Carry, tuple[Flight, jax.Array]]:
-        return _step(
-            environment,
-            networks,
-            environment_params,
-            params,
-            target,
-            fresh,
-            discount,
-            bounds,
-            carry,
-            noise,
-        )
-
+    settled = (environment, networks, environment_params, params, target, fresh, discount, bounds)
+    one = functools.partial(_step, *settled)
     count = noise.shape[1]
     carry = (state, jnp.ones(count), jnp.zeros(count))
     (state, _, total), (flight, open_end) = jax.lax.scan(one, carry, noise)

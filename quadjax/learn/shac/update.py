@@ -13,6 +13,7 @@ from quadjax.environment import Environment
 from quadjax.learn.batches import shuffled, take_rows
 from quadjax.learn.networks import ActorCritic, Networks
 from quadjax.learn.shac.flight import Bounds, Flight, fly
+from quadjax.learn.shac.targets import td_lambda_targets
 from quadjax.learn.state import (
     AXIS,
     Learner,
@@ -208,24 +209,6 @@ def _adam_step(
     transform = optax.scale_by_adam(b1=hyper.adam_b1, b2=hyper.adam_b2)
     direction, adam = transform.update(gradient, adam)
     return jax.tree.map(lambda p, d: p - rate * d, params, direction), adam
-
-
-def td_lambda_targets(flight: Flight, discount: jax.Array, td_lambda: jax.Array) -> jax.Array:
-    """TD(lambda) targets (time, n) of the value of each observation.
-
-    ``G_t = r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``, with ``V(s'_t)`` alone at the
-    horizon and where an episode is truncated, and nothing where it is terminated.
-    """
-
-    def back(following: jax.Array, step: Flight) -> tuple[jax.Array, jax.Array]:
-        mixed = (1.0 - td_lambda) * step.next_value + td_lambda * following
-        ahead = jnp.where(step.truncated, step.next_value, mixed)
-        ahead = jnp.where(step.terminated, 0.0, ahead)
-        target = step.reward + discount * ahead
-        return target, target
-
-    _, targets = jax.lax.scan(back, flight.next_value[-1], flight, reverse=True)
-    return targets
 
 
 def _critic(
