@@ -50,6 +50,7 @@ POSITIVE = (
     "vehicle.mass",
     "episode.position_limit",
     "episode.rate_limit",
+    "episode.yaw_rate_limit",
     "ppo.learning_rate",
     "ppo.adam_epsilon",
     "ppo.clip",

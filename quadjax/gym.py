@@ -32,7 +32,7 @@ except ImportError:
 Info = dict[str, np.ndarray]
 Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]
 ID = "quadjax/Race-v0"
-DEFAULT_CONFIG = Path(__file__).resolve().parent.parent / "configs" / "e2e.yaml"
+DEFAULT_CONFIG = Path(__file__).resolve().parent.parent / "configs" / "e2e_shac.yaml"
 
 
 @struct.dataclass

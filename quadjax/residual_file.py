@@ -15,6 +15,7 @@ from quadjax.files import read_layers, read_npz, write_npz
 from quadjax.vehicle.residual import Residual
 
 FORMAT = "quadjax-residual/1"
+PRETRAINED = Path(__file__).parent / "pretrained"
 SHAPES = {"thrust": (7, 1), "moment": (10, 3)}
 
 
@@ -35,12 +36,20 @@ def write_residual(path: Path | str, residual: Residual, source: dict) -> None:
     write_npz(path, arrays, meta)
 
 
+def located(path: Path | str) -> Path:
+    """The file of a path, or, of a bare name that is no file, the shipped file of that name."""
+    path, shipped = Path(path), PRETRAINED / Path(path).name
+    bare = path.parent == Path(".") and not path.exists()
+    return shipped if bare and shipped.exists() else path
+
+
 def read_residual(path: Path | str) -> Residual:
-    """Read and check a residual file.
+    """Read and check a residual file, or a shipped one by its name alone.
 
     Raises:
         InputError: a missing, damaged or inconsistent file, in one line.
     """
+    path = located(path)
     arrays, meta = read_npz(path, FORMAT)
     networks = {}
     for name, (inputs, outputs) in SHAPES.items():

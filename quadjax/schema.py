@@ -9,7 +9,7 @@ class VehicleConfig:
 
     kind: str = "motor"  # motor (E2E) | rate (INDI)
     file: str = "bebop1.yaml"  # in configs/vehicles
-    residual: str | None = None  # residual file (.npz) on top of the nominal model
+    residual: str | None = None  # residual file (.npz), or the name of a shipped one
     integrator: str = "euler"  # euler | rk4
     name: str = ""
     mass: float = 1.0  # kg, only to report newtons
@@ -65,6 +65,7 @@ class EpisodeConfig:
     rate_limit: float = 1000.0  # rad/s
     pitch_limit_deg: float = 85.0  # in training
     roll_limit_deg: float = 180.0  # in training; 180: none
+    yaw_rate_limit: float = 1000.0  # rad/s, in training
     random_gate: bool = False  # start before any gate, not only the first
     stagger_clocks: bool = False  # start at a random step of the clock
     disturbance_input: str = "true"  # true | estimated | none: what the observation says

@@ -28,8 +28,8 @@ DRONES = tuple(4**power for power in range(9))  # 1 to 65,536
 QUICK_DRONES = (1, 64, 4096, 65_536)
 OBSERVED = 4096  # drones of the measurement with the observation
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
-ENVIRONMENT = CONFIGS / "e2e.yaml"
-PRESETS = ("e2e.yaml", "e2e_ppo.yaml", "e2e_paper.yaml")
+ENVIRONMENT = CONFIGS / "e2e_shac.yaml"
+PRESETS = ("e2e_shac.yaml", "e2e_ppo.yaml", "e2e_paper.yaml")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -27,7 +27,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("config", help="YAML file of configs/plant")
     parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
     parser.add_argument("--e2e", default=str(PRETRAINED / "e2e.npz"), metavar="FILE.npz")
-    parser.add_argument("--indi", default=str(PRETRAINED / "indi.npz"), metavar="FILE.npz")
+    parser.add_argument("--indi", default=str(PRETRAINED / "indi_shac.npz"), metavar="FILE.npz")
     parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")
     parser.add_argument("--race", default=str(REPOSITORY_CONFIGS / "e2e.yaml"), metavar="FILE")
     parser.add_argument("--laps", type=count, default=6)

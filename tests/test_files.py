@@ -296,3 +296,15 @@ def test_read_npz_gives_arrays_and_meta(tmp_path):
     )
     np.testing.assert_array_equal(arrays["x"], [0, 1, 2])
     assert set(arrays) == {"x"} and meta == {"format": "f/1", "k": 2}
+
+
+def test_a_shipped_residual_is_found_by_its_name(tmp_path, monkeypatch):
+    """From any folder; a file of that name there comes first."""
+    monkeypatch.chdir(tmp_path)
+    shipped = read_residual("standin_residual.npz")
+    assert shipped.thrust[0][0].shape[0] == 7 and shipped.moment[-1][0].shape[1] == 3
+    with pytest.raises(InputError, match=r"folder/standin_residual\.npz"):
+        read_residual("folder/standin_residual.npz")
+    (tmp_path / "standin_residual.npz").write_bytes(b"not a file of arrays")
+    with pytest.raises(InputError, match="standin_residual"):
+        read_residual("standin_residual.npz")

@@ -92,7 +92,7 @@ def test_two_processes_are_one_run(tmp_path):
 
 def test_stopped_in_one_process_all_save_and_go_on(tmp_path):
     """Ctrl-C reaches one process; the first one's checkpoint is what all go on from."""
-    words = ["train.steps=12800", "train.checkpoint_seconds=0", "train.devices=1"]
+    words = ["train.steps=3840", "train.checkpoint_seconds=0", "train.devices=1"]
 
     def both(*more):
         port = free_port()
@@ -111,7 +111,7 @@ def test_stopped_in_one_process_all_save_and_go_on(tmp_path):
     for process in both("--resume"):
         finish(process)
     assert json.loads((tmp_path / "0/run/summary.json").read_text())["finished"]
-    assert read_metrics(metrics)["steps"].tolist() == list(range(128, 12801, 128))
+    assert read_metrics(metrics)["steps"].tolist() == list(range(128, 3841, 128))
 
 
 @pytest.mark.parametrize(

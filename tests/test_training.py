@@ -226,7 +226,7 @@ def start(runs, *words):
 
 
 LONG = [w for w in TINY if "train.steps" not in w]
-LONG += ["train.steps=12800", "train.checkpoint_seconds=0", "name=killed"]
+LONG += ["train.steps=3840", "train.checkpoint_seconds=0", "name=killed"]
 
 
 def test_killed_at_any_moment_it_resumes(tmp_path):
@@ -248,7 +248,7 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
     summary = json.loads((tmp_path / "killed/summary.json").read_text())
     assert summary["finished"]
     steps = [int(row["steps"]) for row in rows(tmp_path / "killed/metrics.csv")]
-    assert steps == list(range(128, 12801, 128))
+    assert steps == list(range(128, 3841, 128))
     unbroken = training.train(config_of("e2e_ppo.yaml", *LONG, "name=unbroken"), tmp_path / "whole")
     first, second = (
         arrays(run / "policy_last.npz") for run in (unbroken.directory, tmp_path / "killed")
@@ -260,7 +260,7 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
 
 
 def test_interrupted_it_saves_and_says_how_to_go_on(tmp_path):
-    words = [w for w in LONG if "train.steps" not in w] + ["train.steps=12800000"]
+    words = [w for w in LONG if "train.steps" not in w] + ["train.steps=3840000"]
     process = start(tmp_path, *words)
     metrics = tmp_path / "killed/metrics.csv"
     deadline = time.monotonic() + 120

@@ -27,6 +27,7 @@ COLOURS = 96
 SHADES = 24  # of the trail
 CLOCK_ROW = 0.07  # of the height: where the clock, the lap times and the speeds stand
 LEGEND = (0.66, 0.78)  # of the width: the bar of the speeds' colours
+NAME_OFFSET = 30  # px, before halving, of a drone's name from its middle
 
 
 def frame_count(flights: Sequence[Recording]) -> int:
@@ -40,6 +41,7 @@ def write_animation(
     gates: Sequence[GateConfig],
     path: Path | str,
     advance: Callable[[], object] = lambda: None,
+    names: Sequence[str] = (),
 ) -> None:
     """Write flights as an animated GIF, in real time, whole.
 
@@ -48,6 +50,7 @@ def write_animation(
         gates: of the track, in flying order.
         path: ``.gif``.
         advance: called after every frame.
+        names: to write beside the drones, one for each flight, or none.
 
     Raises:
         InputError: another suffix, no flight, or a path that cannot be written.
@@ -58,16 +61,19 @@ def write_animation(
         raise InputError(f"{path}: no flight to animate")
     try:
         with whole_file(path) as temporary:
-            _save(temporary, _frames(flights, gates, advance), frame_count(flights))
+            _save(temporary, _frames(flights, gates, names, advance), frame_count(flights))
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def _frames(
-    flights: Sequence[Recording], gates: Sequence[GateConfig], advance: Callable[[], object]
+    flights: Sequence[Recording],
+    gates: Sequence[GateConfig],
+    names: Sequence[str],
+    advance: Callable[[], object],
 ) -> Iterator[Image.Image]:
     """Every frame, in the same few colours."""
-    film, count = Film(flights, gates), frame_count(flights)
+    film, count = Film(flights, gates, names), frame_count(flights)
     palette = film.palette(count)
     for index in range(count):
         yield film.frame(index).quantize(palette=palette, dither=Image.Dither.NONE)
@@ -83,16 +89,22 @@ def _save(path: Path, frames: Iterator[Image.Image], count: int) -> None:
         duration=[1000 // FRAMES_PER_SECOND] * (count - 1) + [int(1000 * HOLD_SECONDS)],
         loop=0,
         disposal=1,
-        optimize=False,
+        optimize=True,  # what stands still is not written again
     )
 
 
 class Film:
     """Frames of some flights: what stands still is drawn once."""
 
-    def __init__(self, flights: Sequence[Recording], gates: Sequence[GateConfig]) -> None:
+    def __init__(
+        self,
+        flights: Sequence[Recording],
+        gates: Sequence[GateConfig],
+        names: Sequence[str] = (),
+    ) -> None:
         """Choose the views and draw the track."""
         self._flights = flights
+        self._names = names or [""] * len(flights)
         self._laps = max(len(flight.lap_ends) for flight in flights)
         self._shown = speed_range(flights)
         shades = SPEED_COLOURS(np.linspace(0.0, 1.0, SHADES))[:, :3]
@@ -167,11 +179,14 @@ class Film:
         now = index / FRAMES_PER_SECOND
         image = self._still.copy()
         draw = ImageDraw.Draw(image)
-        for flight in self._flights:
+        for flight, name in zip(self._flights, self._names, strict=True):
             last = min(int(np.searchsorted(flight.time, now + 1e-9)), len(flight.time) - 1)
             ended = now >= flight.time[-1]
             for view in self._views:
                 self._draw_flight(draw, view, flight, last, ended)
+                x, y = view.project(flight.position[last])
+                place = (x + NAME_OFFSET, y - NAME_OFFSET)
+                draw.text(place, name, font=self._fonts[13], fill=scene.TEXT, anchor="ls")
         self._draw_clock(draw, now)
         return image.reduce(SMOOTH)
 

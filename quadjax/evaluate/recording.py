@@ -55,6 +55,16 @@ def recordings(trace: Trace, laps: Laps, dt: float) -> list[Recording]:
     return result
 
 
+def opening(flight: Recording, seconds: float) -> Recording:
+    """The first seconds of a flight: all of it where it is shorter."""
+    count = int(np.searchsorted(flight.time, seconds + 1e-9))
+    if count >= len(flight.time):
+        return flight
+    arrays = ("time", "position", "velocity", "euler", "rates", "actuators", "command")
+    own = {name: getattr(flight, name)[:count] for name in arrays}
+    return Recording(**own, lap_ends=flight.lap_ends[flight.lap_ends <= seconds], crash="")
+
+
 def choose(flights: list[Recording]) -> Recording:
     """The one to show: the fastest of those with the most laps, or else the longest."""
     return max(flights, key=lambda f: (len(f.lap_ends), -f.time[-1] if not f.crash else f.time[-1]))

@@ -74,10 +74,10 @@ def own_race(
     for key in ("wrap_next_yaw", "disturbance_input"):
         if key in policy.observation:
             words.append(f"episode.{key}={json.dumps(policy.observation[key])}")
-    config = load_config(config_path or REPOSITORY_CONFIGS / "e2e.yaml", words)
+    config = load_config(config_path or REPOSITORY_CONFIGS / "e2e_shac.yaml", words)
     if residual is not None and config.vehicle.residual:
         words.append(f"vehicle.residual={residual}")
-        config = load_config(config_path or REPOSITORY_CONFIGS / "e2e.yaml", words)
+        config = load_config(config_path or REPOSITORY_CONFIGS / "e2e_shac.yaml", words)
     return OwnRace(build.choices_of(config), build.build_params(config), config)
 
 

@@ -2,15 +2,13 @@
 
 from pathlib import Path
 
-import matplotlib
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402
-
-from quadjax.files import whole_file  # noqa: E402
-from quadjax.fit.nominal import AXES, UNITS  # noqa: E402
-from quadjax.fit.pipeline import FitResult, Judged, pooled  # noqa: E402
+from quadjax.files import whole_file
+from quadjax.fit.nominal import AXES, UNITS
+from quadjax.fit.pipeline import FitResult, Judged, pooled
 
 COLOURS = {"measured": "0.35", "nominal": "tab:orange", "nominal + residual": "tab:blue"}
 POINTS = 1500  # of a trace, at most
@@ -22,17 +20,14 @@ def write_figures(result: FitResult, folder: Path) -> list[Path]:
     for judged in result.held_out:
         name = "".join(c if c.isalnum() or c in "-_" else "_" for c in judged.name)
         written.append(folder / f"held_out_{name}.png")
-        _save(_traces(f"held out: {judged.name}", result, judged), written[-1])
+        _save(traces_figure(result, judged, f"held out: {judged.name}"), written[-1])
     for index, log in enumerate(result.logs):
         part = _of_flight(result, index)
         if len(part.rows):
             written.append(folder / f"training_{log.name}.png")
-            _save(_traces(f"training: {log.name}", result, part), written[-1])
-    sets = {"training": result.training}
-    if result.held_out:
-        sets["held out"] = pooled(result.held_out)
+            _save(traces_figure(result, part, f"training: {log.name}"), written[-1])
     written.append(folder / "errors.png")
-    _save(_histograms(sets), written[-1])
+    _save(errors_figure(result), written[-1])
     return written
 
 
@@ -43,8 +38,16 @@ def _of_flight(result: FitResult, index: int) -> Judged:
     return Judged(result.logs[index].name, *(part[here] for part in parts))
 
 
-def _traces(title: str, result: FitResult, judged: Judged) -> plt.Figure:
-    figure, axes = plt.subplots(len(AXES), 1, figsize=(10, 12), sharex=True)
+def traces_figure(result: FitResult, judged: Judged, title: str = "") -> Figure:
+    """Measured, nominal and nominal plus residual against time, a panel for each of ``AXES``.
+
+    Args:
+        result: of the fit.
+        judged: the rows to draw, such as one of ``result.held_out``.
+        title: over the picture.
+    """
+    figure = _new_figure(10, 12)
+    axes = figure.subplots(len(AXES), 1, sharex=True)
     time = result.samples.time[judged.rows]
     every = max(1, len(time) // POINTS)
     series = (judged.measured, judged.nominal, judged.full)
@@ -61,12 +64,16 @@ def _traces(title: str, result: FitResult, judged: Judged) -> plt.Figure:
     axes[0].set_title(title)
     axes[0].legend(loc="upper right", ncols=3, fontsize=8)
     axes[-1].set_xlabel("time, s")
-    figure.tight_layout()
     return figure
 
 
-def _histograms(sets: dict[str, Judged]) -> plt.Figure:
-    figure, axes = plt.subplots(len(sets), len(AXES), figsize=(16, 3.2 * len(sets)), squeeze=False)
+def errors_figure(result: FitResult) -> Figure:
+    """Histograms of both models' errors: in training and, where there are any, on held-out rows."""
+    sets = {"training": result.training}
+    if result.held_out:
+        sets["held out"] = pooled(result.held_out)
+    figure = _new_figure(16, 3.2 * len(sets))
+    axes = figure.subplots(len(sets), len(AXES), squeeze=False)
     for row, (title, judged) in enumerate(sets.items()):
         for i, axis in enumerate(AXES):
             errors = {
@@ -83,11 +90,16 @@ def _histograms(sets: dict[str, Judged]) -> plt.Figure:
             axes[row, i].set_xlabel(f"error of {axis}, {UNITS[axis]}")
         axes[row, 0].set_ylabel(title)
     axes[0, 0].legend(fontsize=7)
-    figure.tight_layout()
     return figure
 
 
-def _save(figure: plt.Figure, path: Path) -> None:
+def _new_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches, that leaves the caller's choice of a backend alone."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> None:
     with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=80)
-    plt.close(figure)
+        figure.savefig(temporary, dpi=80, format="png")

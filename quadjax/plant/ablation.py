@@ -7,7 +7,7 @@ stand-in plant. One policy is flown with its disturbance input true, estimated a
 import dataclasses
 from pathlib import Path
 
-RESIDUAL = "quadjax/pretrained/standin_residual.npz"
+RESIDUAL = "standin_residual.npz"
 STEPS = "train.steps=12000000"
 _RANDOM = ("inertia", "thrust", "drag", "moment", "velocity_moment", "yaw", "lag")
 

@@ -1,7 +1,7 @@
 """E2E and INDI in the simulator and on the stand-in plant: flights, rows and numbers."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +64,7 @@ def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
     report(f"{own.name}: simulator")
     race = pilot.Race(setting.laps, setting.runs, seed=setting.seed)
     config = race_config(setting.race, own.policy)
-    simulated, trace = pilot.fly_policy(config, own.policy, race, False, True, own.file)
+    simulated, trace = pilot.fly_policy(config, own.policy, race, True, True, own.file)
     report(f"{own.name}: stand-in plant")
     return Compared(own, simulated, trace, fly(setting, setting.plant, own))
 
@@ -99,21 +99,28 @@ def all_runs_row(label: str, laps: Laps) -> Row:
     return lap_row(label, laps)
 
 
-def without_each(setting: Setting, own: Contender, report: Report) -> dict[str, Laps]:
-    """The plant as it is, and with each effect in turn switched off."""
+def changed_plants(plant: PlantConfig) -> dict[str, PlantConfig]:
+    """The plant with each effect in turn switched off, without delays, and with true states."""
     result = {}
     for name in EFFECTS:
-        report(f"{own.name}: stand-in plant without {name}")
-        off = dataclasses.replace(setting.plant.effects, **{name: 0.0})
-        plant = dataclasses.replace(setting.plant, effects=off)
-        result[f"without {name}"] = fly(setting, plant, own).laps
-    report(f"{own.name}: stand-in plant without delays")
-    delay = dataclasses.replace(setting.plant.delay, command=0.0, measurement=0.0)
-    plant = dataclasses.replace(setting.plant, delay=delay)
-    result["without delays"] = fly(setting, plant, own).laps
-    report(f"{own.name}: stand-in plant with the truth for estimates")
-    plant = dataclasses.replace(setting.plant, navigation="truth", disturbance_input="true")
-    result["with true states"] = fly(setting, plant, own).laps
+        off = dataclasses.replace(plant.effects, **{name: 0.0})
+        result[f"without {name}"] = dataclasses.replace(plant, effects=off)
+    delay = dataclasses.replace(plant.delay, command=0.0, measurement=0.0)
+    result["without delays"] = dataclasses.replace(plant, delay=delay)
+    truth = {"navigation": "truth", "disturbance_input": "true"}
+    result["with true states"] = dataclasses.replace(plant, **truth)
+    return result
+
+
+def without_each(
+    setting: Setting, own: Contender, report: Report, only: Sequence[str] | None = None
+) -> dict[str, Laps]:
+    """A contender on each of ``changed_plants``, or on those that ``only`` names."""
+    result = {}
+    for label, plant in changed_plants(setting.plant).items():
+        if only is None or label in only:
+            report(f"{own.name}: stand-in plant {label}")
+            result[label] = fly(setting, plant, own).laps
     return result
 
 
@@ -144,14 +151,21 @@ def simulated_saturation(trace: Trace, low: float, high: float) -> float:
 
 
 def lead(e2e: Compared, indi: Compared) -> str:
-    """Where E2E's lead in the simulator goes on the plant, as a line of text."""
-    sets = [lap_row("", laps) for laps in (e2e.simulated, indi.simulated)]
-    sets += [lap_row("", laps) for laps in (e2e.flown.laps, indi.flown.laps)]
-    before, after = (np.array(sets[i + 1].laps) - np.array(sets[i].laps) for i in (0, 2))
-    total_before, total_after = (sets[i + 1].total - sets[i].total for i in (0, 2))
-    later = slice(1, None)
+    """Where E2E's lead in the simulator goes on the plant, as a line of text; + where E2E leads."""
+    worlds = {
+        "simulated": (e2e.simulated, indi.simulated),
+        "on the stand-in plant": (e2e.flown.laps, indi.flown.laps),
+    }
+    totals, firsts, later = [], [], []
+    for world, both in worlds.items():
+        for own, laps in zip((e2e, indi), both, strict=True):
+            if not laps.finished:
+                return f"E2E's lead over INDI: {own.contender.name} finished no run {world}"
+        ahead = np.subtract(*(lap_row("", laps).laps for laps in reversed(both)))
+        totals.append(f"{ahead.sum():+.2f} s {world}")
+        firsts.append(f"{ahead[0]:+.2f}")
+        later.append(f"{ahead[1:].mean() if len(ahead) > 1 else np.nan:+.2f}")
     return (
-        f"E2E's lead over INDI: {total_before:+.2f} s simulated, {total_after:+.2f} s on the "
-        f"stand-in plant; first lap {before[0]:+.2f} -> {after[0]:+.2f} s, each later lap "
-        f"{before[later].mean():+.2f} -> {after[later].mean():+.2f} s"
+        f"E2E's lead over INDI: {', '.join(totals)}; first lap {' -> '.join(firsts)} s, each later "
+        f"lap {' -> '.join(later)} s"
     )

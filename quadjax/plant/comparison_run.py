@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from matplotlib.figure import Figure
 
 from quadjax.evaluate.figures import save_figure, trajectory_figure
 from quadjax.evaluate.laps import Laps
@@ -68,7 +69,8 @@ def run_comparison(
     if "table" in wanted.parts:
         e2e, indi = (compare_one(setting, own, report) for own in contenders)
         report("drawing")
-        texts += _table(setting, e2e, indi, result)
+        texts.append(table_text(setting, e2e, indi))
+        result |= _numbers(setting, e2e, indi)
         _draw(setting, e2e, indi, wanted.folder, result)
     if "effects" in wanted.parts:
         texts.append(_effects(setting, contenders, result, report))
@@ -82,39 +84,71 @@ def run_comparison(
     return text
 
 
-def _table(setting: Setting, e2e: Compared, indi: Compared, result: dict) -> list[str]:
-    low, high = (setting.race.vehicle.motor[key] for key in ("rpm_min", "rpm_max"))
-    for name, own in (("E2E", e2e), ("INDI", indi)):
-        result[name] = {
-            "policy": Path(own.contender.file).name,
-            "simulated": own.simulated.to_json(),
-            "stand-in plant": own.flown.laps.to_json(),
-            "commands at a limit": saturation(own.flown, low, high),
-        }
-    held = simulated_saturation(e2e.trace, low, high)
-    result["E2E"]["commands at a limit, simulated"] = held
-    both = [*rows(e2e), *rows(indi)]
-    table = format_table(both, published_rows(setting.race.track, setting.laps))
+def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
+    """The paper's table of both contenders, where E2E's lead goes, and who ended early and how."""
+    table = format_table([*rows(e2e), *rows(indi)], published_rows(setting.race, setting.laps))
+    flown, held = limit_shares(setting, e2e)
     notes = [
         f"mean and best of {FLIGHTS} flights on the stand-in plant; finished: of all runs",
         lead(e2e, indi),
         f"E2E's rpm commands at a limit: {100.0 * held:.0f}% simulated, "
-        f"{100.0 * result['E2E']['commands at a limit']:.0f}% on the stand-in plant",
+        f"{100.0 * flown:.0f}% on the stand-in plant",
     ]
-    for name, own in (("E2E", e2e), ("INDI", indi)):
+    for own in (e2e, indi):
         crashes = [crash for crash in own.flown.laps.crashes if crash]
         if crashes:
             kinds = {kind: crashes.count(kind) for kind in dict.fromkeys(crashes)}
             counts = ", ".join(f"{kind} {number}" for kind, number in kinds.items())
-            notes.append(f"{name} on the stand-in plant, early ends: {counts}")
-    return [table + "\n" + "\n".join(notes)]
+            notes.append(f"{own.contender.name} on the stand-in plant, early ends: {counts}")
+    return table + "\n" + "\n".join(notes)
+
+
+def limit_shares(setting: Setting, own: Compared) -> tuple[float, float | None]:
+    """Share of a contender's rpm commands at a limit: on the plant, and simulated where it has any.
+
+    A rate-level policy has no motors in the simulator.
+    """
+    low, high = (setting.race.vehicle.motor[key] for key in ("rpm_min", "rpm_max"))
+    motors = own.contender.policy.vehicle == "motor"
+    simulated = simulated_saturation(own.trace, low, high) if motors else None
+    return saturation(own.flown, low, high), simulated
+
+
+def _numbers(setting: Setting, e2e: Compared, indi: Compared) -> dict[str, object]:
+    """The table as JSON takes it."""
+    result = {}
+    for own in (e2e, indi):
+        flown, simulated = limit_shares(setting, own)
+        result[own.contender.name] = {
+            "policy": Path(own.contender.file).name,
+            "simulated": own.simulated.to_json(),
+            "stand-in plant": own.flown.laps.to_json(),
+            "commands at a limit": flown,
+        }
+        if simulated is not None:
+            result[own.contender.name]["commands at a limit, simulated"] = simulated
+    return result
+
+
+def compared_progress(setting: Setting, e2e: Compared, indi: Compared) -> Figure:
+    """Progress of both contenders in both worlds, relative to the slowest of the four.
+
+    Of the plant it shows the best of the recorded flights.
+    """
+    centres, lines = gate_centres(setting.race), {}
+    for own in (e2e, indi):
+        name, best = own.contender.name, best_recorded(own.flown.laps)
+        dt = setting.race.episode.dt
+        lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centres)
+        lines[f"{name} stand-in plant"] = figures.flown_progress(own.flown, best, centres)
+    slowest = max(time[-1] / max(made[-1], 1e-3) for time, made in lines.values())
+    return figures.progress_figure(lines, 1.0 / slowest, "relative progress")
 
 
 def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result: dict) -> None:
-    gates, centres = setting.race.track.gates, gate_centres(setting.race)
-    dt = setting.race.episode.dt
-    lines = {}
-    for name, own in (("E2E", e2e), ("INDI", indi)):
+    gates, dt = setting.race.track.gates, setting.race.episode.dt
+    for own in (e2e, indi):
+        name = own.contender.name
         stem = name.lower()
         few = simulated_recordings(own.trace, own.simulated, dt)[:FLIGHTS]
         title = f"{name} in the simulator, {FLIGHTS} flights"
@@ -122,12 +156,7 @@ def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result:
         title = f"{name} on the stand-in plant, {FLIGHTS} flights"
         flown = recordings(own.flown)
         save_figure(trajectory_figure(flown, gates, title), folder / f"{stem}_plant.png")
-        lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centres)
-        best = _best(own.flown.laps)
-        lines[f"{name} stand-in plant"] = figures.flown_progress(own.flown, best, centres)
-    slowest = max(time[-1] / max(made[-1], 1e-3) for time, made in lines.values())
-    title = "relative progress"
-    save_figure(figures.progress_figure(lines, 1.0 / slowest, title), folder / "progress.png")
+    save_figure(compared_progress(setting, e2e, indi), folder / "progress.png")
     constants = setting.race.vehicle
     figure, deviation = figures.rpm_figure(e2e.flown, constants.motor["tau"])
     save_figure(figure, folder / "rpm.png")
@@ -140,7 +169,7 @@ def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result:
     }
 
 
-def _best(laps: Laps) -> int:
+def best_recorded(laps: Laps) -> int:
     """The recorded run with the most laps, and the fastest of those."""
     flown = laps.laps_flown()[:FLIGHTS]
     totals = np.nan_to_num(laps.totals[:FLIGHTS], nan=np.inf)

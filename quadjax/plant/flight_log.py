@@ -10,6 +10,7 @@ command, flights of policies and of a pilot who wanders through the hall::
 
 import argparse
 import dataclasses
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -20,13 +21,20 @@ from quadjax.commands import Parser, count, parse, seed
 from quadjax.config import REPOSITORY_CONFIGS, load_config
 from quadjax.errors import InputError, command_line
 from quadjax.fit.synthetic_log import write_log
-from quadjax.plant.plant_schema import load_plant_config
+from quadjax.plant.plant_schema import PlantConfig, load_plant_config
 from quadjax.plant.race import Flights, fly_plan, plan_flights
 from quadjax.policy_file import read_policy
 from quadjax.race.track import gate_count
 from quadjax.schema import Config
 
-GATES = ("target_gate_x", "target_gate_y", "target_gate_z")
+
+@dataclasses.dataclass(frozen=True)
+class Logged:
+    """A log that was written."""
+
+    path: Path
+    rows: int
+    crash: str  # why the flight ended early; "" where it did not
 
 
 def log_columns(flights: Flights, run: int, gates: np.ndarray) -> dict[str, np.ndarray]:
@@ -67,12 +75,62 @@ def gate_centres(config: Config) -> np.ndarray:
     return np.array([gate.position for gate in config.track.gates], np.float64)
 
 
+def write_logs(
+    race: Config,
+    plant: PlantConfig,
+    policies: Sequence[Path | str],
+    out: Path,
+    flights: int = 4,
+    laps: int = 6,
+    seed: int = 0,
+    report: Callable[[str], None] = lambda line: None,
+) -> list[Logged]:
+    """Fly policies on the plant and write what each flight logged to ``out/POLICY_RUN.csv``.
+
+    A log has a row for every sample of the plant, as an autopilot's has, whatever the plant's
+    ``control_rate``. Of a policy one of whose flights is not finite nothing is written.
+
+    Args:
+        race: config of the race.
+        plant: config of the plant.
+        policies: files.
+        out: folder for the logs.
+        flights: of each policy.
+        laps: of each flight, from hover.
+        seed: of batteries, gusts, sensors and the policies' noise.
+        report: told what is being done.
+
+    Raises:
+        InputError: a policy that cannot be read or does not fit, or a flight that is not finite.
+    """
+    plant = dataclasses.replace(plant, control_rate=plant.sample_rate)
+    written: list[Logged] = []
+    for name in policies:
+        report(f"{name}: compiling")
+        plan = plan_flights(race, plant, read_policy(name), str(name), laps, flights, flights)
+        assert gate_count(plan.params.race.track) == len(race.track.gates)
+        flown = fly_plan(plan, seed, _reporter(report, str(name)))
+        logs = [log_columns(flown, run, gate_centres(race)) for run in range(flights)]
+        for run, columns in enumerate(logs):
+            if not all(np.isfinite(values).all() for values in columns.values()):
+                raise InputError(f"{name}: flight {run} is not finite")
+        for run, columns in enumerate(logs):
+            path = out / f"{Path(name).stem}_{run}.csv"
+            write_log(path, columns)
+            written.append(Logged(path, len(columns["time"]), flown.laps.crashes[run]))
+    return written
+
+
+def _reporter(report: Callable[[str], None], name: str) -> Callable[[float], None]:
+    return lambda seconds: report(f"{name}: {seconds:.0f} s flown")
+
+
 def _arguments() -> argparse.Namespace:
     parser = Parser(description="Write flight logs of the stand-in plant.")
     parser.add_argument("config", help="YAML file of configs/plant")
     parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
     parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
-    parser.add_argument("--race", default=str(REPOSITORY_CONFIGS / "e2e.yaml"), metavar="FILE")
+    parser.add_argument("--race", default=str(REPOSITORY_CONFIGS / "e2e_shac.yaml"), metavar="FILE")
     parser.add_argument("--flights", type=count, default=4, help="of each policy")
     parser.add_argument("--laps", type=count, default=6)
     parser.add_argument("--seed", type=seed, default=0)
@@ -83,29 +141,21 @@ def _arguments() -> argparse.Namespace:
 def main() -> None:
     """Fly policies on the plant and write what they logged."""
     arguments = _arguments()
-    config = load_plant_config(arguments.config, arguments.words)
-    # A log has a row for every sample, as an autopilot's has.
-    config = dataclasses.replace(config, control_rate=config.sample_rate)
+    plant = load_plant_config(arguments.config, arguments.words)
     race = load_config(arguments.race)
-    for name in arguments.policy:
-        policy = read_policy(name)
-        plan = plan_flights(
-            race, config, policy, name, arguments.laps, arguments.flights, arguments.flights
+    with Console(stderr=True).status("compiling") as status:
+        written = write_logs(
+            race,
+            plant,
+            arguments.policy,
+            arguments.out,
+            arguments.flights,
+            arguments.laps,
+            arguments.seed,
+            status.update,
         )
-        assert gate_count(plan.params.race.track) == len(race.track.gates)
-        with Console(stderr=True).status("compiling") as status:
-            flights = fly_plan(
-                plan,
-                arguments.seed,
-                lambda seconds, status=status: status.update(f"{seconds:.0f} s flown"),
-            )
-        for run in range(arguments.flights):
-            columns = log_columns(flights, run, gate_centres(race))
-            if not all(np.isfinite(values).all() for values in columns.values()):
-                raise InputError(f"{name}: flight {run} is not finite")
-            path = arguments.out / f"{Path(name).stem}_{run}.csv"
-            write_log(path, columns)
-            print(f"wrote {path}, {len(columns['time'])} rows {flights.laps.crashes[run]}")
+    for log in written:
+        print(f"wrote {log.path}, {log.rows} rows {log.crash}".rstrip())
 
 
 if __name__ == "__main__":

@@ -64,7 +64,7 @@ def plan_flights(
     lap_count: int = 6,
     runs: int = 100,
     recorded: int = 5,
-    deterministic: bool = False,
+    deterministic: bool = True,
 ) -> Plan:
     """Flights of a policy on the plant.
 
@@ -77,7 +77,7 @@ def plan_flights(
         lap_count: to fly, from hover.
         runs: drones, each by itself.
         recorded: of how many what is flown is kept.
-        deterministic: fly the mean rather than samples.
+        deterministic: fly the mean, as an autopilot does, rather than samples.
 
     Raises:
         InputError: a policy that does not fit, or files that cannot be read.

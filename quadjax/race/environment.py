@@ -231,7 +231,9 @@ def judge(
         gate_collision=hit,
         ground=position.z > 0,
         out_of_bounds=outside | (fastest > limits.rate),
-        attitude=(jnp.abs(euler.y) > limits.pitch) | (jnp.abs(euler.x) > limits.roll),
+        attitude=(jnp.abs(euler.y) > limits.pitch)
+        | (jnp.abs(euler.x) > limits.roll)
+        | (jnp.abs(rates.z) > limits.yaw_rate),
         non_finite=~_finite(flown),
         truncated=state.step + 1 >= limits.max_steps,
     )

@@ -18,6 +18,7 @@ class Limits:
     rate: jax.Array  # rad/s, largest body rate
     pitch: jax.Array  # rad; below pi/2, where the Euler angles are singular
     roll: jax.Array  # rad
+    yaw_rate: jax.Array  # rad/s
     gate_margin: jax.Array  # m taken off each side of every gate's opening
 
 

@@ -183,7 +183,7 @@ def _part(tree: dict, name: str, path: Path, stop: Sequence[str] = ()) -> dict[s
 
 def _find_base(name: str, path: Path) -> Path:
     if not name:
-        raise InputError(f"{path}: config is missing: the base config, such as ../e2e.yaml")
+        raise InputError(f"{path}: config is missing: the base config, such as ../e2e_shac.yaml")
     for place in (path.parent / name, Path(name)):
         if place.is_file():
             return place

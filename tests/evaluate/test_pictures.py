@@ -1,3 +1,4 @@
+import dataclasses
 import io
 
 import numpy as np
@@ -13,7 +14,7 @@ from quadjax.evaluate.figures import (
     signals_figure,
     trajectory_figure,
 )
-from quadjax.evaluate.recording import Recording
+from quadjax.evaluate.recording import Recording, opening
 from quadjax.metrics import read_metrics
 from quadjax.schema import GateConfig
 
@@ -132,6 +133,22 @@ def test_an_animation_says_which_colour_is_which_speed():
     np.testing.assert_allclose(row[left + 2], slow, atol=1)
     np.testing.assert_allclose(row[right - 2], fast, atol=1)
     assert colours(row[None, left:right]) >= animation.SHADES
+
+
+def test_drones_have_names_where_they_are_told(tmp_path):
+    flights = [circle(), circle(seconds=0.7)]
+    plain, named = (animation.Film(flights, GATES, names) for names in ((), ("E2E", "INDI")))
+    assert np.any(np.asarray(plain.frame(5)) != np.asarray(named.frame(5)))
+    with pytest.raises(ValueError, match="zip"):
+        animation.Film(flights, GATES, ["E2E"]).frame(0)
+
+
+def test_the_opening_of_a_flight():
+    flight = dataclasses.replace(circle(crash="hit a gate"), lap_ends=np.array([0.4, 1.0]))
+    first = opening(flight, 0.5)
+    assert first.time[-1] == pytest.approx(0.5) and len(first.position) == len(first.time) == 51
+    assert first.lap_ends.tolist() == [0.4] and first.crash == ""
+    assert opening(flight, 1.0) is flight and opening(flight, 9.0) is flight
 
 
 def test_both_views_look_from_above():

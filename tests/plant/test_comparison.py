@@ -3,17 +3,78 @@
 import runpy
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadjax.config import load_config
+from quadjax.evaluate.laps import Laps
 from quadjax.plant.ablation import VARIANTS, present
+from quadjax.plant.comparison import Compared, Setting, changed_plants, contender, lead
 from quadjax.plant.comparison_figures import first_order, progress
+from quadjax.plant.comparison_run import best_recorded, limit_shares, table_text
+from quadjax.plant.plant_schema import NO_EFFECTS, PlantConfig
+from quadjax.plant.race import Flights
+from quadjax.vehicle.vector import Rotors
 from tests import reference as ref
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPARE = ROOT / "scripts" / "compare.py"
+
+
+def compared(name: str, file: str, lap: float, crashes: tuple[str, ...]) -> Compared:
+    """Six laps of ``lap`` s simulated and 0.1 s more on the plant; all rpm commands at 11000."""
+    simulated = Laps(np.full((2, 6), lap), ("", ""), np.full(2, 6 * lap))
+    times = np.full((len(crashes), 6), lap + 0.1)
+    times[[bool(crash) for crash in crashes], 3:] = np.nan
+    flown = Laps(times, crashes, np.nansum(times, axis=1))
+    over = np.zeros((10, 1), bool)
+    frames = SimpleNamespace(rpm_command=Rotors.same(np.full((10, 1), 11000.0)), over=over)
+    trace = SimpleNamespace(command=np.full((10, 4, 1), 7000.0), over=over)
+    own = contender(name, str(ROOT / "quadjax" / "pretrained" / file))
+    return Compared(own, simulated, trace, Flights(flown, frames, 0.002))
+
+
+def test_the_table_stands_beside_the_published_one():
+    setting = Setting(load_config(ROOT / "configs" / "e2e.yaml"), PlantConfig(), runs=6)
+    e2e = compared("E2E", "e2e.npz", 2.5, ("",) * 5 + ("hit a gate",))
+    indi = compared("INDI", "indi.npz", 2.75, ("",) * 6)
+    text = table_text(setting, e2e, indi)
+    for line in (
+        "E2E stand-in plant, mean of 5",
+        "E2E flown, mean of 5",
+        "5/6",
+        "E2E's lead over INDI: +1.50 s simulated, +1.50 s on the stand-in plant; "
+        "first lap +0.25 -> +0.25 s, each later lap +0.25 -> +0.25 s",
+        "0% simulated, 100% on the stand-in plant",
+        "E2E on the stand-in plant, early ends: hit a gate 1",
+    ):
+        assert line in text, text
+    assert limit_shares(setting, e2e) == (1.0, 0.0)
+    assert limit_shares(setting, indi) == (1.0, None)
+
+
+def test_no_lead_where_nobody_finished():
+    e2e = compared("E2E", "e2e.npz", 2.5, ("",) * 6)
+    indi = compared("INDI", "indi.npz", 2.75, ("hit a gate",) * 6)
+    assert lead(e2e, indi).endswith("INDI finished no run on the stand-in plant")
+
+
+def test_the_best_recorded_flight_has_the_most_laps():
+    times = np.array([[2.0, np.nan], [3.0, 3.0], [2.5, 2.5], [2.0, np.nan], [3.0, 2.9], [1.0, 1.0]])
+    assert best_recorded(Laps(times, ("",) * 6, np.zeros(6))) == 2  # the sixth is not recorded
+
+
+def test_each_change_of_the_plant_switches_one_thing_off():
+    plants = changed_plants(PlantConfig())
+    effects = {name: getattr(PlantConfig().effects, name) for name in vars(NO_EFFECTS)}
+    for name in effects:
+        changed = plants.pop(f"without {name}")
+        assert vars(changed.effects) == effects | {name: 0.0}
+    still, known = plants.pop("without delays"), plants.pop("with true states")
+    assert still.delay.command == still.delay.measurement == 0.0 and not plants
+    assert (known.navigation, known.disturbance_input) == ("truth", "true")
 
 
 def test_progress_grows_from_gate_to_gate():

@@ -10,7 +10,7 @@ from quadjax.config import load_config
 from quadjax.fit.config import LogsConfig
 from quadjax.fit.flight_log import read_logs
 from quadjax.fit.synthetic_log import write_log
-from quadjax.plant.flight_log import gate_centres, log_columns
+from quadjax.plant.flight_log import gate_centres, log_columns, write_logs
 from quadjax.plant.plant_schema import PlantConfig
 from quadjax.plant.race import fly_plan, plan_flights, race_config, recordings
 from quadjax.policy_file import read_policy
@@ -70,6 +70,16 @@ def test_the_fit_takes_its_logs(e2e, tmp_path):
     log = read_logs(LogsConfig(files=[str(path)], format="paparazzi", min_seconds=1.0), Path())[0]
     assert log.sample_rate == pytest.approx(500.0, rel=1e-3) and log.flying.all()
     assert np.abs(log.specific_force[:, 2].mean()) > 5.0
+
+
+def test_logs_of_policies_are_written_by_name(tmp_path):
+    race, plant = load_config(ROOT / "configs" / "e2e.yaml"), PlantConfig(navigation="truth")
+    policies = [PRETRAINED / "indi.npz"]
+    written = write_logs(race, plant, policies, tmp_path / "logs", flights=2, laps=1, seed=3)
+    assert [log.path.name for log in written] == ["indi_0.csv", "indi_1.csv"]
+    for log in written:
+        assert len(log.path.read_text().splitlines()) == log.rows + 1
+        assert log.crash or log.rows > 500 * 2.0
 
 
 def test_the_race_is_the_policys_own(e2e):

@@ -295,6 +295,16 @@ def test_a_roll_has_no_end():
         np.testing.assert_allclose(states.drone.euler.x[0], 0.04 - np.pi, atol=2e-3)
 
 
+def test_spinning_ends_an_episode_in_training_alone():
+    """A yaw rate beyond the limit of a config, either way round; by the exact rules it is none."""
+    choices, params = make_race("episode.yaw_rate_limit=5")
+    rows = level(through(0, -2.0), 0.0)
+    for rate, ends in ((4.5, False), (6.0, True), (-6.0, True)):
+        rows[:, ref.RATES] = [0.0, 0.0, rate]
+        assert bool(step((choices, params), rows)[2].attitude[0]) == ends
+        assert not step((choices, exact_rules(params)), rows)[2].terminated[0]
+
+
 def test_default_limits_are_the_published_ones(race):
     limits = {name: float(x) for name, x in vars(race[1].limits).items()}
     assert limits["dt"] == pytest.approx(0.01) and limits["max_steps"] == 1200
@@ -303,6 +313,7 @@ def test_default_limits_are_the_published_ones(race):
     assert float(exact.limits.gate_margin) == 0
     assert float(exact.limits.pitch) == pytest.approx(np.radians(89))
     assert float(exact.limits.roll) > np.pi
+    assert float(exact.limits.yaw_rate) == 1000
 
 
 def test_gate_margin_of_the_config(race):

@@ -88,8 +88,8 @@ def test_a_worker_killed_in_a_trial_leaves_it_failed_and_tried_once_more(tmp_pat
     path = sweep_file(tmp_path, budget={"trials": 2})
     store = open_at(path, tmp_path / "runs")
     process = start(path, tmp_path / "runs", workers=1, seconds=2.0)
-    worker = wait_for(lambda: running(store), process)[0]
-    os.kill(worker["pid"], signal.SIGKILL)
+    wait_for(lambda: any(len(trial.params) == 2 for trial in store.trials()), process)
+    os.kill(running(store)[0]["pid"], signal.SIGKILL)
     output, _ = process.communicate(timeout=LIMIT)
     assert process.returncode == 0, output
     failed = [t for t in store.trials() if t.state == State.FAIL]
