@@ -15,6 +15,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "episode.disturbance_input": ("true", "estimated", "none"),
     "network.activation": ("relu", "tanh"),
 }
+MOST_LAPS, MOST_RUNS = 1000, 100_000  # of a race: what is flown at once must fit in memory
 # Lowest and highest value, and whether each bound itself is allowed.
 _UNIT = (0.0, 1.0)
 CLOSED: dict[str, tuple[float, float]] = {
@@ -23,6 +24,8 @@ CLOSED: dict[str, tuple[float, float]] = {
     "train.steps": (1, 10**12),
     "train.drones": (1, 10**7),
     "seed": (0, 2**31 - 1),
+    "evaluate.laps": (1, MOST_LAPS),
+    "evaluate.runs": (1, MOST_RUNS),
     "ppo.gae_lambda": _UNIT,
     "shac.td_lambda": _UNIT,
     "shac.state_gradient_decay": _UNIT,
@@ -42,8 +45,6 @@ AT_LEAST_ONE = (
     "shac.critic_passes",
     "shac.critic_batches",
     "train.evaluate_every",
-    "evaluate.laps",
-    "evaluate.runs",
 )
 POSITIVE = (
     "vehicle.mass",

@@ -2,7 +2,7 @@
 
 import argparse
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -37,6 +37,18 @@ def count(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number from 1")
     return number
+
+
+def count_up_to(most: int) -> Callable[[str], int]:
+    """A ``type=`` for whole numbers from 1 to ``most``."""
+
+    def bounded(text: str) -> int:
+        number = count(text)
+        if number > most:
+            raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number, 1 to {most}")
+        return number
+
+    return bounded
 
 
 def seed(text: str) -> int:

@@ -21,7 +21,7 @@ from quadjax.learn.loop import NonFiniteError, Position, Row, advance, check_fin
 from quadjax.learn.networks import ActorCritic
 from quadjax.learn.state import Learner, TrainState
 from quadjax.learners import build_learner, flying_of, initial_policy, plan, with_policy
-from quadjax.metrics import MetricsFile
+from quadjax.metrics import MetricsFile, timed
 from quadjax.policies import act_deterministic
 from quadjax.race.build import build_params, choices_of, exact_rules
 from quadjax.race.environment import RaceParams
@@ -200,7 +200,7 @@ def _advance(
         score = scores[index] if lane.error is None else math.inf
         now = state.replace(params=jax.tree.map(lambda x, i=index: x[i], host))
         lane.position = advance(lane.position, now, score, steps, time.monotonic() - began)
-        row = row_of(lane.position, own, score, steps, took)
+        row = timed(row_of(lane.position, own, score, steps, took))
         if lane.error is None:
             lane.metrics.write(row)
         rows.append(row)

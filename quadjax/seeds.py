@@ -12,6 +12,7 @@ import numpy as np
 from quadjax.config import load_config
 from quadjax.errors import INTERRUPTED, InputError
 from quadjax.evaluate import pilot
+from quadjax.evaluate.learning_curves import check_laps
 from quadjax.policy_file import read_policy
 from quadjax.run_folder import check_same
 
@@ -35,6 +36,26 @@ class SeedResult:
     sampled_finished: int  # of the sampled flights from random starts
     sampled_runs: int
     memory_mib: float
+
+
+def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Config files by the name of their config, and the ``key=value`` words beside them.
+
+    Raises:
+        InputError: a config that cannot be used, none, two of one name, or some whose lap times
+            cannot be compared.
+    """
+    changes = [word for word in words if "=" in word and "/" not in word.partition("=")[0]]
+    files = [word for word in words if word not in changes]
+    configs = [load_config(path, changes) for path in files]
+    names = [config.name for config in configs]
+    if not names:
+        raise InputError("no config: expected at least one YAML file (try --help)")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"two of the configs are named {name}, expected names that differ")
+    check_laps({config.name: config.evaluate.laps for config in configs})
+    return dict(zip(names, files, strict=True)), changes
 
 
 def train_seed(config: str, words: Sequence[str], seed: int, runs: Path) -> Path:

@@ -81,24 +81,9 @@ def ours(config: Config, seconds: float, started: float, directory: Path) -> Sid
     )
 
 
-def stable_baselines(config: Config, seconds: float, started: float) -> Side:
-    """Stable-Baselines3's PPO on the same race, PyTorch on all cores; the last policy is judged.
-
-    Args:
-        config: the race and the hyperparameters.
-        seconds: of wall time since ``started``.
-        started: by ``time.monotonic()``.
-    """
-    import jax
-    import torch
+def _watch(clock: Clock) -> object:
+    """A callback of Stable-Baselines3 that looks at the clock after each update."""
     from stable_baselines3.common.callbacks import BaseCallback
-
-    from quadjax import sb3
-    from quadjax.learners import build_networks, policy_of
-
-    torch.set_num_threads(core_count())
-    model = sb3.make_ppo(config, SEED)
-    clock = Clock(started, seconds)
 
     class Watch(BaseCallback):
         """Looks at the clock after each update."""
@@ -114,7 +99,28 @@ def stable_baselines(config: Config, seconds: float, started: float) -> Side:
         def _on_step(self) -> bool:
             return not self.done
 
-    model.learn(config.train.steps, callback=Watch())
+    return Watch()
+
+
+def stable_baselines(config: Config, seconds: float, started: float) -> Side:
+    """Stable-Baselines3's PPO on the same race, PyTorch on all cores; the last policy is judged.
+
+    Args:
+        config: the race and the hyperparameters.
+        seconds: of wall time since ``started``.
+        started: by ``time.monotonic()``.
+    """
+    import jax
+    import torch
+
+    from quadjax import sb3
+    from quadjax.learners import build_networks, policy_of
+
+    torch.set_num_threads(core_count())
+    model = sb3.make_ppo(config, SEED)
+    clock = Clock(started, seconds)
+
+    model.learn(config.train.steps, callback=_watch(clock))
     like = policy_of(config, build_networks(config).init(jax.random.key(0)), {})
     total, flown = _judge(config, sb3.policy_of_ppo(model, config, like))
     threads = f"PyTorch {torch.get_num_threads()} threads, the race in JAX on one device"

@@ -4,14 +4,11 @@ import dataclasses
 import functools
 import json
 import math
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 
 import jax
 from jax.sharding import Mesh
@@ -21,12 +18,14 @@ from quadjax.checkpoint import Checkpoints
 from quadjax.devices import choose_devices
 from quadjax.evaluate.tables import published_total
 from quadjax.files import write_json
+from quadjax.interruptions import interruptions
 from quadjax.learn import parallel
 from quadjax.learn.loop import Hooks, Position, Row, run
+from quadjax.learn.networks import ActorCritic
 from quadjax.learn.parallel import Chunk
 from quadjax.learn.state import Learner, TrainState
 from quadjax.learners import build_learner, initial_policy, plan, policy_of, start_state
-from quadjax.metrics import MetricsFile, check_tensorboard, rows_of
+from quadjax.metrics import MetricsFile, check_tensorboard, rows_of, timed
 from quadjax.policy_file import Policy, read_policy, write_policy
 from quadjax.progress import TrainingProgress
 from quadjax.race.build import build_params
@@ -74,60 +73,109 @@ def train(
     """
     started = time.monotonic() if started is None else started
     directory = Path(directory)
-    params = build_params(config)
-    learner = build_learner(config)
-    count = choose_devices(config.train.devices, learner.lanes)
-    mesh = parallel.make_mesh(count)
-    hosts.meet(mesh)
-    updates, chunks = plan(config, learner.steps_per_update)
-    steps_per_chunk = updates * learner.steps_per_update
-    initial = initial_policy(config)
-    if config.train.tensorboard:
-        check_tensorboard()
+    job = _prepare(config)
     if hosts.is_first():
         if overwrite:
             remove_run(directory)
         claim_directory(config, directory, resume)
     if (done := _finished(directory)) is not None:
         return done
-    checkpoints = Checkpoints(directory / "checkpoints")
-    score = Score(config, params)
-    with interruptions() as stop, TrainingProgress(chunks * steps_per_chunk, config.name) as show:
-        begin = functools.partial(start_state, config, learner, params, initial)
-        chunk, first = _compile(learner, params, mesh, updates, score, begin)
-        position = Position(state=first, best=jax.device_get(first.params))
-        if resume and checkpoints.any:
-            position = checkpoints.restore(position)
-            position.state = parallel.place(position.state, mesh)
-            started = time.monotonic() - position.seconds
-        done = position.chunks * steps_per_chunk
-        metrics = MetricsFile(directory, done, config.train.tensorboard)
+    with interruptions() as stop, TrainingProgress(job.steps, config.name) as show:
+        watch = _Watch(show, stop, enough)
+        position = _run(job, directory, resume, started, watch)
+    finished = position.chunks >= job.chunks
+    return finish_run(config, directory, position, job.steps_per_chunk, finished, job.mesh.size)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Job:
+    """What is trained, settled before anything is written or compiled."""
+
+    config: Config
+    params: RaceParams
+    learner: Learner
+    mesh: Mesh
+    updates: int  # of a chunk
+    chunks: int  # of the whole run
+    initial: Policy | None
+
+    @property
+    def steps_per_chunk(self) -> int:
+        return self.updates * self.learner.steps_per_update
+
+    @property
+    def steps(self) -> int:
+        return self.chunks * self.steps_per_chunk
+
+
+@dataclasses.dataclass(frozen=True)
+class _Watch:
+    """Who looks on, and what ends a run early."""
+
+    show: TrainingProgress
+    stop: threading.Event
+    enough: Callable[[Row], bool] | None
+
+    def hooks(
+        self, score: Callable[[ActorCritic], float], metrics: MetricsFile, checkpoints: Checkpoints
+    ) -> Hooks:
+        """What happens between chunks."""
+        ended: list[Row] = []
 
         def report(row: Row) -> None:
+            row = timed(row)
             if hosts.is_first():
                 metrics.write(row)
-                show.show(row)
-            if enough is not None and enough(row):
+                self.show.show(row)
+            if self.enough is not None and self.enough(row):
                 ended.append(row)
 
-        ended: list[Row] = []
-        hooks = Hooks(
-            score, report, checkpoints.save, lambda: stop.is_set() or bool(ended), hosts.agree
-        )
-        position = run(
-            chunk,
-            params,
-            position,
-            hooks,
-            chunks,
-            steps_per_chunk,
-            config.train.checkpoint_seconds,
-            started,
-        )
+        def stop() -> bool:
+            return self.stop.is_set() or bool(ended)
+
+        return Hooks(score, report, checkpoints.save, stop, hosts.agree)
+
+
+def _prepare(config: Config) -> _Job:
+    """Everything that can be refused before a run leaves a trace."""
+    params = build_params(config)
+    learner = build_learner(config)
+    mesh = parallel.make_mesh(choose_devices(config.train.devices, learner.lanes))
+    hosts.meet(mesh)
+    updates, chunks = plan(config, learner.steps_per_update)
+    initial = initial_policy(config)
+    if config.train.tensorboard:
+        check_tensorboard()
+    return _Job(config, params, learner, mesh, updates, chunks, initial)
+
+
+def _run(job: _Job, directory: Path, resume: bool, started: float, watch: _Watch) -> Position:
+    """Compile, begin or go on, and train; the position where it ended, which is saved."""
+    config, params = job.config, job.params
+    checkpoints = Checkpoints(directory / "checkpoints")
+    score = Score(config, params)
+    begin = functools.partial(start_state, config, job.learner, params, job.initial)
+    chunk, first = _compile(job.learner, params, job.mesh, job.updates, score, begin)
+    position = Position(state=first, best=jax.device_get(first.params))
+    if resume and checkpoints.any:
+        position = checkpoints.restore(position)
+        position.state = parallel.place(position.state, job.mesh)
+        started = time.monotonic() - position.seconds
+    done = position.chunks * job.steps_per_chunk
+    metrics = MetricsFile(directory, done, config.train.tensorboard)
+    position = run(
+        chunk,
+        params,
+        position,
+        watch.hooks(score, metrics, checkpoints),
+        job.chunks,
+        job.steps_per_chunk,
+        config.train.checkpoint_seconds,
+        started,
+    )
     checkpoints.close()
     metrics.close()
-    finished = position.chunks >= chunks
-    return finish_run(config, directory, position, steps_per_chunk, finished, mesh.size)
+    return position
 
 
 def _compile(
@@ -161,32 +209,6 @@ def _finished(directory: Path) -> Result | None:
     return Result(directory, read_policy(directory / "policy.npz"), True, summary)
 
 
-@contextmanager
-def interruptions() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or a termination request sets; a second Ctrl-C interrupts at once.
-
-    A handler of the caller's own hears of the first one too.
-    """
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-        if callable(before[number]) and before[number] is not signal.default_int_handler:
-            before[number](number, frame)
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def finish_run(
     config: Config,
     directory: Path,
@@ -213,22 +235,24 @@ def finish_run(
     write_policy(directory / "policy.npz", policy)
     last = policy_of(config, jax.device_get(position.state.params), last_source)
     write_policy(directory / "policy_last.npz", last)
+    begun = {"name": config.name, "seed": config.seed, "finished": finished}
+    counts = {"steps": position.chunks * steps_per_chunk, "devices": devices}
+    summary = begun | counts | _measured(config, position, rows)
+    write_json(directory / "summary.json", summary)
+    return Result(directory, policy, finished, summary)
+
+
+def _measured(config: Config, position: Position, rows: list[Row]) -> dict[str, object]:
+    """What was measured of a run: times in seconds, memory in MiB."""
     last_score = rows[-1]["lap_total"] if rows else math.inf
-    summary = {
-        "name": config.name,
-        "seed": config.seed,
-        "finished": finished,
-        "steps": position.chunks * steps_per_chunk,
+    return {
         "seconds": round(position.seconds, 1),
-        "devices": devices,
         "best_lap_total": _number(position.best_score),
         "best_steps": position.best_steps,
         "last_lap_total": _number(last_score),
         "first_under": _first_under(config, rows),
         "peak_memory_mib": peak_memory_mib(),
     }
-    write_json(directory / "summary.json", summary)
-    return Result(directory, policy, finished, summary)
 
 
 def _first_under(config: Config, rows: list[Row]) -> dict[str, float | None] | None:

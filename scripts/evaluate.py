@@ -9,13 +9,15 @@ import argparse
 
 from rich.console import Console
 
-from quadjax.commands import Parser, check_writable, count, parse, seed
+from quadjax.checks import MOST_LAPS, MOST_RUNS
+from quadjax.commands import Parser, check_writable, count_up_to, parse, seed
 from quadjax.config import load_config
 from quadjax.errors import InputError, command_line
 from quadjax.evaluate import pilot, tables
 from quadjax.evaluate.laps import Laps, Trace
 from quadjax.evaluate.recording import choose, distinct, recordings
-from quadjax.export.ranges import parse_overrides
+from quadjax.export.pilot import fly_fixed_point
+from quadjax.export.ranges import add_range_option, parse_overrides
 from quadjax.files import write_json
 from quadjax.policy_file import Policy, read_policy
 from quadjax.progress import bar
@@ -29,22 +31,18 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("config", help="YAML file, as for training")
     parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
     parser.add_argument("--policy", required=True, metavar="FILE.npz", help="policy file")
-    parser.add_argument("--laps", type=count, help="laps of a run (the config's, 6)")
-    parser.add_argument("--runs", type=count, help="runs (the config's, 5)")
+    parser.add_argument(
+        "--laps", type=count_up_to(MOST_LAPS), help="laps of a run (the config's, 6)"
+    )
+    parser.add_argument("--runs", type=count_up_to(MOST_RUNS), help="runs (the config's, 5)")
     parser.add_argument("--deterministic", action="store_true", help="fly the mean only")
     parser.add_argument("--start", choices=("hover", "random"), default="hover")
     parser.add_argument("--seed", type=seed, default=0, help="of noise, disturbances and starts")
     parser.add_argument(
         "--fixed-point", action="store_true", help="fly the exported fixed-point code's numbers"
     )
-    parser.add_argument(
-        "--range",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="NAME=R",
-        dest="ranges",
-        help="with --fixed-point: the ranges that it was exported with, where not the default",
+    add_range_option(
+        parser, "with --fixed-point: the ranges that it was exported with, where not the default"
     )
     parser.add_argument("--json", metavar="FILE.json", help="write the laps")
     parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from above")
@@ -67,7 +65,7 @@ def _fly_all(
     trace = any((arguments.figure, arguments.signals, arguments.animation))
     if arguments.fixed_point:
         ranges = parse_overrides(arguments.ranges)
-        flown = pilot.fly_fixed_point(config, policy, race, trace, arguments.policy, ranges)
+        flown = fly_fixed_point(config, policy, race, trace, arguments.policy, ranges)
         return {"fixed point, mean action": flown}
     modes = {"deterministic": True} if arguments.deterministic else {}
     modes = modes or {f"sampled, {tables.counted(race.runs, 'run')}": False, "deterministic": True}

@@ -13,7 +13,7 @@ from pathlib import Path
 from quadjax.commands import Parser, parse
 from quadjax.errors import command_line
 from quadjax.export.convert_policy import Request, write_folder
-from quadjax.export.ranges import parse_overrides
+from quadjax.export.ranges import add_range_option, parse_overrides
 from quadjax.export.report import report_text
 
 
@@ -23,14 +23,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("policy", type=Path, help="policy file (.npz)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the C")
     parser.add_argument("--name", help="prefix of every C symbol; default: the file's name")
-    parser.add_argument(
-        "--range",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="NAME=R",
-        dest="ranges",
-        help="declare +-R for an input instead of the default, a power of two: position=16",
+    add_range_option(
+        parser, "declare +-R for an input instead of the default, a power of two: position=16"
     )
     parser.add_argument("--track", help="track file of configs/tracks, or a path to one")
     parser.add_argument("--config", type=Path, help="training config whose race the policy flies")

@@ -13,6 +13,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from quadjax.commands import Parser, check_writable, parse
 from quadjax.errors import command_line
 from quadjax.fit.figures import write_figures
 from quadjax.fit.pipeline import load_fit_config, run_fit
@@ -22,15 +23,14 @@ from quadjax.fit.report import tables, write_results
 @command_line
 def main() -> None:
     """Read the config, fit, print, write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config", type=Path, help="a YAML file of configs/fit")
     parser.add_argument("words", nargs="*", metavar="key=value", help="override a key, dotted")
-    arguments = parser.parse_args()
+    arguments = parse(parser)
     started = time.monotonic()
     config = load_fit_config(arguments.config, arguments.words)
     folder = Path(config.runs) / config.name
+    check_writable(folder / "vehicle.yaml")
     columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     quiet = not console.is_terminal

@@ -1,41 +1,56 @@
-"""Train a config over several seeds, one after the other, and print what each came to.
+"""Train configs over several seeds, one after the other, and print what each came to.
 
-Laps are deterministic from hover; 'sampled' is the mean of sampled flights from hover, 'random
-starts' how many of as many sampled flights from random starts flew every lap.
+A run that has finished is not trained again. Laps are deterministic from hover; 'sampled' is the
+mean of sampled flights from hover, 'random starts' how many of as many sampled flights from random
+starts flew every lap. The figure has the learning curves of all configs side by side.
 """
 
 import dataclasses
 from pathlib import Path
 
-from quadjax.commands import Parser, count, parse
-from quadjax.config import load_config
+from quadjax.checks import MOST_RUNS
+from quadjax.commands import Parser, check_writable, count, count_up_to, parse
 from quadjax.errors import command_line
 from quadjax.files import write_json
 
 
 @command_line
 def main() -> int:
-    """Train, fly and tabulate."""
+    """Train, draw, fly and tabulate."""
     parser = Parser(description=__doc__)
-    parser.add_argument("config", help="YAML file, as for training")
-    parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
+    parser.add_argument(
+        "words",
+        nargs="+",
+        metavar="CONFIG|key=value",
+        help="YAML files, as for training, and changes to all of them",
+    )
     parser.add_argument("--seeds", type=count, default=5, help="how many, from 0 (5)")
-    parser.add_argument("--flights", type=count, default=100, help="sampled flights (100)")
+    parser.add_argument(
+        "--flights", type=count_up_to(MOST_RUNS), default=100, help="sampled flights (100)"
+    )
     parser.add_argument("--runs", default="runs", metavar="DIR", help="where runs go (runs)")
+    parser.add_argument("--figure", metavar="FILE", help="learning curves (runs/NAMES_seeds.png)")
     arguments = parse(parser)
-    name = load_config(arguments.config, arguments.words).name
     from quadjax import seeds
+    from quadjax.evaluate.figures import save_figure
+    from quadjax.evaluate.learning_curves import learning_figure
 
+    configs, words = seeds.configs_of(arguments.words)
     runs = Path(arguments.runs)
-    folders = [
-        seeds.train_seed(arguments.config, arguments.words, seed, runs)
-        for seed in range(arguments.seeds)
-    ]
-    results = [seeds.judge_seed(folder, arguments.flights) for folder in folders]
-    print(seeds.format_seeds(results))
-    path = runs / f"{name}_seeds.json"
-    write_json(path, [dataclasses.asdict(result) for result in results])
-    print(f"wrote {path}")
+    figure = Path(arguments.figure or runs / f"{'_and_'.join(configs)}_seeds.png")
+    check_writable(figure, (".png", ".svg", ".pdf"))
+    groups = {
+        name: [seeds.train_seed(config, words, seed, runs) for seed in range(arguments.seeds)]
+        for name, config in configs.items()
+    }
+    save_figure(learning_figure(groups), figure)
+    print(f"wrote {figure}")
+    for name, folders in groups.items():
+        results = [seeds.judge_seed(folder, arguments.flights) for folder in folders]
+        print(f"\n{name}\n\n{seeds.format_seeds(results)}\n")
+        path = runs / f"{name}_seeds.json"
+        write_json(path, [dataclasses.asdict(result) for result in results])
+        print(f"wrote {path}")
     return 0
 
 

@@ -3,9 +3,15 @@
 import argparse
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from quadjax.commands import Parser, count, parse
 from quadjax.errors import InputError, command_line
+
+if TYPE_CHECKING:  # imported late: --help and bad input need none of it
+    from quadjax.sweep.machine import Layout
+    from quadjax.sweep.schema import Sweep
+    from quadjax.sweep.store import Store
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -46,7 +52,6 @@ def main() -> int:
     sweep = load_sweep(arguments.sweep, arguments.words)
     directory = Path(arguments.runs) / sweep.file.name
     from quadjax.sweep import machine
-    from quadjax.sweep.store import Store, delete_study
 
     seeds = sweep.file.objective.seeds
     if arguments.calibrate:
@@ -55,16 +60,10 @@ def main() -> int:
     if arguments.check:
         print(f"{arguments.sweep}: {sweep.trials} trials of {seeds} seeds can run")
         return 0
-    if arguments.overwrite:
-        delete_study(sweep, directory)
-        shutil.rmtree(directory, ignore_errors=True)
-    if not (directory / "study.journal").exists() and (directory / "checkpoints").exists():
-        raise InputError(f"{directory} holds a training run; choose another name=NAME")
-    store = Store(sweep, directory)
+    store = _open(sweep, directory, arguments.overwrite)
     from quadjax.sweep import run
     from quadjax.sweep.report import present
 
-    before = store.counts().done
     run.check_budget(sweep, store.counts())
     if arguments.report:
         present(store)
@@ -75,13 +74,35 @@ def main() -> int:
         layout = calibrate(sweep, directory, layout)
     if arguments.calibrate:
         return 0
+    return _run(store, layout, arguments)
+
+
+def _open(sweep: "Sweep", directory: Path, overwrite: bool) -> "Store":
+    """The sweep's store of trials, anew if asked for."""
+    from quadjax.sweep.store import Store, delete_study
+
+    if overwrite:
+        delete_study(sweep, directory)
+        shutil.rmtree(directory, ignore_errors=True)
+    if not (directory / "study.journal").exists() and (directory / "checkpoints").exists():
+        raise InputError(f"{directory} holds a training run; choose another name=NAME")
+    return Store(sweep, directory)
+
+
+def _run(store: "Store", layout: "Layout", arguments: argparse.Namespace) -> int:
+    """Run what is left, report, and say how it ended."""
+    from quadjax.sweep import run
+    from quadjax.sweep.report import present
+
+    sweep, before = store.sweep, store.counts().done
     print(
         f"{sweep.file.name}: {sweep.trials} trials, {layout.workers} workers, "
         f"{layout.lanes} runs in a program ({layout.why})",
         flush=True,
     )
+    runs = Path(arguments.runs)
     try:
-        outcome = run.run_sweep(store, arguments.sweep, arguments.words, directory.parent, layout)
+        outcome = run.run_sweep(store, arguments.sweep, arguments.words, runs, layout)
     except run.WorkersFailError as error:
         print(f"error: {error}")
         return 1

@@ -35,3 +35,14 @@ def test_the_table_names_the_published_time():
 def test_a_training_that_fails_is_one_line(tmp_path):
     with pytest.raises(InputError, match="seed 0 failed with status 2"):
         seeds.train_seed(CONFIG, [*TINY, "train.init=none.npz"], 0, tmp_path)
+
+
+def test_configs_and_changes_are_told_apart():
+    files = [str(CONFIGS / name) for name in ("e2e_ppo.yaml", "indi_ppo.yaml")]
+    configs, words = seeds.configs_of([files[0], "ppo.epochs=2", files[1]])
+    assert configs == dict(zip(("e2e_ppo", "indi_ppo"), files, strict=True))
+    assert words == ["ppo.epochs=2"]
+    with pytest.raises(InputError, match="named mine"):
+        seeds.configs_of([*files, "name=mine"])
+    with pytest.raises(InputError, match="no config"):
+        seeds.configs_of(["seed=1"])

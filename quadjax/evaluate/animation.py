@@ -25,6 +25,8 @@ WIDTH, HEIGHT = 960, 440  # px
 SMOOTH = 2
 COLOURS = 96
 SHADES = 24  # of the trail
+CLOCK_ROW = 0.07  # of the height: where the clock, the lap times and the speeds stand
+LEGEND = (0.66, 0.78)  # of the width: the bar of the speeds' colours
 NAME_OFFSET = 30  # px, before halving, of a drone's name from its middle
 
 
@@ -57,31 +59,38 @@ def write_animation(
         raise InputError(f"{path}: suffix is {Path(path).suffix!r}, allowed: .gif")
     if not flights:
         raise InputError(f"{path}: no flight to animate")
-    film = Film(flights, gates, names)
-    count = frame_count(flights)
-    palette = film.palette(count)
-    durations = [1000 // FRAMES_PER_SECOND] * (count - 1) + [int(1000 * HOLD_SECONDS)]
-
-    def frames() -> Iterator[Image.Image]:
-        for index in range(count):
-            yield film.frame(index).quantize(palette=palette, dither=Image.Dither.NONE)
-            advance()
-
     try:
         with whole_file(path) as temporary:
-            drawn = frames()
-            next(drawn).save(
-                temporary,
-                format="GIF",
-                save_all=True,
-                append_images=drawn,
-                duration=durations,
-                loop=0,
-                disposal=1,
-                optimize=True,  # what stands still is not written again
-            )
+            _save(temporary, _frames(flights, gates, names, advance), frame_count(flights))
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def _frames(
+    flights: Sequence[Recording],
+    gates: Sequence[GateConfig],
+    names: Sequence[str],
+    advance: Callable[[], object],
+) -> Iterator[Image.Image]:
+    """Every frame, in the same few colours."""
+    film, count = Film(flights, gates, names), frame_count(flights)
+    palette = film.palette(count)
+    for index in range(count):
+        yield film.frame(index).quantize(palette=palette, dither=Image.Dither.NONE)
+        advance()
+
+
+def _save(path: Path, frames: Iterator[Image.Image], count: int) -> None:
+    next(frames).save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=frames,
+        duration=[1000 // FRAMES_PER_SECOND] * (count - 1) + [int(1000 * HOLD_SECONDS)],
+        loop=0,
+        disposal=1,
+        optimize=True,  # what stands still is not written again
+    )
 
 
 class Film:
@@ -138,7 +147,22 @@ class Film:
         x, y = 0.02 * WIDTH * SMOOTH, 0.955 * HEIGHT * SMOOTH
         note = "from above: north to the right, east down; grid 1 m"
         draw.text((x, y), note, font=self._fonts[13], fill=scene.FAINT, anchor="lm")
+        self._draw_legend(draw)
         return image
+
+    def _draw_legend(self, draw: ImageDraw.ImageDraw) -> None:
+        """Which colour of the trail is which speed; what is slower has the slowest's."""
+        left, right = (x * WIDTH * SMOOTH for x in LEGEND)
+        edges = np.linspace(left, right, SHADES + 1)
+        y, half = CLOCK_ROW * HEIGHT * SMOOTH, 5 * SMOOTH
+        for start, end, shade in zip(edges[:-1], edges[1:], self._shades, strict=True):
+            draw.rectangle([start, y - half, end, y + half], fill=shade)
+        gap, (low, high) = 6 * SMOOTH, self._shown
+        for x, text, anchor in (
+            (left - gap, f"\u2264 {low:.1f}", "rm"),
+            (right + gap, f"{high:.1f} m/s", "lm"),
+        ):
+            draw.text((x, y), text, font=self._fonts[13], fill=scene.FAINT, anchor=anchor)
 
     def palette(self, count: int) -> Image.Image:
         """Colours that serve every frame."""
@@ -200,7 +224,7 @@ class Film:
             (0.15, note, 13, "lm"),
             (0.98, f"{lead.speed[step]:.1f} m/s", 24, "rm"),
         ):
-            place = (x * WIDTH * SMOOTH, 0.07 * HEIGHT * SMOOTH)
+            place = (x * WIDTH * SMOOTH, CLOCK_ROW * HEIGHT * SMOOTH)
             draw.text(place, text, font=self._fonts[size], fill=scene.TEXT, anchor=anchor)
 
 

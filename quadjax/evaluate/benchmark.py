@@ -15,6 +15,7 @@ import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
 from quadjax.devices import choose_devices, core_count
+from quadjax.environment import Environment
 from quadjax.learn import parallel
 from quadjax.learn.state import AXIS, where_done
 from quadjax.learners import build_learner, start_state
@@ -56,20 +57,8 @@ def random_residual(seed: int = 0, width: int = 32) -> Residual:
     return Residual(layers(7, 1, 0.1), layers(10, 3, 1e-3), *numbers)
 
 
-def environment_loop(
-    config: Config, params: RaceParams, drones: int, steps: int, devices: int, observed: bool
-) -> tuple[Callable, tuple]:
-    """A compiled loop of steps with automatic resets, split over devices, and its arguments.
-
-    Args:
-        config: of the race.
-        params: its numbers; they are arguments of the loop, as in training.
-        drones: in all.
-        steps: of each drone in a call.
-        devices: over which the drones are split.
-        observed: whether every step makes the observation too.
-    """
-    environment = make_environment(choices_of(config))
+def _loop(environment: Environment, steps: int, observed: bool) -> Callable[..., tuple]:
+    """Steps of all drones from a state, with a fresh one where an episode ends."""
     step = jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0))
     observe = jax.vmap(environment.observe, in_axes=(None, -1))
 
@@ -85,6 +74,24 @@ def environment_loop(
 
         return jax.lax.scan(one, (state, jnp.zeros(action.shape[0])), None, steps)[0]
 
+    return loop
+
+
+def environment_loop(
+    config: Config, params: RaceParams, drones: int, steps: int, devices: int, observed: bool
+) -> tuple[Callable, tuple]:
+    """A compiled loop of steps with automatic resets, split over devices, and its arguments.
+
+    Args:
+        config: of the race.
+        params: its numbers; they are arguments of the loop, as in training.
+        drones: in all.
+        steps: of each drone in a call.
+        devices: over which the drones are split.
+        observed: whether every step makes the observation too.
+    """
+    environment = make_environment(choices_of(config))
+    loop = _loop(environment, steps, observed)
     mesh = parallel.make_mesh(devices)
     reset = jax.jit(jax.vmap(environment.reset, in_axes=(None, 0), out_axes=-1))
     state = reset(params, jax.random.split(jax.random.key(0), drones))

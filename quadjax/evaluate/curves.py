@@ -1,6 +1,6 @@
 """Training curves from the metrics of one or several runs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -46,7 +46,8 @@ def training_figure(
             tidy(axes)
             _draw_runs(axes, runs, along, up)
             if up == "lap_total":
-                _lap_axis(axes, runs, reference)
+                times = np.concatenate([columns[up] for columns in runs.values()])
+                lap_axis(axes, times, [reference] if reference else [])
         line[0].set_ylabel(UPWARDS[up], color=INK)
     for along, axes in zip(across, grid[-1], strict=True):
         axes.set_xlabel(ACROSS[along][0], color=INK)
@@ -68,13 +69,15 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Metrics], along: str, up: str) -> 
         axes.plot(x[fine], y[fine], color=colour, lw=1.5, marker=mark, markersize=3, label=name)
 
 
-def _lap_axis(axes: Axes, runs: Mapping[str, Metrics], reference: tuple[str, float] | None) -> None:
-    """Show the times near the best one; the first laps ever flown are far off and say little."""
-    times = np.concatenate([columns["lap_total"] for columns in runs.values()])
-    best = float(np.nanmin(np.where(np.isfinite(times), times, np.nan)))
-    lowest = best
-    if reference is not None:
-        label, time = reference
+def lap_axis(axes: Axes, times: np.ndarray, references: Sequence[tuple[str, float]]) -> None:
+    """Show the times near the best one; the first laps ever flown are far off and say little.
+
+    Args:
+        axes: with times upwards, s.
+        times: all that is drawn, s; what is not finite is not.
+        references: labels and times, s, to draw as horizontal lines.
+    """
+    for label, time in references:
         axes.axhline(time, color=MUTED, lw=1.0, ls="--", zorder=1)
         axes.annotate(
             label,
@@ -87,8 +90,6 @@ def _lap_axis(axes: Axes, runs: Mapping[str, Metrics], reference: tuple[str, flo
             color=MUTED,
             annotation_clip=True,
         )
-        lowest = min(best, time)
-    highest = float(np.nanmax(np.where(np.isfinite(times), times, np.nan)))
-    if reference is not None:
-        highest = max(highest, reference[1])
-    axes.set_ylim(0.97 * lowest, min(1.03 * max(highest, lowest), LAP_RANGE * lowest))
+    shown = [*times[np.isfinite(times)], *(time for _, time in references)]
+    if shown:
+        axes.set_ylim(0.97 * min(shown), min(1.03 * max(shown), LAP_RANGE * min(shown)))

@@ -10,8 +10,8 @@ import dataclasses
 
 import numpy as np
 
-from quadjax.checks import CHOICES
-from quadjax.commands import Parser, check_writable, count, parse, seed
+from quadjax.checks import CHOICES, MOST_LAPS, MOST_RUNS
+from quadjax.commands import Parser, check_writable, count_up_to, parse, seed
 from quadjax.config import load_config
 from quadjax.errors import command_line
 from quadjax.evaluate.laps import Trace
@@ -100,8 +100,12 @@ def main() -> None:
     parser.add_argument("config", help="YAML file, as for training")
     parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
     parser.add_argument("--policy", required=True, metavar="FILE.npz", help="policy file")
-    parser.add_argument("--runs", type=count, default=100, help="runs with each input (100)")
-    parser.add_argument("--laps", type=count, help="laps of a run (the config's, 6)")
+    parser.add_argument(
+        "--runs", type=count_up_to(MOST_RUNS), default=100, help="runs with each input (100)"
+    )
+    parser.add_argument(
+        "--laps", type=count_up_to(MOST_LAPS), help="laps of a run (the config's, 6)"
+    )
     parser.add_argument("--start", choices=("hover", "random"), default="random")
     parser.add_argument("--seed", type=seed, default=0, help="of noise, disturbances and starts")
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from quadjax.evaluate.result import CRASHES, Laps
 from quadjax.race import environment
 from quadjax.race.build import exact_rules
 from quadjax.race.environment import Choices, RaceParams, RaceState
@@ -20,16 +21,6 @@ Actor = Callable[[object, jax.Array, jax.Array], jax.Array]  # (policy, observat
 SECONDS_PER_LAP = 8.0  # of 14 m: a drone slower than this has lost its way
 METRES_PER_LAP = 14.0
 
-CRASHES = (
-    "",
-    "hit a gate",
-    "hit the ground",
-    "out of bounds",
-    "lost its attitude",
-    "not finite",
-    "out of time",
-)
-
 
 @struct.dataclass
 class Race:
@@ -39,6 +30,9 @@ class Race:
     lap_end: jax.Array  # (laps, runs) s since the start; 0 where not flown
     over: jax.Array  # (runs,) bool
     crash: jax.Array  # (runs,) index into CRASHES
+
+
+Carry = tuple[Race, jax.Array]  # drones and the key of the noise to come
 
 
 @struct.dataclass
@@ -53,57 +47,6 @@ class Trace:
     command: jax.Array  # (time, 4, runs)
     target: jax.Array  # (time, runs)
     over: jax.Array  # (time, runs) bool, before the step
-
-
-@dataclasses.dataclass(frozen=True)
-class Laps:
-    """The result of timed laps, as NumPy arrays."""
-
-    lap_times: np.ndarray  # (runs, laps) s; NaN where not flown
-    crashes: tuple[str, ...]  # why each run ended early; "" where it did not
-    seconds: np.ndarray  # (runs,) s from the start to the run's end, however it ended
-
-    @property
-    def totals(self) -> np.ndarray:
-        """Time of all laps (runs,), s; NaN where not finished."""
-        return self.lap_times.sum(axis=1)
-
-    @property
-    def finished(self) -> int:
-        """How many runs flew all laps."""
-        return int(np.isfinite(self.totals).sum())
-
-    def laps_flown(self) -> np.ndarray:
-        """How many laps each run flew, (runs,)."""
-        return np.isfinite(self.lap_times).sum(axis=1)
-
-    def to_json(self) -> dict[str, object]:
-        """The result as JSON takes it: ``null`` for laps that were not flown.
-
-        Of the runs that ended early, ``crashes`` says which (from 0), in which lap (from 1), after
-        how many seconds and why.
-        """
-
-        def number(x: float) -> float | None:
-            return round(float(x), 4) if np.isfinite(x) else None
-
-        flown = self.laps_flown()
-        return {
-            "laps": [[number(x) for x in run] for run in self.lap_times],
-            "totals": [number(x) for x in self.totals],
-            "finished": self.finished,
-            "runs": len(self.crashes),
-            "crashes": [
-                {
-                    "run": run,
-                    "lap": int(flown[run]) + 1,
-                    "seconds": number(self.seconds[run]),
-                    "reason": reason,
-                }
-                for run, reason in enumerate(self.crashes)
-                if reason
-            ],
-        }
 
 
 def starting_states(
@@ -195,24 +138,9 @@ def fly_race(
     key: jax.Array,
 ) -> tuple[Race, Trace | None]:
     """Fly from given states for at most ``steps`` steps; see ``fly_laps``."""
-    gates = gate_count(params.track)
-    runs = state.step.shape[-1]
-    observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
-    act = jax.vmap(actor, in_axes=(None, 0, 0))
-    step = jax.vmap(
-        lambda race, action: _step_one(choices, params, race, action, gates),
-        in_axes=(-1, 0),
-        out_axes=-1,
-    )
+    one = _stepper(choices, actor, params, policy)
 
-    def one(carry: tuple[Race, jax.Array]) -> tuple[tuple[Race, jax.Array], jax.Array]:
-        race, key = carry
-        key, noise_key = jax.random.split(key)
-        noise = jax.random.normal(noise_key, (runs, 4))
-        action = act(policy, observe(params, race.state), noise)
-        return (step(race, action), key), action
-
-    def record(carry: tuple[Race, jax.Array], _: None) -> tuple[tuple[Race, jax.Array], Trace]:
+    def record(carry: Carry, _: None) -> tuple[Carry, Trace]:
         following, action = one(carry)
         return following, _trace(choices, params, carry[0], action)
 
@@ -230,6 +158,29 @@ def fly_race(
 
     _, (race, _) = jax.lax.while_loop(going_on, body, (0, carry))
     return race, None
+
+
+def _stepper(
+    choices: Choices, actor: Actor, params: RaceParams, policy: object
+) -> Callable[[Carry], tuple[Carry, jax.Array]]:
+    """One step of all drones: to the race after it, and the actions (runs, 4)."""
+    gates = gate_count(params.track)
+    observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
+    act = jax.vmap(actor, in_axes=(None, 0, 0))
+    step = jax.vmap(
+        lambda race, action: _step_one(choices, params, race, action, gates),
+        in_axes=(-1, 0),
+        out_axes=-1,
+    )
+
+    def one(carry: Carry) -> tuple[Carry, jax.Array]:
+        race, key = carry
+        key, noise_key = jax.random.split(key)
+        noise = jax.random.normal(noise_key, (race.over.shape[-1], 4))
+        action = act(policy, observe(params, race.state), noise)
+        return (step(race, action), key), action
+
+    return one
 
 
 def _trace(choices: Choices, params: RaceParams, race: Race, action: jax.Array) -> Trace:

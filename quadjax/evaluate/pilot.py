@@ -8,7 +8,6 @@ says, because it may draw none and yet meet some: a steady moment, or less thrus
 """
 
 import dataclasses
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -176,13 +175,14 @@ def _between(source: Ranges, target: Ranges) -> Ranges:
     return scale, (high + low - to_high - to_low) / (to_high - to_low)
 
 
-def _see(pilot: Pilot, observation: jax.Array) -> jax.Array:
+def see(pilot: Pilot, observation: jax.Array) -> jax.Array:
+    """The environment's observation (k,) in the scaling that the policy was trained with."""
     return observation * pilot.see_scale + pilot.see_offset
 
 
 def fly(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
     """The environment's action (4,) for what it shows, with normal ``noise`` (4,)."""
-    action = act_sampled(pilot.policy, _see(pilot, observation), pilot.noise * noise)
+    action = act_sampled(pilot.policy, see(pilot, observation), pilot.noise * noise)
     return jnp.clip(action, -1.0, 1.0) * pilot.act_scale + pilot.act_offset
 
 
@@ -207,35 +207,10 @@ def fly_policy(
     Raises:
         InputError: the policy does not fit the vehicle.
     """
-    return _fly(config, policy, race, fly, deterministic, trace, name)
+    return fly_by(config, policy, race, fly, deterministic, trace, name)
 
 
-def fly_fixed_point(
-    config: Config,
-    policy: Policy,
-    race: Race,
-    trace: bool = False,
-    name: str = "policy",
-    ranges: dict[str, float] | None = None,
-) -> tuple[Laps, Trace | None]:
-    """Time the laps of a policy as the exported fixed-point code computes it, bit for bit.
-
-    Like the code on the drone it flies the mean, and what is outside the declared ranges (the
-    converter's defaults, or ``ranges``) it sees at their edge. Other arguments and errors as of
-    ``fly_policy``.
-    """
-    from quadjax.export.emulator_jax import fixed_point_actor
-
-    commands: Callable[[jax.Array], jax.Array] = fixed_point_actor(policy, ranges)
-
-    def actor(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
-        given = commands(_see(pilot, observation))
-        return 2.0 * (given - pilot.low) / (pilot.high - pilot.low) - 1.0
-
-    return _fly(config, policy, race, actor, True, trace, name)
-
-
-def _fly(
+def fly_by(
     config: Config,
     policy: Policy,
     race: Race,
@@ -244,6 +219,10 @@ def _fly(
     trace: bool,
     name: str,
 ) -> tuple[Laps, Trace | None]:
+    """Time the laps of a policy file whose commands ``actor`` computes, as ``fly`` does.
+
+    Other arguments, results and errors as of ``fly_policy``.
+    """
     check_fits(config, policy, name)
     choices, params = race_of(config, policy)
     vehicle = command_ranges(choices, params)

@@ -142,10 +142,15 @@ def _estimator(request: Request, own: flights.OwnRace) -> tuple[EstimatorTables 
     return tables, sha256(Path(residual)) if residual else ""
 
 
-def _origin(request: Request, file: str, policy: Policy, own: flights.OwnRace) -> Provenance:
+def _name(request: Request, file: str) -> str:
+    """The prefix of every C symbol: as asked for, or the policy file's name."""
     name = request.name if request.name is not None else identifier(Path(file).stem)
     if identifier(name) != name:
         raise InputError(f"--name {name!r}: expected a lower-case C identifier")
+    return name
+
+
+def _origin(request: Request, file: str, policy: Policy, own: flights.OwnRace) -> Provenance:
     policy_hash = sha256(request.policy)
     said = {k: v for k, v in policy.source.items() if v is not None and not isinstance(v, dict)}
     source = ", ".join(f"{key}={value}" for key, value in said.items())
@@ -159,6 +164,7 @@ def _origin(request: Request, file: str, policy: Policy, own: flights.OwnRace) -
         f"Track    {track}; vehicle {vehicle}",
     )
     lines = [textwrap.wrap(fact, COMMENT_WIDTH, subsequent_indent=" " * 9) for fact in facts]
+    name = _name(request, file)
     return Provenance(name, policy_hash, tuple(itertools.chain(*lines)), source or file)
 
 
@@ -221,17 +227,32 @@ def write_folder(request: Request) -> tuple[Converted, dict[str, object]]:
     Raises:
         InputError: whatever is wrong, in one line; then nothing has been written.
     """
+    _check_out(request)
     converted = convert_policy(request)
     report = report_of(converted, request)
     name, out = converted.origin.name, request.out
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out {out}: is no folder")
-    for file, text in sources(converted).items():
+    files = sources(converted)
+    for file, text in files.items():
         write_text(out / file, text)
+    for file in {f"{name}_estimator.c", f"{name}_estimator.h"} - files.keys():
+        (out / file).unlink(missing_ok=True)  # of a policy that saw the disturbances
     write_json(out / f"{name}_report.json", report)
     write_text(out / f"{name}_report.txt", report_text(report, name))
     _keep_inputs(converted, request)
     return converted, report
+
+
+def _check_out(request: Request) -> None:
+    """Refuse an output that is no folder, or one that holds the export of another name."""
+    name, out = _name(request, request.policy.name), request.out
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out}: is no folder")
+    others = sorted({path.name for path in out.glob("*_report.json")} - {f"{name}_report.json"})
+    if others:
+        other = others[0].removesuffix("_report.json")
+        raise InputError(
+            f"--out {out}: holds an export named {other!r}; take another folder, or delete that one"
+        )
 
 
 def _by_itself(config: Config, out: Path) -> Config:
@@ -258,6 +279,8 @@ def _keep_inputs(converted: Converted, request: Request) -> None:
         if source.resolve() != (out / name).resolve():
             with whole_file(out / name) as temporary:
                 shutil.copyfile(source, temporary)
+    if RESIDUAL_FILE not in copies:
+        (out / RESIDUAL_FILE).unlink(missing_ok=True)
     write_text(out / CONFIG_FILE, to_yaml(_by_itself(config, out)))
     with whole_file(out / FLOWN_FILE) as temporary, open(temporary, "wb") as stream:
         np.savez_compressed(

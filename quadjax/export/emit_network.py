@@ -143,24 +143,30 @@ def _calls(layers: list[PaddedLayer]) -> dict[str, str]:
 
 def _squash(network: FixedNetwork) -> str:
     """``output_command``: clamp and shift, or tanh and the command's range."""
-    size = str(network.outputs)
+    return _clip_command(network) if network.squash == "clip" else _tanh_command(network)
+
+
+def _clip_command(network: FixedNetwork) -> str:
+    size, shift = str(network.outputs), network.output_shift
+    limits = [
+        table("int64_t", "sum_low", size, network.command_low.astype(np.int64) << shift),
+        table("int64_t", "sum_high", size, network.command_high.astype(np.int64) << shift),
+    ]
+    return (
+        "/* Clamped in the accumulator's own units, so that the shift cannot overflow. */\n"
+        + "".join(limits)
+        + "\nstatic int32_t output_command(int64_t sum, uint32_t i) {\n"
+        "  const int64_t low = sum_low[i];\n"
+        "  const int64_t high = sum_high[i];\n"
+        "  sum = (sum < low) ? low : sum;\n"
+        "  sum = (sum > high) ? high : sum;\n"
+        f"  return (int32_t)(sum >> {shift});\n}}\n"
+    )
+
+
+def _tanh_command(network: FixedNetwork) -> str:
+    size, shift = str(network.outputs), network.output_shift
     low, high = network.command_low.tolist(), network.command_high.tolist()
-    shift = network.output_shift
-    if network.squash == "clip":
-        limits = [
-            table("int64_t", "sum_low", size, np.array(low) << shift),
-            table("int64_t", "sum_high", size, np.array(high) << shift),
-        ]
-        return (
-            "/* Clamped in the accumulator's own units, so that the shift cannot overflow. */\n"
-            + "".join(limits)
-            + f"\nstatic int32_t output_command(int64_t sum, uint32_t i) {{\n"
-            f"  const int64_t low = sum_low[i];\n"
-            f"  const int64_t high = sum_high[i];\n"
-            f"  sum = (sum < low) ? low : sum;\n"
-            f"  sum = (sum > high) ? high : sum;\n"
-            f"  return (int32_t)(sum >> {shift});\n}}\n"
-        )
     middle = [(a + b << VALUE_BITS) + (1 << VALUE_BITS) for a, b in zip(low, high, strict=True)]
     span = [b - a for a, b in zip(low, high, strict=True)]
     tables = [

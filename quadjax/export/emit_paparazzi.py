@@ -64,6 +64,16 @@ GIVE_RATES = """\
 
 def emit_paparazzi(network: FixedNetwork, origin: Provenance) -> dict[str, str]:
     """The module's files, by path under ``paparazzi/``."""
+    name, values = origin.name, _values(network, origin)
+    return {
+        f"paparazzi/{name}.xml": fill("module.xml.in", values),
+        f"paparazzi/{name}_module.h": fill("module.h.in", values),
+        f"paparazzi/{name}_module.c": fill("module.c.in", values),
+    }
+
+
+def _values(network: FixedNetwork, origin: Provenance) -> dict[str, str]:
+    """What the templates' fields become."""
     motor = network.vehicle == "motor"
     names = {"name": origin.name, "NAME": origin.name.upper()}
 
@@ -71,11 +81,12 @@ def emit_paparazzi(network: FixedNetwork, origin: Provenance) -> dict[str, str]:
         return text.replace("@name@", names["name"]).replace("@NAME@", names["NAME"])
 
     parts = ["", "_race", "_module", *(["_estimator"] if motor else [])]
-    name = names["name"]
-    values = names | {
+    return names | {
         "provenance": comment(origin.lines),
         "frequency": str(FREQUENCY),
-        "file_list": "\n".join(f'    <file name="{name}{part}.c"/>' for part in sorted(parts)),
+        "file_list": "\n".join(
+            f'    <file name="{origin.name}{part}.c"/>' for part in sorted(parts)
+        ),
         "command_type": "uint16_t" if motor else "float",
         "command_comment": (
             "rpm, in the order of the board's motors"
@@ -101,9 +112,4 @@ def emit_paparazzi(network: FixedNetwork, origin: Provenance) -> dict[str, str]:
             named("  module.mismatches += @name@_estimator_self_test();\n") if motor else ""
         ),
         "give_command": named(GIVE_RPM if motor else GIVE_RATES),
-    }
-    return {
-        f"paparazzi/{name}.xml": fill("module.xml.in", values),
-        f"paparazzi/{name}_module.h": fill("module.h.in", values),
-        f"paparazzi/{name}_module.c": fill("module.c.in", values),
     }

@@ -89,11 +89,7 @@ def make_estimator(
         InputError: a cut-off that is not between a thousandth and a quarter of the sample rate;
             constants that leave no room for the proof.
     """
-    if not 0.001 * sample_rate <= cutoff <= 0.25 * sample_rate:
-        raise InputError(
-            f"estimator cut-off {cutoff:g} Hz, allowed: {0.001 * sample_rate:g} to "
-            f"{0.25 * sample_rate:g} Hz at a sample rate of {sample_rate:g} Hz"
-        )
+    _check_cutoff(sample_rate, cutoff)
     rpm_exponent = math.ceil(math.log2(1.25 * float(constants.rpm_max)))
     exponents = (GYRO_EXPONENT,) * 3 + (FORCE_EXPONENT,) * 3
     exponents += (rpm_exponent,) * 4 + (VELOCITY_EXPONENT,) * 3
@@ -121,6 +117,14 @@ def make_estimator(
         tables = _with_residual(tables, residual)
     prove_estimator(tables)
     return tables
+
+
+def _check_cutoff(sample_rate: float, cutoff: float) -> None:
+    if not 0.001 * sample_rate <= cutoff <= 0.25 * sample_rate:
+        raise InputError(
+            f"estimator cut-off {cutoff:g} Hz, allowed: {0.001 * sample_rate:g} to "
+            f"{0.25 * sample_rate:g} Hz at a sample rate of {sample_rate:g} Hz"
+        )
 
 
 def _integers(coefficients: np.ndarray, bits: int) -> np.ndarray:

@@ -99,6 +99,16 @@ def fly(own: OwnRace, policy: Policy, runs: int, laps: int = 6, seed: int = 0) -
 
     What is kept is of all flights but those that lost control, or of all if every one did.
     """
+    result, trace = _fly_traced(own, policy, runs, laps, seed, from_hover=False)
+    held = np.array([crash not in LOST_CONTROL for crash in result.crashes])
+    counted = held if held.any() else ~held  # what a tumbling wreck sees does not count
+    states, targets = _states(trace, policy.vehicle, own, counted, seed)
+    return Flown(observe(own, states, targets), states, targets, result)
+
+
+def _fly_traced(
+    own: OwnRace, policy: Policy, runs: int, laps: int, seed: int, from_hover: bool
+) -> tuple[Laps, Trace]:
     result, trace = fly_laps(
         own.choices,
         own.params,
@@ -107,14 +117,11 @@ def fly(own: OwnRace, policy: Policy, runs: int, laps: int = 6, seed: int = 0) -
         jax.random.key(seed),
         laps=laps,
         runs=runs,
-        from_hover=False,
+        from_hover=from_hover,
         trace=True,
     )
     assert trace is not None
-    held = np.array([crash not in LOST_CONTROL for crash in result.crashes])
-    counted = held if held.any() else ~held  # what a tumbling wreck sees does not count
-    states, targets = _states(trace, policy.vehicle, own, counted, seed)
-    return Flown(observe(own, states, targets), states, targets, result)
+    return result, trace
 
 
 def _states(
@@ -190,19 +197,7 @@ def fly_both(
 
 def fly_traced(own: OwnRace, policy: Policy, runs: int, laps: int, seed: int = 2) -> Trace:
     """Flights of the float policy from hover, step by step."""
-    _, trace = fly_laps(
-        own.choices,
-        own.params,
-        act_deterministic,
-        flying(policy),
-        jax.random.key(seed),
-        laps=laps,
-        runs=runs,
-        from_hover=True,
-        trace=True,
-    )
-    assert trace is not None
-    return trace
+    return _fly_traced(own, policy, runs, laps, seed, from_hover=True)[1]
 
 
 def paths(trace: Trace) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -44,11 +44,7 @@ def estimate(
     gyro, rpm = signals["gyro"], signals["rpm"]
     still = np.zeros_like(gyro)
     motion = Motion(rpm, np.zeros_like(rpm), signals["body_velocity"], gyro)
-    force, moment = np.split(nominal(vehicle.constants, motion), 2, axis=1)
-    if vehicle.residual is not None:
-        extra_force, extra_moment = residual_output(vehicle.residual, motion)
-        force[:, 2] += extra_force
-        moment += extra_moment
+    force, moment = _model(vehicle, motion)
     angular_acceleration = angular_moment(vehicle.constants, still, derivative(gyro))
     gyroscopic = angular_moment(vehicle.constants, gyro, still)
     rotors = Motion(np.zeros_like(rpm), derivative(rpm), still, still)
@@ -56,6 +52,16 @@ def estimate(
     modelled = lfilter(half_a_sample, a, moment, axis=0) + nominal(vehicle.constants, rotors)[:, 3:]
     specific = lfilter(b, a, signals["specific_force"], axis=0)
     return measured - modelled, specific - lfilter(b, a, force, axis=0)
+
+
+def _model(vehicle: MotorParams, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """Specific force and moment (n, 3) of the nominal model and the residual."""
+    force, moment = np.split(nominal(vehicle.constants, motion), 2, axis=1)
+    if vehicle.residual is not None:
+        extra_force, extra_moment = residual_output(vehicle.residual, motion)
+        force[:, 2] += extra_force
+        moment += extra_moment
+    return force, moment
 
 
 def residual_output(residual: Residual, motion: Motion) -> tuple[np.ndarray, np.ndarray]:

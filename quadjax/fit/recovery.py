@@ -8,12 +8,12 @@ command, after ``quadjax.fit.synthetic_log`` and ``scripts/fit.py``::
     python -m quadjax.fit.recovery --fit runs/try --residual runs/truth.npz
 """
 
-import argparse
 import json
 from pathlib import Path
 
 import numpy as np
 
+from quadjax.commands import Parser, count, parse
 from quadjax.errors import InputError, command_line
 from quadjax.fit.estimator_reference import residual_output
 from quadjax.fit.flight_log import rotation_of_euler
@@ -82,14 +82,12 @@ def _standard_errors(path: Path) -> dict[str, float]:
 
 def main() -> None:
     """Compare a fit of simulated logs with the model that made them."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser = Parser(description=main.__doc__)
     parser.add_argument("--fit", type=Path, required=True, help="folder of the fit, runs/NAME")
     parser.add_argument("--vehicle", default="bebop1.yaml", help="what the logs were made with")
     parser.add_argument("--residual", type=Path, help="residual file they were made with")
-    parser.add_argument("--flights", type=int, default=3, help="new flights to judge it on")
-    words = parser.parse_args()
-    if words.flights < 1:
-        raise InputError(f"--flights is {words.flights}, expected at least 1")
+    parser.add_argument("--flights", type=count, default=3, help="new flights to judge it on")
+    words = parse(parser)
     truth = read_vehicle(words.vehicle, Path()).motor
     found = read_vehicle(str(words.fit / "vehicle.yaml"), Path()).motor
     errors = constant_errors(truth, found, _standard_errors(words.fit / "report.json"))

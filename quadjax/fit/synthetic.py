@@ -6,12 +6,12 @@ the same seed. As a command::
     python -m quadjax.fit.synthetic --seed 0 --out residual.npz
 """
 
-import argparse
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.commands import Parser, check_writable, count, parse, seed
 from quadjax.errors import InputError, command_line
 from quadjax.residual_file import write_residual
 from quadjax.vehicle.residual import Layers, Residual
@@ -78,15 +78,14 @@ def _random_network(
 
 def main() -> None:
     """Write a made-up residual file."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--seed", type=int, default=0)
+    parser = Parser(description=main.__doc__)
+    parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--thrust-std", type=float, default=1.0, help="m/s^2")
     parser.add_argument("--moment-std", type=float, default=0.015, help="N m")
-    parser.add_argument("--width", type=int, default=32, help="hidden units")
+    parser.add_argument("--width", type=count, default=32, help="hidden units")
     parser.add_argument("--out", type=Path, required=True, help="the file to write, .npz")
-    words = parser.parse_args()
-    if words.seed < 0:
-        raise InputError(f"--seed is {words.seed}, expected at least 0")
+    words = parse(parser)
+    check_writable(words.out, (".npz",))
     residual = make_residual(words.seed, words.thrust_std, words.moment_std, words.width)
     source = {
         "synthetic": True,

@@ -7,7 +7,6 @@ integrated by Runge-Kutta, so the logs are those of a continuous flight. As a co
     python -m quadjax.fit.synthetic_log --flights 4 --out logs
 """
 
-import argparse
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.commands import Parser, check_writable, count, parse, seed
 from quadjax.errors import InputError, command_line
 from quadjax.files import whole_file
 from quadjax.fit.vehicle_file import read_vehicle
@@ -157,16 +157,17 @@ def _control(vehicle: MotorParams, state: MotorState, target: jax.Array) -> Roto
 
 def main() -> None:
     """Write flight logs of a simulated drone."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser = Parser(description=main.__doc__)
     parser.add_argument("--vehicle", default="bebop1.yaml", help="a file of configs/vehicles")
     parser.add_argument("--residual", type=Path, help="a residual file (.npz)")
-    parser.add_argument("--flights", type=int, default=4)
+    parser.add_argument("--flights", type=count, default=4)
     parser.add_argument("--seconds", type=float, default=30.0, help="of each flight")
-    parser.add_argument("--seed", type=int, default=0, help="of the first flight")
+    parser.add_argument("--seed", type=seed, default=0, help="of the first flight")
     parser.add_argument("--out", type=Path, required=True, help="the folder to write to")
-    words = parser.parse_args()
-    if words.flights < 1 or not 1.0 <= words.seconds <= 3600.0 or words.seed < 0:
-        raise InputError("expected --flights of 1 or more, --seconds of 1 to 3600, --seed >= 0")
+    words = parse(parser)
+    if not 1.0 <= words.seconds <= 3600.0:
+        raise InputError(f"--seconds is {words.seconds}, expected 1 to 3600")
+    check_writable(words.out / "flight_0.csv")
     residual = read_residual(words.residual) if words.residual else None
     vehicle = MotorParams(read_vehicle(words.vehicle, Path()).motor, residual)
     for index in range(words.flights):

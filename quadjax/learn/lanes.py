@@ -23,7 +23,7 @@ def stack(trees: Sequence[object]) -> object:
 
 
 def make_mesh(runs: int) -> Mesh:
-    """As many of the local devices as divide the runs; each holds its runs' drones whole."""
+    """As many of the local devices as divide the runs; each holds its runs' environments whole."""
     there = jax.local_devices()
     count = max(n for n in range(1, len(there) + 1) if runs % n == 0)
     return Mesh(np.array(there[:count]).reshape(count, 1), (RUNS, AXIS))

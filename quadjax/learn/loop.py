@@ -128,7 +128,7 @@ def row_of(
         "steps": position.chunks * steps,
         "seconds": position.seconds,
         "steps_per_second": steps / took,
-        "lap_total": score,
-        "best_lap_total": position.best_score,
+        "score": score,
+        "best_score": position.best_score,
         **{name: float(value.mean()) for name, value in values.items()},
     }

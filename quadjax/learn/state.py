@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -13,7 +14,7 @@ from quadjax.environment import Environment
 from quadjax.learn.networks import ActorCritic
 
 Params = TypeVar("Params")
-AXIS = "drones"  # name of the mesh axis over which a batch of environments is split
+AXIS = "environments"  # name of the mesh axis over which a batch of environments is split
 
 
 @struct.dataclass
@@ -102,3 +103,19 @@ def clip_by_norm(tree: object, limit: jax.Array) -> tuple[object, jax.Array]:
     norm = optax.tree.norm(tree)
     scale = jnp.minimum(1.0, limit / jnp.maximum(norm, 1e-12))
     return jax.tree.map(lambda g: g * scale, tree), norm
+
+
+def mean_of_all(x: jax.Array) -> jax.Array:
+    """The mean () over all entries of ``x`` on all devices."""
+    return jax.lax.pmean(jnp.mean(x.astype(jnp.float32)), AXIS)
+
+
+def episode_metrics(reward: jax.Array, terminated: jax.Array, truncated: jax.Array) -> Metrics:
+    """Scalars of all steps (time, n) of an update, over all devices."""
+    chex.assert_equal_shape((reward, terminated, truncated))
+    terminated, truncated = mean_of_all(terminated), mean_of_all(truncated)
+    return {
+        "reward": mean_of_all(reward),
+        "crash_rate": terminated / jnp.maximum(terminated + truncated, 1e-9),
+        "terminated": terminated,
+    }

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import IO
 
 from quadjax.errors import InputError
+from quadjax.interruptions import interruptions
 from quadjax.sweep.machine import Layout
 from quadjax.sweep.progress import SweepProgress
 from quadjax.sweep.schema import Sweep
 from quadjax.sweep.store import Counts, Store
-from quadjax.training import interruptions
 
 WORKER = "quadjax.sweep.worker"  # the module that a worker runs
 POLL_SECONDS = 0.25

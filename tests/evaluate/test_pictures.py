@@ -8,7 +8,12 @@ from PIL import Image
 from quadjax.errors import InputError
 from quadjax.evaluate import animation, scene
 from quadjax.evaluate.curves import training_figure
-from quadjax.evaluate.figures import save_figure, signals_figure, trajectory_figure
+from quadjax.evaluate.figures import (
+    SPEED_COLOURS,
+    save_figure,
+    signals_figure,
+    trajectory_figure,
+)
 from quadjax.evaluate.recording import Recording, opening
 from quadjax.metrics import read_metrics
 from quadjax.schema import GateConfig
@@ -118,6 +123,16 @@ def test_an_animation_is_a_gif_in_real_time(tmp_path):
     assert colours(first) > 20 and np.any(first != later)
     with pytest.raises(InputError, match="gif"):
         animation.write_animation(flights, GATES, tmp_path / "flight.mp4")
+
+
+def test_an_animation_says_which_colour_is_which_speed():
+    film = animation.Film([circle()], GATES)
+    row = np.asarray(film.frame(0))[round(animation.CLOCK_ROW * animation.HEIGHT)]
+    left, right = (round(x * animation.WIDTH) for x in animation.LEGEND)
+    slow, fast = (255 * np.array(SPEED_COLOURS(x)[:3]) for x in (0.0, 1.0))
+    np.testing.assert_allclose(row[left + 2], slow, atol=1)
+    np.testing.assert_allclose(row[right - 2], fast, atol=1)
+    assert colours(row[None, left:right]) >= animation.SHADES
 
 
 def test_drones_have_names_where_they_are_told(tmp_path):

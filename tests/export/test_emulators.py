@@ -4,11 +4,16 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.config import load_config
+from quadjax.evaluate import pilot
 from quadjax.export import emulator
 from quadjax.export.emulator_jax import fixed_point_action, fixed_point_actor, fixed_point_forward
+from quadjax.export.pilot import fly_fixed_point
 from quadjax.export.proof import prove
 from quadjax.export.vectors import check_vectors, hostile_vectors
+from quadjax.policy_file import read_policy
 from tests.export.support import POLICIES, named_network, observations
+from tests.test_training import CONFIGS, ROOT
 
 
 def by_hand(network, x):
@@ -71,6 +76,16 @@ def test_actors_give_the_same_command():
     act = fixed_point_action(network)
     action = np.asarray(jax.vmap(lambda o: act(None, o, np.zeros(4)))(x))
     assert np.abs(3000.0 + 4000.0 * (action + 1.0) - wanted).max() < 2e-3
+
+
+def test_the_fixed_point_policy_flies_the_laps_of_the_float_one():
+    config = load_config(CONFIGS / "e2e.yaml")
+    policy = read_policy(ROOT / "quadjax" / "pretrained" / "e2e.npz")
+    race = pilot.Race(laps=1, runs=1)
+    wanted, _ = pilot.fly_policy(config, policy, race, True)
+    found, _ = fly_fixed_point(config, policy, race)
+    assert found.finished == wanted.finished == 1
+    assert found.totals[0] == pytest.approx(wanted.totals[0], abs=0.011)
 
 
 def test_status_masks():

@@ -98,6 +98,22 @@ def test_what_lies_in_the_folder(exported):
     assert expected <= names
 
 
+def test_a_folder_holds_one_export(tmp_path):
+    policy, out = tmp_path / "policy.npz", tmp_path / "c"
+    write_policy(policy, made_policy(8, "rate", gain=0.5))
+    ranges = WIDE | {"rates": 8.0, "velocity": 32.0}
+    out.mkdir()
+    for stale in ("first_estimator.c", "first_estimator.h", "residual.npz"):
+        (out / stale).write_text("of an E2E policy that was exported before")
+    for _ in range(2):
+        write_folder(Request(policy=policy, out=out, ranges=ranges, name="first"))
+    assert not list(out.glob("*estimator*")) and not (out / "residual.npz").exists()
+    assert read_folder(out).name == "first"
+    with pytest.raises(InputError, match="holds an export named 'first'"):
+        write_folder(Request(policy=policy, out=out, ranges=ranges, name="second"))
+    assert not list(out.glob("second*"))
+
+
 def module_run(exported, tmp_path, broken):
     """Build the Paparazzi module with stand-ins for Paparazzi, and run it once."""
     compiler = need("gcc")

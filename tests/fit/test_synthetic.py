@@ -1,3 +1,6 @@
+import runpy
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -44,3 +47,25 @@ def test_survives_the_file(tmp_path):
 def test_impossible_sizes_are_refused(arguments):
     with pytest.raises(InputError):
         make_residual(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "names"),
+    [
+        ("synthetic", [], "--out"),
+        ("synthetic", ["--out", "r.npz", "--seed", "-1"], "--seed"),
+        ("synthetic", ["--out", "r.npz", "--width", "0"], "--width"),
+        ("synthetic", ["--out", "/dev/null/r.npz"], "/dev/null/r.npz"),
+        ("synthetic", ["--out", "r.txt"], ".npz"),
+        ("synthetic_log", ["--out", "logs", "--seconds", "0"], "--seconds"),
+        ("synthetic_log", ["--out", "/dev/null/logs"], "/dev/null/logs"),
+        ("recovery", ["--fit", "none", "--flights", "none"], "--flights"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(monkeypatch, capsys, command, arguments, names):
+    monkeypatch.setattr(sys, "argv", [command, *arguments])
+    monkeypatch.delitem(sys.modules, f"quadjax.fit.{command}", raising=False)
+    with pytest.raises(SystemExit) as end:
+        runpy.run_module(f"quadjax.fit.{command}", run_name="__main__")
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert end.value.code == 2 and len(lines) == 1 and names in lines[0]

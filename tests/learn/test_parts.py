@@ -1,5 +1,6 @@
 """The pieces of the learners against loops written out by hand."""
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,12 +8,13 @@ import pytest
 import scipy.stats
 
 from quadjax.learn import state as shared
+from quadjax.learn.batches import shuffled, take_rows
 from quadjax.learn.parallel import device_count
 from quadjax.learn.ppo.advantage import advantages
 from quadjax.learn.ppo.loss import normalise
 from quadjax.learn.ppo.rollout import block_length, log_probability
 from quadjax.learn.shac.flight import Flight
-from quadjax.learn.shac.update import td_lambda_targets
+from quadjax.learn.shac.targets import td_lambda_targets
 
 TIME, COUNT = 30, 7
 
@@ -147,3 +149,17 @@ def test_noise_belongs_to_its_lane():
     assert every.shape == (5, 12, 2)
     np.testing.assert_array_equal(shared.normal_all(keys[1:2], (5,), 3, 2), every[:, 3:6])
     assert abs(float(every.mean())) < 0.3 and abs(float(every.std()) - 1) < 0.2
+
+
+def test_batches_take_every_piece_of_every_lane_once():
+    lanes, count, batches, length = 2, 6, 3, 4
+    pieces = jnp.arange(lanes * count * length * 5.0).reshape(lanes, count, length, 5)
+    chosen = shuffled(jax.random.split(jax.random.key(0), lanes), count, batches)
+    chex.assert_shape(chosen, (batches, lanes, count // batches))
+    rows = jnp.stack([take_rows(pieces, batch) for batch in chosen])
+    chex.assert_shape(rows, (batches, lanes * count // batches * length, 5))
+    assert sorted(rows[..., 0].ravel().tolist()) == pieces[..., 0].ravel().tolist()
+    first = rows[0, :length]  # a piece stays together, in order
+    chex.assert_trees_all_equal(first, pieces[0, chosen[0, 0, 0]])
+    with pytest.raises(AssertionError):
+        take_rows(pieces, chosen[0, :1])

@@ -8,7 +8,7 @@ from quadjax.environment import Environment
 from quadjax.learn.networks import ActorCritic, Networks
 from quadjax.learn.state import normal_all, reset_all, split_keys, where_done
 
-RESTART_BLOCK = 64  # longest time for which a drone's next start stays the same
+RESTART_BLOCK = 64  # longest time for which an environment's next start stays the same
 
 
 @struct.dataclass

@@ -1,6 +1,7 @@
 """One PPO update: fly, estimate advantages, several epochs of batches."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import optax
 from flax import struct
 
 from quadjax.environment import Environment
+from quadjax.learn.batches import shuffled, take_rows
 from quadjax.learn.networks import ActorCritic, Networks
 from quadjax.learn.ppo.advantage import advantages
 from quadjax.learn.ppo.loss import Batch, loss
@@ -19,7 +21,9 @@ from quadjax.learn.state import (
     TrainState,
     clip_by_norm,
     count_lanes,
+    episode_metrics,
     linear,
+    mean_of_all,
     reset_all,
     select_finite,
     split_keys,
@@ -62,53 +66,73 @@ class Structure:
         """Consecutive steps kept together when shuffling."""
         return self.shuffle_block or self.steps
 
+    @property
+    def lanes(self) -> int:
+        """Equal shares of the environments, each with its own key."""
+        blocks = self.steps // self.block
+        return count_lanes(self.environments, blocks, self.batches, self.shares)
+
 
 def make_learner(
     environment: Environment, networks: Networks, structure: Structure, hyper: Hyper
 ) -> Learner:
     """PPO on an environment."""
-    s = structure
-    lanes = count_lanes(s.environments, s.steps // s.block, s.batches, s.shares)
+    parts = (environment, networks, structure)
+    return Learner(
+        init=functools.partial(_init, *parts),
+        update=functools.partial(_update, *parts),
+        hyper=hyper,
+        steps_per_update=structure.environments * structure.steps,
+        lanes=structure.lanes,
+    )
 
-    def init(environment_params: object, key: jax.Array) -> TrainState:
-        network_key, reset_key, lane_key = jax.random.split(key, 3)
-        params = networks.init(network_key)
-        resets = jax.random.split(reset_key, lanes)
-        return TrainState(
-            params=params,
-            optimiser=optax.scale_by_adam().init(params),
-            target=None,
-            environment=reset_all(environment, environment_params, resets, s.environments // lanes),
-            keys=jax.random.split(lane_key, lanes),
-            update=jnp.zeros((), jnp.int32),
-        )
 
-    def update(
-        hyper: Hyper, environment_params: object, state: TrainState
-    ) -> tuple[TrainState, Metrics]:
-        keys, rollout_keys, shuffle_keys = split_keys(state.keys, 3)
-        flown, rollout = collect(
-            environment,
-            networks,
-            environment_params,
-            state.params,
-            state.environment,
-            rollout_keys,
-            s.steps,
-        )
-        batch = _batch(rollout, hyper)
-        params, optimiser, metrics = _epochs(networks, s, hyper, state, batch, shuffle_keys)
-        metrics |= _watch(rollout, batch, state.params)
-        following = state.replace(
-            params=params,
-            optimiser=optimiser,
-            environment=flown,
-            keys=keys,
-            update=state.update + 1,
-        )
-        return following, metrics
+def _init(
+    environment: Environment,
+    networks: Networks,
+    s: Structure,
+    environment_params: object,
+    key: jax.Array,
+) -> TrainState:
+    network_key, reset_key, lane_key = jax.random.split(key, 3)
+    params = networks.init(network_key)
+    resets = jax.random.split(reset_key, s.lanes)
+    count = s.environments // s.lanes
+    return TrainState(
+        params=params,
+        optimiser=optax.scale_by_adam().init(params),
+        target=None,
+        environment=reset_all(environment, environment_params, resets, count),
+        keys=jax.random.split(lane_key, s.lanes),
+        update=jnp.zeros((), jnp.int32),
+    )
 
-    return Learner(init, update, hyper, s.environments * s.steps, lanes)
+
+def _update(
+    environment: Environment,
+    networks: Networks,
+    s: Structure,
+    hyper: Hyper,
+    environment_params: object,
+    state: TrainState,
+) -> tuple[TrainState, Metrics]:
+    keys, rollout_keys, shuffle_keys = split_keys(state.keys, 3)
+    flown, rollout = collect(
+        environment,
+        networks,
+        environment_params,
+        state.params,
+        state.environment,
+        rollout_keys,
+        s.steps,
+    )
+    batch = _batch(rollout, hyper)
+    params, optimiser, metrics = _epochs(networks, s, hyper, state, batch, shuffle_keys)
+    metrics |= _watch(rollout, batch, state.params)
+    following = state.replace(
+        params=params, optimiser=optimiser, environment=flown, keys=keys, update=state.update + 1
+    )
+    return following, metrics
 
 
 def _batch(rollout: Rollout, hyper: Hyper) -> Batch:
@@ -142,19 +166,6 @@ def _lay_out(batch: Batch, s: Structure, lanes: int) -> Batch:
     return jax.tree.map(one, batch)
 
 
-def _shuffled(pieces: Batch, batches: int, keys: jax.Array) -> jax.Array:
-    """Which pieces of each lane make up each batch: (batches, lanes, pieces / batches)."""
-    count = jax.tree.leaves(pieces)[0].shape[1]
-    order = jax.vmap(lambda key: jax.random.permutation(key, count))(keys)
-    return jnp.moveaxis(order.reshape(keys.shape[0], batches, -1), 1, 0)
-
-
-def _rows(pieces: jax.Array, chosen: jax.Array) -> jax.Array:
-    """The chosen pieces of every lane as one batch of rows: flat, as matrix products like it."""
-    taken = jax.vmap(lambda lane, i: lane[i])(pieces, chosen)
-    return taken.reshape(-1, *pieces.shape[3:])
-
-
 def _epochs(
     networks: Networks,
     s: Structure,
@@ -174,13 +185,14 @@ def _epochs(
     epoch_keys = jnp.stack(split_keys(keys, s.epochs))
 
     pieces = _lay_out(batch, s, keys.shape[0])
+    count = pieces.advantage.shape[1]
 
     def one_batch(carry: tuple, chosen: jax.Array) -> tuple[tuple, Metrics]:
-        rows = jax.tree.map(lambda x: _rows(x, chosen), pieces)
+        rows = jax.tree.map(lambda x: take_rows(x, chosen), pieces)
         return _gradient_step(networks, s, hyper, rates, carry, rows)
 
     def one_epoch(carry: tuple, keys: jax.Array) -> tuple[tuple, Metrics]:
-        return jax.lax.scan(one_batch, carry, _shuffled(pieces, s.batches, keys))
+        return jax.lax.scan(one_batch, carry, shuffled(keys, count, s.batches))
 
     (params, optimiser), metrics = jax.lax.scan(
         one_epoch, (state.params, state.optimiser), epoch_keys
@@ -236,18 +248,10 @@ def _clip(gradient: ActorCritic, limit: jax.Array, apart: bool) -> tuple[ActorCr
 
 def _watch(rollout: Rollout, batch: Batch, params: ActorCritic) -> Metrics:
     """Scalars of the rollout, over all devices."""
-
-    def mean(x: jax.Array) -> jax.Array:
-        return jax.lax.pmean(jnp.mean(x.astype(jnp.float32)), AXIS)
-
-    target_mean = mean(batch.target)
-    target_variance = mean((batch.target - target_mean) ** 2)
-    left = mean((batch.target - rollout.value) ** 2)
-    terminated, truncated = mean(rollout.terminated), mean(rollout.truncated)
-    return {
-        "reward": mean(rollout.reward),
-        "crash_rate": terminated / jnp.maximum(terminated + truncated, 1e-9),
-        "terminated": terminated,
+    target_mean = mean_of_all(batch.target)
+    target_variance = mean_of_all((batch.target - target_mean) ** 2)
+    left = mean_of_all((batch.target - rollout.value) ** 2)
+    return episode_metrics(rollout.reward, rollout.terminated, rollout.truncated) | {
         "explained_variance": 1.0 - left / jnp.maximum(target_variance, 1e-9),
         "std": jnp.mean(jnp.exp(params.log_std)),
     }

@@ -1,5 +1,8 @@
 """Short flights of the current policy, differentiable from action to reward."""
 
+import functools
+
+import chex
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -8,6 +11,8 @@ from quadjax.environment import Environment
 from quadjax.gradients import tame
 from quadjax.learn.networks import ActorCritic, Networks
 from quadjax.learn.state import where_done
+
+Carry = tuple[object, jax.Array, jax.Array]  # states, the discount so far and the return so far
 
 
 @struct.dataclass
@@ -62,26 +67,42 @@ def fly(
         The return summed over all environments, (), and the states after the last step with the
         flight.
     """
-    observe = jax.vmap(environment.observe, in_axes=(None, -1))
-    step = jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0))
+    chex.assert_tree_shape_suffix((state, fresh), noise.shape[1:2])
 
-    def one(carry: tuple, noise: jax.Array) -> tuple[tuple, Flight]:
-        state, gamma, total = carry
-        state = tame(state, bounds.decay, bounds.limit)
-        observation = observe(environment_params, state)
-        mean = networks.mean(params, observation)
-        following, reward, terminated, truncated = step(environment_params, state, mean + noise)
-        ahead = networks.evaluate(target, observe(environment_params, following))
-        ended = jnp.where(truncated, discount * ahead, 0.0)
-        total = total + gamma * (reward + ended)
-        done = terminated | truncated
-        flight = Flight(observation, reward, ahead, terminated, truncated)
-        gamma = jnp.where(done, 1.0, gamma * discount)
-        open_end = jnp.where(done, 0.0, gamma * ahead)
-        return (where_done(done, fresh, following), gamma, total), (flight, open_end)
-
+    settled = (environment, networks, environment_params, params, target, fresh, discount, bounds)
+    one = functools.partial(_step, *settled)
     count = noise.shape[1]
     carry = (state, jnp.ones(count), jnp.zeros(count))
     (state, _, total), (flight, open_end) = jax.lax.scan(one, carry, noise)
     value = jnp.sum(total + open_end[-1])
     return value, jax.lax.stop_gradient((state, flight))
+
+
+def _step(
+    environment: Environment,
+    networks: Networks,
+    environment_params: object,
+    params: ActorCritic,
+    target: ActorCritic,
+    fresh: object,
+    discount: jax.Array,
+    bounds: Bounds,
+    carry: Carry,
+    noise: jax.Array,
+) -> tuple[Carry, tuple[Flight, jax.Array]]:
+    """One step of all environments, and the value (n,) of what would come after it."""
+    observe = jax.vmap(environment.observe, in_axes=(None, -1))
+    step = jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0))
+    state, gamma, total = carry
+    state = tame(state, bounds.decay, bounds.limit)
+    observation = observe(environment_params, state)
+    mean = networks.mean(params, observation)
+    following, reward, terminated, truncated = step(environment_params, state, mean + noise)
+    ahead = networks.evaluate(target, observe(environment_params, following))
+    ended = jnp.where(truncated, discount * ahead, 0.0)
+    total = total + gamma * (reward + ended)
+    done = terminated | truncated
+    flight = Flight(observation, reward, ahead, terminated, truncated)
+    gamma = jnp.where(done, 1.0, gamma * discount)
+    open_end = jnp.where(done, 0.0, gamma * ahead)
+    return (where_done(done, fresh, following), gamma, total), (flight, open_end)

@@ -1,0 +1,66 @@
+"""What timed laps come to."""
+
+import dataclasses
+
+import numpy as np
+
+CRASHES = (
+    "",
+    "hit a gate",
+    "hit the ground",
+    "out of bounds",
+    "lost its attitude",
+    "not finite",
+    "out of time",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Laps:
+    """The result of timed laps, as NumPy arrays."""
+
+    lap_times: np.ndarray  # (runs, laps) s; NaN where not flown
+    crashes: tuple[str, ...]  # why each run ended early; "" where it did not
+    seconds: np.ndarray  # (runs,) s from the start to the run's end, however it ended
+
+    @property
+    def totals(self) -> np.ndarray:
+        """Time of all laps (runs,), s; NaN where not finished."""
+        return self.lap_times.sum(axis=1)
+
+    @property
+    def finished(self) -> int:
+        """How many runs flew all laps."""
+        return int(np.isfinite(self.totals).sum())
+
+    def laps_flown(self) -> np.ndarray:
+        """How many laps each run flew, (runs,)."""
+        return np.isfinite(self.lap_times).sum(axis=1)
+
+    def to_json(self) -> dict[str, object]:
+        """The result as JSON takes it: ``null`` for laps that were not flown.
+
+        Of the runs that ended early, ``crashes`` says which (from 0), in which lap (from 1), after
+        how many seconds and why.
+        """
+
+        def number(x: float) -> float | None:
+            return round(float(x), 4) if np.isfinite(x) else None
+
+        flown = self.laps_flown()
+        return {
+            "laps": [[number(x) for x in run] for run in self.lap_times],
+            "totals": [number(x) for x in self.totals],
+            "finished": self.finished,
+            "runs": len(self.crashes),
+            "crashes": [
+                {
+                    "run": run,
+                    "lap": int(flown[run]) + 1,
+                    "seconds": number(self.seconds[run]),
+                    "reason": reason,
+                }
+                for run, reason in enumerate(self.crashes)
+                if reason
+            ],
+        }
