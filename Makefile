@@ -23,7 +23,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 setup: $(VENV)/.ready ## install quadjax and what it needs into .venv
 
 train: setup ## train the E2E policy on this machine and print its lap table
-	$(BIN)/python scripts/train.py configs/e2e.yaml --resume
+	$(BIN)/python scripts/train.py configs/e2e_shac.yaml --resume
 
 train-indi: setup ## the same for the INDI policy
 	$(BIN)/python scripts/train.py configs/indi.yaml --resume
