@@ -11,7 +11,9 @@ import pytest
 
 from quadjax.config import REPOSITORY_CONFIGS
 from quadjax.errors import InputError
+from quadjax.export import convert_policy
 from quadjax.export.convert_policy import Request, write_folder
+from quadjax.export.flights import own_race
 from quadjax.export.verify import checks_bits, checks_flight, run
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
@@ -185,6 +187,16 @@ def test_one_line_on_the_command_line(words, said, tmp_path):
     )
     assert done.returncode == 2
     assert said in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_a_shipped_residual_goes_by_its_name_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    policy, config = made_policy(24), REPOSITORY_CONFIGS / "e2e.yaml"
+    own = own_race(policy, config, None)
+    shipped = REPOSITORY / "quadjax" / "pretrained" / own.config.vehicle.residual
+    request = Request(tmp_path / "policy.npz", tmp_path / "c", {}, config=config)
+    tables, found = convert_policy._estimator(request, own)
+    assert tables is not None and found == convert_policy.sha256(shipped)
 
 
 def test_verify_refuses_another_folder(tmp_path):
