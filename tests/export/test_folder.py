@@ -17,7 +17,7 @@ from quadjax.export.flights import own_race
 from quadjax.export.verify import checks_bits, checks_flight, run
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
-from quadjax.export.verify.result import FAILED, run_check
+from quadjax.export.verify.result import FAILED, PASSED, run_check
 from quadjax.export.verify.toolchain import WARNINGS
 from quadjax.policy_file import write_policy
 from quadjax.residual_file import write_residual
@@ -197,6 +197,12 @@ def test_a_shipped_residual_goes_by_its_name_alone(tmp_path, monkeypatch):
     request = Request(tmp_path / "policy.npz", tmp_path / "c", {}, config=config)
     tables, found = convert_policy._estimator(request, own)
     assert tables is not None and found == convert_policy.sha256(shipped)
+
+
+def test_some_checks_alone(exported):
+    results = run.verify(exported, COUNT, only=("range proof", "sources"))
+    assert [result.check for result in results] == ["sources", "range proof"]
+    assert all(result.verdict == PASSED for result in results)
 
 
 def test_verify_refuses_another_folder(tmp_path):
