@@ -4,10 +4,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-EXTRAS := test,verify,tensorboard,sweep,sweep-postgresql,gym
+EXTRAS := test,verify,tensorboard,sweep,sweep-postgresql,gym,notebook
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train train-indi test lint format benchmark clean
+.PHONY: help setup train train-indi test lint format benchmark notebooks clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -43,6 +43,9 @@ format: setup ## let ruff mend what it can
 
 benchmark: setup ## steps per second and memory on this machine
 	$(BIN)/python scripts/benchmark.py
+
+notebooks: setup ## execute the notebooks in place
+	$(BIN)/python scripts/notebooks.py
 
 clean: ## remove the environment and caches, not the runs
 	rm -rf $(VENV) build *.egg-info .pytest_cache .ruff_cache

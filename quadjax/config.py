@@ -159,6 +159,14 @@ _Loader.add_implicit_resolver(
     re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)[eE][-+]?\d+$"),
     list("-+0123456789."),
 )
+# YAML 1.1 takes on, off, yes and no for truth values; here some are choices: residual.mirror. A key
+# that is true or false understands them all the same.
+for _letter in "yYnNoO":
+    _Loader.yaml_implicit_resolvers[_letter] = [
+        (tag, pattern)
+        for tag, pattern in _Loader.yaml_implicit_resolvers[_letter]
+        if tag != "tag:yaml.org,2002:bool"
+    ]
 
 
 def read_yaml(path: Path | str) -> Tree:

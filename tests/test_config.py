@@ -8,6 +8,7 @@ import pytest
 from quadjax import checks
 from quadjax.config import REPOSITORY_CONFIGS, fill, load_config, merge_trees, parse_words, to_yaml
 from quadjax.errors import InputError, command_line
+from quadjax.fit.pipeline import load_fit_config
 from quadjax.schema import Config, RewardConfig
 from tests import reference as ref
 
@@ -340,3 +341,16 @@ def test_a_script_reports_one_line_and_status_2(capsys):
         with pytest.raises(SystemExit) as caught:
             command_line(lambda status=status: status)()
         assert caught.value.code == code
+
+
+@pytest.mark.parametrize("choice", ["on", "off", "auto"])
+def test_on_and_off_are_words(choice):
+    path = REPOSITORY_CONFIGS / "fit" / "standin.yaml"
+    assert load_fit_config(path, [f"residual.mirror={choice}"]).residual.mirror == choice
+
+
+@pytest.mark.parametrize(("word", "meant"), [("on", True), ("off", False), ("true", True)])
+def test_on_and_off_are_understood_as_true_and_false(word, meant):
+    words = [f"episode.random_gate={word}", "vehicle.residual=null"]
+    config = load_config(REPOSITORY_CONFIGS / "e2e.yaml", words)
+    assert config.episode.random_gate is meant and config.vehicle.residual is None

@@ -25,6 +25,7 @@ from quadjax.export.report import make_report, measure, report_text
 from quadjax.export.vectors import self_test_inputs
 from quadjax.files import whole_file, write_json, write_text
 from quadjax.policy_file import Policy, read_policy
+from quadjax.residual_file import located
 from quadjax.schema import Config
 from quadjax.vehicle.motor import MotorParams
 
@@ -139,7 +140,7 @@ def _estimator(request: Request, own: flights.OwnRace) -> tuple[EstimatorTables 
     tables = make_estimator(
         vehicle.constants, vehicle.residual, request.sample_rate, request.cutoff
     )
-    return tables, sha256(Path(residual)) if residual else ""
+    return tables, sha256(located(residual)) if residual else ""
 
 
 def _name(request: Request, file: str) -> str:
@@ -274,7 +275,7 @@ def _keep_inputs(converted: Converted, request: Request) -> None:
     copies = {POLICY_FILE: request.policy}
     config = converted.own.config
     if config.vehicle.residual:
-        copies[RESIDUAL_FILE] = Path(config.vehicle.residual)
+        copies[RESIDUAL_FILE] = located(config.vehicle.residual)
     for name, source in copies.items():
         if source.resolve() != (out / name).resolve():
             with whole_file(out / name) as temporary:

@@ -11,11 +11,13 @@ import pytest
 
 from quadjax.config import REPOSITORY_CONFIGS
 from quadjax.errors import InputError
+from quadjax.export import convert_policy
 from quadjax.export.convert_policy import Request, write_folder
+from quadjax.export.flights import own_race
 from quadjax.export.verify import checks_bits, checks_flight, run
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
-from quadjax.export.verify.result import FAILED, run_check
+from quadjax.export.verify.result import FAILED, PASSED, run_check
 from quadjax.export.verify.toolchain import WARNINGS
 from quadjax.policy_file import write_policy
 from quadjax.residual_file import write_residual
@@ -201,6 +203,22 @@ def test_one_line_on_the_command_line(words, said, tmp_path):
     )
     assert done.returncode == 2
     assert said in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_a_shipped_residual_goes_by_its_name_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    policy, config = made_policy(24), REPOSITORY_CONFIGS / "e2e.yaml"
+    own = own_race(policy, config, None)
+    shipped = REPOSITORY / "quadjax" / "pretrained" / own.config.vehicle.residual
+    request = Request(tmp_path / "policy.npz", tmp_path / "c", {}, config=config)
+    tables, found = convert_policy._estimator(request, own)
+    assert tables is not None and found == convert_policy.sha256(shipped)
+
+
+def test_some_checks_alone(exported):
+    results = run.verify(exported, COUNT, only=("range proof", "sources"))
+    assert [result.check for result in results] == ["sources", "range proof"]
+    assert all(result.verdict == PASSED for result in results)
 
 
 def test_verify_refuses_another_folder(tmp_path):

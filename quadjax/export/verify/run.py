@@ -1,7 +1,7 @@
 """All the checks of a folder, in order."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from quadjax.export.verify import checks_arm, checks_bits, checks_flight, checks_static
@@ -43,6 +43,7 @@ def verify(
     vectors: int = 5_000,
     runs: int = 0,
     announce: Callable[[str], None] = lambda _: None,
+    only: Sequence[str] | None = None,
 ) -> list[Result]:
     """Verify an exported folder.
 
@@ -51,6 +52,7 @@ def verify(
         vectors: how many vectors every build must agree on.
         runs: flights of the closed loop, 0 for none.
         announce: told the name of every check before it runs.
+        only: names of the checks to run, as in ``CHECKS``; all if not given.
 
     Raises:
         InputError: no such folder, or one that cannot be read.
@@ -61,6 +63,8 @@ def verify(
     with tempfile.TemporaryDirectory() as work:
         context = Context(folder, Path(work), vectors)
         for name, check in checks:
+            if only is not None and name not in only:
+                continue
             announce(name)
             results.append(run_check(name, lambda check=check: check(context)))
     return results
