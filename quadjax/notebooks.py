@@ -14,7 +14,7 @@ from quadjax.files import write_text
 try:
     import nbformat
     from nbclient import NotebookClient
-    from nbclient.exceptions import CellExecutionError
+    from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
     from nbformat import NotebookNode
 except ImportError:
     raise InputError(
@@ -38,8 +38,9 @@ def read_notebook(path: Path | str) -> NotebookNode:
         return nbformat.read(path, as_version=4)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except (nbformat.reader.NotJSONError, nbformat.ValidationError) as error:
-        raise InputError(f"{path}: is no notebook ({str(error).splitlines()[0]})") from error
+    except (nbformat.reader.NotJSONError, nbformat.ValidationError, AttributeError) as error:
+        reason = (str(error).splitlines() or ["empty"])[0]
+        raise InputError(f"{path}: is no notebook ({reason})") from error
 
 
 def write_notebook(path: Path | str, notebook: NotebookNode) -> None:
@@ -70,7 +71,8 @@ def execute(notebook: NotebookNode, folder: Path | str) -> None:
         folder: where its kernel starts.
 
     Raises:
-        InputError: a cell ended with an error; the message is its traceback.
+        InputError: a cell ended with an error, took too long, or took the kernel with it; the
+            message has the cell and what it said.
     """
     before = os.environ.get("PYTHONPATH")
     path = os.pathsep.join([str(REPOSITORY), *([before] if before else [])])
@@ -84,7 +86,7 @@ def execute(notebook: NotebookNode, folder: Path | str) -> None:
     )
     try:
         client.execute(env=os.environ | {"PYTHONPATH": path})
-    except CellExecutionError as error:
+    except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
         raise InputError(re.sub(r"\x1b\[[0-9;]*m", "", str(error))) from error
     notebook.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
