@@ -65,7 +65,7 @@ class EpisodeConfig:
     rate_limit: float = 1000.0  # rad/s
     pitch_limit_deg: float = 85.0  # in training
     roll_limit_deg: float = 180.0  # in training; 180: none
-    yaw_rate_limit: float = 1000.0  # rad/s, in training
+    yaw_rate_limit: float = 1000.0  # rad/s, in training; 1000: none
     random_gate: bool = False  # start before any gate, not only the first
     stagger_clocks: bool = False  # start at a random step of the clock
     disturbance_input: str = "true"  # true | estimated | none: what the observation says

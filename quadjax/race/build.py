@@ -92,7 +92,7 @@ def build_params(config: Config) -> RaceParams:
         "dt": episode.dt,
         "position": episode.position_limit,
         "rate": episode.rate_limit,
-        "yaw_rate": episode.yaw_rate_limit,
+        "yaw_rate": episode.yaw_rate_limit if episode.yaw_rate_limit < 1000 else math.inf,
         "pitch": math.radians(episode.pitch_limit_deg),
         "roll": math.radians(episode.roll_limit_deg) if episode.roll_limit_deg < 180 else math.inf,
         "gate_margin": episode.gate_margin,
@@ -126,6 +126,6 @@ def exact_rules(params: RaceParams) -> RaceParams:
         gate_margin=jnp.zeros(()),
         pitch=jnp.asarray(math.radians(89.0), jnp.float32),
         roll=jnp.asarray(jnp.inf, jnp.float32),
-        yaw_rate=params.limits.rate,
+        yaw_rate=jnp.asarray(jnp.inf, jnp.float32),
     )
     return params.replace(limits=limits)
