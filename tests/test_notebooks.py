@@ -31,6 +31,7 @@ SMALL = {
     """,
     "train_and_tune": """
         STEPS, SEED, RUNS = 25_000, 0, 2
+        CHANGE = ("narrow", ["network.hidden=[32,32]"])
         WORDS = ["train.evaluate_every=12500", "train.devices=1"]
     """,
 }
