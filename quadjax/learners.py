@@ -1,11 +1,13 @@
 """From a config to a learner on the racing environment."""
 
 import math
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.curriculum import ramp_residual
 from quadjax.errors import InputError
 from quadjax.learn.networks import ActorCritic, Networks, layers_of, tree_of
 from quadjax.learn.ppo import update as ppo
@@ -46,7 +48,14 @@ def noise_on(config: Config) -> str:
 
 
 def build_learner(config: Config) -> Learner[RaceParams]:
-    """The learner of a config, on the racing environment."""
+    """The learner of a config, on the racing environment and its curriculum."""
+    learner = _learner(config)
+    if config.vehicle.residual is None or not config.train.residual_ramp[1]:
+        return learner
+    return ramp_residual(learner, *config.train.residual_ramp)
+
+
+def _learner(config: Config) -> Learner[RaceParams]:
     environment, networks = make_environment(choices_of(config)), build_networks(config)
     drones = config.train.drones
     if config.algorithm == "ppo":
@@ -96,7 +105,19 @@ def start_state(
     state = jax.jit(learner.init)(params, jax.random.key(config.seed))
     if initial is None:
         return state
-    return state.replace(params=with_policy(state.params, initial))
+    return with_params(state, with_policy(state.params, initial, reward_scale(config)))
+
+
+def with_params(state: TrainState, params: ActorCritic) -> TrainState:
+    """The state with other networks, and a copy of them for its target if it has one."""
+    if state.target is None:
+        return state.replace(params=params)
+    return state.replace(params=params, target=jax.tree.map(jnp.copy, params))
+
+
+def reward_scale(config: Config) -> float:
+    """What the learner multiplies the reward by: the unit of its values."""
+    return (config.ppo if config.algorithm == "ppo" else config.shac).reward_scale
 
 
 def initial_policy(config: Config) -> Policy | None:
@@ -110,9 +131,11 @@ def initial_policy(config: Config) -> Policy | None:
     policy = read_policy(config.train.init)
     widths = [int(kernel.shape[1]) for kernel, _ in policy.layers[:-1]]
     wanted = list(config.network.hidden)
+    judge = wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
     for name, found, allowed in (
         ("vehicle", policy.vehicle, config.vehicle.kind),
         ("hidden widths", widths, wanted),
+        ("hidden widths of the value", judge, wanted),
         ("activation", policy.activation, config.network.activation),
         ("output", policy.output, "clip"),
     ):
@@ -123,10 +146,25 @@ def initial_policy(config: Config) -> Policy | None:
     return policy
 
 
-def with_policy(params: ActorCritic, policy: Policy) -> ActorCritic:
-    """Parameters whose policy is that of a file."""
+def with_policy(params: ActorCritic, policy: Policy, scale: float) -> ActorCritic:
+    """Parameters whose policy is that of a file, and so is the value where the file has it.
+
+    Args:
+        params: of networks of the policy's widths.
+        policy: a policy file's content.
+        scale: of the reward: the unit of the values.
+    """
     log_std = jnp.asarray(policy.log_std, jnp.float32)
-    return params.replace(policy=tree_of(list(policy.layers)), log_std=log_std)
+    value = params.value
+    if policy.value is not None:
+        value = tree_of(_scaled(policy.value, scale))
+    return params.replace(policy=tree_of(list(policy.layers)), log_std=log_std, value=value)
+
+
+def _scaled(layers: Sequence[tuple], factor: float) -> list[tuple]:
+    """The layers of a network whose outputs are ``factor`` times as large."""
+    kernel, bias = layers[-1]
+    return [*layers[:-1], (factor * kernel, factor * bias)]
 
 
 def flying_of(params: ActorCritic, activation: str) -> Flying:
@@ -144,6 +182,7 @@ def policy_of(config: Config, params: ActorCritic, source: dict) -> Policy:
         low = [-x for x in rates] + [vehicle.rate["thrust_min"]]
         high = rates + [vehicle.rate["thrust_max"]]
     ranges = {"disturbance": config.disturbance.half_widths} if vehicle.kind == "motor" else {}
+    value = _scaled(layers_of(params.value), 1.0 / reward_scale(config))
     return Policy(
         layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers_of(params.policy)),
         log_std=np.asarray(params.log_std),
@@ -159,4 +198,5 @@ def policy_of(config: Config, params: ActorCritic, source: dict) -> Policy:
             **ranges,
         },
         source=source,
+        value=tuple((np.asarray(k), np.asarray(b)) for k, b in value),
     )

@@ -20,7 +20,15 @@ from quadjax.learn import lanes
 from quadjax.learn.loop import NonFiniteError, Position, Row, advance, check_finite, row_of
 from quadjax.learn.networks import ActorCritic
 from quadjax.learn.state import Learner, TrainState
-from quadjax.learners import build_learner, flying_of, initial_policy, plan, with_policy
+from quadjax.learners import (
+    build_learner,
+    flying_of,
+    initial_policy,
+    plan,
+    reward_scale,
+    with_params,
+    with_policy,
+)
 from quadjax.metrics import MetricsFile, timed
 from quadjax.policies import act_deterministic
 from quadjax.race.build import build_params, choices_of, exact_rules
@@ -43,7 +51,7 @@ def shape_of(config: Config) -> tuple:
         tuple(sorted(whole.items())),
         (config.train.drones, config.train.steps, config.train.evaluate_every),
         (config.evaluate.laps, score_runs(config), config.episode.dt),
-        (config.vehicle.residual, len(config.track.gates)),
+        (config.vehicle.residual, bool(config.train.residual_ramp[1]), len(config.track.gates)),
     )
 
 
@@ -68,18 +76,15 @@ def start_states(
     starts = [math.log(c.shac.std) if c.algorithm == "shac" else c.network.log_std for c in configs]
     log_std = jnp.asarray(starts, jnp.float32)[:, None]
     own = state.params.replace(log_std=jnp.broadcast_to(log_std, state.params.log_std.shape))
-    state = state.replace(params=own)
-    if state.target is not None:
-        state = state.replace(target=jax.tree.map(jnp.copy, own))
     if any(config.train.init for config in configs):
         each = [_initial(c, jax.tree.map(lambda x, i=i: x[i], own)) for i, c in enumerate(configs)]
-        state = state.replace(params=lanes.stack(each))
-    return state
+        own = lanes.stack(each)
+    return with_params(state, own)
 
 
 def _initial(config: Config, params: ActorCritic) -> ActorCritic:
     policy = initial_policy(config)
-    return params if policy is None else with_policy(params, policy)
+    return params if policy is None else with_policy(params, policy, reward_scale(config))
 
 
 class Scores:

@@ -3,7 +3,8 @@
 ``kernel_0..`` (in, out), ``bias_0..``, ``log_std`` (4,) and ``meta``, a JSON string with
 ``format: "quadjax-policy/1"``, ``vehicle: "motor" | "rate"``, ``activation``, ``output``
 (``"clip"`` where it is missing), ``command_low``, ``command_high``, ``observation`` and where the
-policy came from.
+policy came from. It may have ``value_kernel_0..`` and ``value_bias_0..``, the critic that it was
+trained with: what trains the policy on begins with it, and nothing else looks at it.
 """
 
 import dataclasses
@@ -17,9 +18,13 @@ from quadjax.files import check_finite, read_layers, read_npz, write_npz
 FORMAT = "quadjax-policy/1"
 OBSERVATION_SIZES = {"motor": 24, "rate": 17}
 ACTION_SIZE = 4
+VALUE = "value_"  # before the names of the critic's arrays
 ACTIVATIONS = ("relu", "tanh")
 OUTPUTS = ("clip", "tanh")
 NOISE = ("mean", "clipped_mean")
+
+
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,)) of each
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +35,7 @@ class Policy:
     [``command_low``, ``command_high``].
     """
 
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,))
+    layers: Layers
     log_std: np.ndarray  # (4,) natural logarithm of the actions' standard deviation
     vehicle: str  # "motor" | "rate"
     activation: str  # of the hidden layers
@@ -40,14 +45,16 @@ class Policy:
     observation: dict  # the scaling of the observation it was trained with
     source: dict  # where it came from
     noise_on: str = "mean"  # "mean" | "clipped_mean": what the noise of a sample is added to
+    value: Layers | None = None  # the critic: of an observation, in the reward's own unit
 
 
 def write_policy(path: Path | str, policy: Policy) -> None:
     """Write a policy file, whole."""
     arrays: dict[str, np.ndarray] = {"log_std": np.asarray(policy.log_std, np.float32)}
-    for index, (kernel, bias) in enumerate(policy.layers):
-        arrays[f"kernel_{index}"] = np.asarray(kernel, np.float32)
-        arrays[f"bias_{index}"] = np.asarray(bias, np.float32)
+    for prefix, layers in (("", policy.layers), (VALUE, policy.value or ())):
+        for index, (kernel, bias) in enumerate(layers):
+            arrays[f"{prefix}kernel_{index}"] = np.asarray(kernel, np.float32)
+            arrays[f"{prefix}bias_{index}"] = np.asarray(bias, np.float32)
     meta = {
         "format": FORMAT,
         "vehicle": policy.vehicle,
@@ -99,7 +106,21 @@ def read_policy(path: Path | str) -> Policy:
         observation=_observation(path, meta),
         source=_source(meta),
         noise_on=_choice(path, {"noise_on": "mean"} | meta, "noise_on", NOISE),
+        value=_value(path, arrays, layers[0][0].shape[0]),
     )
+
+
+def _value(path: Path | str, arrays: dict[str, np.ndarray], inputs: int) -> Layers | None:
+    if not any(name.startswith(VALUE) for name in arrays):
+        return None
+    layers = read_layers(path, arrays, VALUE)
+    found = (layers[0][0].shape[0], layers[-1][0].shape[1])
+    if found != (inputs, 1):
+        raise InputError(
+            f"{path}: the value's layers take {found[0]} numbers and give {found[1]}, expected "
+            f"{inputs} and 1"
+        )
+    return tuple(layers)
 
 
 def _choice(path: Path | str, meta: dict, key: str, allowed: tuple[str, ...]) -> str:

@@ -1,5 +1,6 @@
 """Policy and residual files: they come back as they went, and damage is one clear line."""
 
+import dataclasses
 import json
 import zipfile
 
@@ -98,6 +99,16 @@ def test_policy_comes_back_as_it_went(tmp_path):
     assert set(names) == expected | {"log_std", "meta"}
 
 
+def test_a_policy_may_have_its_critic(tmp_path):
+    value = ((np.ones((17, 8)), np.zeros(8)), (np.full((8, 1), 0.5), np.array([3.0])))
+    plain = read_policy(save(tmp_path / "p.npz", policy_arrays(), POLICY_META))
+    assert plain.value is None
+    write_policy(tmp_path / "v.npz", dataclasses.replace(plain, value=value))
+    for found, wanted in zip(read_policy(tmp_path / "v.npz").value, value, strict=True):
+        for left, right in zip(found, wanted, strict=True):
+            np.testing.assert_array_equal(left, right)
+
+
 def test_a_source_in_anybody_s_own_words(tmp_path):
     for source, expected in (
         ("my drone", {"source": "my drone"}),
@@ -116,6 +127,10 @@ def poked(arrays, name, value):
     array = arrays[name].copy()
     array.flat[3] = value
     return arrays | {name: array}
+
+
+def with_value(inputs, outputs):
+    return {"value_kernel_0": np.zeros((inputs, outputs)), "value_bias_0": np.zeros(outputs)}
 
 
 POLICY_DAMAGE = {
@@ -148,6 +163,9 @@ POLICY_DAMAGE = {
     "no limits": (lambda a: a, {"command_high": None}, "command_high"),
     "crossed limits": (lambda a: a, {"command_high": [-3, 3, 3, 15]}, "command_low"),
     "observation": (lambda a: a, {"observation": [1, 2]}, "observation"),
+    "a value's bias": (lambda a: a | {"value_kernel_0": np.zeros((17, 1))}, {}, "value_bias_0"),
+    "a value's inputs": (lambda a: a | with_value(24, 1), {}, "17 and 1"),
+    "a value's outputs": (lambda a: a | with_value(17, 4), {}, "17 and 1"),
 }
 
 

@@ -34,6 +34,16 @@ def relu_network(layers: Layers, inputs: jax.Array) -> jax.Array:
     return hidden @ kernel + bias
 
 
+def scale_residual(residual: Residual, share: jax.Array) -> Residual:
+    """The residual whose outputs are ``share`` () times as large."""
+
+    def scale(layers: Layers) -> Layers:
+        kernel, bias = layers[-1]
+        return (*layers[:-1], (share * kernel, share * bias))
+
+    return residual.replace(thrust=scale(residual.thrust), moment=scale(residual.moment))
+
+
 def residual_force_moment(
     residual: Residual, rpm: Rotors, body_velocity: Vec3, body_rates: Vec3
 ) -> tuple[jax.Array, Vec3]:

@@ -187,14 +187,16 @@ def _policy_step(
 ) -> tuple[dict, optax.OptState, Metrics]:
     """One step against the loss's gradient.
 
-    One that is not finite changes nothing; nor does one while the critic warms up.
+    One that is not finite changes nothing. While the critic warms up the policy stands still, and
+    Adam learns the gradient's size.
     """
     gradient, norm = clip_by_norm(gradient, hyper.gradient_norm)
     rate = linear(hyper.learning_rate, hyper.final_learning_rate, fraction)
     old = (state.params.policy, state.optimiser[0])
     new = _adam_step(hyper, rate, gradient, *old)
     fine = jnp.isfinite(norm)
-    policy, adam = select_finite(fine & (state.update >= hyper.warm_up), new, old)
+    policy, adam = select_finite(fine, new, old)
+    policy = select_finite(state.update >= hyper.warm_up, policy, old[0])
     metrics = {
         "gradient_norm": norm,
         "skipped": 1.0 - fine.astype(norm.dtype),
