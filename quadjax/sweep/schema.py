@@ -12,7 +12,16 @@ import numpy as np
 from quadjax.config import fill, load_config, merge_trees, parse_words, read_yaml, to_yaml
 from quadjax.errors import InputError
 from quadjax.schema import Config
-from quadjax.sweep.space import ENTRIES, Dimension, Params, flatten, read_space, word, words_of
+from quadjax.sweep.space import (
+    ENTRIES,
+    Dimension,
+    Params,
+    flatten,
+    label_of,
+    read_space,
+    word,
+    words_of,
+)
 
 RACE = ("vehicle", "track", "randomise", "disturbance", "start", "evaluate")  # sections
 COMBINATIONS = 64  # at most so many combinations are checked before anything runs
@@ -24,6 +33,7 @@ class SearchConfig:
 
     method: str = "tpe"  # grid | random | tpe
     seed: int = 0
+    base_first: bool = False  # the first trial is the base config itself
     startup: int = 10  # random trials before TPE begins
     pruner: str = "none"  # none | median | halving
     pruner_startup: int = 5  # trials that run to their end before any is pruned
@@ -84,6 +94,14 @@ class Sweep:
         own = [word("name", name), word("seed", seed), "train.devices='1'"]
         return load_config(self.base, [*self.words, *words_of(self.dimensions, params), *own])
 
+    @property
+    def first(self) -> Params | None:
+        """The first trial's parameters where they are the base config's own."""
+        if not self.file.search.base_first:
+            return None
+        config = load_config(self.base, self.words)
+        return {d.key: label_of(_base_value(config, d.key)) for d in self.dimensions}
+
     def definition(self) -> dict[str, str]:
         """What makes trials comparable, flat: a study takes only workers with the same."""
         base = to_yaml(load_config(self.base, self.words)).splitlines()
@@ -142,6 +160,7 @@ def load_sweep(path: Path | str, words: Sequence[str] = (), values: bool = True)
     conditions = _conditions(asked, config, dimensions, base, fixed, str(path))
     trials = _trials(file, dimensions, str(path))
     sweep = Sweep(file, base, fixed, dimensions, trials, conditions)
+    _check_first(sweep, str(path))
     if values:
         _check_values(sweep, str(path))
     return sweep
@@ -233,6 +252,20 @@ def _check_measure(file: SweepFile, config: Config, source: str) -> None:
             f"{source}: search.pruner is {file.search.pruner!r}, allowed: none, where "
             "objective.measure is seconds_to, which ends a run at its target"
         )
+
+
+def _check_first(sweep: Sweep, source: str) -> None:
+    if sweep.first is None:
+        return
+    if sweep.file.search.method == "grid":
+        raise InputError(f"{source}: search.base_first is True, allowed: False for a grid")
+    for d in sweep.dimensions:
+        value = sweep.first[d.key]
+        if not d.holds(value):
+            raise InputError(
+                f"{source}: space.{d.key} is without the base config's {value}, which is to be "
+                "the first trial (search.base_first)"
+            )
 
 
 def _trials(file: SweepFile, dimensions: Sequence[Dimension], source: str) -> int:

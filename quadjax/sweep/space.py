@@ -47,6 +47,12 @@ class Dimension:
             return plain
         return self.choices[self.labels().index(plain)]
 
+    def holds(self, plain: bool | int | float | str | None) -> bool:
+        """Whether the dimension has a value, as the store keeps it."""
+        if self.kind == "choices":
+            return plain in self.labels()
+        return self.low <= plain <= self.high
+
     def grid(self) -> list[bool | int | float | str | None]:
         """Every value of a grid, as the store keeps it.
 

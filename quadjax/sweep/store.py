@@ -124,7 +124,8 @@ class Store:
         there = {trial.user_attrs.get("slot") for trial in self.trials()}
         for slot in range(self.sweep.trials):
             if slot not in there:
-                self._queue(slot, 0)
+                fixed = slot == 0 and self.sweep.first
+                self._queue(slot, 0, {"fixed_params": fixed} if fixed else None)
 
     def _queue(self, slot: int, attempt: int, system: dict | None = None) -> None:
         """Add a waiting trial."""
@@ -201,7 +202,7 @@ class Store:
         system = {
             key: value
             for key, value in trial.system_attrs.items()
-            if key in ("grid_id", "search_space")
+            if key in ("grid_id", "search_space", "fixed_params")
         }
         if len(trial.params) == len(self.sweep.dimensions):
             system["fixed_params"] = dict(trial.params)

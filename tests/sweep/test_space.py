@@ -93,6 +93,18 @@ IMPOSSIBLE_FILES = {
         },
         ["budget.trials is 4", "5 points"],
     ),
+    "a base that the space is without": (
+        {"search": {"base_first": True}, **space(ppo__clip={"range": [0.3, 0.4]})},
+        ["space.ppo.clip", "0.2", "base_first"],
+    ),
+    "a base's choice that the space is without": (
+        {"search": {"base_first": True}, **space(network__hidden={"choices": [[9]]})},
+        ["space.network.hidden", "[8]", "base_first"],
+    ),
+    "a grid with the base first": (
+        {"search": {"method": "grid", "base_first": True}, **space(ppo__epochs={"range": [1, 4]})},
+        ["search.base_first", "grid"],
+    ),
     "pruning of a race to a target": (
         {"search": {"pruner": "median"}, "objective": {"measure": "seconds_to"}},
         ["search.pruner", "seconds_to"],

@@ -102,6 +102,19 @@ def test_a_dead_workers_trial_fails_and_is_tried_once_more(tmp_path, method):
     assert opened.claim(ME) is None
 
 
+def test_the_base_may_come_first(tmp_path):
+    choice = {"choices": [[8], [9]]}
+    space = {"ppo.clip": {"range": [0.1, 0.3]}, "network.hidden": choice}
+    opened = open_store(tmp_path, "search.base_first=true", space=space)
+    base = {"ppo.clip": 0.2, "network.hidden": "[8]"}
+    assert opened.claim(dead_worker()).params == base
+    claims = [opened.claim(ME) for _ in range(3)]
+    assert all(claim.params != base for claim in claims)
+    opened.tend()
+    again = opened.claim(ME)
+    assert again.slot == 0 and again.attempt == 1 and again.params == base
+
+
 def test_a_trial_that_was_stopped_with_its_sweep_is_not_counted_as_tried(tmp_path):
     opened = open_store(tmp_path, "budget.trials=1")
     for _ in range(3):
