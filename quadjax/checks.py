@@ -30,6 +30,7 @@ CLOSED: dict[str, tuple[float, float]] = {
     "shac.td_lambda": _UNIT,
     "shac.state_gradient_decay": _UNIT,
     "shac.critic_target_rate": _UNIT,
+    "shac.mean_rate": (1e-4, 1.0),
     "start.roll_pitch_deg": (0.0, 89.0),
     "start.yaw_deg": (0.0, 180.0),
     "episode.pitch_limit_deg": (1.0, 89.0),

@@ -109,10 +109,13 @@ def start_state(
 
 
 def with_params(state: TrainState, params: ActorCritic) -> TrainState:
-    """The state with other networks, and a copy of them for its target if it has one."""
-    if state.target is None:
-        return state.replace(params=params)
-    return state.replace(params=params, target=jax.tree.map(jnp.copy, params))
+    """The state with other networks, and with copies of them for its target and its mean."""
+    copies = {
+        name: jax.tree.map(jnp.copy, params)
+        for name in ("target", "mean")
+        if getattr(state, name) is not None
+    }
+    return state.replace(params=params, **copies)
 
 
 def reward_scale(config: Config) -> float:

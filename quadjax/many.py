@@ -158,7 +158,7 @@ def train_many(
         state, metrics = program(state)
         values = {name: np.asarray(value) for name, value in metrics.items()}
         took = time.monotonic() - chunk_began
-        rows = _advance(there, state, values, scores(state.params), steps, took, began)
+        rows = _advance(there, state, values, scores(state.flown), steps, took, began)
         if enough(rows):
             break
     return [_close(lane, steps, chunks, mesh.size) for lane in there]
@@ -170,13 +170,13 @@ def _open(
     params: Sequence[RaceParams],
     state: TrainState,
 ) -> list[Lane]:
-    host = jax.device_get(state.params)
+    host = jax.device_get(state.flown)
     opened = []
     for index, (config, directory) in enumerate(zip(configs, directories, strict=True)):
         directory.mkdir(parents=True, exist_ok=True)
         claim_directory(config, directory, False)
         own = jax.tree.map(lambda x, i=index: x[i], host)
-        position = Position(state=state.replace(params=own), best=own)
+        position = Position(state=state.replace(params=own, mean=None), best=own)
         metrics = MetricsFile(directory, 0, config.train.tensorboard)
         opened.append(Lane(config, directory, params[index], metrics, position))
     return opened
@@ -192,7 +192,7 @@ def _advance(
     began: float,
 ) -> list[Row]:
     """Every run one chunk on; one that is not finite any more stays where it was."""
-    host = jax.device_get(state.params)
+    host = jax.device_get(state.flown)
     rows = []
     for index, lane in enumerate(there):
         own = {name: value[:, index] for name, value in values.items()}
@@ -203,7 +203,8 @@ def _advance(
             except NonFiniteError as error:
                 lane.error = error
         score = scores[index] if lane.error is None else math.inf
-        now = state.replace(params=jax.tree.map(lambda x, i=index: x[i], host))
+        flown = jax.tree.map(lambda x, i=index: x[i], host)
+        now = state.replace(params=flown, mean=None)
         lane.position = advance(lane.position, now, score, steps, time.monotonic() - began)
         row = timed(row_of(lane.position, own, score, steps, took))
         if lane.error is None:

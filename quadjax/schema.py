@@ -169,6 +169,7 @@ class SHACConfig:
     std: float = 0.3  # of the actions while training
     final_std: float = 0.3
     reward_scale: float = 0.1
+    mean_rate: float = 1.0  # of the running mean of the policy, which is flown and kept; 1: itself
     warm_up: int = 0  # updates of the value alone, for a policy from train.init
 
 

@@ -156,7 +156,7 @@ def _run(job: _Job, directory: Path, resume: bool, started: float, watch: _Watch
     score = Score(config, params)
     begin = functools.partial(start_state, config, job.learner, params, job.initial)
     chunk, first = _compile(job.learner, params, job.mesh, job.updates, score, begin)
-    position = Position(state=first, best=jax.device_get(first.params))
+    position = Position(state=first, best=jax.device_get(first.flown))
     if resume and checkpoints.any:
         position = checkpoints.restore(position)
         position.state = parallel.place(position.state, job.mesh)
@@ -189,7 +189,7 @@ def _compile(
     """The compiled chunk and the first state, with the score's flight compiled meanwhile."""
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(lambda: parallel.place(begin(), mesh))
-        flown = pool.submit(lambda: score(first.result().params))
+        flown = pool.submit(lambda: score(first.result().flown))
         shapes = jax.eval_shape(learner.init, params, jax.random.key(0))
         chunk = parallel.compile_chunk(
             learner, mesh, updates, params, parallel.abstract(shapes, mesh)
@@ -233,7 +233,7 @@ def finish_run(
     rows = rows_of(path) if path.exists() else []
     last_source = source | {"steps": position.chunks * steps_per_chunk}
     write_policy(directory / "policy.npz", policy)
-    last = policy_of(config, jax.device_get(position.state.params), last_source)
+    last = policy_of(config, jax.device_get(position.state.flown), last_source)
     write_policy(directory / "policy_last.npz", last)
     begun = {"name": config.name, "seed": config.seed, "finished": finished}
     counts = {"steps": position.chunks * steps_per_chunk, "devices": devices}

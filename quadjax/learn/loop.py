@@ -74,7 +74,7 @@ def run(
         values = {name: np.asarray(value) for name, value in metrics.items()}
         check_finite(values, position.chunks * len(next(iter(values.values()))))
         took = time.monotonic() - begun
-        score = hooks.score(state.params)
+        score = hooks.score(state.flown)
         position = advance(position, state, score, steps_per_chunk, time.monotonic() - started)
         hooks.report(row_of(position, values, score, steps_per_chunk, took))
         due = hooks.agree(time.monotonic() - saved > save_seconds)
@@ -93,7 +93,7 @@ def advance(
         position, state=state, chunks=position.chunks + 1, seconds=seconds
     )
     if score < position.best_score or not math.isfinite(position.best_score):
-        following.best = jax.device_get(state.params)
+        following.best = jax.device_get(state.flown)
         following.best_score = score
         following.best_steps = following.chunks * steps
     return following

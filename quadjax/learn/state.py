@@ -27,6 +27,12 @@ class TrainState:
     environment: object  # states of all environments, batched along the last axis
     keys: jax.Array  # (lanes,) PRNG keys
     update: jax.Array  # () int32, updates done
+    mean: ActorCritic | None = None  # running mean of ``params``, for learners that keep one
+
+    @property
+    def flown(self) -> ActorCritic:
+        """What is timed and kept: the running mean where there is one."""
+        return self.params if self.mean is None else self.mean
 
 
 Metrics = dict[str, jax.Array]

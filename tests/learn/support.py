@@ -53,6 +53,7 @@ def shac_hyper(**numbers: float) -> shac.Hyper:
         "std": 0.3,
         "final_std": 0.1,
         "reward_scale": 0.5,
+        "mean_rate": 1.0,
         "warm_up": 0,
     }
     return shac.Hyper(**{k: jnp.float32(v) for k, v in (values | numbers).items()})

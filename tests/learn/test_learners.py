@@ -9,6 +9,7 @@ import pytest
 
 from quadjax.learn import parallel
 from quadjax.learn.loop import NonFiniteError, check_finite
+from quadjax.learn.state import AXIS
 from tests.learn.probes import observations, probe
 from tests.learn.support import UPDATES, WHOLE, Run, make, plain
 
@@ -204,6 +205,25 @@ def test_a_policy_stands_still_while_the_value_warms_up(name):
     assert not changed(begin.policy, after.policy) and changed(begin.value, after.value)
     run.train(1)
     assert changed(begin.policy, run.state.params.policy)
+
+
+def test_the_mean_of_the_networks_follows_them():
+    run = Run("shac", probe(best=1.0))
+    one = {"axis_name": AXIS, "axis_size": 1, "in_axes": None, "out_axes": None}
+    update = jax.jit(jax.vmap(run.learner.update, **one))
+    first, _ = update(run.hyper, run.params, run.state)
+    for rate in (1.0, 0.25):
+        found, _ = update(run.hyper.replace(mean_rate=jnp.float32(rate)), run.params, first)
+        assert changed(first.params.policy, found.params.policy)
+        for name in ("policy", "value"):
+            old, new, mean = (
+                plain(getattr(x, name)) for x in (first.mean, found.params, found.mean)
+            )
+            for a, b, c in zip(old, new, mean, strict=True):
+                np.testing.assert_allclose(c, (1 - rate) * a + rate * b, rtol=1e-6, atol=1e-7)
+        np.testing.assert_array_equal(found.flown.log_std, found.params.log_std)
+        assert changed(found.flown.policy, found.params.policy) == (rate < 1)
+    assert Run("ppo", probe()).state.mean is None
 
 
 def test_schedules_reach_their_end_points():

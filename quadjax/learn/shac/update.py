@@ -49,6 +49,7 @@ class Hyper:
     std: jax.Array
     final_std: jax.Array
     reward_scale: jax.Array
+    mean_rate: jax.Array  # of the running mean of the networks
     warm_up: jax.Array  # updates of the critic alone
 
 
@@ -104,6 +105,7 @@ def _init(
         environment=reset_all(environment, environment_params, resets, count),
         keys=jax.random.split(lane_key, s.lanes),
         update=jnp.zeros((), jnp.int32),
+        mean=jax.tree.map(jnp.copy, params),
     )
 
 
@@ -134,7 +136,10 @@ def _update(
         lambda old, new: old + hyper.critic_target_rate * (new - old), state.target, params
     )
     optimiser = (policy_adam, value_adam)
-    following = TrainState(params, optimiser, target, flown, keys, state.update + 1)
+    mean = jax.tree.map(
+        lambda old, new: (1.0 - hyper.mean_rate) * old + hyper.mean_rate * new, state.mean, params
+    ).replace(log_std=log_std)
+    following = TrainState(params, optimiser, target, flown, keys, state.update + 1, mean)
     return following, metrics | critic_metrics | _watch(flight, hyper.reward_scale, std)
 
 
