@@ -104,6 +104,9 @@ def check(config: Config) -> None:
         _require(config, key, low <= value_at(config, key) <= high, f"{low} to {high}")
     for key in HALF_OPEN_DISCOUNT:
         _require(config, key, 0 <= value_at(config, key) < 1, "at least 0 and less than 1")
+    last = config.shac.final_discount
+    fine = last is None or 0 <= last < 1
+    _require(config, "shac.final_discount", fine, "at least 0 and less than 1, or null")
     for key in AT_LEAST_ONE:
         _require(config, key, value_at(config, key) >= 1, "at least 1")
     for key in POSITIVE:

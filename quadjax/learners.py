@@ -1,5 +1,6 @@
 """From a config to a learner on the racing environment."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -80,6 +81,8 @@ def _learner(config: Config) -> Learner[RaceParams]:
         updates=_updates(config, section.horizon),
         shares=config.train.shares,
     )
+    if section.final_discount is None:
+        section = dataclasses.replace(section, final_discount=section.discount)
     return shac.make_learner(environment, networks, structure, _leaves(shac.Hyper, section))
 
 

@@ -164,6 +164,7 @@ class SHACConfig:
     critic_target_rate: float = 0.2  # how fast the target critic follows
     td_lambda: float = 0.95
     discount: float = 0.99
+    final_discount: float | None = None  # reached linearly at the end; null: the same throughout
     state_gradient_decay: float = 0.95  # per step, on its way back through the state
     state_gradient_clip: float = 0.02  # largest entry of the state's gradient
     std: float = 0.3  # of the actions while training

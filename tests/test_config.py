@@ -147,6 +147,7 @@ WRONG_WORDS = [
     ("ppo.clip=[1]", ["ppo.clip"]),
     ("ppo.discount=1", ["ppo.discount", "1"]),
     ("ppo.gae_lambda=1.1", ["ppo.gae_lambda", "1.1"]),
+    ("shac.final_discount=1", ["shac.final_discount", "1"]),
     ("ppo.epochs=0", ["ppo.epochs", "0", "at least 1"]),
     ("ppo.batches=7", ["ppo.batches", "7", "divisor"]),
     ("ppo.shuffle_block=5", ["ppo.shuffle_block", "5", "divisor"]),

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from quadjax.evaluate.figures import INK, MUTED, SERIES, SPEED_COLOURS, new_figure, tidy
 from quadjax.sweep.schema import Sweep
@@ -126,7 +127,7 @@ def slice_figure(sweep: Sweep, results: Sequence["TrialResult"]) -> Figure:
             axes.set_xticks(range(len(labels)), labels, fontsize=7)
             axes.set_xlim(-0.5, len(labels) - 0.5)
         elif d.log:
-            axes.set_xscale("log")
+            _log_axis(axes)
         axes.set_xlabel(d.key, color=INK, fontsize=9)
         axes.set_ylim(low - margin, high + 2 * margin)
     for axes in list(grid.flat)[len(dimensions) :]:
@@ -135,6 +136,14 @@ def slice_figure(sweep: Sweep, results: Sequence["TrialResult"]) -> Figure:
         line[0].set_ylabel("median (s)", color=INK)
     grid[0][0].set_title(sweep.file.name, color=INK, fontsize=13, loc="left", pad=10)
     return figure
+
+
+def _log_axis(axes: Axes) -> None:
+    """A logarithmic axis of ones, twos and fives in plain numbers: decades are rare in a space."""
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _across(d: Dimension, value: object) -> float:

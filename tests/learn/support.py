@@ -48,6 +48,7 @@ def shac_hyper(**numbers: float) -> shac.Hyper:
         "critic_target_rate": 0.3,
         "td_lambda": 0.9,
         "discount": 0.5,
+        "final_discount": 0.5,
         "state_gradient_decay": 1.0,
         "state_gradient_clip": 100.0,
         "std": 0.3,

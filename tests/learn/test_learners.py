@@ -32,6 +32,14 @@ def test_truncated_episodes_have_a_future(name):
     assert run.value(observations()) / SCALE[name] == pytest.approx(2.0, abs=0.1)
 
 
+def test_the_discount_goes_to_its_end_point():
+    """At a run's end steps that pay one and are cut short are worth 1 + 0.2 + 0.04 .. = 1.25."""
+    run = Run("shac", probe(constant=1.0, truncates=1.0), discount=0.6, final_discount=0.2)
+    run.state = run.state.replace(update=run.state.update + WHOLE)
+    run.train(25)
+    assert run.value(observations()) / SCALE["shac"] == pytest.approx(1.25, abs=0.06)
+
+
 @BOTH
 def test_reward_equals_observation(name):
     run = Run(name, probe(shown=1.0))

@@ -44,6 +44,7 @@ class Hyper:
     critic_target_rate: jax.Array
     td_lambda: jax.Array
     discount: jax.Array
+    final_discount: jax.Array
     state_gradient_decay: jax.Array
     state_gradient_clip: jax.Array
     std: jax.Array
@@ -122,6 +123,7 @@ def _update(
     count = s.environments // s.lanes
     fresh = reset_all(environment, environment_params, reset_keys, count)
     std = linear(hyper.std, hyper.final_std, fraction)
+    hyper = hyper.replace(discount=linear(hyper.discount, hyper.final_discount, fraction))
     noise = std * normal_all(noise_keys, (s.horizon,), count, networks.action_size)
     scaled = _scale_reward(environment, hyper.reward_scale)
     policy, policy_adam, flown, flight, metrics = _actor(
