@@ -152,9 +152,10 @@ def _check_lists(config: Config) -> None:
     low_high = config.start.thrust
     fine = len(low_high) == 2 and 0 <= low_high[0] <= low_high[1]
     _require(config, "start.thrust", fine, "[lowest, highest], not negative")
-    ramp = config.train.residual_ramp
-    fine = len(ramp) == 2 and 0 <= ramp[0] <= ramp[1]
-    _require(config, "train.residual_ramp", fine, "[first, last] step, not negative")
+    for key in ("train.residual_ramp", "train.yaw_ramp"):
+        ramp = value_at(config, key)
+        fine = len(ramp) == 2 and 0 <= ramp[0] <= ramp[1]
+        _require(config, key, fine, "[first, last] step, not negative")
     steady = config.disturbance.steady_moment
     fine = len(steady) == 3 and all(math.isfinite(x) for x in steady)
     _require(config, "disturbance.steady_moment", fine, "three finite numbers, N m")

@@ -4,25 +4,36 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from quadjax.learn.state import Learner, Metrics, TrainState
 from quadjax.race.environment import RaceParams
 from quadjax.vehicle.residual import scale_residual
 
-
-@struct.dataclass
-class Ramped:
-    """A learner's hyperparameters, and between which steps the residual grows."""
-
-    hyper: object
-    begin: jax.Array  # () environment steps
-    end: jax.Array  # ()
+Span = tuple[float, float]  # environment steps: nothing before the first, all from the second on
 
 
-def ramp(steps: jax.Array, begin: jax.Array, end: jax.Array) -> jax.Array:
-    """0 up to ``begin``, 1 from ``end`` on, and linear between them."""
-    rising = (steps - begin) / jnp.maximum(end - begin, 1.0)
+@dataclasses.dataclass(frozen=True)
+class Curriculum:
+    """What grows in, and when."""
+
+    residual: Span = (0.0, 0.0)  # of the vehicle
+    yaw: Span = (0.0, 0.0)  # by which a start may be turned away from its target
+
+    def at(self, params: RaceParams, steps: jax.Array) -> RaceParams:
+        """The race after so many environment steps ()."""
+        if self.yaw[1]:
+            half_width = ramp(steps, self.yaw) * params.start.yaw
+            begin = params.start.replace(yaw=half_width, facing=jnp.ones(()))
+            params = params.replace(start=begin)
+        if getattr(params.vehicle, "residual", None) is None:
+            return params
+        return with_residual_share(params, ramp(steps, self.residual))
+
+
+def ramp(steps: jax.Array, span: Span) -> jax.Array:
+    """0 up to the span's first step, 1 from its last on, and linear between them."""
+    begin, end = span
+    rising = (steps - begin) / max(end - begin, 1.0)
     return jnp.where(steps >= end, 1.0, jnp.clip(rising, 0.0, 1.0))
 
 
@@ -38,19 +49,14 @@ def with_residual_share(params: RaceParams, share: jax.Array) -> RaceParams:
     return params.replace(vehicle=lessen(params.vehicle), estimator=estimator)
 
 
-def ramp_residual(learner: Learner[RaceParams], begin: float, end: float) -> Learner[RaceParams]:
-    """The learner on a drone whose residual grows from nothing to all of it.
+def follow(learner: Learner[RaceParams], curriculum: Curriculum) -> Learner[RaceParams]:
+    """The learner on a race that changes from update to update as a curriculum says."""
 
-    Args:
-        learner: on a race whose vehicle has a residual.
-        begin: environment steps before which there is none.
-        end: environment steps from which on there is all of it.
-    """
+    def init(params: RaceParams, key: jax.Array) -> TrainState:
+        return learner.init(curriculum.at(params, jnp.zeros(())), key)
 
-    def update(ramped: Ramped, params: RaceParams, state: TrainState) -> tuple[TrainState, Metrics]:
+    def update(hyper: object, params: RaceParams, state: TrainState) -> tuple[TrainState, Metrics]:
         steps = state.update.astype(jnp.float32) * learner.steps_per_update
-        share = ramp(steps, ramped.begin, ramped.end)
-        return learner.update(ramped.hyper, with_residual_share(params, share), state)
+        return learner.update(hyper, curriculum.at(params, steps), state)
 
-    ramped = Ramped(learner.hyper, jnp.float32(begin), jnp.float32(end))
-    return dataclasses.replace(learner, update=update, hyper=ramped)
+    return dataclasses.replace(learner, init=init, update=update)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.curriculum import ramp_residual
+from quadjax.curriculum import Curriculum, follow
 from quadjax.errors import InputError
 from quadjax.learn.networks import ActorCritic, Networks, layers_of, tree_of
 from quadjax.learn.ppo import update as ppo
@@ -50,10 +50,8 @@ def noise_on(config: Config) -> str:
 
 def build_learner(config: Config) -> Learner[RaceParams]:
     """The learner of a config, on the racing environment and its curriculum."""
-    learner = _learner(config)
-    if config.vehicle.residual is None or not config.train.residual_ramp[1]:
-        return learner
-    return ramp_residual(learner, *config.train.residual_ramp)
+    ramps = Curriculum(tuple(config.train.residual_ramp), tuple(config.train.yaw_ramp))
+    return follow(_learner(config), ramps)
 
 
 def _learner(config: Config) -> Learner[RaceParams]:

@@ -51,7 +51,8 @@ def shape_of(config: Config) -> tuple:
         tuple(sorted(whole.items())),
         (config.train.drones, config.train.steps, config.train.evaluate_every),
         (config.evaluate.laps, score_runs(config), config.episode.dt),
-        (config.vehicle.residual, bool(config.train.residual_ramp[1]), len(config.track.gates)),
+        (tuple(config.train.residual_ramp), tuple(config.train.yaw_ramp)),
+        (config.vehicle.residual, len(config.track.gates)),
     )
 
 

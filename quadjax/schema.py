@@ -183,8 +183,10 @@ class TrainConfig:
     devices: str = "auto"  # auto | all | a number, of each process
     shares: int = 8  # a power of two: at most so many devices may share the drones
     init: str | None = None  # policy file (.npz) to start from
-    # Steps before which a residual is left out, and from which on there is all of it.
+    # What grows in from nothing between two numbers of steps: the vehicle's residual, and the yaw
+    # by which a start may be turned away from its target.
     residual_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    yaw_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     evaluate_every: int = 500_000  # steps between timed laps: one compiled chunk
     checkpoint_seconds: float = 20.0  # at least so long between checkpoints
     tensorboard: bool = False

@@ -7,7 +7,7 @@ import pytest
 from flax import struct
 
 from quadjax.config import load_config
-from quadjax.curriculum import ramp, ramp_residual, with_residual_share
+from quadjax.curriculum import Curriculum, follow, ramp, with_residual_share
 from quadjax.learn.state import Learner
 from quadjax.learners import build_learner
 from quadjax.many import shape_of
@@ -18,7 +18,6 @@ from tests.convert import residual_of
 from tests.reference import random_residual
 from tests.test_training import CONFIGS, TINY
 
-BEGIN, END = 128.0, 384.0
 RPM = Rotors(*(jnp.float32(x) for x in (4000.0, 6000.0, 8000.0, 9000.0)))
 VELOCITY = Vec3(*(jnp.float32(x) for x in (8.0, -2.0, 1.0)))
 RATES = Vec3(*(jnp.float32(x) for x in (1.0, -3.0, 2.0)))
@@ -44,14 +43,14 @@ def test_a_share_of_a_residual_is_that_share_of_its_outputs(sign, share):
     + [(9, 10, 10, 0), (10, 10, 10, 1), (1e9, 10, 20, 1)],
 )
 def test_ramp(steps, begin, end, share):
-    assert float(ramp(jnp.float32(steps), begin, end)) == share
+    assert float(ramp(jnp.float32(steps), (begin, end))) == share
 
 
 def config_of(*words):
     return load_config(CONFIGS / "e2e.yaml", [*TINY, "train.devices=1", *words])
 
 
-RAMPED = config_of(f"train.residual_ramp=[{BEGIN}, {END}]")
+RAMPED = config_of("train.residual_ramp=[128, 384]")
 
 
 @struct.dataclass
@@ -61,18 +60,26 @@ class State:
     update: jax.Array
 
 
-def test_the_learner_flies_with_the_share_of_its_step():
+def test_the_learner_flies_in_the_race_of_its_step():
+    def begin(params, key):
+        return params.start.yaw
+
     def update(hyper, params, state):
         force, _ = residual_force_moment(params.vehicle.residual, RPM, VELOCITY, RATES)
-        return state, {"force": hyper * force}
+        return state, {"force": hyper * force, "yaw": params.start.yaw}
 
-    plain = Learner(None, update, hyper=jnp.float32(2.0), steps_per_update=64, lanes=1)
-    learner, params = ramp_residual(plain, BEGIN, END), build_params(RAMPED)
-    whole = 2.0 * outputs(params.vehicle.residual)[0]
-    shares = {0: 0.0, 1: 0.0, 2: 0.0, 3: 0.25, 4: 0.5, 6: 1.0, 100: 1.0}
-    for done, share in shares.items():
+    plain = Learner(begin, update, hyper=jnp.float32(2.0), steps_per_update=64, lanes=1)
+    learner = follow(plain, Curriculum((128, 384), (0, 256)))
+    params = build_params(RAMPED)
+    force, yaw = 2.0 * outputs(params.vehicle.residual)[0], float(params.start.yaw)
+    assert yaw == pytest.approx(np.pi)
+    assert float(learner.init(params, None)) == 0.0
+    assert float(follow(plain, Curriculum()).init(params, None)) == params.start.yaw
+    shares = {0: (0, 0), 1: (0, 0.25), 2: (0, 0.5), 3: (0.25, 0.75), 4: (0.5, 1), 6: (1, 1)}
+    for done, (of_force, of_yaw) in (shares | {100: (1, 1)}).items():
         _, metrics = jax.jit(learner.update)(learner.hyper, params, State(jnp.int32(done)))
-        np.testing.assert_allclose(metrics["force"], share * whole, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(metrics["force"], of_force * force, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(metrics["yaw"], of_yaw * yaw, rtol=1e-6)
 
 
 def test_the_estimator_believes_in_the_same_share():
@@ -83,12 +90,23 @@ def test_the_estimator_believes_in_the_same_share():
     )
 
 
-def test_runs_with_and_without_a_ramp_are_of_different_programs():
-    assert shape_of(RAMPED) != shape_of(config_of("train.residual_ramp=[0, 0]"))
-    assert shape_of(RAMPED) == shape_of(config_of("train.residual_ramp=[7, 9]"))
+def test_runs_of_other_ramps_are_of_different_programs():
+    for key in ("residual_ramp", "yaw_ramp"):
+        assert shape_of(RAMPED) != shape_of(config_of(f"train.{key}=[7, 9]"))
 
 
-def test_a_ramp_without_a_residual_is_no_ramp():
-    learner = build_learner(config_of("vehicle.residual=null", "train.residual_ramp=[1, 2]"))
-    assert not hasattr(learner.hyper, "begin")
-    assert hasattr(build_learner(RAMPED).hyper, "begin")
+def test_a_config_s_ramps_reach_its_learner():
+    words = ("vehicle.residual=null", "train.residual_ramp=[1, 2]", "start.position=0")
+    for ramp_words, least, most in (((), 0.5, 4.0), (("train.yaw_ramp=[0, 9]",), 0.0, 1e-5)):
+        config = config_of(*words, *ramp_words)
+        learner, params = build_learner(config), build_params(config)
+        begun = jax.jit(learner.init)(params, jax.random.key(0)).environment
+        gates = params.track.position
+        ahead = [np.asarray(getattr(gates, x))[np.asarray(begun.target)] for x in ("x", "y")]
+        away = [
+            a - np.asarray(getattr(begun.drone.position, x))
+            for a, x in zip(ahead, "xy", strict=True)
+        ]
+        off = np.asarray(begun.drone.euler.z) - np.arctan2(away[1], away[0])
+        off = np.abs(np.angle(np.exp(1j * off)))
+        assert least <= off.max() <= most and off.shape == (16,)

@@ -26,6 +26,8 @@ class StartRange:
     rates: jax.Array  # rad/s
     thrust_low: jax.Array  # m/s^2, rate-level vehicle
     thrust_high: jax.Array
+    # Where this is None, yaw is drawn around north, else around so much of the target's heading.
+    facing: jax.Array | None = None  # ()
 
 
 @struct.dataclass
@@ -69,12 +71,21 @@ def _pose(
     count = gate_count(track)
     before = gate(track, (target + count - 1) % count)
     angle = Vec3(span.roll_pitch, span.roll_pitch, span.yaw)
+    euler = Vec3.of(drawn[6:9]) * angle
+    if span.facing is not None:
+        towards = span.facing * _heading(before.position, gate(track, target).position)
+        euler = euler.replace(z=wrap_angle(euler.z + towards))
     return (
         before.position + Vec3.of(drawn[0:3]) * span.position,
         Vec3.of(drawn[3:6]) * span.velocity,
-        Vec3.of(drawn[6:9]) * angle,
+        euler,
         Vec3.of(drawn[9:12]) * span.rates,
     )
+
+
+def _heading(begin: Vec3, end: Vec3) -> jax.Array:
+    """The yaw (), rad, that looks from one point to another."""
+    return jnp.arctan2(end.y - begin.y, end.x - begin.x)
 
 
 def start_motor(
@@ -118,8 +129,7 @@ def hover(c: Constants, track: Track) -> MotorState | RateState:
     """At rest and level at the last gate's centre, nose towards the first gate."""
     last = jax.tree.map(lambda x: x[-1], track.position)
     first = jax.tree.map(lambda x: x[0], track.position)
-    heading = jnp.arctan2(first.y - last.y, first.x - last.x)
-    euler = Vec3.zero().replace(z=wrap_angle(heading))
+    euler = Vec3.zero().replace(z=wrap_angle(_heading(last, first)))
     pose = (last, Vec3.zero(), euler, Vec3.zero())
     if isinstance(c, MotorConstants):
         rpm = jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max)

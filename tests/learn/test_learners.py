@@ -220,17 +220,19 @@ def test_the_mean_of_the_networks_follows_them():
     one = {"axis_name": AXIS, "axis_size": 1, "in_axes": None, "out_axes": None}
     update = jax.jit(jax.vmap(run.learner.update, **one))
     first, _ = update(run.hyper, run.params, run.state)
-    for rate in (1.0, 0.25):
-        found, _ = update(run.hyper.replace(mean_rate=jnp.float32(rate)), run.params, first)
-        assert changed(first.params.policy, found.params.policy)
+    for rate, done, expected in ((1.0, 60, 1.0), (0.1, 60, 0.25), (0.1, 0, 1.0), (0.1, 999, 0.1)):
+        begin = first.replace(update=jnp.int32(done))
+        found, _ = update(run.hyper.replace(mean_rate=jnp.float32(rate)), run.params, begin)
         for name in ("policy", "value"):
             old, new, mean = (
                 plain(getattr(x, name)) for x in (first.mean, found.params, found.mean)
             )
             for a, b, c in zip(old, new, mean, strict=True):
-                np.testing.assert_allclose(c, (1 - rate) * a + rate * b, rtol=1e-6, atol=1e-7)
+                wanted = (1 - expected) * a + expected * b
+                np.testing.assert_allclose(c, wanted, rtol=1e-6, atol=1e-7)
         np.testing.assert_array_equal(found.flown.log_std, found.params.log_std)
-        assert changed(found.flown.policy, found.params.policy) == (rate < 1)
+        assert changed(first.params.policy, found.params.policy)
+        assert changed(found.flown.policy, found.params.policy) == (expected < 1)
     assert Run("ppo", probe()).state.mean is None
 
 

@@ -138,11 +138,16 @@ def _update(
         lambda old, new: old + hyper.critic_target_rate * (new - old), state.target, params
     )
     optimiser = (policy_adam, value_adam)
-    mean = jax.tree.map(
-        lambda old, new: (1.0 - hyper.mean_rate) * old + hyper.mean_rate * new, state.mean, params
-    ).replace(log_std=log_std)
+    mean = _mean(hyper, state, params)
     following = TrainState(params, optimiser, target, flown, keys, state.update + 1, mean)
     return following, metrics | critic_metrics | _watch(flight, hyper.reward_scale, std)
+
+
+def _mean(hyper: Hyper, state: TrainState, params: ActorCritic) -> ActorCritic:
+    """The running mean of the networks, over at most a twentieth of the updates so far."""
+    rate = jnp.maximum(hyper.mean_rate, 20.0 / (20.0 + state.update))
+    mean = jax.tree.map(lambda old, new: (1.0 - rate) * old + rate * new, state.mean, params)
+    return mean.replace(log_std=params.log_std)
 
 
 def _scale_reward(environment: Environment, scale: jax.Array) -> Environment:
