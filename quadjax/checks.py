@@ -115,6 +115,7 @@ def check(config: Config) -> None:
         _require(config, key, value_at(config, key) >= 0, "not negative")
     _check_name(config)
     _check_lists(config)
+    _check_ramps(config)
     _check_sizes(config)
     _check_constants(config)
     _check_used(config)
@@ -152,10 +153,6 @@ def _check_lists(config: Config) -> None:
     low_high = config.start.thrust
     fine = len(low_high) == 2 and 0 <= low_high[0] <= low_high[1]
     _require(config, "start.thrust", fine, "[lowest, highest], not negative")
-    for key in ("train.residual_ramp", "train.yaw_ramp"):
-        ramp = value_at(config, key)
-        fine = len(ramp) == 2 and 0 <= ramp[0] <= ramp[1]
-        _require(config, key, fine, "[first, last] step, not negative")
     steady = config.disturbance.steady_moment
     fine = len(steady) == 3 and all(math.isfinite(x) for x in steady)
     _require(config, "disturbance.steady_moment", fine, "three finite numbers, N m")
@@ -177,6 +174,18 @@ def _check_lists(config: Config) -> None:
                 f"track.gates[{index}].size is {gate.size}, expected more than twice the "
                 f"episode.gate_margin {config.episode.gate_margin}"
             )
+
+
+def _check_ramps(config: Config) -> None:
+    """Ramps rise, and one that matters ends within the run."""
+    for key in ("train.residual_ramp", "train.yaw_ramp"):
+        ramp = value_at(config, key)
+        fine = len(ramp) == 2 and 0 <= ramp[0] <= ramp[1]
+        _require(config, key, fine, "[first, last] step, not negative")
+    within = config.vehicle.residual is None or config.train.residual_ramp[1] <= config.train.steps
+    _require(config, "train.residual_ramp", within, f"up to train.steps {config.train.steps}")
+    turned = not config.train.yaw_ramp[1] or config.start.yaw_deg == 180.0
+    _require(config, "train.yaw_ramp", turned, f"[0, 0] for start.yaw_deg {config.start.yaw_deg}")
 
 
 def _check_sizes(config: Config) -> None:

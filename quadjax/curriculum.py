@@ -25,7 +25,7 @@ class Curriculum:
             half_width = ramp(steps, self.yaw) * params.start.yaw
             begin = params.start.replace(yaw=half_width, facing=jnp.ones(()))
             params = params.replace(start=begin)
-        if getattr(params.vehicle, "residual", None) is None:
+        if getattr(params.vehicle, "residual", None) is None or not self.residual[1]:
             return params
         return with_residual_share(params, ramp(steps, self.residual))
 
@@ -50,7 +50,10 @@ def with_residual_share(params: RaceParams, share: jax.Array) -> RaceParams:
 
 
 def follow(learner: Learner[RaceParams], curriculum: Curriculum) -> Learner[RaceParams]:
-    """The learner on a race that changes from update to update as a curriculum says."""
+    """The learner on a race that changes from update to update as a curriculum says.
+
+    The curriculum is static: another one is another program.
+    """
 
     def init(params: RaceParams, key: jax.Array) -> TrainState:
         return learner.init(curriculum.at(params, jnp.zeros(())), key)

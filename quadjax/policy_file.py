@@ -45,7 +45,7 @@ class Policy:
     observation: dict  # the scaling of the observation it was trained with
     source: dict  # where it came from
     noise_on: str = "mean"  # "mean" | "clipped_mean": what the noise of a sample is added to
-    value: Layers | None = None  # the critic: of an observation, in the reward's own unit
+    value: Layers | None = None  # the critic: (observation,) -> (1,), in the reward's own unit
 
 
 def write_policy(path: Path | str, policy: Policy) -> None:
@@ -111,7 +111,8 @@ def read_policy(path: Path | str) -> Policy:
 
 
 def _value(path: Path | str, arrays: dict[str, np.ndarray], inputs: int) -> Layers | None:
-    if not any(name.startswith(VALUE) for name in arrays):
+    """The critic's layers, from ``inputs`` numbers to one, where the file has them."""
+    if not any(name.startswith((f"{VALUE}kernel_", f"{VALUE}bias_")) for name in arrays):
         return None
     layers = read_layers(path, arrays, VALUE)
     found = (layers[0][0].shape[0], layers[-1][0].shape[1])

@@ -170,7 +170,9 @@ class SHACConfig:
     std: float = 0.3  # of the actions while training
     final_std: float = 0.3
     reward_scale: float = 0.1
-    mean_rate: float = 1.0  # of the running mean of the policy, which is flown and kept; 1: itself
+    # Of the running mean of the policy, which is flown and kept; 1: the policy itself. The mean is
+    # never over more than a twentieth of the updates so far.
+    mean_rate: float = 1.0
     warm_up: int = 0  # updates of the value alone, for a policy from train.init
 
 
@@ -183,8 +185,8 @@ class TrainConfig:
     devices: str = "auto"  # auto | all | a number, of each process
     shares: int = 8  # a power of two: at most so many devices may share the drones
     init: str | None = None  # policy file (.npz) to start from
-    # What grows in from nothing between two numbers of steps: the vehicle's residual, and the yaw
-    # by which a start may be turned away from its target.
+    # What grows in from nothing between two numbers of environment steps of this run: the vehicle's
+    # residual, and the yaw by which a start may be turned away from its target (of half a turn).
     residual_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     evaluate_every: int = 500_000  # steps between timed laps: one compiled chunk

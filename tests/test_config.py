@@ -298,6 +298,21 @@ def test_what_is_out_of_all_proportion_is_refused(words):
     assert words[0].split("=")[0] in refusal(BLANK, *words)
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["train.yaw_ramp=[0, 2]", "start.yaw_deg=90"], ["train.yaw_ramp", "start.yaw_deg 90"]),
+        (
+            ["train.residual_ramp=[0, 9]", "vehicle.residual=r.npz", "train.steps=8"],
+            ["train.residual_ramp", "train.steps 8"],
+        ),
+    ],
+)
+def test_ramps_that_do_not_go_with_the_rest(words, says):
+    text = refusal(BLANK, *words)
+    assert all(part in text for part in says), text
+
+
 def test_a_constant_is_a_number():
     assert "vehicle.motor.k_w is {'x': 1}" in refusal(BLANK, "vehicle.motor.k_w.x=1")
 

@@ -17,7 +17,6 @@ from quadjax.sweep.space import (
     Dimension,
     Params,
     flatten,
-    label_of,
     read_space,
     word,
     words_of,
@@ -100,7 +99,7 @@ class Sweep:
         if not self.file.search.base_first:
             return None
         config = load_config(self.base, self.words)
-        return {d.key: label_of(_base_value(config, d.key)) for d in self.dimensions}
+        return {d.key: d.plain(_base_value(config, d.key)) for d in self.dimensions}
 
     def definition(self) -> dict[str, str]:
         """What makes trials comparable, flat: a study takes only workers with the same."""
@@ -255,12 +254,13 @@ def _check_measure(file: SweepFile, config: Config, source: str) -> None:
 
 
 def _check_first(sweep: Sweep, source: str) -> None:
-    if sweep.first is None:
+    first = sweep.first
+    if first is None:
         return
     if sweep.file.search.method == "grid":
         raise InputError(f"{source}: search.base_first is True, allowed: False for a grid")
     for d in sweep.dimensions:
-        value = sweep.first[d.key]
+        value = first[d.key]
         if not d.holds(value):
             raise InputError(
                 f"{source}: space.{d.key} is without the base config's {value}, which is to be "

@@ -51,7 +51,12 @@ class Dimension:
         """Whether the dimension has a value, as the store keeps it."""
         if self.kind == "choices":
             return plain in self.labels()
-        return self.low <= plain <= self.high
+        return plain is not None and self.low <= plain <= self.high
+
+    def plain(self, value: Value) -> bool | int | float | str | None:
+        """A config's value as the store keeps it: in the words of the choice that equals it."""
+        equal = [label_of(choice) for choice in self.choices if choice == value]
+        return equal[0] if equal else label_of(value)
 
     def grid(self) -> list[bool | int | float | str | None]:
         """Every value of a grid, as the store keeps it.

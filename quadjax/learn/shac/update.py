@@ -29,6 +29,8 @@ from quadjax.learn.state import (
     split_keys,
 )
 
+MEAN_PART = 20.0  # the running mean is over at most this part of the updates so far
+
 
 @struct.dataclass
 class Hyper:
@@ -144,8 +146,8 @@ def _update(
 
 
 def _mean(hyper: Hyper, state: TrainState, params: ActorCritic) -> ActorCritic:
-    """The running mean of the networks, over at most a twentieth of the updates so far."""
-    rate = jnp.maximum(hyper.mean_rate, 20.0 / (20.0 + state.update))
+    """The running mean of all networks' parameters, over at most a part of the updates so far."""
+    rate = jnp.maximum(hyper.mean_rate, MEAN_PART / (MEAN_PART + state.update))
     mean = jax.tree.map(lambda old, new: (1.0 - rate) * old + rate * new, state.mean, params)
     return mean.replace(log_std=params.log_std)
 
