@@ -222,7 +222,7 @@ def test_every_shipped_config_trains(tmp_path, path):
     words = TINY
     if "paper" in path.stem or "authors" in path.stem:
         words = [*TINY, "ppo.shuffle_block=1"]
-    config = load_config(path, [*words, "train.steps=256"])
+    config = load_config(path, [*words, "train.steps=256", "train.residual_ramp=[64, 128]"])
     result = training.train(config, tmp_path / "run")
     assert result.finished
     assert result.policy.vehicle == config.vehicle.kind
