@@ -29,7 +29,7 @@ from quadjax.learn.state import (
     split_keys,
 )
 
-MEAN_PART = 20.0  # the running mean is over at most this part of the updates so far
+MEAN_PART = 20.0  # the running mean is over at most one part in so many of the updates so far
 
 
 @struct.dataclass
