@@ -2,12 +2,16 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
 from quadjax import many, training
 from quadjax.config import load_config
+from quadjax.learners import build_learner, initial_policy, policy_of, start_state
 from quadjax.metrics import read_metrics
+from quadjax.policy_file import write_policy
+from quadjax.race.build import build_params
 from quadjax.sweep import locks, together
 from tests.sweep.support import ROOT, TINY, open_store
 
@@ -52,6 +56,24 @@ def test_vmapped_runs_equal_separate_ones(tmp_path, name):
             np.testing.assert_allclose(found[key], wanted[key], rtol=2e-3, atol=2e-5, err_msg=key)
     first, second = (arrays(folder / "policy_last.npz") for folder in folders)
     assert any(np.abs(first[key] - second[key]).max() > 1e-2 for key in first)
+
+
+@pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
+def test_runs_from_a_file_begin_together_as_they_do_alone(tmp_path, name):
+    base = load_config(ROOT / "configs" / name, [*WORDS, *OWN[0]])
+    donor = start_state(base, build_learner(base), build_params(base))
+    write_policy(tmp_path / "p.npz", policy_of(base, donor.params, {}))
+    words = [*WORDS, f"train.init={tmp_path / 'p.npz'}"]
+    configs = [load_config(ROOT / "configs" / name, [*words, *own]) for own in OWN]
+    learner, params = build_learner(configs[0]), [build_params(config) for config in configs]
+    together = many.start_states(configs, learner, params)
+    for index, config in enumerate(configs):
+        alone = start_state(config, build_learner(config), params[index], initial_policy(config))
+        for part in ("params", "target", "mean"):
+            wanted = jax.tree.leaves(getattr(alone, part))
+            found = jax.tree.leaves(getattr(together, part))
+            for a, b in zip(wanted, found, strict=True):
+                np.testing.assert_allclose(b[index], a, rtol=1e-6, atol=1e-7)
 
 
 def test_what_fixes_shapes_or_code_is_not_shared():
