@@ -69,7 +69,6 @@ POSITIVE = (
 )
 NOT_NEGATIVE = (
     "reward.edge_margin",
-    "episode.gate_margin",
     "start.position",
     "start.velocity",
     "start.rates",

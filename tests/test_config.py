@@ -158,7 +158,6 @@ WRONG_WORDS = [
     ("reward.time=.inf", ["reward.time", "inf"]),
     ("episode.max_steps=0", ["episode.max_steps", "0"]),
     ("episode.pitch_limit_deg=90", ["episode.pitch_limit_deg", "90", "89"]),
-    ("episode.gate_margin=-0.1", ["episode.gate_margin", "-0.1"]),
     ("episode.gate_margin=0.5", ["episode.gate_margin", "0.5"]),
     ("start.thrust=[8, 7]", ["start.thrust", "8"]),
     ("start.thrust=[7]", ["start.thrust", "7"]),

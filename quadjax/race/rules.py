@@ -19,7 +19,7 @@ class Limits:
     pitch: jax.Array  # rad; below pi/2, where the Euler angles are singular
     roll: jax.Array  # rad
     yaw_rate: jax.Array  # rad/s
-    gate_margin: jax.Array  # m taken off each side of every gate's opening
+    gate_margin: jax.Array  # m taken off each side of every gate's opening; added if negative
 
 
 @struct.dataclass
@@ -32,7 +32,7 @@ class RewardWeights:
     collision: jax.Array  # taken off for a collision
     time: jax.Array  # taken off per second
     rates: jax.Array  # taken off per second and rad/s of body rate
-    early: jax.Array  # per second by which a gate is passed before its step ends
+    onward: jax.Array  # per metre of the passing step: to the gate's centre, then to the next one
     edge: jax.Array  # taken off per metre beyond the safe part of the opening, passed or hit
     edge_margin: jax.Array  # m between the safe part and each edge of the opening
 
@@ -97,16 +97,15 @@ def crossing(
     return crossed & inside, crossed & ~inside
 
 
-def crossing_fraction(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
-    """The part () of a step after which the straight line between its ends meets the gate's plane.
+def onward_progress(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
+    """By how much () the way to the next gate's centre, by way of this one's, gets shorter, m.
 
-    Meaningful for a step that crosses it; its gradient says how to cross earlier, which a reward
-    that counts whole steps cannot.
+    For the step that passes ``g``. With it the metres of a leg sum to the same wherever its gates
+    are passed; without it a leg that ends at a gate's edge is paid fewer of them.
     """
-    start = to_gate_frame(g, before - g.position).x
-    end = to_gate_frame(g, after - g.position).x
-    crossed = (start < 0) & (end >= 0)
-    return jnp.where(crossed, -start / jnp.where(crossed, end - start, 1.0), 0.0)
+    relative = to_gate_frame(g, after - g.position)
+    ahead = safe_norm(relative - g.next_position)
+    return safe_norm(before - g.position) + safe_norm(g.next_position) - ahead
 
 
 def beyond_safe(after: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
@@ -132,8 +131,8 @@ def reward(
 ) -> jax.Array:
     """The reward () of one step.
 
-    Passed: ``gate - gate_offset |p - p_gate|``, and ``early`` times what is left of the step when
-    the plane is met, which turns the worth of time into a slope; collision: ``-collision``; else
+    Passed: ``gate - gate_offset |p - p_gate|``, and ``onward`` times the metres of the step that
+    ``progress`` does not count; collision: ``-collision``; else
     ``progress`` times the decrease of the distance to the target gate (Ferede et al., arXiv
     2311.16948, with the sign that makes progress positive). A gate passed or hit beyond the safe
     part of its opening costs ``edge`` per metre on top.
@@ -150,7 +149,7 @@ def reward(
     distance = safe_norm(after - g.position)
     progress = weights.progress * (safe_norm(before - g.position) - distance)
     passed = weights.gate - weights.gate_offset * distance
-    passed = passed + weights.early * dt * (1.0 - crossing_fraction(before, after, g))
+    passed = passed + weights.onward * onward_progress(before, after, g)
     value = jnp.where(outcome.passed, passed, progress)
     value = jnp.where(outcome.terminated, -weights.collision, value)
     edge = weights.edge * beyond_safe(after, g, weights.edge_margin)

@@ -26,6 +26,7 @@ from tests.race.support import (
 
 FLAGS = ("gate_collision", "ground", "out_of_bounds", "attitude", "non_finite")
 FAR = np.array([0.0, 0.0, -1.5])  # in the middle of the track, away from every plane
+ONE_TO_GO = np.linalg.norm(ref.GATES[1] - through(0, 0.03, 0.2))  # 3 cm beyond the first gate
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +247,7 @@ def weights(**kept):
         ({"progress": 2.0}, (2 * 0.05, 0.0, 0.0)),
         ({"gate": 3.0}, (0.0, 3.0, 0.0)),
         ({"gate_offset": 4.0}, (0.0, -4 * np.hypot(0.03, 0.2), 0.0)),
-        ({"early": 300.0}, (0.0, 300 * 0.01 * 0.6, 0.0)),  # the plane is met after 2 of 5 cm
+        ({"onward": 2.0}, (0.0, 2 * (np.hypot(0.02, 0.2) + 3 - ONE_TO_GO), 0.0)),
         ({"collision": 5.0}, (0.0, 0.0, -5.0)),
         ({"edge": 4.0, "edge_margin": 0.4}, (0.0, -4 * 0.1, -4 * 0.5)),
         ({"edge": 4.0, "edge_margin": 0.1}, (0.0, 0.0, -4 * 0.2)),
@@ -269,13 +270,33 @@ def test_each_term_of_the_reward(race, kept, expected):
     np.testing.assert_allclose(value, expected, atol=2e-5)
 
 
+@pytest.mark.parametrize("target", range(4))
+@pytest.mark.parametrize(("right", "down"), [(0, 0), (0.45, 0), (-0.3, 0.4), (0.2, -0.45)])
+def test_onward_pays_a_leg_the_same_wherever_its_gate_is_passed(target, right, down):
+    track = track_of(ref.GATES, ref.GATE_YAW)
+    after_next = (target + 1) % 4
+    points = [through(target, -0.7), through(target, -0.06, right, down)]
+    points += [through(target, 0.02, right, down), through(after_next, -0.5)]
+    flown = [vec3(np.atleast_2d(p).astype(np.float32)) for p in points]
+    passing = [False, True, False]
+    targets = [target, target, after_next]
+    paid = 0.0
+    for before, after, index, passed in zip(flown, flown[1:], targets, passing, strict=False):
+        outcome = rules.Outcome(*[jnp.zeros(1, bool)] * 7).replace(passed=jnp.array([passed]))
+        g = gate(track, jnp.int32(index))
+        kinds = weights(progress=1.0, onward=1.0)
+        paid += rules.reward(kinds, outcome, before, after, before, g, jnp.float32(0.01))[0]
+    way = np.linalg.norm(ref.GATES[after_next] - ref.GATES[target])
+    assert float(paid) == pytest.approx(0.7 + way - 0.5, abs=1e-5)
+
+
 def test_default_reward_is_the_published_one(race):
     values = {name: float(x) for name, x in vars(race[1].reward).items()}
     assert values == {
         "progress": 1.0,
         "gate": 10.0,
         "gate_offset": 10.0,
-        "early": 0.0,
+        "onward": 0.0,
         "collision": 10.0,
         "time": 0.0,
         "rates": 0.0,
@@ -323,6 +344,21 @@ def test_gate_margin_of_the_config(race):
     box = make_race("episode.gate_test=world_box")
     rows = level(through(1, -0.02, 0.6), 2.5 * normal(1))
     assert step(race, rows, 1)[2].gate_collision[0] and step(box, rows, 1)[2].passed[0]
+
+
+def test_gates_may_be_wider_in_training_at_a_price():
+    wide = make_race("episode.gate_margin=-0.3", "reward.edge=20", "reward.edge_margin=0.05")
+    beyond = np.array([0.4, 0.7, 0.85])
+    points = np.stack([through(1, -0.02, right) for right in beyond])
+    rows = level(points, np.tile(5 * normal(1), (3, 1)))
+    _, paid, outcome = step(wide, rows, 1)
+    assert outcome.passed.tolist() == [True, True, False]
+    assert outcome.gate_collision.tolist() == [False, False, True]
+    passing = 10 - 10 * np.hypot(beyond, 0.03) - 20 * np.maximum(beyond - 0.45, 0)
+    expected = [*passing[:2], -10 - 20 * 0.4]
+    np.testing.assert_allclose(paid, expected, atol=2e-3)
+    outcome = step((wide[0], exact_rules(wide[1])), rows, 1)[2]
+    assert outcome.gate_collision.tolist() == [False, True, True]
 
 
 def test_yaw_stays_wrapped(race):
