@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from quadjax.learn.state import Learner, Metrics, TrainState
 from quadjax.race.environment import RaceParams
+from quadjax.schema import Config
 from quadjax.vehicle.residual import scale_residual
 
 Span = tuple[float, float]  # environment steps: nothing before the first, all from the second on
@@ -18,6 +19,7 @@ class Curriculum:
 
     residual: Span = (0.0, 0.0)  # of the vehicle
     yaw: Span = (0.0, 0.0)  # by which a start may be turned away from its target
+    edge: Span = (0.0, 0.0)  # the price of a gate's edge
 
     def at(self, params: RaceParams, steps: jax.Array) -> RaceParams:
         """The race after so many environment steps ()."""
@@ -25,9 +27,18 @@ class Curriculum:
             half_width = ramp(steps, self.yaw) * params.start.yaw
             begin = params.start.replace(yaw=half_width, facing=jnp.ones(()))
             params = params.replace(start=begin)
+        if self.edge[1]:
+            price = ramp(steps, self.edge) * params.reward.edge
+            params = params.replace(reward=params.reward.replace(edge=price))
         if getattr(params.vehicle, "residual", None) is None or not self.residual[1]:
             return params
         return with_residual_share(params, ramp(steps, self.residual))
+
+
+def curriculum_of(config: Config) -> Curriculum:
+    """The curriculum of a config's ramps."""
+    train = config.train
+    return Curriculum(tuple(train.residual_ramp), tuple(train.yaw_ramp), tuple(train.edge_ramp))
 
 
 def ramp(steps: jax.Array, span: Span) -> jax.Array:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.curriculum import Curriculum, follow
+from quadjax.curriculum import curriculum_of, follow
 from quadjax.errors import InputError
 from quadjax.learn.networks import ActorCritic, Networks, layers_of, tree_of
 from quadjax.learn.ppo import update as ppo
@@ -50,8 +50,7 @@ def noise_on(config: Config) -> str:
 
 def build_learner(config: Config) -> Learner[RaceParams]:
     """The learner of a config, on the racing environment and its curriculum."""
-    ramps = Curriculum(tuple(config.train.residual_ramp), tuple(config.train.yaw_ramp))
-    return follow(_learner(config), ramps)
+    return follow(_learner(config), curriculum_of(config))
 
 
 def _learner(config: Config) -> Learner[RaceParams]:

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.curriculum import curriculum_of
 from quadjax.evaluate import laps
 from quadjax.learn import lanes
 from quadjax.learn.loop import NonFiniteError, Position, Row, advance, check_finite, row_of
@@ -51,7 +52,7 @@ def shape_of(config: Config) -> tuple:
         tuple(sorted(whole.items())),
         (config.train.drones, config.train.steps, config.train.evaluate_every),
         (config.evaluate.laps, score_runs(config), config.episode.dt),
-        (tuple(config.train.residual_ramp), tuple(config.train.yaw_ramp)),
+        curriculum_of(config),
         (config.vehicle.residual, len(config.track.gates)),
     )
 

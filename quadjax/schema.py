@@ -188,9 +188,11 @@ class TrainConfig:
     shares: int = 8  # a power of two: at most so many devices may share the drones
     init: str | None = None  # policy file (.npz) to start from
     # What grows in from nothing between two numbers of environment steps of this run: the vehicle's
-    # residual, and the yaw by which a start may be turned away from its target (of half a turn).
+    # residual, the yaw by which a start may be turned away from its target (of half a turn), and
+    # reward.edge.
     residual_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    edge_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     evaluate_every: int = 500_000  # steps between timed laps: one compiled chunk
     checkpoint_seconds: float = 20.0  # at least so long between checkpoints
     tensorboard: bool = False

@@ -166,6 +166,7 @@ WRONG_WORDS = [
     ("train.residual_ramp=[-1, 1]", ["train.residual_ramp", "-1"]),
     ("train.residual_ramp=[1]", ["train.residual_ramp"]),
     ("train.yaw_ramp=[2, 1]", ["train.yaw_ramp", "2"]),
+    ("train.edge_ramp=[2, 1]", ["train.edge_ramp", "2"]),
     ("randomise.drag=1", ["randomise.drag", "1", "0.9"]),
     ("network.hidden=[]", ["network.hidden"]),
     ("network.hidden=[0]", ["network.hidden", "0"]),
@@ -304,6 +305,10 @@ def test_what_is_out_of_all_proportion_is_refused(words):
         (
             ["train.residual_ramp=[0, 9]", "vehicle.residual=r.npz", "train.steps=8"],
             ["train.residual_ramp", "train.steps 8"],
+        ),
+        (
+            ["train.edge_ramp=[0, 9]", "reward.edge=10", "train.steps=8"],
+            ["train.edge_ramp", "train.steps 8"],
         ),
     ],
 )

@@ -83,6 +83,14 @@ def test_the_learner_flies_in_the_race_of_its_step():
         np.testing.assert_allclose(metrics["yaw"], of_yaw * yaw, rtol=1e-6)
 
 
+def test_the_price_of_an_edge_rises():
+    params = build_params(config_of("reward.edge=40"))
+    rising = Curriculum(edge=(100.0, 300.0))
+    for steps, price in ((0, 0.0), (100, 0.0), (250, 30.0), (300, 40.0), (1e9, 40.0)):
+        assert float(rising.at(params, jnp.float32(steps)).reward.edge) == price
+    assert float(Curriculum().at(params, jnp.float32(0)).reward.edge) == 40.0
+
+
 def test_the_estimator_believes_in_the_same_share():
     params = build_params(config_of("episode.disturbance_input=estimated"))
     half = with_residual_share(params, jnp.float32(0.5))
@@ -94,8 +102,9 @@ def test_the_estimator_believes_in_the_same_share():
 def test_runs_of_other_ramps_are_of_different_programs():
     base = config_of()
     assert shape_of(base) == shape_of(config_of("seed=3"))
-    for key in ("residual_ramp", "yaw_ramp"):
+    for key in ("residual_ramp", "yaw_ramp", "edge_ramp"):
         assert shape_of(base) != shape_of(config_of(f"train.{key}=[7, 9]"))
+    assert shape_of(base) == shape_of(config_of("episode.gate_margin=-0.3", "reward.edge=9"))
 
 
 def test_a_config_s_ramps_reach_its_learner():
