@@ -183,8 +183,6 @@ def _check_ramps(config: Config) -> None:
         _require(config, key, fine, "[first, last] step, not negative")
     within = config.vehicle.residual is None or config.train.residual_ramp[1] <= config.train.steps
     _require(config, "train.residual_ramp", within, f"up to train.steps {config.train.steps}")
-    within = config.reward.edge == 0 or config.train.edge_ramp[1] <= config.train.steps
-    _require(config, "train.edge_ramp", within, f"up to train.steps {config.train.steps}")
     turned = not config.train.yaw_ramp[1] or config.start.yaw_deg == 180.0
     _require(config, "train.yaw_ramp", turned, f"[0, 0] for start.yaw_deg {config.start.yaw_deg}")
 

@@ -306,10 +306,6 @@ def test_what_is_out_of_all_proportion_is_refused(words):
             ["train.residual_ramp=[0, 9]", "vehicle.residual=r.npz", "train.steps=8"],
             ["train.residual_ramp", "train.steps 8"],
         ),
-        (
-            ["train.edge_ramp=[0, 9]", "reward.edge=10", "train.steps=8"],
-            ["train.edge_ramp", "train.steps 8"],
-        ),
     ],
 )
 def test_ramps_that_do_not_go_with_the_rest(words, says):
