@@ -114,6 +114,7 @@ def check(config: Config) -> None:
         _require(config, key, value_at(config, key) >= 0, "not negative")
     _check_name(config)
     _check_lists(config)
+    _check_wide_gates(config)
     _check_ramps(config)
     _check_sizes(config)
     _check_constants(config)
@@ -175,8 +176,18 @@ def _check_lists(config: Config) -> None:
             )
 
 
+def _check_wide_gates(config: Config) -> None:
+    """What flies on beyond a gate's edge pays for it, by a price that has a slope there."""
+    margin, reward = config.episode.gate_margin, config.reward
+    priced = margin >= 0 or reward.edge > 0 or reward.gate_offset > 0
+    beyond = "at least 0 where neither reward.edge nor reward.gate_offset prices what is beyond"
+    _require(config, "episode.gate_margin", priced, beyond)
+    steep = reward.edge == 0 or margin >= reward.edge_margin - 1.0
+    _require(config, "episode.gate_margin", steep, "at least reward.edge_margin less 1 m")
+
+
 def _check_ramps(config: Config) -> None:
-    """Ramps rise, and one that matters ends within the run."""
+    """Ramps rise, and a residual is there in full before the run ends."""
     for key in ("train.residual_ramp", "train.yaw_ramp", "train.edge_ramp"):
         ramp = value_at(config, key)
         fine = len(ramp) == 2 and 0 <= ramp[0] <= ramp[1]

@@ -38,7 +38,11 @@ class Curriculum:
 def curriculum_of(config: Config) -> Curriculum:
     """The curriculum of a config's ramps."""
     train = config.train
-    return Curriculum(tuple(train.residual_ramp), tuple(train.yaw_ramp), tuple(train.edge_ramp))
+    return Curriculum(
+        residual=tuple(train.residual_ramp),
+        yaw=tuple(train.yaw_ramp),
+        edge=tuple(train.edge_ramp),
+    )
 
 
 def ramp(steps: jax.Array, span: Span) -> jax.Array:

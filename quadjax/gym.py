@@ -114,8 +114,11 @@ class RaceVectorEnv(VectorEnv):
 
     Observations are (num_envs, 24 or 17) float32, actions (num_envs, 4) float32 in [-1, 1]; what
     lies beyond is clipped by the race. ``terminated`` is a crash, ``truncated`` the end of the
-    clock. Infos: ``gates_passed`` (num_envs,) of the step's episode; with ``SAME_STEP`` also
-    ``final_obs`` with the observations in which episodes ended, and ``final_info``.
+    clock; limits, gates' margins and rewards are training's, as the config has them, and what
+    ``train`` ramps in during a run is there from the first step.
+
+    Infos: ``gates_passed`` (num_envs,) of the step's episode; with ``SAME_STEP`` also ``final_obs``
+    with the observations in which episodes ended, and ``final_info``.
     """
 
     def __init__(

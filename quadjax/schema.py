@@ -48,7 +48,9 @@ class RewardConfig:
     collision: float = 10.0  # taken off for a collision
     time: float = 0.0  # taken off per second
     rates: float = 0.0  # taken off per second and rad/s of body rate
-    onward: float = 0.0  # per metre of the passing step: to the gate's centre, then to the next one
+    # Per metre of the passing step, to the gate's centre and then to the next one's; in the weight
+    # of progress, a leg sums to the same wherever its gates are passed.
+    onward: float = 0.0
     edge: float = 0.0  # taken off per metre beyond the safe part of a gate's opening, passed or hit
     edge_margin: float = 0.1  # m between the safe part and each edge of the opening
 
@@ -61,7 +63,8 @@ class EpisodeConfig:
     max_steps: int = 1200
     gate_test: str = "square"  # square (the paper) | world_box (the authors' code)
     # m taken off each side of a gate in training; below zero, added: what would have hit flies on,
-    # at the price of reward.edge or gate_offset. Evaluation knows only the rule.
+    # at the price of reward.edge or gate_offset, and is no crash in the metrics of training.
+    # Evaluation knows only the rule.
     gate_margin: float = 0.0
     position_limit: float = 10.0  # m
     rate_limit: float = 1000.0  # rad/s

@@ -303,12 +303,17 @@ def test_what_is_out_of_all_proportion_is_refused(words):
     [
         (["train.yaw_ramp=[0, 2]", "start.yaw_deg=90"], ["train.yaw_ramp", "start.yaw_deg 90"]),
         (
+            ["episode.gate_margin=-0.1", "reward.gate_offset=0"],
+            ["episode.gate_margin is -0.1", "reward.edge"],
+        ),
+        (["episode.gate_margin=-0.97", "reward.edge=1"], ["episode.gate_margin is -0.97"]),
+        (
             ["train.residual_ramp=[0, 9]", "vehicle.residual=r.npz", "train.steps=8"],
             ["train.residual_ramp", "train.steps 8"],
         ),
     ],
 )
-def test_ramps_that_do_not_go_with_the_rest(words, says):
+def test_what_does_not_go_with_the_rest(words, says):
     text = refusal(BLANK, *words)
     assert all(part in text for part in says), text
 

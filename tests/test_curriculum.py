@@ -7,7 +7,7 @@ import pytest
 from flax import struct
 
 from quadjax.config import load_config
-from quadjax.curriculum import Curriculum, follow, ramp, with_residual_share
+from quadjax.curriculum import Curriculum, curriculum_of, follow, ramp, with_residual_share
 from quadjax.learn.state import Learner
 from quadjax.learners import build_learner
 from quadjax.many import shape_of
@@ -89,6 +89,12 @@ def test_the_price_of_an_edge_rises():
     for steps, price in ((0, 0.0), (100, 0.0), (250, 30.0), (300, 40.0), (1e9, 40.0)):
         assert float(rising.at(params, jnp.float32(steps)).reward.edge) == price
     assert float(Curriculum().at(params, jnp.float32(0)).reward.edge) == 40.0
+
+
+def test_every_ramp_of_a_config_has_its_place():
+    ramps = {"residual": [0, 9], "yaw": [1, 10], "edge": [2, 11]}
+    words = [f"train.{key}_ramp={span}" for key, span in ramps.items()]
+    assert curriculum_of(config_of(*words)) == Curriculum((0, 9), (1, 10), (2, 11))
 
 
 def test_the_estimator_believes_in_the_same_share():

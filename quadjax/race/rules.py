@@ -85,7 +85,7 @@ def crossing(
         before: position before the step, m, world.
         after: position after it.
         g: the target gate.
-        margin: () m taken off each side of the opening.
+        margin: () m taken off each side of the opening; added if negative.
         world_box: take the authors' code's test instead of the paper's.
     """
     relative = to_gate_frame(g, after - g.position)
@@ -100,8 +100,9 @@ def crossing(
 def onward_progress(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
     """By how much () the way to the next gate's centre, by way of this one's, gets shorter, m.
 
-    For the step that passes ``g``. With it the metres of a leg sum to the same wherever its gates
-    are passed; without it a leg that ends at a gate's edge is paid fewer of them.
+    For the step that passes ``g``. With it, in the weight of ``progress``, the metres of a leg sum
+    to the same wherever its gates are passed; without it a leg that ends at a gate's edge is paid
+    fewer of them.
     """
     relative = to_gate_frame(g, after - g.position)
     ahead = safe_norm(relative - g.next_position)
@@ -132,10 +133,10 @@ def reward(
     """The reward () of one step.
 
     Passed: ``gate - gate_offset |p - p_gate|``, and ``onward`` times the metres of the step that
-    ``progress`` does not count; collision: ``-collision``; else
-    ``progress`` times the decrease of the distance to the target gate (Ferede et al., arXiv
-    2311.16948, with the sign that makes progress positive). A gate passed or hit beyond the safe
-    part of its opening costs ``edge`` per metre on top.
+    ``progress`` does not count; collision: ``-collision``; else ``progress`` times the decrease of
+    the distance to the target gate (Ferede et al., arXiv 2311.16948, with the sign that makes
+    progress positive). A gate passed or hit beyond the safe part of its opening costs ``edge`` per
+    metre on top.
 
     Args:
         weights: of each term.
