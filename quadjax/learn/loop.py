@@ -88,11 +88,14 @@ def run(
 def advance(
     position: Position, state: TrainState, score: float, steps: int, seconds: float
 ) -> Position:
-    """The position one chunk later, with the best parameters kept on the host."""
+    """The position one chunk later, with the best parameters kept on the host.
+
+    Of equal scores the later one counts as better: it has trained for longer.
+    """
     following = dataclasses.replace(
         position, state=state, chunks=position.chunks + 1, seconds=seconds
     )
-    if score < position.best_score or not math.isfinite(position.best_score):
+    if score <= position.best_score or not math.isfinite(position.best_score):
         following.best = jax.device_get(state.flown)
         following.best_score = score
         following.best_steps = following.chunks * steps

@@ -1,5 +1,7 @@
 """The pieces of the learners against loops written out by hand."""
 
+import types
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ import scipy.stats
 
 from quadjax.learn import state as shared
 from quadjax.learn.batches import shuffled, take_rows
+from quadjax.learn.loop import Position, advance
 from quadjax.learn.parallel import device_count
 from quadjax.learn.ppo.advantage import advantages
 from quadjax.learn.ppo.loss import normalise
@@ -163,3 +166,17 @@ def test_batches_take_every_piece_of_every_lane_once():
     chex.assert_trees_all_equal(first, pieces[0, chosen[0, 0, 0]])
     with pytest.raises(AssertionError):
         take_rows(pieces, chosen[0, :1])
+
+
+def test_the_best_policy_is_the_latest_of_equal_scores():
+    def flown(name):
+        return types.SimpleNamespace(flown=name)
+
+    position = Position(state=None, best="none")
+    scores = [np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]
+    kept = []
+    for chunk, score in enumerate(scores):
+        position = advance(position, flown(str(chunk)), score, 100, 1.0)
+        kept.append((position.best, position.best_score, position.best_steps))
+    assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
+    assert kept[3:] == [("3", 14.0, 400)] * 3
