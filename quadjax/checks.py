@@ -68,6 +68,8 @@ POSITIVE = (
     "shac.reward_scale",
 )
 NOT_NEGATIVE = (
+    "reward.onward",
+    "reward.edge",
     "reward.edge_margin",
     "start.position",
     "start.velocity",
@@ -182,8 +184,12 @@ def _check_wide_gates(config: Config) -> None:
     priced = margin >= 0 or reward.edge > 0 or reward.gate_offset > 0
     beyond = "at least 0 where neither reward.edge nor reward.gate_offset prices what is beyond"
     _require(config, "episode.gate_margin", priced, beyond)
-    steep = reward.edge == 0 or margin >= reward.edge_margin - 1.0
-    _require(config, "episode.gate_margin", steep, "at least reward.edge_margin less 1 m")
+    if reward.edge == 0:
+        return
+    lowest = reward.edge_margin - 1.0  # farther out the price stays the same
+    _require(config, "episode.gate_margin", margin >= lowest, f"at least {lowest:g}")
+    half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
+    _require(config, "reward.edge_margin", reward.edge_margin < half, f"less than {half:g}")
 
 
 def _check_ramps(config: Config) -> None:

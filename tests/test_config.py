@@ -158,6 +158,8 @@ WRONG_WORDS = [
     ("reward.time=.inf", ["reward.time", "inf"]),
     ("episode.max_steps=0", ["episode.max_steps", "0"]),
     ("episode.pitch_limit_deg=90", ["episode.pitch_limit_deg", "90", "89"]),
+    ("reward.edge=-1", ["reward.edge", "-1"]),
+    ("reward.onward=-1", ["reward.onward", "-1"]),
     ("episode.gate_margin=0.5", ["episode.gate_margin", "0.5"]),
     ("start.thrust=[8, 7]", ["start.thrust", "8"]),
     ("start.thrust=[7]", ["start.thrust", "7"]),
@@ -306,7 +308,8 @@ def test_what_is_out_of_all_proportion_is_refused(words):
             ["episode.gate_margin=-0.1", "reward.gate_offset=0"],
             ["episode.gate_margin is -0.1", "reward.edge"],
         ),
-        (["episode.gate_margin=-0.97", "reward.edge=1"], ["episode.gate_margin is -0.97"]),
+        (["episode.gate_margin=-0.97", "reward.edge=1"], ["episode.gate_margin is -0.97", "-0.9"]),
+        (["reward.edge_margin=0.5", "reward.edge=1"], ["reward.edge_margin is 0.5", "0.5"]),
         (
             ["train.residual_ramp=[0, 9]", "vehicle.residual=r.npz", "train.steps=8"],
             ["train.residual_ramp", "train.steps 8"],
