@@ -312,7 +312,7 @@ def test_a_roll_has_no_end():
     for choices, params in (race, (race[0], exact_rules(race[1]))):
         states, _, outcome = step((choices, params), rows)
         assert not outcome.terminated[0]
-        np.testing.assert_allclose(states.drone.euler.x[0], 0.04 - np.pi, atol=1e-4)
+        np.testing.assert_allclose(states.drone.euler.x[0], 0.04 - np.pi, atol=2e-3)
 
 
 def test_spinning_ends_an_episode_in_training_alone():
@@ -355,7 +355,7 @@ def test_gates_may_be_wider_in_training_at_a_price():
     assert outcome.gate_collision.tolist() == [False, False, True]
     passing = 10 - 10 * np.hypot(beyond, 0.03) - 20 * np.maximum(beyond - 0.45, 0)
     expected = [*passing[:2], -10 - 20 * 0.4]
-    np.testing.assert_allclose(paid, expected, atol=2e-3)
+    np.testing.assert_allclose(paid, expected, atol=1e-4)
     outcome = step((wide[0], exact_rules(wide[1])), rows, 1)[2]
     assert outcome.gate_collision.tolist() == [False, True, True]
 
