@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from quadjax.learn.state import Learner, Metrics, TrainState
 from quadjax.race.environment import RaceParams
+from quadjax.race.track import into_bend
 from quadjax.schema import Config
 from quadjax.vehicle.residual import scale_residual
 
@@ -18,14 +19,14 @@ class Curriculum:
     """What grows in, and when."""
 
     residual: Span = (0.0, 0.0)  # of the vehicle
-    yaw: Span = (0.0, 0.0)  # by which a start may be turned away from its target
+    yaw: Span = (0.0, 0.0)  # by which a start may be turned away from the track's bend
     edge: Span = (0.0, 0.0)  # the price of a gate's edge
 
     def at(self, params: RaceParams, steps: jax.Array) -> RaceParams:
         """The race after so many environment steps ()."""
         if self.yaw[1]:
             half_width = ramp(steps, self.yaw) * params.start.yaw
-            begin = params.start.replace(yaw=half_width, facing=jnp.ones(()))
+            begin = params.start.replace(yaw=half_width, facing=into_bend(params.track))
             params = params.replace(start=begin)
         if self.edge[1]:
             price = ramp(steps, self.edge) * params.reward.edge

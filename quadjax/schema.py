@@ -69,6 +69,7 @@ class EpisodeConfig:
     position_limit: float = 10.0  # m
     rate_limit: float = 1000.0  # rad/s
     pitch_limit_deg: float = 85.0  # in training
+    nose_up_limit_deg: float = 90.0  # in training; 90: none
     roll_limit_deg: float = 180.0  # in training; 180: none
     yaw_rate_limit: float = 1000.0  # rad/s, in training; 1000: none
     random_gate: bool = False  # start before any gate, not only the first
@@ -191,8 +192,8 @@ class TrainConfig:
     shares: int = 8  # a power of two: at most so many devices may share the drones
     init: str | None = None  # policy file (.npz) to start from
     # What grows in from nothing between two numbers of environment steps of this run: the vehicle's
-    # residual, the yaw by which a start may be turned away from its target (of half a turn), and
-    # reward.edge.
+    # residual, the yaw (up to half a turn) by which a start may be turned away from the inside of
+    # the track's bend, and reward.edge.
     residual_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     edge_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])

@@ -94,6 +94,9 @@ def build_params(config: Config) -> RaceParams:
         "rate": episode.rate_limit,
         "yaw_rate": episode.yaw_rate_limit if episode.yaw_rate_limit < 1000 else math.inf,
         "pitch": math.radians(episode.pitch_limit_deg),
+        "nose_up": math.radians(episode.nose_up_limit_deg)
+        if episode.nose_up_limit_deg < 90
+        else math.inf,
         "roll": math.radians(episode.roll_limit_deg) if episode.roll_limit_deg < 180 else math.inf,
         "gate_margin": episode.gate_margin,
     }
@@ -125,6 +128,7 @@ def exact_rules(params: RaceParams) -> RaceParams:
     limits = params.limits.replace(
         gate_margin=jnp.zeros(()),
         pitch=jnp.asarray(math.radians(89.0), jnp.float32),
+        nose_up=jnp.asarray(jnp.inf, jnp.float32),
         roll=jnp.asarray(jnp.inf, jnp.float32),
         yaw_rate=jnp.asarray(jnp.inf, jnp.float32),
     )

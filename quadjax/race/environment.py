@@ -232,6 +232,7 @@ def judge(
         ground=position.z > 0,
         out_of_bounds=outside | (fastest > limits.rate),
         attitude=(jnp.abs(euler.y) > limits.pitch)
+        | (euler.y > limits.nose_up)
         | (jnp.abs(euler.x) > limits.roll)
         | (jnp.abs(rates.z) > limits.yaw_rate),
         non_finite=~_finite(flown),

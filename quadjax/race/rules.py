@@ -17,6 +17,7 @@ class Limits:
     position: jax.Array  # m, largest |x| and |y|
     rate: jax.Array  # rad/s, largest body rate
     pitch: jax.Array  # rad; below pi/2, where the Euler angles are singular
+    nose_up: jax.Array  # rad, largest pitch upwards
     roll: jax.Array  # rad
     yaw_rate: jax.Array  # rad/s
     gate_margin: jax.Array  # m taken off each side of every gate's opening; added if negative
@@ -45,7 +46,7 @@ class Outcome:
     gate_collision: jax.Array
     ground: jax.Array
     out_of_bounds: jax.Array
-    attitude: jax.Array  # pitch or roll beyond the limit
+    attitude: jax.Array  # pitch, roll or yaw rate beyond its limit
     non_finite: jax.Array
     truncated: jax.Array
 

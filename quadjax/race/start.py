@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.race.observation import DisturbanceRange
-from quadjax.race.track import Track, gate, gate_count
+from quadjax.race.track import Track, gate, gate_count, pick
 from quadjax.vehicle.constants import GROUPS, Constants, MotorConstants, RateConstants
 from quadjax.vehicle.frames import wrap_angle
 from quadjax.vehicle.motor import MotorState, hover_rpm
@@ -26,8 +26,8 @@ class StartRange:
     rates: jax.Array  # rad/s
     thrust_low: jax.Array  # m/s^2, rate-level vehicle
     thrust_high: jax.Array
-    # Where this is None, yaw is drawn around north, else around so much of the target's heading.
-    facing: jax.Array | None = None  # ()
+    # Around which yaw a start's is drawn, by its target, rad: (gates,); None is north for all.
+    facing: jax.Array | None = None
 
 
 @struct.dataclass
@@ -73,8 +73,7 @@ def _pose(
     angle = Vec3(span.roll_pitch, span.roll_pitch, span.yaw)
     euler = Vec3.of(drawn[6:9]) * angle
     if span.facing is not None:
-        towards = span.facing * _heading(before.position, gate(track, target).position)
-        euler = euler.replace(z=wrap_angle(euler.z + towards))
+        euler = euler.replace(z=wrap_angle(euler.z + pick(span.facing, target)))
     return (
         before.position + Vec3.of(drawn[0:3]) * span.position,
         Vec3.of(drawn[3:6]) * span.velocity,

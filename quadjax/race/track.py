@@ -72,19 +72,35 @@ def gate_count(track: Track) -> int:
     return track.yaw.shape[0]
 
 
-def gate(track: Track, index: jax.Array) -> Gate:
-    """The gate at ``index`` (), by selects rather than a gather.
+def pick(table: jax.Array, index: jax.Array) -> jax.Array:
+    """The entry () of a table (gates,) at ``index`` (), by selects rather than a gather.
 
     A gather is a scalar loop on a CPU; selects over a handful of gates vectorise over the drones.
     """
+    value = table[0]
+    for other in range(1, table.shape[0]):
+        value = jnp.where(index == other, table[other], value)
+    return value
 
-    def pick(table: jax.Array) -> jax.Array:
-        value = table[0]
-        for other in range(1, table.shape[0]):
-            value = jnp.where(index == other, table[other], value)
-        return value
 
-    return Gate(**vars(jax.tree.map(pick, track)))
+def gate(track: Track, index: jax.Array) -> Gate:
+    """The gate at ``index`` ()."""
+    return Gate(**vars(jax.tree.map(lambda table: pick(table, index), track)))
+
+
+def into_bend(track: Track) -> jax.Array:
+    """For the leg to each gate, the yaw (gates,), rad, that looks into the bend.
+
+    That is the way in which the direction changes from the leg before to the leg after: across the
+    leg, to the inside, on a square; along the leg where the direction does not change.
+    """
+    position = jnp.stack([track.position.x, track.position.y], axis=-1)
+    leg = position - jnp.roll(position, 1, axis=0)
+    way = leg / jnp.maximum(jnp.linalg.norm(leg, axis=-1, keepdims=True), 1e-6)
+    turn = jnp.roll(way, -1, axis=0) - jnp.roll(way, 1, axis=0)
+    straight = jnp.linalg.norm(turn, axis=-1, keepdims=True) < 1e-3
+    look = jnp.where(straight, way, turn)
+    return jnp.arctan2(look[:, 1], look[:, 0])
 
 
 def to_gate_frame(g: Gate, vector: Vec3) -> Vec3:

@@ -325,6 +325,17 @@ def test_spinning_ends_an_episode_in_training_alone():
         assert not step((choices, exact_rules(params)), rows)[2].terminated[0]
 
 
+def test_a_nose_too_high_ends_an_episode_in_training_alone():
+    """A pitch beyond the limit, upwards only, whatever the yaw; by the exact rules it is none."""
+    choices, params = make_race("episode.nose_up_limit_deg=50")
+    rows = level(through(0, -2.0), 0.0)
+    for pitch_deg, ends in ((48.0, False), (52.0, True), (-52.0, False)):
+        for yaw in (0.0, 2.0):
+            rows[:, ref.EULER] = [0.0, np.radians(pitch_deg), yaw]
+            assert bool(step((choices, params), rows)[2].attitude[0]) == ends
+            assert not step((choices, exact_rules(params)), rows)[2].terminated[0]
+
+
 def test_default_limits_are_the_published_ones(race):
     limits = {name: float(x) for name, x in vars(race[1].limits).items()}
     assert limits["dt"] == pytest.approx(0.01) and limits["max_steps"] == 1200
@@ -333,7 +344,8 @@ def test_default_limits_are_the_published_ones(race):
     assert float(exact.limits.gate_margin) == 0
     assert float(exact.limits.pitch) == pytest.approx(np.radians(89))
     assert float(exact.limits.roll) > np.pi
-    assert np.isinf(float(exact.limits.yaw_rate)) and np.isinf(limits["yaw_rate"])
+    for name in ("yaw_rate", "nose_up"):
+        assert np.isinf(float(getattr(exact.limits, name))) and np.isinf(limits[name])
 
 
 def test_gate_margin_of_the_config(race):

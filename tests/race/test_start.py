@@ -9,6 +9,7 @@ import pytest
 
 from quadjax.race import environment
 from quadjax.race.start import RandomiseFractions, draw_constants
+from quadjax.race.track import into_bend
 from quadjax.vehicle.constants import GROUPS
 from tests import reference as ref
 from tests.convert import rows_of
@@ -97,6 +98,29 @@ def test_random_gate(gates):
     np.testing.assert_allclose(share, 1 / gates, atol=4 * np.sqrt(0.25 / gates / COUNT) + 0.005)
     offset = rows_of(state.drone)[:, ref.P] - centres[(target - 1) % gates]
     spans(offset, -0.5, 0.5)
+
+
+def way_into_bend(corners):
+    """Unit vectors, (gates, 2), of a track of gates at the corners."""
+    track = track_of(np.pad(corners, ((0, 0), (0, 1))), np.zeros(len(corners)))
+    yaw = np.asarray(into_bend(track))
+    return np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+
+
+def test_the_way_into_a_bend():
+    """Across each leg of a rectangle, to the right where that is flown clockwise, as from above."""
+    right = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # of the legs to the paper's gates
+    corners, mirror = ref.GATES[:, :2], np.array([1.0, -1.0])
+    np.testing.assert_allclose(way_into_bend(corners), right, atol=1e-6)
+    np.testing.assert_allclose(way_into_bend(corners * mirror), right * mirror, atol=1e-6)
+
+
+def test_a_leg_without_a_bend():
+    """Between two of its own heading it looks along itself, as each leg of two gates does."""
+    corners = np.array([[0, 0], [1, 0], [2, 0], [3, 0], [3, 2], [0, 2]], float)
+    np.testing.assert_allclose(way_into_bend(corners)[2], [1, 0], atol=1e-6)
+    np.testing.assert_allclose(way_into_bend(corners[:2]), [[-1, 0], [1, 0]], atol=1e-6)
+    assert np.all(np.isfinite(way_into_bend(corners[:1])))
 
 
 def test_staggered_clocks():
