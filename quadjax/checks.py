@@ -34,7 +34,6 @@ CLOSED: dict[str, tuple[float, float]] = {
     "start.roll_pitch_deg": (0.0, 89.0),
     "start.yaw_deg": (0.0, 180.0),
     "episode.pitch_limit_deg": (1.0, 89.0),
-    "episode.nose_up_limit_deg": (1.0, 90.0),
     "episode.roll_limit_deg": (1.0, 180.0),
     **{f"randomise.{f.name}": (0.0, 0.9) for f in dataclasses.fields(RandomiseConfig)},
 }
@@ -87,6 +86,7 @@ NOT_NEGATIVE = (
     "ppo.entropy_coefficient",
     "shac.final_learning_rate",
     "train.checkpoint_seconds",
+    "train.nose_up_price",
 )
 
 

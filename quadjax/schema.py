@@ -69,7 +69,6 @@ class EpisodeConfig:
     position_limit: float = 10.0  # m
     rate_limit: float = 1000.0  # rad/s
     pitch_limit_deg: float = 85.0  # in training
-    nose_up_limit_deg: float = 90.0  # in training; 90: none
     roll_limit_deg: float = 180.0  # in training; 180: none
     yaw_rate_limit: float = 1000.0  # rad/s, in training; 1000: none
     random_gate: bool = False  # start before any gate, not only the first
@@ -196,6 +195,7 @@ class TrainConfig:
     # the track's bend, and reward.edge.
     residual_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    nose_up_price: float = 0.0  # per second and rad of pitch; it fades as yaw_ramp rises
     edge_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     evaluate_every: int = 500_000  # steps between timed laps: one compiled chunk
     checkpoint_seconds: float = 20.0  # at least so long between checkpoints

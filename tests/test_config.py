@@ -168,6 +168,7 @@ WRONG_WORDS = [
     ("train.residual_ramp=[-1, 1]", ["train.residual_ramp", "-1"]),
     ("train.residual_ramp=[1]", ["train.residual_ramp"]),
     ("train.yaw_ramp=[2, 1]", ["train.yaw_ramp", "2"]),
+    ("train.nose_up_price=-1", ["train.nose_up_price", "-1"]),
     ("train.edge_ramp=[2, 1]", ["train.edge_ramp", "2"]),
     ("randomise.drag=1", ["randomise.drag", "1", "0.9"]),
     ("network.hidden=[]", ["network.hidden"]),

@@ -91,10 +91,19 @@ def test_the_price_of_an_edge_rises():
     assert float(Curriculum().at(params, jnp.float32(0)).reward.edge) == 40.0
 
 
+def test_the_price_of_a_nose_that_is_up_fades():
+    params = build_params(config_of())
+    fading = Curriculum(yaw=(100.0, 300.0), nose_up=2.0)
+    for steps, price in ((0, 2.0), (100, 2.0), (250, 0.5), (300, 0.0), (1e9, 0.0)):
+        assert float(fading.at(params, jnp.float32(steps)).reward.nose_up) == price
+    assert float(Curriculum(nose_up=2.0).at(params, jnp.float32(0)).reward.nose_up) == 0.0
+
+
 def test_every_ramp_of_a_config_has_its_place():
     ramps = {"residual": [0, 9], "yaw": [1, 10], "edge": [2, 11]}
     words = [f"train.{key}_ramp={span}" for key, span in ramps.items()]
-    assert curriculum_of(config_of(*words)) == Curriculum((0, 9), (1, 10), (2, 11))
+    found = curriculum_of(config_of(*words, "train.nose_up_price=3"))
+    assert found == Curriculum((0, 9), (1, 10), (2, 11), 3.0)
 
 
 def test_the_estimator_believes_in_the_same_share():
@@ -110,6 +119,7 @@ def test_runs_of_other_ramps_are_of_different_programs():
     assert shape_of(base) == shape_of(config_of("seed=3"))
     for key in ("residual_ramp", "yaw_ramp", "edge_ramp"):
         assert shape_of(base) != shape_of(config_of(f"train.{key}=[7, 9]"))
+    assert shape_of(base) != shape_of(config_of("train.nose_up_price=9"))
     assert shape_of(base) == shape_of(config_of("episode.gate_margin=-0.3", "reward.edge=9"))
 
 

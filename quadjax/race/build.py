@@ -94,9 +94,6 @@ def build_params(config: Config) -> RaceParams:
         "rate": episode.rate_limit,
         "yaw_rate": episode.yaw_rate_limit if episode.yaw_rate_limit < 1000 else math.inf,
         "pitch": math.radians(episode.pitch_limit_deg),
-        "nose_up": math.radians(episode.nose_up_limit_deg)
-        if episode.nose_up_limit_deg < 90
-        else math.inf,
         "roll": math.radians(episode.roll_limit_deg) if episode.roll_limit_deg < 180 else math.inf,
         "gate_margin": episode.gate_margin,
     }
@@ -114,7 +111,7 @@ def build_params(config: Config) -> RaceParams:
         vehicle=vehicle,
         track=build_track(config.track, episode.wrap_next_yaw),
         limits=Limits(**_traced(limits), max_steps=jnp.asarray(episode.max_steps, jnp.int32)),
-        reward=RewardWeights(**_traced(vars(config.reward))),
+        reward=RewardWeights(**_traced(vars(config.reward) | {"nose_up": 0.0})),
         start=StartRange(**_traced(ranges)),
         disturbance=disturbance_range(config.disturbance),
         randomise=RandomiseFractions(**_traced(vars(config.randomise))),
@@ -128,7 +125,6 @@ def exact_rules(params: RaceParams) -> RaceParams:
     limits = params.limits.replace(
         gate_margin=jnp.zeros(()),
         pitch=jnp.asarray(math.radians(89.0), jnp.float32),
-        nose_up=jnp.asarray(jnp.inf, jnp.float32),
         roll=jnp.asarray(jnp.inf, jnp.float32),
         yaw_rate=jnp.asarray(jnp.inf, jnp.float32),
     )

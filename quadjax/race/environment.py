@@ -232,7 +232,6 @@ def judge(
         ground=position.z > 0,
         out_of_bounds=outside | (fastest > limits.rate),
         attitude=(jnp.abs(euler.y) > limits.pitch)
-        | (euler.y > limits.nose_up)
         | (jnp.abs(euler.x) > limits.roll)
         | (jnp.abs(rates.z) > limits.yaw_rate),
         non_finite=~_finite(flown),
@@ -264,6 +263,7 @@ def transition(
         outcome,
         state.drone.position,
         drone.position,
+        drone.euler.y,
         drone.rates,
         g,
         params.limits.dt,

@@ -17,7 +17,6 @@ class Limits:
     position: jax.Array  # m, largest |x| and |y|
     rate: jax.Array  # rad/s, largest body rate
     pitch: jax.Array  # rad; below pi/2, where the Euler angles are singular
-    nose_up: jax.Array  # rad, largest pitch upwards
     roll: jax.Array  # rad
     yaw_rate: jax.Array  # rad/s
     gate_margin: jax.Array  # m taken off each side of every gate's opening; added if negative
@@ -33,6 +32,7 @@ class RewardWeights:
     collision: jax.Array  # taken off for a collision
     time: jax.Array  # taken off per second
     rates: jax.Array  # taken off per second and rad/s of body rate
+    nose_up: jax.Array  # taken off per second and rad of pitch: a nose that is down is paid
     onward: jax.Array  # per metre of the passing step: to the gate's centre, then to the next one
     edge: jax.Array  # taken off per metre beyond the safe part of the opening, passed or hit
     edge_margin: jax.Array  # m between the safe part and each edge of the opening
@@ -127,6 +127,7 @@ def reward(
     outcome: Outcome,
     before: Vec3,
     after: Vec3,
+    pitch: jax.Array,
     body_rates: Vec3,
     g: Gate,
     dt: jax.Array,
@@ -144,6 +145,7 @@ def reward(
         outcome: what the step led to.
         before: position before the step, m, world.
         after: position after it.
+        pitch: after it, (), rad.
         body_rates: after it, rad/s.
         g: the target gate of the step.
         dt: () s.
@@ -156,4 +158,5 @@ def reward(
     value = jnp.where(outcome.terminated, -weights.collision, value)
     edge = weights.edge * beyond_safe(after, g, weights.edge_margin)
     value = value - jnp.where(outcome.passed | outcome.gate_collision, edge, 0.0)
-    return value - dt * (weights.time + weights.rates * safe_norm(body_rates))
+    turning = weights.rates * safe_norm(body_rates)
+    return value - dt * (weights.time + turning + weights.nose_up * pitch)

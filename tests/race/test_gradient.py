@@ -17,7 +17,8 @@ from tests.race.test_flight import double
 
 STEPS = 12
 QUICK = {"xla_backend_optimization_level": 0}  # compiled soon rather than well
-TERMS = ("progress", "gate", "gate_offset", "onward", "collision", "time", "rates", "edge")
+TERMS = ("progress", "gate", "gate_offset", "onward", "collision", "time", "rates", "nose_up")
+TERMS += ("edge",)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -90,7 +91,7 @@ def test_gradient_of_the_return(kind, integrator, residual, term):
     weight = dict.fromkeys(TERMS, 0.0) | {"gate": 10.0}
     if term == "all":
         weight = {"progress": 1.0, "gate": 10, "gate_offset": 10, "collision": 10, "time": 1}
-        weight |= {"rates": 0.05, "onward": 1.0, "edge": 5.0}
+        weight |= {"rates": 0.05, "nose_up": 1.0, "onward": 1.0, "edge": 5.0}
     elif term != "gate":
         weight |= {"gate": 0.0, term: 2.0}
     weight |= {"edge_margin": 0.45}  # so that the flight passes beyond the safe part
