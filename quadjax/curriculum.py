@@ -16,14 +16,11 @@ Span = tuple[float, float]  # environment steps: nothing before the first, all f
 
 @dataclasses.dataclass(frozen=True)
 class Curriculum:
-    """What grows in, or goes out, and when."""
+    """What grows in, and when; the price of pitch fades while the yaw of a start grows."""
 
     residual: Span = (0.0, 0.0)  # of the vehicle
-    yaw: Span = (0.0, 0.0)  # by which a start may be turned away from the track's bend
+    yaw: Span = (0.0, 0.0)  # by which a start may be turned away from the inside of the bend
     edge: Span = (0.0, 0.0)  # the price of a gate's edge
-    nose_up: float = (
-        0.0  # the price of pitch that goes out with the span of yaw, per second and rad
-    )
 
     def at(self, params: RaceParams, steps: jax.Array) -> RaceParams:
         """The race after so many environment steps ()."""
@@ -31,7 +28,7 @@ class Curriculum:
             share = ramp(steps, self.yaw)
             half_width = share * params.start.yaw
             begin = params.start.replace(yaw=half_width, facing=into_bend(params.track))
-            reward = params.reward.replace(nose_up=(1.0 - share) * self.nose_up)
+            reward = params.reward.replace(nose_up=(1.0 - share) * params.early_nose_up)
             params = params.replace(start=begin, reward=reward)
         if self.edge[1]:
             price = ramp(steps, self.edge) * params.reward.edge
@@ -48,7 +45,6 @@ def curriculum_of(config: Config) -> Curriculum:
         residual=tuple(train.residual_ramp),
         yaw=tuple(train.yaw_ramp),
         edge=tuple(train.edge_ramp),
-        nose_up=train.nose_up_price,
     )
 
 

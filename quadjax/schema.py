@@ -195,7 +195,9 @@ class TrainConfig:
     # the track's bend, and reward.edge.
     residual_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    nose_up_price: float = 0.0  # per second and rad of pitch; it fades as yaw_ramp rises
+    # Taken off the reward per second and rad of pitch: in full until yaw_ramp begins, nothing from
+    # its end on (a shorter run ends with some of it) nor where there is none.
+    nose_up_price: float = 0.0
     edge_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
     evaluate_every: int = 500_000  # steps between timed laps: one compiled chunk
     checkpoint_seconds: float = 20.0  # at least so long between checkpoints

@@ -51,7 +51,7 @@ def config_of(*words):
     return load_config(CONFIGS / "e2e.yaml", [*TINY, *short, *words])
 
 
-RAMPED = config_of("train.residual_ramp=[128, 384]")
+RAMPED = config_of("train.residual_ramp=[128, 384]", "train.nose_up_price=3")
 
 
 @struct.dataclass
@@ -67,7 +67,8 @@ def test_the_learner_flies_in_the_race_of_its_step():
 
     def update(hyper, params, state):
         force, _ = residual_force_moment(params.vehicle.residual, RPM, VELOCITY, RATES)
-        return state, {"force": hyper * force, "yaw": params.start.yaw}
+        price = params.reward.nose_up
+        return state, {"force": hyper * force, "yaw": params.start.yaw, "nose_up": price}
 
     plain = Learner(begin, update, hyper=jnp.float32(2.0), steps_per_update=64, lanes=1)
     learner = follow(plain, Curriculum((128, 384), (0, 256)))
@@ -81,6 +82,7 @@ def test_the_learner_flies_in_the_race_of_its_step():
         _, metrics = jax.jit(learner.update)(learner.hyper, params, State(jnp.int32(done)))
         np.testing.assert_allclose(metrics["force"], of_force * force, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(metrics["yaw"], of_yaw * yaw, rtol=1e-6)
+        assert float(metrics["nose_up"]) == 3.0 * (1.0 - of_yaw)
 
 
 def test_the_price_of_an_edge_rises():
@@ -92,18 +94,18 @@ def test_the_price_of_an_edge_rises():
 
 
 def test_the_price_of_a_nose_that_is_up_fades():
-    params = build_params(config_of())
-    fading = Curriculum(yaw=(100.0, 300.0), nose_up=2.0)
+    params = build_params(config_of("train.nose_up_price=2"))
+    assert float(params.reward.nose_up) == 0 and params.start.facing is None
+    fading = Curriculum(yaw=(100.0, 300.0))
     for steps, price in ((0, 2.0), (100, 2.0), (250, 0.5), (300, 0.0), (1e9, 0.0)):
         assert float(fading.at(params, jnp.float32(steps)).reward.nose_up) == price
-    assert float(Curriculum(nose_up=2.0).at(params, jnp.float32(0)).reward.nose_up) == 0.0
+    assert float(Curriculum().at(params, jnp.float32(0)).reward.nose_up) == 0.0
 
 
 def test_every_ramp_of_a_config_has_its_place():
     ramps = {"residual": [0, 9], "yaw": [1, 10], "edge": [2, 11]}
     words = [f"train.{key}_ramp={span}" for key, span in ramps.items()]
-    found = curriculum_of(config_of(*words, "train.nose_up_price=3"))
-    assert found == Curriculum((0, 9), (1, 10), (2, 11), 3.0)
+    assert curriculum_of(config_of(*words)) == Curriculum((0, 9), (1, 10), (2, 11))
 
 
 def test_the_estimator_believes_in_the_same_share():
@@ -119,8 +121,8 @@ def test_runs_of_other_ramps_are_of_different_programs():
     assert shape_of(base) == shape_of(config_of("seed=3"))
     for key in ("residual_ramp", "yaw_ramp", "edge_ramp"):
         assert shape_of(base) != shape_of(config_of(f"train.{key}=[7, 9]"))
-    assert shape_of(base) != shape_of(config_of("train.nose_up_price=9"))
-    assert shape_of(base) == shape_of(config_of("episode.gate_margin=-0.3", "reward.edge=9"))
+    words = ("episode.gate_margin=-0.3", "reward.edge=9", "train.nose_up_price=9")
+    assert shape_of(base) == shape_of(config_of(*words))
 
 
 def test_a_config_s_ramps_reach_its_learner():

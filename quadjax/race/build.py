@@ -115,6 +115,7 @@ def build_params(config: Config) -> RaceParams:
         start=StartRange(**_traced(ranges)),
         disturbance=disturbance_range(config.disturbance),
         randomise=RandomiseFractions(**_traced(vars(config.randomise))),
+        early_nose_up=jnp.asarray(config.train.nose_up_price, jnp.float32),
         actual=_actual(config, vehicle),
         estimator=_estimator(config, vehicle),
     )

@@ -56,6 +56,7 @@ class RaceParams:
     start: start.StartRange
     disturbance: observation.DisturbanceRange
     randomise: start.RandomiseFractions
+    early_nose_up: jax.Array  # () reward.nose_up as a curriculum begins; the race charges none
     actual: Constants | None = None  # factors on the constants of the drone that flies
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
     # What scales the disturbances in the observation, where it is not what is drawn: a policy keeps

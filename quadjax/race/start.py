@@ -26,7 +26,7 @@ class StartRange:
     rates: jax.Array  # rad/s
     thrust_low: jax.Array  # m/s^2, rate-level vehicle
     thrust_high: jax.Array
-    # Around which yaw a start's is drawn, by its target, rad: (gates,); None is north for all.
+    # (gates,) rad, the yaw around which that of a start is drawn, by its target gate; None: north.
     facing: jax.Array | None = None
 
 

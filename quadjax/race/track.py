@@ -88,19 +88,22 @@ def gate(track: Track, index: jax.Array) -> Gate:
     return Gate(**vars(jax.tree.map(lambda table: pick(table, index), track)))
 
 
-def into_bend(track: Track) -> jax.Array:
-    """For the leg to each gate, the yaw (gates,), rad, that looks into the bend.
+STRAIGHT = 0.2  # less than so much to one side, as a part of the leg's length, is no bend
 
-    That is the way in which the direction changes from the leg before to the leg after: across the
-    leg, to the inside, on a square; along the leg where the direction does not change.
+
+def into_bend(track: Track) -> jax.Array:
+    """For the leg to each gate, the yaw (gates,), rad, that looks across it, to where it bends.
+
+    The side is the one to which the direction changes from the leg before to the leg after; where
+    it hardly does, the yaw looks along the leg.
     """
     position = jnp.stack([track.position.x, track.position.y], axis=-1)
     leg = position - jnp.roll(position, 1, axis=0)
     way = leg / jnp.maximum(jnp.linalg.norm(leg, axis=-1, keepdims=True), 1e-6)
     turn = jnp.roll(way, -1, axis=0) - jnp.roll(way, 1, axis=0)
-    straight = jnp.linalg.norm(turn, axis=-1, keepdims=True) < 1e-3
-    look = jnp.where(straight, way, turn)
-    return jnp.arctan2(look[:, 1], look[:, 0])
+    right = way[:, 0] * turn[:, 1] - way[:, 1] * turn[:, 0]
+    side = jnp.where(jnp.abs(right) < STRAIGHT, 0.0, jnp.sign(right))
+    return wrap_angle(jnp.arctan2(way[:, 1], way[:, 0]) + 0.5 * jnp.pi * side)
 
 
 def to_gate_frame(g: Gate, vector: Vec3) -> Vec3:

@@ -17,8 +17,10 @@ from tests.race.test_flight import double
 
 STEPS = 12
 QUICK = {"xla_backend_optimization_level": 0}  # compiled soon rather than well
-TERMS = ("progress", "gate", "gate_offset", "onward", "collision", "time", "rates", "nose_up")
-TERMS += ("edge",)
+TERMS = (
+    *("progress", "gate", "gate_offset", "onward", "edge", "collision"),
+    *("time", "rates", "nose_up"),
+)
 
 
 @pytest.fixture(scope="module", autouse=True)

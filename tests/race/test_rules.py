@@ -266,7 +266,11 @@ def test_each_term_of_the_reward(race, kept, expected):
     )
     params = params.replace(reward=weights(**kept), vehicle=params.vehicle.replace(constants=still))
     rows[:, ref.RATES] = [1.0, 1.0, 0.5]
-    rows[:, 7] = [-0.01, 0.29, -0.31]  # pitch, which rises by 0.01 rad within the step
+    rows[:, ref.EULER.start + 1] = [
+        -0.01,
+        0.29,
+        -0.31,
+    ]  # pitch, which rises by 0.01 rad within the step
     _, value, outcome = step((choices, params), rows)
     assert outcome.passed[1] and outcome.gate_collision[2]
     np.testing.assert_allclose(value, expected, atol=2e-5)
@@ -286,8 +290,8 @@ def test_onward_pays_a_leg_the_same_wherever_its_gate_is_passed(target, right, d
     for before, after, index, passed in zip(flown, flown[1:], targets, passing, strict=False):
         outcome = rules.Outcome(*[jnp.zeros(1, bool)] * 7).replace(passed=jnp.array([passed]))
         g = gate(track, jnp.int32(index))
-        level_at = jnp.zeros(1)
-        paid += rules.reward(kinds, outcome, before, after, level_at, before, g, 0.01)[0]
+        pitch, dt = jnp.zeros(1), jnp.float32(0.01)
+        paid += rules.reward(kinds, outcome, before, after, pitch, before, g, dt)[0]
     way = np.linalg.norm(ref.GATES[following] - ref.GATES[target])
     assert float(paid) == pytest.approx(0.7 + way - 0.5, abs=1e-5)
 

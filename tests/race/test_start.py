@@ -116,10 +116,18 @@ def test_the_way_into_a_bend():
 
 
 def test_a_leg_without_a_bend():
-    """Between two of its own heading it looks along itself, as each leg of two gates does."""
+    """Between two of its own heading it looks along itself, and so does each leg of two gates.
+
+    A bend by less than 0.1 rad at each end is none. One gate has a leg of no length.
+    """
     corners = np.array([[0, 0], [1, 0], [2, 0], [3, 0], [3, 2], [0, 2]], float)
     np.testing.assert_allclose(way_into_bend(corners)[2], [1, 0], atol=1e-6)
     np.testing.assert_allclose(way_into_bend(corners[:2]), [[-1, 0], [1, 0]], atol=1e-6)
+    slight = corners - np.array([[0, 0.1], [0, 0], [0, 0], [0, 0.1], [0, 0], [0, 0]])
+    np.testing.assert_allclose(way_into_bend(slight)[2], [1, 0], atol=1e-6)
+    np.testing.assert_allclose(
+        way_into_bend(slight - [[0, 0.2], *[[0, 0]] * 5])[2], [0, -1], atol=1e-6
+    )
     assert np.all(np.isfinite(way_into_bend(corners[:1])))
 
 
