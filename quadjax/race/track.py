@@ -101,9 +101,10 @@ def into_bend(track: Track) -> jax.Array:
     leg = position - jnp.roll(position, 1, axis=0)
     way = leg / jnp.maximum(jnp.linalg.norm(leg, axis=-1, keepdims=True), 1e-6)
     turn = jnp.roll(way, -1, axis=0) - jnp.roll(way, 1, axis=0)
-    right = way[:, 0] * turn[:, 1] - way[:, 1] * turn[:, 0]
-    side = jnp.where(jnp.abs(right) < STRAIGHT, 0.0, jnp.sign(right))
-    return wrap_angle(jnp.arctan2(way[:, 1], way[:, 0]) + 0.5 * jnp.pi * side)
+    right = jnp.stack([-way[:, 1], way[:, 0]], axis=-1)
+    bend = jnp.sum(right * turn, axis=-1, keepdims=True)  # to the right, if positive
+    look = jnp.where(jnp.abs(bend) < STRAIGHT, way, jnp.sign(bend) * right)
+    return jnp.arctan2(look[:, 1], look[:, 0])
 
 
 def to_gate_frame(g: Gate, vector: Vec3) -> Vec3:
