@@ -88,7 +88,7 @@ def gate(track: Track, index: jax.Array) -> Gate:
     return Gate(**vars(jax.tree.map(lambda table: pick(table, index), track)))
 
 
-STRAIGHT = 0.2  # less than so much to one side, as a part of the leg's length, is no bend
+STRAIGHT = 0.2  # sines of the bends at a leg's two ends, summed: less is no bend
 
 
 def into_bend(track: Track) -> jax.Array:
