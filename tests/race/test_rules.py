@@ -266,11 +266,8 @@ def test_each_term_of_the_reward(race, kept, expected):
     )
     params = params.replace(reward=weights(**kept), vehicle=params.vehicle.replace(constants=still))
     rows[:, ref.RATES] = [1.0, 1.0, 0.5]
-    rows[:, ref.EULER.start + 1] = [
-        -0.01,
-        0.29,
-        -0.31,
-    ]  # pitch, which rises by 0.01 rad within the step
+    pitch = np.array([0.0, 0.3, -0.3])
+    rows[:, ref.EULER.start + 1] = pitch - 0.01  # it rises by so much within the step
     _, value, outcome = step((choices, params), rows)
     assert outcome.passed[1] and outcome.gate_collision[2]
     np.testing.assert_allclose(value, expected, atol=2e-5)
