@@ -19,10 +19,10 @@ import sys  # noqa: E402
 import tempfile  # noqa: E402
 from pathlib import Path  # noqa: E402
 
-from quadjax.commands import Parser, check_writable, count, parse  # noqa: E402
-from quadjax.config import load_config  # noqa: E402
-from quadjax.devices import prepare_devices  # noqa: E402
-from quadjax.errors import InputError, command_line  # noqa: E402
+from quadjax.cli.arguments import Parser, check_writable, count, parse  # noqa: E402
+from quadjax.config.loading import load_config  # noqa: E402
+from quadjax.core.errors import InputError, command_line  # noqa: E402
+from quadjax.learners.devices import prepare_devices  # noqa: E402
 
 DRONES = tuple(4**power for power in range(9))  # 1 to 65,536
 QUICK_DRONES = (1, 64, 4096, 65_536)
@@ -81,8 +81,8 @@ def _run_side(job: Job) -> dict[str, object]:
     per_update = config.train.drones * config.ppo.steps_per_update
     config = load_config(job.config, [f"train.evaluate_every={per_update}"])
     prepare_devices("auto" if job.kind == "ours" else "1")
-    from quadjax import side_by_side
-    from quadjax.evaluate.benchmark import machine
+    from quadjax.evaluation.benchmark import machine
+    from quadjax.studies import ppo_against_sb3 as side_by_side
 
     if job.kind == "ours":
         with tempfile.TemporaryDirectory() as folder:
@@ -98,8 +98,8 @@ def _run_job(job: Job) -> dict[str, object]:
         return _run_side(job)
     config = load_config(job.config, [f"train.devices='{job.devices}'"])
     prepare_devices("auto")
-    from quadjax.evaluate import benchmark
-    from quadjax.training import peak_memory_mib
+    from quadjax.evaluation import benchmark
+    from quadjax.training.run import peak_memory_mib
 
     if job.kind == "training":
         speed = benchmark.measure_training(config, job.repeats)
@@ -166,9 +166,9 @@ def _print_results(results: list[dict[str, object]]) -> None:
 
 def _side_by_side(seconds: int, path: str | None) -> int:
     """Both sides one after the other, on this machine."""
-    from quadjax.files import write_json
-    from quadjax.progress import bar
-    from quadjax.side_by_side import Side, format_sides
+    from quadjax.core.files import write_json
+    from quadjax.studies.ppo_against_sb3 import Side, format_sides
+    from quadjax.training.progress import bar
 
     found = []
     with bar(counted=True) as progress:
@@ -195,8 +195,8 @@ def main() -> int:
     if arguments.job:
         print(json.dumps(_run_job(Job(**json.loads(arguments.job)))))
         return 0
-    from quadjax.files import write_json
-    from quadjax.progress import bar
+    from quadjax.core.files import write_json
+    from quadjax.training.progress import bar
 
     if arguments.sb3:
         return _side_by_side(arguments.sb3, arguments.json)

@@ -11,15 +11,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from quadjax.commands import Parser, count, parse, seed
-from quadjax.config import REPOSITORY_CONFIGS, load_config
-from quadjax.errors import InputError, command_line
-from quadjax.plant.comparison import Setting, contender
-from quadjax.plant.comparison_run import PARTS, Wanted, run_comparison
+from quadjax.cli.arguments import Parser, count, parse, seed
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError, command_line
+from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.plant.plant_schema import load_plant_config
-from quadjax.progress import bar
-
-PRETRAINED = REPOSITORY_CONFIGS.parent / "quadjax" / "pretrained"
+from quadjax.studies.comparison import Setting, contender
+from quadjax.studies.comparison_run import PARTS, Wanted, run_comparison
+from quadjax.training.progress import bar
 
 
 def _arguments() -> argparse.Namespace:
@@ -29,7 +28,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--e2e", default=str(PRETRAINED / "e2e.npz"), metavar="FILE.npz")
     parser.add_argument("--indi", default=str(PRETRAINED / "indi_shac.npz"), metavar="FILE.npz")
     parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")
-    parser.add_argument("--race", default=str(REPOSITORY_CONFIGS / "e2e.yaml"), metavar="FILE")
+    parser.add_argument("--race", default=str(CONFIGS / "e2e.yaml"), metavar="FILE")
     parser.add_argument("--laps", type=count, default=6)
     parser.add_argument("--runs", type=count, default=100, help="of which the first 5 are kept")
     parser.add_argument("--seed", type=seed, default=0)

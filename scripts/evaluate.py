@@ -9,19 +9,20 @@ import argparse
 
 from rich.console import Console
 
-from quadjax.checks import MOST_LAPS, MOST_RUNS
-from quadjax.commands import Parser, check_writable, count_up_to, parse, seed
-from quadjax.config import load_config
-from quadjax.errors import InputError, command_line
-from quadjax.evaluate import pilot, tables
-from quadjax.evaluate.laps import Laps, Trace
-from quadjax.evaluate.recording import choose, distinct, recordings
+from quadjax.cli.arguments import Parser, check_writable, count_up_to, parse, seed
+from quadjax.config.checks import MOST_LAPS, MOST_RUNS
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError, command_line
+from quadjax.core.files import write_json
+from quadjax.evaluation import tables
+from quadjax.evaluation.recording import choose, distinct, recordings
 from quadjax.export.pilot import fly_fixed_point
 from quadjax.export.ranges import add_range_option, parse_overrides
-from quadjax.files import write_json
-from quadjax.policy_file import Policy, read_policy
-from quadjax.progress import bar
-from quadjax.schema import Config
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy, read_policy
+from quadjax.race.laps import Laps, Trace
+from quadjax.training.progress import bar
 
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -78,7 +79,7 @@ def _fly_all(
 def _draw(
     config: Config, laps: Laps, trace: Trace, arguments: argparse.Namespace, console: Console
 ) -> None:
-    from quadjax.evaluate.figures import (
+    from quadjax.evaluation.figures import (
         flight_title,
         save_figure,
         signals_figure,
@@ -95,7 +96,7 @@ def _draw(
         save_figure(signals_figure(shown, title), arguments.signals)
         console.print(f"wrote {arguments.signals}", highlight=False)
     if arguments.animation:
-        from quadjax.evaluate.animation import frame_count, write_animation
+        from quadjax.evaluation.animation import frame_count, write_animation
 
         with bar(console=console) as progress:
             task = progress.add_task("animation", total=frame_count(flights))

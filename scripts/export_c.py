@@ -10,8 +10,8 @@ all. docs/on_your_drone.md says how to put it on a drone.
 import argparse
 from pathlib import Path
 
-from quadjax.commands import Parser, parse
-from quadjax.errors import command_line
+from quadjax.cli.arguments import Parser, parse
+from quadjax.core.errors import command_line
 from quadjax.export.convert_policy import Request, write_folder
 from quadjax.export.ranges import add_range_option, parse_overrides
 from quadjax.export.report import report_text

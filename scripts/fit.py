@@ -13,11 +13,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from quadjax.commands import Parser, check_writable, parse
-from quadjax.errors import command_line
-from quadjax.fit.figures import write_figures
-from quadjax.fit.pipeline import load_fit_config, run_fit
-from quadjax.fit.report import tables, write_results
+from quadjax.cli.arguments import Parser, check_writable, parse
+from quadjax.core.errors import command_line
+from quadjax.fitting.figures import write_figures
+from quadjax.fitting.pipeline import load_fit_config, run_fit
+from quadjax.fitting.report import tables, write_results
 
 
 @command_line

@@ -10,8 +10,8 @@ import sys
 import time
 from pathlib import Path
 
-from quadjax.commands import Parser, parse
-from quadjax.errors import InputError, command_line
+from quadjax.cli.arguments import Parser, parse
+from quadjax.core.errors import InputError, command_line
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 
@@ -26,7 +26,7 @@ def _arguments() -> argparse.Namespace:
 def main() -> int:
     """Execute, write, and say how long each took."""
     paths = _arguments().notebooks or sorted(FOLDER.glob("*.ipynb"))
-    from quadjax.notebooks import execute, read_notebook, write_notebook
+    from quadjax.cli.notebooks import execute, read_notebook, write_notebook
 
     failed = 0
     for path in paths:

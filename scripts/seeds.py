@@ -8,10 +8,10 @@ starts flew every lap. The figure has the learning curves of all configs side by
 import dataclasses
 from pathlib import Path
 
-from quadjax.checks import MOST_RUNS
-from quadjax.commands import Parser, check_writable, count, count_up_to, parse
-from quadjax.errors import command_line
-from quadjax.files import write_json
+from quadjax.cli.arguments import Parser, check_writable, count, count_up_to, parse
+from quadjax.config.checks import MOST_RUNS
+from quadjax.core.errors import command_line
+from quadjax.core.files import write_json
 
 
 @command_line
@@ -31,9 +31,9 @@ def main() -> int:
     parser.add_argument("--runs", default="runs", metavar="DIR", help="where runs go (runs)")
     parser.add_argument("--figure", metavar="FILE", help="learning curves (runs/NAMES_seeds.png)")
     arguments = parse(parser)
-    from quadjax import seeds
-    from quadjax.evaluate.figures import save_figure
-    from quadjax.evaluate.learning_curves import learning_figure
+    from quadjax.evaluation.figures import save_figure
+    from quadjax.evaluation.learning_curves import learning_figure
+    from quadjax.training import seeds
 
     configs, words = seeds.configs_of(arguments.words)
     runs = Path(arguments.runs)

@@ -5,13 +5,13 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quadjax.commands import Parser, count, parse
-from quadjax.errors import InputError, command_line
+from quadjax.cli.arguments import Parser, count, parse
+from quadjax.core.errors import InputError, command_line
 
 if TYPE_CHECKING:  # imported late: --help and bad input need none of it
-    from quadjax.sweep.machine import Layout
-    from quadjax.sweep.schema import Sweep
-    from quadjax.sweep.store import Store
+    from quadjax.sweeps.machine import Layout
+    from quadjax.sweeps.schema import Sweep
+    from quadjax.sweeps.store import Store
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -47,11 +47,11 @@ def parse_arguments() -> argparse.Namespace:
 def main() -> int:
     """Run what is left of the sweep, then report."""
     arguments = parse_arguments()
-    from quadjax.sweep.schema import load_sweep
+    from quadjax.sweeps.schema import load_sweep
 
     sweep = load_sweep(arguments.sweep, arguments.words)
     directory = Path(arguments.runs) / sweep.file.name
-    from quadjax.sweep import machine
+    from quadjax.sweeps import machine
 
     seeds = sweep.file.objective.seeds
     if arguments.calibrate:
@@ -61,15 +61,15 @@ def main() -> int:
         print(f"{arguments.sweep}: {sweep.trials} trials of {seeds} seeds can run")
         return 0
     store = _open(sweep, directory, arguments.overwrite)
-    from quadjax.sweep import run
-    from quadjax.sweep.report import present
+    from quadjax.sweeps import run
+    from quadjax.sweeps.report import present
 
     run.check_budget(sweep, store.counts())
     if arguments.report:
         present(store)
         return 0
     if arguments.calibrate or not layout.lanes:
-        from quadjax.sweep.calibrate import calibrate
+        from quadjax.sweeps.calibrate import calibrate
 
         layout = calibrate(sweep, directory, layout)
     if arguments.calibrate:
@@ -79,7 +79,7 @@ def main() -> int:
 
 def _open(sweep: "Sweep", directory: Path, overwrite: bool) -> "Store":
     """The sweep's store of trials, anew if asked for."""
-    from quadjax.sweep.store import Store, delete_study
+    from quadjax.sweeps.store import Store, delete_study
 
     if overwrite:
         delete_study(sweep, directory)
@@ -91,8 +91,8 @@ def _open(sweep: "Sweep", directory: Path, overwrite: bool) -> "Store":
 
 def _run(store: "Store", layout: "Layout", arguments: argparse.Namespace) -> int:
     """Run what is left, report, and say how it ended."""
-    from quadjax.sweep import run
-    from quadjax.sweep.report import present
+    from quadjax.sweeps import run
+    from quadjax.sweeps.report import present
 
     sweep, before = store.sweep, store.counts().done
     print(

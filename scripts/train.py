@@ -9,10 +9,10 @@ import shlex  # noqa: E402
 import sys  # noqa: E402
 from pathlib import Path  # noqa: E402
 
-from quadjax.commands import Parser, count, parse  # noqa: E402
-from quadjax.config import load_config  # noqa: E402
-from quadjax.devices import prepare_devices  # noqa: E402
-from quadjax.errors import INTERRUPTED, InputError, command_line  # noqa: E402
+from quadjax.cli.arguments import Parser, count, parse  # noqa: E402
+from quadjax.config.loading import load_config  # noqa: E402
+from quadjax.core.errors import INTERRUPTED, InputError, command_line  # noqa: E402
+from quadjax.learners.devices import prepare_devices  # noqa: E402
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -51,12 +51,12 @@ def main() -> int:
     if arguments.overwrite and arguments.resume:
         raise InputError("--overwrite and --resume exclude each other")
     prepare_devices(config.train.devices)
-    from quadjax import hosts
+    from quadjax.learners import hosts
 
     hosts.connect(arguments.coordinator, arguments.processes, arguments.process)
-    from quadjax.learn.loop import NonFiniteError
-    from quadjax.results import present
-    from quadjax.training import train
+    from quadjax.evaluation.results import present
+    from quadjax.learners.loop import NonFiniteError
+    from quadjax.training.run import train
 
     try:
         result = train(config, directory, arguments.resume, STARTED, overwrite=arguments.overwrite)

@@ -13,11 +13,11 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from quadjax.commands import Parser, check_writable, count, parse
-from quadjax.errors import InputError, command_line
+from quadjax.cli.arguments import Parser, check_writable, count, parse
+from quadjax.core.errors import InputError, command_line
+from quadjax.core.files import write_json
 from quadjax.export.verify.result import FAILED, table_text
 from quadjax.export.verify.run import verify
-from quadjax.files import write_json
 
 
 def arguments() -> argparse.Namespace:

@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle.constants import MotorConstants, RateConstants
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateCommand, RateState
 from quadjax.vehicle.residual import Residual
-from quadjax.vehicle.vector import Rotors, Vec3
 from tests import reference as ref
 
 

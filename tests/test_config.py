@@ -5,14 +5,21 @@ from pathlib import Path
 
 import pytest
 
-from quadjax import checks
-from quadjax.config import REPOSITORY_CONFIGS, fill, load_config, merge_trees, parse_words, to_yaml
-from quadjax.errors import InputError, command_line
-from quadjax.fit.pipeline import load_fit_config
-from quadjax.schema import Config, RewardConfig
+from quadjax.config import checks
+from quadjax.config.loading import (
+    fill,
+    load_config,
+    merge_trees,
+    parse_words,
+    to_yaml,
+)
+from quadjax.config.schema import Config, RewardConfig
+from quadjax.core.errors import InputError, command_line
+from quadjax.core.resources import CONFIGS
+from quadjax.fitting.pipeline import load_fit_config
 from tests import reference as ref
 
-SHIPPED = sorted(REPOSITORY_CONFIGS.glob("*.yaml"))
+SHIPPED = sorted(CONFIGS.glob("*.yaml"))
 BLANK = Path(__file__).parent / "blank.yaml"
 
 
@@ -32,13 +39,13 @@ def test_every_shipped_config_loads_and_comes_back(path, tmp_path):
     assert load_config(tmp_path / "config.yaml") == config
 
 
-@pytest.mark.parametrize("path", sorted((REPOSITORY_CONFIGS / "tracks").glob("*.yaml")), ids=str)
+@pytest.mark.parametrize("path", sorted((CONFIGS / "tracks").glob("*.yaml")), ids=str)
 def test_every_shipped_track_loads(path):
     config = load_config(BLANK, [f"track.file={path.name}"])
     assert config.track.name == path.stem and len(config.track.gates) >= 1
 
 
-@pytest.mark.parametrize("path", sorted((REPOSITORY_CONFIGS / "vehicles").glob("*.yaml")), ids=str)
+@pytest.mark.parametrize("path", sorted((CONFIGS / "vehicles").glob("*.yaml")), ids=str)
 def test_every_shipped_vehicle_loads(path):
     assert load_config(BLANK, [f"vehicle.file={path.name}"]).vehicle.name
 
@@ -113,7 +120,7 @@ def test_base_files_lie_under(tmp_path):
 
 def test_a_vehicle_and_a_track_beside_the_config(tmp_path):
     """What was read beside the config comes back from the saved one, wherever that lies."""
-    text = (REPOSITORY_CONFIGS / "vehicles" / "bebop1.yaml").read_text()
+    text = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(text.replace("g: 9.81", "g: 9.7"))
     (tmp_path / "hall.yaml").write_text("name: hall\ngates:\n  - {position: [1, 2, -3]}\n")
     path = tmp_path / "c.yaml"
@@ -255,7 +262,7 @@ def test_files_that_cannot_be_read(tmp_path):
 
 
 def test_vehicle_files_are_checked(tmp_path):
-    text = (REPOSITORY_CONFIGS / "vehicles" / "bebop1.yaml").read_text()
+    text = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
     path = tmp_path / "mine.yaml"
     (tmp_path / "c.yaml").write_text("vehicle: {file: mine.yaml}\n")
     path.write_text("".join(x for x in text.splitlines(True) if not x.startswith("  k_w")))
@@ -374,12 +381,12 @@ def test_a_script_reports_one_line_and_status_2(capsys):
 
 @pytest.mark.parametrize("choice", ["on", "off", "auto"])
 def test_on_and_off_are_words(choice):
-    path = REPOSITORY_CONFIGS / "fit" / "standin.yaml"
+    path = CONFIGS / "fit" / "standin.yaml"
     assert load_fit_config(path, [f"residual.mirror={choice}"]).residual.mirror == choice
 
 
 @pytest.mark.parametrize(("word", "meant"), [("on", True), ("off", False), ("true", True)])
 def test_on_and_off_are_understood_as_true_and_false(word, meant):
     words = [f"episode.random_gate={word}", "vehicle.residual=null"]
-    config = load_config(REPOSITORY_CONFIGS / "e2e.yaml", words)
+    config = load_config(CONFIGS / "e2e.yaml", words)
     assert config.episode.random_gate is meant and config.vehicle.residual is None

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from flax import struct
 
-from quadjax.config import load_config
-from quadjax.curriculum import Curriculum, curriculum_of, follow, ramp, with_residual_share
-from quadjax.learn.state import Learner
-from quadjax.learners import build_learner
-from quadjax.many import shape_of
+from quadjax.config.loading import load_config
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.learners.state import Learner
 from quadjax.race.build import build_params
+from quadjax.training.build import build_learner
+from quadjax.training.curriculum import Curriculum, curriculum_of, follow, ramp, with_residual_share
+from quadjax.training.many import shape_of
 from quadjax.vehicle.residual import residual_force_moment, scale_residual
-from quadjax.vehicle.vector import Rotors, Vec3
 from tests.convert import residual_of
 from tests.reference import random_residual
 from tests.test_training import CONFIGS, TINY

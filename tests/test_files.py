@@ -7,10 +7,10 @@ import zipfile
 import numpy as np
 import pytest
 
-from quadjax.errors import InputError
-from quadjax.files import read_npz, whole_file, write_json, write_text
-from quadjax.policy_file import Policy, read_policy, write_policy
-from quadjax.residual_file import read_residual, write_residual
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_npz, whole_file, write_json, write_text
+from quadjax.policy.file import Policy, read_policy, write_policy
+from quadjax.vehicle.residual_file import read_residual, write_residual
 from tests import reference as ref
 from tests.convert import residual_of
 

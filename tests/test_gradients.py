@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.gradients import clip_inward, tame
+from quadjax.core.gradients import clip_inward, tame
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from quadjax.config import load_config
+from quadjax.config.loading import load_config
 from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import make_environment
 
@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
-from quadjax.gym import ID, RaceEnv, RaceVectorEnv  # noqa: E402
+from quadjax.integrations.gym import ID, RaceEnv, RaceVectorEnv  # noqa: E402
 from tests.race.support import BLANK  # noqa: E402
 
 N = 6
@@ -136,7 +136,7 @@ def test_it_is_the_race_that_is_trained():
 def test_stable_baselines_learns_on_it():
     """Its own view: one key for both ends of an episode, the last observation beside it."""
     pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
-    from quadjax.sb3 import RaceVecEnv, make_ppo
+    from quadjax.integrations.sb3 import RaceVecEnv, make_ppo
 
     env = RaceVecEnv(N, short(), seed=0)
     env.reset()

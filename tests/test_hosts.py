@@ -13,9 +13,9 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax import hosts
-from quadjax.errors import InputError
-from quadjax.metrics import read_metrics
+from quadjax.core.errors import InputError
+from quadjax.learners import hosts
+from quadjax.training.metrics import read_metrics
 
 ROOT = Path(__file__).resolve().parent.parent
 WORDS = [

@@ -10,8 +10,8 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from quadjax.errors import InputError
-from quadjax.notebooks import execute, outputs_of, read_notebook, set_parameters, write_notebook
+from quadjax.cli.notebooks import execute, outputs_of, read_notebook, set_parameters, write_notebook
+from quadjax.core.errors import InputError
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 NOTEBOOKS = sorted(path.stem for path in FOLDER.glob("*.ipynb"))

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.config import load_config
-from quadjax.learners import build_networks, policy_of
-from quadjax.policies import act_deterministic, act_sampled, flying
+from quadjax.config.loading import load_config
+from quadjax.policy.inference import act_deterministic, act_sampled, flying
+from quadjax.training.build import build_networks, policy_of
 from tests.race.support import BLANK
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from quadjax import seeds
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
+from quadjax.training import seeds
 from tests.test_training import CONFIGS, TINY
 
 CONFIG = str(CONFIGS / "e2e_ppo.yaml")

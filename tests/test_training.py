@@ -16,15 +16,15 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax import training
-from quadjax.checkpoint import Checkpoints
-from quadjax.config import load_config
-from quadjax.errors import InputError
-from quadjax.learn import loop
-from quadjax.learn.networks import layers_of
-from quadjax.learners import build_learner, initial_policy, policy_of, start_state
-from quadjax.policy_file import read_policy
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.learners import loop
+from quadjax.learners.networks import layers_of
+from quadjax.policy.file import read_policy
 from quadjax.race.build import build_params
+from quadjax.training import run as training
+from quadjax.training.build import build_learner, initial_policy, policy_of, start_state
+from quadjax.training.checkpoint import Checkpoints
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"

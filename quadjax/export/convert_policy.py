@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config import to_yaml
-from quadjax.errors import InputError
+from quadjax.config.loading import to_yaml
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.files import whole_file, write_json, write_text
 from quadjax.export import flights
 from quadjax.export.emit_estimator import emit_estimator
 from quadjax.export.emit_network import Provenance, emit_network
@@ -23,11 +25,9 @@ from quadjax.export.race_tables import RaceTables, make_tables
 from quadjax.export.render import identifier
 from quadjax.export.report import make_report, measure, report_text
 from quadjax.export.vectors import self_test_inputs
-from quadjax.files import whole_file, write_json, write_text
-from quadjax.policy_file import Policy, read_policy
-from quadjax.residual_file import located
-from quadjax.schema import Config
+from quadjax.policy.file import Policy, read_policy
 from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.residual_file import located
 
 FLIGHTS = 32
 KEPT_ROWS = 20_000  # flown rows that go along for the verification

@@ -27,7 +27,7 @@ from quadjax.export.squash import (
     VALUE_BITS,
     coefficients,
 )
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
 
 LIMBS = 4
 COLUMNS = 2 * LIMBS - 1

@@ -1,6 +1,6 @@
 """The disturbance estimator in fixed point: model and filter as integers.
 
-The method is that of ``quadjax.fit.estimator``. Measurements become integers of 2^-30 of their
+The method is that of ``quadjax.vehicle.estimator``. Measurements become integers of 2^-30 of their
 ranges; products of two of them (monomials) are kept in Q30; the model is a sum of monomials times
 constants, in fine units of 2^-46 of the channel's range; and the filter keeps its memory in those
 fine units. With ``K / 2^32`` the low-pass gain, ``K = 2^30 + a1 + a2`` exactly (``a`` in Q30), so
@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
 from quadjax.export.fixed import LARGEST_INPUT, FixedLayer, convert_hidden, largest_power
 from quadjax.export.race_tables import Rescale, rescale
 from quadjax.vehicle.constants import MotorConstants

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
 from quadjax.export.ranges import InputBox, declare
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
 
 FORMAT_VERSION = 1
 WORD = 32  # bits by which a hidden accumulator is shifted

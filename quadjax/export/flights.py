@@ -10,21 +10,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config import REPOSITORY_CONFIGS, load_config
-from quadjax.errors import InputError
-from quadjax.evaluate.laps import Laps, Trace, fly_laps
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.resources import CONFIGS
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.emulator_jax import fixed_point_action
 from quadjax.export.fixed import FixedNetwork
 from quadjax.export.ranges import InputBox
-from quadjax.policies import act_deterministic, flying
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
+from quadjax.policy.inference import act_deterministic, flying
 from quadjax.race import build, environment, rules
 from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.laps import Laps, Trace, fly_laps
 from quadjax.race.track import gate
-from quadjax.schema import Config
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateState
-from quadjax.vehicle.vector import Rotors, Vec3
 
 Carry = tuple[jax.Array, jax.Array]  # a position and the target after it
 LOST_CONTROL = ("lost its attitude", "out of bounds", "not finite")  # of CRASHES
@@ -74,10 +75,10 @@ def own_race(
     for key in ("wrap_next_yaw", "disturbance_input"):
         if key in policy.observation:
             words.append(f"episode.{key}={json.dumps(policy.observation[key])}")
-    config = load_config(config_path or REPOSITORY_CONFIGS / "e2e_shac.yaml", words)
+    config = load_config(config_path or CONFIGS / "e2e_shac.yaml", words)
     if residual is not None and config.vehicle.residual:
         words.append(f"vehicle.residual={residual}")
-        config = load_config(config_path or REPOSITORY_CONFIGS / "e2e_shac.yaml", words)
+        config = load_config(config_path or CONFIGS / "e2e_shac.yaml", words)
     return OwnRace(build.choices_of(config), build.build_params(config), config)
 
 

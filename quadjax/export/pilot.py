@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import jax
 
-from quadjax.evaluate import pilot
-from quadjax.evaluate.laps import Laps, Trace
-from quadjax.evaluate.pilot import Pilot, Race
+from quadjax.config.schema import Config
 from quadjax.export.emulator_jax import fixed_point_actor
-from quadjax.policy_file import Policy
-from quadjax.schema import Config
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy
+from quadjax.policy.pilot import Pilot, Race
+from quadjax.race.laps import Laps, Trace
 
 
 def fly_fixed_point(
@@ -24,7 +24,7 @@ def fly_fixed_point(
 
     Like the code on the drone it flies the mean, and what is outside the declared ranges (the
     converter's defaults, or ``ranges``) it sees at their edge. Other arguments and errors as of
-    ``quadjax.evaluate.pilot.fly_policy``.
+    ``quadjax.policy.pilot.fly_policy``.
     """
     commands: Callable[[jax.Array], jax.Array] = fixed_point_actor(policy, ranges)
 

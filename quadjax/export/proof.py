@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
 from quadjax.export.fixed import (
     LARGEST_HIDDEN,
     LARGEST_INPUT,
@@ -21,7 +21,7 @@ from quadjax.export.fixed import (
     FixedNetwork,
 )
 from quadjax.export.squash import SQUASH_ERROR
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
 
 ACCUMULATOR = 2**63
 

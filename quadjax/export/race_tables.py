@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
 from quadjax.export.fixed import LARGEST_INPUT, FixedNetwork
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
 from quadjax.race.track import Track
 
 ONE = LARGEST_INPUT

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from quadjax.errors import InputError
-from quadjax.policy_file import Policy
+from quadjax.core.errors import InputError
+from quadjax.policy.file import Policy
 
 # What the inputs of a policy are, in order: name and how many numbers.
 LAYOUT = {

@@ -8,7 +8,7 @@ from quadjax.export import emulator
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
 from quadjax.export.proof import Proof
 from quadjax.export.ranges import UNITS
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
 
 
 @dataclasses.dataclass(frozen=True)

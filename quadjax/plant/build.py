@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.fit.vehicle_file import BaseVehicle, read_vehicle
+from quadjax.core.vectors import Rotors
+from quadjax.fitting.vehicle_file import BaseVehicle, read_vehicle
 from quadjax.plant.effects import FlexParams, RotorParams
 from quadjax.plant.gusts import gust_params
 from quadjax.plant.plant import PlantParams
@@ -14,7 +15,6 @@ from quadjax.plant.plant_schema import PlantConfig
 from quadjax.plant.power import PowerParams
 from quadjax.vehicle.constants import MotorConstants, constant_names
 from quadjax.vehicle.motor import MotorParams
-from quadjax.vehicle.vector import Rotors
 
 AIR_DENSITY = 1.225  # kg/m^3
 KNOWN = ("g", "rpm_min", "rpm_max")  # constants that are not drawn

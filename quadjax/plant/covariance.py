@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.materialize import Keep, call
+from quadjax.core.vectors import Vec3, dot
 from quadjax.plant.matrix import (
     Mat3,
     Sym3,
@@ -26,8 +28,6 @@ from quadjax.plant.matrix import (
     times_transposed,
     transpose,
 )
-from quadjax.vehicle.stage import Keep, call
-from quadjax.vehicle.vector import Vec3, dot
 
 POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, FORCE_BIAS = range(5)
 _PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))

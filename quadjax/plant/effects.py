@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.vector import Rotors, Vec3
 
 RPM_PER_RAD_S = 60.0 / (2.0 * jnp.pi)
 _NEAREST = 0.5  # rotor radii between disc and ground, below which the ground's effect grows no more

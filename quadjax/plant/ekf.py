@@ -27,6 +27,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.materialize import Keep, call, staged_values
+from quadjax.core.vectors import Vec3
 from quadjax.plant import covariance as cov
 from quadjax.plant import quaternion
 from quadjax.plant.covariance import Covariance, Growth, Transition
@@ -34,8 +36,6 @@ from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.matrix import apply
 from quadjax.plant.quaternion import Quaternion
 from quadjax.plant.sensors import Fix, Measured
-from quadjax.vehicle.stage import Keep, call, staged_values
-from quadjax.vehicle.vector import Vec3
 
 
 @struct.dataclass
@@ -117,7 +117,7 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
 
 
 def keeper(params: EkfParams) -> Keep:
-    """Calls functions so that their values are computed once; see ``quadjax.vehicle.stage``."""
+    """Calls functions so that their values are computed once; see ``quadjax.core.materialize``."""
     always = params.step > 0
     return lambda function, *arguments: staged_values(function, always, *arguments)
 

@@ -1,6 +1,6 @@
 """Races on the stand-in plant: a policy file flown by what the drone believes.
 
-The rules, the gates and the laps are those of ``quadjax.race`` and ``quadjax.evaluate``, judged by
+The rules, the gates and the laps are those of ``quadjax.race``, judged by
 what is true at every sample of the plant.
 """
 
@@ -11,19 +11,18 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.evaluate import laps
-from quadjax.evaluate.pilot import Pilot, fly
+from quadjax.core.materialize import staged_values
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, onboard, plant, sensors
 from quadjax.plant.onboard import OnboardChoices, OnboardParams, OnboardState
 from quadjax.plant.plant import PlantParams, PlantState
-from quadjax.race import environment
+from quadjax.policy.pilot import Pilot, fly
+from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.start import hover
 from quadjax.race.track import gate, gate_count
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateCommand, RateState
-from quadjax.vehicle.stage import staged_values
-from quadjax.vehicle.vector import Rotors, Vec3
 
 
 @dataclasses.dataclass(frozen=True)

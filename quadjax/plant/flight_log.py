@@ -17,15 +17,16 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from quadjax.commands import Parser, count, parse, seed
-from quadjax.config import REPOSITORY_CONFIGS, load_config
-from quadjax.errors import InputError, command_line
-from quadjax.fit.synthetic_log import write_log
+from quadjax.cli.arguments import Parser, count, parse, seed
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError, command_line
+from quadjax.core.resources import CONFIGS
+from quadjax.fitting.synthetic_log import write_log
 from quadjax.plant.plant_schema import PlantConfig, load_plant_config
 from quadjax.plant.race import Flights, fly_plan, plan_flights
-from quadjax.policy_file import read_policy
+from quadjax.policy.file import read_policy
 from quadjax.race.track import gate_count
-from quadjax.schema import Config
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +131,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("config", help="YAML file of configs/plant")
     parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
     parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
-    parser.add_argument("--race", default=str(REPOSITORY_CONFIGS / "e2e_shac.yaml"), metavar="FILE")
+    parser.add_argument("--race", default=str(CONFIGS / "e2e_shac.yaml"), metavar="FILE")
     parser.add_argument("--flights", type=count, default=4, help="of each policy")
     parser.add_argument("--laps", type=count, default=6)
     parser.add_argument("--seed", type=seed, default=0)

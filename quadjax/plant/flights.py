@@ -7,17 +7,17 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.evaluate.laps import starting_states
-from quadjax.evaluate.pilot import Pilot, command_ranges, fly, make_pilot, race_of
+from quadjax.config.schema import Config
+from quadjax.core.frames import attitude, world_to_body
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.truth import Truth
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
+from quadjax.policy.pilot import Pilot, command_ranges, fly, make_pilot, race_of
 from quadjax.race import environment
 from quadjax.race.build import exact_rules
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.schema import Config
+from quadjax.race.laps import starting_states
 from quadjax.vehicle import motor
-from quadjax.vehicle.frames import attitude, world_to_body
-from quadjax.vehicle.vector import Rotors, Vec3
 
 WIDER = 0.25  # m by which each side of a gate is wider here: it is the filter that is judged
 

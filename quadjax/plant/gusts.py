@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from quadjax.vehicle.vector import Vec3, safe_norm
+from quadjax.core.vectors import Vec3, safe_norm
 
 SQRT3 = float(np.sqrt(3.0))
 METRES_PER_FOOT = 0.3048

@@ -10,7 +10,7 @@ the rotors' present speeds, both through the same filter ``H``, so that they are
 
 ``G`` is the angular acceleration of the rotors' speeds and ``G2`` that of their change, which in
 yaw is the larger; ``f_z`` is the accelerometer. As in the onboard estimator of external moments
-(``quadjax.fit.estimator``), differentiation is part of the filter.
+(``quadjax.vehicle.estimator``), differentiation is part of the filter.
 
 The actuators are first-order lags, ``omega' = (u - omega) / tau``, so that an rpm command is a
 rotor acceleration. Wanted is the one that makes roll, pitch and thrust follow with lags of their
@@ -28,12 +28,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.fit.estimator import estimator_params
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.plant_schema import IndiConfig
 from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.estimator import estimator_params
 from quadjax.vehicle.motor import MotorParams
 from quadjax.vehicle.rate import RateCommand
-from quadjax.vehicle.vector import Rotors, Vec3
 
 ROLL = Rotors(1.0, -1.0, -1.0, 1.0)
 PITCH = Rotors(1.0, 1.0, -1.0, -1.0)

@@ -1,10 +1,10 @@
-"""3 x 3 matrices as separate scalars, for the same reason as ``quadjax.vehicle.vector``."""
+"""3 x 3 matrices as separate scalars, for the same reason as ``quadjax.core.vectors``."""
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.vehicle.vector import Vec3, dot
+from quadjax.core.vectors import Vec3, dot
 
 
 @struct.dataclass

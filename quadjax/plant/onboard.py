@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.fit import estimator as disturbance
-from quadjax.fit.estimator import EstimatorParams, EstimatorState, Measurement
+from quadjax.core.frames import attitude, world_to_body
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, gusts, indi, plant, sensors
 from quadjax.plant.ekf import EkfState
 from quadjax.plant.ekf_params import EkfParams
@@ -20,11 +20,11 @@ from quadjax.plant.indi import Felt, IndiParams, IndiState
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.plant.sensors import SensorParams, SensorState
 from quadjax.plant.truth import Truth
+from quadjax.vehicle import estimator as disturbance
 from quadjax.vehicle import motor
-from quadjax.vehicle.frames import attitude, world_to_body
+from quadjax.vehicle.estimator import EstimatorParams, EstimatorState, Measurement
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateCommand
-from quadjax.vehicle.vector import Rotors, Vec3
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,23 +8,23 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.plant import effects, gusts, power
-from quadjax.plant.effects import FlexParams, RotorParams
-from quadjax.plant.gusts import GustParams, GustState
-from quadjax.plant.power import PowerParams
-from quadjax.plant.truth import Truth
-from quadjax.vehicle import motor
-from quadjax.vehicle.frames import (
+from quadjax.core.frames import (
     attitude,
     body_to_world,
     euler_rates,
     world_to_body,
     wrap_angle,
 )
-from quadjax.vehicle.integrate import INTEGRATORS
+from quadjax.core.integrators import INTEGRATORS
+from quadjax.core.materialize import Keep, call
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.plant import effects, gusts, power
+from quadjax.plant.effects import FlexParams, RotorParams
+from quadjax.plant.gusts import GustParams, GustState
+from quadjax.plant.power import PowerParams
+from quadjax.plant.truth import Truth
+from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorParams, MotorState
-from quadjax.vehicle.stage import Keep, call
-from quadjax.vehicle.vector import Rotors, Vec3
 
 
 @struct.dataclass

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from quadjax.checks import value_at
-from quadjax.config import fill, merge_trees, parse_words, read_yaml_with_base
-from quadjax.errors import InputError
+from quadjax.config.checks import value_at
+from quadjax.config.loading import fill, merge_trees, parse_words, read_yaml_with_base
+from quadjax.core.errors import InputError
+from quadjax.core.integrators import INTEGRATORS
 from quadjax.plant.sensor_schema import EkfConfig, SensorsConfig, check_ekf, check_sensors
-from quadjax.vehicle.integrate import INTEGRATORS
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.vehicle.vector import Rotors
+from quadjax.core.vectors import Rotors
 
 
 @struct.dataclass

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.frames import sincos
+from quadjax.core.vectors import Vec3, dot
 from quadjax.plant.matrix import Mat3
-from quadjax.vehicle.frames import sincos
-from quadjax.vehicle.vector import Vec3, dot
 
 
 @struct.dataclass

@@ -7,11 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.evaluate import laps
-from quadjax.evaluate.laps import Laps
-from quadjax.evaluate.pilot import Pilot, command_ranges, make_pilot, race_of
-from quadjax.evaluate.recording import Recording
-from quadjax.fit.estimator import estimator_params
+from quadjax.config.schema import Config
+from quadjax.evaluation.recording import Recording
 from quadjax.plant import flight
 from quadjax.plant.build import build_plant, nominal_vehicle
 from quadjax.plant.ekf_params import ekf_params
@@ -20,9 +17,12 @@ from quadjax.plant.indi import indi_params
 from quadjax.plant.onboard import OnboardChoices, OnboardParams
 from quadjax.plant.plant_schema import PlantConfig
 from quadjax.plant.sensors import sensor_params
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
+from quadjax.policy.pilot import Pilot, command_ranges, make_pilot, race_of
+from quadjax.race import laps
 from quadjax.race.build import build_vehicle, exact_rules
-from quadjax.schema import Config
+from quadjax.race.laps import Laps
+from quadjax.vehicle.estimator import estimator_params
 from quadjax.vehicle.motor import MotorParams
 
 CHUNK_SECONDS = 1.0  # of flight between looks at who is still flying

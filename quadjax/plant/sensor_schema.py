@@ -9,7 +9,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
 
 
 @dataclass(frozen=True)

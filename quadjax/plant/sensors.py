@@ -24,11 +24,11 @@ from flax import struct
 from scipy.signal import butter
 from scipy.stats import norm
 
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import quaternion
 from quadjax.plant.quaternion import Quaternion
 from quadjax.plant.sensor_schema import SensorsConfig, check_sensors
 from quadjax.plant.truth import Truth
-from quadjax.vehicle.vector import Rotors, Vec3
 
 DRAWS = 12 + 4 + 6 + 1  # normal numbers that a sample is made of
 START_DRAWS = 6 + 6 + 4 + 6  # and the start

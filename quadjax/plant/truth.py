@@ -2,7 +2,7 @@
 
 from flax import struct
 
-from quadjax.vehicle.vector import Rotors, Vec3
+from quadjax.core.vectors import Rotors, Vec3
 
 
 @struct.dataclass

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from quadjax.core.frames import wrap_angle
+from quadjax.core.vectors import Vec3
 from quadjax.plant import ekf, flights, sensors
 from quadjax.plant.ekf_params import EkfParams, ekf_params
 from quadjax.plant.estimate import Belief, estimate
@@ -16,8 +18,6 @@ from quadjax.plant.flights import Plan, Seen, Setting
 from quadjax.plant.sensor_schema import NavigationConfig
 from quadjax.plant.sensors import SensorParams, sensor_params
 from quadjax.plant.truth import Truth
-from quadjax.vehicle.frames import wrap_angle
-from quadjax.vehicle.vector import Vec3
 
 WITHIN = 3.0  # standard deviations
 LOST = {"position": 0.5, "euler": 0.5, "velocity": 2.0}  # m, rad, m/s: a filter that diverged

@@ -7,18 +7,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.fit.estimator import EstimatorParams, estimator_params
+from quadjax.config.schema import Config, DisturbanceConfig, TrackConfig
+from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.observation import DisturbanceRange
 from quadjax.race.rules import Limits, RewardWeights
 from quadjax.race.start import RandomiseFractions, StartRange
 from quadjax.race.track import Track, make_track
-from quadjax.residual_file import read_residual
-from quadjax.schema import Config, DisturbanceConfig, TrackConfig
 from quadjax.vehicle.constants import Constants, MotorConstants, RateConstants
+from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.motor import MotorParams
 from quadjax.vehicle.rate import RateParams
-from quadjax.vehicle.vector import Vec3
+from quadjax.vehicle.residual_file import read_residual
 
 
 def choices_of(config: Config) -> Choices:

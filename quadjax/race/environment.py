@@ -12,18 +12,18 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.environment import Environment
-from quadjax.fit import estimator as onboard
-from quadjax.fit.estimator import Measurement
-from quadjax.gradients import clip_inward
+from quadjax.core.environment import Environment
+from quadjax.core.frames import attitude, world_to_body, wrap_angle
+from quadjax.core.gradients import clip_inward
+from quadjax.core.integrators import INTEGRATORS
+from quadjax.core.materialize import stage, stage_backwards, staged, staged_values
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.race import observation, rules, start
 from quadjax.race.track import Gate, Track, gate, gate_count
+from quadjax.vehicle import estimator as onboard
 from quadjax.vehicle import motor, rate
 from quadjax.vehicle.constants import Constants
-from quadjax.vehicle.frames import attitude, world_to_body, wrap_angle
-from quadjax.vehicle.integrate import INTEGRATORS
-from quadjax.vehicle.stage import stage, stage_backwards, staged, staged_values
-from quadjax.vehicle.vector import Rotors, Vec3
+from quadjax.vehicle.estimator import Measurement
 
 Drone = motor.MotorState | rate.RateState
 VehicleParams = motor.MotorParams | rate.RateParams
@@ -86,7 +86,7 @@ class RaceState:
 
 
 def _always(params: RaceParams) -> jax.Array:
-    """True, in a way that a compiler cannot know; see ``quadjax.vehicle.stage``."""
+    """True, in a way that a compiler cannot know; see ``quadjax.core.materialize``."""
     return params.limits.max_steps > 0
 
 

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.frames import wrap_angle
+from quadjax.core.vectors import Vec3
 from quadjax.race.track import Gate, to_gate_frame
 from quadjax.vehicle.constants import MotorConstants, RateConstants
-from quadjax.vehicle.frames import wrap_angle
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateState
-from quadjax.vehicle.vector import Vec3
 
 MOTOR_SIZE = 24
 RATE_SIZE = 17

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.track import Gate, to_gate_frame
-from quadjax.vehicle.vector import Vec3, safe_norm
 
 
 @struct.dataclass

@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.frames import wrap_angle
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.race.observation import DisturbanceRange
 from quadjax.race.track import Track, gate, gate_count, pick
 from quadjax.vehicle.constants import GROUPS, Constants, MotorConstants, RateConstants
-from quadjax.vehicle.frames import wrap_angle
 from quadjax.vehicle.motor import MotorState, hover_rpm
 from quadjax.vehicle.rate import RateState
-from quadjax.vehicle.vector import Rotors, Vec3
 
 
 @struct.dataclass

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.vehicle.frames import wrap_angle
-from quadjax.vehicle.vector import Vec3
+from quadjax.core.frames import wrap_angle
+from quadjax.core.vectors import Vec3
 
 
 @struct.dataclass

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
+from quadjax.core.materialize import Keep, call
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.frames import attitude, body_to_world, euler_rates, world_to_body
 from quadjax.vehicle.residual import Residual, residual_force_moment
-from quadjax.vehicle.stage import Keep, call
-from quadjax.vehicle.vector import Rotors, Vec3
 
 
 @struct.dataclass

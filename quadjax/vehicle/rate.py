@@ -6,10 +6,10 @@ Equations and constants: Ferede et al., arXiv 2311.16948. World NED, body FRD.
 import jax
 from flax import struct
 
+from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
+from quadjax.core.materialize import Keep, call
+from quadjax.core.vectors import Vec3
 from quadjax.vehicle.constants import RateConstants
-from quadjax.vehicle.frames import attitude, body_to_world, euler_rates, world_to_body
-from quadjax.vehicle.stage import Keep, call
-from quadjax.vehicle.vector import Vec3
 
 
 @struct.dataclass

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.vehicle.vector import Rotors, Vec3
+from quadjax.core.vectors import Rotors, Vec3
 
 Layers = tuple[tuple[jax.Array, jax.Array], ...]  # (kernel (in, out), bias (out,)) per layer
 

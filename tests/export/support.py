@@ -10,7 +10,7 @@ import pytest
 from quadjax.export.emit_network import Provenance, emit_network
 from quadjax.export.fixed import FixedNetwork, convert
 from quadjax.export.vectors import self_test_inputs
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
 from quadjax.vehicle.residual import Residual
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}

@@ -4,14 +4,14 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.config import load_config
-from quadjax.evaluate import pilot
+from quadjax.config.loading import load_config
 from quadjax.export import emulator
 from quadjax.export.emulator_jax import fixed_point_action, fixed_point_actor, fixed_point_forward
 from quadjax.export.pilot import fly_fixed_point
 from quadjax.export.proof import prove
 from quadjax.export.vectors import check_vectors, hostile_vectors
-from quadjax.policy_file import read_policy
+from quadjax.policy import pilot
+from quadjax.policy.file import read_policy
 from tests.export.support import POLICIES, named_network, observations
 from tests.test_training import CONFIGS, ROOT
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadjax.config import REPOSITORY_CONFIGS
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
+from quadjax.core.resources import CONFIGS
 from quadjax.export import convert_policy
 from quadjax.export.convert_policy import Request, write_folder
 from quadjax.export.flights import own_race
@@ -19,8 +19,8 @@ from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
 from quadjax.export.verify.result import FAILED, PASSED, run_check
 from quadjax.export.verify.toolchain import WARNINGS
-from quadjax.policy_file import write_policy
-from quadjax.residual_file import write_residual
+from quadjax.policy.file import write_policy
+from quadjax.vehicle.residual_file import write_residual
 from tests.export.support import WIDE, made_policy, made_residual, need
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -52,7 +52,7 @@ def export(folder, vehicle="motor"):
     config, track = folder / "config.yaml", folder / "triangle.yaml"
     track.write_text(TRACK)
     config.write_text(
-        f"base: {REPOSITORY_CONFIGS / 'e2e.yaml'}\nepisode: {{gate_test: world_box}}\nvehicle:\n"
+        f"base: {CONFIGS / 'e2e.yaml'}\nepisode: {{gate_test: world_box}}\nvehicle:\n"
         f"  residual: {folder / 'made_up.npz'}\n  motor: {{k_h: 0.0, k_r2: 0.0}}\n"
     )
     write_folder(Request(policy, out, WIDE, name="made", track=str(track), config=config))
@@ -207,7 +207,7 @@ def test_one_line_on_the_command_line(words, said, tmp_path):
 
 def test_a_shipped_residual_goes_by_its_name_alone(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    policy, config = made_policy(24), REPOSITORY_CONFIGS / "e2e.yaml"
+    policy, config = made_policy(24), CONFIGS / "e2e.yaml"
     own = own_race(policy, config, None)
     shipped = REPOSITORY / "quadjax" / "pretrained" / own.config.vehicle.residual
     request = Request(tmp_path / "policy.npz", tmp_path / "c", {}, config=config)

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
 from quadjax.export import emulator, flights
 from quadjax.export.fixed import LARGEST_HIDDEN, LARGEST_INPUT, convert
 from quadjax.export.proof import prove

@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from quadjax.config import REPOSITORY_CONFIGS
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
+from quadjax.core.resources import CONFIGS
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
 from quadjax.export.race_tables import make_tables
 from quadjax.export.verify import measurements
-from quadjax.fit.estimator_reference import estimate
+from quadjax.fitting.estimator_reference import estimate
 from quadjax.vehicle.motor import MotorParams
 from tests.export.support import WIDE, made_policy, made_residual
 
@@ -101,7 +101,7 @@ def test_gates_are_passed_and_missed():
 @pytest.mark.parametrize("config", ["indi.yaml", "authors_code.yaml"])
 def test_gates_along_a_wandering_path_are_the_simulators(config):
     policy = made_policy(8, "rate")
-    own = flights.own_race(policy, REPOSITORY_CONFIGS / config, None)
+    own = flights.own_race(policy, CONFIGS / config, None)
     world_box = own.choices.gate_test == "world_box"
     assert world_box == (config == "authors_code.yaml")
     network = convert(policy, {"next_yaw": 8.0})

@@ -2,8 +2,8 @@
 
 import dataclasses
 
-from quadjax.plant.identify import without_effects
 from quadjax.plant.plant_schema import NO_EFFECTS, PlantConfig
+from quadjax.studies.identify import without_effects
 
 OFF = without_effects(PlantConfig())
 

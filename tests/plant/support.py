@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.covariance import Covariance
 from quadjax.plant.ekf import Motion, Sample
 from quadjax.plant.flights import Seen
@@ -20,7 +21,6 @@ from quadjax.plant.sensor_schema import (
     SensorsConfig,
 )
 from quadjax.plant.truth import Truth
-from quadjax.vehicle.vector import Rotors, Vec3
 from tests.plant.reference import Nominal
 
 RATE = 500.0

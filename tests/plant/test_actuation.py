@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import periodogram
 
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, power
 from quadjax.plant.build import build_plant
-from quadjax.vehicle.vector import Rotors, Vec3
 from tests import reference as ref
 from tests.plant import effects_reference as source
 from tests.plant.standin import OFF, only

@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadjax.config import load_config
-from quadjax.evaluate.laps import Laps
-from quadjax.plant.ablation import VARIANTS, present
-from quadjax.plant.comparison import Compared, Setting, changed_plants, contender, lead
-from quadjax.plant.comparison_figures import first_order, progress
-from quadjax.plant.comparison_run import best_recorded, limit_shares, table_text
+from quadjax.config.loading import load_config
+from quadjax.core.vectors import Rotors
 from quadjax.plant.plant_schema import NO_EFFECTS, PlantConfig
 from quadjax.plant.race import Flights
-from quadjax.vehicle.vector import Rotors
+from quadjax.race.laps import Laps
+from quadjax.studies.ablation import VARIANTS, present
+from quadjax.studies.comparison import Compared, Setting, changed_plants, contender, lead
+from quadjax.studies.comparison_figures import first_order, progress
+from quadjax.studies.comparison_run import best_recorded, limit_shares, table_text
 from tests import reference as ref
 
 ROOT = Path(__file__).resolve().parents[2]

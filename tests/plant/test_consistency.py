@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.config import REPOSITORY_CONFIGS, load_config
-from quadjax.errors import InputError
-from quadjax.plant import consistency, flights, watch
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.resources import CONFIGS
+from quadjax.plant import flights, watch
 from quadjax.plant.covariance import Covariance
 from quadjax.plant.flights import Setting
 from quadjax.plant.sensor_schema import (
@@ -19,7 +20,8 @@ from quadjax.plant.sensor_schema import (
     NavigationConfig,
     SensorsConfig,
 )
-from quadjax.policy_file import read_policy
+from quadjax.policy.file import read_policy
+from quadjax.studies import consistency
 from tests.plant.support import EXACT, ONLY_LATE, RATE, at, correlation, loop, navigation
 
 DRONES, SECONDS, CHUNK = 64, 3.0, 250
@@ -31,7 +33,7 @@ FAST = EkfConfig(start_velocity=6.0)  # m/s: a loop does not start at rest
 def plans():
     return {
         name: flights.plan_flights(
-            load_config(REPOSITORY_CONFIGS / f"{name}.yaml"),
+            load_config(CONFIGS / f"{name}.yaml"),
             read_policy(consistency.PRETRAINED / f"{name}.npz"),
             SETTING,
             name,
@@ -155,7 +157,7 @@ def _command(monkeypatch, words):
 def test_command_prints_writes_and_says_whether_it_hit(tmp_path, capsys, monkeypatch):
     path = tmp_path / "numbers.json"
     words = ["--flights", "64", "--seconds", "0.5", "--json", str(path)]
-    words += ["--config", str(REPOSITORY_CONFIGS / "e2e.yaml"), "sensors.mocap.dropout=0.1"]
+    words += ["--config", str(CONFIGS / "e2e.yaml"), "sensors.mocap.dropout=0.1"]
     status = _command(monkeypatch, words)
     written = json.loads(path.read_text())
     assert written["config"]["sensors"]["mocap"]["dropout"] == 0.1

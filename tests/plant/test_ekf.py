@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadjax.core.frames import rotation_matrix
 from quadjax.plant import covariance as cov
 from quadjax.plant import ekf, quaternion
 from quadjax.plant.ekf_params import ekf_params
 from quadjax.plant.sensor_schema import EkfConfig, SensorsConfig
 from quadjax.plant.sensors import Fix
-from quadjax.vehicle.frames import rotation_matrix
 from tests.plant import reference
 from tests.plant.support import (
     RATE,

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadjax.config import load_config
-from quadjax.fit.config import LogsConfig
-from quadjax.fit.flight_log import read_logs
-from quadjax.fit.synthetic_log import write_log
+from quadjax.config.loading import load_config
+from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.flight_log import read_logs
+from quadjax.fitting.synthetic_log import write_log
 from quadjax.plant.flight_log import gate_centres, log_columns, write_logs
 from quadjax.plant.plant_schema import PlantConfig
 from quadjax.plant.race import fly_plan, plan_flights, race_config, recordings
-from quadjax.policy_file import read_policy
+from quadjax.policy.file import read_policy
 
 ROOT = Path(__file__).resolve().parents[2]
 PRETRAINED = ROOT / "quadjax" / "pretrained"

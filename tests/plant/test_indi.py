@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import indi
-from quadjax.plant.identify import BELIEVED, fit_step, identify, without_effects
 from quadjax.plant.plant_schema import IndiConfig, PlantConfig
-from quadjax.vehicle.vector import Rotors, Vec3
+from quadjax.studies.identify import BELIEVED, fit_step, identify, without_effects
 from tests import reference as ref
 from tests.convert import constants
 

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
+from quadjax.core.frames import wrap_angle
+from quadjax.core.integrators import euler_step
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, plant
 from quadjax.plant.build import build_plant, drawn_factors
 from quadjax.plant.plant_schema import PlantConfig, load_plant_config
 from quadjax.vehicle import motor
-from quadjax.vehicle.frames import wrap_angle
-from quadjax.vehicle.integrate import euler_step
-from quadjax.vehicle.vector import Rotors, Vec3
 from tests import reference as ref
 from tests.convert import command_of, rotors, rows_of, state_of, vec3
 from tests.plant import effects_reference as source

@@ -7,8 +7,9 @@ import pytest
 from scipy.signal import butter, freqz, lfilter
 from scipy.stats import norm
 
-from quadjax.config import fill, parse_words
-from quadjax.errors import InputError
+from quadjax.config.loading import fill, parse_words
+from quadjax.core.errors import InputError
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import sensors
 from quadjax.plant.ekf_params import ekf_params
 from quadjax.plant.quaternion import of_euler
@@ -23,7 +24,6 @@ from quadjax.plant.sensor_schema import (
     SensorsConfig,
 )
 from quadjax.plant.truth import Truth
-from quadjax.vehicle.vector import Rotors, Vec3
 from tests.plant.support import RATE, at
 
 DRONES, SAMPLES = 200, 1000

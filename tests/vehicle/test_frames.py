@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.vehicle import frames
-from quadjax.vehicle.vector import Rotors, Vec3, dot, safe_norm
+from quadjax.core import frames
+from quadjax.core.vectors import Rotors, Vec3, dot, safe_norm
 from tests import reference as ref
 from tests.convert import vec3
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.core.integrators import INTEGRATORS, euler_step, rk4_step
 from quadjax.vehicle import motor
-from quadjax.vehicle.integrate import INTEGRATORS, euler_step, rk4_step
 from tests import reference as ref
 from tests.convert import command_of, constants, rows_of, state_of
 

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.vehicle.stage import call, stage, stage_backwards, staged, staged_values
+from quadjax.core.materialize import call, stage, stage_backwards, staged, staged_values
 
 TREE = {"a": jnp.array([0.3, -0.7, 2.0]), "b": (jnp.array([1.0, 2.0, 3.0]),)}
 

@@ -7,7 +7,7 @@ from quadjax.export.report import float64_commands
 from quadjax.export.verify import measurements
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.result import LeftOut, require
-from quadjax.fit.estimator_reference import estimate
+from quadjax.fitting.estimator_reference import estimate
 
 OBSERVATION_TOLERANCE = 1e-6  # of each input's range
 COMMAND_TOLERANCE = {"motor": 0.5, "rate": 1e-4}  # rpm; of the range

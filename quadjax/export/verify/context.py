@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.evaluate.laps import Trace
 from quadjax.export import emulator, flights
 from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.export.verify.folder import Folder
 from quadjax.export.verify.harness import HostLibrary, host_library
 from quadjax.export.verify.result import Failed
 from quadjax.export.verify.toolchain import host
+from quadjax.race.laps import Trace
 
 TRACED_RUNS, TRACED_LAPS = 4, 3
 BATCH = 50_000  # vectors that NumPy takes at a time

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.errors import InputError
+from quadjax.core.errors import InputError
 from quadjax.export import convert_policy as conversion
 from quadjax.export import flights
 from quadjax.export.emit_network import Provenance
@@ -14,7 +14,7 @@ from quadjax.export.estimator_tables import EstimatorTables
 from quadjax.export.fixed import FixedNetwork
 from quadjax.export.proof import Proof
 from quadjax.export.race_tables import RaceTables
-from quadjax.policy_file import Policy
+from quadjax.policy.file import Policy
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from quadjax.evaluate.laps import Trace
-from quadjax.fit import estimator
-from quadjax.vehicle.frames import attitude, world_to_body
+from quadjax.core.frames import attitude, world_to_body
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.race.laps import Trace
+from quadjax.vehicle import estimator
 from quadjax.vehicle.motor import MotorParams, force_moment
-from quadjax.vehicle.vector import Rotors, Vec3
 
 # Standard deviation of the noise: gyro, rad/s; accelerometer, m/s^2; rpm; body velocity, m/s.
 NOISE = np.array([0.1] * 3 + [0.5] * 3 + [20.0] * 4 + [0.02] * 3)

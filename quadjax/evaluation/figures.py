@@ -1,0 +1,238 @@
+"""Figures of flights and of training, as Matplotlib figures that nobody has to close."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from quadjax.config.schema import GateConfig
+from quadjax.core.errors import InputError
+from quadjax.core.files import whole_file
+from quadjax.evaluation.recording import Recording
+from quadjax.evaluation.tables import counted
+
+INK = "#1b2430"
+MUTED = "#7a8594"
+PAPER = "#ffffff"
+SPEED_COLOURS = LinearSegmentedColormap.from_list(
+    "speed", ["#2a1a8a", "#1f6feb", "#17b3c1", "#f2b134", "#e4572e", "#b5123e"]
+)
+SERIES = ("#1f6feb", "#d1495b", "#2a9d8f", "#e9a23b")
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches, on a canvas of its own."""
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor=PAPER)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path | str, dpi: int = 150) -> None:
+    """Write a figure whole; the suffix says the format (png, svg, pdf).
+
+    Raises:
+        InputError: a suffix that Matplotlib does not know, or a path that cannot be written.
+    """
+    kinds = figure.canvas.get_supported_filetypes()
+    kind = Path(path).suffix.lstrip(".").lower()
+    if kind not in kinds:
+        raise InputError(f"{path}: suffix is {kind!r}, allowed: {', '.join(sorted(kinds))}")
+    try:
+        with whole_file(path) as temporary:
+            figure.savefig(temporary, dpi=dpi, format=kind)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def tidy(axes: Axes) -> None:
+    """The look that every figure shares."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(MUTED)
+    axes.tick_params(colors=INK, labelsize=9)
+    axes.grid(True, color="#e6e9ee", linewidth=0.8)
+    axes.set_axisbelow(True)
+
+
+def trajectory_figure(
+    flights: Sequence[Recording], gates: Sequence[GateConfig], title: str = ""
+) -> Figure:
+    """Flights seen from above, coloured by speed, with the gates to size and their direction.
+
+    World NED seen from above: x (north) to the right, y (east) down, the same scale on both.
+
+    Args:
+        flights: one or more.
+        gates: of the track, in flying order.
+        title: over the picture.
+    """
+    if not flights:
+        raise InputError("no flight to draw")
+    lowest, highest = _extent(flights, gates)
+    width, height = highest - lowest
+    scale = min(8.0 / width, 5.6 / height)
+    figure = new_figure(scale * width + 1.9, scale * height + 1.0)
+    axes = figure.add_subplot()
+    tidy(axes)
+    shown = speed_range(flights)
+    for flight in flights:
+        lines = _speed_line(axes, flight, shown, 2.2 if len(flights) == 1 else 1.3)
+    middle = np.mean([gate.position[:2] for gate in gates], axis=0)
+    for index, gate in enumerate(gates):
+        _draw_gate(axes, gate, index, middle, 0.055 * float((highest - lowest).max()))
+    _draw_ends(axes, flights)
+    axes.set(xlim=(lowest[0], highest[0]), ylim=(highest[1], lowest[1]), aspect="equal")
+    axes.set_xlabel("x, north (m)", color=INK)
+    axes.set_ylabel("y, east (m)", color=INK)
+    axes.set_title(title, color=INK, fontsize=13, loc="left", pad=10)
+    bar = figure.colorbar(lines, ax=axes, pad=0.02, fraction=0.05, aspect=28, extend="min")
+    bar.set_label("speed (m/s)", color=INK)
+    bar.outline.set_visible(False)
+    return figure
+
+
+def flight_title(flight: Recording) -> str:
+    """What was flown and how it ended, in a few words."""
+    title = f"{counted(len(flight.lap_ends), 'lap')} in {flight.time[-1]:.2f} s"
+    return f"{title}, then {flight.crash}" if flight.crash else title
+
+
+def _extent(
+    flights: Sequence[Recording], gates: Sequence[GateConfig]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest x, y of all there is to see, with a margin, m."""
+    points = [flight.position[:, :2] for flight in flights]
+    points += [
+        np.array([gate.position[:2]]) + s * gate.size[0] for gate in gates for s in (-0.5, 0.5)
+    ]
+    every = np.concatenate(points)
+    room = 0.3 + 0.1 * float(np.ptp(every, axis=0).max())  # for the gates' numbers outside
+    return every.min(axis=0) - room, every.max(axis=0) + room
+
+
+def speed_range(flights: Sequence[Recording]) -> tuple[float, float]:
+    """Speeds between which colours tell flights apart, m/s; take-off may lie below."""
+    speeds = np.concatenate([flight.speed for flight in flights])
+    lowest, highest = float(np.quantile(speeds, 0.04)), float(speeds.max())
+    return min(lowest, highest - 0.1), highest
+
+
+def _speed_line(
+    axes: Axes, flight: Recording, shown: tuple[float, float], width: float
+) -> LineCollection:
+    points = flight.position[:, :2]
+    lines = LineCollection(
+        np.stack([points[:-1], points[1:]], axis=1),
+        cmap=SPEED_COLOURS,
+        linewidths=width,
+        capstyle="round",
+        zorder=3,
+    )
+    lines.set_array(0.5 * (flight.speed[:-1] + flight.speed[1:]))
+    lines.set_clim(*shown)
+    axes.add_collection(lines)
+    return lines
+
+
+def _draw_gate(axes: Axes, gate: GateConfig, index: int, middle: np.ndarray, reach: float) -> None:
+    """A gate as its opening, two posts, an arrow the way through, and its number outside."""
+    centre, yaw = np.array(gate.position[:2]), np.radians(gate.yaw_deg)
+    ahead, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+    across = 0.5 * gate.size[0] * right
+    ends = np.array([centre - across, centre + across])
+    axes.plot(*ends.T, color=INK, linewidth=4.0, solid_capstyle="butt", zorder=4, alpha=0.85)
+    axes.plot(*ends.T, "o", color=INK, markersize=7, zorder=5)
+    axes.annotate(
+        "",
+        xy=centre + reach * ahead,
+        xytext=centre,
+        arrowprops={"arrowstyle": "-|>,head_width=0.28,head_length=0.5", "color": INK, "lw": 1.8},
+        zorder=5,
+    )
+    outside = max(ends, key=lambda end: float(np.linalg.norm(end - middle)))
+    axes.text(
+        *(outside + 0.8 * reach * (outside - centre) / np.linalg.norm(outside - centre)),
+        str(index + 1),
+        color=INK,
+        fontsize=11,
+        fontweight="bold",
+        ha="center",
+        va="center",
+        zorder=6,
+    )
+
+
+def _draw_ends(axes: Axes, flights: Sequence[Recording]) -> None:
+    starts = np.array([flight.position[0, :2] for flight in flights])
+    axes.plot(
+        *starts.T,
+        "o",
+        markersize=9,
+        markerfacecolor=PAPER,
+        markeredgecolor=INK,
+        markeredgewidth=1.8,
+        linestyle="none",
+        label="start",
+        zorder=7,
+    )
+    crashed = np.array([flight.position[-1, :2] for flight in flights if flight.crash])
+    if crashed.size:
+        axes.plot(
+            *crashed.T,
+            "X",
+            markersize=11,
+            color=SERIES[1],
+            markeredgecolor=PAPER,
+            linestyle="none",
+            label="crash",
+            zorder=7,
+        )
+    axes.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=9)
+
+
+def signals_figure(flight: Recording, title: str = "") -> Figure:
+    """Propeller speeds (or thrust) and body rates of a flight over time, with its laps.
+
+    Args:
+        flight: one run.
+        title: over the picture.
+    """
+    figure = new_figure(9.0, 5.6)
+    above, below = figure.subplots(2, 1, sharex=True)
+    if flight.motor_level:
+        for motor, colour in enumerate(SERIES):
+            above.plot(flight.time, flight.actuators[:, motor], color=colour, lw=1.1)
+        labels = ["1 front left", "2 front right", "3 rear right", "4 rear left"]
+        above.set_ylabel("propeller speed (rpm)", color=INK)
+    else:
+        above.plot(flight.time, flight.actuators[:, 0], color=SERIES[0], lw=1.3)
+        above.plot(flight.time, flight.command[:, 3], color=MUTED, lw=0.8, zorder=1)
+        labels = ["thrust", "commanded"]
+        above.set_ylabel("specific thrust (m/s²)", color=INK)
+    above.legend(labels, ncols=4, **_legend_style())
+    for axis, colour in enumerate(SERIES[:3]):
+        below.plot(flight.time, flight.rates[:, axis], color=colour, lw=1.2)
+    below.legend(["p, roll", "q, pitch", "r, yaw"], ncols=4, **_legend_style())
+    below.set_ylabel("body rate (rad/s)", color=INK)
+    below.set_xlabel("time (s); dashed: a lap's end", color=INK)
+    for axes in (above, below):
+        tidy(axes)
+        axes.margins(x=0.01)
+        for end in flight.lap_ends:
+            axes.axvline(end, color=MUTED, lw=0.9, ls="--", zorder=0)
+    above.set_title(title, color=INK, fontsize=13, loc="left", pad=26)
+    return figure
+
+
+def _legend_style() -> dict[str, object]:
+    return {
+        "loc": "lower left",
+        "bbox_to_anchor": (-0.01, 0.99),
+        "frameon": False,
+        "labelcolor": INK,
+        "fontsize": 9,
+    }

@@ -1,0 +1,126 @@
+"""What the columns of a flight log are called, and in which units they come.
+
+A *quantity* is what the fit needs; each is one to four columns. Motors are listed in the order
+front-left, front-right, rear-right, rear-left, whatever the autopilot numbers them.
+"""
+
+import math
+
+from quadjax.core.errors import InputError
+from quadjax.fitting.config import LogsConfig, UnitsConfig
+
+WIDTHS = {
+    "time": 1,
+    "rpm": 4,
+    "rpm_command": 4,
+    "gyro": 3,
+    "acceleration": 3,
+    "acceleration_bias": 3,
+    "body_velocity": 3,
+    "world_velocity": 3,
+    "euler": 3,
+    "quaternion": 4,
+    "mode": 1,
+}
+REQUIRED = ("time", "rpm", "gyro", "acceleration")
+# Read where the log has them and a preset, not the user, asks for them.
+OPTIONAL = ("rpm_command", "euler", "mode")
+
+
+def _numbered(prefix: str, suffixes: str) -> list[str]:
+    return [prefix + suffix for suffix in suffixes]
+
+
+PRESETS: dict[str, dict[str, list[str]]] = {
+    "plain": {
+        "time": ["t"],
+        "rpm": _numbered("rpm_", "1234"),
+        "rpm_command": _numbered("rpm_ref_", "1234"),
+        "gyro": ["p", "q", "r"],
+        "acceleration": ["ax", "ay", "az"],
+        "body_velocity": ["vbx", "vby", "vbz"],
+        "euler": ["phi", "theta", "psi"],
+    },
+    "paparazzi": {
+        "time": ["time"],
+        "rpm": _numbered("rpm_obs_", "1234"),
+        "rpm_command": _numbered("rpm_ref_", "1234"),
+        "gyro": _numbered("rate_", "pqr"),
+        "acceleration": _numbered("ekf_U", "123"),
+        "acceleration_bias": ["ekf_X10", "ekf_X11", "ekf_X12"],
+        "world_velocity": _numbered("vel_", "xyz"),
+        "euler": ["att_phi", "att_theta", "att_psi"],
+        "mode": ["autopilot_mode"],
+    },
+}
+
+_RADIAN = math.pi / 180.0
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "rpm": {"rpm": 1.0, "krpm": 1e3, "rad/s": 30.0 / math.pi},
+    "gyro": {"rad/s": 1.0, "deg/s": _RADIAN},
+    "acceleration": {"m/s^2": 1.0, "g": 9.80665},
+    "velocity": {"m/s": 1.0, "cm/s": 0.01},
+    "angle": {"rad": 1.0, "deg": _RADIAN},
+}
+UNIT_OF = {
+    "time": "time",
+    "rpm": "rpm",
+    "rpm_command": "rpm",
+    "gyro": "gyro",
+    "acceleration": "acceleration",
+    "acceleration_bias": "acceleration",
+    "body_velocity": "velocity",
+    "world_velocity": "velocity",
+    "euler": "angle",
+}
+
+
+def scale_of(quantity: str, units: UnitsConfig) -> float:
+    """What a quantity's numbers are multiplied by on reading."""
+    kind = UNIT_OF.get(quantity)
+    return UNITS[kind][getattr(units, kind)] if kind else 1.0
+
+
+def check_logs_config(config: LogsConfig) -> None:
+    """Raise an ``InputError`` for an impossible value of the ``logs`` section."""
+    allowed: list[tuple[str, str, tuple[str, ...]]] = [
+        ("logs.format", config.format, tuple(PRESETS)),
+        ("logs.body_frame", config.body_frame, ("FRD", "FLU")),
+        ("logs.world_frame", config.world_frame, ("NED", "ENU")),
+    ]
+    allowed += [(f"logs.units.{k}", getattr(config.units, k), tuple(UNITS[k])) for k in UNITS]
+    for key, value, choices in allowed:
+        if value not in choices:
+            raise InputError(f"{key} is {value!r}, allowed: {list(choices)}")
+    for quantity, names in config.columns.items():
+        if quantity not in WIDTHS:
+            raise InputError(f"logs.columns.{quantity} is unknown, allowed: {list(WIDTHS)}")
+        if names and len(names) != WIDTHS[quantity]:
+            raise InputError(
+                f"logs.columns.{quantity} names {len(names)} columns, expected {WIDTHS[quantity]}"
+            )
+
+
+def wanted_columns(config: LogsConfig, header: list[str]) -> dict[str, list[str]]:
+    """Which columns of a log to read, by quantity; what is optional and absent is left out.
+
+    A quantity mapped to an empty list is not read. Naming one way to give a quantity (world
+    velocity, quaternion) switches off the preset's other way.
+    """
+    preset = dict(PRESETS[config.format])
+    for given, other in (
+        ("world_velocity", "body_velocity"),
+        ("body_velocity", "world_velocity"),
+        ("quaternion", "euler"),
+    ):
+        if config.columns.get(given):
+            preset.pop(other, None)
+    if "acceleration" in config.columns:
+        preset.pop("acceleration_bias", None)
+    wanted = {}
+    for quantity, names in (preset | dict(config.columns)).items():
+        absent = all(name not in header for name in names)
+        if names and not (absent and quantity in OPTIONAL and quantity not in config.columns):
+            wanted[quantity] = list(names)
+    return wanted

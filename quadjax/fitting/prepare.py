@@ -1,0 +1,214 @@
+"""From flight logs to model inputs and targets: filtering, derivatives, moments, trimming.
+
+Every signal goes through the same zero-phase second-order Butterworth low-pass (Ferede et al.,
+arXiv 2311.16948: 16 Hz). The nominal model's regressors are formed from the measured signals and
+then filtered like the targets, so that the least squares stay exact for a model that is not linear
+in the propeller speeds; the residual networks, which will see whatever the simulation gives them,
+take the filtered signals themselves.
+
+White noise that the filter leaves in a regressor pulls its constant towards zero. How much there
+is can be read off the part of the spectrum where a quadcopter does not move; the same amount is
+added once more, and what that changes in the regressors (``Samples.disturbed``) is what the least
+squares take off again.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt, welch
+
+from quadjax.core.errors import InputError
+from quadjax.fitting.config import PrepareConfig
+from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.nominal import AXES, Motion, angular_moment, regressors
+from quadjax.vehicle.constants import MotorConstants
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Rows of one or more flights, ready to fit."""
+
+    motion: Motion  # filtered inputs of the model
+    regressors: dict[str, np.ndarray]  # axis: (n, k), filtered
+    disturbed: dict[str, np.ndarray]  # axis: (n, k), what as much noise again adds to regressors
+    measured: np.ndarray  # (n, 6) specific force, m/s^2, and moment, N m, filtered; as AXES
+    flight: np.ndarray  # (n,) index of the flight
+    time: np.ndarray  # (n,) s, in the flight
+    sample_rate: float  # Hz
+
+    def __getitem__(self, rows: slice | np.ndarray) -> "Samples":
+        """Some of the rows."""
+        return Samples(
+            self.motion[rows],
+            {axis: columns[rows] for axis, columns in self.regressors.items()},
+            {axis: columns[rows] for axis, columns in self.disturbed.items()},
+            self.measured[rows],
+            self.flight[rows],
+            self.time[rows],
+            self.sample_rate,
+        )
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
+    """Zero-phase second-order Butterworth low-pass along the first axis.
+
+    Args:
+        signal: (n, ..) evenly spaced samples.
+        sample_rate: Hz.
+        cutoff: Hz; forwards and backwards, so -6 dB there.
+
+    Raises:
+        InputError: a cut-off that is not between zero and half the sample rate.
+    """
+    if not 0.0 < cutoff < 0.5 * sample_rate:
+        raise InputError(
+            f"prepare.cutoff is {cutoff} Hz, allowed: above 0 and below half the sample rate "
+            f"({sample_rate:.4g} Hz)"
+        )
+    return sosfiltfilt(butter(2, cutoff, fs=sample_rate, output="sos"), signal, axis=0)
+
+
+def airborne(log: FlightLog, config: PrepareConfig) -> np.ndarray:
+    """Rows (n,) in flight: the log says so, and the propellers are not idling.
+
+    Propellers below a fraction of the flight's median count as on the ground before take-off,
+    after landing, and wherever that lasts; a dive is short.
+    """
+    mean = log.rpm.mean(axis=1)
+    if not log.flying.any():
+        raise InputError(f"{log.path}: the log's mode never says that the drone flies")
+    spinning = mean >= config.airborne_fraction * np.median(mean[log.flying])
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], spinning, [True]])))
+    mask = log.flying.copy()
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        at_an_end = start == 0 or stop == len(mean)
+        if at_an_end or stop - start > config.airborne_pause * log.sample_rate:
+            mask[start:stop] = False
+    return mask
+
+
+def prepare(
+    logs: list[FlightLog], constants: MotorConstants, config: PrepareConfig, min_seconds: float
+) -> Samples:
+    """Inputs, regressors and targets of every flight's airborne part.
+
+    Args:
+        logs: flights, of the same drone; they may differ in sample rate.
+        constants: for the inertia.
+        config: the filter and what counts as flight.
+        min_seconds: flight time that every log must have, s.
+
+    Raises:
+        InputError: a flight with too little airborne time, or a cut-off too high for its rate.
+    """
+    parts = [
+        _prepare_one(log, index, constants, config, min_seconds) for index, log in enumerate(logs)
+    ]
+    return join(parts)
+
+
+def join(parts: list[Samples]) -> Samples:
+    """Rows of several parts after one another."""
+    motions = [part.motion for part in parts]
+    return Samples(
+        Motion(
+            *(
+                np.concatenate([getattr(motion, name) for motion in motions])
+                for name in ("rpm", "rpm_rate", "body_velocity", "rates")
+            )
+        ),
+        {axis: np.concatenate([part.regressors[axis] for part in parts]) for axis in AXES},
+        {axis: np.concatenate([part.disturbed[axis] for part in parts]) for axis in AXES},
+        np.concatenate([part.measured for part in parts]),
+        np.concatenate([part.flight for part in parts]),
+        np.concatenate([part.time for part in parts]),
+        float(np.median([part.sample_rate for part in parts])),
+    )
+
+
+def _prepare_one(
+    log: FlightLog,
+    index: int,
+    constants: MotorConstants,
+    config: PrepareConfig,
+    min_seconds: float,
+) -> Samples:
+    rows = airborne(log, config)
+    if rows.sum() < min_seconds * log.sample_rate:
+        raise InputError(
+            f"{log.path}: {rows.sum() / log.sample_rate:.3g} s in the air, expected at least "
+            f"{min_seconds:g} s (logs.min_seconds)"
+        )
+    rate = log.sample_rate
+
+    def smooth(signal: np.ndarray) -> np.ndarray:
+        return low_pass(signal, rate, config.cutoff)
+
+    def filtered_regressors(motion: Motion) -> dict[str, np.ndarray]:
+        return {axis: smooth(columns) for axis, columns in regressors(motion).items()}
+
+    still = np.zeros_like(log.rates)
+    rates, rpm = smooth(log.rates), smooth(log.rpm)
+    moment = angular_moment(constants, still, derivative(rates, rate))
+    moment += smooth(angular_moment(constants, log.rates, still))
+    exact = filtered_regressors(_raw_motion(log))
+    noisier = filtered_regressors(_raw_motion(_with_noise_again(log, config.cutoff, index)))
+    samples = Samples(
+        Motion(rpm, derivative(rpm, rate), smooth(log.body_velocity), rates),
+        exact,
+        {axis: noisier[axis] - exact[axis] for axis in AXES},
+        np.concatenate([smooth(log.specific_force), moment], axis=1),
+        np.full(len(log.time), index),
+        log.time - log.time[0],
+        rate,
+    )
+    return samples[rows]
+
+
+def _raw_motion(log: FlightLog) -> Motion:
+    return Motion(log.rpm, derivative(log.rpm, log.sample_rate), log.body_velocity, log.rates)
+
+
+def derivative(signal: np.ndarray, sample_rate: float) -> np.ndarray:
+    """Time derivative along the first axis, by central differences of fourth order."""
+    slope = np.gradient(signal, 1.0 / sample_rate, axis=0)
+    if len(signal) > 4:
+        near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
+        slope[2:-2] = (8.0 * near - far) * (sample_rate / 12.0)
+    return slope
+
+
+def noise_level(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
+    """Standard deviation (k,) of the white noise on signals (n, k).
+
+    From the median of the spectrum between 0.3 and 0.48 of the sample rate, which no motion of the
+    drone reaches and peaks of vibration do not sway; zero where the filter leaves no such band.
+    """
+    if 0.3 * sample_rate < 2.0 * cutoff:
+        return np.zeros(signal.shape[1])
+    frequency, power = welch(signal, sample_rate, nperseg=min(256, len(signal)), axis=0)
+    band = (frequency > 0.3 * sample_rate) & (frequency < 0.48 * sample_rate)
+    return np.sqrt(np.median(power[band], axis=0) * 0.5 * sample_rate)
+
+
+def _with_noise_again(log: FlightLog, cutoff: float, seed: int) -> FlightLog:
+    random = np.random.default_rng(seed)
+
+    def noisier(signal: np.ndarray) -> np.ndarray:
+        level = noise_level(signal, log.sample_rate, cutoff)
+        return signal + level * random.normal(size=signal.shape)
+
+    return replace(
+        log,
+        rpm=noisier(log.rpm),
+        body_velocity=noisier(log.body_velocity),
+        rates=noisier(log.rates),
+    )
+
+
+def thin(samples: Samples, sample_rate: float) -> Samples:
+    """Every k-th row, so that about ``sample_rate`` Hz are left of what the filter has smoothed."""
+    return samples[:: max(1, int(round(samples.sample_rate / sample_rate)))]

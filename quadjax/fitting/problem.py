@@ -1,0 +1,140 @@
+"""What a residual network learns: inputs, what the nominal model leaves, and weights.
+
+A network is trained many times over, each time without some folds; every such *task* has its own
+nominal model and its own scaling, so that nothing of what is left out leaks in.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadjax.fitting.least_squares import fit_nominal, with_fit
+from quadjax.fitting.nominal import AXES, CONSTANTS, Motion
+from quadjax.fitting.prepare import Samples
+from quadjax.vehicle.constants import MotorConstants
+
+
+@dataclass(frozen=True)
+class Network:
+    """One of the two residual networks: its axes and how a mirror image changes it."""
+
+    name: str
+    axes: tuple[str, ...]
+    inputs: int
+    # Left and right swapped: motors 1 <-> 2 and 3 <-> 4, and vy, p, r, Mx, Mz change sign.
+    mirror_order: tuple[int, ...]
+    mirror_sign: tuple[float, ...]
+    mirror_output: tuple[float, ...]
+
+    @property
+    def columns(self) -> list[int]:
+        """Where its axes are among ``AXES``."""
+        return [AXES.index(axis) for axis in self.axes]
+
+
+_ORDER = (1, 0, 3, 2, 4, 5, 6)
+_SIGN = (1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
+NETWORKS = {
+    "thrust": Network("thrust", ("az",), 7, _ORDER, _SIGN, (1.0,)),
+    "moment": Network(
+        "moment",
+        ("Mx", "My", "Mz"),
+        10,
+        (*_ORDER, 7, 8, 9),
+        (*_SIGN, -1.0, 1.0, -1.0),
+        (-1.0, 1.0, -1.0),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One training: some folds left out, with or without mirror images."""
+
+    left_out: frozenset[int]
+    mirror: bool
+    constants: MotorConstants  # nominal model of the rows that are not left out
+    inputs: np.ndarray  # (n, i) standardised
+    errors: np.ndarray  # (n, o) standardised
+    weights: np.ndarray  # (n, o) each fold counts the same
+    centre: np.ndarray  # (i,) of the inputs, file units
+    scale: np.ndarray  # (i,)
+    low: np.ndarray  # (i,) range of the inputs, file units
+    high: np.ndarray  # (i,)
+    error_scale: np.ndarray  # (o,) root mean square error of the nominal model
+
+
+def file_inputs(network: Network, motion: Motion, rpm_range: tuple[float, float]) -> np.ndarray:
+    """Inputs (n, 7 or 10) as the residual file takes them: rpm in [-1, 1], the rest in SI."""
+    low, high = rpm_range
+    rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0
+    parts = [rpm, motion.body_velocity, motion.rates]
+    return np.concatenate(parts, axis=1)[:, : network.inputs]
+
+
+def mirrored(network: Network, inputs: np.ndarray) -> np.ndarray:
+    """The same flight seen in a mirror: inputs (n, i)."""
+    return inputs[:, list(network.mirror_order)] * np.array(network.mirror_sign)
+
+
+def nominal_without(
+    samples: Samples,
+    fold: np.ndarray,
+    left_out: frozenset[int],
+    base: MotorConstants,
+    fit: bool = True,
+) -> MotorConstants:
+    """The nominal model of the rows of all folds but some, or the base's own if not to be fit."""
+    if not fit:
+        return base
+    return with_fit(base, fit_nominal(samples[learned_rows(fold, left_out)], base))
+
+
+def learned_rows(fold: np.ndarray, left_out: frozenset[int]) -> np.ndarray:
+    """Rows (n,) bool of all folds but some; never a test row."""
+    return (fold >= 0) & ~np.isin(fold, list(left_out))
+
+
+def nominal_error(samples: Samples, constants: MotorConstants) -> np.ndarray:
+    """Measured less nominal (n, 6), as ``AXES``."""
+    modelled = [
+        samples.regressors[axis]
+        @ np.array([float(getattr(constants, name)) for name in CONSTANTS[axis]])
+        for axis in AXES
+    ]
+    return samples.measured - np.stack(modelled, axis=1)
+
+
+def make_task(
+    network: Network,
+    samples: Samples,
+    fold: np.ndarray,
+    left_out: frozenset[int],
+    mirror: bool,
+    constants: MotorConstants,
+    rpm_range: tuple[float, float],
+) -> Task:
+    """The rows of one training, standardised by themselves alone."""
+    rows = learned_rows(fold, left_out)
+    inputs = file_inputs(network, samples.motion[rows], rpm_range)
+    errors = nominal_error(samples[rows], constants)[:, network.columns]
+    seen = np.concatenate([inputs, mirrored(network, inputs)]) if mirror else inputs
+    centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-6)
+    error_scale = np.maximum(np.sqrt((errors**2).mean(axis=0)), 1e-12)
+    weights = np.ones_like(errors)
+    for number in np.unique(fold[rows]):
+        here = fold[rows] == number
+        weights[here] = error_scale**2 / np.maximum((errors[here] ** 2).mean(axis=0), 1e-24)
+    return Task(
+        left_out=left_out,
+        mirror=mirror,
+        constants=constants,
+        inputs=(inputs - centre) / scale,
+        errors=errors / error_scale,
+        weights=weights / weights.mean(axis=0),
+        centre=centre,
+        scale=scale,
+        low=seen.min(axis=0),
+        high=seen.max(axis=0),
+        error_scale=error_scale,
+    )

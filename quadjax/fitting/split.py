@@ -1,0 +1,93 @@
+"""What is held out of a fit: whole flights, or parts of each flight's time.
+
+The rows that may be learned from are cut into *folds*: groups of whole flights, or, by time,
+consecutive blocks. A choice (when to stop, how much to shrink, whether to refuse) is made on a fold
+that took no part in the training. Test rows take part in neither.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.fitting.config import SplitConfig
+from quadjax.fitting.prepare import Samples
+
+TEST = -1
+NOWHERE = -2  # next to test rows, whose filter reaches over
+GUARD = 0.1  # s
+
+
+@dataclass(frozen=True)
+class Split:
+    """A fold number for every row."""
+
+    by: str  # flight, time
+    fold: np.ndarray  # (n,) 0 .. folds - 1, TEST or NOWHERE
+    names: tuple[str, ...]  # of the folds
+
+    @property
+    def folds(self) -> int:
+        """How many folds there are."""
+        return len(self.names)
+
+
+def make_split(samples: Samples, flights: list[str], config: SplitConfig) -> Split:
+    """Cut rows into folds.
+
+    Args:
+        samples: rows of every flight.
+        flights: their names.
+        config: how to cut.
+
+    Raises:
+        InputError: an impossible value, or too few flights for it.
+    """
+    _check(flights, config)
+    test = np.isin(samples.flight, [flights.index(name) for name in config.test_flights])
+    learned = [index for index, name in enumerate(flights) if name not in config.test_flights]
+    by = config.by if config.by != "auto" else ("flight" if len(learned) > 1 else "time")
+    fold = np.full(len(samples), TEST)
+    if by == "time":
+        names = tuple(f"block {index + 1}" for index in range(max(2, min(4, config.folds))))
+        for flight in learned:
+            rows = np.flatnonzero(samples.flight == flight)
+            fold[rows] = _blocks(samples.time[rows], len(names), config.test_fraction)
+    else:
+        if len(learned) < 2:
+            raise InputError(
+                f"split.by is 'flight', but {len(learned)} flight is left to learn from; "
+                "add flights or set split.by=time"
+            )
+        count = min(config.folds, len(learned))
+        groups = [learned[index::count] for index in range(count)]
+        names = tuple("+".join(flights[index] for index in group) for group in groups)
+        for number, group in enumerate(groups):
+            fold[np.isin(samples.flight, group)] = number
+    fold[test] = TEST
+    return Split(by, fold, names)
+
+
+def _blocks(time: np.ndarray, count: int, test_fraction: float) -> np.ndarray:
+    share = np.arange(len(time)) / len(time) / (1.0 - test_fraction)
+    fold = np.minimum(np.floor(share * count).astype(int), count)
+    last = time[fold < count][-1]
+    fold[(fold < count) & (time > last - GUARD)] = NOWHERE
+    fold[fold == count] = TEST
+    return fold
+
+
+def _check(flights: list[str], config: SplitConfig) -> None:
+    if config.by not in ("auto", "flight", "time"):
+        raise InputError(f"split.by is {config.by!r}, allowed: ['auto', 'flight', 'time']")
+    if not 0.0 < config.test_fraction < 0.9:
+        raise InputError(
+            f"split.test_fraction is {config.test_fraction}, allowed: above 0 and below 0.9"
+        )
+    if config.folds < 2:
+        raise InputError(f"split.folds is {config.folds}, expected at least 2")
+    for name in config.test_flights:
+        if name not in flights:
+            raise InputError(f"split.test_flights: no flight {name!r}; there are {flights}")
+    if len(set(config.test_flights)) == len(flights):
+        raise InputError("split.test_flights leaves no flight to learn from")

@@ -1,0 +1,1 @@
+"""The race in other projects' interfaces: Gymnasium and Stable-Baselines3."""

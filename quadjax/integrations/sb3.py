@@ -1,0 +1,142 @@
+"""The race for Stable-Baselines3: its own kind of vector environment over ``RaceVectorEnv``.
+
+Stable-Baselines3 tells a truncation from a crash by ``infos[i]["TimeLimit.truncated"]`` and
+bootstraps from ``infos[i]["terminal_observation"]``, the observation before the reset.
+"""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.integrations.gym import AutoresetMode, RaceVectorEnv
+from quadjax.policy.file import Policy
+
+try:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError:
+    raise InputError(
+        "this needs Stable-Baselines3, which is not installed: pip install -e '.[sb3]'"
+    ) from None
+
+Indices = None | int | Iterable[int]
+
+
+class RaceVecEnv(VecEnv):
+    """``num_envs`` drones of a config's race."""
+
+    def __init__(self, num_envs: int, config: Config | Path | str, seed: int = 0) -> None:
+        """Build the race."""
+        self._race = RaceVectorEnv(num_envs, config, AutoresetMode.SAME_STEP, seed)
+        self._action: np.ndarray | None = None
+        self.render_mode = None
+        super().__init__(
+            num_envs, self._race.single_observation_space, self._race.single_action_space
+        )
+
+    def reset(self) -> np.ndarray:
+        """Begin all episodes anew."""
+        seed = self._seeds[0]
+        self._reset_seeds()
+        observation, _ = self._race.reset(seed=seed)
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions for ``step_wait``."""
+        self._action = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
+        """Fly one step of every drone."""
+        observation, reward, terminated, truncated, race = self._race.step(self._action)
+        done = terminated | truncated
+        infos: list[dict] = [{} for _ in range(self.num_envs)]
+        for index in np.flatnonzero(done):
+            infos[index] = {
+                "terminal_observation": race["final_obs"][index],
+                "TimeLimit.truncated": bool(truncated[index] and not terminated[index]),
+            }
+        return observation, reward.astype(np.float32), done, infos
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[object]:
+        """An attribute, the same for every drone."""
+        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: object, indices: Indices = None) -> None:
+        """Set an attribute for all drones."""
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *arguments: object, indices: Indices = None, **named: object
+    ) -> list[object]:
+        """Drones have no methods of their own."""
+        raise NotImplementedError("the drones of a race are one program")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> Sequence[bool]:
+        """No drone is wrapped by itself."""
+        return [False] * len(list(self._get_indices(indices)))
+
+
+def make_ppo(config: Config, seed: int, device: str = "cpu") -> PPO:
+    """Stable-Baselines3's PPO with the hyperparameters of a config, on its race.
+
+    Separate networks and state-independent Gaussian noise, as in ``quadjax.learners.ppo``.
+
+    Raises:
+        InputError: a config of another learner.
+    """
+    if config.algorithm != "ppo":
+        raise InputError(f"algorithm is {config.algorithm}, expected ppo, which both sides have")
+    import torch
+
+    ppo, hidden = config.ppo, list(config.network.hidden)
+    activation = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[config.network.activation]
+    return PPO(
+        "MlpPolicy",
+        RaceVecEnv(config.train.drones, config, seed),
+        learning_rate=ppo.learning_rate,
+        n_steps=ppo.steps_per_update,
+        batch_size=config.train.drones * ppo.steps_per_update // ppo.batches,
+        n_epochs=ppo.epochs,
+        gamma=ppo.discount,
+        gae_lambda=ppo.gae_lambda,
+        clip_range=ppo.clip,
+        ent_coef=ppo.entropy_coefficient,
+        vf_coef=ppo.value_coefficient,
+        max_grad_norm=ppo.gradient_norm,
+        policy_kwargs={
+            "net_arch": {"pi": hidden, "vf": hidden},
+            "activation_fn": activation,
+            "log_std_init": config.network.log_std,
+        },
+        seed=seed,
+        device=device,
+    )
+
+
+def policy_of_ppo(model: PPO, config: Config, like: Policy) -> Policy:
+    """Stable-Baselines3's policy as a policy file's content.
+
+    Args:
+        model: with an MLP policy of the config's shape.
+        config: of the race.
+        like: a policy of the same config, for all but the numbers.
+    """
+    import dataclasses
+
+    import torch
+
+    network = model.policy
+    linear = [m for m in network.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
+    layers = tuple(
+        (m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy())
+        for m in [*linear, network.action_net]
+    )
+    return dataclasses.replace(
+        like, layers=layers, log_std=network.log_std.detach().cpu().numpy(), source={}
+    )

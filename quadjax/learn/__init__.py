@@ -1,4 +1,0 @@
-"""Learners: networks, the loop that all share, and one small package for each.
-
-A learner takes any ``quadjax.environment.Environment``; nothing here knows of drones.
-"""

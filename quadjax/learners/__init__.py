@@ -1,0 +1,4 @@
+"""Learners: networks, the loop that all share, and one small package for each.
+
+A learner takes any ``quadjax.core.environment.Environment``; nothing here knows of drones.
+"""

@@ -1,0 +1,120 @@
+"""Compiled chunks of updates, data-parallel over devices: environments split, parameters shared."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from quadjax.learners.hosts import spread
+from quadjax.learners.state import AXIS, Learner, Metrics, TrainState
+
+Chunk = Callable[[object, TrainState], tuple[TrainState, Metrics]]
+
+
+def make_mesh(count: int) -> Mesh:
+    """A mesh of the first ``count`` devices of every process."""
+    each: dict[int, list[jax.Device]] = {}
+    for device in jax.devices():
+        each.setdefault(device.process_index, []).append(device)
+    chosen = [device for process in sorted(each) for device in each[process][:count]]
+    return Mesh(np.array(chosen), (AXIS,))
+
+
+def device_count(lanes: int, wanted: int) -> int:
+    """The most devices, up to ``wanted``, among which the lanes divide evenly; 0 if none do."""
+    counts = range(1, max(wanted, 1) + 1)
+    return max((count for count in counts if lanes % count == 0), default=0)
+
+
+def specs_of(state: TrainState) -> TrainState:
+    """How each leaf is split: environments and keys along their last axis, all else shared."""
+
+    def split(leaf: jax.Array) -> PartitionSpec:
+        return PartitionSpec(*(None,) * (leaf.ndim - 1), AXIS)
+
+    shared = jax.tree.map(lambda _: PartitionSpec(), state)
+    return shared.replace(
+        environment=jax.tree.map(split, state.environment), keys=PartitionSpec(AXIS)
+    )
+
+
+def _strong(leaf: jax.Array) -> jax.Array:
+    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        return leaf
+    return leaf.astype(leaf.dtype)
+
+
+def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
+    return jax.tree.map(
+        lambda spec: NamedSharding(mesh, spec),
+        specs_of(state),
+        is_leaf=lambda x: isinstance(x, PartitionSpec),
+    )
+
+
+def place(state: TrainState, mesh: Mesh) -> TrainState:
+    """The state laid out over the mesh.
+
+    With strong types: a weakly typed leaf would come back strong and not fit its own program.
+    """
+    return spread(jax.tree.map(_strong, state), _shardings(state, mesh))
+
+
+def abstract(state: TrainState, mesh: Mesh) -> TrainState:
+    """Shapes, types and shardings of a placed state, of one from ``jax.eval_shape``."""
+    return jax.tree.map(
+        lambda x, sharding: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding),
+        state,
+        _shardings(state, mesh),
+    )
+
+
+def compile_options() -> dict[str, bool]:
+    """XLA's own threads get in each other's way in matrices this small: a device a core instead."""
+    return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
+
+
+def compile_chunk(
+    learner: Learner, mesh: Mesh, updates: int, params: object, state: TrainState
+) -> Chunk:
+    """``updates`` updates as one compiled program that takes the old state's memory.
+
+    Compiled here and now, so that nothing is compiled twice and a state of another shape is an
+    error rather than a wait.
+
+    Args:
+        learner: what to run.
+        mesh: the devices.
+        updates: in one call.
+        params: traced parameters of the environment.
+        state: a placed state, or its ``abstract`` one.
+
+    Returns:
+        A function of the environment's parameters and the state, to the next state and the
+        metrics of every update, each (updates,).
+    """
+    specs, shared = specs_of(state), PartitionSpec()
+
+    def many(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
+        return jax.lax.scan(
+            lambda carry, _: learner.update(hyper, params, carry), state, None, updates
+        )
+
+    split = jax.shard_map(
+        many,
+        mesh=mesh,
+        in_specs=(shared, shared, specs),
+        out_specs=(specs, shared),
+        check_vma=False,
+    )
+    everywhere = NamedSharding(mesh, shared)
+    hyper, params = spread((learner.hyper, params), everywhere)
+    jitted = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
+    program = jitted.lower(hyper, params, state).compile()
+
+    def chunk(params: object, state: TrainState) -> tuple[TrainState, Metrics]:
+        return program(hyper, spread(params, everywhere), state)
+
+    return chunk

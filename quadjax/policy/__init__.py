@@ -1,0 +1,1 @@
+"""Policies: the file, and inference from it."""

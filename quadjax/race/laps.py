@@ -1,0 +1,264 @@
+"""Timed laps by the exact rules, many drones at once."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from quadjax.core.vectors import Vec3
+from quadjax.evaluation.result import CRASHES, Laps
+from quadjax.race import environment
+from quadjax.race.build import exact_rules
+from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.rules import Outcome
+from quadjax.race.track import Track, gate_count
+
+Actor = Callable[[object, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
+SECONDS_PER_LAP = 8.0  # of 14 m: a drone slower than this has lost its way
+METRES_PER_LAP = 14.0
+
+
+@struct.dataclass
+class Race:
+    """Drones in a timed race, batched along the last axis."""
+
+    state: RaceState
+    lap_end: jax.Array  # (laps, runs) s since the start; 0 where not flown
+    over: jax.Array  # (runs,) bool
+    crash: jax.Array  # (runs,) index into CRASHES
+
+
+Carry = tuple[Race, jax.Array]  # drones and the key of the noise to come
+
+
+@struct.dataclass
+class Trace:
+    """What was flown: time first, then runs."""
+
+    position: jax.Array  # (time, 3, runs) m, world
+    velocity: jax.Array  # (time, 3, runs) m/s, world
+    euler: jax.Array  # (time, 3, runs) rad
+    rates: jax.Array  # (time, 3, runs) rad/s
+    actuators: jax.Array  # (time, 4 | 1, runs) rpm, or thrust in m/s^2
+    command: jax.Array  # (time, 4, runs)
+    target: jax.Array  # (time, runs)
+    over: jax.Array  # (time, runs) bool, before the step
+
+
+def starting_states(
+    choices: Choices, params: RaceParams, key: jax.Array, runs: int, from_hover: bool
+) -> RaceState:
+    """Starts of a race, batched along the last axis.
+
+    Disturbances and constants are drawn as the config says, whether from hover or at random.
+    """
+
+    def one(key: jax.Array) -> RaceState:
+        drawn = environment.reset(choices, params, key)
+        if not from_hover:
+            zero = jnp.zeros((), jnp.int32)
+            return drawn.replace(step=zero, gates_passed=zero)
+        hover = environment.hover_start(params, drawn.constants)
+        if choices.kind == "rate":
+            return hover
+        kept = hover.drone.replace(
+            moment_ext=drawn.drone.moment_ext, force_ext=drawn.drone.force_ext
+        )
+        return environment.with_estimate(params, hover.replace(drone=kept))
+
+    return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
+
+
+def _crash_code(outcome: Outcome) -> jax.Array:
+    flags = (
+        outcome.gate_collision,
+        outcome.ground,
+        outcome.out_of_bounds,
+        outcome.attitude,
+        outcome.non_finite,
+    )
+    code = jnp.zeros((), jnp.int32)
+    for index, flag in reversed(list(enumerate(flags, start=1))):
+        code = jnp.where(flag, index, code)
+    return code
+
+
+def _step_one(
+    choices: Choices, params: RaceParams, race: Race, action: jax.Array, gates: int
+) -> Race:
+    """One step of one drone; a race that is over stands still."""
+    following, _, outcome = environment.transition(choices, params, race.state, action)
+    return score(race, following, outcome, params.limits.dt, gates)
+
+
+def score(race: Race, following: RaceState, outcome: Outcome, dt: jax.Array, gates: int) -> Race:
+    """One drone's race after a step: its laps, whether it is over, and why.
+
+    Args:
+        race: before the step; one that is over stands still.
+        following: the state after it.
+        outcome: what the step led to.
+        dt: () s, of a step.
+        gates: of the track.
+    """
+    laps = race.lap_end.shape[0]
+    passed = following.gates_passed - race.state.gates_passed
+    lap = (following.gates_passed - 1) // gates
+    ended = (passed > 0) & (following.gates_passed % gates == 0) & ~race.over
+    # A start in the middle of the track has its lap where its gates add up to one.
+    now = following.step.astype(dt.dtype) * dt
+    lap_end = jnp.where(ended & (jnp.arange(laps) == lap), now, race.lap_end)
+    crashed = outcome.terminated & ~race.over
+    crash = jnp.where(crashed, _crash_code(outcome), race.crash)
+    over = race.over | crashed | (lap_end[-1] > 0)
+    state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
+    return Race(state, lap_end, over, crash)
+
+
+def begin(state: RaceState, laps: int) -> Race:
+    """Drones before a race of some laps, batched along the last axis."""
+    runs = state.step.shape[-1]
+    return Race(state, jnp.zeros((laps, runs)), jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32))
+
+
+@functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace"))
+def fly_race(
+    choices: Choices,
+    actor: Actor,
+    laps: int,
+    steps: int,
+    trace: bool,
+    params: RaceParams,
+    policy: object,
+    state: RaceState,
+    key: jax.Array,
+) -> tuple[Race, Trace | None]:
+    """Fly from given states for at most ``steps`` steps; see ``fly_laps``."""
+    one = _stepper(choices, actor, params, policy)
+
+    def record(carry: Carry, _: None) -> tuple[Carry, Trace]:
+        following, action = one(carry)
+        return following, _trace(choices, params, carry[0], action)
+
+    carry = (begin(state, laps), key)
+    if trace:
+        (race, _), kept = jax.lax.scan(record, carry, None, steps)
+        return race, kept
+
+    def going_on(carry: tuple) -> jax.Array:
+        count, (race, _) = carry
+        return (count < steps) & ~jnp.all(race.over)
+
+    def body(carry: tuple) -> tuple:
+        return carry[0] + 1, one(carry[1])[0]
+
+    _, (race, _) = jax.lax.while_loop(going_on, body, (0, carry))
+    return race, None
+
+
+def _stepper(
+    choices: Choices, actor: Actor, params: RaceParams, policy: object
+) -> Callable[[Carry], tuple[Carry, jax.Array]]:
+    """One step of all drones: to the race after it, and the actions (runs, 4)."""
+    gates = gate_count(params.track)
+    observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
+    act = jax.vmap(actor, in_axes=(None, 0, 0))
+    step = jax.vmap(
+        lambda race, action: _step_one(choices, params, race, action, gates),
+        in_axes=(-1, 0),
+        out_axes=-1,
+    )
+
+    def one(carry: Carry) -> tuple[Carry, jax.Array]:
+        race, key = carry
+        key, noise_key = jax.random.split(key)
+        noise = jax.random.normal(noise_key, (race.over.shape[-1], 4))
+        action = act(policy, observe(params, race.state), noise)
+        return (step(race, action), key), action
+
+    return one
+
+
+def _trace(choices: Choices, params: RaceParams, race: Race, action: jax.Array) -> Trace:
+    drone = race.state.drone
+
+    def rows(vector: Vec3) -> jax.Array:
+        return jnp.stack(jax.tree.leaves(vector))
+
+    command = jax.vmap(
+        lambda a: jnp.stack(jax.tree.leaves(environment.command(choices, params, a))), out_axes=-1
+    )(action)
+    return Trace(
+        position=rows(drone.position),
+        velocity=rows(drone.velocity),
+        euler=rows(drone.euler),
+        rates=rows(drone.rates),
+        actuators=rows(drone.rpm if choices.kind == "motor" else drone.thrust),
+        command=command,
+        target=race.state.target,
+        over=race.over,
+    )
+
+
+def fly_laps(
+    choices: Choices,
+    params: RaceParams,
+    actor: Actor,
+    policy: object,
+    key: jax.Array,
+    laps: int = 6,
+    runs: int = 5,
+    from_hover: bool = True,
+    trace: bool = False,
+) -> tuple[Laps, Trace | None]:
+    """Fly a timed race by the exact rules.
+
+    Args:
+        choices: static settings of the race.
+        params: its numbers; margins and training limits are taken off.
+        actor: ``(policy, observation (k,), noise (4,)) -> action (4,)`` of one drone; static.
+        policy: what the actor is given.
+        key: for starts and noise.
+        laps: to fly.
+        runs: at once.
+        from_hover: from hover at the last gate, else from the training's random starts.
+        trace: whether to keep what was flown.
+
+    Returns:
+        The result, and the trace if asked for.
+    """
+    params = exact_rules(params)
+    choices = dataclasses.replace(choices, stagger_clocks=False)
+    start_key, noise_key = jax.random.split(key)
+    states = starting_states(choices, params, start_key, runs, from_hover)
+    steps = step_limit(params, laps)
+    race, kept = fly_race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
+    return laps_of(race, float(params.limits.dt)), kept
+
+
+def step_limit(params: RaceParams, laps: int) -> int:
+    """Steps after which a race is out of time."""
+    stretch = max(1.0, lap_length(params.track) / METRES_PER_LAP)
+    return round(laps * SECONDS_PER_LAP * stretch / float(params.limits.dt))
+
+
+def laps_of(race: Race, dt: float) -> Laps:
+    """The result of a race that is over, ``dt`` s a step."""
+    ends = np.asarray(race.lap_end, np.float64).T
+    flown = np.where(ends > 0, ends, np.nan)
+    times = np.diff(flown, axis=1, prepend=0.0)
+    codes = np.asarray(race.crash)
+    unfinished = ~np.isfinite(flown[:, -1]) & (codes == 0)
+    codes = np.where(unfinished, CRASHES.index("out of time"), codes)
+    seconds = np.asarray(race.state.step, np.float64) * dt
+    return Laps(times, tuple(CRASHES[code] for code in codes), seconds)
+
+
+def lap_length(track: Track) -> float:
+    """Length of a lap along straight lines from gate to gate, m."""
+    centres = np.stack([np.asarray(x, np.float64) for x in track.position.components()], axis=-1)
+    return float(np.linalg.norm(np.roll(centres, -1, axis=0) - centres, axis=1).sum())

@@ -1,0 +1,171 @@
+"""E2E and INDI in the simulator and on the stand-in plant: flights, rows and numbers."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.config.schema import Config
+from quadjax.evaluation.tables import Row, lap_row
+from quadjax.plant.plant_schema import EffectsConfig, PlantConfig
+from quadjax.plant.race import Flights, fly_plan, plan_flights, race_config
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy, read_policy
+from quadjax.race.laps import Laps, Trace
+from quadjax.studies.ablation import RESIDUAL, Variant
+
+FLIGHTS = 5  # whose mean and best the paper gives
+EFFECTS = tuple(item.name for item in dataclasses.fields(EffectsConfig))
+Report = Callable[[str], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Contender:
+    """A policy to compare."""
+
+    name: str  # "E2E" | "INDI"
+    policy: Policy
+    file: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """One contender in both worlds."""
+
+    contender: Contender
+    simulated: Laps
+    trace: Trace
+    flown: Flights
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What is compared and how."""
+
+    race: Config
+    plant: PlantConfig
+    laps: int = 6
+    runs: int = 100
+    seed: int = 0
+
+
+def contender(name: str, file: str) -> Contender:
+    """A policy file as a contender.
+
+    Raises:
+        InputError: a file that cannot be read.
+    """
+    return Contender(name, read_policy(file), file)
+
+
+def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
+    """Fly one contender in the simulator and on the plant."""
+    report(f"{own.name}: simulator")
+    race = pilot.Race(setting.laps, setting.runs, seed=setting.seed)
+    config = race_config(setting.race, own.policy)
+    simulated, trace = pilot.fly_policy(config, own.policy, race, True, True, own.file)
+    report(f"{own.name}: stand-in plant")
+    return Compared(own, simulated, trace, fly(setting, setting.plant, own))
+
+
+def fly(setting: Setting, plant: PlantConfig, own: Contender) -> Flights:
+    """A contender's flights on a plant."""
+    plan = plan_flights(
+        setting.race, plant, own.policy, own.file, setting.laps, setting.runs, FLIGHTS
+    )
+    return fly_plan(plan, setting.seed)
+
+
+def first(laps: Laps, count: int = FLIGHTS) -> Laps:
+    """The first runs alone."""
+    return Laps(laps.lap_times[:count], laps.crashes[:count], laps.seconds[:count])
+
+
+def rows(compared: Compared) -> list[Row]:
+    """The paper's lines of one contender: simulated, and five flights on the plant.
+
+    Beside each stands the success of all runs.
+    """
+    name = compared.contender.name
+    flown = compared.flown.laps
+    five = lap_row(f"{name} stand-in plant, mean of {FLIGHTS}", first(flown))
+    five = dataclasses.replace(five, finished=flown.finished, runs=len(flown.crashes))
+    return [lap_row(f"{name} simulated", compared.simulated), five]
+
+
+def all_runs_row(label: str, laps: Laps) -> Row:
+    """The mean over every run that finished."""
+    return lap_row(label, laps)
+
+
+def changed_plants(plant: PlantConfig) -> dict[str, PlantConfig]:
+    """The plant with each effect in turn switched off, without delays, and with true states."""
+    result = {}
+    for name in EFFECTS:
+        off = dataclasses.replace(plant.effects, **{name: 0.0})
+        result[f"without {name}"] = dataclasses.replace(plant, effects=off)
+    delay = dataclasses.replace(plant.delay, command=0.0, measurement=0.0)
+    result["without delays"] = dataclasses.replace(plant, delay=delay)
+    truth = {"navigation": "truth", "disturbance_input": "true"}
+    result["with true states"] = dataclasses.replace(plant, **truth)
+    return result
+
+
+def without_each(
+    setting: Setting, own: Contender, report: Report, only: Sequence[str] | None = None
+) -> dict[str, Laps]:
+    """A contender on each of ``changed_plants``, or on those that ``only`` names."""
+    result = {}
+    for label, plant in changed_plants(setting.plant).items():
+        if only is None or label in only:
+            report(f"{own.name}: stand-in plant {label}")
+            result[label] = fly(setting, plant, own).laps
+    return result
+
+
+def fly_variant(setting: Setting, variant: Variant, folder: Path, report: Report) -> Laps:
+    """One line of the ablation."""
+    report(f"ablation: {variant.group} {variant.label}")
+    vehicle = dataclasses.replace(
+        setting.race.vehicle, residual=RESIDUAL if variant.residual else None
+    )
+    own = dataclasses.replace(setting, race=dataclasses.replace(setting.race, vehicle=vehicle))
+    plant = dataclasses.replace(setting.plant, disturbance_input=variant.disturbance_input)
+    return fly(own, plant, contender("E2E", str(variant.path(folder)))).laps
+
+
+def saturation(flights: Flights, low: float, high: float) -> float:
+    """Share of the rpm commands of the recorded runs that are at a limit of the motors."""
+    commands = np.stack([np.asarray(x) for x in flights.frames.rpm_command.components()])
+    going = ~flights.frames.over
+    at_limit = (commands <= low + 1.0) | (commands >= high - 1.0)
+    return float(at_limit[:, going].mean())
+
+
+def simulated_saturation(trace: Trace, low: float, high: float) -> float:
+    """The same of a trace of the simulator, for the motor-level vehicle."""
+    command = np.moveaxis(np.asarray(trace.command), 1, 0)
+    at_limit = (command <= low + 1.0) | (command >= high - 1.0)
+    return float(at_limit[:, ~np.asarray(trace.over)].mean())
+
+
+def lead(e2e: Compared, indi: Compared) -> str:
+    """Where E2E's lead in the simulator goes on the plant, as a line of text; + where E2E leads."""
+    worlds = {
+        "simulated": (e2e.simulated, indi.simulated),
+        "on the stand-in plant": (e2e.flown.laps, indi.flown.laps),
+    }
+    totals, firsts, later = [], [], []
+    for world, both in worlds.items():
+        for own, laps in zip((e2e, indi), both, strict=True):
+            if not laps.finished:
+                return f"E2E's lead over INDI: {own.contender.name} finished no run {world}"
+        ahead = np.subtract(*(lap_row("", laps).laps for laps in reversed(both)))
+        totals.append(f"{ahead.sum():+.2f} s {world}")
+        firsts.append(f"{ahead[0]:+.2f}")
+        later.append(f"{ahead[1:].mean() if len(ahead) > 1 else np.nan:+.2f}")
+    return (
+        f"E2E's lead over INDI: {', '.join(totals)}; first lap {' -> '.join(firsts)} s, each later "
+        f"lap {' -> '.join(later)} s"
+    )

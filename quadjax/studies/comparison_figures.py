@@ -1,0 +1,159 @@
+"""Figures of the comparison: progress, and what is flown against the models of training."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.evaluation.figures import INK, MUTED, SERIES, new_figure, tidy
+from quadjax.plant.race import Flights
+from quadjax.race.laps import Trace
+
+SECONDS = 3.0  # of a flight that a figure of signals shows
+
+
+def progress(position: np.ndarray, target: np.ndarray, gates: np.ndarray) -> np.ndarray:
+    """Progress (n,) along the track, laps: gates passed and the way to the next, by its distance.
+
+    Args:
+        position: (n, 3) m, world.
+        target: (n,) index of the gate ahead.
+        gates: (gates, 3) centres, m, world.
+    """
+    legs = np.linalg.norm(gates - np.roll(gates, 1, axis=0), axis=1)
+    passed = np.concatenate([[0], np.cumsum(np.diff(target) != 0)])
+    left = np.linalg.norm(position - gates[target], axis=1) / legs[target]
+    return (passed + np.clip(1.0 - left, 0.0, 1.0)) / len(gates)
+
+
+def flown_progress(flights: Flights, run: int, gates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times, s, and progress, laps, of a recorded run on the plant."""
+    going = ~flights.frames.over[:, run]
+    position = rows(flights.frames.true.position, run, going)
+    made = progress(position, flights.frames.target[going, run], gates)
+    return flights.step * np.arange(len(made)), made
+
+
+def simulated_progress(
+    trace: Trace, run: int, dt: float, gates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a run in the simulator."""
+    going = ~np.asarray(trace.over)[:, run]
+    position = np.asarray(trace.position, np.float64)[going, :, run]
+    made = progress(position, np.asarray(trace.target)[going, run], gates)
+    return dt * np.arange(len(made)), made
+
+
+def rows(vector: Vec3 | Rotors, run: int, going: np.ndarray) -> np.ndarray:
+    """Components (n, k) of one recorded run."""
+    parts = [np.asarray(x, np.float64)[going, run] for x in vector.components()]
+    return np.stack(parts, axis=1)
+
+
+def progress_figure(
+    lines: dict[str, tuple[np.ndarray, np.ndarray]], pace: float, title: str
+) -> Figure:
+    """Progress relative to a steady pace over time.
+
+    Args:
+        lines: times, s, and progress, laps, by label.
+        pace: laps per second that everything is relative to.
+        title: over the picture.
+    """
+    figure = new_figure(9.0, 4.6)
+    axes = figure.add_subplot()
+    tidy(axes)
+    for index, (label, (time, made)) in enumerate(lines.items()):
+        style = "--" if "simulat" in label else "-"
+        colour = SERIES[(index // 2) % len(SERIES)]
+        axes.plot(time, made - pace * time, style, color=colour, lw=1.4, label=label)
+    axes.set_xlabel("time (s)", color=INK)
+    axes.set_ylabel(f"laps ahead of one in {1.0 / pace:.2f} s", color=INK)
+    axes.set_title(title, color=INK, fontsize=13, loc="left", pad=10)
+    axes.legend(frameon=False, labelcolor=INK, fontsize=9)
+    return figure
+
+
+def first_order(command: np.ndarray, start: np.ndarray, tau: float, dt: float) -> np.ndarray:
+    """What a first-order lag makes of held commands (n, k), from ``start`` (k,): (n, k)."""
+    kept = np.exp(-dt / tau)
+    made = np.empty_like(command)
+    state = np.array(start, np.float64)
+    for index, wanted in enumerate(command):
+        made[index] = state
+        state = wanted + (state - wanted) * kept
+    return made
+
+
+def rpm_figure(flights: Flights, tau: float, run: int = 0) -> tuple[Figure, np.ndarray]:
+    """Propeller speeds of a run against the first-order model of their commands.
+
+    Returns:
+        The figure, and the root mean square deviation of each motor, rpm, (4,).
+    """
+    frames, dt = flights.frames, flights.step
+    going = ~frames.over[:, run]
+    command = rows(frames.rpm_command, run, going)
+    true = rows(frames.true.rpm, run, going)
+    model = first_order(command, true[0], tau, dt)
+    names = ["1 front left", "2 front right", "3 rear right", "4 rear left"]
+    figure = _panels(dt, command, true, model, names, "rpm", "propeller speeds on the plant")
+    return figure, np.sqrt(((true - model) ** 2).mean(axis=0))
+
+
+def rates_figure(
+    flights: Flights, taus: Sequence[float], run: int = 0
+) -> tuple[Figure, np.ndarray]:
+    """Body rates and specific thrust of an INDI run against the first-order model.
+
+    Returns:
+        The figure, and the root mean square deviation of each, rad/s and m/s^2, (4,).
+    """
+    frames, dt = flights.frames, flights.step
+    going = ~frames.over[:, run]
+    command = np.concatenate(
+        [
+            rows(frames.command.rates, run, going),
+            np.asarray(frames.command.thrust, np.float64)[going, run][:, None],
+        ],
+        axis=1,
+    )
+    thrust = -rows(frames.specific_force, run, going)[:, 2:]
+    true = np.concatenate([rows(frames.true.rates, run, going), thrust], axis=1)
+    model = np.concatenate(
+        [
+            first_order(command[:, i : i + 1], true[0, i : i + 1], tau, dt)
+            for i, tau in enumerate(taus)
+        ],
+        axis=1,
+    )
+    names = ["p (rad/s)", "q (rad/s)", "r (rad/s)", "thrust (m/s²)"]
+    title = "rates and thrust under the inner loop"
+    figure = _panels(dt, command, true, model, names, "", title)
+    return figure, np.sqrt(((true - model) ** 2).mean(axis=0))
+
+
+def _panels(
+    dt: float,
+    command: np.ndarray,
+    true: np.ndarray,
+    model: np.ndarray,
+    names: Sequence[str],
+    unit: str,
+    title: str,
+) -> Figure:
+    count = min(len(true), round(SECONDS / dt))
+    time = dt * np.arange(count)
+    figure = new_figure(9.0, 8.0)
+    panels = figure.subplots(len(names), 1, sharex=True)
+    for index, (axes, name) in enumerate(zip(panels, names, strict=True)):
+        tidy(axes)
+        axes.plot(time, command[:count, index], color=MUTED, lw=0.7, label="commanded")
+        axes.plot(time, model[:count, index], color=SERIES[1], lw=1.2, label="first-order model")
+        axes.plot(time, true[:count, index], color=SERIES[0], lw=1.2, label="flown")
+        axes.set_ylabel(f"{name} {unit}".strip(), color=INK, fontsize=9)
+    panels[0].legend(ncols=3, frameon=False, labelcolor=INK, fontsize=9, loc="upper right")
+    panels[0].set_title(title, color=INK, fontsize=13, loc="left", pad=10)
+    panels[-1].set_xlabel("time (s)", color=INK)
+    return figure

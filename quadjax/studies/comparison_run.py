@@ -1,0 +1,216 @@
+"""The whole comparison: flights, tables, figures and files."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import yaml
+from matplotlib.figure import Figure
+
+from quadjax.core.files import write_json, write_text
+from quadjax.evaluation.figures import save_figure, trajectory_figure
+from quadjax.evaluation.recording import recordings as simulated_recordings
+from quadjax.evaluation.tables import Row, format_table, lap_row, published_rows
+from quadjax.plant.flight_log import gate_centres
+from quadjax.plant.race import recordings
+from quadjax.race.laps import Laps
+from quadjax.studies import comparison_figures as figures
+from quadjax.studies.ablation import present
+from quadjax.studies.comparison import (
+    EFFECTS,
+    FLIGHTS,
+    Compared,
+    Contender,
+    Report,
+    Setting,
+    compare_one,
+    fly_variant,
+    lead,
+    rows,
+    saturation,
+    simulated_saturation,
+    without_each,
+)
+
+PARTS = ("table", "effects", "ablation")
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """Which parts, where the ablation's policies are, and where to write."""
+
+    parts: tuple[str, ...]
+    ablation: Path
+    folder: Path
+
+    def steps(self) -> int:
+        """How often the run will report."""
+        own = 4 + 1 if "table" in self.parts else 0
+        own += 2 * (len(EFFECTS) + 2) if "effects" in self.parts else 0
+        return own + (len(present(self.ablation)[0]) if "ablation" in self.parts else 0)
+
+
+def run_comparison(
+    setting: Setting, contenders: tuple[Contender, Contender], wanted: Wanted, report: Report
+) -> str:
+    """Fly all that is wanted, write it, and return the tables as text.
+
+    Args:
+        setting: race and plant.
+        contenders: E2E and INDI.
+        wanted: parts and places.
+        report: told what is being done.
+
+    Raises:
+        InputError: policies that do not fit, or files that cannot be read.
+    """
+    texts: list[str] = []
+    result: dict[str, object] = {"runs": setting.runs, "laps": setting.laps, "seed": setting.seed}
+    if "table" in wanted.parts:
+        e2e, indi = (compare_one(setting, own, report) for own in contenders)
+        report("drawing")
+        texts.append(table_text(setting, e2e, indi))
+        result |= _numbers(setting, e2e, indi)
+        _draw(setting, e2e, indi, wanted.folder, result)
+    if "effects" in wanted.parts:
+        texts.append(_effects(setting, contenders, result, report))
+    if "ablation" in wanted.parts:
+        texts.append(_ablation(setting, wanted.ablation, result, report))
+    text = "\n\n".join(texts)
+    write_text(wanted.folder / "table.txt", text + "\n")
+    write_json(wanted.folder / "compare.json", result)
+    config = yaml.safe_dump(dataclasses.asdict(setting.plant), sort_keys=False)
+    write_text(wanted.folder / "config.yaml", config)
+    return text
+
+
+def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
+    """The paper's table of both contenders, where E2E's lead goes, and who ended early and how."""
+    table = format_table([*rows(e2e), *rows(indi)], published_rows(setting.race, setting.laps))
+    flown, held = limit_shares(setting, e2e)
+    notes = [
+        f"mean and best of {FLIGHTS} flights on the stand-in plant; finished: of all runs",
+        lead(e2e, indi),
+        f"E2E's rpm commands at a limit: {100.0 * held:.0f}% simulated, "
+        f"{100.0 * flown:.0f}% on the stand-in plant",
+    ]
+    for own in (e2e, indi):
+        crashes = [crash for crash in own.flown.laps.crashes if crash]
+        if crashes:
+            kinds = {kind: crashes.count(kind) for kind in dict.fromkeys(crashes)}
+            counts = ", ".join(f"{kind} {number}" for kind, number in kinds.items())
+            notes.append(f"{own.contender.name} on the stand-in plant, early ends: {counts}")
+    return table + "\n" + "\n".join(notes)
+
+
+def limit_shares(setting: Setting, own: Compared) -> tuple[float, float | None]:
+    """Share of a contender's rpm commands at a limit: on the plant, and simulated where it has any.
+
+    A rate-level policy has no motors in the simulator.
+    """
+    low, high = (setting.race.vehicle.motor[key] for key in ("rpm_min", "rpm_max"))
+    motors = own.contender.policy.vehicle == "motor"
+    simulated = simulated_saturation(own.trace, low, high) if motors else None
+    return saturation(own.flown, low, high), simulated
+
+
+def _numbers(setting: Setting, e2e: Compared, indi: Compared) -> dict[str, object]:
+    """The table as JSON takes it."""
+    result = {}
+    for own in (e2e, indi):
+        flown, simulated = limit_shares(setting, own)
+        result[own.contender.name] = {
+            "policy": Path(own.contender.file).name,
+            "simulated": own.simulated.to_json(),
+            "stand-in plant": own.flown.laps.to_json(),
+            "commands at a limit": flown,
+        }
+        if simulated is not None:
+            result[own.contender.name]["commands at a limit, simulated"] = simulated
+    return result
+
+
+def compared_progress(setting: Setting, e2e: Compared, indi: Compared) -> Figure:
+    """Progress of both contenders in both worlds, relative to the slowest of the four.
+
+    Of the plant it shows the best of the recorded flights.
+    """
+    centres, lines = gate_centres(setting.race), {}
+    for own in (e2e, indi):
+        name, best = own.contender.name, best_recorded(own.flown.laps)
+        dt = setting.race.episode.dt
+        lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centres)
+        lines[f"{name} stand-in plant"] = figures.flown_progress(own.flown, best, centres)
+    slowest = max(time[-1] / max(made[-1], 1e-3) for time, made in lines.values())
+    return figures.progress_figure(lines, 1.0 / slowest, "relative progress")
+
+
+def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result: dict) -> None:
+    gates, dt = setting.race.track.gates, setting.race.episode.dt
+    for own in (e2e, indi):
+        name = own.contender.name
+        stem = name.lower()
+        few = simulated_recordings(own.trace, own.simulated, dt)[:FLIGHTS]
+        title = f"{name} in the simulator, {FLIGHTS} flights"
+        save_figure(trajectory_figure(few, gates, title), folder / f"{stem}_simulator.png")
+        title = f"{name} on the stand-in plant, {FLIGHTS} flights"
+        flown = recordings(own.flown)
+        save_figure(trajectory_figure(flown, gates, title), folder / f"{stem}_plant.png")
+    save_figure(compared_progress(setting, e2e, indi), folder / "progress.png")
+    constants = setting.race.vehicle
+    figure, deviation = figures.rpm_figure(e2e.flown, constants.motor["tau"])
+    save_figure(figure, folder / "rpm.png")
+    taus = [constants.rate["tau_rate"]] * 3 + [constants.rate["tau_thrust"]]
+    other, of_rates = figures.rates_figure(indi.flown, taus)
+    save_figure(other, folder / "rates.png")
+    result["rms deviation from first order"] = {
+        "rpm": [round(float(x), 1) for x in deviation],
+        "rates and thrust": [round(float(x), 3) for x in of_rates],
+    }
+
+
+def best_recorded(laps: Laps) -> int:
+    """The recorded run with the most laps, and the fastest of those."""
+    flown = laps.laps_flown()[:FLIGHTS]
+    totals = np.nan_to_num(laps.totals[:FLIGHTS], nan=np.inf)
+    return int(np.lexsort((totals, -flown))[0])
+
+
+def _effects(
+    setting: Setting, contenders: tuple[Contender, ...], result: dict, report: Report
+) -> str:
+    lines: list[Row] = []
+    result["effects"] = {}
+    for own in contenders:
+        flown = without_each(setting, own, report)
+        result["effects"][own.name] = {key: _summary(laps) for key, laps in flown.items()}
+        lines += [lap_row(f"{own.name} {key}", laps) for key, laps in flown.items()]
+    return "stand-in plant with one effect switched off, all runs\n" + format_table(lines)
+
+
+def _ablation(setting: Setting, folder: Path, result: dict, report: Report) -> str:
+    have, missing = present(folder)
+    lines: list[Row] = []
+    result["ablation"] = {}
+    for variant in have:
+        laps = fly_variant(setting, variant, folder, report)
+        label = f"{variant.group}: {variant.label}"
+        result["ablation"][label] = _summary(laps)
+        lines.append(lap_row(label, laps))
+    texts = ["ablation: E2E on the stand-in plant, all runs"]
+    if lines:
+        texts.append(format_table(lines))
+    for command in dict.fromkeys(variant.command() for variant in missing):
+        texts.append(f"not flown, no policy in {folder.name}/: {command}")
+    return "\n".join(texts)
+
+
+def _summary(laps: Laps) -> dict[str, float | int | None]:
+    """Mean of the runs that finished, best, and how many did."""
+    done = laps.totals[np.isfinite(laps.totals)]
+    return {
+        "mean": round(float(done.mean()), 3) if done.size else None,
+        "best": round(float(done.min()), 3) if done.size else None,
+        "finished": laps.finished,
+        "runs": len(laps.crashes),
+    }

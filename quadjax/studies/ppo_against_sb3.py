@@ -1,0 +1,154 @@
+"""The same task and hyperparameters by quadjax's PPO and by Stable-Baselines3's, for equal time."""
+
+import dataclasses
+import time
+from pathlib import Path
+
+from quadjax.config.schema import Config
+from quadjax.learners.devices import core_count
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy
+
+SEED = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Side:
+    """What one of the two came to."""
+
+    name: str
+    threads: str
+    seconds: float  # of wall time, set-up and compilation included
+    steps: int
+    steps_per_second: float  # of training, from the end of the first update on
+    lap_total: float | None  # s, all laps, deterministic from hover; None where not finished
+    laps_flown: int
+    laps: int
+
+
+def _judge(config: Config, policy: Policy) -> tuple[float | None, int]:
+    race = pilot.Race(config.evaluate.laps, 1, True, 0)
+    laps, _ = pilot.fly_policy(config, policy, race, True)
+    total = float(laps.totals[0])
+    return (total if laps.finished else None), int(laps.laps_flown()[0])
+
+
+class Clock:
+    """Steps over time, and when to stop."""
+
+    def __init__(self, started: float, seconds: float) -> None:
+        """Start at ``started``, by ``time.monotonic()``, for ``seconds``."""
+        self._started, self._seconds = started, seconds
+        self._marks: list[tuple[float, int]] = []
+
+    def over(self, steps: int) -> bool:
+        """Whether the time is over; asked after an update."""
+        now = time.monotonic()
+        self._marks.append((now, steps))
+        return now - self._started >= self._seconds
+
+    @property
+    def seconds(self) -> float:
+        """Until the last update."""
+        return self._marks[-1][0] - self._started
+
+    @property
+    def speed(self) -> float:
+        """Steps a second between the first update's end and the last's."""
+        (first, before), (last, after) = self._marks[0], self._marks[-1]
+        return (after - before) / max(last - first, 1e-9)
+
+
+def ours(config: Config, seconds: float, started: float, directory: Path) -> Side:
+    """Quadjax's PPO; the last policy is judged.
+
+    Args:
+        config: with one update a chunk, so that time is looked at after each.
+        seconds: of wall time since ``started``.
+        started: by ``time.monotonic()``.
+        directory: of the run.
+    """
+    from quadjax.policy.file import read_policy
+    from quadjax.training.run import train
+
+    clock = Clock(started, seconds)
+    result = train(config, directory, started=started, enough=lambda row: clock.over(row["steps"]))
+    total, flown = _judge(config, read_policy(directory / "policy_last.npz"))
+    threads = f"{result.summary['devices']} host devices of one thread"
+    steps = int(result.summary["steps"])
+    return Side(
+        "quadjax", threads, clock.seconds, steps, clock.speed, total, flown, config.evaluate.laps
+    )
+
+
+def _watch(clock: Clock) -> object:
+    """A callback of Stable-Baselines3 that looks at the clock after each update."""
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    class Watch(BaseCallback):
+        """Looks at the clock after each update."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.done = False
+
+        def _on_rollout_start(self) -> None:
+            if self.num_timesteps:
+                self.done = clock.over(self.num_timesteps)
+
+        def _on_step(self) -> bool:
+            return not self.done
+
+    return Watch()
+
+
+def stable_baselines(config: Config, seconds: float, started: float) -> Side:
+    """Stable-Baselines3's PPO on the same race, PyTorch on all cores; the last policy is judged.
+
+    Args:
+        config: the race and the hyperparameters.
+        seconds: of wall time since ``started``.
+        started: by ``time.monotonic()``.
+    """
+    import jax
+    import torch
+
+    from quadjax.integrations import sb3
+    from quadjax.training.build import build_networks, policy_of
+
+    torch.set_num_threads(core_count())
+    model = sb3.make_ppo(config, SEED)
+    clock = Clock(started, seconds)
+
+    model.learn(config.train.steps, callback=_watch(clock))
+    like = policy_of(config, build_networks(config).init(jax.random.key(0)), {})
+    total, flown = _judge(config, sb3.policy_of_ppo(model, config, like))
+    threads = f"PyTorch {torch.get_num_threads()} threads, the race in JAX on one device"
+    steps = config.train.drones * config.ppo.steps_per_update
+    steps *= model.num_timesteps // steps
+    return Side(
+        "Stable-Baselines3",
+        threads,
+        clock.seconds,
+        steps,
+        clock.speed,
+        total,
+        flown,
+        config.evaluate.laps,
+    )
+
+
+def format_sides(sides: list[Side], run: str) -> str:
+    """A table of both, with what was run above it."""
+    lines = [run, f"{'':>18} {'steps/s':>10} {'M steps':>8} {'wall s':>7} {'laps':>8}  threads"]
+    for side in sides:
+        flown = (
+            f"{side.lap_total:.2f} s"
+            if side.lap_total is not None
+            else f"{side.laps_flown} of {side.laps}"
+        )
+        lines.append(
+            f"{side.name:>18} {side.steps_per_second:>10,.0f} {side.steps / 1e6:>8.1f} "
+            f"{side.seconds:>7.0f} {flown:>8}  {side.threads}"
+        )
+    return "\n".join(lines)

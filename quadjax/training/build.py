@@ -1,0 +1,205 @@
+"""From a config to a learner on the racing environment."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.learners.networks import ActorCritic, Networks, layers_of, tree_of
+from quadjax.learners.ppo import update as ppo
+from quadjax.learners.shac import update as shac
+from quadjax.learners.state import Learner, TrainState
+from quadjax.policy.file import Policy, read_policy
+from quadjax.policy.inference import Flying
+from quadjax.race.build import choices_of
+from quadjax.race.environment import RaceParams, make_environment
+from quadjax.training.curriculum import curriculum_of, follow
+
+
+def _leaves(kind: type, section: object) -> object:
+    return kind(**{name: jnp.float32(getattr(section, name)) for name in kind.__dataclass_fields__})
+
+
+def build_networks(config: Config) -> Networks:
+    """The networks of a config."""
+    environment = make_environment(choices_of(config))
+    return Networks(
+        observation_size=environment.observation_size,
+        action_size=environment.action_size,
+        hidden=tuple(config.network.hidden),
+        activation=config.network.activation,
+        log_std=config.network.log_std,
+        bounded=noise_on(config) == "clipped_mean",
+    )
+
+
+def noise_on(config: Config) -> str:
+    """Where a learner's noise goes, as a policy file says it: ``mean`` or ``clipped_mean``.
+
+    PPO's goes on the network's own output, which may be far beyond the limits: there the noise does
+    nothing, which lets a policy be sure. SHAC's noise is set, not learned: it goes on the clipped
+    mean, so that exploring never ends at a limit. Each learns much worse the other way round.
+    """
+    return "clipped_mean" if config.algorithm == "shac" else "mean"
+
+
+def build_learner(config: Config) -> Learner[RaceParams]:
+    """The learner of a config, on the racing environment and its curriculum."""
+    return follow(_learner(config), curriculum_of(config))
+
+
+def _learner(config: Config) -> Learner[RaceParams]:
+    environment, networks = make_environment(choices_of(config)), build_networks(config)
+    drones = config.train.drones
+    if config.algorithm == "ppo":
+        section = config.ppo
+        structure = ppo.Structure(
+            environments=drones,
+            steps=section.steps_per_update,
+            batches=section.batches,
+            epochs=section.epochs,
+            updates=_updates(config, section.steps_per_update),
+            shuffle_block=section.shuffle_block,
+            separate_clip=section.separate_clip,
+            shares=config.train.shares,
+        )
+        return ppo.make_learner(environment, networks, structure, _leaves(ppo.Hyper, section))
+    section = config.shac
+    structure = shac.Structure(
+        environments=drones,
+        horizon=section.horizon,
+        critic_passes=section.critic_passes,
+        critic_batches=section.critic_batches,
+        updates=_updates(config, section.horizon),
+        shares=config.train.shares,
+    )
+    if section.final_discount is None:
+        section = dataclasses.replace(section, final_discount=section.discount)
+    return shac.make_learner(environment, networks, structure, _leaves(shac.Hyper, section))
+
+
+def plan(config: Config, steps_per_update: int) -> tuple[int, int]:
+    """Updates of one chunk, and chunks of the whole run: whole numbers, each at least one.
+
+    A run of fewer steps than ``train.evaluate_every`` is one short chunk.
+    """
+    wanted = max(1, round(config.train.steps / steps_per_update))
+    updates = min(wanted, max(1, round(config.train.evaluate_every / steps_per_update)))
+    return updates, max(1, round(wanted / updates))
+
+
+def _updates(config: Config, steps: int) -> int:
+    """Updates of the whole run: the length of the schedules."""
+    return math.prod(plan(config, config.train.drones * steps))
+
+
+def start_state(
+    config: Config, learner: Learner, params: RaceParams, initial: Policy | None = None
+) -> TrainState:
+    """A run's first state, with the policy ``initial`` if there is one."""
+    state = jax.jit(learner.init)(params, jax.random.key(config.seed))
+    if initial is None:
+        return state
+    return with_params(state, with_policy(state.params, initial, reward_scale(config)))
+
+
+def with_params(state: TrainState, params: ActorCritic) -> TrainState:
+    """The state with other networks, and with copies of them for its target and its mean."""
+    copies = {
+        name: jax.tree.map(jnp.copy, params)
+        for name in ("target", "mean")
+        if getattr(state, name) is not None
+    }
+    return state.replace(params=params, **copies)
+
+
+def reward_scale(config: Config) -> float:
+    """What the learner multiplies the reward by: the unit of its values."""
+    return (config.ppo if config.algorithm == "ppo" else config.shac).reward_scale
+
+
+def initial_policy(config: Config) -> Policy | None:
+    """The policy of ``train.init``, if there is one.
+
+    Raises:
+        InputError: a file that cannot be read, or whose network is not the config's.
+    """
+    if config.train.init is None:
+        return None
+    policy = read_policy(config.train.init)
+    widths = [int(kernel.shape[1]) for kernel, _ in policy.layers[:-1]]
+    wanted = list(config.network.hidden)
+    judge = wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
+    for name, found, allowed in (
+        ("vehicle", policy.vehicle, config.vehicle.kind),
+        ("hidden widths", widths, wanted),
+        ("hidden widths of the value", judge, wanted),
+        ("activation", policy.activation, config.network.activation),
+        ("output", policy.output, "clip"),
+    ):
+        if found != allowed:
+            raise InputError(
+                f"train.init: {config.train.init} has {name} {found}, the config {allowed}"
+            )
+    return policy
+
+
+def with_policy(params: ActorCritic, policy: Policy, scale: float) -> ActorCritic:
+    """Parameters whose policy is that of a file, and so is the value where the file has it.
+
+    Args:
+        params: of networks of the policy's widths.
+        policy: a policy file's content.
+        scale: of the reward: the unit of the values.
+    """
+    log_std = jnp.asarray(policy.log_std, jnp.float32)
+    value = params.value
+    if policy.value is not None:
+        value = tree_of(_scaled(policy.value, scale))
+    return params.replace(policy=tree_of(list(policy.layers)), log_std=log_std, value=value)
+
+
+def _scaled(layers: Sequence[tuple], factor: float) -> list[tuple]:
+    """The layers of a network whose outputs are ``factor`` times as large."""
+    kernel, bias = layers[-1]
+    return [*layers[:-1], (factor * kernel, factor * bias)]
+
+
+def flying_of(params: ActorCritic, activation: str) -> Flying:
+    """Networks in training as a policy in flight."""
+    return Flying(tuple(layers_of(params.policy)), params.log_std, activation)
+
+
+def policy_of(config: Config, params: ActorCritic, source: dict) -> Policy:
+    """Networks in training as a policy file's content."""
+    vehicle = config.vehicle
+    if vehicle.kind == "motor":
+        low, high = [vehicle.motor["rpm_min"]] * 4, [vehicle.motor["rpm_max"]] * 4
+    else:
+        rates = [vehicle.rate[name] for name in ("p_max", "q_max", "r_max")]
+        low = [-x for x in rates] + [vehicle.rate["thrust_min"]]
+        high = rates + [vehicle.rate["thrust_max"]]
+    ranges = {"disturbance": config.disturbance.half_widths} if vehicle.kind == "motor" else {}
+    value = _scaled(layers_of(params.value), 1.0 / reward_scale(config))
+    return Policy(
+        layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers_of(params.policy)),
+        log_std=np.asarray(params.log_std),
+        vehicle=vehicle.kind,
+        activation=config.network.activation,
+        output="clip",
+        noise_on=noise_on(config),
+        command_low=np.array(low),
+        command_high=np.array(high),
+        observation={
+            "wrap_next_yaw": config.episode.wrap_next_yaw,
+            "disturbance_input": config.episode.disturbance_input,
+            **ranges,
+        },
+        source=source,
+        value=tuple((np.asarray(k), np.asarray(b)) for k, b in value),
+    )

@@ -1,0 +1,116 @@
+"""The metrics of a training run, as CSV and for TensorBoard."""
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import whole_file
+from quadjax.learners.loop import Row
+
+TIMED = {"score": "lap_total", "best_score": "best_lap_total"}  # what a race's score is: s
+
+
+def timed(row: Row) -> Row:
+    """The loop's row of one chunk with its scores named as the lap times, s, that they are."""
+    return {TIMED.get(name, name): value for name, value in row.items()}
+
+
+class MetricsFile:
+    """``metrics.csv``: a row per chunk, cut back to the checkpoint when a run is resumed."""
+
+    def __init__(self, directory: Path, steps: int, tensorboard: bool) -> None:
+        """Open ``directory/metrics.csv`` after the last row of at most ``steps`` steps."""
+        self._path = directory / "metrics.csv"
+        self._stream = None
+        before = rows_of(self._path) if steps and self._path.exists() else []
+        self._rows = [row for row in before if row["steps"] <= steps]
+        self._tensorboard = _tensorboard(directory) if tensorboard else None
+
+    def write(self, row: Row) -> None:
+        """Add a row."""
+        if self._stream is None:
+            _write_rows(self._path, list(row), self._rows)
+            self._stream = open(self._path, "a", newline="", encoding="utf-8")  # noqa: SIM115
+            self._writer = csv.DictWriter(self._stream, list(row))
+        self._writer.writerow(row)
+        self._stream.flush()
+        if self._tensorboard is not None:
+            for name, value in row.items():
+                if math.isfinite(value):
+                    self._tensorboard.add_scalar(name, value, int(row["steps"]))
+
+    def close(self) -> None:
+        """Close the files."""
+        if self._stream is not None:
+            self._stream.close()
+        if self._tensorboard is not None:
+            self._tensorboard.close()
+
+
+def _write_rows(path: Path, names: Sequence[str], rows: Sequence[Row]) -> None:
+    """Header and rows, whole or not at all."""
+    with whole_file(path) as beside, open(beside, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, names)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def check_tensorboard() -> None:
+    """Raise an ``InputError`` where TensorBoard's files cannot be written."""
+    try:
+        import tensorboardX  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "train.tensorboard is true, but tensorboardX is not installed: "
+            "pip install -e '.[tensorboard]'"
+        ) from None
+
+
+def _tensorboard(directory: Path) -> object:
+    check_tensorboard()
+    from tensorboardX import SummaryWriter
+
+    return SummaryWriter(str(directory / "tensorboard"))
+
+
+def rows_of(path: Path | str) -> list[Row]:
+    """The rows of a ``metrics.csv``; see ``read_metrics``."""
+    columns = read_metrics(path)
+    table = np.stack(list(columns.values()), axis=1).tolist()
+    rows = [dict(zip(columns, numbers, strict=True)) for numbers in table]
+    return [row | {"steps": int(row["steps"])} for row in rows]
+
+
+def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
+    """The columns of a metrics CSV, (rows,) each; an empty cell is NaN.
+
+    A last line that is cut short, as a killed run leaves it, is dropped.
+
+    Raises:
+        InputError: no such file, no rows, or a cell that is no number, by line and column.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as stream:
+            names, *rows = list(csv.reader(stream)) or [[]]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    if rows and len(rows[-1]) < len(names):
+        rows.pop()
+    if not names or not rows:
+        raise InputError(f"{path}: holds no rows of metrics")
+    table = np.full((len(rows), len(names)), np.nan)
+    for index, row in enumerate(rows):
+        if len(row) != len(names):
+            raise InputError(f"{path} line {index + 2}: {len(row)} cells, expected {len(names)}")
+        for column, cell in enumerate(row):
+            try:
+                table[index, column] = float(cell) if cell.strip() else np.nan
+            except ValueError:
+                raise InputError(
+                    f"{path} line {index + 2}: {names[column]} is {cell!r}, expected a number"
+                ) from None
+    return dict(zip(names, table.T, strict=True))

@@ -1,0 +1,86 @@
+"""The residual file: thrust and moment networks as plain arrays.
+
+``thrust_kernel_0`` (7, n), ``thrust_bias_0`` .., ``moment_kernel_0`` (10, n) .., and ``meta`` with
+``format: "quadjax-residual/1"``, ``rpm_min``, ``rpm_max``, ``thrust_sign`` (+1: added to the body-z
+specific force; -1: subtracted) and what it was fitted on.
+"""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_layers, read_npz, write_npz
+from quadjax.core.resources import PRETRAINED
+from quadjax.vehicle.residual import Residual
+
+FORMAT = "quadjax-residual/1"
+SHAPES = {"thrust": (7, 1), "moment": (10, 3)}
+
+
+def write_residual(path: Path | str, residual: Residual, source: dict) -> None:
+    """Write a residual file, whole; ``source`` says what it was fitted on."""
+    arrays: dict[str, np.ndarray] = {}
+    for name in SHAPES:
+        for index, (kernel, bias) in enumerate(getattr(residual, name)):
+            arrays[f"{name}_kernel_{index}"] = np.asarray(kernel, np.float32)
+            arrays[f"{name}_bias_{index}"] = np.asarray(bias, np.float32)
+    meta = {
+        "format": FORMAT,
+        "rpm_min": float(residual.rpm_min),
+        "rpm_max": float(residual.rpm_max),
+        "thrust_sign": int(residual.thrust_sign),
+        "source": source,
+    }
+    write_npz(path, arrays, meta)
+
+
+def located(path: Path | str) -> Path:
+    """The file of a path, or, of a bare name that is no file, the shipped file of that name."""
+    path, shipped = Path(path), PRETRAINED / Path(path).name
+    bare = path.parent == Path(".") and not path.exists()
+    return shipped if bare and shipped.exists() else path
+
+
+def read_residual(path: Path | str) -> Residual:
+    """Read and check a residual file, or a shipped one by its name alone.
+
+    Raises:
+        InputError: a missing, damaged or inconsistent file, in one line.
+    """
+    path = located(path)
+    arrays, meta = read_npz(path, FORMAT)
+    networks = {}
+    for name, (inputs, outputs) in SHAPES.items():
+        layers = read_layers(path, arrays, f"{name}_")
+        found = (layers[0][0].shape[0], layers[-1][0].shape[1])
+        if found != (inputs, outputs):
+            raise InputError(
+                f"{path}: the {name} network maps {found[0]} inputs to {found[1]} outputs, "
+                f"expected {inputs} to {outputs}"
+            )
+        networks[name] = tuple(
+            (jnp.asarray(k, jnp.float32), jnp.asarray(b, jnp.float32)) for k, b in layers
+        )
+    rpm_min, rpm_max = _number(path, meta, "rpm_min"), _number(path, meta, "rpm_max")
+    if not rpm_min < rpm_max:
+        raise InputError(f"{path}: meta 'rpm_min' {rpm_min} is not below 'rpm_max' {rpm_max}")
+    if isinstance(meta.get("thrust_sign"), bool) or meta.get("thrust_sign") not in (1, -1):
+        raise InputError(
+            f"{path}: meta 'thrust_sign' is {meta.get('thrust_sign')!r}, allowed: [1, -1]"
+        )
+    return Residual(
+        thrust=networks["thrust"],
+        moment=networks["moment"],
+        rpm_min=jnp.float32(rpm_min),
+        rpm_max=jnp.float32(rpm_max),
+        thrust_sign=jnp.float32(meta["thrust_sign"]),
+    )
+
+
+def _number(path: Path | str, meta: dict, key: str) -> float:
+    value = meta.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise InputError(f"{path}: meta {key!r} is {value!r}, expected a finite number")
+    return float(value)

@@ -1,0 +1,61 @@
+"""A pilot that needs no training: it flies the rate-level vehicle through gates at a set speed."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.config.loading import load_config
+from quadjax.policy.file import Policy
+from quadjax.race.build import build_params, choices_of
+from tests.race.support import BLANK
+
+GRAVITY = 9.81
+HIGH = np.array([3.0, 3.0, 3.0, 15.0])
+LOW = np.array([-3.0, -3.0, -3.0, 0.0])
+
+
+def rate_race(*words: str):
+    config = load_config(BLANK, ["vehicle.kind=rate", *words])
+    return config, choices_of(config), build_params(config)
+
+
+def script(speed: float = 2.5, offset: float = 0.0, thrust: float = 1.0, pitch_rate: float = 0.0):
+    """What the pilot does: speed through the gates, m/s, and how far to their right, m."""
+    numbers = {"speed": speed, "offset": offset, "thrust": thrust, "pitch_rate": pitch_rate}
+    return {name: jnp.float32(value) for name, value in numbers.items()}
+
+
+def scripted(wish: dict, observation: jax.Array, noise: jax.Array) -> jax.Array:
+    """Acceleration towards the gate's axis, then the attitude and the rates that give it."""
+    _, y, z, vx, vy, vz, roll, pitch, yaw = observation[:9]
+    ahead = jnp.clip(3.0 * (wish["speed"] - vx), -4.0, 4.0)
+    right = jnp.clip(6.0 * (wish["offset"] - y) - 4.0 * vy, -5.0, 5.0)
+    down = jnp.clip(-8.0 * z - 5.0 * vz, -4.0, 4.0)
+    forward = jnp.cos(yaw) * ahead + jnp.sin(yaw) * right
+    sideways = -jnp.sin(yaw) * ahead + jnp.cos(yaw) * right
+    thrust = (GRAVITY - down) / (jnp.cos(roll) * jnp.cos(pitch))
+    wanted_pitch, wanted_roll = -forward / GRAVITY, sideways / GRAVITY
+    rates = [8.0 * (wanted_roll - roll), 8.0 * (wanted_pitch - pitch), -3.0 * yaw]
+    rates[1] = jnp.where(wish["pitch_rate"] != 0.0, wish["pitch_rate"], rates[1])
+    command = jnp.stack([*rates, thrust * wish["thrust"]])
+    return 2.0 * (command - LOW) / (HIGH - LOW) - 1.0
+
+
+def random_policy(vehicle: str = "motor", seed: int = 0, **changes: object) -> Policy:
+    random = np.random.default_rng(seed)
+    inputs = {"motor": 24, "rate": 17}[vehicle]
+    shapes = ((inputs, 8), (8, 4))
+    layers = tuple((0.3 * random.normal(size=s), 0.1 * random.normal(size=s[1])) for s in shapes)
+    low, high = (np.full(4, 3000.0), np.full(4, 11000.0)) if vehicle == "motor" else (LOW, HIGH)
+    values = {
+        "layers": layers,
+        "log_std": np.full(4, -1.0),
+        "vehicle": vehicle,
+        "activation": "relu",
+        "output": "clip",
+        "command_low": low,
+        "command_high": high,
+        "observation": {},
+        "source": {},
+    }
+    return Policy(**(values | changes))

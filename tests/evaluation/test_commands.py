@@ -1,0 +1,92 @@
+"""The scripts' command lines."""
+
+import json
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from quadjax.policy.file import write_policy
+from tests.evaluation.support import random_policy
+
+ROOT = Path(__file__).resolve().parents[2]
+EVALUATE = ROOT / "scripts" / "evaluate.py"
+
+
+@pytest.fixture(scope="module")
+def policy_file(tmp_path_factory) -> str:
+    path = tmp_path_factory.mktemp("policy") / "policy.npz"
+    write_policy(path, random_policy())
+    return str(path)
+
+
+def run_here(monkeypatch, script: Path, *arguments: str) -> int:
+    """The script's exit status, without a process of its own."""
+    monkeypatch.setattr(sys, "argv", [str(script), *arguments])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(script), run_name="__main__")
+    return end.value.code
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        ([], "--policy"),
+        (["--policy", "missing.npz"], "missing.npz"),
+        (["--policy", "POLICY", "--laps", "0"], "--laps"),
+        (["--policy", "POLICY", "--laps", "1000000000"], "1 to 1000"),
+        (["--policy", "POLICY", "evaluate.laps=1000000000"], "evaluate.laps"),
+        (["--policy", "POLICY", "--runs", "1000000000"], "--runs"),
+        (["--policy", "POLICY", "--runs", "many"], "--runs"),
+        (["--policy", "POLICY", "--seed", "-1"], "--seed"),
+        (["--policy", "POLICY", "--start", "moon"], "--start"),
+        (["--policy", "POLICY", "--json", "/dev/null/a.json"], "/dev/null/a.json"),
+        (["--policy", "POLICY", "--figure", "a.xyz"], "a.xyz"),
+        (["--policy", "POLICY", "--animation", "a.mp4"], "a.mp4"),
+        (["--policy", "POLICY", "vehicle.kind=rate"], "vehicle.kind"),
+        (["--policy", "POLICY", "vehicle.motor.k_w=heavy"], "k_w"),
+        (["--policy", "POLICY", "vehicle.residual=missing.npz"], "missing.npz"),
+        (["--policy", "POLICY", "nonsense"], "nonsense"),
+        (["--policy", "POLICY", "--nonsense"], "nonsense"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(monkeypatch, capsys, policy_file, arguments, names):
+    given = [policy_file if word == "POLICY" else word for word in arguments]
+    config = str(ROOT / "configs" / "e2e.yaml")
+    assert run_here(monkeypatch, EVALUATE, config, *given) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("error: ") and names in lines[0]
+
+
+def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
+    """A policy that crashes is a result, not an error."""
+    outputs = {name: tmp_path / f"a.{name}" for name in ("json", "png", "gif")}
+    words = ["--laps", "1", "--runs", "2", "--policy", policy_file, "vehicle.motor.k_w=4.5e-8"]
+    files = ["--json", outputs["json"], "--figure", outputs["png"], "--animation", outputs["gif"]]
+    done = subprocess.run(
+        [sys.executable, EVALUATE, ROOT / "configs" / "e2e.yaml", *words, *files],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "sampled, 2 runs" in done.stdout and "0/2" in done.stdout
+    result = json.loads(outputs["json"].read_text())
+    assert result["runs"] == 2 and result["finished"] == 0 and len(result["crashes"]) == 2
+    for name in ("png", "gif"):
+        with Image.open(outputs[name]) as image:
+            assert image.size[0] > 300
+
+
+def test_the_benchmark_measures_in_a_process(monkeypatch, capsys):
+    job = {"kind": "residual", "config": str(ROOT / "configs" / "e2e.yaml"), "drones": 2}
+    text = json.dumps(job | {"repeats": 1})
+    monkeypatch.setattr("quadjax.evaluation.benchmark.STEPS_PER_CALL", 100)
+    assert run_here(monkeypatch, ROOT / "scripts" / "benchmark.py", "--job", text) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["steps_per_second"] > 0 and result["devices"] == 2
+    assert result["machine"]["cores"] >= 1

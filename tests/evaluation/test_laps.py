@@ -1,0 +1,108 @@
+import jax
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.evaluation import tables
+from quadjax.evaluation.recording import choose, distinct, recordings
+from quadjax.race.laps import fly_laps
+from tests.evaluation.support import rate_race, script, scripted
+from tests.race.support import BLANK
+
+LAPS = 2
+WIDE = (
+    "track.gates=[{position: [2, -1.5, -1.5], yaw_deg: 45, size: [3, 3]},"
+    "{position: [2, 1.5, -1.5], yaw_deg: 135},{position: [-2, 1.5, -1.5], yaw_deg: 225},"
+    "{position: [-2, -1.5, -1.5], yaw_deg: 315}]"
+)
+
+
+def fly(**wishes: float):
+    config, choices, params = rate_race()
+    key = jax.random.key(0)
+    return config, *fly_laps(choices, params, scripted, script(**wishes), key, LAPS, 2, trace=True)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return fly()
+
+
+def test_every_lap_is_timed(flown):
+    _, laps, _ = flown
+    assert laps.finished == 2 and laps.crashes == ("", "")
+    assert laps.lap_times.shape == (2, LAPS)
+    assert np.all((laps.lap_times > 3.0) & (laps.lap_times < 8.0))
+    np.testing.assert_allclose(laps.totals, laps.seconds, atol=1e-4)
+
+
+def test_a_lap_ends_where_the_path_crosses_the_last_gate(flown):
+    config, laps, trace = flown
+    flight = recordings(trace, laps, 0.01)[0]
+    gate = config.track.gates[-1]
+    yaw = np.radians(gate.yaw_deg)
+    relative = flight.position - np.array(gate.position)
+    ahead = np.cos(yaw) * relative[:, 0] + np.sin(yaw) * relative[:, 1]
+    side = -np.sin(yaw) * relative[:, 0] + np.cos(yaw) * relative[:, 1]
+    near = (np.abs(side) < 0.5) & (np.abs(relative[:, 2]) < 0.5)
+    crossed = (ahead[:-1] < 0) & (ahead[1:] >= 0) & near[1:]
+    np.testing.assert_allclose(flight.time[1:][crossed], np.cumsum(laps.lap_times[0]), atol=1e-4)
+
+
+def test_a_recording_ends_with_its_run(flown):
+    config, laps, trace = flown
+    flights = recordings(trace, laps, 0.01)
+    assert len(distinct(flights)) == 1  # nothing is random here
+    flight = choose(flights)
+    assert flight.time[-1] == pytest.approx(laps.totals[0], abs=1e-4)
+    assert flight.actuators.shape == (len(flight.time), 1) and not flight.motor_level
+    assert np.linalg.norm(np.diff(flight.position, axis=0), axis=1).max() < 0.1
+    np.testing.assert_allclose(flight.position[0], config.track.gates[-1].position)
+
+
+@pytest.mark.parametrize(
+    ("reason", "wishes"),
+    [
+        ("hit a gate", {"offset": 0.9}),
+        ("hit the ground", {"thrust": 0.3}),
+        ("out of bounds", {"speed": -6.0}),
+        ("lost its attitude", {"pitch_rate": -3.0}),
+        ("out of time", {"speed": 0.05}),
+    ],
+)
+def test_every_early_end_has_its_reason(reason, wishes):
+    _, laps, _ = fly(**wishes)
+    assert laps.crashes == (reason, reason)
+    assert laps.finished == 0 and np.isnan(laps.totals).all()
+    crash = laps.to_json()["crashes"][1]
+    assert crash["run"] == 1 and crash["lap"] == 1 and crash["reason"] == reason
+    assert 0 < crash["seconds"] <= LAPS * 8.0
+    assert tables.describe_crashes(laps).splitlines()[0].startswith(f"runs 1, 2: {reason} in lap 1")
+
+
+def test_json_has_the_promised_keys(flown):
+    _, laps, _ = flown
+    result = laps.to_json()
+    assert set(result) == {"laps", "totals", "finished", "runs", "crashes"}
+    assert result["finished"] == result["runs"] == 2 and result["crashes"] == []
+    assert result["totals"][0] == pytest.approx(sum(result["laps"][0]), abs=1e-3)
+
+
+def test_the_table_sets_published_times_beside(flown):
+    config, laps, _ = flown
+    assert tables.published_rows(config, 6) == tables.PUBLISHED
+    assert tables.published_rows(config, 5) == ()
+    assert tables.published_rows(config, 6, from_hover=False) == ()
+    for words in (["episode.dt=0.005"], ["track.file=figure8.yaml"], [WIDE]):
+        assert tables.published_rows(load_config(BLANK, words), 6) == ()
+        assert tables.published_total(load_config(BLANK, words)) is None
+    assert tables.published_total(load_config(BLANK))[1] == 15.70
+    assert tables.published_total(load_config(BLANK, ["vehicle.kind=rate"]))[1] == 17.04
+    assert tables.published_total(load_config(BLANK, ["evaluate.laps=1"])) is None
+    for row in tables.PUBLISHED:
+        assert sum(row.laps) == pytest.approx(row.total, abs=0.03)
+    own = tables.lap_row("own", laps)
+    assert own.total == pytest.approx(laps.totals.mean())
+    text = tables.format_table([own], tables.published_rows(config, 6))
+    assert "2/2" in text and "15.75" in text and "17.26" in text
+    assert max(len(line) for line in text.splitlines()) <= 100

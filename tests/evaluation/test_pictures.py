@@ -1,0 +1,161 @@
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from quadjax.config.schema import GateConfig
+from quadjax.core.errors import InputError
+from quadjax.evaluation import animation, scene
+from quadjax.evaluation.curves import training_figure
+from quadjax.evaluation.figures import (
+    SPEED_COLOURS,
+    save_figure,
+    signals_figure,
+    trajectory_figure,
+)
+from quadjax.evaluation.recording import Recording, opening
+from quadjax.training.metrics import read_metrics
+
+GATES = [GateConfig([2.0, 0.0, -1.5], 90.0), GateConfig([-2.0, 0.0, -1.5], 270.0, [2.0, 1.0])]
+
+
+def circle(motors: int = 4, seconds: float = 1.0, crash: str = "") -> Recording:
+    time = np.arange(0.0, seconds + 1e-9, 0.01)
+    turn = 2.0 * np.pi * time / seconds
+    zero = np.zeros_like(time)
+    return Recording(
+        time=time,
+        position=np.stack([2 * np.cos(turn), 2 * np.sin(turn), zero - 1.5], axis=1),
+        velocity=np.stack([-np.sin(turn), np.cos(turn), zero], axis=1)
+        * (3 + np.sin(turn))[:, None],
+        euler=np.stack([zero + 0.5, zero - 0.3, turn], axis=1),
+        rates=np.stack([zero, zero + 1, turn], axis=1),
+        actuators=np.full((len(time), motors), 9000.0),
+        command=np.full((len(time), 4), 9000.0),
+        lap_ends=np.array([seconds]),
+        crash=crash,
+    )
+
+
+def pixels(figure) -> np.ndarray:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=60)
+    return np.asarray(Image.open(stream).convert("RGB"))
+
+
+def colours(image: np.ndarray) -> int:
+    return len(np.unique(image.reshape(-1, 3), axis=0))
+
+
+@pytest.mark.parametrize("crash", ["", "hit a gate"])
+def test_the_trajectory_is_drawn_to_scale(crash):
+    figure = trajectory_figure([circle(crash=crash)], GATES, "title")
+    axes = figure.axes[0]
+    assert axes.get_aspect() == 1.0
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]  # east is down, or the track were mirrored
+    assert "north" in axes.get_xlabel() and "east" in axes.get_ylabel()
+    widths = [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) == 2]
+    assert max(widths) == pytest.approx(2.0) and 1.0 in np.round(widths, 6)
+    assert colours(pixels(figure)) > 100
+
+
+def test_a_short_unmoving_flight_can_be_drawn():
+    flight = circle(seconds=0.02)
+    still = Recording(**(vars(flight) | {"velocity": 0 * flight.velocity}))
+    assert colours(pixels(trajectory_figure([still], GATES))) > 10
+
+
+@pytest.mark.parametrize("motors", [4, 1])
+def test_signals_are_drawn(motors):
+    assert colours(pixels(signals_figure(circle(motors)))) > 50
+
+
+def test_training_curves_come_from_a_metrics_file(tmp_path):
+    path = tmp_path / "metrics.csv"
+    rows = [f"{i},{0.5 * i},{i / 10},{'inf' if i < 4 else 20 - i}" for i in range(1, 6)]
+    path.write_text("\n".join(["steps,seconds,reward,lap_total", *rows, "6,3."]))
+    metrics = read_metrics(path)
+    assert metrics["steps"].tolist() == [1, 2, 3, 4, 5]
+    figure = training_figure({"run": metrics}, reference=("published", 15.75))
+    assert len(figure.axes) == 4
+    assert colours(pixels(figure)) > 30
+
+
+def test_metrics_without_a_finished_lap_can_be_drawn():
+    columns = {"steps": np.arange(3.0), "reward": np.arange(3.0), "lap_total": np.full(3, np.inf)}
+    assert len(training_figure({"run": columns}).axes) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [("", "no rows"), ("steps,reward\n1,x\n", "line 2: reward"), ("a,b\n1,2,3\n", "line 2")],
+)
+def test_a_bad_metrics_file_is_refused(tmp_path, text, names):
+    path = tmp_path / "metrics.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=names):
+        read_metrics(path)
+
+
+def test_figures_are_written_whole(tmp_path):
+    figure = signals_figure(circle())
+    save_figure(figure, tmp_path / "new" / "a.png")
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["a.png"]
+    with pytest.raises(InputError, match="allowed"):
+        save_figure(figure, tmp_path / "a.nothing")
+    with pytest.raises(InputError, match="cannot be written"):
+        save_figure(figure, "/dev/null/a.png")
+
+
+def test_an_animation_is_a_gif_in_real_time(tmp_path):
+    path, calls = tmp_path / "flight.gif", []
+    flights = [circle(), circle(seconds=0.7, crash="hit a gate")]
+    animation.write_animation(flights, GATES, path, lambda: calls.append(1))
+    with Image.open(path) as film:
+        assert film.format == "GIF" and film.size == (animation.WIDTH, animation.HEIGHT)
+        assert film.n_frames == len(calls) == animation.frame_count(flights) == 21
+        assert film.info["duration"] == 50
+        first = np.asarray(film.convert("RGB"))
+        film.seek(10)
+        later = np.asarray(film.convert("RGB"))
+    assert colours(first) > 20 and np.any(first != later)
+    with pytest.raises(InputError, match="gif"):
+        animation.write_animation(flights, GATES, tmp_path / "flight.mp4")
+
+
+def test_an_animation_says_which_colour_is_which_speed():
+    film = animation.Film([circle()], GATES)
+    row = np.asarray(film.frame(0))[round(animation.CLOCK_ROW * animation.HEIGHT)]
+    left, right = (round(x * animation.WIDTH) for x in animation.LEGEND)
+    slow, fast = (255 * np.array(SPEED_COLOURS(x)[:3]) for x in (0.0, 1.0))
+    np.testing.assert_allclose(row[left + 2], slow, atol=1)
+    np.testing.assert_allclose(row[right - 2], fast, atol=1)
+    assert colours(row[None, left:right]) >= animation.SHADES
+
+
+def test_drones_have_names_where_they_are_told(tmp_path):
+    flights = [circle(), circle(seconds=0.7)]
+    plain, named = (animation.Film(flights, GATES, names) for names in ((), ("E2E", "INDI")))
+    assert np.any(np.asarray(plain.frame(5)) != np.asarray(named.frame(5)))
+    with pytest.raises(ValueError, match="zip"):
+        animation.Film(flights, GATES, ["E2E"]).frame(0)
+
+
+def test_the_opening_of_a_flight():
+    flight = dataclasses.replace(circle(crash="hit a gate"), lap_ends=np.array([0.4, 1.0]))
+    first = opening(flight, 0.5)
+    assert first.time[-1] == pytest.approx(0.5) and len(first.position) == len(first.time) == 51
+    assert first.lap_ends.tolist() == [0.4] and first.crash == ""
+    assert opening(flight, 1.0) is flight and opening(flight, 9.0) is flight
+
+
+def test_both_views_look_from_above():
+    """North is to the right and east towards the viewer in both; what is higher appears higher."""
+    for view in (scene.from_above(), scene.from_the_side(np.zeros(3), 10.0)):
+        centre, north, east = view.project(np.array([[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
+        assert north[0] > centre[0] and east[1] > centre[1]
+    up = scene.from_the_side(np.zeros(3), 10.0).project(np.array([0.0, 0.0, -1.0]))
+    assert up[1] < 0
+    assert np.allclose(np.linalg.det(scene.from_the_side(np.zeros(3), 10.0).axes), 1.0)

@@ -1,0 +1,102 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.vectors import Vec3
+from quadjax.policy import pilot
+from quadjax.policy.inference import flying, mean_action
+from quadjax.race import environment
+from tests.evaluation.support import random_policy
+from tests.race.support import BLANK
+
+WIDE = {"command_low": np.full(4, 2000.0), "command_high": np.full(4, 12000.0)}
+
+
+def make(policy, *words: str):
+    config = load_config(BLANK, words)
+    choices, params = pilot.race_of(config, policy)
+    ready = pilot.make_pilot(config, policy, pilot.command_ranges(choices, params), True)
+    return choices, params, ready
+
+
+def test_equal_ranges_change_no_bit():
+    policy = random_policy()
+    _, _, ready = make(policy)
+    assert np.all(ready.see_scale[:20] == 1) and not ready.see_offset.any()
+    assert np.all(ready.act_scale == 1) and not ready.act_offset.any()
+
+
+def test_the_policy_commands_what_its_file_says():
+    policy = random_policy(**WIDE)
+    choices, params, ready = make(policy, "vehicle.motor.rpm_max=11500.0")
+    random = np.random.default_rng(1)
+    noise = jnp.zeros(4)
+    for _ in range(5):
+        rpm = random.uniform(3000, 11500, 4)
+        seen = random.normal(size=24)
+        seen[20:] = 0.0
+        shown, own = seen.copy(), seen.copy()
+        shown[12:16] = 2 * (rpm - 3000) / 8500 - 1
+        own[12:16] = 2 * (rpm - 2000) / 10000 - 1
+        action = pilot.fly(ready, jnp.asarray(shown, jnp.float32), noise)
+        given = jax.tree.leaves(environment.command(choices, params, action))
+        mean = np.clip(mean_action(flying(policy), jnp.asarray(own, jnp.float32)), -1, 1)
+        wanted = np.clip(2000 + 5000 * (np.asarray(mean) + 1), 3000, 11500)
+        np.testing.assert_allclose(given, wanted, atol=0.5)
+
+
+def test_disturbances_are_seen_in_the_policys_scale():
+    """Also where the race draws none, and meets a steady moment all the same."""
+    widths = {"moment_x": 0.02, "moment_y": 0.02, "moment_z": 0.0, "force_z": 1.0}
+    policy = random_policy(observation={"disturbance": widths})
+    for words in ([], ["disturbance.moment_x=0.04", "disturbance.moment_z=0.01"]):
+        choices, params, _ = make(policy, *words)
+        state = environment.hover_start(params)
+        moment = Vec3.of(jnp.array([0.04, -0.01, 0.005]))
+        met = state.drone.replace(moment_ext=moment, force_ext=moment.replace(z=jnp.array(-0.5)))
+        observed = environment.observe(choices, params, state.replace(drone=met))
+        np.testing.assert_allclose(observed[20:], [2.0, -0.5, 0.0, -0.5], rtol=1e-6)
+
+
+def test_a_policy_that_says_nothing_has_the_races_scale():
+    choices, params, _ = make(random_policy(), "disturbance.moment_x=0.04")
+    assert float(params.seen.moment_x) == np.float32(0.04) and float(params.seen.force_z) == 0.0
+
+
+def test_the_observation_is_made_as_the_policy_was_trained():
+    seen = {"wrap_next_yaw": False, "disturbance_input": "none"}
+    choices, params, _ = make(random_policy(observation=seen))
+    assert choices.disturbance_input == "true"  # what is measured is the race's choice
+    assert float(jnp.abs(params.track.next_yaw).max()) == pytest.approx(1.5 * np.pi)
+
+
+def test_sampling_and_the_mean_share_an_actor():
+    policy = random_policy()
+    _, _, ready = make(policy)
+    seen, noise = jnp.full(24, 0.1), jnp.full(4, 0.1)
+    mean = pilot.fly(ready, seen, jnp.zeros(4))
+    np.testing.assert_array_equal(pilot.fly(ready, seen, noise), mean)
+    sampled = pilot.fly(ready.replace(noise=jnp.float32(1.0)), seen, noise)
+    wanted = np.clip(np.asarray(mean) + 0.1 * np.exp(-1.0), -1, 1)
+    np.testing.assert_allclose(sampled, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ({"vehicle": "rate"}, "vehicle.kind"),
+        ({"observation": []}, "observation"),
+        ({"observation": {"wrap_next_yaw": "yes"}}, "wrap_next_yaw"),
+        ({"observation": {"disturbance_input": "some"}}, "disturbance_input"),
+        ({"observation": {"disturbance": {"moment_x": -1.0}}}, "disturbance"),
+        ({"observation": {"disturbance": {"wind": 1.0}}}, "disturbance"),
+    ],
+)
+def test_what_does_not_fit_is_refused(changes, names):
+    config = load_config(BLANK, [])
+    kind = changes.pop("vehicle", "motor")
+    with pytest.raises(InputError, match=names):
+        pilot.check_fits(config, random_policy(kind, **changes), "file.npz")

@@ -1,0 +1,23 @@
+from pathlib import Path
+
+import pytest
+
+from quadjax.config.loading import read_yaml
+from quadjax.vehicle.constants import MotorConstants
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+FLIGHTS = REPOSITORY.parent / "shared" / "flight_data"
+
+
+@pytest.fixture(scope="session")
+def bebop():
+    return MotorConstants(**read_yaml(REPOSITORY / "configs/vehicles/bebop1.yaml")["motor"])
+
+
+@pytest.fixture(scope="session")
+def real_flights():
+    """Paths of four real flights, which are no part of the project."""
+    paths = sorted(FLIGHTS.glob("*.csv"))
+    if len(paths) < 4:
+        pytest.skip("no real flights in ../shared/flight_data beside the repository")
+    return paths

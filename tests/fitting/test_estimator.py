@@ -1,0 +1,191 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+
+from quadjax.core.errors import InputError
+from quadjax.core.frames import attitude, world_to_body
+from quadjax.core.integrators import euler_step, rk4_step
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.fitting.estimator_reference import estimate
+from quadjax.fitting.synthetic import make_residual
+from quadjax.vehicle import estimator, motor
+from quadjax.vehicle.constants import MotorConstants
+
+BEBOP = MotorConstants(
+    g=9.81,
+    i_xx=0.000906,
+    i_yy=0.001242,
+    i_zz=0.002054,
+    k_x=1.07933887e-05,
+    k_y=9.65250793e-06,
+    k_z=2.7862899e-05,
+    k_w=4.36301076e-08,
+    k_h=0.0625501332,
+    k_p=1.4119331e-09,
+    k_q=1.21601884e-09,
+    k_pv=-0.00797101848,
+    k_qv=0.0129263739,
+    k_r1=2.57035545e-06,
+    k_r2=4.10923364e-07,
+    k_rr=0.000812932607,
+    tau=0.06,
+    rpm_min=3000.0,
+    rpm_max=11000.0,
+)
+MOMENT = np.array([0.02, -0.03, 0.008])
+FORCE = np.array([0.3, -0.2, -0.5])
+
+
+def _controlled(state, time):
+    """Commands that keep the drone lively and upright: damped rates about a wandering target."""
+    hover = motor.hover_rpm(BEBOP)
+    target = Vec3(jnp.sin(2.1 * time), jnp.sin(1.7 * time + 1), jnp.sin(1.1 * time)) * 0.25
+    turn = (target - state.euler) * 10.0 - state.rates * 2.5
+    roll, pitch, yaw = 60.0 * turn.x, 60.0 * turn.y, 120.0 * turn.z
+    lift = hover + 300.0 * jnp.sin(3.0 * time) + 500.0 * state.velocity.z
+    mix = (roll + pitch - yaw, -roll + pitch + yaw, -roll - pitch - yaw, roll - pitch + yaw)
+    return Rotors(*(jnp.clip(lift + part, 3000.0, 11000.0) for part in mix))
+
+
+def _fly(vehicle, rate, integrator, substeps, seconds=6.0, onset=2.0):
+    """A simulated flight: the disturbances step from zero to their values at ``onset``."""
+    dt = 1.0 / (rate * substeps)
+
+    def step(state, index):
+        time = index / rate
+        on = jnp.where(time >= onset - 1e-6, 1.0, 0.0)
+        state = state.replace(
+            moment_ext=Vec3.of(jnp.asarray(MOMENT, jnp.float32)) * on,
+            force_ext=Vec3.of(jnp.asarray(FORCE, jnp.float32)) * on,
+        )
+        body_velocity = world_to_body(attitude(state.euler), state.velocity)
+        steady = Rotors.same(jnp.zeros(()))
+        force, _ = motor.force_moment(vehicle, state.rpm, steady, body_velocity, state.rates)
+        measured = estimator.Measurement(
+            gyro=state.rates,
+            specific_force=force + state.force_ext,
+            rpm=state.rpm,
+            body_velocity=body_velocity,
+        )
+        command = _controlled(state, time)
+        state = jax.lax.fori_loop(
+            0,
+            substeps,
+            lambda _, s: integrator(lambda x: motor.derivative(vehicle, x, command), s, dt),
+            state,
+        )
+        return state, (measured, on)
+
+    start = motor.MotorState(
+        position=Vec3.zero(),
+        velocity=Vec3.of(jnp.array([1.0, -0.5, 0.2])),
+        euler=Vec3.of(jnp.array([0.1, -0.2, 0.3])),
+        rates=Vec3.of(jnp.array([0.5, -0.4, 0.3])),
+        rpm=Rotors.same(jnp.asarray(7000.0)),
+        moment_ext=Vec3.zero(),
+        force_ext=Vec3.zero(),
+    )
+    _, (measured, on) = jax.jit(
+        lambda: jax.lax.scan(step, start, jnp.arange(int(seconds * rate)))
+    )()
+    return measured, np.asarray(on)
+
+
+def _run(params, measured):
+    first = jax.tree.map(lambda x: x[0], measured)
+
+    def step(state, measurement):
+        state, moment, force = estimator.update(params, state, measurement)
+        return state, (moment, force)
+
+    _, (moment, force) = jax.lax.scan(step, estimator.init(params, first), measured)
+    return np.asarray(moment.array()), np.asarray(force.array())
+
+
+def _as_signals(measured):
+    return {name: getattr(measured, name).array() for name in measured.__dataclass_fields__}
+
+
+CASES = {
+    "simulation 100 Hz": (100.0, euler_step, 1, True),
+    "on board 512 Hz": (512.0, rk4_step, 2, False),
+    "continuous 100 Hz": (100.0, rk4_step, 8, False),
+}
+
+
+@pytest.fixture(scope="module", params=CASES, ids=list(CASES))
+def flight(request):
+    rate, integrator, substeps, euler = CASES[request.param]
+    vehicle = motor.MotorParams(BEBOP, make_residual(1, 0.5, 0.005))
+    measured, on = _fly(vehicle, rate, integrator, substeps)
+    params = estimator.estimator_params(vehicle, rate, explicit_euler=euler)
+    return request.param, vehicle, measured, on, params
+
+
+def test_follows_a_step_as_the_filter_does_and_without_bias(flight):
+    name, vehicle, measured, on, params = flight
+    rate, _, _, euler = CASES[name]
+    moment, force = _run(params, measured)
+    b, a = butter(2, 8.0, fs=rate)
+    step = lfilter(b, a, on)
+    shifted = lfilter([0.0, 2 * b[0], 2 * b[0]] if euler else b, a, on)
+    error_m = np.abs(moment - shifted[:, None] * MOMENT) / np.array([0.03, 0.03, 0.01])
+    error_f = np.abs(force - step[:, None] * FORCE) / 0.5
+    print(name, "largest error / range", error_m.max(0), error_f.max(0))
+    settled = slice(int(2.5 * rate), None)
+    assert np.abs((moment[settled].mean(0) - MOMENT) / [0.03, 0.03, 0.01]).max() < 0.02
+    assert np.abs((force[settled].mean(0) - FORCE) / 0.5).max() < 0.02
+    assert error_f.max() < 1e-3
+    assert error_m.max() < (1e-4 if euler else 13.0 / rate)  # the step lies between two samples
+    # Half of the step is reached no later than the filter itself reaches it.
+    reached = int(np.argmax(step >= 0.5))
+    slack = 1 if euler else 0  # there a moment moves the gyro only one sample later
+    assert all(np.argmax(moment[:, i] / MOMENT[i] >= 0.5) <= reached + slack for i in range(3))
+    assert all(np.argmax(force[:, i] / FORCE[i] >= 0.5) <= reached for i in range(3))
+
+
+def test_jax_and_float64_reference_agree(flight):
+    name, vehicle, measured, _, params = flight
+    rate, _, _, euler = CASES[name]
+    moment, force = _run(params, measured)
+    reference = estimate(vehicle, _as_signals(measured), rate, explicit_euler=euler)
+    print(name, *(np.abs(a - b).max() for a, b in zip((moment, force), reference, strict=True)))
+    assert np.abs(moment - reference[0]).max() < 1e-5
+    assert np.abs(force - reference[1]).max() < 1e-5
+
+
+def test_batches_and_differentiates():
+    vehicle = motor.MotorParams(BEBOP)
+    params = estimator.estimator_params(vehicle, 100.0)
+    ones = jnp.ones(5)
+    three = Vec3(ones, ones, ones)
+    batch = estimator.Measurement(three, three, Rotors.same(7000.0 * ones), three)
+    states = jax.vmap(estimator.init, in_axes=(None, 0))(params, batch)
+    states, moment, force = jax.vmap(estimator.update, in_axes=(None, 0, 0))(params, states, batch)
+    assert moment.array().shape == force.array().shape == (5, 3)
+
+    def total(cutoff):
+        params = estimator.estimator_params(vehicle, 100.0, cutoff)
+        one = jax.tree.map(lambda x: x[0], batch)
+        return estimator.update(params, estimator.init(params, one), one)[2].z
+
+    assert np.isfinite(jax.grad(total)(8.0))
+
+
+def test_a_steady_start_is_no_disturbance():
+    vehicle = motor.MotorParams(BEBOP)
+    params = estimator.estimator_params(vehicle, 100.0)
+    rpm = Rotors.same(motor.hover_rpm(BEBOP))
+    still = Vec3.zero()
+    at_rest = estimator.Measurement(still, still.replace(z=jnp.asarray(-9.81)), rpm, still)
+    _, moment, force = estimator.update(params, estimator.init(params, at_rest), at_rest)
+    np.testing.assert_allclose(moment.array(), 0.0, atol=1e-7)
+    np.testing.assert_allclose(force.array(), 0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("cutoff", [0.0, -1.0, 50.0, 300.0])
+def test_impossible_cutoff_is_refused(cutoff):
+    with pytest.raises(InputError, match="cut-off"):
+        estimator.estimator_params(motor.MotorParams(BEBOP), 100.0, cutoff)

@@ -1,0 +1,236 @@
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.fitting.config import LogsConfig, UnitsConfig
+from quadjax.fitting.flight_log import read_log, read_logs
+from quadjax.fitting.synthetic_log import simulate_flight, write_log
+from quadjax.vehicle.motor import MotorParams
+
+PAPARAZZI = LogsConfig(format="paparazzi")
+
+
+@pytest.fixture(scope="module")
+def columns(bebop):
+    return simulate_flight(MotorParams(bebop), seed=1, seconds=4.0, sample_rate=250.0)
+
+
+def _write(tmp_path, columns, **changed):
+    path = tmp_path / "flight.csv"
+    write_log(path, columns | changed)
+    return path
+
+
+def _body_velocity(columns):
+    """Independently of the reader, from the angles."""
+    phi, theta, psi = (columns[f"att_{name}"] for name in ("phi", "theta", "psi"))
+    vx, vy, vz = (columns[f"vel_{axis}"] for axis in "xyz")
+    vx, vy = np.cos(psi) * vx + np.sin(psi) * vy, np.cos(psi) * vy - np.sin(psi) * vx
+    vx, vz = np.cos(theta) * vx - np.sin(theta) * vz, np.sin(theta) * vx + np.cos(theta) * vz
+    vy, vz = np.cos(phi) * vy + np.sin(phi) * vz, np.cos(phi) * vz - np.sin(phi) * vy
+    return np.stack([vx, vy, vz], axis=1)
+
+
+def test_paparazzi_log(tmp_path, columns):
+    log = read_log(_write(tmp_path, columns), PAPARAZZI)
+    assert log.name == "flight" and abs(log.sample_rate - 250.0) < 1e-6 and log.flying.all()
+    np.testing.assert_allclose(log.body_velocity, _body_velocity(columns), atol=1e-6)
+    np.testing.assert_allclose(log.rpm[:, 2], columns["rpm_obs_3"], rtol=1e-6)
+    np.testing.assert_allclose(log.rpm_command[:, 3], columns["rpm_ref_4"], rtol=1e-6)
+    less_bias = columns["ekf_U2"] - columns["ekf_X11"]
+    np.testing.assert_allclose(log.specific_force[:, 1], less_bias, atol=1e-6)
+
+
+def test_plain_log_of_a_real_flight(real_flights):
+    log = read_log(real_flights[0], LogsConfig())
+    assert log.rpm.shape == (14306, 4) and log.rpm_command is None
+    assert abs(log.sample_rate - 400.0) < 1e-6
+
+
+def test_own_columns_units_and_frames(tmp_path, columns):
+    """The same flight in g, deg, rad/s for propellers, z up and ENU reads as the same log."""
+    expected = read_log(_write(tmp_path, columns), PAPARAZZI)
+    w, x, y, z = _quaternion_enu_flu(columns)
+    other = {
+        "ms": columns["time"] * 1e3,
+        "east": columns["vel_y"],
+        "north": columns["vel_x"],
+        "up": -columns["vel_z"],
+        "qw": w,
+        "qx": x,
+        "qy": y,
+        "qz": z,
+    }
+    for i in range(4):
+        other[f"motor{i}"] = columns[f"rpm_obs_{i + 1}"] * np.pi / 30.0
+    for i, (axis, sign) in enumerate(zip("pqr", (1, -1, -1), strict=True)):
+        other[f"gyro{i}"] = np.degrees(sign * columns[f"rate_{axis}"])
+        bias = columns[f"ekf_X1{i}"]
+        other[f"acc{i}"] = sign * (columns[f"ekf_U{i + 1}"] - bias) / 9.80665
+    config = LogsConfig(
+        format="plain",
+        columns={
+            "time": ["ms"],
+            "rpm": [f"motor{i}" for i in range(4)],
+            "gyro": [f"gyro{i}" for i in range(3)],
+            "acceleration": [f"acc{i}" for i in range(3)],
+            "world_velocity": ["east", "north", "up"],
+            "quaternion": ["qw", "qx", "qy", "qz"],
+        },
+        units=UnitsConfig(time="ms", rpm="rad/s", gyro="deg/s", acceleration="g"),
+        body_frame="FLU",
+        world_frame="ENU",
+    )
+    path = tmp_path / "other.csv"
+    write_log(path, other)
+    log = read_log(path, config)
+    for name in ("rpm", "rates", "specific_force", "body_velocity"):
+        np.testing.assert_allclose(
+            getattr(log, name), getattr(expected, name), rtol=1e-5, atol=1e-5
+        )
+
+
+def _quaternion_enu_flu(columns):
+    from scipy.spatial.transform import Rotation
+
+    angles = np.stack([columns[f"att_{name}"] for name in ("psi", "theta", "phi")], axis=1)
+    ned_frd = Rotation.from_euler("ZYX", angles).as_matrix()
+    swap = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    x, y, z, w = Rotation.from_matrix(swap @ ned_frd @ np.diag([1.0, -1.0, -1.0])).as_quat().T
+    return w, x, y, z
+
+
+def _poke(values, row, value):
+    changed = np.array(values, float)
+    changed[row] = value
+    return changed
+
+
+BAD = {
+    "nan": (lambda c: {"rate_q": _poke(c["rate_q"], 10, np.nan)}, ["row 12", "'rate_q'"]),
+    "time backwards": (lambda c: {"time": _poke(c["time"], 20, 0.0)}, ["row 22", "backwards"]),
+    "time stands still": (
+        lambda c: {"time": _poke(c["time"], 20, c["time"][19])},
+        ["row 22", "'time'", "stands still"],
+    ),
+    "gap": (
+        lambda c: {"time": c["time"] + 0.5 * (np.arange(len(c["time"])) > 99)},
+        ["row 102", "'time'", "gap"],
+    ),
+    "rad/s as rpm": (
+        lambda c: {f"rpm_obs_{i}": c[f"rpm_obs_{i}"] * np.pi / 30 for i in range(1, 5)},
+        ["row 2", "'rpm_obs_1'", "rad/s"],
+    ),
+    "rad/s as commanded rpm": (
+        lambda c: {"rpm_ref_2": c["rpm_ref_2"] * np.pi / 30},
+        ["row 2", "'rpm_ref_2'", "rad/s"],
+    ),
+    "g as m/s^2": (
+        lambda c: {f"ekf_U{i}": c[f"ekf_U{i}"] / 9.81 for i in range(1, 4)},
+        ["row 2", "'ekf_U3'", "in g"],
+    ),
+    "z up": (lambda c: {"ekf_U3": -c["ekf_U3"]}, ["row 2", "'ekf_U3'", "z-up"]),
+    "deg as rad": (
+        lambda c: {"att_phi": np.degrees(c["att_phi"]), "att_theta": np.degrees(c["att_theta"])},
+        ["row", "'att_phi'", "degrees"],
+    ),
+    "deg/s as rad/s": (
+        lambda c: {f"rate_{a}": np.degrees(c[f"rate_{a}"]) for a in "pqr"},
+        ["row", "'rate_p'", "deg/s"],
+    ),
+    "infinite": (lambda c: {"vel_x": _poke(c["vel_x"], 3, np.inf)}, ["row 5", "'vel_x'", "inf"]),
+    "a spike": (lambda c: {"ekf_U2": _poke(c["ekf_U2"], 8, 1e6)}, ["row 10", "'ekf_U2'", "m/s^2"]),
+    "ms as s": (lambda c: {"time": c["time"] * 1e3}, ["row 3", "'time'", "logs.units.time"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_values_are_one_line(tmp_path, columns, case):
+    change, words = BAD[case]
+    path = _write(tmp_path, columns, **change(columns))
+    with pytest.raises(InputError) as caught:
+        read_log(path, PAPARAZZI)
+    message = str(caught.value)
+    assert "\n" not in message and str(path) in message
+    for word in words:
+        assert word in message
+
+
+def test_bad_files_are_one_line(tmp_path, columns):
+    path = _write(tmp_path, {k: v for k, v in columns.items() if k != "rpm_obs_3"})
+    text = _write(tmp_path, columns).read_text()
+    lines = text.splitlines()
+    cases = {
+        "missing column": (None, ["row 1", "'rpm_obs_3'", "missing"]),
+        "empty": ("", ["row 1", "empty"]),
+        "header only": (lines[0] + "\n", ["row 1", "'time'", "0 rows"]),
+        "one row": ("\n".join(lines[:2]), ["row 2", "'time'", "1 rows"]),
+        "empty row": ("\n".join([*lines[:50], "", *lines[50:]]), ["row 51", "'time'", "empty"]),
+        "long row": ("\n".join([*lines[:50], lines[50] + ",7", *lines[51:]]), ["row 51", "'7'"]),
+        "short": ("\n".join(lines[:100]), ["row 100", "ends after"]),
+        "cut short": ("\n".join(lines)[: -len(lines[-1]) // 2], ["row", "column"]),
+        "text": (text.replace(lines[5].split(",")[6], "abc", 1), ["column", "'abc'"]),
+        "twice": ("time," + lines[0] + "\n" + "\n".join("0," + x for x in lines[1:]), ["twice"]),
+    }
+    for name, (content, words) in cases.items():
+        if content is None:
+            _write(tmp_path, {k: v for k, v in columns.items() if k != "rpm_obs_3"})
+        else:
+            path.write_text(content)
+        with pytest.raises(InputError) as caught:
+            read_log(path, PAPARAZZI)
+        message = str(caught.value)
+        assert "\n" not in message and str(path) in message, name
+        for word in words:
+            assert word in message, (name, message)
+    path.write_bytes(b"\xff\xfe\x00\x01" * 100)
+    with pytest.raises(InputError):
+        read_log(path, PAPARAZZI)
+
+
+def test_quotes_and_empty_lines_at_the_end_are_read(tmp_path, columns):
+    path = _write(tmp_path, columns)
+    expected = read_log(path, PAPARAZZI)
+    lines = path.read_text().splitlines()
+    quoted = ['"' + line.replace(",", '","') + '",' for line in lines[1:]]
+    path.write_text("\r\n".join([lines[0], *quoted, "", ""]))
+    np.testing.assert_array_equal(read_log(path, PAPARAZZI).rpm, expected.rpm)
+
+
+def test_missing_files_and_impossible_configs(tmp_path):
+    for config in (
+        LogsConfig(files=["nowhere.csv"]),
+        LogsConfig(files=[]),
+        LogsConfig(files=["*.csv"], format="betaflight"),
+        LogsConfig(files=["*.csv"], columns={"rpms": ["a"]}),
+        LogsConfig(files=["*.csv"], columns={"rpm": ["a"]}),
+        LogsConfig(files=["*.csv"], units=UnitsConfig(rpm="Hz")),
+    ):
+        with pytest.raises(InputError):
+            read_logs(config, tmp_path)
+
+
+def test_uneven_sampling_is_made_even(tmp_path, columns):
+    random = np.random.default_rng(0)
+    count = len(columns["time"])
+    time = columns["time"] + random.uniform(-0.3, 0.3, count) / 250.0
+    angle = np.sin(3.0 * time)
+    log = read_log(
+        _write(
+            tmp_path,
+            columns,
+            time=time,
+            vel_x=angle,
+            vel_y=0 * time,
+            vel_z=0 * time,
+            att_phi=0 * time,
+            att_theta=0 * time,
+            att_psi=0 * time,
+            rate_p=0 * time,
+            rate_q=0 * time,
+            rate_r=0 * time,
+        ),
+        PAPARAZZI,
+    )
+    assert np.ptp(np.diff(log.time)) < 1e-9
+    np.testing.assert_allclose(log.body_velocity[:, 0], np.sin(3.0 * log.time), atol=1e-4)

@@ -1,0 +1,136 @@
+import jax
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.fitting.config import LogsConfig, PrepareConfig
+from quadjax.fitting.flight_log import read_logs
+from quadjax.fitting.least_squares import fit_nominal, with_fit
+from quadjax.fitting.motor_lag import fit_motor_lag
+from quadjax.fitting.nominal import AXES, Motion, angular_moment, nominal
+from quadjax.fitting.prepare import airborne, derivative, low_pass, noise_level, prepare
+from quadjax.fitting.synthetic_log import simulate_flight, write_log
+from quadjax.vehicle.motor import MotorParams, nominal_force, nominal_moment
+
+
+def test_numpy_model_is_the_vehicle_model(bebop):
+    random = np.random.default_rng(0)
+    rpm = random.uniform(3000, 11000, (50, 4))
+    rpm_rate = random.normal(0, 2e4, (50, 4))
+    velocity, rates = random.normal(0, 4, (50, 3)), random.normal(0, 4, (50, 3))
+    ours = nominal(bebop, Motion(rpm, rpm_rate, velocity, rates))
+    w, dw, v, o = Rotors.of(rpm), Rotors.of(rpm_rate), Vec3.of(velocity), Vec3.of(rates)
+    force = jax.vmap(nominal_force, in_axes=(None, 0, 0))(bebop, w, v).array()
+    moment = jax.vmap(nominal_moment, in_axes=(None, 0, 0, 0, 0))(bebop, w, dw, v, o).array()
+    np.testing.assert_allclose(ours[:, :3], force, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(ours[:, 3:], moment, rtol=1e-4, atol=1e-6)
+
+
+def test_angular_moment_is_eulers_equation(bebop):
+    inertia = np.diag([bebop.i_xx, bebop.i_yy, bebop.i_zz])
+    rate, acceleration = np.array([1.0, -2.0, 3.0]), np.array([10.0, 20.0, -5.0])
+    expected = inertia @ acceleration + np.cross(rate, inertia @ rate)
+    np.testing.assert_allclose(angular_moment(bebop, rate[None], acceleration[None])[0], expected)
+
+
+def test_filter_has_no_phase_and_derivative_is_exact_enough():
+    time = np.arange(4000) / 400.0
+    slow = np.sin(2 * np.pi * 2.0 * time)
+    inner = slice(200, -200)
+    passed = 1.0 / (1.0 + (2.0 / 16.0) ** 4)  # forwards and backwards
+    np.testing.assert_allclose(low_pass(slow, 400.0, 16.0)[inner], passed * slow[inner], atol=1e-3)
+    slope = 2 * np.pi * 2.0 * np.cos(2 * np.pi * 2.0 * time)
+    np.testing.assert_allclose(derivative(slow, 400.0), slope, atol=1e-2)
+    with pytest.raises(InputError, match="prepare.cutoff"):
+        low_pass(slow, 30.0, 16.0)
+
+
+def test_noise_level_sees_noise_and_not_motion():
+    random = np.random.default_rng(1)
+    time = np.arange(10_000) / 500.0
+    motion = np.stack([500 * np.sin(9 * time), 3 * np.cos(20 * time)], axis=1)
+    noise = random.normal(size=motion.shape) * [20.0, 0.01]
+    np.testing.assert_allclose(noise_level(motion + noise, 500.0, 16.0), [20.0, 0.01], rtol=0.1)
+
+
+@pytest.fixture(scope="module")
+def flights(bebop, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for seed in range(4):
+        write_log(folder / f"flight_{seed}.csv", simulate_flight(MotorParams(bebop), seed))
+    return read_logs(LogsConfig(files=["*.csv"], format="paparazzi"), folder)
+
+
+def test_constants_of_a_known_model_come_back(bebop, flights):
+    samples = prepare(flights, bebop, PrepareConfig(), 2.0)
+    worst = 0.0
+    for fit in fit_nominal(samples, bebop.replace(k_w=1.0)):
+        assert not fit.warnings and fit.condition < 10.0 and fit.r_squared > 0.97
+        for name, value, error in zip(fit.names, fit.values, fit.standard_errors, strict=True):
+            truth = getattr(bebop, name)
+            worst = max(worst, abs(value / truth - 1.0))
+            assert abs(value / truth - 1.0) < 0.02, name
+            assert abs(value - truth) < 3.0 * error, name
+    print("largest relative error of a constant", worst)
+
+
+def test_motor_lag_comes_back(flights):
+    flying = [airborne(log, PrepareConfig()) for log in flights]
+    fit = fit_motor_lag(flights, flying, 0.1)
+    assert abs(fit.tau / 0.06 - 1.0) < 0.01 and fit.warning is None and fit.r_squared > 0.99
+    unknown = fit_motor_lag(
+        [f.__class__(**f.__dict__ | {"rpm_command": None}) for f in flights], flying, 0.1
+    )
+    assert unknown.tau == 0.1 and "no commanded" in unknown.warning
+
+
+def test_hover_excites_little_and_says_so(bebop, tmp_path):
+    columns = simulate_flight(MotorParams(bebop), seed=3, seconds=10.0)
+    random = np.random.default_rng(0)
+    for name, values in columns.items():
+        if name not in ("time", "autopilot_mode"):
+            spread = 30.0 if name.startswith("rpm") else 0.01
+            level = 7497.0 if name.startswith("rpm") else (-9.81 if name == "ekf_U3" else 0.0)
+            columns[name] = level + spread * random.normal(size=len(values))
+    columns |= {f"rpm_ref_{i}": np.full(len(columns["time"]), 7497.0) for i in range(1, 5)}
+    write_log(tmp_path / "hover.csv", columns)
+    logs = read_logs(LogsConfig(files=["hover.csv"], format="paparazzi"), tmp_path)
+    fits = fit_nominal(prepare(logs, bebop, PrepareConfig(), 2.0), bebop)
+    said = " ".join(line for fit in fits for line in fit.warnings)
+    for name in ("k_x", "k_y", "k_z", "k_h", "k_pv", "k_qv", "k_rr"):
+        assert f"{name} (" in said
+    assert "k_w (" not in said
+    lag = fit_motor_lag(logs, [airborne(log, PrepareConfig()) for log in logs], 0.06)
+    assert lag.tau == 0.06 and "never change" in lag.warning
+
+
+def test_a_column_of_zeros_keeps_the_base_value(bebop, flights):
+    still = [
+        log.__class__(**log.__dict__ | {"body_velocity": 0 * log.body_velocity})
+        for log in flights[:1]
+    ]
+    fits = fit_nominal(prepare(still, bebop, PrepareConfig(), 2.0), bebop)
+    kept = with_fit(bebop, fits)
+    assert kept.k_x == bebop.k_x and kept.k_h == bebop.k_h
+    assert "does not excite" in fits[0].warnings[0] or "do not excite" in fits[0].warnings[0]
+
+
+def test_ground_time_is_trimmed(bebop, flights):
+    log = flights[0]
+    idle = np.array(log.rpm)
+    idle[:1000], idle[-500:] = 2500.0, 2500.0
+    idle[5000:5050] = 2500.0  # a dive, not a landing
+    rows = airborne(log.__class__(**log.__dict__ | {"rpm": idle}), PrepareConfig())
+    assert not rows[:1000].any() and not rows[-500:].any() and rows[1000:-500].all()
+
+
+def test_real_flights_nominal_fit(bebop, real_flights):
+    base = bebop.replace(i_xx=0.0025, i_yy=0.0021, i_zz=0.0043)
+    logs = read_logs(LogsConfig(files=[str(path) for path in real_flights]), real_flights[0].parent)
+    fits = fit_nominal(prepare(logs, base, PrepareConfig(), 2.0), base)
+    least = {"ax": 0.92, "ay": 0.94, "az": 0.94, "Mx": 0.52, "My": 0.50}
+    found = {axis: fit.r_squared for axis, fit in zip(AXES, fits, strict=True)}
+    print(found)
+    for axis, bound in least.items():
+        assert found[axis] >= bound

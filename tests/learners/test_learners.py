@@ -1,0 +1,274 @@
+"""PPO and SHAC on probes whose answer is known, and what a run promises."""
+
+import logging
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.learners import sharding as parallel
+from quadjax.learners.loop import NonFiniteError, check_finite
+from quadjax.learners.state import AXIS
+from tests.learners.probes import observations, probe
+from tests.learners.support import UPDATES, WHOLE, Run, make, plain
+
+BOTH = pytest.mark.parametrize("name", ["ppo", "shac"])
+SCALE = {"ppo": 1.0, "shac": 0.5}  # of the rewards that the value sees
+
+
+@BOTH
+def test_constant_reward(name):
+    run = Run(name, probe(constant=1.0))
+    run.train(20)
+    assert run.value(observations()) / SCALE[name] == pytest.approx(1.0, abs=0.05)
+
+
+@BOTH
+def test_truncated_episodes_have_a_future(name):
+    """Each step pays one and is cut short: the value is 1 + 1/2 + 1/4 .. = 2."""
+    run = Run(name, probe(constant=1.0, truncates=1.0))
+    run.train(25)
+    assert run.value(observations()) / SCALE[name] == pytest.approx(2.0, abs=0.1)
+
+
+def test_the_discount_goes_to_its_end_point():
+    """At a run's end steps that pay one and are cut short are worth 1 + 0.2 + 0.04 .. = 1.25."""
+    run = Run("shac", probe(constant=1.0, truncates=1.0), discount=0.6, final_discount=0.2)
+    run.state = run.state.replace(update=run.state.update + WHOLE)
+    run.train(25)
+    assert run.value(observations()) / SCALE["shac"] == pytest.approx(1.25, abs=0.06)
+
+
+@BOTH
+def test_reward_equals_observation(name):
+    run = Run(name, probe(shown=1.0))
+    run.train(20)
+    for sign in (1.0, -1.0):
+        assert run.value(observations(sign)) / SCALE[name] == pytest.approx(sign, abs=0.1)
+
+
+@BOTH
+def test_delayed_reward(name):
+    run = Run(name, probe(last=1.0, length=3.0))
+    run.train(25)
+    for clock, value in ((0.0, 0.25), (1.0, 0.5), (2.0, 1.0)):
+        assert run.value(observations(1.0, clock)) / SCALE[name] == pytest.approx(value, abs=0.08)
+
+
+@BOTH
+def test_best_action(name):
+    run = Run(name, probe(best=1.0))
+    run.train(25)
+    assert run.mean(observations()) == pytest.approx(0.5, abs=0.06)
+
+
+@BOTH
+def test_action_from_observation(name):
+    run = Run(name, probe(follow=1.0))
+    run.train(30)
+    for sign in (1.0, -1.0):
+        assert run.mean(observations(sign)) == pytest.approx(0.5 * sign, abs=0.1)
+
+
+@BOTH
+def test_action_whose_reward_comes_through_the_state(name):
+    """The place pays at the end of the step after: act against it."""
+    run = Run(name, probe(place=1.0, move=1.0, length=2.0))
+    before = run.train(1)["reward"].mean()
+    after = run.train(29)["reward"].mean()
+    assert run.mean(observations(1.0, 0.0, 0.5)) == pytest.approx(-0.5, abs=0.15)
+    assert after > before + 0.1
+
+
+@BOTH
+def test_the_same_on_any_number_of_devices(name):
+    def trained(devices):
+        run = Run(name, probe(place=1.0, move=0.5, length=3.0, shown=0.3), devices=devices)
+        chunks = [run.train(1) for _ in range(10 // UPDATES)]
+        return run.state, {key: np.concatenate([c[key] for c in chunks]) for key in chunks[0]}
+
+    alone, wanted = trained(1)
+    for devices in (2, 4, 8):
+        state, found = trained(devices)
+        for key in ("policy_loss", "value_loss"):
+            assert found[key].shape == (10,)
+            np.testing.assert_allclose(found[key], wanted[key], rtol=1e-4, atol=1e-5)
+        assert len(state.environment.place.sharding.device_set) == devices
+        for here, there in zip(plain(state.params), plain(alone.params), strict=True):
+            np.testing.assert_allclose(here, there, atol=2e-4)
+        np.testing.assert_array_equal(plain(state.keys)[0], plain(alone.keys)[0])
+        np.testing.assert_allclose(state.environment.place, alone.environment.place, atol=2e-4)
+        np.testing.assert_array_equal(state.environment.sign, alone.environment.sign)
+
+
+class Compilations(logging.Handler):
+    """Counts the programs that XLA compiles under ``jax.log_compiles``."""
+
+    def __init__(self):
+        super().__init__()
+        self.count = 0
+
+    def emit(self, record):
+        self.count += "Finished XLA compilation of jit(many)" in record.getMessage()
+
+
+@pytest.fixture(scope="module", params=["ppo", "shac"])
+def built(request):
+    """A learner, its mesh, its compiled chunk, its first state and the compilations so far."""
+    compilations = Compilations()
+    logger = logging.getLogger("jax")
+    logger.addHandler(compilations)
+    learner, mesh = make(request.param), parallel.make_mesh(2)
+    params = probe(place=1.0, move=0.5, length=3.0)
+    begin = jax.jit(learner.init)(params, jax.random.key(3))
+    with jax.log_compiles():
+        chunk = parallel.compile_chunk(learner, mesh, 3, params, parallel.place(begin, mesh))
+    yield mesh, chunk, begin, compilations
+    logger.removeHandler(compilations)
+
+
+def test_resumed_is_the_same_bit_for_bit(built):
+    mesh, chunk, begin, _ = built
+    params = probe(place=1.0, move=0.5, length=3.0)
+    kept = plain(begin)
+
+    def restored(leaves):
+        """A state made of NumPy arrays, as from a file."""
+        like, shape = jax.tree.flatten(begin)
+        made = [
+            jax.random.wrap_key_data(jnp.asarray(x))
+            if jnp.issubdtype(y.dtype, jax.dtypes.prng_key)
+            else jnp.asarray(x)
+            for x, y in zip(leaves, like, strict=True)
+        ]
+        return parallel.place(jax.tree.unflatten(shape, made), mesh)
+
+    straight, stopped = restored(kept), restored(kept)
+    for _ in range(4):
+        straight, first = chunk(params, straight)
+        stopped, second = chunk(params, stopped)
+        stopped = restored(plain(stopped))
+    for found, wanted in zip(plain(stopped), plain(straight), strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    jax.tree.map(np.testing.assert_array_equal, first, second)
+    assert any(np.any(x != y) for x, y in zip(kept, plain(straight), strict=True))
+
+
+def test_a_chunk_is_compiled_once(built):
+    mesh, chunk, begin, compilations = built
+    state = parallel.place(jax.tree.map(jnp.copy, begin), mesh)
+    with jax.log_compiles():
+        for weight in (1.0, 2.0, 3.0):
+            state, metrics = chunk(probe(best=weight), state)
+    assert compilations.count == 1
+    assert int(state.update) == 9 and all(x.shape == (3,) for x in metrics.values())
+
+
+def changed(before, after):
+    return any(np.any(x != y) for x, y in zip(plain(before), plain(after), strict=True))
+
+
+def test_a_batch_beyond_the_kl_limit_changes_nothing():
+    run = Run("ppo", probe(best=1.0), kl_limit=-1.0)
+    begin = run.state
+    metrics = run.train(1)
+    assert np.all(metrics["skipped"] == 1)
+    assert not changed((begin.params, begin.optimiser), (run.state.params, run.state.optimiser))
+    assert changed(begin.keys, run.state.keys)
+
+
+def test_the_kl_limit_skips_some_batches_and_not_all():
+    run = Run("ppo", probe(best=1.0), kl_limit=1e-3, learning_rate=0.05)
+    begin = run.state
+    metrics = run.train(1)
+    assert 0 < metrics["skipped"].mean() < 1
+    assert changed(begin.params, run.state.params)
+
+
+@BOTH
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_changes_no_parameter(name, bad):
+    run = Run(name, probe(best=1.0))
+    run.train(1)
+    before = run.state
+    run.params = probe(best=bad)
+    metrics = run.train(1)
+    assert not changed(
+        (before.params.policy, before.params.value),
+        (run.state.params.policy, run.state.params.value),
+    )
+    assert not changed(before.optimiser, run.state.optimiser)
+    assert np.all(metrics["skipped"] == 1)
+    with pytest.raises(NonFiniteError, match="update 6"):
+        check_finite(metrics, UPDATES)
+
+
+@BOTH
+def test_a_policy_stands_still_while_the_value_warms_up(name):
+    run = Run(name, probe(best=1.0), warm_up=UPDATES)
+    begin = run.state.params
+
+    def momentum():
+        adam = run.state.optimiser
+        return jax.tree.map(jnp.copy, adam[0].mu if name == "shac" else adam.mu.policy)
+
+    resting = momentum()
+    run.train(1)
+    after = run.state.params
+    assert not changed(begin.policy, after.policy) and changed(begin.value, after.value)
+    assert changed(resting, momentum()), "Adam learns the gradient's size meanwhile"
+    run.train(1)
+    assert changed(begin.policy, run.state.params.policy)
+
+
+def test_the_mean_of_the_networks_follows_them():
+    run = Run("shac", probe(best=1.0))
+    one = {"axis_name": AXIS, "axis_size": 1, "in_axes": None, "out_axes": None}
+    update = jax.jit(jax.vmap(run.learner.update, **one))
+    first, _ = update(run.hyper, run.params, run.state)
+    for rate, done, expected in ((1.0, 60, 1.0), (0.1, 60, 0.25), (0.1, 0, 1.0), (0.1, 999, 0.1)):
+        begin = first.replace(update=jnp.int32(done))
+        found, _ = update(run.hyper.replace(mean_rate=jnp.float32(rate)), run.params, begin)
+        for name in ("policy", "value"):
+            old, new, mean = (
+                plain(getattr(x, name)) for x in (first.mean, found.params, found.mean)
+            )
+            for a, b, c in zip(old, new, mean, strict=True):
+                wanted = (1 - expected) * a + expected * b
+                np.testing.assert_allclose(c, wanted, rtol=1e-6, atol=1e-7)
+        np.testing.assert_array_equal(found.flown.log_std, found.params.log_std)
+        assert changed(first.params.policy, found.params.policy)
+        assert changed(found.flown.policy, found.params.policy) == (expected < 1)
+    assert Run("ppo", probe()).state.mean is None
+
+
+def test_schedules_reach_their_end_points():
+    def metrics(name, update, **numbers):
+        run = Run(name, probe(best=1.0), **numbers)
+        run.state = run.state.replace(update=run.state.update + update)
+        return run.train(1), run.state.params.log_std
+
+    def line(start, end, first):
+        return start + (end - start) * np.minimum((first + np.arange(UPDATES)) / WHOLE, 1.0)
+
+    rates = {"learning_rate": 0.02, "final_learning_rate": 0.01}
+    for first in (0, WHOLE - 2, WHOLE + 5):
+        found, _ = metrics("ppo", first, **rates)
+        np.testing.assert_allclose(found["learning_rate"], line(0.02, 0.01, first), rtol=1e-5)
+        found, log_std = metrics("shac", first, std=0.4, final_std=0.2, **rates)
+        np.testing.assert_allclose(found["learning_rate"], line(0.02, 0.01, first), rtol=1e-5)
+        np.testing.assert_allclose(found["std"], line(0.4, 0.2, first), rtol=1e-5)
+        np.testing.assert_allclose(np.exp(log_std), line(0.4, 0.2, first)[-1], rtol=1e-5)
+
+
+def test_metrics_count_ends():
+    run = Run("ppo", probe(constant=2.0, length=4.0))
+    metrics = run.train(1)
+    np.testing.assert_allclose(metrics["reward"], 2.0, rtol=1e-5)
+    np.testing.assert_allclose(metrics["terminated"], 0.25, rtol=1e-5)
+    np.testing.assert_allclose(metrics["crash_rate"], 1.0, rtol=1e-5)
+    run = Run("shac", probe(constant=2.0, length=4.0, truncates=1.0))
+    metrics = run.train(1)
+    np.testing.assert_allclose(metrics["reward"], 2.0, rtol=1e-5)
+    np.testing.assert_allclose(metrics["crash_rate"], 0.0, atol=1e-6)

@@ -1,0 +1,182 @@
+"""The pieces of the learners against loops written out by hand."""
+
+import types
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+from quadjax.learners import state as shared
+from quadjax.learners.batches import shuffled, take_rows
+from quadjax.learners.loop import Position, advance
+from quadjax.learners.ppo.advantage import advantages
+from quadjax.learners.ppo.loss import normalise
+from quadjax.learners.ppo.rollout import block_length, log_probability
+from quadjax.learners.shac.rollout import Flight
+from quadjax.learners.shac.targets import td_lambda_targets
+from quadjax.learners.sharding import device_count
+
+TIME, COUNT = 30, 7
+
+
+@pytest.fixture(scope="module")
+def steps():
+    """Random steps with a few ends of both kinds."""
+    draw = np.random.default_rng(0)
+    numbers = draw.normal(size=(3, TIME, COUNT)).astype(np.float32)
+    kind = draw.uniform(size=(TIME, COUNT))
+    terminated, truncated = kind < 0.1, (kind > 0.1) & (kind < 0.25)
+    assert terminated.sum() > 5 and truncated.sum() > 5
+    return (*numbers, terminated, truncated)
+
+
+def gae(reward, value, next_value, terminated, truncated, discount, lam):
+    """For every step, sum the discounted errors ahead until the episode ends."""
+    result = np.zeros_like(reward)
+    for n in range(reward.shape[1]):
+        for t in range(len(reward)):
+            weight = 1.0
+            for k in range(t, len(reward)):
+                ahead = 0.0 if terminated[k, n] else next_value[k, n]
+                result[t, n] += weight * (reward[k, n] + discount * ahead - value[k, n])
+                if terminated[k, n] or truncated[k, n]:
+                    break
+                weight *= discount * lam
+    return result
+
+
+@pytest.mark.parametrize(("discount", "lam"), [(0.99, 0.95), (0.9, 0.0), (1.0, 1.0)])
+def test_advantages(steps, discount, lam):
+    found = jax.jit(advantages)(*steps, jnp.float32(discount), jnp.float32(lam))
+    np.testing.assert_allclose(found, gae(*steps, discount, lam), atol=2e-5)
+
+
+def returns(reward, next_value, terminated, truncated, discount, lam):
+    """The mixture of n-step returns, each written out."""
+    result = np.zeros_like(reward)
+    for n in range(reward.shape[1]):
+        for t in range(len(reward)):
+            total, weight, gamma = 0.0, 1.0, 1.0
+            for k in range(t, len(reward)):
+                total += weight * gamma * reward[k, n]
+                gamma *= discount
+                if terminated[k, n]:
+                    break
+                if truncated[k, n] or k == len(reward) - 1:
+                    total += weight * gamma * next_value[k, n]
+                    break
+                total += weight * (1 - lam) * gamma * next_value[k, n]
+                weight *= lam
+            result[t, n] = total
+    return result
+
+
+@pytest.mark.parametrize(("discount", "lam"), [(0.99, 0.95), (0.9, 0.0), (0.95, 1.0)])
+def test_td_lambda_targets(steps, discount, lam):
+    reward, _, next_value, terminated, truncated = steps
+    flight = Flight(
+        jnp.zeros((TIME, COUNT, 1)), *map(jnp.asarray, (reward, next_value)), *steps[3:]
+    )
+    found = jax.jit(td_lambda_targets)(flight, jnp.float32(discount), jnp.float32(lam))
+    wanted = returns(reward, next_value, terminated, truncated, discount, lam)
+    np.testing.assert_allclose(found, wanted, atol=2e-5)
+
+
+def test_log_probability():
+    draw = np.random.default_rng(1)
+    action, mean = draw.normal(size=(2, 5, 6, 4)).astype(np.float32)
+    log_std = np.array([-1.0, 0.0, 0.5, -0.3], np.float32)
+    wanted = scipy.stats.norm(mean, np.exp(log_std)).logpdf(action).sum(axis=-1)
+    np.testing.assert_allclose(
+        log_probability(action, mean, jnp.asarray(log_std)), wanted, rtol=1e-4
+    )
+
+
+def test_advantages_are_normalised_over_all_devices():
+    values = np.random.default_rng(2).normal(3.0, 5.0, (4, 100)).astype(np.float32)
+    found = jax.vmap(normalise, axis_name=shared.AXIS)(values)
+    np.testing.assert_allclose(found, (values - values.mean()) / values.std(), atol=1e-4)
+
+
+def test_linear_schedule_end_points():
+    def at(fraction):
+        return float(shared.linear(jnp.float32(3.0), jnp.float32(1.0), jnp.float32(fraction)))
+
+    assert [at(x) for x in (-0.5, 0.0, 0.25, 1.0, 2.0)] == [3.0, 3.0, 2.5, 1.0, 1.0]
+
+
+def test_clip_by_norm():
+    tree = {"a": jnp.array([3.0]), "b": jnp.array([[0.0, 4.0]])}
+    same, norm = shared.clip_by_norm(tree, jnp.float32(6.0))
+    assert norm == 5 and same["a"] == 3
+    half, norm = shared.clip_by_norm(tree, jnp.float32(2.5))
+    assert norm == 5 and half["a"] == 1.5 and half["b"][0, 1] == 2
+    still, _ = shared.clip_by_norm(jax.tree.map(jnp.zeros_like, tree), jnp.float32(1.0))
+    np.testing.assert_array_equal(still["b"], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("environments", "blocks", "batches", "lanes"),
+    [(64, 1, 1, 8), (12, 1, 1, 4), (7, 1, 1, 1), (16, 1, 8, 2), (16, 2, 8, 4), (100, 10, 200, 1)],
+)
+def test_count_lanes(environments, blocks, batches, lanes):
+    assert shared.count_lanes(environments, blocks, batches) == lanes
+
+
+def test_device_count():
+    assert [device_count(8, wanted) for wanted in (0, 1, 2, 3, 8, 20)] == [1, 1, 2, 2, 8, 8]
+
+
+def test_block_length():
+    assert [block_length(n) for n in (1, 8, 64, 128, 100, 67)] == [1, 8, 64, 64, 50, 1]
+
+
+def test_where_done_of_states_of_any_shape():
+    done = jnp.array([True, False])
+    fresh, old = (
+        {"a": jnp.ones(2), "b": jnp.ones((3, 2))},
+        {"a": jnp.zeros(2), "b": jnp.zeros((3, 2))},
+    )
+    found = shared.where_done(done, fresh, old)
+    np.testing.assert_array_equal(found["a"], [1, 0])
+    np.testing.assert_array_equal(found["b"], [[1, 0]] * 3)
+
+
+def test_noise_belongs_to_its_lane():
+    """What a lane draws does not depend on how many lanes are drawn together."""
+    keys = jax.random.split(jax.random.key(0), 4)
+    every = shared.normal_all(keys, (5,), 3, 2)
+    assert every.shape == (5, 12, 2)
+    np.testing.assert_array_equal(shared.normal_all(keys[1:2], (5,), 3, 2), every[:, 3:6])
+    assert abs(float(every.mean())) < 0.3 and abs(float(every.std()) - 1) < 0.2
+
+
+def test_batches_take_every_piece_of_every_lane_once():
+    lanes, count, batches, length = 2, 6, 3, 4
+    pieces = jnp.arange(lanes * count * length * 5.0).reshape(lanes, count, length, 5)
+    chosen = shuffled(jax.random.split(jax.random.key(0), lanes), count, batches)
+    chex.assert_shape(chosen, (batches, lanes, count // batches))
+    rows = jnp.stack([take_rows(pieces, batch) for batch in chosen])
+    chex.assert_shape(rows, (batches, lanes * count // batches * length, 5))
+    assert sorted(rows[..., 0].ravel().tolist()) == pieces[..., 0].ravel().tolist()
+    first = rows[0, :length]  # a piece stays together, in order
+    chex.assert_trees_all_equal(first, pieces[0, chosen[0, 0, 0]])
+    with pytest.raises(AssertionError):
+        take_rows(pieces, chosen[0, :1])
+
+
+def test_the_best_policy_is_the_latest_of_equal_scores():
+    def flown(name):
+        return types.SimpleNamespace(flown=name)
+
+    position = Position(state=None, best="none")
+    scores = [np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]
+    kept = []
+    for chunk, score in enumerate(scores):
+        position = advance(position, flown(str(chunk)), score, 100, 1.0)
+        kept.append((position.best, position.best_score, position.best_steps))
+    assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
+    assert kept[3:] == [("3", 14.0, 400)] * 3
