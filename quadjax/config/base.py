@@ -1,0 +1,274 @@
+"""The base of every config: pydantic sections filled from YAML, with one-line errors.
+
+A config is a ``Section``; each key is declared once, with default, bounds and description::
+
+    class Search(Section):
+        "How trials are chosen."
+
+        trials: int = Field(20, ge=1, le=10**6, description="number of trials")
+        method: Literal["tpe", "random"] = Field("tpe", description="sampler")
+        space: dict[str, Range] = Field({}, description="ranges by dotted config key")
+
+        @model_validator(mode="after")
+        def _check(self) -> "Search":          # a check of several keys: raise ValueError
+            if ...:
+                raise ValueError("search.trials is 3, allowed: at least 4 with method=tpe")
+            return self
+
+    tree = merge_trees(read_tree_with_bases(path), parse_overrides(["trials=2e3"]))
+    search = build(Search, tree, str(path))   # or InputError, one line
+    text = to_yaml(search.model_dump())       # read_yaml reads it back
+
+Sections are frozen and refuse unknown keys. Types are strict: ``"1"`` and ``true`` are not numbers;
+an ``int`` field takes ``2e6``, a ``tuple`` field takes a list (use ``tuple[float, ...]`` rather
+than ``list``, so that sections stay hashable), a ``float`` field takes only numbers that are finite
+in single precision. ``X | None`` takes ``null``. A ``ValueError`` from a validator becomes the
+message of the ``InputError``; start it with the dotted key. ``section.replace(key=value)`` is a
+changed copy, validated again.
+"""
+
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple, Self, TypeVar
+
+import pydantic
+from pydantic import ConfigDict, Field, model_validator
+from pydantic.fields import FieldInfo
+
+from quadjax.config.files import (
+    Tree,
+    close_match,
+    find_file,
+    merge_trees,
+    parse_overrides,
+    parse_yaml,
+    read_tree_with_bases,
+    read_yaml,
+    short,
+    to_yaml,
+)
+from quadjax.core.errors import InputError
+
+__all__ = [
+    "Field",
+    "KeyInfo",
+    "Section",
+    "Tree",
+    "allowed",
+    "build",
+    "describe",
+    "find_file",
+    "merge_trees",
+    "model_validator",
+    "parse_overrides",
+    "parse_yaml",
+    "read_tree_with_bases",
+    "read_yaml",
+    "short",
+    "to_yaml",
+]
+
+MAX_FLOAT = 3.4e38  # single precision
+
+
+class Section(pydantic.BaseModel):
+    """A part of a config: frozen, without unknown keys, with strict types and finite numbers."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        validate_default=True,
+        populate_by_name=True,
+        hide_input_in_errors=True,
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _coerce_values(cls, values: object) -> object:
+        if not isinstance(values, Mapping):
+            return values
+        hints = {(f.alias or name): f.annotation for name, f in cls.model_fields.items()}
+        return {key: _coerce(hints.get(key), value) for key, value in values.items()}
+
+    def replace(self, **changes: object) -> Self:
+        """A copy with other values, validated as a whole."""
+        return type(self).model_validate({**self.__dict__, **changes})
+
+
+SectionType = TypeVar("SectionType", bound=Section)
+
+
+def _options(hint: object) -> tuple[object, ...]:
+    """The members of a union, or the type itself."""
+    if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
+        return typing.get_args(hint)
+    return (hint,)
+
+
+def _coerce(hint: object, value: object) -> object:
+    """A value as YAML gives it, as its field takes it: 2e6 to an int, a list to a tuple."""
+    options = _options(hint)
+    if isinstance(value, float) and float not in options and int in options:
+        return int(value) if value.is_integer() else value
+    if isinstance(value, list):
+        for option in options:
+            if typing.get_origin(option) is tuple:
+                inner = typing.get_args(option)[0]
+                return tuple(_coerce(inner, item) for item in value)
+    return value
+
+
+def build(schema: type[SectionType], tree: Tree, source: str, prefix: str = "") -> SectionType:
+    """A section from plain values.
+
+    Args:
+        schema: the section's class.
+        tree: plain values, as ``read_yaml`` returns them.
+        source: what to name in an error: the file.
+        prefix: of the keys in an error, such as ``"learner."``.
+
+    Raises:
+        InputError: one line: source, dotted key, value and what is allowed.
+    """
+    _check_numbers(tree, source, prefix)
+    try:
+        return schema.model_validate(tree)
+    except pydantic.ValidationError as error:
+        errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+        raise InputError(f"{source}: {_message(schema, errors[0], prefix)}") from None
+    except RecursionError:
+        raise InputError(f"{source}: nested too deep") from None
+
+
+def _check_numbers(value: object, source: str, key: str) -> None:
+    """Refuse numbers that single precision does not have; strings and flags pass."""
+    if isinstance(value, Mapping):
+        for name, item in value.items():
+            _check_numbers(item, source, f"{key}{name}.")
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            _check_numbers(item, source, key)
+    elif isinstance(value, (int, float)) and not abs(value) <= MAX_FLOAT:
+        raise InputError(
+            f"{source}: {key.rstrip('.')} is {short(value)}, allowed: finite numbers up to 3.4e38"
+        )
+
+
+def _message(schema: type[Section], error: Mapping, prefix: str) -> str:
+    *parents, last = error["loc"] or ("",)
+    dotted = prefix + _dotted(error["loc"])
+    if error["type"] == "extra_forbidden":
+        names = _keys(_section_of(_at(schema, parents)[0]) or schema)
+        there = f"allowed there: {', '.join(sorted(names))}"
+        return f"unknown key {dotted}{close_match(str(last), names)}; {there}"
+    if error["type"] in ("value_error", "assertion_error"):
+        reason = str(error["ctx"]["error"])
+        return reason if not dotted or dotted in reason else f"{dotted}: {reason}"
+    field = _at(schema, error["loc"])[1]
+    text = allowed(field) if field is not None else error["msg"]
+    if error["type"] == "missing":
+        return f"{dotted} is missing, allowed: {text}"
+    if not dotted:
+        return f"{short(error['input'])} is not a mapping of keys to values"
+    return f"{dotted} is {short(error['input'])}, allowed: {text}"
+
+
+def _dotted(location: tuple[str | int, ...]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text
+
+
+def _keys(schema: type[Section]) -> list[str]:
+    return [field.alias or name for name, field in schema.model_fields.items()]
+
+
+def _at(schema: type[Section], location: Sequence) -> tuple[object, FieldInfo | None]:
+    """The type at an error's location, and the field of the last key on the way."""
+    hint, field = schema, None
+    for part in location:
+        section = _section_of(hint)
+        if section is not None and isinstance(part, str):
+            found = [f for name, f in section.model_fields.items() if part in (name, f.alias)]
+            field = found[0] if found else None
+            hint = field.annotation if field else None
+        else:  # an item of a list or a value of a mapping
+            inner = [a for option in _options(hint) for a in typing.get_args(option)]
+            hint = next((a for a in reversed(inner) if a not in (Ellipsis, type(None))), hint)
+    return hint, field
+
+
+def _section_of(hint: object) -> type[Section] | None:
+    return next((option for option in _options(hint) if _is_section(option)), None)
+
+
+def _is_section(hint: object) -> bool:
+    return isinstance(hint, type) and issubclass(hint, Section)
+
+
+def allowed(field: FieldInfo) -> str:
+    """The values that a field takes, in words: ``"a whole number from 1 to 4096, or null"``."""
+    options = [option for option in _options(field.annotation) if option is not type(None)]
+    words = " or ".join(_words(option) for option in options) + _bounds(field)
+    return f"{words}, or null" if len(options) < len(_options(field.annotation)) else words
+
+
+def _words(hint: object, plural: bool = False) -> str:
+    if typing.get_origin(hint) is Literal:
+        return "one of " + ", ".join(str(choice) for choice in typing.get_args(hint))
+    inner = typing.get_args(hint)
+    if typing.get_origin(hint) in (tuple, list):
+        count = f"{len(inner)} " if inner[-1] is not Ellipsis and len(inner) > 1 else ""
+        return f"a list of {count}{_words(inner[0], plural=True)}"
+    if typing.get_origin(hint) is dict:
+        return f"a mapping of names to {_words(inner[-1], plural=True)}"
+    names = {
+        bool: ("true or false", "true or false"),
+        int: ("a whole number", "whole numbers"),
+        float: ("a number", "numbers"),
+        str: ("text", "texts"),
+    }
+    default = ("a mapping", "mappings") if _is_section(hint) else ("a value", "values")
+    return names.get(hint, default)[plural]
+
+
+def _bounds(field: FieldInfo) -> str:
+    words, counts = [], []
+    for item in field.metadata:
+        for name, text in (("ge", "at least"), ("gt", "above"), ("le", "at most"), ("lt", "below")):
+            if (bound := getattr(item, name, None)) is not None:
+                words.append(f"{text} {bound:g}" if abs(bound) >= 1e6 else f"{text} {bound}")
+        for name, text in (("min_length", "at least"), ("max_length", "at most")):
+            if (bound := getattr(item, name, None)) is not None:
+                counts.append(f"{text} {bound}")
+        if getattr(item, "pattern", None):
+            words.append(f"matching {item.pattern}")
+    if counts:
+        words.append(f"{', '.join(counts)} of them")
+    return "".join(f", {word}" for word in words)
+
+
+class KeyInfo(NamedTuple):
+    """One key of a config: dotted name, values it takes, default and description."""
+
+    key: str
+    allowed: str
+    default: object
+    description: str
+
+
+def describe(schema: type[Section], prefix: str = "") -> list[KeyInfo]:
+    """Every key of a section and of those in it, in order, for help and reference pages."""
+    found: list[KeyInfo] = []
+    for name, field in schema.model_fields.items():
+        key = f"{prefix}{field.alias or name}"
+        if _is_section(field.annotation):
+            found += describe(field.annotation, f"{key}.")
+        else:
+            default = None if field.is_required() else field.get_default(call_default_factory=True)
+            found.append(KeyInfo(key, allowed(field), default, field.description or ""))
+    return found

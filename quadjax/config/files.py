@@ -1,0 +1,237 @@
+"""YAML 1.2 files, ``key=value`` overrides and their composition, as plain dictionaries."""
+
+import difflib
+import json
+import math
+import re
+import stat
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from quadjax.core.errors import InputError
+from quadjax.core.resources import CONFIGS
+
+Tree = dict[str, object]
+
+MAX_BYTES = 2**20  # of one file
+MAX_VALUES = 100_000  # of one file, aliases counted each time they are used
+MAX_DEPTH = 20  # of nested values, and of files that name a base
+
+
+def read_yaml(path: Path | str) -> Tree:
+    """The mapping that a YAML 1.2 file holds.
+
+    Raises:
+        InputError: not a regular file, unreadable, over 1 MiB, not YAML (with the line), a
+            repeated key, nested too deep, or not a mapping.
+    """
+    path = Path(path)
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise InputError(f"{path}: not a regular file")
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise InputError(f"{path}: larger than {MAX_BYTES} bytes, which no config is")
+        tree = parse_yaml(data.decode("utf-8-sig"), str(path))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    if tree is None:
+        return {}
+    if not isinstance(tree, dict):
+        raise InputError(f"{path}: expected a mapping of keys to values")
+    return tree
+
+
+def parse_yaml(text: str, source: str) -> object:
+    """The value of a YAML 1.2 text: None, bool, int, float, str, list or dict with str keys.
+
+    Raises:
+        InputError: it starts with ``source`` and, where it is known, the line.
+    """
+    try:
+        value = _loader().load(text)
+    except MarkedYAMLError as error:
+        where = f" line {error.problem_mark.line + 1}:" if error.problem_mark else ""
+        reason = " ".join(str(error.problem).split())
+        raise InputError(f"{source}:{where} {_short(reason, 120)}") from error
+    except RecursionError:
+        raise InputError(f"{source}: nested deeper than {MAX_DEPTH} levels") from None
+    except (YAMLError, ValueError) as error:
+        raise InputError(
+            f"{source}: not YAML ({_short(' '.join(str(error).split()), 120)})"
+        ) from error
+    _check_plain(value, source, 0, [0])
+    return value
+
+
+def _loader() -> YAML:
+    loader = YAML(typ="safe", pure=True)
+    resolvers = loader.resolver.versioned_resolver
+    for first, entries in resolvers.items():  # a date such as 2026-01-31 is plain text
+        resolvers[first] = [entry for entry in entries if "timestamp" not in entry[0]]
+    return loader
+
+
+def _check_plain(value: object, source: str, depth: int, count: list[int]) -> None:
+    count[0] += 1
+    if depth > MAX_DEPTH or count[0] > MAX_VALUES:
+        limit = f"{MAX_DEPTH} levels" if depth > MAX_DEPTH else f"{MAX_VALUES} values"
+        raise InputError(f"{source}: more than {limit}")
+    if isinstance(value, dict):
+        for key, item in value.items():
+            if not isinstance(key, str):
+                raise InputError(f"{source}: the key {short(key)} is not text")
+            _check_plain(item, source, depth + 1, count)
+    elif isinstance(value, list):
+        for item in value:
+            _check_plain(item, source, depth + 1, count)
+    elif not (value is None or isinstance(value, (bool, int, float, str))):
+        raise InputError(f"{source}: {short(value)} is not a plain value")
+
+
+def read_tree_with_bases(path: Path | str) -> Tree:
+    """A YAML mapping merged over the files that its key ``base`` names, one or a list, in order.
+
+    A base is a path relative to the file that names it, or the name of a file in ``configs/``,
+    with or without ``.yaml``.
+
+    Raises:
+        InputError: a file that cannot be read, a base that leads back to itself, a long chain.
+    """
+    return _with_bases(Path(path), ())
+
+
+def _with_bases(path: Path, chain: tuple[Path, ...]) -> Tree:
+    tree = read_yaml(path)
+    bases = tree.pop("base", None)
+    if bases is None:
+        return tree
+    names = [bases] if isinstance(bases, str) else bases
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{path}: base is {short(bases)}, allowed: a file name or a list of them")
+    chain = (*chain, path.resolve())
+    if len(chain) > MAX_DEPTH:
+        raise InputError(f"{path}: a chain of more than {MAX_DEPTH} bases")
+    merged: Tree = {}
+    for name in names:
+        base = find_file(name, path.parent)
+        if base.resolve() in chain:
+            raise InputError(f"{path}: base {name} leads back to itself")
+        merged = merge_trees(merged, _with_bases(base, chain))
+    return merge_trees(merged, tree)
+
+
+def find_file(name: str, folder: Path, kind: str = ".") -> Path:
+    """A file named in a config: in ``folder``, in its subfolder ``kind``, or in ``configs/kind``.
+
+    The suffix ``.yaml`` may be left out.
+
+    Raises:
+        InputError: no such file.
+    """
+    names = [name] if Path(name).suffix == ".yaml" else [name, f"{name}.yaml"]
+    places = [folder, folder / kind, CONFIGS / kind]
+    try:
+        for place in places:
+            for each in names:
+                if (place / each).exists() and not (place / each).is_dir():
+                    return place / each
+    except (OSError, ValueError) as error:
+        raise InputError(f"{short(name)}: cannot be read ({error})") from error
+    raise InputError(f"{short(name)}: no such file in {folder} or {CONFIGS / kind}")
+
+
+def merge_trees(under: Tree, over: Tree) -> Tree:
+    """``over`` on top of ``under``: mappings merge, every other value is replaced."""
+    merged = dict(under)
+    for key, value in over.items():
+        below = merged.get(key)
+        both = isinstance(value, dict) and isinstance(below, dict)
+        merged[key] = merge_trees(below, value) if both else value
+    return merged
+
+
+def parse_overrides(overrides: Sequence[str]) -> Tree:
+    """``key=value`` overrides with dotted keys, as a tree; each value is read as YAML.
+
+    Raises:
+        InputError: an override that is not ``key=value``.
+    """
+    tree: Tree = {}
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        parts = key.split(".")
+        if not equals or not all(parts) or len(parts) > MAX_DEPTH:
+            raise InputError(f"{short(override)} is not of the form key=value")
+        value = parse_yaml(text, key)
+        for part in reversed(parts):
+            value = {part: value}
+        tree = merge_trees(tree, value)
+    return tree
+
+
+def to_yaml(tree: Mapping[str, object], comments: Mapping[str, str] | None = None) -> str:
+    """A tree as YAML: nested mappings in block style, lists of plain values in flow style.
+
+    Args:
+        tree: plain values; ``section.model_dump()`` of a section.
+        comments: text for the line above a key, by dotted key.
+    """
+    return "".join(f"{line}\n" for line in _lines(tree, "", 0, comments or {}))
+
+
+def _lines(tree: Mapping[str, object], prefix: str, depth: int, comments: Mapping) -> list[str]:
+    indent, lines = "  " * depth, []
+    for key, value in tree.items():
+        dotted = f"{prefix}{key}"
+        if dotted in comments:
+            lines.append(f"{indent}# {comments[dotted]}")
+        if isinstance(value, Mapping) and value:
+            lines.append(f"{indent}{_flow(key)}:")
+            lines += _lines(value, f"{dotted}.", depth + 1, comments)
+        elif isinstance(value, (list, tuple)) and any(isinstance(v, Mapping) for v in value):
+            lines.append(f"{indent}{_flow(key)}:")
+            lines += [f"{indent}  - {_flow(item)}" for item in value]
+        else:
+            lines.append(f"{indent}{_flow(key)}: {_flow(value)}")
+    return lines
+
+
+def _flow(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_flow(k)}: {_flow(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_flow(item) for item in value) + "]"
+    if isinstance(value, str):
+        plain = re.fullmatch(r"[A-Za-z_/][\w./-]*", value) and value.lower() not in _NOT_TEXT
+        return value if plain else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float) and not math.isfinite(value):
+        return ".nan" if math.isnan(value) else ("-.inf" if value < 0 else ".inf")
+    return json.dumps(value)
+
+
+_NOT_TEXT = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}
+
+
+def short(value: object) -> str:
+    """``repr`` of a value, at most 60 characters, also of a number with thousands of digits."""
+    try:
+        return _short(repr(list(value) if isinstance(value, tuple) else value), 60)
+    except ValueError:
+        return "a number of thousands of digits"
+
+
+def _short(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def close_match(name: str, allowed: Sequence[str]) -> str:
+    """``"; did you mean X?"`` for the allowed name closest to ``name``, or nothing."""
+    found = difflib.get_close_matches(name, allowed, n=1)
+    return f"; did you mean {found[0]}?" if found else ""

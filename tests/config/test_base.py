@@ -1,0 +1,233 @@
+"""The base of all configs: reading, composing, building and one-line errors."""
+
+import re
+import subprocess
+import sys
+from typing import Literal
+
+import pytest
+
+from quadjax.config.base import (
+    Field,
+    Section,
+    build,
+    describe,
+    merge_trees,
+    model_validator,
+    parse_overrides,
+    parse_yaml,
+    read_tree_with_bases,
+    read_yaml,
+    to_yaml,
+)
+from quadjax.core.errors import InputError
+
+
+class Span(Section):
+    begin: float = Field(0.0, ge=0, description="s")
+    end: float = Field(alias="until", default=1.0, gt=0, le=3)
+
+
+class Point(Section):
+    position: tuple[float, float]
+
+
+class Example(Section):
+    count: int = Field(3, ge=1, le=4096, description="a number of things")
+    flag: bool = False
+    method: Literal["tpe", "grid"] = "tpe"
+    widths: tuple[int, ...] = Field((64,), min_length=1, max_length=3)
+    factors: dict[str, float] = {}
+    limit: float | None = Field(None, gt=0)
+    points: tuple[Point, ...] = ()
+    span: Span = Span()
+    spans: dict[str, Span] = {}
+
+    @model_validator(mode="after")
+    def _check(self) -> "Example":
+        if self.flag and self.limit is None:
+            raise ValueError("limit is None, allowed: a number with flag=true")
+        return self
+
+
+def test_build_takes_what_is_meant():
+    tree = {"count": 2e3, "widths": [1, 2.0], "limit": 3, "span": {"until": 2}, "factors": {"a": 1}}
+    example = build(Example, tree, "f.yaml")
+    assert (example.count, example.widths, example.limit) == (2000, (1, 2), 3.0)
+    assert isinstance(example.count, int) and isinstance(example.widths[1], int)
+    assert example.span.end == 2.0 and example.factors == {"a": 1.0}
+    assert Example(count=2e3).count == 2000 and example.replace(count=5).count == 5
+
+
+REFUSED = [
+    ({"count": 2.5}, "count is 2.5, allowed: a whole number, at least 1, at most 4096"),
+    ({"count": True}, "count is True, allowed: a whole number"),
+    ({"count": "2"}, "count is '2', allowed: a whole number"),
+    ({"count": 0}, "count is 0, allowed: a whole number, at least 1"),
+    ({"count": 10**5000}, "count is a number of thousands of digits, allowed: finite numbers"),
+    ({"flag": "true"}, "flag is 'true', allowed: true or false"),
+    ({"flag": 1}, "flag is 1, allowed: true or false"),
+    ({"flag": None}, "flag is None, allowed: true or false"),
+    ({"method": "cma"}, "method is 'cma', allowed: one of tpe, grid"),
+    ({"widths": []}, "widths is [], allowed: a list of whole numbers, at least 1, at most 3"),
+    ({"widths": [1, "x"]}, "widths[1] is 'x', allowed: a list of whole numbers"),
+    ({"widths": 3}, "widths is 3, allowed: a list of whole numbers"),
+    ({"factors": {"a": "x"}}, "factors.a is 'x', allowed: a mapping of names to numbers"),
+    ({"limit": -1}, "limit is -1, allowed: a number, above 0, or null"),
+    ({"limit": float("nan")}, "limit is nan, allowed: finite numbers"),
+    ({"limit": 1e39}, "limit is 1e+39, allowed: finite numbers up to 3.4e38"),
+    ({"points": [{"position": [1]}]}, "points[0].position[1] is missing, allowed: a list of 2"),
+    ({"points": [{"positoin": [1, 2]}]}, "unknown key points[0].positoin; did you mean position?"),
+    ({"span": {"until": 4}}, "span.until is 4, allowed: a number, above 0, at most 3"),
+    ({"span": {"x": 4}}, "unknown key span.x; allowed there: begin, until"),
+    ({"spans": {"a": {"until": 0}}}, "spans.a.until is 0, allowed: a number, above 0, at most 3"),
+    ({"span": 3}, "span is 3, allowed: a mapping"),
+    ({"counts": 3}, "unknown key counts; did you mean count?; allowed there: count, factors,"),
+    ({"flag": True}, "limit is None, allowed: a number with flag=true"),
+]
+
+
+@pytest.mark.parametrize(("tree", "message"), REFUSED, ids=[message for _, message in REFUSED])
+def test_build_refuses_in_one_line(tree, message):
+    with pytest.raises(InputError) as caught:
+        build(Example, tree, "f.yaml")
+    text = str(caught.value)
+    assert text.startswith(f"f.yaml: {message}") and "\n" not in text
+
+
+def test_prefix_names_the_section():
+    with pytest.raises(InputError, match=re.escape("f.yaml: learner.count is 0, allowed: a whole")):
+        build(Example, {"count": 0}, "f.yaml", prefix="learner.")
+
+
+def test_yaml_is_version_1_2():
+    text = "a: 1e-3\nb: yes\nc: 2026-01-31\nd: 0o10\ne: 1_000\nf: 010\ng: null\nh: true\ni: .5"
+    assert parse_yaml(text, "t") == {
+        "a": 1e-3,
+        "b": "yes",
+        "c": "2026-01-31",
+        "d": 8,
+        "e": 1000,
+        "f": 10,
+        "g": None,
+        "h": True,
+        "i": 0.5,
+    }
+    assert parse_yaml("${oc.env:HOME}", "t") == "${oc.env:HOME}"
+
+
+UNREADABLE = {
+    "a: 1\na: 2": 'line 2: found duplicate key "a"',
+    "a: [": "line 1:",
+    "[" * 5000: "nested deeper",
+    "[" * 30 + "]" * 30: "more than 20 levels",
+    "a: " + "9" * 5000: "not YAML (Exceeds the limit",
+    "1: 2": "the key 1 is not text",
+    "a: !!python/object:os.system x": "line 1: could not determine a constructor",
+    "a: !!set {b}": "is not a plain value",
+    "a: &a [x,x,x,x,x,x,x,x,x,x]\n"
+    + "".join(
+        f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 10)}]\n" for i in range(6)
+    ): "more than 100000 values",
+    "- 1": "expected a mapping",
+    "x: \x00": "not YAML",
+}
+
+
+@pytest.mark.parametrize(("text", "message"), UNREADABLE.items(), ids=UNREADABLE.values())
+def test_read_yaml_refuses_in_one_line(tmp_path, text, message):
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_yaml(path)
+    assert str(caught.value).startswith(f"{path}:") and message in str(caught.value)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+
+
+def test_read_yaml_refuses_what_is_no_small_file(tmp_path):
+    large = tmp_path / "large.yaml"
+    large.write_bytes(b"#" * (2**20 + 1))
+    latin = tmp_path / "latin.yaml"
+    latin.write_bytes(b"a: \xff")
+    for path, message in [
+        ("/dev/zero", "not a regular file"),
+        (tmp_path, "not a regular file"),
+        (tmp_path / "none.yaml", "no such file"),
+        ("x" * 400, "cannot be read"),
+        (large, "larger than 1048576 bytes"),
+        (latin, "cannot be read"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            read_yaml(path)
+
+
+def test_bases_compose_in_order(tmp_path):
+    (tmp_path / "a.yaml").write_text("x: {p: 1, q: 1, r: 1}")
+    (tmp_path / "b.yaml").write_text("x: {q: 2, r: 2}")
+    (tmp_path / "c.yaml").write_text("base: [a.yaml, b]\nx: {r: 3}\ny: 4")
+    assert read_tree_with_bases(tmp_path / "c.yaml") == {"x": {"p": 1, "q": 2, "r": 3}, "y": 4}
+
+
+def test_bases_refused(tmp_path):
+    def message(text):
+        path = tmp_path / "c.yaml"
+        path.write_text(text)
+        with pytest.raises(InputError) as caught:
+            read_tree_with_bases(path)
+        return str(caught.value)
+
+    assert "leads back to itself" in message("base: c.yaml")
+    assert "no such file" in message("base: none")
+    assert "allowed: a file name or a list" in message("base: [1]")
+    (tmp_path / "link.yaml").symlink_to(tmp_path / "link.yaml")
+    assert "link" in message("base: link.yaml")
+    (tmp_path / "zero.yaml").symlink_to("/dev/zero")
+    assert "not a regular file" in message("base: zero.yaml")
+    for index in range(1500):
+        (tmp_path / f"n{index}.yaml").write_text(f"base: n{index + 1}.yaml")
+    assert "a chain of more than 20" in message("base: n0.yaml")
+
+
+def test_overrides():
+    parsed = parse_overrides(["a.b=1e3", "a.c=[1, 2]", "x=", "y=true", "z=a=b"])
+    assert parsed == {"a": {"b": 1e3, "c": [1, 2]}, "x": None, "y": True, "z": "a=b"}
+    for word in ("a", "=3", "a..b=3", ".=1", ".".join("a" * 2000) + "=1"):
+        with pytest.raises(InputError, match="is not of the form key=value"):
+            parse_overrides([word])
+
+
+def test_merge_trees_leaves_its_arguments():
+    under = {"a": {"b": 1, "c": 2}, "d": [1]}
+    assert merge_trees(under, {"a": {"b": 3}, "d": [4]}) == {"a": {"b": 3, "c": 2}, "d": [4]}
+    assert under == {"a": {"b": 1, "c": 2}, "d": [1]}
+
+
+def test_to_yaml_reads_back(tmp_path):
+    tree = {
+        "points": [{"position": [1.0, 2e-7]}],
+        "factors": {"a b": 1e30, "null": 1.0},
+        "text": ["true", "1e3", "", "x: y", "é", "a/b.npz"],
+        "none": None,
+        "empty": {},
+        "flag": False,
+        "span": {"until": 1.5},
+    }
+    text = to_yaml(tree, {"span.until": "s"})
+    assert "  # s\n  until: 1.5" in text
+    (tmp_path / "c.yaml").write_text(text)
+    assert read_yaml(tmp_path / "c.yaml") == tree
+    example = build(Example, {"points": [{"position": [1, 2]}]}, "f")
+    dumped = to_yaml(example.model_dump(by_alias=True))
+    assert build(Example, parse_yaml(dumped, "t"), "t") == example
+
+
+def test_describe_lists_every_key():
+    found = {info.key: info for info in describe(Example)}
+    assert found["count"].description == "a number of things" and found["count"].default == 3
+    assert found["span.until"].allowed == "a number, above 0, at most 3"
+    assert "span" not in found
+
+
+def test_config_imports_no_jax():
+    code = "import sys, quadjax.config.base; sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
