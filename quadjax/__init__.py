@@ -1,1 +1,3 @@
 """quadjax: time-optimal quadcopter racing policies, from simulation to fixed-point C."""
+
+__version__ = "0.1.0"

@@ -35,7 +35,7 @@ def start(runs, *arguments):
     own = {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": cache}
     script, config = str(ROOT / "scripts/train.py"), str(ROOT / "configs/e2e_ppo.yaml")
     return subprocess.Popen(
-        [sys.executable, script, config, *WORDS, *arguments, "--runs", str(runs)],
+        [sys.executable, script, config, *WORDS, *arguments, "--output", str(runs)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -231,7 +231,7 @@ def test_every_shipped_config_trains(tmp_path, path):
 
 def command(runs, *words):
     script = str(ROOT / "scripts/train.py")
-    return [sys.executable, script, str(CONFIGS / "e2e_ppo.yaml"), *words, "--runs", str(runs)]
+    return [sys.executable, script, str(CONFIGS / "e2e_ppo.yaml"), *words, "--output", str(runs)]
 
 
 def start(runs, *words):

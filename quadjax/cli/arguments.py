@@ -1,29 +1,41 @@
-"""What the scripts' command lines share."""
+"""Options and checks that the subcommands share."""
 
 import argparse
+import re
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from quadjax.core.errors import InputError
 
+MAX_LAPS = 1000
+MAX_RUNS = 100_000
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose every complaint is one line, an ``InputError``."""
+    """An argument parser whose errors are one line: an ``InputError``."""
+
+    def __init__(self, command: str | None = None, **options: Any) -> None:
+        """Create the parser of ``quadjax COMMAND``; options as of ``ArgumentParser``."""
+        if command is not None:
+            options["prog"] = f"quadjax {command}"
+        options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(**options)
 
     def error(self, message: str) -> NoReturn:
-        """Raise what went wrong."""
+        """Raise an ``InputError``."""
         raise InputError(f"{message} (try --help)")
 
 
 def parse(
     parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
 ) -> argparse.Namespace:
-    """Parse options and positional words in any order.
+    """Parse options and positional arguments in any order.
 
     Raises:
-        InputError: what the parser complains about.
+        InputError: unknown options, missing or bad values.
     """
     try:
         return parser.parse_intermixed_args(arguments)
@@ -31,51 +43,118 @@ def parse(
         raise InputError(f"{error} (try --help)") from error
 
 
+def add_config(
+    parser: argparse.ArgumentParser, kind: str = "a preset's name or a YAML file"
+) -> None:
+    """Add the arguments CONFIG and key=value ..., as ``config`` and ``overrides``."""
+    parser.add_argument("config", metavar="CONFIG", help=kind)
+    parser.add_argument(
+        "overrides", nargs="*", metavar="key=value", help="change keys of the config"
+    )
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """Add ``--output DIR``, the folder in which a run gets its folder."""
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("runs"),
+        metavar="DIR",
+        help="write to DIR/NAME (default: runs)",
+    )
+
+
+def add_name(parser: argparse.ArgumentParser) -> None:
+    """Add ``--name NAME``, which is short for the override ``name=NAME``."""
+    parser.add_argument("--name", type=name, help="name of the run's folder, as name=NAME")
+
+
+def add_races(parser: argparse.ArgumentParser, start: str = "hover") -> None:
+    """Add --laps, --runs, --start and --seed: how a policy is evaluated."""
+    parser.add_argument(
+        "--laps", type=count_up_to(MAX_LAPS), help="laps of a run (default: evaluate.laps)"
+    )
+    parser.add_argument(
+        "--runs", type=count_up_to(MAX_RUNS), help="number of runs (default: evaluate.runs)"
+    )
+    parser.add_argument(
+        "--start",
+        choices=("hover", "random"),
+        default=start,
+        help=f"start from hover, or from the random states of training (default: {start})",
+    )
+    parser.add_argument(
+        "--seed", type=seed, default=0, help="of noise, disturbances and starts (default: 0)"
+    )
+
+
+def add_ranges(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add ``--range FIELD=R``, which may be given several times, as ``ranges``."""
+    parser.add_argument(
+        "--range", action="append", default=[], dest="ranges", metavar="FIELD=R", help=text
+    )
+
+
+def overrides_of(arguments: argparse.Namespace) -> list[str]:
+    """The overrides of a command line, with --name as ``name=NAME``."""
+    extra = [f"name={arguments.name}"] if getattr(arguments, "name", None) else []
+    return [*arguments.overrides, *extra]
+
+
+def name(text: str) -> str:
+    """The name of a folder, for ``type=``."""
+    if not NAME.fullmatch(text):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}, expected letters, digits, '.', '_' and '-', the first a letter or digit"
+        )
+    return text
+
+
 def count(text: str) -> int:
-    """A whole number from 1, for ``type=``."""
-    number = int(text) if text.lstrip("+-").isdigit() else 0
+    """An integer from 1, for ``type=``."""
+    number = int(text) if text.isascii() and text.isdigit() and len(text) < 19 else 0
     if number < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number from 1")
+        raise argparse.ArgumentTypeError(f"{text!r}, expected an integer from 1")
     return number
 
 
 def count_up_to(most: int) -> Callable[[str], int]:
-    """A ``type=`` for whole numbers from 1 to ``most``."""
+    """A ``type=`` for integers from 1 to ``most``."""
 
     def bounded(text: str) -> int:
-        number = count(text)
-        if number > most:
-            raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number, 1 to {most}")
+        number = int(text) if text.isascii() and text.isdigit() and len(text) < 19 else 0
+        if not 1 <= number <= most:
+            raise argparse.ArgumentTypeError(f"{text!r}, expected an integer, 1 to {most}")
         return number
 
     return bounded
 
 
 def seed(text: str) -> int:
-    """A whole number from 0 to 2^31 - 1, for ``type=``."""
-    if not text.isdigit() or int(text) >= 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number, 0 to {2**31 - 1}")
+    """An integer from 0 to 2^31 - 1, for ``type=``."""
+    if not (text.isascii() and text.isdigit()) or len(text) > 10 or int(text) >= 2**31:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected an integer, 0 to {2**31 - 1}")
     return int(text)
 
 
 def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> None:
-    """Refuse an output path before any work is done; None is fine.
+    """Refuse an output path before any work is done; None is accepted.
 
     Args:
-        path: of a file to write; its folder is made.
-        suffixes: allowed ones, if they matter.
+        path: of a file to write; its folder is created.
+        suffixes: the allowed ones; any if empty.
 
     Raises:
-        InputError: a wrong suffix, a directory, or a place where nothing can be written.
+        InputError: a wrong suffix, a directory, or a place that cannot be written.
     """
     if path is None:
         return
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: {', '.join(suffixes)}")
-    if path.is_dir():
-        raise InputError(f"{path}: is a directory, expected the name of a file")
     try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a directory, expected the name of a file")
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent):
             pass

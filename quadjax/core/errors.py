@@ -1,37 +1,71 @@
-"""The one exception for input that a person can mend, and how a script reports it."""
+"""The exception for bad input, and how a command reports what ended it."""
 
 import contextlib
 import functools
 import os
 import sys
 from collections.abc import Callable
+from typing import NoReturn
 
-INTERRUPTED = 130  # exit status of what Ctrl-C ended
+INTERRUPTED = 130  # exit status after Ctrl-C
+BAD_INPUT = 2  # exit status after bad input and after system errors
+DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
 
 
 class InputError(ValueError):
     """Bad input: one line that names the file, key, row or value and what is allowed."""
 
 
-def command_line(main: Callable[[], int | None]) -> Callable[[], None]:
-    """Run a script's ``main``: exit status 2 and one line on stderr for an ``InputError``."""
+def run_command(main: Callable[[], int | None]) -> int:
+    """Run the main function of a command and return its exit status.
+
+    Bad input and system errors (disk full, no permission, no memory) are printed as one line on
+    stderr. Every other exception is a fault of the program and is raised.
+    """
+    try:
+        status = main()
+        sys.stdout.flush()
+        return status or 0
+    except BrokenPipeError:
+        # The reader (head, less) has exited. Nothing may be printed at exit either.
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except Exception as error:
+        line = error_line(error)
+        if line is None or os.environ.get(DEBUG):
+            raise
+        print(f"error: {line}", file=sys.stderr)
+        return BAD_INPUT
+
+
+def command_line(main: Callable[[], int | None]) -> Callable[[], NoReturn]:
+    """A main function that exits with its status; see ``run_command``."""
 
     @functools.wraps(main)
-    def wrapped() -> None:
-        try:
-            status = main()
-            sys.stdout.flush()
-        except InputError as error:
-            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-            status = 2
-        except KeyboardInterrupt:
-            print("interrupted", file=sys.stderr)
-            status = INTERRUPTED
-        except BrokenPipeError:
-            # The reader (head, less) has gone: nothing more to say, not even at exit.
-            with contextlib.suppress(OSError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            status = 1
-        sys.exit(status or 0)
+    def wrapped() -> NoReturn:
+        sys.exit(run_command(main))
 
     return wrapped
+
+
+def error_line(error: BaseException) -> str | None:
+    """One line for bad input or a system error; None for a fault of the program."""
+    text = " ".join(str(error).split())
+    if isinstance(error, InputError):
+        return text
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename is not None else ""
+        return f"{where}{error.strerror}"
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({text})" if text else "not enough memory"
+    if isinstance(error, OverflowError):
+        return f"a number is too large ({text})"
+    if isinstance(error, RecursionError):
+        return f"the input is nested too deeply ({text})"
+    if type(error).__name__ in ("JaxRuntimeError", "XlaRuntimeError"):
+        return f"not enough memory ({text[:160]})" if "RESOURCE_EXHAUSTED" in text else None
+    return None

@@ -1,17 +1,20 @@
-"""Ctrl-C and termination requests as an event that a loop looks at."""
+"""Ctrl-C and termination requests: as an event for a training loop, and during imports."""
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from quadjax.core.errors import INTERRUPTED
+
 
 @contextmanager
 def interruptions() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or a termination request sets; a second Ctrl-C interrupts at once.
+    """An event that Ctrl-C or SIGTERM sets; a second one raises ``KeyboardInterrupt``.
 
-    A handler of the caller's own hears of the first one too.
+    The handler that was installed before is called at the first signal, too.
     """
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
@@ -31,3 +34,28 @@ def interruptions() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """End the process at once on Ctrl-C, for use around imports.
+
+    An exception in the middle of the import of an extension module can be swallowed, or crash the
+    interpreter. During imports there is nothing to save.
+    """
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        os.write(2, b"interrupted\n")
+        os._exit(INTERRUPTED)
+
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
+        yield
+        return
+    signal.signal(signal.SIGINT, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

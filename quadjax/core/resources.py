@@ -1,4 +1,4 @@
-"""Folders of data that come with the package: configs, and policies as trained.
+"""Folders of data that come with the package: configs, and trained policies.
 
 In a checkout ``configs/`` is at the top of the repository; in a wheel it is inside the package.
 """
@@ -10,3 +10,20 @@ _BUNDLED = _PACKAGE / "configs"
 
 CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
+
+
+def preset_names() -> list[str]:
+    """Names of the presets: what ``quadjax.load`` and ``quadjax train`` take instead of a file."""
+    return sorted(path.stem for path in CONFIGS.glob("*.yaml"))
+
+
+def find_config(name: Path | str, folder: str = "") -> Path:
+    """The path of a config: a file, or a preset by its name without ``.yaml``.
+
+    Args:
+        name: of a YAML file, or of a preset.
+        folder: the folder of ``configs/`` in which presets are looked up.
+    """
+    path = Path(name)
+    preset = CONFIGS / folder / f"{name}.yaml"
+    return preset if path.suffix == "" and not path.exists() and preset.is_file() else path

@@ -16,7 +16,7 @@ from quadjax.training.run import Result
 def present(config: Config, result: Result) -> None:
     """Fly the best policy, print its lap table and leave table and figures in the run's folder.
 
-    Writes ``laps.json`` (the sampled laps, as ``scripts/evaluate.py --json`` does),
+    Writes ``laps.json`` (the sampled laps, as ``quadjax evaluate --json`` does),
     ``laps_deterministic.json``, ``trajectory.png`` and ``curves.png``.
     """
     race = pilot.Race(config.evaluate.laps, config.evaluate.runs)

@@ -1,6 +1,5 @@
 """The box of inputs that a fixed-point policy is declared for: one power of two per input."""
 
-import argparse
 import dataclasses
 import math
 
@@ -131,19 +130,6 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
         names += [f"{name}[{i}]" if count > 1 else name for i in range(count)]
         exponents += [exponent] * count
     return InputBox(tuple(names), tuple(exponents))
-
-
-def add_range_option(parser: argparse.ArgumentParser, help_text: str) -> None:
-    """The option ``--range NAME=R ..``, whose words ``parse_overrides`` takes as ``ranges``."""
-    parser.add_argument(
-        "--range",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="NAME=R",
-        dest="ranges",
-        help=help_text,
-    )
 
 
 def parse_overrides(words: list[str]) -> dict[str, float]:

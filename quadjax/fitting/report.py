@@ -44,7 +44,7 @@ def write_results(result: FitResult, folder: Path) -> list[Path]:
     config = OmegaConf.to_yaml(OmegaConf.structured(result.config))
     write_text(folder / "config.yaml", config)
     flights = ", ".join(log.name for log in result.logs)
-    source = f"Fitted on {flights}\nby quadjax (scripts/fit.py); see report.txt beside this file."
+    source = f"Fitted on {flights}\nby quadjax (quadjax fit); see report.txt beside this file."
     write_vehicle(folder / "vehicle.yaml", result.vehicle, _notes(result), source)
     fitted_on = {
         "fit": result.config.name,

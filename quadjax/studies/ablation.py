@@ -35,7 +35,7 @@ class Variant:
     def command(self, runs: str = "runs") -> str:
         """The command that trains its policy into ``RUNS/POLICY/policy.npz``."""
         words = " ".join(self.training)
-        return f"python scripts/train.py {words} name={self.policy} seed=0 --runs {runs}"
+        return f"quadjax train {words} seed=0 --name {self.policy} --output {runs}"
 
     def path(self, folder: Path) -> Path:
         """Its policy file in the ablation's folder."""

@@ -3,7 +3,7 @@
 The constants are held against the true ones. The residual is held against the true one on new
 flights, which no fit has seen and whose motion is known without noise. The nominal fit takes its
 share of a residual, so what must come back is the sum of both, less the true nominal model. As a
-command, after ``quadjax.fitting.synthetic_log`` and ``scripts/fit.py``::
+command, after ``quadjax.fitting.synthetic_log`` and ``quadjax fit``::
 
     python -m quadjax.studies.recovery --fit runs/try --residual runs/truth.npz
 """

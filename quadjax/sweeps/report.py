@@ -114,7 +114,7 @@ def format_importances(found: dict[str, float]) -> str:
 
 
 def best_yaml(sweep: Sweep, best: TrialResult) -> str:
-    """The best trial's full config, which ``scripts/train.py`` takes."""
+    """The best trial's full config, which ``quadjax train`` takes."""
     config = sweep.config_of(best.params, f"{sweep.file.name}_best", 0)
     devices = load_config(sweep.base, sweep.words).train.devices
     config = dataclasses.replace(config, train=dataclasses.replace(config.train, devices=devices))
@@ -159,7 +159,7 @@ def write_report(store: Store) -> str:
         over = [r for r in results if r.value is not None]
         save_figure(parallel_figure(sweep, over), directory / "parallel.png")
         save_figure(slice_figure(sweep, over), directory / "slices.png")
-        text.append(f"best config: python scripts/train.py {directory / 'best.yaml'}")
+        text.append(f"best config: quadjax train {directory / 'best.yaml'}")
     text.append(f"all trials, report and figures are in {directory}")
     return "\n".join(text)
 

@@ -1,8 +1,7 @@
-"""The scripts' command lines."""
+"""The subcommands evaluate and benchmark."""
 
 import json
 import os
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 from PIL import Image
 
 from quadjax.policy.file import write_policy
+from tests.commands import run
 from tests.evaluation.support import random_policy
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,14 +22,6 @@ def policy_file(tmp_path_factory) -> str:
     path = tmp_path_factory.mktemp("policy") / "policy.npz"
     write_policy(path, random_policy())
     return str(path)
-
-
-def run_here(monkeypatch, script: Path, *arguments: str) -> int:
-    """The script's exit status, without a process of its own."""
-    monkeypatch.setattr(sys, "argv", [str(script), *arguments])
-    with pytest.raises(SystemExit) as end:
-        runpy.run_path(str(script), run_name="__main__")
-    return end.value.code
 
 
 @pytest.mark.parametrize(
@@ -54,10 +46,9 @@ def run_here(monkeypatch, script: Path, *arguments: str) -> int:
         (["--policy", "POLICY", "--nonsense"], "nonsense"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(monkeypatch, capsys, policy_file, arguments, names):
+def test_bad_input_is_one_line_and_status_2(capsys, policy_file, arguments, names):
     given = [policy_file if word == "POLICY" else word for word in arguments]
-    config = str(ROOT / "configs" / "e2e.yaml")
-    assert run_here(monkeypatch, EVALUATE, config, *given) == 2
+    assert run("evaluate", "e2e", *given) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("error: ") and names in lines[0]
 
@@ -83,10 +74,10 @@ def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
 
 
 def test_the_benchmark_measures_in_a_process(monkeypatch, capsys):
-    job = {"kind": "residual", "config": str(ROOT / "configs" / "e2e.yaml"), "drones": 2}
+    job = {"kind": "residual", "config": "e2e", "drones": 2}
     text = json.dumps(job | {"repeats": 1})
     monkeypatch.setattr("quadjax.evaluation.benchmark.STEPS_PER_CALL", 100)
-    assert run_here(monkeypatch, ROOT / "scripts" / "benchmark.py", "--job", text) == 0
+    assert run("benchmark", "--job", text) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["steps_per_second"] > 0 and result["devices"] == 2
     assert result["machine"]["cores"] >= 1

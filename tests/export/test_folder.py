@@ -195,7 +195,7 @@ def test_one_line_on_the_command_line(words, said, tmp_path):
         write_policy(tmp_path / f"{name}.npz", broken)
     script = REPOSITORY / "scripts" / "export_c.py"
     done = subprocess.run(
-        [sys.executable, script, *words, "--out", "c"],
+        [sys.executable, script, *words, "--output", "c"],
         cwd=tmp_path,
         env={"PYTHONPATH": str(REPOSITORY), "PATH": "", "JAX_PLATFORMS": "cpu"},
         capture_output=True,

@@ -1,7 +1,5 @@
 """The comparison's numbers: progress, first-order models, and the ablation's list."""
 
-import runpy
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,9 +16,9 @@ from quadjax.studies.comparison import Compared, Setting, changed_plants, conten
 from quadjax.studies.comparison_figures import first_order, progress
 from quadjax.studies.comparison_run import best_recorded, limit_shares, table_text
 from tests import reference as ref
+from tests.commands import run
 
 ROOT = Path(__file__).resolve().parents[2]
-COMPARE = ROOT / "scripts" / "compare.py"
 
 
 def compared(name: str, file: str, lap: float, crashes: tuple[str, ...]) -> Compared:
@@ -132,13 +130,9 @@ def test_what_is_missing_is_known(tmp_path):
         (["--runs", "0"], "--runs"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(monkeypatch, capsys, arguments, names):
+def test_bad_input_is_one_line_and_status_2(capsys, arguments, names):
     indi = str(ROOT / "quadjax" / "pretrained" / "indi.npz")
     given = [indi if word == "INDI" else word for word in arguments]
-    words = [str(COMPARE), str(ROOT / "configs" / "plant" / "standin.yaml"), *given]
-    monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(SystemExit) as end:
-        runpy.run_path(str(COMPARE), run_name="__main__")
-    assert end.value.code == 2
+    assert run("compare", ROOT / "configs" / "plant" / "standin.yaml", *given) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("error: ") and names in lines[0]

@@ -121,7 +121,13 @@ def test_a_whole_sweep_by_its_command(tmp_path):
 
     def command(script, *arguments):
         return subprocess.run(
-            [sys.executable, str(ROOT / "scripts" / script), *map(str, arguments), "--runs", runs],
+            [
+                sys.executable,
+                str(ROOT / "scripts" / script),
+                *map(str, arguments),
+                "--output",
+                runs,
+            ],
             capture_output=True,
             text=True,
             cwd=ROOT,

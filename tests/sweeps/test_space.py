@@ -127,7 +127,7 @@ def test_the_command_refuses_in_one_line_and_leaves_nothing(tmp_path):
         path = sweep_file(tmp_path, **space(ppo__rate={"range": [0, 1]}))
         command = [sys.executable, str(ROOT / "scripts/sweep.py"), str(path), *arguments]
         done = subprocess.run(
-            [*command, "--runs", str(tmp_path / "runs")],
+            [*command, "--output", str(tmp_path / "runs")],
             capture_output=True,
             text=True,
             cwd=ROOT,

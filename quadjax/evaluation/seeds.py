@@ -1,27 +1,20 @@
-"""The same config over several seeds: one training result means nothing by itself."""
+"""The results of one config trained with several seeds."""
 
 import dataclasses
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from quadjax.config.loading import load_config
-from quadjax.core.errors import INTERRUPTED, InputError
-from quadjax.evaluation.learning_curves import check_laps
 from quadjax.policy import pilot
 from quadjax.policy.file import read_policy
-from quadjax.training.folder import check_same
-
-TRAIN = Path(__file__).resolve().parents[2] / "scripts" / "train.py"
 
 
 @dataclasses.dataclass(frozen=True)
 class SeedResult:
-    """What one seed came to; times in seconds."""
+    """The result of one seed; times in seconds."""
 
     seed: int
     seconds: float  # of training, imports and compilation included
@@ -35,62 +28,23 @@ class SeedResult:
     sampled: float | None  # all laps, mean of the sampled flights from hover
     sampled_finished: int  # of the sampled flights from random starts
     sampled_runs: int
-    memory_mib: float
+    memory_mib: float | None  # None where the system does not report it
 
 
-def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
-    """Config files by the name of their config, and the ``key=value`` words beside them.
+def evaluate_seed(run: Path, runs: int) -> SeedResult:
+    """Evaluate the best policy of a finished training: from hover, and from random starts.
 
-    Raises:
-        InputError: a config that cannot be used, none, two of one name, or some whose lap times
-            cannot be compared.
+    Args:
+        run: the folder of the training.
+        runs: number of sampled runs from each kind of start.
     """
-    changes = [word for word in words if "=" in word and "/" not in word.partition("=")[0]]
-    files = [word for word in words if word not in changes]
-    configs = [load_config(path, changes) for path in files]
-    names = [config.name for config in configs]
-    if not names:
-        raise InputError("no config: expected at least one YAML file (try --help)")
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"two of the configs are named {name}, expected names that differ")
-    check_laps({config.name: config.evaluate.laps for config in configs})
-    return dict(zip(names, files, strict=True)), changes
-
-
-def train_seed(config: str, words: Sequence[str], seed: int, runs: Path) -> Path:
-    """Train one seed in a process of its own; the folder of its run.
-
-    Goes on with a run that was begun, and leaves a finished one of the same config as it is.
-
-    Raises:
-        InputError: a run of that name and another config is there, or the training failed; it has
-            said why.
-        KeyboardInterrupt: the training was stopped; it has saved.
-    """
-    name = f"{load_config(config, words).name}_seed{seed}"
-    own = [*words, f"seed={seed}", f"name={name}"]
-    check_same(load_config(config, own), runs / name)
-    summary = runs / name / "summary.json"
-    if not (summary.exists() and json.loads(summary.read_text())["finished"]):
-        command = [sys.executable, str(TRAIN), config, *own, "--resume", "--runs", str(runs)]
-        status = subprocess.run(command, check=False).returncode
-        if status == INTERRUPTED:
-            raise KeyboardInterrupt
-        if status:
-            raise InputError(f"training seed {seed} failed with status {status}")
-    return runs / name
-
-
-def judge_seed(run: Path, flights: int) -> SeedResult:
-    """Fly a finished run's best policy: from hover, and sampled from random starts."""
     config = load_config(run / "config.yaml")
     summary = json.loads((run / "summary.json").read_text())
     policy = read_policy(run / "policy.npz")
     laps = config.evaluate.laps
     mean, _ = pilot.fly_policy(config, policy, pilot.Race(laps, 1, True, 0), True)
-    hover, _ = pilot.fly_policy(config, policy, pilot.Race(laps, flights, True, 1), False)
-    random, _ = pilot.fly_policy(config, policy, pilot.Race(laps, flights, False, 2), False)
+    hover, _ = pilot.fly_policy(config, policy, pilot.Race(laps, runs, True, 1), False)
+    random, _ = pilot.fly_policy(config, policy, pilot.Race(laps, runs, False, 2), False)
     first = summary["first_under"] or {"total": None, "seconds": None, "steps": None}
     done = hover.totals[np.isfinite(hover.totals)]
     return SeedResult(
@@ -105,7 +59,7 @@ def judge_seed(run: Path, flights: int) -> SeedResult:
         flying_lap=_lowest(mean.lap_times),
         sampled=float(done.mean()) if done.size else None,
         sampled_finished=random.finished,
-        sampled_runs=flights,
+        sampled_runs=runs,
         memory_mib=summary["peak_memory_mib"],
     )
 
@@ -126,7 +80,7 @@ COLUMNS = (
     ("best lap", lambda r: _cell(r.flying_lap, 2)),
     ("sampled", lambda r: _cell(r.sampled, 2)),
     ("random starts", lambda r: f"{r.sampled_finished}/{r.sampled_runs}"),
-    ("MiB", lambda r: f"{r.memory_mib:.0f}"),
+    ("MiB", lambda r: _cell(r.memory_mib, 0)),
 )
 
 

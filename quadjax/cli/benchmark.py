@@ -1,0 +1,217 @@
+"""Measure the speed of the environment and of training on this machine, compile time apart.
+
+Environment steps a second (a step and the reset of finished episodes) against the number of
+environments, with and without residual networks; training steps a second of the presets; and the
+peak memory of each. Every measurement runs in a process of its own and is the median of its
+repeats. With --sb3, quadjax and Stable-Baselines3 train the published hyperparameters for equal
+time.
+"""
+
+import argparse
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadjax.cli import STARTED
+from quadjax.cli.arguments import Parser, check_writable, count, parse
+from quadjax.core.errors import InputError
+from quadjax.core.interruptions import loading
+from quadjax.core.resources import find_config
+
+NUM_ENVS = tuple(4**power for power in range(9))  # 1 to 65,536
+QUICK_NUM_ENVS = (1, 64, 4096, 65_536)
+OBSERVED = 4096  # environments of the measurement with the observation
+ENVIRONMENT = "e2e_shac"
+PRESETS = ("e2e_shac", "e2e_ppo", "e2e_paper")
+SIDE_BY_SIDE = "e2e_paper"
+TITLES = {
+    "environment": "environment: step and reset, without residual",
+    "residual": "environment: step and reset, with residual networks",
+    "observed": "environment: step, reset and observation, without residual",
+    "training": "training",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """One measurement: of the environment, or of a preset's training."""
+
+    kind: str  # a key of TITLES, or "quadjax" | "sb3" for one side of --sb3
+    config: str
+    drones: int
+    repeats: int
+    seconds: float = 0.0  # of one side of --sb3
+    devices: str = "auto"  # of a preset's training
+
+    def describe(self) -> str:
+        """The job in a few words."""
+        return f"{Path(self.config).stem} {self.kind} {self.drones or ''}".strip()
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("benchmark", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer sizes and repeats")
+    parser.add_argument("--repeats", type=count, help="of each measurement (7, or 3 with --quick)")
+    parser.add_argument(
+        "--sb3",
+        type=count,
+        metavar="SECONDS",
+        help="only train e2e_paper for SECONDS by quadjax and by Stable-Baselines3, side by side",
+    )
+    parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
+    parser.add_argument("--job", help=argparse.SUPPRESS)
+    arguments = parse(parser, words)
+    check_writable(arguments.json)
+    return arguments
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print, and write the numbers if asked."""
+    words = _arguments(arguments)
+    if words.job:
+        print(json.dumps(_run_job(Job(**json.loads(words.job)))))
+        return 0
+    if words.sb3:
+        return _side_by_side(words.sb3, words.json)
+    results = _measure_all(_jobs(words.quick, words.repeats or (3 if words.quick else 7)))
+    machine = results[0]["machine"]
+    _print_machine(machine)
+    _print_results(results)
+    if words.json:
+        from quadjax.core.files import write_json
+
+        plain = [{k: v for k, v in row.items() if k != "machine"} for row in results]
+        write_json(words.json, {"machine": machine, "results": plain})
+    return 0
+
+
+def _jobs(quick: bool, repeats: int) -> list[Job]:
+    jobs = [
+        Job(kind, ENVIRONMENT, drones, repeats)
+        for kind in ("environment", "residual")
+        for drones in (QUICK_NUM_ENVS if quick else NUM_ENVS)
+    ]
+    jobs.append(Job("observed", ENVIRONMENT, OBSERVED, repeats))
+    few = max(2, repeats // 2)
+    jobs += [Job("training", preset, 0, few) for preset in PRESETS]
+    return [*jobs, Job("training", ENVIRONMENT, 0, few, devices="1")]
+
+
+def _measure_all(jobs: Sequence[Job]) -> list[dict[str, object]]:
+    from quadjax.training.progress import bar
+
+    results = []
+    with bar(counted=True) as progress:
+        task = progress.add_task("measuring", total=len(jobs))
+        for job in jobs:
+            progress.update(task, description=job.describe())
+            results.append(_measure(job))
+            progress.advance(task)
+    return results
+
+
+def _measure(job: Job) -> dict[str, object]:
+    """Measure in a process of its own, so that the peak memory is this measurement's."""
+    text = json.dumps(dataclasses.asdict(job))
+    done = subprocess.run(
+        [sys.executable, "-m", "quadjax", "benchmark", "--job", text],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+    if done.returncode != 0:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise InputError(f"measuring {job.describe()} failed: {last}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def _run_job(job: Job) -> dict[str, object]:
+    """Measure in this process."""
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.learners.devices import prepare_devices
+
+    if job.kind in ("quadjax", "sb3"):
+        return _run_side(job)
+    config = load_config(find_config(job.config), [f"train.devices='{job.devices}'"])
+    prepare_devices("auto")
+    with loading():
+        from quadjax.evaluation import benchmark
+        from quadjax.training.run import peak_memory_mib
+
+    if job.kind == "training":
+        speed = benchmark.measure_training(config, job.repeats)
+    else:
+        residual, observed = job.kind == "residual", job.kind == "observed"
+        speed = benchmark.measure_environment(config, job.drones, residual, observed, job.repeats)
+    result = dataclasses.asdict(job) | dataclasses.asdict(speed)
+    memory = {"peak_memory_mib": peak_memory_mib()}
+    return result | memory | {"config": Path(job.config).stem, "machine": benchmark.machine()}
+
+
+def _run_side(job: Job) -> dict[str, object]:
+    """Train one side of --sb3 in this process, for its time."""
+    from quadjax.config.loading import load_config
+    from quadjax.learners.devices import prepare_devices
+
+    config = load_config(find_config(job.config))
+    per_update = config.train.drones * config.ppo.steps_per_update
+    config = load_config(find_config(job.config), [f"train.evaluate_every={per_update}"])
+    prepare_devices("auto" if job.kind == "quadjax" else "1")
+    with loading():
+        from quadjax.evaluation.benchmark import machine
+        from quadjax.studies import ppo_against_sb3 as side_by_side
+
+    if job.kind == "quadjax":
+        with tempfile.TemporaryDirectory() as folder:
+            side = side_by_side.ours(config, job.seconds, STARTED, Path(folder) / "run")
+    else:
+        side = side_by_side.stable_baselines(config, job.seconds, STARTED)
+    return {"side": dataclasses.asdict(side), "machine": machine()}
+
+
+def _side_by_side(seconds: int, path: str | None) -> int:
+    """Both sides one after the other, on this machine."""
+    from quadjax.core.files import write_json
+    from quadjax.studies.ppo_against_sb3 import Side, format_sides
+
+    found = _measure_all([Job(kind, SIDE_BY_SIDE, 0, 1, seconds) for kind in ("quadjax", "sb3")])
+    machine, sides = found[0]["machine"], [row["side"] for row in found]
+    _print_machine(machine)
+    run = (
+        f"{SIDE_BY_SIDE}, seed 0, {seconds} s of wall time each from the start of the process; "
+        "laps of the last policy, deterministic from hover"
+    )
+    print(format_sides([Side(**side) for side in sides], run))
+    if path:
+        write_json(path, {"machine": machine, "run": run, "sides": sides})
+    return 0
+
+
+def _print_machine(machine: dict[str, object]) -> None:
+    print(
+        f"{machine['processor']}, {machine['cores']} cores, {machine['memory_gib']} GiB, "
+        f"{machine['system']}, Python {machine['python']}, JAX {machine['jax']} on "
+        f"{machine['device']} ({machine['backend']})"
+    )
+
+
+def _print_results(results: list[dict[str, object]]) -> None:
+    for kind, title in TITLES.items():
+        print(f"\n{title}")
+        print(
+            f"{'':>10} {'num_envs':>8} {'devices':>7} {'steps/s':>12} {'slowest':>12} "
+            f"{'compile':>8} {'memory':>9}"
+        )
+        for row in (row for row in results if row["kind"] == kind):
+            name = row["config"] if kind == "training" else ""
+            print(
+                f"{name:>10} {row['drones']:>8,} {row['devices']:>7} "
+                f"{row['steps_per_second']:>12,.0f} {row['slowest']:>12,.0f} "
+                f"{row['compile_seconds']:>6.1f} s {row['peak_memory_mib'] or 0:>5.0f} MiB"
+            )

@@ -1,0 +1,88 @@
+"""Compare E2E and INDI in the simulator and on the stand-in plant, next to the published flights.
+
+DIR/NAME gets table.txt, compare.json, config.yaml and figures. key=value overrides change the
+plant's config. The ablation evaluates the policies that are in its folder, and prints how to train
+those that are missing.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadjax.cli.arguments import (
+    MAX_LAPS,
+    MAX_RUNS,
+    Parser,
+    add_config,
+    add_output,
+    count_up_to,
+    name,
+    parse,
+    seed,
+)
+from quadjax.core.errors import InputError
+from quadjax.core.interruptions import loading
+from quadjax.core.resources import PRETRAINED
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("compare", description=__doc__)
+    add_config(parser, "a YAML file of configs/plant")
+    parser.add_argument("--e2e", default=str(PRETRAINED / "e2e.npz"), metavar="FILE.npz")
+    parser.add_argument("--indi", default=str(PRETRAINED / "indi_shac.npz"), metavar="FILE.npz")
+    parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")
+    parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
+    parser.add_argument("--laps", type=count_up_to(MAX_LAPS), default=6, help="laps of a run (6)")
+    parser.add_argument(
+        "--runs", type=count_up_to(MAX_RUNS), default=100, help="number of runs (100)"
+    )
+    parser.add_argument("--seed", type=seed, default=0)
+    parser.add_argument("--parts", nargs="+", metavar="PART", help="some of the parts (all)")
+    parser.add_argument("--name", type=name, default="compare", help="of the folder (compare)")
+    add_output(parser)
+    return parse(parser, words)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Compare."""
+    words, started = _arguments(arguments), time.monotonic()
+    with loading():
+        from rich.console import Console
+
+        from quadjax.config.loading import load_config
+        from quadjax.core.resources import find_config
+        from quadjax.plant.plant_schema import load_plant_config
+        from quadjax.studies.comparison import Setting, contender
+        from quadjax.studies.comparison_run import PARTS, Wanted, run_comparison
+        from quadjax.training.progress import bar
+
+    parts = tuple(words.parts or PARTS)
+    for part in parts:
+        if part not in PARTS:
+            raise InputError(f"--parts: {part!r}, allowed: {', '.join(PARTS)}")
+    setting = Setting(
+        load_config(find_config(words.race)),
+        load_plant_config(words.config, words.overrides),
+        words.laps,
+        words.runs,
+        words.seed,
+    )
+    contenders = (contender("E2E", words.e2e), contender("INDI", words.indi))
+    for own, kind in zip(contenders, ("motor", "rate"), strict=True):
+        if own.policy.vehicle != kind:
+            raise InputError(f"{own.file}: a policy for the {own.policy.vehicle}, expected {kind}")
+    wanted = Wanted(parts, words.ablation, words.output / words.name)
+    console = Console(stderr=True)
+    with bar(counted=True, console=console) as progress:
+        task = progress.add_task("compiling", total=wanted.steps())
+
+        def report(line: str) -> None:
+            progress.update(task, description=line, advance=1)
+            if not console.is_terminal:
+                console.print(f"{time.monotonic() - started:5.0f} s  {line}", highlight=False)
+
+        text = run_comparison(setting, contenders, wanted, report)
+    print(text)
+    print(f"wrote {wanted.folder}/ in {time.monotonic() - started:.0f} s")
+    return 0

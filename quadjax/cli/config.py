@@ -1,0 +1,18 @@
+"""Print the resolved config of a preset or a YAML file, with every key."""
+
+from collections.abc import Sequence
+
+from quadjax.cli.arguments import Parser, add_config, parse
+from quadjax.core.interruptions import loading
+from quadjax.core.resources import find_config
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Load, check and print a config."""
+    parser = Parser("config", description=__doc__)
+    add_config(parser)
+    words = parse(parser, arguments)
+    with loading():
+        from quadjax.config.loading import load_config, to_yaml
+
+    print(to_yaml(load_config(find_config(words.config), words.overrides)), end="")

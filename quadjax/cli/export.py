@@ -1,0 +1,52 @@
+"""Convert a policy file to fixed-point C.
+
+DIR gets the network, the observation, the disturbance estimator and a Paparazzi module as C, with
+self-tests, and a report of what was proven. ``quadjax verify DIR`` builds and runs all of it.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadjax.cli.arguments import Parser, add_ranges, parse
+from quadjax.core.interruptions import loading
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("export", description=__doc__)
+    parser.add_argument("policy", type=Path, metavar="POLICY.npz", help="policy file")
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR", help="folder for the C"
+    )
+    parser.add_argument("--name", help="prefix of every C symbol (default: the file's name)")
+    add_ranges(
+        parser, "declare +-R for an input instead of the default, a power of two: position=16"
+    )
+    parser.add_argument("--track", help="track file of configs/tracks, or a path to one")
+    parser.add_argument("--config", type=Path, help="training config whose race the policy flies")
+    parser.add_argument("--sample-rate", type=float, default=512.0, help="of the estimator, Hz")
+    parser.add_argument("--cutoff", type=float, default=8.0, help="of the estimator, Hz")
+    return parse(parser, words)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Convert, write, and print the report."""
+    words = _arguments(arguments)
+    with loading():
+        from quadjax.export.convert_policy import Request, write_folder
+        from quadjax.export.ranges import parse_overrides
+        from quadjax.export.report import report_text
+
+    request = Request(
+        policy=words.policy,
+        out=words.output,
+        ranges=parse_overrides(words.ranges),
+        name=words.name,
+        track=words.track,
+        config=words.config,
+        sample_rate=words.sample_rate,
+        cutoff=words.cutoff,
+    )
+    converted, report = write_folder(request)
+    print(report_text(report, converted.origin.name))
+    print(f"Written to {words.output}. Next: quadjax verify {words.output}")

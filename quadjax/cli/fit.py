@@ -1,0 +1,47 @@
+"""Fit the model of a drone to its flight logs.
+
+DIR/NAME gets vehicle.yaml (for vehicle.file=), residual.npz (for vehicle.residual=), report.txt,
+report.json, config.yaml and figures.
+"""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadjax.cli.arguments import Parser, add_config, check_writable, parse
+from quadjax.core.interruptions import loading
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Read the config, fit, print, write."""
+    started = time.monotonic()
+    parser = Parser("fit", description=__doc__)
+    add_config(parser, "a YAML file of configs/fit")
+    words = parse(parser, arguments)
+    with loading():
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        from quadjax.fitting.figures import write_figures
+        from quadjax.fitting.pipeline import load_fit_config, run_fit
+        from quadjax.fitting.report import tables, write_results
+
+    config = load_fit_config(words.config, words.overrides)
+    folder = Path(config.runs) / config.name
+    check_writable(folder / "vehicle.yaml")
+    columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    quiet = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
+        task = progress.add_task("starting", total=8 if config.residual.fit else 4)
+
+        def report(line: str) -> None:
+            progress.update(task, description=line, advance=1)
+
+        result = run_fit(config, Path(words.config).parent, report)
+        report("writing")
+        written = write_results(result, folder)
+        if config.figures:
+            written += write_figures(result, folder)
+    print(tables(result))
+    print(f"wrote {len(written)} files to {folder}/ in {time.monotonic() - started:.1f} s")

@@ -1,0 +1,139 @@
+"""Train configs over several seeds, one after the other, and print the results.
+
+A finished run of the same config is not trained again. Laps are deterministic from hover;
+'sampled' is the mean of sampled runs from hover, 'random starts' the number of sampled runs from
+random starts that completed every lap. The figure shows the learning curves of all configs.
+"""
+
+import argparse
+import dataclasses
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadjax.cli.arguments import (
+    MAX_RUNS,
+    Parser,
+    add_name,
+    add_output,
+    check_writable,
+    count_up_to,
+    parse,
+    seed,
+)
+from quadjax.core.errors import INTERRUPTED, InputError
+from quadjax.core.interruptions import loading
+from quadjax.core.resources import find_config
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("seeds", description=__doc__)
+    parser.add_argument(
+        "configs",
+        nargs="+",
+        metavar="CONFIG|key=value",
+        help="presets or YAML files, and overrides for all of them",
+    )
+    parser.add_argument(
+        "--seeds", type=seed, nargs="+", default=[0, 1, 2, 3, 4], help="(default: 0 1 2 3 4)"
+    )
+    parser.add_argument(
+        "--runs", type=count_up_to(MAX_RUNS), default=100, help="number of sampled runs (100)"
+    )
+    add_name(parser)
+    add_output(parser)
+    parser.add_argument("--figure", metavar="FILE", help="default: DIR/NAMES_seeds.png")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="remove earlier runs of the same names first"
+    )
+    return parse(parser, words)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Train, draw, evaluate and tabulate."""
+    words = _arguments(arguments)
+    with loading():
+        from quadjax.core.files import write_json
+        from quadjax.evaluation.figures import save_figure
+        from quadjax.evaluation.learning_curves import learning_figure
+        from quadjax.evaluation.seeds import evaluate_seed, format_seeds
+
+    named = [f"name={words.name}"] if words.name else []
+    configs, overrides = configs_of([*words.configs, *named])
+    runs, seeds = words.output, list(dict.fromkeys(words.seeds))
+    figure = Path(words.figure or runs / f"{'_and_'.join(configs)}_seeds.png")
+    check_writable(figure, (".png", ".svg", ".pdf"))
+    groups = {
+        name: [train_seed(file, overrides, seed, runs, words.overwrite) for seed in seeds]
+        for name, file in configs.items()
+    }
+    save_figure(learning_figure(groups), figure)
+    print(f"wrote {figure}")
+    for name, folders in groups.items():
+        results = [evaluate_seed(folder, words.runs) for folder in folders]
+        print(f"\n{name}\n\n{format_seeds(results)}\n")
+        path = runs / f"{name}_seeds.json"
+        write_json(path, [dataclasses.asdict(result) for result in results])
+        print(f"wrote {path}")
+    return 0
+
+
+def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Config files by the name of their config, and the overrides among the words.
+
+    Raises:
+        InputError: a config that cannot be used, none, two of one name, or lap times that cannot
+            be compared.
+    """
+    from quadjax.config.loading import load_config
+    from quadjax.evaluation.learning_curves import check_laps
+
+    overrides = [word for word in words if "=" in word and "/" not in word.partition("=")[0]]
+    files = [str(find_config(word)) for word in words if word not in overrides]
+    configs = [load_config(path, overrides) for path in files]
+    names = [config.name for config in configs]
+    if not names:
+        raise InputError("no config: expected at least one preset or YAML file (try --help)")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"two of the configs are named {name}, expected names that differ")
+    check_laps({config.name: config.evaluate.laps for config in configs})
+    return dict(zip(names, files, strict=True)), overrides
+
+
+def train_seed(
+    config: str, overrides: Sequence[str], seed: int, runs: Path, overwrite: bool = False
+) -> Path:
+    """Train one seed in a process of its own; returns the folder of its run.
+
+    Resumes a run that was stopped, and leaves a finished one of the same config as it is.
+
+    Raises:
+        InputError: there is a run of that name with another config, or the training failed (its
+            message has been printed).
+        KeyboardInterrupt: the training was interrupted; it has saved.
+    """
+    from quadjax.config.loading import load_config
+    from quadjax.training.folder import check_same
+
+    name = f"{load_config(config, overrides).name}_seed{seed}"
+    own = [*overrides, f"seed={seed}", f"name={name}"]
+    if not overwrite:
+        check_same(load_config(config, own), runs / name)
+        if _is_finished(runs / name):
+            return runs / name
+    how = "--overwrite" if overwrite else "--resume"
+    command = [sys.executable, "-m", "quadjax", "train", config, *own, how, "--output", str(runs)]
+    status = subprocess.run(command, check=False).returncode
+    if status == INTERRUPTED:
+        raise KeyboardInterrupt
+    if status:
+        raise InputError(f"training seed {seed} failed with status {status}")
+    return runs / name
+
+
+def _is_finished(folder: Path) -> bool:
+    summary = folder / "summary.json"
+    return summary.exists() and json.loads(summary.read_text(encoding="utf-8"))["finished"]

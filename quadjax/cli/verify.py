@@ -1,0 +1,53 @@
+"""Build and run an exported folder with the compilers of this machine and print what held.
+
+A C compiler of the host, or the one that pip installs, and an emulated Cortex-A9 (pip install
+'quadjax[verify]') are enough. With arm-linux-gnueabi-gcc, arm-linux-gnueabihf-gcc, qemu-arm,
+frama-c and cppcheck on the path more is checked; a check without its tool is skipped, with the
+reason. Exit status 0: no check failed.
+"""
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadjax.cli.arguments import Parser, check_writable, count, parse
+from quadjax.core.errors import InputError
+from quadjax.core.interruptions import loading
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("verify", description=__doc__)
+    parser.add_argument("folder", type=Path, metavar="DIR", help="folder of quadjax export")
+    parser.add_argument(
+        "--vectors", type=count, default=5_000, help="vectors for every build (default: 5000)"
+    )
+    parser.add_argument("--flights", type=count, default=0, help="flights of the closed loop")
+    parser.add_argument("--json", type=Path, metavar="FILE.json", help="write the table")
+    arguments = parse(parser, words)
+    if arguments.vectors < 100:
+        raise InputError(f"--vectors {arguments.vectors}: expected at least 100")
+    check_writable(arguments.json, (".json",))
+    return arguments
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Verify, and print the table."""
+    words = _arguments(arguments)
+    with loading():
+        from quadjax.core.files import write_json
+        from quadjax.export.verify.result import FAILED, table_text
+        from quadjax.export.verify.run import verify
+
+    def announce(name: str) -> None:
+        if sys.stderr.isatty():
+            print(f"\r\033[K{name} ..", end="", file=sys.stderr, flush=True)
+
+    results = verify(words.folder, words.vectors, words.flights, announce)
+    if sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr)
+    print(table_text(results))
+    if words.json:
+        write_json(words.json, [dataclasses.asdict(result) for result in results])
+    return int(any(result.verdict == FAILED for result in results))
