@@ -62,7 +62,7 @@ class State:
 
 
 def test_the_learner_flies_in_the_race_of_its_step():
-    def begin(params, key):
+    def begin(hyper, params, key):
         return params.start.yaw
 
     def update(hyper, params, state):
@@ -70,13 +70,13 @@ def test_the_learner_flies_in_the_race_of_its_step():
         price = params.reward.nose_up
         return state, {"force": hyper * force, "yaw": params.start.yaw, "nose_up": price}
 
-    plain = Learner(begin, update, hyper=jnp.float32(2.0), steps_per_update=64, lanes=1)
+    plain = Learner(begin, update, hyper=jnp.float32(2.0), steps_per_update=64, num_shards=1)
     learner = follow(plain, Curriculum((128, 384), (0, 256)))
     params = build_params(RAMPED)
     force, yaw = 2.0 * outputs(params.vehicle.residual)[0], float(params.start.yaw)
     assert yaw == pytest.approx(np.pi)
-    assert float(learner.init(params, None)) == 0.0
-    assert float(follow(plain, Curriculum()).init(params, None)) == params.start.yaw
+    assert float(learner.init(None, params, None)) == 0.0
+    assert float(follow(plain, Curriculum()).init(None, params, None)) == params.start.yaw
     shares = {0: (0, 0), 1: (0, 0.25), 2: (0, 0.5), 3: (0.25, 0.75), 4: (0.5, 1), 6: (1, 1)}
     for done, (of_force, of_yaw) in (shares | {100: (1, 1)}).items():
         _, metrics = jax.jit(learner.update)(learner.hyper, params, State(jnp.int32(done)))
@@ -130,7 +130,7 @@ def test_a_config_s_ramps_reach_its_learner():
     for ramped, least, most in (("[0, 0]", 0.5, 4.0), ("[0, 9]", 0.0, 1e-5)):
         config = config_of(*words, f"train.yaw_ramp={ramped}")
         learner, params = build_learner(config), build_params(config)
-        begun = jax.jit(learner.init)(params, jax.random.key(0)).environment
+        begun = jax.jit(learner.init)(learner.hyper, params, jax.random.key(0)).environment
         inside = np.radians([90.0, 180.0, 270.0, 0.0])  # of the legs to the paper's four gates
         off = np.asarray(begun.drone.euler.z) - inside[np.asarray(begun.target)]
         off = np.abs(np.angle(np.exp(1j * off)))

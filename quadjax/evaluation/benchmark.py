@@ -143,7 +143,7 @@ def measure_environment(
 def measure_training(config: Config, repeats: int) -> Speed:
     """Training steps a second of a config, from its first updates."""
     learner, params = build_learner(config), build_params(config)
-    devices = choose_devices(config.train.devices, learner.lanes)
+    devices = choose_devices(config.train.devices, learner.num_shards)
     mesh = parallel.make_mesh(devices)
     state = parallel.place(start_state(config, learner, params), mesh)
     updates = max(1, round(STEPS_PER_CALL / 10 / learner.steps_per_update))

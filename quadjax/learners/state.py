@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import chex
 import jax
@@ -43,15 +43,16 @@ Update = Callable[[object, object, TrainState], tuple[TrainState, Metrics]]
 class Learner(Generic[Params]):
     """One algorithm, bound to an environment: what the loop drives.
 
-    ``update(hyper, environment_params, state)`` does one update on one device's share of the
-    environments and averages over the mesh axis ``AXIS``; the hyperparameters are traced.
+    ``init(hyper, environment_params, key)`` returns the first state of a run.
+    ``update(hyper, environment_params, state)`` does one update on one device's part of the
+    environments and averages over the mesh axis ``AXIS``. Hyperparameters are traced.
     """
 
-    init: Callable[[Params, jax.Array], TrainState]
+    init: Callable[[Any, Params, jax.Array], TrainState]
     update: Update
     hyper: object  # pytree of float hyperparameters
     steps_per_update: int  # environment steps of one update, all environments together
-    lanes: int  # into how many shares the environments can be split
+    num_shards: int  # equal parts of the environments that devices can share
 
 
 def count_lanes(environments: int, blocks: int = 1, batches: int = 1, most: int = 8) -> int:

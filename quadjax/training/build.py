@@ -102,7 +102,7 @@ def start_state(
     config: Config, learner: Learner, params: RaceParams, initial: Policy | None = None
 ) -> TrainState:
     """A run's first state, with the policy ``initial`` if there is one."""
-    state = jax.jit(learner.init)(params, jax.random.key(config.seed))
+    state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(config.seed))
     if initial is None:
         return state
     return with_params(state, with_policy(state.params, initial, reward_scale(config)))

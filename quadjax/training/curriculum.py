@@ -73,8 +73,8 @@ def follow(learner: Learner[RaceParams], curriculum: Curriculum) -> Learner[Race
     The curriculum is static: another one is another program.
     """
 
-    def init(params: RaceParams, key: jax.Array) -> TrainState:
-        return learner.init(curriculum.at(params, jnp.zeros(())), key)
+    def init(hyper: object, params: RaceParams, key: jax.Array) -> TrainState:
+        return learner.init(hyper, curriculum.at(params, jnp.zeros(())), key)
 
     def update(hyper: object, params: RaceParams, state: TrainState) -> tuple[TrainState, Metrics]:
         steps = state.update.astype(jnp.float32) * learner.steps_per_update

@@ -74,7 +74,8 @@ def start_states(
 ) -> TrainState:
     """First states of the runs, stacked: those that ``start_state`` gives each by itself."""
     seeds = jnp.stack([jax.random.key(config.seed) for config in configs])
-    state = jax.jit(jax.vmap(learner.init))(lanes.stack(params), seeds)
+    init = jax.jit(jax.vmap(learner.init, in_axes=(None, 0, 0)))
+    state = init(learner.hyper, lanes.stack(params), seeds)
     starts = [math.log(c.shac.std) if c.algorithm == "shac" else c.network.log_std for c in configs]
     log_std = jnp.asarray(starts, jnp.float32)[:, None]
     own = state.params.replace(log_std=jnp.broadcast_to(log_std, state.params.log_std.shape))

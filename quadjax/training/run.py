@@ -140,7 +140,7 @@ def _prepare(config: Config) -> _Job:
     """Everything that can be refused before a run leaves a trace."""
     params = build_params(config)
     learner = build_learner(config)
-    mesh = parallel.make_mesh(choose_devices(config.train.devices, learner.lanes))
+    mesh = parallel.make_mesh(choose_devices(config.train.devices, learner.num_shards))
     hosts.meet(mesh)
     updates, chunks = plan(config, learner.steps_per_update)
     initial = initial_policy(config)
@@ -190,7 +190,7 @@ def _compile(
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(lambda: parallel.place(begin(), mesh))
         flown = pool.submit(lambda: score(first.result().flown))
-        shapes = jax.eval_shape(learner.init, params, jax.random.key(0))
+        shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
         chunk = parallel.compile_chunk(
             learner, mesh, updates, params, parallel.abstract(shapes, mesh)
         )

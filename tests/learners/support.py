@@ -74,7 +74,7 @@ def _program(name: str, devices: int):
     """A chunk that takes its hyperparameters too: one program for every test."""
     learner = make(name)
     mesh = parallel.make_mesh(devices)
-    state = parallel.place(jax.jit(learner.init)(probe(), jax.random.key(0)), mesh)
+    state = parallel.place(jax.jit(learner.init)(learner.hyper, probe(), jax.random.key(0)), mesh)
     specs = parallel.specs_of(state)
     everywhere = jax.sharding.PartitionSpec()
 
@@ -108,7 +108,7 @@ class Run:
         self.learner, mesh, self.program = _program(name, devices)
         self.hyper = {"ppo": ppo_hyper, "shac": shac_hyper}[name](**numbers)
         self.params = params
-        state = jax.jit(self.learner.init)(params, jax.random.key(seed))
+        state = jax.jit(self.learner.init)(self.hyper, params, jax.random.key(seed))
         self.state = parallel.place(state, mesh)
 
     def train(self, chunks: int) -> dict[str, np.ndarray]:

@@ -121,7 +121,7 @@ def built(request):
     logger.addHandler(compilations)
     learner, mesh = make(request.param), parallel.make_mesh(2)
     params = probe(place=1.0, move=0.5, length=3.0)
-    begin = jax.jit(learner.init)(params, jax.random.key(3))
+    begin = jax.jit(learner.init)(learner.hyper, params, jax.random.key(3))
     with jax.log_compiles():
         chunk = parallel.compile_chunk(learner, mesh, 3, params, parallel.place(begin, mesh))
     yield mesh, chunk, begin, compilations

@@ -83,7 +83,7 @@ def make_learner(
         update=functools.partial(_update, *parts),
         hyper=hyper,
         steps_per_update=structure.environments * structure.steps,
-        lanes=structure.lanes,
+        num_shards=structure.lanes,
     )
 
 
@@ -91,6 +91,7 @@ def _init(
     environment: Environment,
     networks: Networks,
     s: Structure,
+    hyper: Hyper,
     environment_params: object,
     key: jax.Array,
 ) -> TrainState:

@@ -79,11 +79,11 @@ def make_learner(
     """SHAC on a differentiable environment."""
     parts = (environment, networks, structure)
     return Learner(
-        init=functools.partial(_init, *parts, hyper.std),
+        init=functools.partial(_init, *parts),
         update=functools.partial(_update, *parts),
         hyper=hyper,
         steps_per_update=structure.environments * structure.horizon,
-        lanes=structure.lanes,
+        num_shards=structure.lanes,
     )
 
 
@@ -91,13 +91,13 @@ def _init(
     environment: Environment,
     networks: Networks,
     s: Structure,
-    std: jax.Array,
+    hyper: Hyper,
     environment_params: object,
     key: jax.Array,
 ) -> TrainState:
     network_key, reset_key, lane_key = jax.random.split(key, 3)
     params = networks.init(network_key)
-    params = params.replace(log_std=jnp.full_like(params.log_std, jnp.log(std)))
+    params = params.replace(log_std=jnp.full_like(params.log_std, jnp.log(hyper.std)))
     resets = jax.random.split(reset_key, s.lanes)
     count = s.environments // s.lanes
     adam = optax.scale_by_adam()

@@ -1,0 +1,45 @@
+"""Hyperparameters as config sections."""
+
+import pytest
+
+from quadjax.config.base import build
+from quadjax.core.errors import InputError
+from quadjax.learners.ppo.hyperparameters import PPO
+from quadjax.learners.shac.hyperparameters import SHAC
+
+
+@pytest.mark.parametrize(
+    ("section", "values", "message"),
+    [
+        (PPO, {"num_envs": 0}, "num_envs is 0, allowed: a whole number"),
+        (PPO, {"num_epochs": 1e20}, "num_epochs is "),
+        (PPO, {"num_envs": 10**7}, "num_envs is 10000000"),
+        (PPO, {"num_envs": 10**6, "rollout_length": 1000}, "a product of at most"),
+        (PPO, {"num_envs": 3}, "num_minibatches is 8, allowed: a divisor of the 3 blocks"),
+        (PPO, {"shuffle_block": 7}, "shuffle_block is 7, allowed: a divisor of rollout_length 64"),
+        (PPO, {"clip": 0.2}, "unknown key clip"),
+        (PPO, {"discount": 1.0}, "discount is 1.0, allowed: a number"),
+        (SHAC, {"horizon": 1e20}, "horizon is "),
+        (SHAC, {"num_envs": 6}, "critic_minibatches is 4, allowed: a divisor of num_envs 6"),
+        (SHAC, {"num_envs": 10**6}, None),
+        (SHAC, {"num_envs": 10**6, "horizon": 257}, "a product of at most"),
+        (SHAC, {"std": 0}, "std is 0"),
+        (SHAC, {"algorithm": "ppo"}, "algorithm is 'ppo'"),
+        (PPO, {"max_kl": None, "num_envs": 2e3}, None),
+    ],
+)
+def test_bounds(section, values, message):
+    if message is None:
+        build(section, values, "here.yaml")
+        return
+    with pytest.raises(InputError) as caught:
+        build(section, values, "here.yaml")
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("section", [PPO, SHAC])
+def test_every_key_is_described_and_has_bounds(section):
+    for name, field in section.model_fields.items():
+        assert field.description and len(field.description) > 10, name
+        numeric = field.annotation in (int, float)
+        assert not numeric or len(field.metadata) >= 1, name
