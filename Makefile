@@ -1,51 +1,66 @@
-# quadjax: `make train` and `make test` set everything up on a fresh clone; only Python 3.11+ and
-# make are needed.
+# quadjax. `make train`, `make test` and `make docs` set up what they need on a fresh clone; only
+# Python 3.11+ and make are needed. Each target installs its own extras and no more.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-EXTRAS := test,verify,tensorboard,sweep,sweep-postgresql,gym,notebook
+WORKERS ?= logical
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train train-indi test lint format benchmark notebooks clean
+.PHONY: help setup train train-indi test test-all docs lint types format benchmark notebooks clean
 
 help: ## list the targets
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{sub(/:.*/, "", $$1); printf "  make %-12s %s\n", $$1, $$2}'
 
-$(VENV)/.ready: pyproject.toml constraints.txt
+$(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "quadjax needs Python 3.11 or newer; name one with make PYTHON=..."; exit 1; }
-	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
+	$(PYTHON) -m venv $(VENV)
+
+# A stamp says that quadjax is installed with the extras of its name ("run": none).
+$(VENV)/.run $(VENV)/.test $(VENV)/.docs $(VENV)/.test-all: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
+		--editable '.$(if $(filter .run,$(@F)),,[$(patsubst .%,%,$(@F))])'
 	@touch $@
 
-setup: $(VENV)/.ready ## install quadjax and what it needs into .venv
+setup: $(VENV)/.test-all ## install quadjax with everything that development needs into .venv
 
-train: setup ## train the E2E policy on this machine and print its lap table
-	$(BIN)/python scripts/train.py configs/e2e_shac.yaml --resume
+train: $(VENV)/.run ## train the E2E policy on this machine and print its lap table
+	$(BIN)/quadjax train e2e_shac --resume
 
-train-indi: setup ## the same for the INDI policy
-	$(BIN)/python scripts/train.py configs/indi.yaml --resume
+train-indi: $(VENV)/.run ## the same for the INDI policy
+	$(BIN)/quadjax train indi --resume
 
-test: setup ## lint and run all tests
+test: $(VENV)/.test ## lint and run the tests that take seconds
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -m 'not slow' -n $(WORKERS) --dist worksteal
 
-lint: setup ## ruff alone
+test-all: $(VENV)/.test-all ## type checker, documentation, and the tests that take minutes
+	$(BIN)/python -m mypy
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	$(BIN)/python -m pytest -m slow -n $(WORKERS) --dist worksteal
+
+docs: $(VENV)/.docs ## build the documentation into build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	@echo "open build/site/index.html"
+
+lint: $(VENV)/.test ## ruff alone
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-format: setup ## let ruff mend what it can
+types: $(VENV)/.test-all ## the type checker alone
+	$(BIN)/python -m mypy
+
+format: $(VENV)/.test ## format the code and apply the fixes of ruff
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-benchmark: setup ## steps per second and memory on this machine
-	$(BIN)/python scripts/benchmark.py
+benchmark: $(VENV)/.run ## steps per second and memory on this machine
+	$(BIN)/quadjax benchmark
 
-notebooks: setup ## execute the notebooks in place
-	$(BIN)/python scripts/notebooks.py
+notebooks: $(VENV)/.test-all ## execute the notebooks in place
+	$(BIN)/python -m tests.docs.notebooks
 
 clean: ## remove the environment and caches, not the runs
-	rm -rf $(VENV) build *.egg-info .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache

@@ -1,14 +1,19 @@
-"""Eight host devices for the tests of learners that share a batch; programs compiled once."""
+"""Settings of the test session: one compilation cache, and eight host devices.
+
+Tests that take more than a few seconds have the marker ``slow``: ``make test`` leaves them out and
+``make test-all`` runs them.
+"""
 
 import os
 import tempfile
 
-# Programs that several tests share are compiled once a session, whichever process they run in:
-# JAX reads these when it is imported, and every process that a test starts inherits them.
+# Programs that several tests share are compiled once in a session, whichever process they run in:
+# JAX reads the variables when it is imported, and every worker and every process that a test starts
+# inherits them.
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     CACHE = tempfile.TemporaryDirectory(prefix="quadjax-tests-")
     os.environ["JAX_COMPILATION_CACHE_DIR"] = CACHE.name
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
 
 import jax  # noqa: E402
 

@@ -49,7 +49,7 @@ def choose_layout(workers: int | None, lanes: int | None, directory: Path, seeds
     Args:
         workers: asked for; None: one for each core, or for each GPU.
         lanes: asked for; None: what the calibration in ``directory`` found, else 1 on a CPU, where
-            one process for each core was measured to be faster (docs/sweeps.md).
+            one process for each core was measured to be faster (docs/design/sweeps.md).
         directory: of the sweep.
         seeds: of a trial.
 

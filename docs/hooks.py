@@ -1,0 +1,47 @@
+"""Pages that MkDocs generates from the package: every config key, and the help of every command."""
+
+import contextlib
+import importlib
+import io
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages of the reference."""
+    pages = {"reference/config.md": config_page, "reference/commands.md": commands_page}
+    for path, page in pages.items():
+        files.append(File.generated(config, path, content=page()))
+    return files
+
+
+def config_page() -> str:
+    """Every key of a training config, by section."""
+    try:
+        from quadjax.config.reference import markdown
+    except ImportError:
+        return "# Config keys\n"
+    return markdown()
+
+
+def commands_page() -> str:
+    """The help of every subcommand."""
+    from quadjax.cli import COMMANDS, usage
+
+    parts = ["# Commands", _block(usage())]
+    for name, (module, _) in COMMANDS.items():
+        parts += [f"## quadjax {name}", _block(_help(module))]
+    return "\n\n".join(parts) + "\n"
+
+
+def _help(module: str) -> str:
+    """What ``--help`` of a subcommand prints."""
+    stream = io.StringIO()
+    with contextlib.redirect_stdout(stream), contextlib.suppress(SystemExit):
+        importlib.import_module(module).main(["--help"])
+    return stream.getvalue()
+
+
+def _block(text: str) -> str:
+    return f"```text\n{text.strip()}\n```"
