@@ -1,0 +1,66 @@
+"""Every notebook runs from its first cell to its last, and those in the repository have run."""
+
+import json
+import re
+
+import pytest
+
+nbformat = pytest.importorskip("nbformat")
+pytest.importorskip("nbclient")
+
+from tests.docs.notebooks import NOTEBOOKS, execute, parameters_of, read  # noqa: E402
+
+MAX_BYTES = 2_000_000
+SMALL = {
+    "e2e_vs_indi": [
+        "RUNS, LAPS, SEED, SHOWN_SECONDS = 2, 1, 0, 0.5",
+        'CHANGES = {"E2E": ("without battery",), "INDI": ()}',
+    ],
+    "fixed_point": ['POLICY, FLIGHTS, LAPS, VECTORS = "e2e.npz", 4, 1, 200'],
+    "residual_fit": [
+        "FLIGHTS, LAPS, SEED, LEAST_SECONDS = 2, 1, 0, 2.5",
+        'WORDS = ["residual={seeds: 1, epochs: 3, teach_epochs: 5, mirror: off, batch: 512}"]',
+    ],
+    "train_and_tune": [
+        "STEPS, SEED, RUNS = 25_000, 0, 2",
+        'CHANGE = ("narrow", ["network.hidden=[32,32]"])',
+        'WORDS = ["train.evaluate_every=12500", "train.devices=1"]',
+    ],
+}
+by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+@pytest.mark.slow
+@by_name
+def test_it_runs(path, tmp_path):
+    notebook = read(path)
+    parameters_of(notebook).source = "\n".join(SMALL[path.stem])
+    execute(notebook, tmp_path)  # an error in a cell raises
+    assert not list(tmp_path.iterdir()), "a notebook removes its files"
+
+
+@by_name
+def test_the_stored_outputs_are_complete(path):
+    notebook = read(path)
+    nbformat.validate(notebook)
+    assert path.stat().st_size < MAX_BYTES
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    outputs = [output for cell in cells for output in cell.outputs]
+    kinds = {output.output_type for output in outputs}
+    assert "stream" in kinds and kinds & {"display_data", "execute_result"}
+    assert "error" not in kinds
+    text = json.dumps([output.get("text", "") for output in outputs])
+    assert not re.search(r"/(home|root|tmp|Users)/", text), "a path of one machine"
+    assert not re.search(r"\bnan\b|Traceback|Warning", text)
+
+
+@by_name
+def test_it_explains_and_calls(path):
+    """Text leads, one cell holds the parameters, and functions are in the package."""
+    notebook = read(path)
+    assert notebook.cells[0].cell_type == "markdown"
+    assert notebook.cells[0].source.startswith("# ")
+    assert parameters_of(notebook).cell_type == "code"
+    code = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
+    assert not re.search(r"^\s*(def|class) ", code, re.MULTILINE)
