@@ -95,3 +95,8 @@ def safe_norm(vector: Vec3) -> jax.Array:
     square = dot(vector, vector)
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def between(low: jax.Array, high: jax.Array, drawn: jax.Array) -> jax.Array:
+    """A number of [-1, 1] mapped to [low, high]."""
+    return low + 0.5 * (high - low) * (drawn + 1.0)

@@ -26,7 +26,6 @@ from quadjax.export.render import identifier
 from quadjax.export.report import make_report, measure, report_text
 from quadjax.export.vectors import self_test_inputs
 from quadjax.policy.file import Policy, read_policy
-from quadjax.vehicle.motor import MotorParams
 from quadjax.vehicle.residual_file import located
 
 FLIGHTS = 32
@@ -134,7 +133,7 @@ def _complete(
 
 def _estimator(request: Request, own: flights.OwnRace) -> tuple[EstimatorTables | None, str]:
     vehicle = own.params.vehicle
-    if not isinstance(vehicle, MotorParams):
+    if own.choices.model.balance is None:
         return None, ""  # a rate-level policy does not see the disturbances
     residual = own.config.vehicle.residual
     tables = make_estimator(

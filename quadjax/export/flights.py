@@ -155,7 +155,7 @@ def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray
 
     def one(state: jax.Array, target: jax.Array) -> jax.Array:
         zero = jnp.zeros((), jnp.int32)
-        drone = drone_of(own.choices.kind, state)
+        drone = drone_of(own.choices.model.name, state)
         race = RaceState(drone, target, zero, zero, None)
         return environment.observe(own.choices, own.params, race)
 

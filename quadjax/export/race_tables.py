@@ -97,7 +97,7 @@ def make_tables(
         gate_sin=np.rint(np.sin(yaw) * ONE).astype(np.int64),
         gate_yaw=np.rint(yaw * ONE).astype(np.int64),
         half_size=np.rint(half.astype(np.float64) * unit).astype(np.int64),
-        next_gate=_next_gates(network, track),
+        next_gate=_next_gates(network, policy, track),
         scaled=scaled,
         turns_per_unit=round(2.0**32 / (2.0 * math.pi)),
         two_pi=round(2.0 * math.pi * ONE),
@@ -105,9 +105,12 @@ def make_tables(
     )
 
 
-def _next_gates(network: FixedNetwork, track: Track) -> np.ndarray:
+def _next_gates(network: FixedNetwork, policy: Policy, track: Track) -> np.ndarray:
     start = network.box.index("next_position")
-    columns = [*track.next_position.components(), track.next_yaw]
+    next_yaw = track.next_yaw
+    if policy.observation.get("wrap_next_yaw") is False:
+        next_yaw = np.roll(track.yaw, -1) - np.asarray(track.yaw)
+    columns = [*track.next_position.components(), next_yaw]
     values = np.stack([np.asarray(c, np.float64) for c in columns], axis=1)
     ranges = network.box.ranges[start : start + 4]
     for gate, row in enumerate(values):

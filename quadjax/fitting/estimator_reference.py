@@ -8,12 +8,12 @@ import numpy as np
 from scipy.signal import butter, lfilter
 
 from quadjax.fitting.nominal import Motion, angular_moment, nominal
-from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Layers, Residual
 
 
 def estimate(
-    vehicle: MotorParams,
+    vehicle: VehicleParams,
     signals: dict[str, np.ndarray],
     sample_rate: float,
     cutoff: float = 8.0,
@@ -54,7 +54,7 @@ def estimate(
     return measured - modelled, specific - lfilter(b, a, force, axis=0)
 
 
-def _model(vehicle: MotorParams, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+def _model(vehicle: VehicleParams, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """Specific force and moment (n, 3) of the nominal model and the residual."""
     force, moment = np.split(nominal(vehicle.constants, motion), 2, axis=1)
     if vehicle.residual is not None:

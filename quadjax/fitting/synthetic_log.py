@@ -23,7 +23,8 @@ from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.vehicle import motor
-from quadjax.vehicle.motor import MotorParams, MotorState
+from quadjax.vehicle.motor import MotorState
+from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import residual_force_moment
 from quadjax.vehicle.residual_file import read_residual
 
@@ -42,7 +43,7 @@ class SensorNoise:
 
 
 def simulate_flight(
-    vehicle: MotorParams,
+    vehicle: VehicleParams,
     seed: int,
     seconds: float = 30.0,
     sample_rate: float = 500.0,
@@ -109,7 +110,7 @@ def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> n
 
 @partial(jax.jit, static_argnums=2)
 def _fly(
-    vehicle: MotorParams, targets: jax.Array, sample_rate: float
+    vehicle: VehicleParams, targets: jax.Array, sample_rate: float
 ) -> tuple[MotorState, Rotors, Vec3]:
     """States, rpm commands and specific forces, n of each, of a flight after the targets."""
     dt = 1.0 / (sample_rate * SUBSTEPS)
@@ -135,7 +136,7 @@ def _fly(
     return jax.lax.scan(step, start, targets)[1]
 
 
-def _control(vehicle: MotorParams, state: MotorState, target: jax.Array) -> Rotors:
+def _control(vehicle: VehicleParams, state: MotorState, target: jax.Array) -> Rotors:
     """Rpm commands that turn towards target angles and hold a target climb rate."""
     c = vehicle.constants
     hover = motor.hover_rpm(c)
@@ -169,7 +170,7 @@ def main() -> None:
         raise InputError(f"--seconds is {words.seconds}, expected 1 to 3600")
     check_writable(words.out / "flight_0.csv")
     residual = read_residual(words.residual) if words.residual else None
-    vehicle = MotorParams(read_vehicle(words.vehicle, Path()).motor, residual)
+    vehicle = VehicleParams(read_vehicle(words.vehicle, Path()).motor, residual)
     for index in range(words.flights):
         columns = simulate_flight(vehicle, words.seed + index, words.seconds)
         if not all(np.isfinite(values).all() for values in columns.values()):

@@ -14,7 +14,7 @@ from quadjax.plant.plant import PlantParams
 from quadjax.plant.plant_schema import PlantConfig
 from quadjax.plant.power import PowerParams
 from quadjax.vehicle.constants import MotorConstants, constant_names
-from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.protocol import VehicleParams
 
 AIR_DENSITY = 1.225  # kg/m^3
 KNOWN = ("g", "rpm_min", "rpm_max")  # constants that are not drawn
@@ -47,7 +47,7 @@ def build_plant(config: PlantConfig, residual: object = None) -> PlantParams:
     step = 1.0 / config.sample_rate
     gusts = config.gusts
     return PlantParams(
-        vehicle=MotorParams(constants, residual),
+        vehicle=VehicleParams(constants, residual),
         rotor_factor=Rotors(*(jnp.float32(x) for x in rotor_factors)),
         rotors=_rotors(config, base.mass, own["g"]),
         power=_power(config, nominal),

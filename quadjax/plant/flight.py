@@ -21,6 +21,7 @@ from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.start import hover
 from quadjax.race.track import gate, gate_count
+from quadjax.vehicle import motor, rate
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateCommand, RateState
 
@@ -76,7 +77,7 @@ def begin(
     """Drones hovering at the last gate, their batteries, gusts and sensors drawn."""
 
     def one(drawn: jax.Array, charge: jax.Array) -> tuple[RaceState, PlantState, OnboardState]:
-        body = hover(params.plant.vehicle.constants, params.race.track)
+        body = hover(motor.MODEL, params.plant.vehicle.constants, params.race.track)
         low, high = params.charge
         left = low + (high - low) * charge
         first, rest = drawn[: gusts.START_DRAWS], drawn[gusts.START_DRAWS :]
@@ -125,7 +126,7 @@ def sample(
 def see(choices: FlightChoices, params: FlightParams, flight: Flight) -> jax.Array:
     """What the policy of one drone sees: the race, with the drone as it is believed to be."""
     motion: MotorState | RateState = flight.onboard.belief.motion
-    if choices.race.kind == "rate":
+    if choices.race.model is rate.MODEL:
         thrust = flight.onboard.inner.thrust
         motion = RateState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
     believed = flight.race.state.replace(drone=motion)

@@ -8,16 +8,13 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.config.schema import Config
-from quadjax.core.frames import attitude, world_to_body
-from quadjax.core.vectors import Rotors, Vec3
+from quadjax.core.vectors import Rotors
 from quadjax.plant.truth import Truth
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, command_ranges, fly, make_pilot, race_of
 from quadjax.race import environment
-from quadjax.race.build import exact_rules
-from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules
 from quadjax.race.laps import starting_states
-from quadjax.vehicle import motor
 
 WIDER = 0.25  # m by which each side of a gate is wider here: it is the filter that is judged
 
@@ -98,7 +95,7 @@ def plan_flights(config: Config, policy: Policy, setting: Setting, name: str) ->
     choices = dataclasses.replace(choices, stagger_clocks=False)
     pilot = make_pilot(fine, policy, command_ranges(choices, params), False, name)
     steps = max(1, round(setting.seconds / config.episode.dt))
-    params = exact_rules(params)
+    params = exact_rules(choices.model, params)
     wide = params.replace(limits=params.limits.replace(gate_margin=jnp.float32(-WIDER)))
     return Plan(choices, wide, pilot, hold, steps)
 
@@ -117,14 +114,10 @@ def truth_of(choices: Choices, params: RaceParams, state: RaceState) -> Truth:
     vehicle = params.vehicle
     if state.constants is not None:
         vehicle = vehicle.replace(constants=state.constants)
-    velocity = world_to_body(attitude(drone.euler), drone.velocity)
-    still = Rotors.same(jnp.zeros(()))
-    if choices.kind == "motor":
-        force, _ = motor.force_moment(vehicle, drone.rpm, still, velocity, drone.rates)
-        force, rpm = force + drone.force_ext, drone.rpm
-    else:
-        c = vehicle.constants
-        force, rpm = Vec3(-c.d_x * velocity.x, -c.d_y * velocity.y, -drone.thrust), still
+    force = choices.model.specific_force(vehicle, drone)
+    rpm = choices.model.actuator_state(drone)
+    if not isinstance(rpm, Rotors):
+        rpm = Rotors.same(jnp.zeros(()))
     return Truth(drone.position, drone.velocity, drone.euler, drone.rates, force, rpm)
 
 

@@ -28,11 +28,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.filters import advance, butterworth, settled
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.plant_schema import IndiConfig
 from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.estimator import estimator_params
-from quadjax.vehicle.motor import MotorParams
 from quadjax.vehicle.rate import RateCommand
 
 ROLL = Rotors(1.0, -1.0, -1.0, 1.0)
@@ -77,12 +76,12 @@ class IndiState:
 def indi_params(constants: MotorConstants, config: IndiConfig, sample_rate: float) -> IndiParams:
     """The inner loop of a drone that is believed to have ``constants``, at a rate in Hz."""
     numbers = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), constants)
-    shared = estimator_params(MotorParams(numbers), sample_rate, config.cutoff)
+    shared = butterworth(sample_rate, config.cutoff)
     gains = (config.roll_gain, config.pitch_gain, config.yaw_gain)
     return IndiParams(
         constants=numbers,
         feedback=shared.feedback,
-        low_pass=shared.low_pass,
+        low_pass=shared.forward,
         derivative=shared.derivative,
         rate_gain=Vec3(*(jnp.float32(gain) for gain in gains)),
         moment_lag=jnp.float32(config.moment_lag),
@@ -116,11 +115,9 @@ def _differentiated(c: MotorConstants, felt: Felt) -> Vec3:
 def init(params: IndiParams, felt: Felt) -> IndiState:
     """The filter before the first sample: nothing that the model does not explain until now."""
     steady = _differentiated(params.constants, felt)
-    memory_2 = steady * params.derivative[2]
     _, thrust = explained(params.constants, felt.rpm)
     zero = jnp.zeros_like(felt.force_z)
-    memory_1 = steady * params.derivative[1] + memory_2
-    return IndiState(memory_1, memory_2, zero, zero, thrust)
+    return IndiState(*settled(steady, params.derivative), zero, zero, thrust)
 
 
 def update(
@@ -140,16 +137,9 @@ def update(
     c, b, b_d, a = params.constants, params.low_pass, params.derivative, params.feedback
     turning, lift = explained(c, felt.rpm)
     rates = _differentiated(c, felt)
-    rest = rates * b_d[0] - turning * b[0] + state.memory_1
-    off = -felt.force_z - lift
-    rest_thrust = off * b[0] + state.thrust_1
-    following = IndiState(
-        memory_1=state.memory_2 + rates * b_d[1] - turning * b[1] - rest * a[0],
-        memory_2=rates * b_d[2] - turning * b[2] - rest * a[1],
-        thrust_1=state.thrust_2 + off * b[1] - rest_thrust * a[0],
-        thrust_2=off * b[2] - rest_thrust * a[1],
-        thrust=lift + rest_thrust,
-    )
+    rest, memory = advance(a, [(rates, b_d), (turning * -1.0, b)], (state.memory_1, state.memory_2))
+    rest_thrust, thrust = advance(a, [(-felt.force_z - lift, b)], (state.thrust_1, state.thrust_2))
+    following = IndiState(*memory, *thrust, lift + rest_thrust)
     wanted = (command.rates - felt.gyro) * params.rate_gain - (turning + rest)
     rise = (command.thrust - following.thrust) / params.thrust_lag
     return following, allocate(params, felt.rpm, wanted, rise)

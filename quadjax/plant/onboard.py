@@ -22,8 +22,9 @@ from quadjax.plant.sensors import SensorParams, SensorState
 from quadjax.plant.truth import Truth
 from quadjax.vehicle import estimator as disturbance
 from quadjax.vehicle import motor
-from quadjax.vehicle.estimator import EstimatorParams, EstimatorState, Measurement
+from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
 from quadjax.vehicle.motor import MotorState
+from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 
 

@@ -24,14 +24,15 @@ from quadjax.plant.gusts import GustParams, GustState
 from quadjax.plant.power import PowerParams
 from quadjax.plant.truth import Truth
 from quadjax.vehicle import motor
-from quadjax.vehicle.motor import MotorParams, MotorState
+from quadjax.vehicle.motor import MotorState
+from quadjax.vehicle.protocol import VehicleParams
 
 
 @struct.dataclass
 class PlantParams:
     """Every number of the plant; traced but for what chooses code."""
 
-    vehicle: MotorParams  # the drone's own constants
+    vehicle: VehicleParams  # the drone's own constants
     rotor_factor: Rotors  # on each rotor's speed where it makes force and moment
     rotors: RotorParams
     power: PowerParams

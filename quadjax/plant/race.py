@@ -20,10 +20,11 @@ from quadjax.plant.sensors import sensor_params
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, command_ranges, make_pilot, race_of
 from quadjax.race import laps
-from quadjax.race.build import build_vehicle, exact_rules
+from quadjax.race.build import build_vehicle
+from quadjax.race.environment import exact_rules
 from quadjax.race.laps import Laps
+from quadjax.vehicle import motor
 from quadjax.vehicle.estimator import estimator_params
-from quadjax.vehicle.motor import MotorParams
 
 CHUNK_SECONDS = 1.0  # of flight between looks at who is still flying
 
@@ -84,11 +85,11 @@ def plan_flights(
     """
     config = race_config(config, policy)
     choices, params = race_of(config, policy)
-    params = exact_rules(params)
+    params = exact_rules(choices.model, params)
     pilot = make_pilot(config, policy, command_ranges(choices, params), deterministic, name)
     hold = round(plant.sample_rate / plant.control_rate)
     own = FlightChoices(
-        dataclasses.replace(choices, disturbance_input="true"),
+        choices,
         OnboardChoices(plant.navigation, plant.disturbance_input),
         hold,
         min(recorded, runs),
@@ -123,12 +124,11 @@ def _carried(config: Config, plant: PlantConfig) -> OnboardParams:
         config, vehicle=dataclasses.replace(config.vehicle, kind="motor")
     )
     model = build_vehicle(believed)
-    assert isinstance(model, MotorParams)
     gravity = float(model.constants.g)
     return OnboardParams(
         sensors=sensor_params(plant.sensors, rate),
         ekf=ekf_params(plant.sensors, plant.ekf, rate, gravity),
-        estimator=estimator_params(model, rate),
+        estimator=estimator_params(motor.MODEL, model, rate),
         inner=indi_params(nominal_vehicle(plant).motor, plant.indi, rate),
     )
 

@@ -17,14 +17,13 @@ from flax import struct
 from quadjax.config.checks import CHOICES
 from quadjax.config.schema import Config, DisturbanceConfig
 from quadjax.core.errors import InputError
-from quadjax.policy.file import ACTION_SIZE, OBSERVATION_SIZES, Policy
+from quadjax.policy.file import ACTION_SIZE, Policy
 from quadjax.policy.inference import Flying, act_sampled, flying
 from quadjax.race.build import build_params, choices_of, disturbance_range
 from quadjax.race.environment import Choices, RaceParams, command
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
-FIRST_ACTUATOR = 12  # where propeller speeds or thrust begin in an observation
 DISTURBANCES = tuple(DisturbanceConfig().half_widths)
 KNOWN = ("wrap_next_yaw", "disturbance_input", "disturbance")  # what a policy says of its scaling
 
@@ -128,7 +127,7 @@ def race_of(config: Config, policy: Policy) -> tuple[Choices, RaceParams]:
     drawn = config.disturbance
     trained = _policy_disturbance(policy, drawn.half_widths, "policy")
     scaling = disturbance_range(dataclasses.replace(drawn, **trained))
-    return choices_of(config), build_params(config).replace(seen=scaling)
+    return choices_of(config), build_params(config).replace(disturbance_scale=scaling)
 
 
 def command_ranges(choices: Choices, params: RaceParams) -> Ranges:
@@ -158,12 +157,13 @@ def make_pilot(
     # Rounded as the environment's numbers are: equal ranges convert by exactly one and zero.
     own = [np.float32(x).astype(np.float64) for x in (policy.command_low, policy.command_high)]
     act_scale, act_offset = _between(own, vehicle)
-    size = OBSERVATION_SIZES[policy.vehicle]
-    see_scale, see_offset = np.ones(size), np.zeros(size)
-    first, count = FIRST_ACTUATOR, 4 if policy.vehicle == "motor" else 1
+    choices = choices_of(config)
+    see_scale, see_offset = np.ones(choices.layout.size), np.zeros(choices.layout.size)
+    actuators = choices.layout.slice(choices.model.actuators.name)
+    count = actuators.stop - actuators.start
     back_scale, back_offset = _between(vehicle, own)
-    see_scale[first : first + count] = back_scale[-count:]
-    see_offset[first : first + count] = back_offset[-count:]
+    see_scale[actuators] = back_scale[-count:]
+    see_offset[actuators] = back_offset[-count:]
     numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle, float(not deterministic))
     return Pilot(flying(policy), *(jnp.asarray(x, jnp.float32) for x in numbers))
 

@@ -10,29 +10,34 @@ import numpy as np
 from quadjax.config.schema import Config, DisturbanceConfig, TrackConfig
 from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.observation import DisturbanceRange
+from quadjax.race.layout import make_layout
 from quadjax.race.rules import Limits, RewardWeights
-from quadjax.race.start import RandomiseFractions, StartRange
+from quadjax.race.start import DisturbanceRange, RandomiseFractions, StartRange
 from quadjax.race.track import Track, make_track
-from quadjax.vehicle.constants import Constants, MotorConstants, RateConstants
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
-from quadjax.vehicle.motor import MotorParams
-from quadjax.vehicle.rate import RateParams
+from quadjax.vehicle.protocol import Constants, VehicleParams
+from quadjax.vehicle.registry import model
 from quadjax.vehicle.residual_file import read_residual
 
 
 def choices_of(config: Config) -> Choices:
     """The static part: what chooses code."""
     fractions = vars(config.randomise).values()
+    vehicle = model(config.vehicle.kind)
+    source = config.episode.disturbance_input
     return Choices(
-        kind=config.vehicle.kind,
+        model=vehicle,
+        layout=make_layout(
+            vehicle,
+            "ground_truth" if source == "true" else source,
+            config.episode.wrap_next_yaw,
+        ),
         integrator=config.vehicle.integrator,
         gate_test=config.episode.gate_test,
         random_gate=config.episode.random_gate,
         stagger_clocks=config.episode.stagger_clocks,
         randomise=any(fraction > 0 for fraction in fractions),
         differs=bool(config.vehicle.actual),
-        disturbance_input=config.episode.disturbance_input,
     )
 
 
@@ -40,26 +45,24 @@ def _traced(values: dict[str, float]) -> dict[str, jnp.ndarray]:
     return {name: jnp.asarray(value, jnp.float32) for name, value in values.items()}
 
 
-def build_vehicle(config: Config) -> MotorParams | RateParams:
+def build_vehicle(config: Config) -> VehicleParams:
     """The vehicle's constants and its residual, if it has one.
 
     Raises:
         InputError: a residual file that cannot be read.
     """
-    if config.vehicle.kind == "rate":
-        return RateParams(RateConstants(**_traced(config.vehicle.rate)))
-    path = config.vehicle.residual
+    own = model(config.vehicle.kind)
+    path = config.vehicle.residual if own.has_residual else None
     residual = read_residual(Path(path)) if path else None
-    return MotorParams(MotorConstants(**_traced(config.vehicle.motor)), residual)
+    return VehicleParams(own.constants(**_traced(getattr(config.vehicle, own.name))), residual)
 
 
-def build_track(track: TrackConfig, wrap_next_yaw: bool = True) -> Track:
+def build_track(track: TrackConfig) -> Track:
     """The track's arrays."""
     return make_track(
         jnp.asarray(np.array([g.position for g in track.gates], np.float32)),
         jnp.asarray(np.radians([g.yaw_deg for g in track.gates]).astype(np.float32)),
         jnp.asarray(np.array([g.size for g in track.gates], np.float32)),
-        wrap_next_yaw,
     )
 
 
@@ -69,7 +72,7 @@ def disturbance_range(section: DisturbanceConfig) -> DisturbanceRange:
     return DisturbanceRange(**_traced(section.half_widths), steady_moment=steady)
 
 
-def _actual(config: Config, vehicle: MotorParams | RateParams) -> Constants | None:
+def _actual(config: Config, vehicle: VehicleParams) -> Constants | None:
     """Factors on the constants of the drone that flies, one for all that are not named."""
     if not config.vehicle.actual:
         return None
@@ -77,12 +80,13 @@ def _actual(config: Config, vehicle: MotorParams | RateParams) -> Constants | No
     return ones.replace(**_traced(config.vehicle.actual))
 
 
-def _estimator(config: Config, vehicle: MotorParams | RateParams) -> EstimatorParams | None:
+def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None:
     """The onboard estimator of the disturbance, where the observation is to have one."""
-    if config.episode.disturbance_input != "estimated" or config.vehicle.kind != "motor":
+    own = model(config.vehicle.kind)
+    if config.episode.disturbance_input != "estimated" or own.balance is None:
         return None
     euler = config.vehicle.integrator == "euler"
-    return estimator_params(vehicle, 1.0 / config.episode.dt, explicit_euler=euler)
+    return estimator_params(own, vehicle, 1.0 / config.episode.dt, explicit_euler=euler)
 
 
 def build_params(config: Config) -> RaceParams:
@@ -109,7 +113,7 @@ def build_params(config: Config) -> RaceParams:
     vehicle = build_vehicle(config)
     return RaceParams(
         vehicle=vehicle,
-        track=build_track(config.track, episode.wrap_next_yaw),
+        track=build_track(config.track),
         limits=Limits(**_traced(limits), max_steps=jnp.asarray(episode.max_steps, jnp.int32)),
         reward=RewardWeights(**_traced(vars(config.reward) | {"nose_up": 0.0})),
         start=StartRange(**_traced(ranges)),
@@ -119,14 +123,3 @@ def build_params(config: Config) -> RaceParams:
         actual=_actual(config, vehicle),
         estimator=_estimator(config, vehicle),
     )
-
-
-def exact_rules(params: RaceParams) -> RaceParams:
-    """The same race by its exact rules: no margin, any roll, and pitch up to the singularity."""
-    limits = params.limits.replace(
-        gate_margin=jnp.zeros(()),
-        pitch=jnp.asarray(math.radians(89.0), jnp.float32),
-        roll=jnp.asarray(jnp.inf, jnp.float32),
-        yaw_rate=jnp.asarray(jnp.inf, jnp.float32),
-    )
-    return params.replace(limits=limits)

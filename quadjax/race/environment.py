@@ -13,21 +13,17 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.environment import Environment
-from quadjax.core.frames import attitude, world_to_body, wrap_angle
 from quadjax.core.gradients import clip_inward
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import stage, stage_backwards, staged, staged_values
-from quadjax.core.vectors import Rotors, Vec3
-from quadjax.race import observation, rules, start
+from quadjax.core.vectors import Vec3
+from quadjax.race import rules, start
+from quadjax.race.layout import Layout, View, make_layout
 from quadjax.race.track import Gate, Track, gate, gate_count
 from quadjax.vehicle import estimator as onboard
-from quadjax.vehicle import motor, rate
-from quadjax.vehicle.constants import Constants
-from quadjax.vehicle.estimator import Measurement
+from quadjax.vehicle import motor
+from quadjax.vehicle.protocol import Command, Constants, State, VehicleModel, VehicleParams
 
-Drone = motor.MotorState | rate.RateState
-VehicleParams = motor.MotorParams | rate.RateParams
-Command = Rotors | rate.RateCommand
 Kept = TypeVar("Kept")
 
 
@@ -35,14 +31,14 @@ Kept = TypeVar("Kept")
 class Choices:
     """What chooses code: known when the environment is built."""
 
-    kind: str = "motor"  # "motor" | "rate"
+    model: VehicleModel = motor.MODEL
+    layout: Layout = make_layout(motor.MODEL)  # of the observation
     integrator: str = "euler"  # "euler" | "rk4"
     gate_test: str = "square"  # "square" | "world_box"
     random_gate: bool = False  # start at any gate rather than the last
     stagger_clocks: bool = False  # episodes start at a random step of their clock
     randomise: bool = False  # draw the constants anew for every episode
     differs: bool = False  # the drone that flies has constants of its own
-    disturbance_input: str = "true"  # "true" | "estimated" | "none"
 
 
 @struct.dataclass
@@ -54,14 +50,19 @@ class RaceParams:
     limits: rules.Limits
     reward: rules.RewardWeights
     start: start.StartRange
-    disturbance: observation.DisturbanceRange
+    disturbance: start.DisturbanceRange
     randomise: start.RandomiseFractions
     early_nose_up: jax.Array  # () reward.nose_up as a curriculum begins; the race charges none
     actual: Constants | None = None  # factors on the constants of the drone that flies
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
-    # What scales the disturbances in the observation, where it is not what is drawn: a policy keeps
-    # the scaling that it was trained with, whatever the race draws.
-    seen: observation.DisturbanceRange | None = None
+    # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
+    # that it was trained with.
+    disturbance_scale: start.DisturbanceRange | None = None
+
+    @property
+    def observed_disturbance(self) -> start.DisturbanceRange:
+        """Half-widths that scale the observed disturbances."""
+        return self.disturbance if self.disturbance_scale is None else self.disturbance_scale
 
 
 @struct.dataclass
@@ -77,7 +78,7 @@ class Estimate:
 class RaceState:
     """One drone in its race."""
 
-    drone: Drone
+    drone: State  # of the vehicle model
     target: jax.Array  # () int32, index of the gate to pass next
     step: jax.Array  # () int32, steps since the episode began
     gates_passed: jax.Array  # () int32
@@ -100,7 +101,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     """A random start."""
     constants = params.vehicle.constants
     extra = len(dataclasses.fields(constants)) if choices.randomise else 0
-    drawn = start.draw(key, 2 + start.DRAWS + extra)
+    own_draws = 2 + start.draw_count(choices.model)
+    drawn = start.draw(key, own_draws + extra)
     target = clock = jnp.zeros((), jnp.int32)
     if choices.random_gate:
         target = start.start_gate(params.track, drawn[0])
@@ -112,119 +114,98 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         own = constants = jax.tree.map(jnp.multiply, constants, params.actual)
     if choices.randomise:
         own = constants = start.draw_constants(
-            constants, params.randomise, drawn[2 + start.DRAWS :]
+            choices.model, constants, params.randomise, drawn[own_draws:]
         )
-    numbers = drawn[2 : 2 + start.DRAWS]
-    if choices.kind == "motor":
-        drone = start.start_motor(
-            constants, params.track, params.start, params.disturbance, target, numbers
-        )
-    else:
-        drone = start.start_rate(constants, params.track, params.start, target, numbers)
+    drone = start.start(
+        choices.model,
+        constants,
+        params.track,
+        params.start,
+        params.disturbance,
+        target,
+        drawn[2:own_draws],
+    )
     zero = jnp.zeros((), jnp.int32)
-    return with_estimate(params, RaceState(drone, target, clock, zero, own))
+    return with_estimate(choices, params, RaceState(drone, target, clock, zero, own))
 
 
-def with_estimate(params: RaceParams, state: RaceState) -> RaceState:
+def with_estimate(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
     """The state with a fresh estimate of the disturbance, where the race has an estimator."""
     if params.estimator is None:
         return state
-    measured = _measure(params, state, state.drone)
+    measured = choices.model.measure(_vehicle_params(params, state), state.drone)
     fresh = onboard.init(params.estimator, measured)
     return state.replace(estimate=Estimate(fresh, Vec3.zero(), Vec3.zero()))
 
 
-def _measure(params: RaceParams, state: RaceState, drone: motor.MotorState) -> Measurement:
-    """What the drone's gyro, accelerometer and tachometers say, without noise."""
-    vehicle = _vehicle_params(params, state)
-    velocity = world_to_body(attitude(drone.euler), drone.velocity)
-    still = Rotors.same(jnp.zeros(()))  # forces do not depend on the propellers' acceleration
-    force, _ = motor.force_moment(vehicle, drone.rpm, still, velocity, drone.rates)
-    return Measurement(drone.rates, force + drone.force_ext, drone.rpm, velocity)
-
-
-def hover_start(params: RaceParams, constants: Constants | None = None) -> RaceState:
+def hover_start(
+    choices: Choices, params: RaceParams, constants: Constants | None = None
+) -> RaceState:
     """The start of a timed race: hover at the last gate, with ``constants`` if they are drawn."""
     zero = jnp.zeros((), jnp.int32)
-    drone = start.hover(constants or params.vehicle.constants, params.track)
-    return with_estimate(params, RaceState(drone, zero, zero, zero, constants))
+    drone = start.hover(choices.model, constants or params.vehicle.constants, params.track)
+    return with_estimate(choices, params, RaceState(drone, zero, zero, zero, constants))
 
 
 def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
-    """What the policy sees: (24,) for the motor-level vehicle, (17,) for the rate-level one.
-
-    Propeller speeds and thrust are scaled by the nominal range, which is what a policy knows.
-    """
+    """The observation (layout.size,); see ``quadjax.race.layout``."""
     always = _always(params)
     g = staged(gate, always, params.track, state.target)
     return jnp.stack(staged(functools.partial(_numbers, choices), always, params, state, g))
 
 
 def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) -> list[jax.Array]:
-    nominal = params.vehicle.constants
-    if choices.kind == "rate":
-        return observation.rate_numbers(nominal, state.drone, g)
-    moment, force_z = Vec3.zero(), jnp.zeros(())
-    if choices.disturbance_input == "true":
-        moment, force_z = state.drone.moment_ext, state.drone.force_ext.z
-    elif choices.disturbance_input == "estimated":
-        moment, force_z = state.estimate.moment, state.estimate.force.z
-    span = params.disturbance if params.seen is None else params.seen
-    return observation.motor_numbers(nominal, state.drone, g, moment, force_z, span)
+    return choices.layout.numbers(View(choices.model, params, state, g))
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
     """The command of an action (4,): clipped to [-1, 1], scaled to the nominal range."""
-    parts = [clip_inward(action[index], -1.0, 1.0) for index in range(4)]
-    if choices.kind == "motor":
-        unit, module = Rotors(*parts), motor
-    else:
-        unit, module = rate.RateCommand(Vec3(*parts[:3]), parts[3]), rate
-    low, high = module.command_range(params.vehicle.constants)
+    size = choices.model.action_size
+    parts = [clip_inward(action[index], -1.0, 1.0) for index in range(size)]
+    low, high = choices.model.command_range(params.vehicle.constants)
+    unit = jax.tree.unflatten(jax.tree.structure(low), parts)
     return jax.tree.map(lambda u, lo, hi: lo + 0.5 * (hi - lo) * (u + 1.0), unit, low, high)
 
 
-def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> Drone:
-    """The drone a step later, roll and yaw wrapped, commands kept within what it can do."""
-    vehicle = _vehicle_params(params, state)
-    module = motor if choices.kind == "motor" else rate
-    low, high = module.command_range(vehicle.constants)
+def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> State:
+    """The drone a step later, commands kept within what it can do."""
+    vehicle, model = _vehicle_params(params, state), choices.model
+    low, high = model.command_range(vehicle.constants)
     held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
     always = _always(params)
     # One step of Euler's method starts from the carry of a loop, which is kept anyway.
     begin = stage_backwards if choices.integrator == "euler" else stage
     keep = functools.partial(_keep, always)
     flown = INTEGRATORS[choices.integrator](
-        lambda drone: module.derivative(vehicle, begin(drone, always), held, keep),
+        lambda drone: model.derivative(vehicle, begin(drone, always), held, keep),
         state.drone,
         params.limits.dt,
     )
-    euler = flown.euler
-    wrapped = euler.replace(x=wrap_angle(euler.x), z=wrap_angle(euler.z))
-    return flown.replace(euler=wrapped)
+    return model.wrap(flown)
 
 
 def _keep(always: jax.Array, function: Callable[..., Kept], *arguments: object) -> Kept:
     return staged_values(function, always, *arguments)
 
 
-def _finite(drone: Drone) -> jax.Array:
+def _finite(drone: State) -> jax.Array:
     return jnp.isfinite(sum(jax.tree.leaves(drone)))
 
 
 def judge(
-    choices: Choices, params: RaceParams, state: RaceState, flown: Drone, g: Gate
+    choices: Choices, params: RaceParams, state: RaceState, flown: State, g: Gate
 ) -> rules.Outcome:
     """What a step from ``state`` to ``flown`` led to, before anything is reset."""
     limits = params.limits
+    model = choices.model
+    position, rates, euler = model.position(flown), model.rates(flown), model.euler(flown)
     passed, hit = rules.crossing(
-        state.drone.position,
-        flown.position,
+        model.position(state.drone),
+        position,
         g,
         limits.gate_margin,
         choices.gate_test == "world_box",
     )
-    position, rates, euler = flown.position, flown.rates, flown.euler
     outside = (jnp.abs(position.x) > limits.position) | (jnp.abs(position.y) > limits.position)
     fastest = jnp.maximum(jnp.maximum(jnp.abs(rates.x), jnp.abs(rates.y)), jnp.abs(rates.z))
     outcome = rules.Outcome(
@@ -262,19 +243,19 @@ def transition(
     value = rules.reward(
         params.reward,
         outcome,
-        state.drone.position,
-        drone.position,
-        drone.euler.y,
-        drone.rates,
+        choices.model.position(state.drone),
+        choices.model.position(drone),
+        choices.model.euler(drone).y,
+        choices.model.rates(drone),
         g,
         params.limits.dt,
     )
     following = progressed(params, state, drone, outcome)
-    return following.replace(estimate=_estimate(params, state, drone)), value, outcome
+    return following.replace(estimate=_estimate(choices, params, state, drone)), value, outcome
 
 
 def progressed(
-    params: RaceParams, state: RaceState, drone: Drone, outcome: rules.Outcome
+    params: RaceParams, state: RaceState, drone: State, outcome: rules.Outcome
 ) -> RaceState:
     """The race one step on: the drone, its next target, its clock and its gates."""
     one = outcome.passed.astype(jnp.int32)
@@ -284,12 +265,26 @@ def progressed(
     return state.replace(drone=drone, target=target, step=state.step + 1, gates_passed=passed)
 
 
-def _estimate(params: RaceParams, state: RaceState, drone: Drone) -> Estimate | None:
+def _estimate(
+    choices: Choices, params: RaceParams, state: RaceState, drone: State
+) -> Estimate | None:
     """The estimate after this step's measurement; no gradient flows through the filter."""
     if state.estimate is None:
         return None
-    measured = jax.lax.stop_gradient(_measure(params, state, drone))
+    measured = choices.model.measure(_vehicle_params(params, state), drone)
+    measured = jax.lax.stop_gradient(measured)
     return Estimate(*onboard.update(params.estimator, state.estimate.filter, measured))
+
+
+def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
+    """The same race by its exact rules: no margin, any roll, any pitch that the model takes."""
+    limits = params.limits.replace(
+        gate_margin=jnp.zeros(()),
+        pitch=jnp.asarray(model.pitch_limit, jnp.float32),
+        roll=jnp.asarray(jnp.inf, jnp.float32),
+        yaw_rate=jnp.asarray(jnp.inf, jnp.float32),
+    )
+    return params.replace(limits=limits)
 
 
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
@@ -305,8 +300,6 @@ def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
         reset=lambda params, key: reset(choices, params, key),
         observe=lambda params, state: observe(choices, params, state),
         step=step,
-        observation_size=(
-            observation.MOTOR_SIZE if choices.kind == "motor" else observation.RATE_SIZE
-        ),
-        action_size=4,
+        observation_size=choices.layout.size,
+        action_size=choices.model.action_size,
     )

@@ -12,7 +12,6 @@ from flax import struct
 from quadjax.core.vectors import Vec3
 from quadjax.evaluation.result import CRASHES, Laps
 from quadjax.race import environment
-from quadjax.race.build import exact_rules
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.rules import Outcome
 from quadjax.race.track import Track, gate_count
@@ -62,13 +61,12 @@ def starting_states(
         if not from_hover:
             zero = jnp.zeros((), jnp.int32)
             return drawn.replace(step=zero, gates_passed=zero)
-        hover = environment.hover_start(params, drawn.constants)
-        if choices.kind == "rate":
+        hover = environment.hover_start(choices, params, drawn.constants)
+        if choices.model.disturbance is None:
             return hover
-        kept = hover.drone.replace(
-            moment_ext=drawn.drone.moment_ext, force_ext=drawn.drone.force_ext
-        )
-        return environment.with_estimate(params, hover.replace(drone=kept))
+        disturbance = choices.model.disturbance(drawn.drone)
+        drone = choices.model.with_disturbance(hover.drone, *disturbance)
+        return environment.with_estimate(choices, params, hover.replace(drone=drone))
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 
@@ -184,7 +182,7 @@ def _stepper(
 
 
 def _trace(choices: Choices, params: RaceParams, race: Race, action: jax.Array) -> Trace:
-    drone = race.state.drone
+    drone, model = race.state.drone, choices.model
 
     def rows(vector: Vec3) -> jax.Array:
         return jnp.stack(jax.tree.leaves(vector))
@@ -193,11 +191,11 @@ def _trace(choices: Choices, params: RaceParams, race: Race, action: jax.Array) 
         lambda a: jnp.stack(jax.tree.leaves(environment.command(choices, params, a))), out_axes=-1
     )(action)
     return Trace(
-        position=rows(drone.position),
-        velocity=rows(drone.velocity),
-        euler=rows(drone.euler),
-        rates=rows(drone.rates),
-        actuators=rows(drone.rpm if choices.kind == "motor" else drone.thrust),
+        position=rows(model.position(drone)),
+        velocity=rows(model.velocity(drone)),
+        euler=rows(model.euler(drone)),
+        rates=rows(model.rates(drone)),
+        actuators=rows(model.actuator_state(drone)),
         command=command,
         target=race.state.target,
         over=race.over,
@@ -231,7 +229,7 @@ def fly_laps(
     Returns:
         The result, and the trace if asked for.
     """
-    params = exact_rules(params)
+    params = environment.exact_rules(choices.model, params)
     choices = dataclasses.replace(choices, stagger_clocks=False)
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)

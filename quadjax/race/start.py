@@ -1,18 +1,13 @@
 """Starts: where an episode begins, with which disturbance and which constants."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.frames import wrap_angle
-from quadjax.core.vectors import Rotors, Vec3
-from quadjax.race.observation import DisturbanceRange
+from quadjax.core.vectors import Vec3
 from quadjax.race.track import Track, gate, gate_count, pick
-from quadjax.vehicle.constants import GROUPS, Constants, MotorConstants, RateConstants
-from quadjax.vehicle.motor import MotorState, hover_rpm
-from quadjax.vehicle.rate import RateState
+from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
 
 
 @struct.dataclass
@@ -31,6 +26,17 @@ class StartRange:
 
 
 @struct.dataclass
+class DisturbanceRange:
+    """Half-widths of the external disturbances that are drawn at reset, or observed."""
+
+    moment_x: jax.Array  # N m
+    moment_y: jax.Array
+    moment_z: jax.Array
+    force_z: jax.Array  # m/s^2
+    steady_moment: Vec3  # N m, added to what is drawn
+
+
+@struct.dataclass
 class RandomiseFractions:
     """How far each constant of a group is drawn from its nominal value: +-fraction of it."""
 
@@ -45,17 +51,17 @@ class RandomiseFractions:
     limits: jax.Array
 
 
-DRAWS = 12 + 4 + 4  # pose and motion, actuators, disturbances: numbers that a start is made of
+DISTURBANCE_DRAWS = 4
+
+
+def draw_count(model: VehicleModel) -> int:
+    """How many numbers a start is made of: motion, actuators (at least four), disturbances."""
+    return 12 + max(4, model.actuators.size) + DISTURBANCE_DRAWS
 
 
 def draw(key: jax.Array, count: int) -> jax.Array:
     """Uniform numbers in [-1, 1], (count,); one call for all, which compiles much faster."""
     return jax.random.uniform(key, (count,), minval=-1.0, maxval=1.0)
-
-
-def between(low: jax.Array, high: jax.Array, drawn: jax.Array) -> jax.Array:
-    """A number drawn from [-1, 1] as one from [low, high]."""
-    return low + 0.5 * (high - low) * (drawn + 1.0)
 
 
 def start_gate(track: Track, drawn: jax.Array) -> jax.Array:
@@ -87,64 +93,47 @@ def _heading(begin: Vec3, end: Vec3) -> jax.Array:
     return jnp.arctan2(end.y - begin.y, end.x - begin.x)
 
 
-def start_motor(
-    c: MotorConstants,
+def start(
+    model: VehicleModel,
+    c: Constants,
     track: Track,
     span: StartRange,
     disturbance: DisturbanceRange,
     target: jax.Array,
     drawn: jax.Array,
-) -> MotorState:
-    """The start of the motor-level vehicle at the gate before ``target``, of (DRAWS,) numbers."""
-    position, velocity, euler, rates = _pose(track, span, target, drawn)
+) -> State:
+    """The start of a vehicle at the gate before ``target``, of (draw_count(model),) numbers."""
+    motion = Motion(*_pose(track, span, target, drawn))
+    state = model.start(c, motion, drawn[12:], (span.thrust_low, span.thrust_high))
+    if model.disturbance is None:
+        return state
+    drawn = drawn[-DISTURBANCE_DRAWS:]
     moment = Vec3(disturbance.moment_x, disturbance.moment_y, disturbance.moment_z)
-    return MotorState(
-        position=position,
-        velocity=velocity,
-        euler=euler,
-        rates=rates,
-        rpm=Rotors.of(between(c.rpm_min, c.rpm_max, drawn[12:16])),
-        moment_ext=Vec3.of(drawn[16:19]) * moment + disturbance.steady_moment,
-        force_ext=Vec3.zero().replace(z=drawn[19] * disturbance.force_z),
-    )
+    moment_ext = Vec3.of(drawn[:3]) * moment + disturbance.steady_moment
+    force_ext = Vec3.zero().replace(z=drawn[3] * disturbance.force_z)
+    return model.with_disturbance(state, moment_ext, force_ext)
 
 
-def start_rate(
-    c: RateConstants, track: Track, span: StartRange, target: jax.Array, drawn: jax.Array
-) -> RateState:
-    """The start of the rate-level vehicle at the gate before ``target``, of (DRAWS,) numbers."""
-    position, velocity, euler, rates = _pose(track, span, target, drawn)
-    thrust = between(span.thrust_low, span.thrust_high, drawn[12])
-    return RateState(
-        position=position,
-        velocity=velocity,
-        euler=euler,
-        rates=rates,
-        thrust=jnp.clip(thrust, c.thrust_min, c.thrust_max),
-    )
-
-
-def hover(c: Constants, track: Track) -> MotorState | RateState:
-    """At rest and level at the last gate's centre, nose towards the first gate."""
+def hover(model: VehicleModel, c: Constants, track: Track) -> State:
+    """At rest and level at the last gate's center, nose towards the first gate."""
     last = jax.tree.map(lambda x: x[-1], track.position)
     first = jax.tree.map(lambda x: x[0], track.position)
     euler = Vec3.zero().replace(z=wrap_angle(_heading(last, first)))
-    pose = (last, Vec3.zero(), euler, Vec3.zero())
-    if isinstance(c, MotorConstants):
-        rpm = jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max)
-        return MotorState(*pose, Rotors.same(rpm), Vec3.zero(), Vec3.zero())
-    return RateState(*pose, jnp.clip(c.g, c.thrust_min, c.thrust_max))
+    return model.hover(c, Motion(last, Vec3.zero(), euler, Vec3.zero()))
 
 
-def draw_constants(nominal: Constants, spread: RandomiseFractions, drawn: jax.Array) -> Constants:
+def draw_constants(
+    model: VehicleModel, nominal: Constants, spread: RandomiseFractions, drawn: jax.Array
+) -> Constants:
     """Constants of one episode: each scaled by its own draw from 1 +- its group's fraction.
 
-    ``drawn`` holds one number in [-1, 1] for each constant.
+    ``drawn`` holds one number in [-1, 1] for each constant; one in no group keeps its value.
     """
-    fraction = {name: getattr(spread, group) for group, names in GROUPS.items() for name in names}
+    group = {name: group for group, names in model.groups.items() for name in names}
     return nominal.replace(
         **{
-            field.name: getattr(nominal, field.name) * (1.0 + fraction[field.name] * drawn[index])
-            for index, field in enumerate(dataclasses.fields(nominal))
+            name: getattr(nominal, name) * (1.0 + getattr(spread, group[name]) * drawn[index])
+            for index, name in enumerate(model.constant_names)
+            if name in group
         }
     )

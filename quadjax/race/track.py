@@ -19,7 +19,7 @@ class Track:
     half_width: jax.Array  # (gates,) m
     half_height: jax.Array  # (gates,) m
     next_position: Vec3  # of (gates,): the next gate's centre in this gate's frame, m
-    next_yaw: jax.Array  # (gates,) the next gate's yaw relative to this gate's, rad
+    next_yaw: jax.Array  # (gates,) the next gate's yaw relative to this gate's, in [-pi, pi], rad
 
 
 @struct.dataclass
@@ -36,17 +36,13 @@ class Gate:
     next_yaw: jax.Array
 
 
-def make_track(
-    position: jax.Array, yaw: jax.Array, size: jax.Array, wrap_next_yaw: bool = True
-) -> Track:
+def make_track(position: jax.Array, yaw: jax.Array, size: jax.Array) -> Track:
     """A track of gates in flying order.
 
     Args:
         position: (gates, 3) centres, m, world NED.
         yaw: (gates,) heading of the way through, rad.
         size: (gates, 2) width and height of the opening, m.
-        wrap_next_yaw: whether the next gate's relative yaw is wrapped to [-pi, pi], as in the
-            paper, or left as the plain difference, as in the authors' code.
     """
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
     to_next = Vec3.of(jnp.roll(position, -1, axis=0) - position)
@@ -63,7 +59,7 @@ def make_track(
             -sine * to_next.x + cosine * to_next.y,
             to_next.z,
         ),
-        next_yaw=wrap_angle(next_yaw) if wrap_next_yaw else next_yaw,
+        next_yaw=wrap_angle(next_yaw),
     )
 
 

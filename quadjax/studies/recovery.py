@@ -22,7 +22,7 @@ from quadjax.fitting.nominal import AXES, CONSTANTS, Motion, nominal
 from quadjax.fitting.synthetic_log import SensorNoise, simulate_flight
 from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Residual
 from quadjax.vehicle.residual_file import read_residual
 
@@ -43,7 +43,7 @@ def constant_errors(
     return errors
 
 
-def exact_motion(vehicle: MotorParams, seed: int, seconds: float = 30.0) -> Motion:
+def exact_motion(vehicle: VehicleParams, seed: int, seconds: float = 30.0) -> Motion:
     """The motion of one simulated flight, every tenth sample of 500 Hz, without sensor noise."""
     columns = simulate_flight(vehicle, seed, seconds, noise=EXACT)
 
@@ -58,7 +58,7 @@ def exact_motion(vehicle: MotorParams, seed: int, seconds: float = 30.0) -> Moti
 
 
 def residual_recovered(
-    truth: MotorParams, found: MotorConstants, residual: Residual, motion: Motion
+    truth: VehicleParams, found: MotorConstants, residual: Residual, motion: Motion
 ) -> np.ndarray:
     """R^2 (4,) of az, Mx, My and Mz of the true residual, on a motion."""
     wanted, got = _extra(truth.residual, motion), _extra(residual, motion)
@@ -96,7 +96,7 @@ def main() -> None:
         print(f"{name:10}{100 * relative:+7.2f}%{normal:+20.1f}")
     if words.residual is None:
         return
-    vehicle = MotorParams(truth, read_residual(words.residual))
+    vehicle = VehicleParams(truth, read_residual(words.residual))
     residual = read_residual(words.fit / "residual.npz")
     print(f"\n{'new flight':10}" + "".join(f"{axis:>8}" for axis in AXES[2:]) + "  R^2 of residual")
     for seed in range(NEW, NEW + words.flights):

@@ -22,8 +22,8 @@ from quadjax.learners.networks import ActorCritic
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.inference import act_deterministic
 from quadjax.race import laps
-from quadjax.race.build import build_params, choices_of, exact_rules
-from quadjax.race.environment import RaceParams
+from quadjax.race.build import build_params, choices_of
+from quadjax.race.environment import RaceParams, exact_rules
 from quadjax.training.build import (
     build_learner,
     flying_of,
@@ -98,7 +98,7 @@ class Scores:
         first = configs[0]
         self._choices = dataclasses.replace(choices_of(first), stagger_clocks=False)
         self._activation, self._laps = first.network.activation, first.evaluate.laps
-        exact = [exact_rules(p) for p in params]
+        exact = [exact_rules(self._choices.model, p) for p in params]
         self._dt = float(exact[0].limits.dt)
         self._params = lanes.stack(exact)
         start_key, self._key = jax.random.split(jax.random.key(0))

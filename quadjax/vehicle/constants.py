@@ -55,20 +55,6 @@ class RateConstants:
 
 Constants = MotorConstants | RateConstants
 
-# Groups of constants that domain randomisation scales together or apart: each constant of a group
-# is drawn by itself, within the group's fraction.
-GROUPS: dict[str, tuple[str, ...]] = {
-    "gravity": ("g",),
-    "inertia": ("i_xx", "i_yy", "i_zz"),
-    "thrust": ("k_w",),
-    "drag": ("k_x", "k_y", "k_z", "k_h", "d_x", "d_y"),
-    "moment": ("k_p", "k_q"),
-    "velocity_moment": ("k_pv", "k_qv"),
-    "yaw": ("k_r1", "k_r2", "k_rr"),
-    "lag": ("tau", "tau_rate", "tau_thrust"),
-    "limits": ("rpm_min", "rpm_max", "p_max", "q_max", "r_max", "thrust_min", "thrust_max"),
-}
-
 
 def constant_names(kind: type[Constants]) -> tuple[str, ...]:
     """The field names of a set of constants, in order."""

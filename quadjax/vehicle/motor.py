@@ -11,9 +11,10 @@ from flax import struct
 
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
 from quadjax.core.materialize import Keep, call
-from quadjax.core.vectors import Rotors, Vec3
+from quadjax.core.vectors import Rotors, Vec3, between
 from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.residual import Residual, residual_force_moment
+from quadjax.vehicle.protocol import Measurement, Motion, Signal, VehicleModel, VehicleParams
+from quadjax.vehicle.residual import residual_force_moment
 
 
 @struct.dataclass
@@ -29,16 +30,12 @@ class MotorState:
     force_ext: Vec3  # external specific force, m/s^2, body
 
 
-@struct.dataclass
-class MotorParams:
-    """What the motor-level model is computed with: all of it traced."""
-
-    constants: MotorConstants
-    residual: Residual | None = None
-
-
 def nominal_force(c: MotorConstants, rpm: Rotors, body_velocity: Vec3) -> Vec3:
-    """Nominal specific force, m/s^2, body frame, of propeller speeds, rpm, and velocity, m/s."""
+    """Nominal specific force, m/s^2, body frame, of propeller speeds, rpm, and velocity, m/s.
+
+    Plain arithmetic, so that it serves NumPy float64 arrays (n,) as well as traced scalars; it is
+    linear in the constants.
+    """
     vx, vy, vz = body_velocity.x, body_velocity.y, body_velocity.z
     sum_rpm = rpm.w1 + rpm.w2 + rpm.w3 + rpm.w4
     sum_squares = rpm.w1 * rpm.w1 + rpm.w2 * rpm.w2 + rpm.w3 * rpm.w3 + rpm.w4 * rpm.w4
@@ -52,7 +49,7 @@ def nominal_force(c: MotorConstants, rpm: Rotors, body_velocity: Vec3) -> Vec3:
 def nominal_moment(
     c: MotorConstants, rpm: Rotors, rpm_rate: Rotors, body_velocity: Vec3, body_rates: Vec3
 ) -> Vec3:
-    """Nominal moment, N m, body frame.
+    """Nominal moment, N m, body frame; for NumPy arrays and linear as ``nominal_force``.
 
     Args:
         c: the constants.
@@ -72,7 +69,7 @@ def nominal_moment(
 
 
 def force_moment(
-    params: MotorParams, rpm: Rotors, rpm_rate: Rotors, body_velocity: Vec3, body_rates: Vec3
+    params: VehicleParams, rpm: Rotors, rpm_rate: Rotors, body_velocity: Vec3, body_rates: Vec3
 ) -> tuple[Vec3, Vec3]:
     """Specific force, m/s^2, and moment, N m, body frame, with the residual if there is one."""
     force = nominal_force(params.constants, rpm, body_velocity)
@@ -97,7 +94,7 @@ def angular_acceleration(c: MotorConstants, moment: Vec3, rates: Vec3) -> Vec3:
 
 
 def derivative(
-    params: MotorParams, state: MotorState, rpm_command: Rotors, keep: Keep = call
+    params: VehicleParams, state: MotorState, rpm_command: Rotors, keep: Keep = call
 ) -> MotorState:
     """Time derivative of the state under four rpm commands, as a ``MotorState``.
 
@@ -128,3 +125,83 @@ def command_range(c: MotorConstants) -> tuple[Rotors, Rotors]:
 def hover_rpm(c: MotorConstants) -> jax.Array:
     """Propeller speed () at which four rotors carry the drone at rest, rpm."""
     return jnp.sqrt(c.g / (4.0 * c.k_w))
+
+
+def specific_force(params: VehicleParams, state: MotorState) -> Vec3:
+    """What an ideal accelerometer measures, m/s^2, body frame."""
+    velocity = world_to_body(attitude(state.euler), state.velocity)
+    steady = Rotors.same(jnp.zeros(()))  # forces do not depend on the propellers' acceleration
+    force, _ = force_moment(params, state.rpm, steady, velocity, state.rates)
+    return force + state.force_ext
+
+
+def balance(params: VehicleParams, measured: Measurement) -> tuple[Vec3, Vec3, Vec3]:
+    """What the disturbance estimator compares; see ``VehicleModel.balance``.
+
+    Returns:
+        Angular momentum minus the part that rotor acceleration exchanges with the body, N m s;
+        gyroscopic minus modelled moment, N m; measured minus modelled specific force, m/s^2.
+    """
+    c, rpm, rates = params.constants, measured.rpm, measured.gyro
+    rotors = c.k_r2 * (-rpm.w1 + rpm.w2 - rpm.w3 + rpm.w4)
+    momentum = Vec3(c.i_xx * rates.x, c.i_yy * rates.y, c.i_zz * rates.z - rotors)
+    p, q, r = rates.x, rates.y, rates.z
+    gyroscopic = Vec3(
+        (c.i_zz - c.i_yy) * q * r, (c.i_xx - c.i_zz) * r * p, (c.i_yy - c.i_xx) * p * q
+    )
+    # The moment of rotor acceleration is differentiated by the filter, not here.
+    steady = jax.tree.map(jnp.zeros_like, rpm)
+    force, moment = force_moment(params, rpm, steady, measured.body_velocity, rates)
+    return momentum, gyroscopic - moment, measured.specific_force - force
+
+
+def start(
+    c: MotorConstants, motion: Motion, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
+) -> MotorState:
+    """A start with propeller speeds drawn over their range, of numbers (4..,) in [-1, 1]."""
+    rpm = Rotors.of(between(c.rpm_min, c.rpm_max, drawn[:4]))
+    return MotorState(*vars(motion).values(), rpm, Vec3.zero(), Vec3.zero())
+
+
+def hover(c: MotorConstants, motion: Motion) -> MotorState:
+    """A start with the propeller speeds of a hover, as far as the motors reach them."""
+    rpm = Rotors.same(jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max))
+    return MotorState(*vars(motion).values(), rpm, Vec3.zero(), Vec3.zero())
+
+
+def _with_disturbance(state: MotorState, moment: Vec3, force: Vec3) -> MotorState:
+    return state.replace(moment_ext=moment, force_ext=force)
+
+
+MODEL = VehicleModel(
+    name="motor",
+    constants=MotorConstants,
+    commands=(Signal("rpm", 4, "rpm"),),
+    actuators=Signal("rpm", 4, "rpm"),
+    derivative=derivative,
+    command_range=command_range,
+    actuator_range=command_range,
+    actuator_state=lambda state: state.rpm,
+    start=start,
+    hover=hover,
+    specific_force=specific_force,
+    groups={
+        "gravity": ("g",),
+        "inertia": ("i_xx", "i_yy", "i_zz"),
+        "thrust": ("k_w",),
+        "drag": ("k_x", "k_y", "k_z", "k_h"),
+        "moment": ("k_p", "k_q"),
+        "velocity_moment": ("k_pv", "k_qv"),
+        "yaw": ("k_r1", "k_r2", "k_rr"),
+        "lag": ("tau",),
+        "limits": ("rpm_min", "rpm_max"),
+    },
+    positive=("g", "i_xx", "i_yy", "i_zz", "k_w", "tau"),
+    ranges=(("rpm_min", "rpm_max"),),
+    lags=("tau",),
+    thrust_to_weight=lambda c: 4.0 * c["k_w"] * c["rpm_max"] ** 2 / c["g"],
+    has_residual=True,
+    disturbance=lambda state: (state.moment_ext, state.force_ext),
+    with_disturbance=_with_disturbance,
+    balance=balance,
+)

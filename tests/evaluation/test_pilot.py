@@ -54,7 +54,7 @@ def test_disturbances_are_seen_in_the_policys_scale():
     policy = random_policy(observation={"disturbance": widths})
     for words in ([], ["disturbance.moment_x=0.04", "disturbance.moment_z=0.01"]):
         choices, params, _ = make(policy, *words)
-        state = environment.hover_start(params)
+        state = environment.hover_start(choices, params)
         moment = Vec3.of(jnp.array([0.04, -0.01, 0.005]))
         met = state.drone.replace(moment_ext=moment, force_ext=moment.replace(z=jnp.array(-0.5)))
         observed = environment.observe(choices, params, state.replace(drone=met))
@@ -63,14 +63,18 @@ def test_disturbances_are_seen_in_the_policys_scale():
 
 def test_a_policy_that_says_nothing_has_the_races_scale():
     choices, params, _ = make(random_policy(), "disturbance.moment_x=0.04")
-    assert float(params.seen.moment_x) == np.float32(0.04) and float(params.seen.force_z) == 0.0
+    scale = params.observed_disturbance
+    assert float(scale.moment_x) == np.float32(0.04) and float(scale.force_z) == 0.0
 
 
 def test_the_observation_is_made_as_the_policy_was_trained():
     seen = {"wrap_next_yaw": False, "disturbance_input": "none"}
     choices, params, _ = make(random_policy(observation=seen))
-    assert choices.disturbance_input == "true"  # what is measured is the race's choice
-    assert float(jnp.abs(params.track.next_yaw).max()) == pytest.approx(1.5 * np.pi)
+    # The source of the disturbance is the race's choice: it is what a drone can measure.
+    assert choices.layout["moment_ext"].source == "ground_truth"
+    state = environment.hover_start(choices, params).replace(target=jnp.int32(3))
+    shown = environment.observe(choices, params, state)[choices.layout.slice("next_yaw_unwrapped")]
+    assert float(shown[0]) == pytest.approx(-1.5 * np.pi)
 
 
 def test_sampling_and_the_mean_share_an_actor():

@@ -13,7 +13,7 @@ from quadjax.export.fixed import convert
 from quadjax.export.race_tables import make_tables
 from quadjax.export.verify import measurements
 from quadjax.fitting.estimator_reference import estimate
-from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.protocol import VehicleParams
 from tests.export.support import WIDE, made_policy, made_residual
 
 
@@ -149,7 +149,7 @@ def test_estimator_is_the_reference(with_residual, rate, cutoff):
         ]
     )
     moment, force = estimate(
-        MotorParams(constants, residual), measurements.signals(measured), rate, cutoff
+        VehicleParams(constants, residual), measurements.signals(measured), rate, cutoff
     )
     assert np.abs(found[:, :3] - moment).max() < 1e-6
     assert np.abs(found[:, 3:] - force).max() < 2e-5

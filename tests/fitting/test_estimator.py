@@ -12,6 +12,7 @@ from quadjax.fitting.estimator_reference import estimate
 from quadjax.fitting.synthetic import make_residual
 from quadjax.vehicle import estimator, motor
 from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.protocol import Measurement, VehicleParams
 
 BEBOP = MotorConstants(
     g=9.81,
@@ -63,7 +64,7 @@ def _fly(vehicle, rate, integrator, substeps, seconds=6.0, onset=2.0):
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
         steady = Rotors.same(jnp.zeros(()))
         force, _ = motor.force_moment(vehicle, state.rpm, steady, body_velocity, state.rates)
-        measured = estimator.Measurement(
+        measured = Measurement(
             gyro=state.rates,
             specific_force=force + state.force_ext,
             rpm=state.rpm,
@@ -118,9 +119,9 @@ CASES = {
 @pytest.fixture(scope="module", params=CASES, ids=list(CASES))
 def flight(request):
     rate, integrator, substeps, euler = CASES[request.param]
-    vehicle = motor.MotorParams(BEBOP, make_residual(1, 0.5, 0.005))
+    vehicle = VehicleParams(BEBOP, make_residual(1, 0.5, 0.005))
     measured, on = _fly(vehicle, rate, integrator, substeps)
-    params = estimator.estimator_params(vehicle, rate, explicit_euler=euler)
+    params = estimator.estimator_params(motor.MODEL, vehicle, rate, explicit_euler=euler)
     return request.param, vehicle, measured, on, params
 
 
@@ -157,17 +158,17 @@ def test_jax_and_float64_reference_agree(flight):
 
 
 def test_batches_and_differentiates():
-    vehicle = motor.MotorParams(BEBOP)
-    params = estimator.estimator_params(vehicle, 100.0)
+    vehicle = VehicleParams(BEBOP)
+    params = estimator.estimator_params(motor.MODEL, vehicle, 100.0)
     ones = jnp.ones(5)
     three = Vec3(ones, ones, ones)
-    batch = estimator.Measurement(three, three, Rotors.same(7000.0 * ones), three)
+    batch = Measurement(three, three, Rotors.same(7000.0 * ones), three)
     states = jax.vmap(estimator.init, in_axes=(None, 0))(params, batch)
     states, moment, force = jax.vmap(estimator.update, in_axes=(None, 0, 0))(params, states, batch)
     assert moment.array().shape == force.array().shape == (5, 3)
 
     def total(cutoff):
-        params = estimator.estimator_params(vehicle, 100.0, cutoff)
+        params = estimator.estimator_params(motor.MODEL, vehicle, 100.0, cutoff)
         one = jax.tree.map(lambda x: x[0], batch)
         return estimator.update(params, estimator.init(params, one), one)[2].z
 
@@ -175,11 +176,11 @@ def test_batches_and_differentiates():
 
 
 def test_a_steady_start_is_no_disturbance():
-    vehicle = motor.MotorParams(BEBOP)
-    params = estimator.estimator_params(vehicle, 100.0)
+    vehicle = VehicleParams(BEBOP)
+    params = estimator.estimator_params(motor.MODEL, vehicle, 100.0)
     rpm = Rotors.same(motor.hover_rpm(BEBOP))
     still = Vec3.zero()
-    at_rest = estimator.Measurement(still, still.replace(z=jnp.asarray(-9.81)), rpm, still)
+    at_rest = Measurement(still, still.replace(z=jnp.asarray(-9.81)), rpm, still)
     _, moment, force = estimator.update(params, estimator.init(params, at_rest), at_rest)
     np.testing.assert_allclose(moment.array(), 0.0, atol=1e-7)
     np.testing.assert_allclose(force.array(), 0.0, atol=1e-5)
@@ -187,5 +188,5 @@ def test_a_steady_start_is_no_disturbance():
 
 @pytest.mark.parametrize("cutoff", [0.0, -1.0, 50.0, 300.0])
 def test_impossible_cutoff_is_refused(cutoff):
-    with pytest.raises(InputError, match="cut-off"):
-        estimator.estimator_params(motor.MotorParams(BEBOP), 100.0, cutoff)
+    with pytest.raises(InputError, match="cutoff"):
+        estimator.estimator_params(motor.MODEL, VehicleParams(BEBOP), 100.0, cutoff)

@@ -5,14 +5,14 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig, UnitsConfig
 from quadjax.fitting.flight_log import read_log, read_logs
 from quadjax.fitting.synthetic_log import simulate_flight, write_log
-from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.protocol import VehicleParams
 
 PAPARAZZI = LogsConfig(format="paparazzi")
 
 
 @pytest.fixture(scope="module")
 def columns(bebop):
-    return simulate_flight(MotorParams(bebop), seed=1, seconds=4.0, sample_rate=250.0)
+    return simulate_flight(VehicleParams(bebop), seed=1, seconds=4.0, sample_rate=250.0)
 
 
 def _write(tmp_path, columns, **changed):

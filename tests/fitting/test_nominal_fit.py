@@ -11,7 +11,8 @@ from quadjax.fitting.motor_lag import fit_motor_lag
 from quadjax.fitting.nominal import AXES, Motion, angular_moment, nominal
 from quadjax.fitting.prepare import airborne, derivative, low_pass, noise_level, prepare
 from quadjax.fitting.synthetic_log import simulate_flight, write_log
-from quadjax.vehicle.motor import MotorParams, nominal_force, nominal_moment
+from quadjax.vehicle.motor import nominal_force, nominal_moment
+from quadjax.vehicle.protocol import VehicleParams
 
 
 def test_numpy_model_is_the_vehicle_model(bebop):
@@ -58,7 +59,7 @@ def test_noise_level_sees_noise_and_not_motion():
 def flights(bebop, tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     for seed in range(4):
-        write_log(folder / f"flight_{seed}.csv", simulate_flight(MotorParams(bebop), seed))
+        write_log(folder / f"flight_{seed}.csv", simulate_flight(VehicleParams(bebop), seed))
     return read_logs(LogsConfig(files=["*.csv"], format="paparazzi"), folder)
 
 
@@ -86,7 +87,7 @@ def test_motor_lag_comes_back(flights):
 
 
 def test_hover_excites_little_and_says_so(bebop, tmp_path):
-    columns = simulate_flight(MotorParams(bebop), seed=3, seconds=10.0)
+    columns = simulate_flight(VehicleParams(bebop), seed=3, seconds=10.0)
     random = np.random.default_rng(0)
     for name, values in columns.items():
         if name not in ("time", "autopilot_mode"):

@@ -10,7 +10,7 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.pipeline import load_fit_config
 from quadjax.fitting.synthetic import make_residual
 from quadjax.fitting.synthetic_log import simulate_flight, write_log
-from quadjax.vehicle.motor import MotorParams
+from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual_file import read_residual
 
 from .conftest import REPOSITORY
@@ -34,7 +34,7 @@ def _environment():
 @pytest.fixture(scope="module")
 def folder(bebop, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit")
-    vehicle = MotorParams(bebop, make_residual(5, 1.0, (0.008, 0.008, 0.003)))
+    vehicle = VehicleParams(bebop, make_residual(5, 1.0, (0.008, 0.008, 0.003)))
     for seed in range(3):
         columns = simulate_flight(vehicle, seed, seconds=20.0)
         write_log(folder / f"flight_{seed}.csv", columns)

@@ -29,10 +29,10 @@ def make_race(*words: str) -> tuple[Choices, RaceParams]:
     return choices_of(config), build_params(config)
 
 
-def track_of(gates: np.ndarray, yaw: np.ndarray, wrap: bool = True, size: Sequence = (1.0, 1.0)):
+def track_of(gates: np.ndarray, yaw: np.ndarray, size: Sequence = (1.0, 1.0)):
     sizes = np.broadcast_to(np.asarray(size, np.float32), (len(gates), 2))
     columns = (jnp.asarray(x, jnp.float32) for x in (gates, yaw, sizes))
-    return make_track(*columns, wrap)
+    return make_track(*columns)
 
 
 def race_state(kind: str, rows: np.ndarray, target: object = 0, step: object = 0) -> RaceState:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.race.build import build_params, build_track, choices_of
+from quadjax.race.build import build_params, choices_of
 from quadjax.race.track import make_track
 from tests import reference as ref
 from tests.race.support import compiled_observe, make_config, make_race, race_state, track_of
@@ -36,14 +36,15 @@ def circuit(gates):
 @pytest.mark.parametrize("gates", [1, 4, 6, 20])
 @pytest.mark.parametrize("wrap", [True, False])
 def test_against_an_independent_version(kind, gates, wrap):
-    choices, params = make_race(f"vehicle.kind={kind}", *disturbed(kind))
-    centres, yaw = circuit(gates)
-    params = params.replace(track=track_of(centres, yaw, wrap))
+    wrapped = f"episode.wrap_next_yaw={str(wrap).lower()}"
+    choices, params = make_race(f"vehicle.kind={kind}", wrapped, *disturbed(kind))
+    centers, yaw = circuit(gates)
+    params = params.replace(track=track_of(centers, yaw))
     rows = ref.random_states(kind, COUNT)
     target = np.arange(COUNT) % gates
     found = np.asarray(compiled_observe(choices)(params, race_state(kind, rows, target)))
     assert found.shape == (COUNT, 24 if kind == "motor" else 17) and found.dtype == np.float32
-    wanted = ref.observation(kind, CONSTANTS[kind], rows, target, centres, yaw, wrap_next_yaw=wrap)
+    wanted = ref.observation(kind, CONSTANTS[kind], rows, target, centers, yaw, wrap_next_yaw=wrap)
     away = np.abs(np.abs(wanted[:, 8]) - np.pi) > 1e-3  # where the wrap may fall on either side
     np.testing.assert_allclose(found[away], wanted[away], atol=2e-5)
     assert away.mean() > 0.95
@@ -65,14 +66,12 @@ def test_by_hand():
 
 def test_next_yaw_of_the_square_track():
     """A quarter turn to each next gate, but for the plain difference where the list wraps."""
-    config = make_config()
-    wrapped = np.asarray(build_track(config.track, True).next_yaw)
-    plain = np.asarray(build_track(config.track, False).next_yaw)
-    np.testing.assert_allclose(wrapped, np.pi / 2, atol=1e-6)
-    np.testing.assert_allclose(plain, [np.pi / 2] * 3 + [-1.5 * np.pi], atol=1e-6)
-    for word, expected in (("true", wrapped), ("false", plain)):
-        track = make_race(f"episode.wrap_next_yaw={word}")[1].track
-        np.testing.assert_array_equal(track.next_yaw, expected)
+    quarter = np.pi / 2
+    for word, name, last in (("true", "next_yaw", 1), ("false", "next_yaw_unwrapped", -3)):
+        choices, params = make_race(f"episode.wrap_next_yaw={word}")
+        state = race_state("motor", np.zeros((4, 22)), np.arange(4))
+        found = compiled_observe(choices)(params, state)[:, choices.layout.slice(name)]
+        np.testing.assert_allclose(found[:, 0], [quarter] * 3 + [last * quarter], atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
@@ -136,7 +135,7 @@ def test_shipped_tracks():
     np.testing.assert_array_equal(square.half_height, 0.5)
     config = make_config("track.file=figure8.yaml")
     track = build_params(config).track
-    assert track.yaw.shape == (6,) and choices_of(config).kind == "motor"
+    assert track.yaw.shape == (6,) and choices_of(config).model.name == "motor"
     for index, gate in enumerate(config.track.gates):
         np.testing.assert_allclose(track.position.array()[index], gate.position, rtol=1e-6)
         assert float(track.yaw[index]) == pytest.approx(np.radians(gate.yaw_deg), rel=1e-6)

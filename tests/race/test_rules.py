@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from quadjax.race import rules
-from quadjax.race.build import exact_rules
+from quadjax.race.environment import exact_rules
 from quadjax.race.track import gate
+from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
 from tests.convert import rows_of, vec3
 from tests.race.support import (
@@ -314,7 +315,7 @@ def test_a_roll_has_no_end():
     race = make_race()
     rows = level(through(0, -2.0), 0.0)
     rows[:, ref.EULER], rows[:, ref.RATES] = [np.pi - 0.01, 0, 0], [5.0, 0, 0]
-    for choices, params in (race, (race[0], exact_rules(race[1]))):
+    for choices, params in (race, (race[0], exact_rules(race[0].model, race[1]))):
         states, _, outcome = step((choices, params), rows)
         assert not outcome.terminated[0]
         np.testing.assert_allclose(states.drone.euler.x[0], 0.04 - np.pi, atol=2e-3)
@@ -327,14 +328,16 @@ def test_spinning_ends_an_episode_in_training_alone():
     for rate, ends in ((4.5, False), (6.0, True), (-6.0, True)):
         rows[:, ref.RATES] = [0.0, 0.0, rate]
         assert bool(step((choices, params), rows)[2].attitude[0]) == ends
-        assert not step((choices, exact_rules(params)), rows)[2].terminated[0]
+        assert not step((choices, exact_rules(choices.model, params)), rows)[2].terminated[0]
 
 
 def test_default_limits_are_the_published_ones(race):
     limits = {name: float(x) for name, x in vars(race[1].limits).items()}
     assert limits["dt"] == pytest.approx(0.01) and limits["max_steps"] == 1200
     assert limits["position"] == 10 and limits["rate"] == 1000 and limits["gate_margin"] == 0
-    exact = exact_rules(make_race("episode.gate_margin=0.1", "episode.pitch_limit_deg=60")[1])
+    exact = exact_rules(
+        MODEL, make_race("episode.gate_margin=0.1", "episode.pitch_limit_deg=60")[1]
+    )
     assert float(exact.limits.gate_margin) == 0
     assert float(exact.limits.pitch) == pytest.approx(np.radians(89))
     assert float(exact.limits.roll) > np.pi
@@ -361,7 +364,7 @@ def test_gates_may_be_wider_in_training_at_a_price():
     passing = 10 - 10 * np.hypot(beyond, 0.03) - 20 * np.maximum(beyond - 0.45, 0)
     expected = [*passing[:2], -10 - 20 * 0.4]
     np.testing.assert_allclose(paid, expected, atol=1e-4)
-    outcome = step((wide[0], exact_rules(wide[1])), rows, 1)[2]
+    outcome = step((wide[0], exact_rules(wide[0].model, wide[1])), rows, 1)[2]
     assert outcome.gate_collision.tolist() == [False, True, True]
 
 

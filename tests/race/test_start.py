@@ -1,6 +1,7 @@
 """Where episodes begin: ranges, gates, clocks, disturbances and drawn constants."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ import pytest
 from quadjax.race import environment
 from quadjax.race.start import RandomiseFractions, draw_constants
 from quadjax.race.track import into_bend
-from quadjax.vehicle.constants import GROUPS
+from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
 from tests.convert import rows_of
 from tests.race.support import compiled_reset, make_race, track_of
@@ -143,13 +144,15 @@ def test_staggered_clocks():
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_each_group_of_constants_is_drawn_by_itself(kind):
     nominal = make_race(f"vehicle.kind={kind}")[1].vehicle.constants
+    model = MODELS[kind]
     none = {field.name: jnp.float32(0) for field in dataclasses.fields(RandomiseFractions)}
-    assert set(none) == set(GROUPS)
+    assert set(none) >= set(model.groups)
     drawn = jax.random.uniform(
         jax.random.key(0), (COUNT, len(vars(nominal))), minval=-1.0, maxval=1.0
     )
-    draw = jax.jit(jax.vmap(draw_constants, in_axes=(None, None, 0)))
-    for group, names in GROUPS.items():
+    draw = jax.jit(jax.vmap(functools.partial(draw_constants, model), in_axes=(None, None, 0)))
+    for group in none:
+        names = model.groups.get(group, ())
         found = draw(nominal, RandomiseFractions(**none | {group: jnp.float32(0.2)}), drawn)
         for name, values in vars(found).items():
             value = float(getattr(nominal, name))
@@ -180,8 +183,8 @@ def test_randomisation_of_the_config_reaches_the_episode(kind):
 
 def test_hover_start():
     for kind, actuators in (("motor", 7497.0), ("rate", 9.81)):
-        _, params = make_race(f"vehicle.kind={kind}")
-        state = environment.hover_start(params)
+        choices, params = make_race(f"vehicle.kind={kind}")
+        state = environment.hover_start(choices, params)
         row = rows_of(state.drone)
         np.testing.assert_allclose(row[ref.P], ref.GATES[3])
         np.testing.assert_array_equal(row[[3, 4, 5, 6, 7, 9, 10, 11]], 0.0)

@@ -7,6 +7,7 @@ import pytest
 
 from quadjax.core.integrators import INTEGRATORS, euler_step, rk4_step
 from quadjax.vehicle import motor
+from quadjax.vehicle.protocol import VehicleParams
 from tests import reference as ref
 from tests.convert import command_of, constants, rows_of, state_of
 
@@ -48,7 +49,7 @@ def test_one_step_of_each():
 
 @pytest.mark.parametrize(("name", "order"), [("euler", 1), ("rk4", 4)])
 def test_order_of_convergence(start, name, order):
-    params = motor.MotorParams(constants("motor", ref.MOTOR))
+    params = VehicleParams(constants("motor", ref.MOTOR))
     exact = rows_of(fly("rk4", params, *start, TIME, 1024))
     errors = [
         np.abs(rows_of(fly(name, params, *start, TIME, steps)) - exact)[:12].max()
@@ -60,7 +61,7 @@ def test_order_of_convergence(start, name, order):
 
 def test_free_fall_keeps_its_energy(start):
     off = dict.fromkeys(("k_x", "k_y", "k_z", "k_w", "k_h"), 0.0)
-    params = motor.MotorParams(constants("motor", ref.MOTOR | off))
+    params = VehicleParams(constants("motor", ref.MOTOR | off))
     state = start[0].replace(force_ext=jax.tree.map(jnp.zeros_like, start[0].force_ext))
 
     def energy(state):
@@ -74,7 +75,7 @@ def test_free_fall_keeps_its_energy(start):
 
 def test_torque_free_tumbling_keeps_its_angular_momentum(start):
     names = ("k_p", "k_q", "k_pv", "k_qv", "k_r1", "k_r2", "k_rr")
-    params = motor.MotorParams(constants("motor", ref.MOTOR | dict.fromkeys(names, 0.0)))
+    params = VehicleParams(constants("motor", ref.MOTOR | dict.fromkeys(names, 0.0)))
     zero = jax.tree.map(jnp.zeros_like, start[0].moment_ext)
     rates = jax.tree.map(lambda x: 4 * x, start[0].rates)
     state = start[0].replace(moment_ext=zero, rates=rates)
@@ -91,7 +92,7 @@ def test_torque_free_tumbling_keeps_its_angular_momentum(start):
 
 def test_drag_takes_energy_as_force_times_velocity(start):
     """The kinetic energy changes by the power of all forces."""
-    params = motor.MotorParams(constants("motor", ref.MOTOR))
+    params = VehicleParams(constants("motor", ref.MOTOR))
     slope = rows_of(motor.derivative(params, *start))
     h = 1e-5
     ahead = rows_of(fly("rk4", params, *start, h, 1))

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from quadjax.vehicle import motor, rate
-from quadjax.vehicle.constants import GROUPS, MotorConstants, RateConstants, constant_names
+from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
 from tests.convert import command_of, constants, residual_of, rows_of, state_of
 
@@ -39,7 +41,7 @@ def motor_slope():
 
     def slope(values, rows, commands, residual=None):
         net = None if residual is None else residual_of(residual)
-        params = motor.MotorParams(constants("motor", values), net)
+        params = VehicleParams(constants("motor", values), net)
         return rows_of(fly(params, state_of("motor", rows), command_of("motor", commands)))
 
     return slope
@@ -211,9 +213,7 @@ def test_gyroscopic_moment_conserves_energy_and_angular_momentum(motor_rows, mot
 def test_single_precision_is_close(motor_rows):
     rows, commands = motor_rows
     with jax.enable_x64(False):
-        params = motor.MotorParams(
-            MotorConstants(**{k: jnp.float32(v) for k, v in ref.MOTOR.items()})
-        )
+        params = VehicleParams(MotorConstants(**{k: jnp.float32(v) for k, v in ref.MOTOR.items()}))
         state = state_of("motor", rows.astype(np.float32))
         command = command_of("motor", commands.astype(np.float32))
         found = jax.jit(jax.vmap(motor.derivative, in_axes=(None, 0, 0)))(params, state, command)
@@ -227,7 +227,7 @@ def rate_slope():
     fly = jax.jit(jax.vmap(rate.derivative, in_axes=(None, 0, 0)))
 
     def slope(values, rows, commands):
-        params = rate.RateParams(constants("rate", values))
+        params = VehicleParams(constants("rate", values))
         return rows_of(fly(params, state_of("rate", rows), command_of("rate", commands)))
 
     return slope
@@ -266,8 +266,7 @@ def test_rate_command_range():
     np.testing.assert_array_equal(jax.tree.leaves(high), [1, 2, 3, 15])
 
 
-def test_every_constant_is_in_one_group():
-    grouped = [name for names in GROUPS.values() for name in names]
-    every = {*constant_names(MotorConstants), *constant_names(RateConstants)}
-    assert len(grouped) == len(set(grouped))
-    assert set(grouped) == every
+@pytest.mark.parametrize("name", MODELS)
+def test_every_constant_is_in_one_group(name):
+    grouped = [constant for names in MODELS[name].groups.values() for constant in names]
+    assert sorted(grouped) == sorted(MODELS[name].constant_names)

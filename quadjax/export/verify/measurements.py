@@ -10,8 +10,9 @@ from scipy.interpolate import CubicSpline
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.race.laps import Trace
-from quadjax.vehicle import estimator
-from quadjax.vehicle.motor import MotorParams, force_moment
+from quadjax.vehicle import estimator, motor
+from quadjax.vehicle.motor import force_moment
+from quadjax.vehicle.protocol import Measurement, VehicleParams
 
 # Standard deviation of the noise: gyro, rad/s; accelerometer, m/s^2; rpm; body velocity, m/s.
 NOISE = np.array([0.1] * 3 + [0.5] * 3 + [20.0] * 4 + [0.02] * 3)
@@ -33,7 +34,7 @@ def thrown(rng: np.random.Generator, rate: float, seconds: float) -> np.ndarray:
 
 
 def flown(
-    rng: np.random.Generator, vehicle: MotorParams, trace: Trace, dt: float, rate: float
+    rng: np.random.Generator, vehicle: VehicleParams, trace: Trace, dt: float, rate: float
 ) -> np.ndarray:
     """What the sensors of flights say, (runs, n, 13) float32 at ``rate`` Hz, with noise.
 
@@ -55,7 +56,7 @@ def flown(
     return _noisy(rng, np.asarray(measure(jnp.asarray(between, jnp.float32)), np.float64))
 
 
-def _measure(vehicle: MotorParams, state: jax.Array) -> jax.Array:
+def _measure(vehicle: VehicleParams, state: jax.Array) -> jax.Array:
     velocity, euler, rates = (Vec3.of(state[i : i + 3]) for i in (0, 3, 6))
     rpm = Rotors.of(state[9:13])
     seen = world_to_body(attitude(euler), velocity)
@@ -73,14 +74,14 @@ def signals(measured: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def estimate_as_trained(
-    vehicle: MotorParams, measured: np.ndarray, rate: float, cutoff: float
+    vehicle: VehicleParams, measured: np.ndarray, rate: float, cutoff: float
 ) -> np.ndarray:
     """Moments and forces (runs, n, 6) float32 by the estimator that a policy trains with."""
-    params = estimator.estimator_params(vehicle, rate, cutoff)
+    params = estimator.estimator_params(motor.MODEL, vehicle, rate, cutoff)
 
-    def measurement(row: jax.Array) -> estimator.Measurement:
+    def measurement(row: jax.Array) -> Measurement:
         gyro, force, velocity = (Vec3.of(row[i : i + 3]) for i in (0, 3, 10))
-        return estimator.Measurement(gyro, force, Rotors.of(row[6:10]), velocity)
+        return Measurement(gyro, force, Rotors.of(row[6:10]), velocity)
 
     def one(
         state: estimator.EstimatorState, row: jax.Array

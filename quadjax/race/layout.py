@@ -1,0 +1,355 @@
+"""What a policy observes: a list of named fields.
+
+Sizes, slices, scaling, the conversion between two policies' scalings and the ranges of the exported
+code derive from the ``Layout``. The default one is that of Ferede et al. (arXiv 2311.16948): 24
+numbers for the motor-level vehicle, 17 for the rate-level one.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.core.frames import wrap_angle
+from quadjax.core.vectors import Vec3
+from quadjax.race.track import Gate, pick, to_gate_frame
+from quadjax.vehicle.protocol import State, VehicleModel
+
+if TYPE_CHECKING:
+    from quadjax.race.environment import RaceParams, RaceState
+
+Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
+GROUND_TRUTH, ESTIMATED, NONE = SOURCES = ("ground_truth", "estimated", "none")
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """What a field is computed from: one drone in its race."""
+
+    model: VehicleModel
+    params: "RaceParams"
+    state: "RaceState"
+    gate: Gate  # the target
+
+    @property
+    def drone(self) -> State:
+        """The vehicle's state."""
+        return self.state.drone
+
+
+@dataclasses.dataclass(frozen=True)
+class Field:
+    """One named group of numbers of an observation.
+
+    Attributes:
+        name: unique in a layout.
+        size: how many numbers.
+        unit: of the numbers before they are scaled.
+        frame: "gate" (x through the target gate, y to its right, z down), "body" or "".
+        range: largest magnitude that the network sees, a power of two: the default of the export.
+        value: ``(view) -> numbers``, each (), pure; None in the layout of a file.
+        scale: ``(model, params) -> (lowest, highest)`` that are scaled to -1 and 1; a lowest of
+            None is minus the highest, and a highest of zero gives zero. None: not scaled.
+        source: where the numbers of a disturbance come from: one of ``SOURCES``.
+        span: the numbers of ``scale``, one pair for each; None where unknown or not scaled.
+    """
+
+    name: str
+    size: int
+    unit: str
+    frame: str
+    range: float = 8.0
+    value: Callable[[View], Sequence[jax.Array]] | None = None
+    scale: Callable[[VehicleModel, "RaceParams"], Bounds] | None = None
+    source: str = ""
+    span: tuple[tuple[float, float], ...] | None = None
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """A name for each number: ``name[0]`` .., or ``name`` alone."""
+        return (
+            tuple(f"{self.name}[{i}]" for i in range(self.size)) if self.size > 1 else (self.name,)
+        )
+
+    def numbers(self, view: View) -> list[jax.Array]:
+        """The field's numbers as the network sees them."""
+        assert self.value is not None, self.name
+        values = list(self.value(view))
+        if len(values) != self.size:
+            raise InputError(
+                f"observation field {self.name!r} gives {len(values)} numbers, its size is "
+                f"{self.size}"
+            )
+        if self.scale is None:
+            return values
+        low, high = self.scale(view.model, view.params)
+        highs = jax.tree.leaves(high)
+        if low is None:
+            pairs = zip(values, highs, strict=True)
+            return [jnp.where(h > 0, x / jnp.where(h > 0, h, 1.0), 0.0) for x, h in pairs]
+        triples = zip(values, jax.tree.leaves(low), highs, strict=True)
+        return [scale_to_unit(x, least, most) for x, least, most in triples]
+
+
+def scale_to_unit(value: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """Map [low, high] to [-1, 1]."""
+    return (2.0 * value - low - high) / (high - low)
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """The fields of an observation, in order."""
+
+    fields: tuple[Field, ...]
+
+    @property
+    def size(self) -> int:
+        """How many numbers."""
+        return sum(field.size for field in self.fields)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the fields, in order."""
+        return tuple(field.name for field in self.fields)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """A name for each number."""
+        return tuple(label for field in self.fields for label in field.labels)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.names
+
+    def __getitem__(self, name: str) -> Field:
+        return self.fields[self.names.index(name)]
+
+    def slice(self, name: str) -> slice:
+        """Where a field's numbers are in the observation."""
+        index = self.names.index(name)
+        start = sum(field.size for field in self.fields[:index])
+        return slice(start, start + self.fields[index].size)
+
+    def numbers(self, view: View) -> list[jax.Array]:
+        """All numbers of one observation, each ()."""
+        return [number for field in self.fields for number in field.numbers(view)]
+
+    def with_spans(self, model: VehicleModel, params: "RaceParams") -> "Layout":
+        """The layout with the numbers of every scale."""
+        return Layout(tuple(_with_span(field, model, params) for field in self.fields))
+
+    def to_meta(self) -> list[dict[str, object]]:
+        """The layout as JSON takes it; ``from_meta`` reads it back."""
+        keys = ("name", "size", "unit", "frame", "range", "source", "span")
+        return [{key: getattr(field, key) for key in keys} for field in self.fields]
+
+    @staticmethod
+    def from_meta(value: object, where: str) -> "Layout":
+        """A layout from a file's JSON, without functions.
+
+        Raises:
+            InputError: not a list of fields; ``where`` names it.
+        """
+        if not isinstance(value, list) or not value:
+            raise InputError(f"{where} is {value!r:.80}, expected a list of fields")
+        layout = Layout(tuple(_field_of(item, f"{where}[{i}]") for i, item in enumerate(value)))
+        if len(set(layout.names)) != len(layout.names):
+            raise InputError(f"{where}: two fields have the same name")
+        return layout
+
+
+def _with_span(field: Field, model: VehicleModel, params: "RaceParams") -> Field:
+    if field.scale is None:
+        return field
+    low, high = field.scale(model, params)
+    highs = [float(x) for x in jax.tree.leaves(high)]
+    lows = [-x for x in highs] if low is None else [float(x) for x in jax.tree.leaves(low)]
+    return dataclasses.replace(field, span=tuple(zip(lows, highs, strict=True)))
+
+
+def _field_of(item: object, where: str) -> Field:
+    """A field of a file, checked."""
+    known = {"name": str, "size": int, "unit": str, "frame": str, "range": float, "source": str}
+    item = (
+        {"unit": "", "frame": "", "range": 8.0, "source": ""} | item
+        if isinstance(item, dict)
+        else {}
+    )
+    for key, kind in known.items():
+        allowed = (int, float) if kind is float else kind
+        if not isinstance(item.get(key), allowed) or isinstance(item.get(key), bool):
+            raise InputError(f"{where}.{key} is {item.get(key)!r:.80}, expected a {kind.__name__}")
+    if not 1 <= item["size"] <= 4096:
+        raise InputError(f"{where}.size is {item['size']}, allowed: 1 to 4096")
+    span = item.get("span")
+    if span is not None:
+        try:
+            pairs = np.asarray(span, np.float64)
+        except (TypeError, ValueError):
+            pairs = np.zeros(0)
+        fine = pairs.shape == (item["size"], 2) and np.all(np.isfinite(pairs))
+        if not fine or np.any(pairs[:, 0] > pairs[:, 1]):
+            raise InputError(f"{where}.span is {span!r:.80}, expected a [low, high] per number")
+        span = tuple((low, high) for low, high in pairs.tolist())
+    return Field(**{key: item[key] for key in known}, span=span)
+
+
+def _position(view: View) -> Sequence[jax.Array]:
+    position = view.model.position(view.drone)
+    return to_gate_frame(view.gate, position - view.gate.position).components()
+
+
+def _velocity(view: View) -> Sequence[jax.Array]:
+    return to_gate_frame(view.gate, view.model.velocity(view.drone)).components()
+
+
+def _attitude(view: View) -> Sequence[jax.Array]:
+    """Roll, pitch, and the yaw's difference to the gate's, wrapped to [-pi, pi]."""
+    euler = view.model.euler(view.drone)
+    return euler.x, euler.y, wrap_angle(euler.z - view.gate.yaw)
+
+
+def _rates(view: View) -> Sequence[jax.Array]:
+    return view.model.rates(view.drone).components()
+
+
+def _actuators(view: View) -> Sequence[jax.Array]:
+    return jax.tree.leaves(view.model.actuator_state(view.drone))
+
+
+def _actuator_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    """The nominal range: drawn constants are not known to a policy."""
+    return model.actuator_range(params.vehicle.constants)
+
+
+def _next_position(view: View) -> Sequence[jax.Array]:
+    return view.gate.next_position.components()
+
+
+def _next_yaw(view: View) -> Sequence[jax.Array]:
+    return (view.gate.next_yaw,)
+
+
+def _next_yaw_unwrapped(view: View) -> Sequence[jax.Array]:
+    """The plain difference of the gates' yaws, as in the code of Ferede et al."""
+    yaw = view.params.track.yaw
+    return (pick(jnp.roll(yaw, -1) - yaw, view.state.target),)
+
+
+def _true_moment(view: View) -> Sequence[jax.Array]:
+    assert view.model.disturbance is not None
+    return view.model.disturbance(view.drone)[0].components()
+
+
+def _true_force(view: View) -> Sequence[jax.Array]:
+    assert view.model.disturbance is not None
+    return (view.model.disturbance(view.drone)[1].z,)
+
+
+def _estimated_moment(view: View) -> Sequence[jax.Array]:
+    assert view.state.estimate is not None
+    return view.state.estimate.moment.components()
+
+
+def _estimated_force(view: View) -> Sequence[jax.Array]:
+    assert view.state.estimate is not None
+    return (view.state.estimate.force.z,)
+
+
+def _no_moment(view: View) -> Sequence[jax.Array]:
+    return Vec3.zero().components()
+
+
+def _no_force(view: View) -> Sequence[jax.Array]:
+    return (jnp.zeros(()),)
+
+
+def _moment_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    span = params.observed_disturbance
+    return None, (span.moment_x, span.moment_y, span.moment_z)
+
+
+def _force_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    return None, (params.observed_disturbance.force_z,)
+
+
+_SOURCES = {
+    GROUND_TRUTH: (_true_moment, _true_force),
+    ESTIMATED: (_estimated_moment, _estimated_force),
+    NONE: (_no_moment, _no_force),
+}
+NEXT_YAW = Field("next_yaw", 1, "rad", "gate", 4.0, _next_yaw)
+NEXT_YAW_UNWRAPPED = Field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped)
+
+
+def disturbance_fields(source: str) -> tuple[Field, Field]:
+    """The external moment and the force along body z; ``source`` is one of ``SOURCES``."""
+    moment, force = _SOURCES[source]
+    return (
+        Field("moment_ext", 3, "N m", "body", 2.0, moment, _moment_bounds, source),
+        Field("force_ext", 1, "m/s^2", "body", 2.0, force, _force_bounds, source),
+    )
+
+
+def make_layout(
+    model: VehicleModel,
+    disturbance: str = GROUND_TRUTH,
+    wrap_next_yaw: bool = True,
+    extra: Sequence[Field] = (),
+) -> Layout:
+    """The observation of a vehicle model in the race.
+
+    Args:
+        model: its actuators are one field; a model without external disturbances observes none.
+        disturbance: source of the disturbances: ``ground_truth``, ``estimated`` or ``none``.
+        wrap_next_yaw: whether the next gate's relative yaw is wrapped to [-pi, pi], as in the
+            paper, or left as the plain difference, as in the authors' code.
+        extra: further fields, at the end.
+
+    Raises:
+        InputError: two fields of one name.
+    """
+    actuators = model.actuators
+    fields = (
+        Field("position", 3, "m", "gate", 8.0, _position),
+        Field("velocity", 3, "m/s", "gate", 16.0, _velocity),
+        Field("attitude", 3, "rad", "gate", 4.0, _attitude),
+        Field("rates", 3, "rad/s", "body", 16.0, _rates),
+        Field(
+            *(actuators.name, actuators.size, actuators.unit, "body", 2.0),
+            value=_actuators,
+            scale=_actuator_bounds,
+        ),
+        Field("next_position", 3, "m", "gate", 8.0, _next_position),
+        NEXT_YAW if wrap_next_yaw else NEXT_YAW_UNWRAPPED,
+        *(disturbance_fields(disturbance) if model.disturbance is not None else ()),
+        *extra,
+    )
+    layout = Layout(fields)
+    if len(set(layout.names)) != len(fields):
+        raise InputError(f"observation fields {', '.join(layout.names)}: two have the same name")
+    return layout
+
+
+def arranged(layout: Layout, wanted: Layout, name: str) -> Layout:
+    """The layout that shows the fields of another one, in its order.
+
+    Args:
+        layout: of a race.
+        wanted: of a policy.
+        name: the policy's file, for the message.
+
+    Raises:
+        InputError: the race has no such field, or one of another size.
+    """
+    known = {field.name: field for field in (NEXT_YAW, NEXT_YAW_UNWRAPPED, *layout.fields)}
+    for field in wanted.fields:
+        if field.name not in known or known[field.name].size != field.size:
+            raise InputError(
+                f"{name}: observes {field.name!r} ({field.size}), which the race does not show; "
+                f"it shows {', '.join(f'{f.name} ({f.size})' for f in layout.fields)}"
+            )
+    return Layout(tuple(known[field.name] for field in wanted.fields))

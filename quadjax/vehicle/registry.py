@@ -1,0 +1,30 @@
+"""Vehicle models by name."""
+
+from quadjax.core.errors import InputError
+from quadjax.core.imports import load_object
+from quadjax.vehicle import motor, rate
+from quadjax.vehicle.protocol import VehicleModel
+
+MODELS = {model.name: model for model in (motor.MODEL, rate.MODEL)}
+
+
+def model(reference: str | VehicleModel) -> VehicleModel:
+    """A vehicle model.
+
+    Args:
+        reference: ``"motor"``, ``"rate"``, a ``"module:OBJECT"``, or a model.
+
+    Raises:
+        InputError: no such model.
+    """
+    if isinstance(reference, VehicleModel):
+        return reference
+    if reference in MODELS:
+        return MODELS[reference]
+    allowed = f"{', '.join(MODELS)} or 'module:OBJECT'"
+    if ":" not in reference:
+        raise InputError(f"vehicle.model is {reference!r}, allowed: {allowed}")
+    found = load_object(reference, "vehicle.model")
+    if not isinstance(found, VehicleModel):
+        raise InputError(f"vehicle.model is {reference!r}: not a VehicleModel; allowed: {allowed}")
+    return found
