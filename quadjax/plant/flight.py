@@ -116,7 +116,7 @@ def sample(
     carried = onboard.sense(choices.onboard, params.onboard, params.plant, state, carried, rest)
     before, body = flight.race.state, state.physics.body
     g = gate(params.race.track, before.target)
-    outcome = environment.judge(choices.race, params.race, before, body, g)
+    outcome = environment.evaluate_rules(choices.race, params.race, before, body, g)
     following = environment.progressed(params.race, before, body, outcome)
     gates = gate_count(params.race.track)
     race = laps.score(flight.race, following, outcome, params.plant.step, gates)

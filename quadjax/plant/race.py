@@ -96,8 +96,7 @@ def plan_flights(
     )
     charge = tuple(jnp.float32(x) for x in plant.battery.charge)
     numbers = FlightParams(build_plant(plant), params, _carried(config, plant), charge)
-    stretch = max(1.0, laps.lap_length(params.track) / laps.METRES_PER_LAP)
-    limit = round(lap_count * laps.SECONDS_PER_LAP * stretch * plant.control_rate)
+    limit = round(laps.time_limit(params.track, lap_count) * plant.control_rate)
     return Plan(own, numbers, pilot, 1.0 / plant.control_rate, limit, lap_count, runs)
 
 
@@ -157,7 +156,7 @@ def fly_plan(
         if bool(jnp.all(drones.race.over)):
             break
     joined = jax.tree.map(lambda *parts: np.concatenate(parts), *kept)
-    result = laps.laps_of(drones.race, float(plan.params.plant.step))
+    result = laps.laps_of(drones.race, float(plan.params.plant.step), plan.limit * plan.step)
     return Flights(result, joined, plan.step)
 
 

@@ -18,6 +18,7 @@ from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import stage, stage_backwards, staged, staged_values
 from quadjax.core.vectors import Vec3
 from quadjax.race import rules, start
+from quadjax.race.context import StepContext
 from quadjax.race.layout import Layout, View, make_layout
 from quadjax.race.track import Gate, Track, gate, gate_count
 from quadjax.vehicle import estimator as onboard
@@ -25,6 +26,8 @@ from quadjax.vehicle import motor
 from quadjax.vehicle.protocol import Command, Constants, State, VehicleModel, VehicleParams
 
 Kept = TypeVar("Kept")
+Term = Callable[[StepContext], jax.Array]  # -> () float
+Rule = Callable[[StepContext], jax.Array]  # -> () bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +42,8 @@ class Choices:
     stagger_clocks: bool = False  # episodes start at a random step of their clock
     randomise: bool = False  # draw the constants anew for every episode
     differs: bool = False  # the drone that flies has constants of its own
+    terms: tuple[Term, ...] = ()  # reward terms besides those of RewardWeights
+    rules: tuple[Rule, ...] = ()  # rules besides those of Limits
 
 
 @struct.dataclass
@@ -55,6 +60,7 @@ class RaceParams:
     early_nose_up: jax.Array  # () reward.nose_up as a curriculum begins; the race charges none
     actual: Constants | None = None  # factors on the constants of the drone that flies
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
+    term_weights: tuple[jax.Array, ...] = ()  # of Choices.terms, each ()
     # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
     # that it was trained with.
     disturbance_scale: start.DisturbanceRange | None = None
@@ -192,7 +198,7 @@ def _finite(drone: State) -> jax.Array:
     return jnp.isfinite(sum(jax.tree.leaves(drone)))
 
 
-def judge(
+def evaluate_rules(
     choices: Choices, params: RaceParams, state: RaceState, flown: State, g: Gate
 ) -> rules.Outcome:
     """What a step from ``state`` to ``flown`` led to, before anything is reset."""
@@ -218,10 +224,19 @@ def judge(
         | (jnp.abs(rates.z) > limits.yaw_rate),
         non_finite=~_finite(flown),
         truncated=state.step + 1 >= limits.max_steps,
+        extra_rule=_extra_rule(choices, params, state, flown, g),
     )
     ended = outcome.terminated
     outcome = outcome.replace(passed=passed & ~ended, truncated=outcome.truncated & ~ended)
     return outcome
+
+
+def _extra_rule(
+    choices: Choices, params: RaceParams, state: RaceState, flown: State, g: Gate
+) -> jax.Array | None:
+    context = StepContext(choices.model, params, state, flown, g)
+    ended = [jnp.asarray(rule(context), bool) for rule in choices.rules]
+    return functools.reduce(jnp.logical_or, ended) if ended else None
 
 
 def transition(
@@ -236,7 +251,7 @@ def transition(
     always = _always(params)
     flown = staged(functools.partial(_fly, choices), always, params, state, action)
     g = staged(gate, always, params.track, state.target)
-    outcome = staged(functools.partial(judge, choices), always, params, state, flown, g)
+    outcome = staged(functools.partial(evaluate_rules, choices), always, params, state, flown, g)
     drone = jax.tree.map(
         lambda new, old: jnp.where(outcome.non_finite, old, new), flown, state.drone
     )
@@ -250,6 +265,9 @@ def transition(
         g,
         params.limits.dt,
     )
+    context = StepContext(choices.model, params, state, drone, g, outcome, action)
+    for weight, term in zip(params.term_weights, choices.terms, strict=True):
+        value = value + weight * jnp.asarray(term(context), value.dtype)
     following = progressed(params, state, drone, outcome)
     return following.replace(estimate=_estimate(choices, params, state, drone)), value, outcome
 

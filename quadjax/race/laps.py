@@ -10,15 +10,14 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.vectors import Vec3
-from quadjax.evaluation.result import CRASHES, Laps
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.result import CRASHES, Laps
 from quadjax.race.rules import Outcome
 from quadjax.race.track import Track, gate_count
 
 Actor = Callable[[object, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
-SECONDS_PER_LAP = 8.0  # of 14 m: a drone slower than this has lost its way
-METRES_PER_LAP = 14.0
+SLOWEST_LAP, ITS_LENGTH = 8.0, 14.0  # s and m; longer laps have proportionally more time
 
 
 @struct.dataclass
@@ -78,10 +77,12 @@ def _crash_code(outcome: Outcome) -> jax.Array:
         outcome.out_of_bounds,
         outcome.attitude,
         outcome.non_finite,
+        outcome.extra_rule,
     )
     code = jnp.zeros((), jnp.int32)
     for index, flag in reversed(list(enumerate(flags, start=1))):
-        code = jnp.where(flag, index, code)
+        if flag is not None:
+            code = jnp.where(flag, index, code)
     return code
 
 
@@ -235,17 +236,21 @@ def fly_laps(
     states = starting_states(choices, params, start_key, runs, from_hover)
     steps = step_limit(params, laps)
     race, kept = fly_race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
-    return laps_of(race, float(params.limits.dt)), kept
+    return laps_of(race, float(params.limits.dt), time_limit(params.track, laps)), kept
+
+
+def time_limit(track: Track, laps: int) -> float:
+    """Seconds after which a race of some laps is out of time."""
+    return laps * SLOWEST_LAP * max(1.0, lap_length(track) / ITS_LENGTH)
 
 
 def step_limit(params: RaceParams, laps: int) -> int:
     """Steps after which a race is out of time."""
-    stretch = max(1.0, lap_length(params.track) / METRES_PER_LAP)
-    return round(laps * SECONDS_PER_LAP * stretch / float(params.limits.dt))
+    return round(time_limit(params.track, laps) / float(params.limits.dt))
 
 
-def laps_of(race: Race, dt: float) -> Laps:
-    """The result of a race that is over, ``dt`` s a step."""
+def laps_of(race: Race, dt: float, limit: float) -> Laps:
+    """The result of a race that is over, ``dt`` s a step, with its time limit in s."""
     ends = np.asarray(race.lap_end, np.float64).T
     flown = np.where(ends > 0, ends, np.nan)
     times = np.diff(flown, axis=1, prepend=0.0)
@@ -253,7 +258,7 @@ def laps_of(race: Race, dt: float) -> Laps:
     unfinished = ~np.isfinite(flown[:, -1]) & (codes == 0)
     codes = np.where(unfinished, CRASHES.index("out of time"), codes)
     seconds = np.asarray(race.state.step, np.float64) * dt
-    return Laps(times, tuple(CRASHES[code] for code in codes), seconds)
+    return Laps(times, tuple(CRASHES[code] for code in codes), seconds, limit)
 
 
 def lap_length(track: Track) -> float:

@@ -49,13 +49,15 @@ class Outcome:
     attitude: jax.Array  # pitch, roll or yaw rate beyond its limit
     non_finite: jax.Array
     truncated: jax.Array
+    extra_rule: jax.Array | None = None  # ended by a rule of one's own; None where there is none
 
     @property
     def terminated(self) -> jax.Array:
         """Whether the episode ended in a collision of any kind."""
-        return (
+        ended = (
             self.gate_collision | self.ground | self.out_of_bounds | self.attitude | self.non_finite
         )
+        return ended if self.extra_rule is None else ended | self.extra_rule
 
 
 def inside_square(relative: Vec3, g: Gate, margin: jax.Array) -> jax.Array:

@@ -37,7 +37,7 @@ from quadjax.training.curriculum import curriculum_of
 from quadjax.training.folder import claim_directory
 from quadjax.training.metrics import MetricsFile, timed
 from quadjax.training.run import Result, finish_run
-from quadjax.training.score import score_of, score_runs
+from quadjax.training.score import score_runs
 
 
 def shape_of(config: Config) -> tuple:
@@ -103,6 +103,7 @@ class Scores:
         self._params = lanes.stack(exact)
         start_key, self._key = jax.random.split(jax.random.key(0))
         steps = max(laps.step_limit(p, self._laps) for p in exact)
+        self._limits = [laps.time_limit(p.track, self._laps) for p in exact]
         runs = score_runs(first)
         starts = [laps.starting_states(self._choices, p, start_key, runs, True) for p in exact]
         self._states = lanes.stack(starts)
@@ -121,7 +122,10 @@ class Scores:
         races = jax.device_get(self._fly(self._params, flying, self._states, self._key))
         count = len(races.over)
         each = [jax.tree.map(lambda x, i=i: x[i], races) for i in range(count)]
-        return [score_of(laps.laps_of(race, self._dt)) for race in each]
+        return [
+            laps.laps_of(race, self._dt, limit).score
+            for race, limit in zip(each, self._limits, strict=True)
+        ]
 
 
 def train_many(

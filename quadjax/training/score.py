@@ -1,26 +1,20 @@
 """How good a policy in training is: its timed laps."""
 
-import math
-
 import jax
-import numpy as np
 
 from quadjax.config.schema import Config
 from quadjax.learners.networks import ActorCritic
 from quadjax.policy.inference import act_deterministic
 from quadjax.race.build import choices_of
 from quadjax.race.environment import RaceParams
-from quadjax.race.laps import SECONDS_PER_LAP, Laps, fly_laps
+from quadjax.race.laps import fly_laps
 from quadjax.training.build import flying_of
 
 
 class Score:
-    """Mean time of all laps, deterministic, from hover.
+    """``Laps.score`` of deterministic runs from hover.
 
-    A flight that does not finish counts eight seconds for every lap.
-
-    One flight where every flight is the same; sixteen where disturbances or constants are drawn.
-    Infinite where no flight finishes.
+    One run where every run is the same; sixteen where disturbances or constants are drawn.
     """
 
     def __init__(self, config: Config, params: RaceParams) -> None:
@@ -41,18 +35,10 @@ class Score:
             self._laps,
             self._runs,
         )
-        return score_of(laps)
+        return laps.score
 
 
 def score_runs(config: Config) -> int:
     """How many flights a score is the mean of."""
     drawn = any(value > 0 for value in config.disturbance.half_widths.values())
     return 16 if drawn or choices_of(config).randomise else 1
-
-
-def score_of(laps: Laps) -> float:
-    """Mean time of all laps, s, eight seconds a lap where one is missing; infinite if all are."""
-    if laps.finished == 0:
-        return math.inf
-    laps_each = laps.lap_times.shape[1]
-    return float(np.nan_to_num(laps.totals, nan=SECONDS_PER_LAP * laps_each).mean())

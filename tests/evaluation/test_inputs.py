@@ -40,7 +40,7 @@ def test_every_input_flies_the_same_race(monkeypatch):
         word = config.episode.disturbance_input
         times = np.array([[2.0, 3.0], [2.0, np.nan if word == "none" else 2.0]])
         positions = np.array([[1.9, 0.1, -1.5], [2.1, 0.1, -1.5]])
-        return Laps(times, ("", ""), np.zeros(2)), _trace(positions, [0, 1])
+        return Laps(times, ("", ""), np.zeros(2), 48.0), _trace(positions, [0, 1])
 
     monkeypatch.setattr(inputs, "fly_policy", fly)
     config = load_config(BLANK, [])

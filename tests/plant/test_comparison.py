@@ -23,10 +23,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def compared(name: str, file: str, lap: float, crashes: tuple[str, ...]) -> Compared:
     """Six laps of ``lap`` s simulated and 0.1 s more on the plant; all rpm commands at 11000."""
-    simulated = Laps(np.full((2, 6), lap), ("", ""), np.full(2, 6 * lap))
+    simulated = Laps(np.full((2, 6), lap), ("", ""), np.full(2, 6 * lap), 48.0)
     times = np.full((len(crashes), 6), lap + 0.1)
     times[[bool(crash) for crash in crashes], 3:] = np.nan
-    flown = Laps(times, crashes, np.nansum(times, axis=1))
+    flown = Laps(times, crashes, np.nansum(times, axis=1), 48.0)
     over = np.zeros((10, 1), bool)
     frames = SimpleNamespace(rpm_command=Rotors.same(np.full((10, 1), 11000.0)), over=over)
     trace = SimpleNamespace(command=np.full((10, 4, 1), 7000.0), over=over)
@@ -61,7 +61,9 @@ def test_no_lead_where_nobody_finished():
 
 def test_the_best_recorded_flight_has_the_most_laps():
     times = np.array([[2.0, np.nan], [3.0, 3.0], [2.5, 2.5], [2.0, np.nan], [3.0, 2.9], [1.0, 1.0]])
-    assert best_recorded(Laps(times, ("",) * 6, np.zeros(6))) == 2  # the sixth is not recorded
+    assert (
+        best_recorded(Laps(times, ("",) * 6, np.zeros(6), 48.0)) == 2
+    )  # the sixth is not recorded
 
 
 def test_each_change_of_the_plant_switches_one_thing_off():

@@ -1,6 +1,7 @@
-"""What timed laps come to."""
+"""The result of timed laps."""
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -11,6 +12,7 @@ CRASHES = (
     "out of bounds",
     "lost its attitude",
     "not finite",
+    "ended by an extra rule",
     "out of time",
 )
 
@@ -22,6 +24,7 @@ class Laps:
     lap_times: np.ndarray  # (runs, laps) s; NaN where not flown
     crashes: tuple[str, ...]  # why each run ended early; "" where it did not
     seconds: np.ndarray  # (runs,) s from the start to the run's end, however it ended
+    time_limit: float  # s; no run lasts longer
 
     @property
     def totals(self) -> np.ndarray:
@@ -32,6 +35,17 @@ class Laps:
     def finished(self) -> int:
         """How many runs flew all laps."""
         return int(np.isfinite(self.totals).sum())
+
+    @property
+    def score(self) -> float:
+        """Mean time of all laps, s; lower is better.
+
+        A run that does not finish counts as the time limit, which no run that finishes exceeds, so
+        that a crash never improves the score. Infinite where no run finishes.
+        """
+        if self.finished == 0:
+            return math.inf
+        return float(np.nan_to_num(self.totals, nan=self.time_limit).mean())
 
     def laps_flown(self) -> np.ndarray:
         """How many laps each run flew, (runs,)."""
