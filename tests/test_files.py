@@ -1,6 +1,7 @@
 """Policy and residual files: they come back as they went, and damage is one clear line."""
 
 import dataclasses
+import io
 import json
 import zipfile
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import read_npz, whole_file, write_json, write_text
+from quadjax.core.files import read_npz, remove_stale, whole_file, write_json, write_text
 from quadjax.policy.file import Policy, read_policy, write_policy
 from quadjax.vehicle.residual_file import read_residual, write_residual
 from tests import reference as ref
@@ -310,10 +311,10 @@ def test_json_has_no_nan(tmp_path):
 
 def test_read_npz_gives_arrays_and_meta(tmp_path):
     arrays, meta = read_npz(
-        save(tmp_path / "a.npz", {"x": np.arange(3)}, {"format": "f/1", "k": 2}), "f/1"
+        save(tmp_path / "a.npz", {"kernel_0": np.arange(3)}, {"format": "f/1", "k": 2}), "f/1"
     )
-    np.testing.assert_array_equal(arrays["x"], [0, 1, 2])
-    assert set(arrays) == {"x"} and meta == {"format": "f/1", "k": 2}
+    np.testing.assert_array_equal(arrays["kernel_0"], [0, 1, 2])
+    assert set(arrays) == {"kernel_0"} and meta == {"format": "f/1", "k": 2}
 
 
 def test_a_shipped_residual_is_found_by_its_name(tmp_path, monkeypatch):
@@ -326,3 +327,37 @@ def test_a_shipped_residual_is_found_by_its_name(tmp_path, monkeypatch):
     (tmp_path / "standin_residual.npz").write_bytes(b"not a file of arrays")
     with pytest.raises(InputError, match="standin_residual"):
         read_residual("standin_residual.npz")
+
+
+@READERS
+def test_only_the_arrays_of_the_format_are_read_and_their_sizes_are_checked(tmp_path, read):
+    path = tmp_path / "huge.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        header = io.BytesIO()
+        described = {"descr": "<f4", "fortran_order": False, "shape": (2**20, 2**20)}
+        np.lib.format.write_array_header_1_0(header, described)
+        archive.writestr("kernel_0.npy", header.getvalue())
+    assert "kernel_0 has 4,398,046,511,104 bytes" in refusal(read, path)
+
+
+def test_an_array_that_the_format_does_not_name_is_not_read(tmp_path):
+    path = save(tmp_path / "p.npz", policy_arrays(), POLICY_META)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("ballast.npy", b"not an array")
+    assert len(read_policy(path).layers) == 3
+
+
+@READERS
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"format": ' + "1" * 5000 + "}"])
+def test_meta_that_json_cannot_parse(tmp_path, read, text):
+    assert "not JSON" in refusal(read, save(tmp_path / "p.npz", policy_arrays(), text))
+
+
+def test_stale_temporary_files_are_removed(tmp_path):
+    with pytest.raises(RuntimeError), whole_file(tmp_path / "a.txt") as temporary:
+        left = temporary.with_name(temporary.name + "x")
+        left.write_text("what a killed process leaves")
+        raise RuntimeError
+    (tmp_path / "notes.txt").write_text("mine")
+    remove_stale(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

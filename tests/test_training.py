@@ -25,6 +25,7 @@ from quadjax.race.build import build_params
 from quadjax.training import run as training
 from quadjax.training.build import build_learner, initial_policy, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints
+from quadjax.training.result import Run
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"
@@ -100,12 +101,13 @@ def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
     other = dataclasses.replace(config, seed=7)
     with pytest.raises(InputError, match="seed: 0.*seed: 7"):
         training.train(other, tmp_path / "run", resume=True)
-    assert training.train(other, tmp_path / "run", overwrite=True).finished
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine/thesis.txt").write_text("years of work")
-    with pytest.raises(InputError, match="not deleted"):
-        training.train(other, tmp_path / "mine", overwrite=True)
-    assert (tmp_path / "mine/thesis.txt").exists()
+    (tmp_path / "run/notes.txt").write_text("not written by the program")
+    (tmp_path / "run/export").mkdir()
+    run = training.train(other, tmp_path / "run", overwrite=True)
+    assert run.finished and run.summary["seed"] == 7
+    assert (tmp_path / "run/notes.txt").exists() and (tmp_path / "run/export").exists()
+    loaded = Run.load(tmp_path / "run")
+    assert loaded.finished and loaded.metrics["steps"].tolist() == [128]
 
 
 def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
@@ -113,7 +115,7 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
         with pytest.raises(InputError, match="none.npz"):
             training.train(config_of("e2e_ppo.yaml", word), tmp_path / "run")
     narrow = training.train(config_of("e2e_ppo.yaml", "network.hidden=[4]"), tmp_path / "narrow")
-    policy = f"train.init={narrow.directory / 'policy.npz'}"
+    policy = f"train.init={narrow.folder / 'policy.npz'}"
     with pytest.raises(InputError, match=r"hidden widths \[4\], the config \[8\]"):
         training.train(config_of("e2e_ppo.yaml", policy), tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run").exists()
@@ -122,10 +124,10 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
 @pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
 def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
     first = training.train(config_of(name, "train.steps=128"), tmp_path / "first")
-    word = f"train.init={first.directory / 'policy_last.npz'}"
+    word = f"train.init={first.folder / 'policy_last.npz'}"
     held = [f"{section}.warm_up=1000" for section in ("ppo", "shac")]
     second = training.train(config_of(name, word, *held, "seed=1"), tmp_path / "second")
-    before, after = (arrays(run.directory / "policy_last.npz") for run in (first, second))
+    before, after = (arrays(run.folder / "policy_last.npz") for run in (first, second))
     for key in set(before) - {"log_std"}:
         same = np.array_equal(before[key], after[key])
         assert same != key.startswith("value_"), key
@@ -133,7 +135,7 @@ def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
 
 def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
     first = training.train(config_of("e2e_ppo.yaml", "train.steps=128"), tmp_path / "first")
-    path = first.directory / "policy_last.npz"
+    path = first.folder / "policy_last.npz"
     config = config_of("e2e_shac.yaml", f"train.init={path}", "shac.reward_scale=0.25")
     learner, params = build_learner(config), build_params(config)
     state = start_state(config, learner, params, initial_policy(config))
@@ -273,7 +275,7 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
     assert steps == list(range(128, 3841, 128))
     unbroken = training.train(config_of("e2e_ppo.yaml", *LONG, "name=unbroken"), tmp_path / "whole")
     first, second = (
-        arrays(run / "policy_last.npz") for run in (unbroken.directory, tmp_path / "killed")
+        arrays(run / "policy_last.npz") for run in (unbroken.folder, tmp_path / "killed")
     )
     for key, value in first.items():
         np.testing.assert_array_equal(value, second[key], err_msg=key)

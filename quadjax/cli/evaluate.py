@@ -67,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.evaluation import tables
         from quadjax.policy import pilot
         from quadjax.policy.file import read_policy
+        from quadjax.training.paper import published_rows
 
     config = load_config(find_config(words.config), words.overrides)
     policy = read_policy(words.policy)
@@ -82,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with console.status("compiling and flying"):
         flown = _fly_all(config, policy, race, words)
     rows = [tables.lap_row(label, laps) for label, (laps, _) in flown.items()]
-    published = tables.published_rows(config, race.laps, race.from_hover)
+    published = published_rows(config, race.laps, race.from_hover)
     print(tables.format_table(rows, published))
     for label, (laps, _) in flown.items():
         for line in tables.describe_crashes(laps).splitlines():

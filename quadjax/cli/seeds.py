@@ -7,7 +7,6 @@ random starts that completed every lap. The figure shows the learning curves of 
 
 import argparse
 import dataclasses
-import json
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -117,12 +116,13 @@ def train_seed(
     """
     from quadjax.config.loading import load_config
     from quadjax.training.folder import check_same
+    from quadjax.training.result import is_finished
 
     name = f"{load_config(config, overrides).name}_seed{seed}"
     own = [*overrides, f"seed={seed}", f"name={name}"]
     if not overwrite:
         check_same(load_config(config, own), runs / name)
-        if _is_finished(runs / name):
+        if is_finished(runs / name):
             return runs / name
     how = "--overwrite" if overwrite else "--resume"
     command = [sys.executable, "-m", "quadjax", "train", config, *own, how, "--output", str(runs)]
@@ -132,8 +132,3 @@ def train_seed(
     if status:
         raise InputError(f"training seed {seed} failed with status {status}")
     return runs / name
-
-
-def _is_finished(folder: Path) -> bool:
-    summary = folder / "summary.json"
-    return summary.exists() and json.loads(summary.read_text(encoding="utf-8"))["finished"]

@@ -68,7 +68,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     folder = words.output / config.name
     try:
-        run = train(config, folder, words.resume, STARTED, overwrite=words.overwrite)
+        run = train(
+            config,
+            folder,
+            resume=words.resume,
+            overwrite=words.overwrite,
+            started=STARTED,
+        )
     except NonFiniteError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -77,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"Stopped and saved. Continue with: {_again(words)}")
         return INTERRUPTED
     if hosts.is_first():
-        present(config, run)
+        present(run)
     return 0
 
 

@@ -1,16 +1,23 @@
-"""Files that appear whole or not at all: written beside their place, then renamed."""
+"""Files that appear whole or not at all: written to a temporary file, then renamed."""
 
 import contextlib
 import json
+import math
 import os
+import re
 import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from quadjax.core.errors import InputError
+
+TEMPORARY = ".writing-"  # prefix of temporary files
+ARRAYS = re.compile(r"(\w+_)?(kernel|bias)_\d{1,3}|log_std")  # that an .npz file may hold
+MAX_BYTES = 2**28  # of one array of an .npz file
 
 
 @contextlib.contextmanager
@@ -18,7 +25,9 @@ def whole_file(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path of the same suffix; on success it becomes ``path``."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
+    handle, name = tempfile.mkstemp(
+        dir=path.parent, prefix=f"{TEMPORARY}{path.stem[:100]}.", suffix=path.suffix
+    )
     os.close(handle)
     temporary = Path(name)
     try:
@@ -28,6 +37,12 @@ def whole_file(path: Path | str) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_stale(folder: Path | str) -> None:
+    """Remove the temporary files that a killed process left in a folder."""
+    for path in Path(folder).glob(f"{TEMPORARY}*"):
+        path.unlink(missing_ok=True)
 
 
 def _umask() -> int:
@@ -43,8 +58,28 @@ def write_text(path: Path | str, text: str) -> None:
 
 
 def write_json(path: Path | str, value: object) -> None:
-    """Write a JSON file whole; non-finite numbers are refused (JSON has none)."""
+    """Write a JSON file whole.
+
+    Raises:
+        ValueError: a number that is not finite; JSON has none.
+    """
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path | str) -> dict[str, Any]:
+    """A JSON file that holds an object.
+
+    Raises:
+        InputError: no such file, not JSON, or not an object.
+    """
+    check_file(path)
+    try:
+        value = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: damaged, not a JSON file ({error})") from error
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: expected a JSON object")
+    return value
 
 
 def write_npz(path: Path | str, arrays: dict[str, np.ndarray], meta: dict[str, object]) -> None:
@@ -61,39 +96,65 @@ def check_file(path: Path | str) -> None:
         raise InputError(f"{path}: no such file")
 
 
-def read_npz(path: Path | str, expected_format: str) -> tuple[dict[str, np.ndarray], dict]:
-    """Read an ``.npz`` file that ``write_npz`` or anybody's NumPy wrote.
+def read_npz(
+    path: Path | str, expected_format: str | tuple[str, ...]
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read an ``.npz`` file that ``write_npz`` or plain NumPy wrote.
+
+    Only the arrays that the formats define are read (``kernel_N``, ``bias_N`` with any prefix and
+    ``log_std``), and only up to ``MAX_BYTES`` each. Nothing is unpickled.
 
     Args:
         path: the file.
-        expected_format: what ``meta["format"]`` must say.
+        expected_format: the value of ``meta["format"]``, or the allowed values.
 
     Returns:
         The arrays by name, and ``meta``.
 
     Raises:
-        InputError: no such file, not an npz, damaged, pickled, or of another format.
+        InputError: no such file, not an npz, damaged, pickled, too large, or of another format.
     """
     check_file(path)
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path}: not an .npz file")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, AttributeError) as error:
+        with zipfile.ZipFile(path) as archive:
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            arrays = {
+                name: _read_entry(path, archive, name)
+                for name in names
+                if ARRAYS.fullmatch(name) or name == "meta"
+            }
+    except InputError:
+        raise
+    except Exception as error:  # zipfile, zlib and NumPy raise many kinds for a damaged file
         raise InputError(f"{path}: not a readable .npz file ({error})") from error
-    except Exception as error:  # zlib.error and whatever else a damaged archive may raise
-        raise InputError(f"{path}: damaged .npz file ({error})") from error
     if "meta" not in arrays:
         raise InputError(f"{path}: no 'meta' entry; expected a JSON string")
     try:
         meta = json.loads(str(arrays.pop("meta")))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: 'meta' is not JSON ({error})") from error
     found = meta.get("format") if isinstance(meta, dict) else None
-    if found != expected_format:
-        raise InputError(f"{path}: format is {found!r}, expected {expected_format!r}")
+    formats = (expected_format,) if isinstance(expected_format, str) else expected_format
+    if found not in formats:
+        raise InputError(f"{path}: format is {found!r}, expected {' or '.join(formats)}")
     return arrays, meta
+
+
+def _read_entry(path: Path | str, archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    """One array of an ``.npz`` file, after a look at the size in its header."""
+    with archive.open(f"{name}.npy") as stream:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0
+        if version != (1, 0):
+            read = np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(stream)
+    size = math.prod(shape) * dtype.itemsize
+    if size > MAX_BYTES:
+        raise InputError(f"{path}: {name} has {size:,} bytes, allowed: up to {MAX_BYTES:,}")
+    with archive.open(f"{name}.npy") as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False)
 
 
 def read_layers(

@@ -12,8 +12,9 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.evaluation.curves import ACROSS, lap_axis
 from quadjax.evaluation.figures import INK, SERIES, new_figure, tidy
-from quadjax.evaluation.tables import counted, published_total
+from quadjax.evaluation.tables import counted
 from quadjax.training.metrics import read_metrics
+from quadjax.training.paper import published_total
 
 COLOURS = (*SERIES, "#7b4fa3", "#5b6770", "#8c5a2b", "#c2569b")
 

@@ -1,7 +1,6 @@
 """The results of one config trained with several seeds."""
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from quadjax.config.loading import load_config
 from quadjax.policy import pilot
 from quadjax.policy.file import read_policy
+from quadjax.training.result import read_summary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +39,7 @@ def evaluate_seed(run: Path, runs: int) -> SeedResult:
         runs: number of sampled runs from each kind of start.
     """
     config = load_config(run / "config.yaml")
-    summary = json.loads((run / "summary.json").read_text())
+    summary = read_summary(run)
     policy = read_policy(run / "policy.npz")
     laps = config.evaluate.laps
     mean, _ = pilot.fly_policy(config, policy, pilot.Race(laps, 1, True, 0), True)

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.config.schema import Config
-from quadjax.evaluation.tables import Row, lap_row
+from quadjax.evaluation.tables import lap_row
 from quadjax.plant.plant_schema import EffectsConfig, PlantConfig
 from quadjax.plant.race import Flights, fly_plan, plan_flights, race_config
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy, read_policy
 from quadjax.race.laps import Laps, Trace
 from quadjax.studies.ablation import RESIDUAL, Variant
+from quadjax.training.paper import Row
 
 FLIGHTS = 5  # whose mean and best the paper gives
 EFFECTS = tuple(item.name for item in dataclasses.fields(EffectsConfig))

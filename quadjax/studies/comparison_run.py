@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from quadjax.core.files import write_json, write_text
 from quadjax.evaluation.figures import save_figure, trajectory_figure
 from quadjax.evaluation.recording import recordings as simulated_recordings
-from quadjax.evaluation.tables import Row, format_table, lap_row, published_rows
+from quadjax.evaluation.tables import format_table, lap_row
 from quadjax.plant.flight_log import gate_centres
 from quadjax.plant.race import recordings
 from quadjax.race.laps import Laps
@@ -31,6 +31,7 @@ from quadjax.studies.comparison import (
     simulated_saturation,
     without_each,
 )
+from quadjax.training.paper import LAPS, PUBLISHED, Row
 
 PARTS = ("table", "effects", "ablation")
 
@@ -86,7 +87,7 @@ def run_comparison(
 
 def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
     """The paper's table of both contenders, where E2E's lead goes, and who ended early and how."""
-    table = format_table([*rows(e2e), *rows(indi)], published_rows(setting.race, setting.laps))
+    table = format_table([*rows(e2e), *rows(indi)], PUBLISHED if setting.laps == LAPS else ())
     flown, held = limit_shares(setting, e2e)
     notes = [
         f"mean and best of {FLIGHTS} flights on the stand-in plant; finished: of all runs",

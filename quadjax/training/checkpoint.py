@@ -1,9 +1,10 @@
-"""Checkpoints by Orbax: whole or not there, the latest and the best."""
+"""Checkpoints by Orbax: the latest and the best, each complete or absent."""
 
 import dataclasses
 import logging
 import math
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -56,6 +57,17 @@ class Checkpoints:
             "chunks": position.chunks,
             "seconds": position.seconds,
         }
+        try:
+            self._write(position, plain, meta)
+        except Exception as error:  # Orbax and TensorStore raise many kinds
+            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+            raise InputError(
+                f"{self._latest.directory}: the checkpoint cannot be written ({reason[:200]}); "
+                "the last one stays"
+            ) from error
+
+    def _write(self, position: Position, plain: TrainState, meta: dict[str, Any]) -> None:
+        """Write the latest checkpoint, and the best if it is new."""
         if self._latest.latest_step() != position.chunks:
             tree = {"state": plain, "best": jax.device_get(position.best)}
             self._latest.save(position.chunks, args=_both(tree, meta))
@@ -66,7 +78,7 @@ class Checkpoints:
 
     @property
     def any(self) -> bool:
-        """Whether there is a checkpoint to go on from."""
+        """Whether there is a checkpoint to resume from."""
         there = self._latest is not None and self._latest.latest_step() is not None
         return hosts.agree(there)
 
@@ -98,7 +110,7 @@ class Checkpoints:
         )
 
     def _read(self, tree: dict) -> tuple[dict, dict]:
-        """The latest checkpoint's tree, of the shapes of ``tree``, and what is beside it."""
+        """The latest checkpoint's tree, of the shapes of ``tree``, and its meta data."""
         step = self._latest.latest_step()
         shapes = jax.tree.map(
             lambda x: jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype), tree
@@ -111,21 +123,21 @@ class Checkpoints:
                 ),
             )
         except Exception as error:  # Orbax raises many kinds
-            reason = str(error).splitlines()[0]
+            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
             raise InputError(
                 f"{self._latest.directory}: checkpoint {step} cannot be read ({reason})"
             ) from error
         return found["tree"], found["meta"]
 
     def close(self) -> None:
-        """Release what Orbax holds."""
+        """Release Orbax's resources."""
         for manager in (self._latest, self._best):
             if manager is not None:
                 manager.close()
 
 
 def _manager(directory: Path) -> ocp.CheckpointManager:
-    """A manager of one checkpoint, which this process runs by itself."""
+    """A manager of one checkpoint, in this process alone."""
     directory.mkdir(parents=True, exist_ok=True)
     processes = ocp.options.MultiprocessingOptions(
         primary_host=0, active_processes={0}, barrier_sync_key_prefix=directory.name

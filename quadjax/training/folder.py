@@ -1,66 +1,84 @@
-"""The folder of a training run: whose it is, and whether it may be used, resumed or removed."""
+"""The folder of a training run: which run it holds, and the files that training writes."""
 
-import shutil
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from omegaconf import OmegaConf
-
+from quadjax.config.base import read_yaml
 from quadjax.config.loading import to_yaml
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
+from quadjax.core.folders import MARKER, check_kind, kind_of, remove_files
+
+KIND = "training"
+FILES = (
+    "config.yaml",
+    "metrics.csv",
+    "summary.json",
+    "policy.npz",
+    "policy_last.npz",
+    "laps.json",
+    "laps_deterministic.json",
+    "trajectory.png",
+    "curves.png",
+    "checkpoints",
+    "tensorboard",
+    MARKER,
+)
 
 
-def claim_directory(config: Config, directory: Path, resume: bool) -> None:
-    """Write the config, or see that the one that is there is the same.
+def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) -> None:
+    """Write the config to a run's folder, after the checks that it may be used.
+
+    Args:
+        config: of the run.
+        folder: of the run; locked by the caller.
+        resume: continue the run that the folder holds, if there is one.
+        overwrite: remove the run that the folder holds, if there is one.
 
     Raises:
-        InputError: a run that is not to be resumed, or one of another config.
+        InputError: a run that is neither resumed nor overwritten, or one of another config.
     """
-    path = directory / "config.yaml"
-    latest = directory / "checkpoints" / "latest"
-    if path.exists() and latest.exists() and any(latest.iterdir()):
+    check_kind(folder, KIND)
+    if overwrite:
+        remove_files(folder, FILES)
+    latest = folder / "checkpoints" / "latest"
+    if (folder / "config.yaml").exists() and latest.exists() and any(latest.iterdir()):
         if not resume:
             raise InputError(
-                f"{directory} holds a run already: go on with --resume, begin anew with "
-                "--overwrite, or choose another name=NAME"
+                f"{folder} holds a run already: resume it (--resume), replace it (--overwrite) or "
+                "choose another name"
             )
-        check_same(config, directory)
-    write_text(path, to_yaml(config))
+        check_same(config, folder)
+    write_text(folder / "config.yaml", to_yaml(config))
 
 
-def check_same(config: Config, directory: Path) -> None:
-    """Raise an ``InputError`` that names the key in which the run that is there differs."""
-    path = directory / "config.yaml"
-    if not path.exists():
+def check_same(config: Config, folder: Path) -> None:
+    """Raise an ``InputError`` that names the key in which the folder's run differs."""
+    path = folder / "config.yaml"
+    if not path.exists() or kind_of(folder) not in (None, KIND):
         return
-    before = flat(OmegaConf.to_container(OmegaConf.load(path)))
-    now = flat(OmegaConf.to_container(OmegaConf.create(to_yaml(config))))
+    before, now = flat(read_yaml(path)), flat(parse(to_yaml(config)))
     for key in [*now, *before]:
         if before.get(key) != now.get(key):
             raise InputError(
-                f"{path} has {key}: {before.get(key)}, the run to go on with {key}: "
-                f"{now.get(key)}: take the same config, begin anew with --overwrite, or choose "
-                "another name=NAME"
+                f"{path} has {key}: {before.get(key)}, the new config {key}: {now.get(key)}: use "
+                "the same config, replace the run (--overwrite) or choose another name"
             )
+
+
+def parse(text: str) -> Mapping[str, Any]:
+    """The mapping of a YAML text."""
+    from quadjax.config.base import parse_yaml
+
+    return parse_yaml(text, "config")
 
 
 def flat(tree: object, prefix: str = "") -> dict[str, object]:
     """The leaves of nested mappings by dotted key; a list is a leaf."""
-    if not isinstance(tree, dict) or not tree:
+    if not isinstance(tree, Mapping) or not tree:
         return {prefix.rstrip("."): tree}
     return {
         k: v for name, child in tree.items() for k, v in flat(child, f"{prefix}{name}.").items()
     }
-
-
-def remove_run(directory: Path) -> None:
-    """Delete what a run left; anything else stays.
-
-    Raises:
-        InputError: a folder that holds something but no run.
-    """
-    if directory.exists() and any(directory.iterdir()):
-        if not (directory / "config.yaml").exists():
-            raise InputError(f"{directory} holds no run (no config.yaml): not deleted")
-        shutil.rmtree(directory)

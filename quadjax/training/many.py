@@ -20,6 +20,7 @@ from quadjax.learners import batched_runs as lanes
 from quadjax.learners.loop import NonFiniteError, Position, Row, advance, check_finite, row_of
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.state import Learner, TrainState
+from quadjax.policy.file import write_policy
 from quadjax.policy.inference import act_deterministic
 from quadjax.race import laps
 from quadjax.race.build import build_params, choices_of
@@ -29,14 +30,15 @@ from quadjax.training.build import (
     flying_of,
     initial_policy,
     plan,
+    policy_of,
     reward_scale,
     with_params,
     with_policy,
 )
 from quadjax.training.curriculum import curriculum_of
-from quadjax.training.folder import claim_directory
-from quadjax.training.metrics import MetricsFile, timed
-from quadjax.training.run import Result, finish_run
+from quadjax.training.folder import prepare_folder
+from quadjax.training.metrics import MetricsFile, saved_rows, timed
+from quadjax.training.result import Run, write_summary
 from quadjax.training.score import score_runs
 
 
@@ -133,7 +135,7 @@ def train_many(
     directories: Sequence[Path],
     enough: Callable[[list[Row]], bool],
     stopped: Callable[[], bool],
-) -> list[Result | NonFiniteError] | None:
+) -> list[Run | NonFiniteError] | None:
     """Train runs of one shape together and leave each in its directory.
 
     Args:
@@ -181,7 +183,7 @@ def _open(
     opened = []
     for index, (config, directory) in enumerate(zip(configs, directories, strict=True)):
         directory.mkdir(parents=True, exist_ok=True)
-        claim_directory(config, directory, False)
+        prepare_folder(config, directory, False, False)
         own = jax.tree.map(lambda x, i=index: x[i], host)
         position = Position(state=state.replace(params=own, mean=None), best=own)
         metrics = MetricsFile(directory, 0, config.train.tensorboard)
@@ -220,9 +222,15 @@ def _advance(
     return rows
 
 
-def _close(lane: Lane, steps: int, chunks: int, devices: int) -> Result | NonFiniteError:
+def _close(lane: Lane, steps: int, chunks: int, devices: int) -> Run | NonFiniteError:
     lane.metrics.close()
     if lane.error is not None:
         return lane.error
     finished = lane.position.chunks >= chunks
-    return finish_run(lane.config, lane.directory, lane.position, steps, finished, devices)
+    config, folder, position = lane.config, lane.directory, lane.position
+    policy = policy_of(config, position.best, {"config": config.name})
+    write_policy(folder / "policy.npz", policy)
+    counts = {"steps": position.chunks * steps, "devices": devices}
+    rows = saved_rows(folder / "metrics.csv")
+    summary = write_summary(config, folder, position, rows, counts, finished)
+    return Run(config, folder, policy, finished, summary)

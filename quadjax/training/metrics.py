@@ -11,11 +11,11 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.learners.loop import Row
 
-TIMED = {"score": "lap_total", "best_score": "best_lap_total"}  # what a race's score is: s
+TIMED = {"score": "lap_total", "best_score": "best_lap_total"}  # the score of a race is a time, s
 
 
 def timed(row: Row) -> Row:
-    """The loop's row of one chunk with its scores named as the lap times, s, that they are."""
+    """The loop's row of one chunk, with the columns of scores named as lap times, s."""
     return {TIMED.get(name, name): value for name, value in row.items()}
 
 
@@ -26,8 +26,7 @@ class MetricsFile:
         """Open ``directory/metrics.csv`` after the last row of at most ``steps`` steps."""
         self._path = directory / "metrics.csv"
         self._stream = None
-        before = rows_of(self._path) if steps and self._path.exists() else []
-        self._rows = [row for row in before if row["steps"] <= steps]
+        self._rows = [row for row in saved_rows(self._path) if row["steps"] <= steps]
         self._tensorboard = _tensorboard(directory) if tensorboard else None
 
     def write(self, row: Row) -> None:
@@ -66,7 +65,7 @@ def check_tensorboard() -> None:
     except ImportError:
         raise InputError(
             "train.tensorboard is true, but tensorboardX is not installed: "
-            "pip install -e '.[tensorboard]'"
+            "pip install 'quadjax[tensorboard]'"
         ) from None
 
 
@@ -77,31 +76,45 @@ def _tensorboard(directory: Path) -> object:
     return SummaryWriter(str(directory / "tensorboard"))
 
 
-def rows_of(path: Path | str) -> list[Row]:
-    """The rows of a ``metrics.csv``; see ``read_metrics``."""
-    columns = read_metrics(path)
-    table = np.stack(list(columns.values()), axis=1).tolist()
-    rows = [dict(zip(columns, numbers, strict=True)) for numbers in table]
-    return [row | {"steps": int(row["steps"])} for row in rows]
+def saved_rows(path: Path) -> list[Row]:
+    """The rows of a ``metrics.csv``; none for a missing file or one that holds no complete row.
+
+    Raises:
+        InputError: a damaged file.
+    """
+    if not path.exists():
+        return []
+    names, table = _read_table(path)
+    rows = [dict(zip(names, numbers, strict=True)) for numbers in table.tolist()]
+    try:
+        return [row | {"steps": int(row["steps"])} for row in rows]
+    except (KeyError, ValueError):
+        raise InputError(f"{path}: the column steps is missing or not whole numbers") from None
 
 
 def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
     """The columns of a metrics CSV, (rows,) each; an empty cell is NaN.
 
-    A last line that is cut short, as a killed run leaves it, is dropped.
+    A truncated last line, which a killed run can leave, is dropped.
 
     Raises:
-        InputError: no such file, no rows, or a cell that is no number, by line and column.
+        InputError: no such file, no rows, or a cell that is not a number, by line and column.
     """
+    names, table = _read_table(path)
+    if not len(table):
+        raise InputError(f"{path}: holds no rows of metrics")
+    return dict(zip(names, table.T, strict=True))
+
+
+def _read_table(path: Path | str) -> tuple[list[str], np.ndarray]:
+    """Names and numbers (rows, columns) of a metrics CSV."""
     try:
         with open(path, newline="", encoding="utf-8") as stream:
             names, *rows = list(csv.reader(stream)) or [[]]
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
     if rows and len(rows[-1]) < len(names):
         rows.pop()
-    if not names or not rows:
-        raise InputError(f"{path}: holds no rows of metrics")
     table = np.full((len(rows), len(names)), np.nan)
     for index, row in enumerate(rows):
         if len(row) != len(names):
@@ -113,4 +126,4 @@ def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
                 raise InputError(
                     f"{path} line {index + 2}: {names[column]} is {cell!r}, expected a number"
                 ) from None
-    return dict(zip(names, table.T, strict=True))
+    return names, table

@@ -1,5 +1,6 @@
-"""Progress on long work: a Rich bar on a terminal, a line now and then in a log."""
+"""Progress of long work: a bar on a terminal, a line every ten seconds in a log."""
 
+import math
 import sys
 import time
 from types import TracebackType
@@ -15,14 +16,17 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
 
 from quadjax.learners.loop import Row
 
 LOG_SECONDS = 10.0  # between lines where there is no terminal
+MAX_WIDTH = 100  # columns of the training's line
+MAX_NAME = 16  # letters of the run's name in it
 
 
 def bar(counted: bool = False, console: Console | None = None) -> Progress:
-    """A plain progress bar for a known number of steps; silent where there is no terminal."""
+    """A progress bar for a known number of steps; silent where there is no terminal."""
     count = [MofNCompleteColumn()] if counted else [TaskProgressColumn()]
     return Progress(
         TextColumn("{task.description}"),
@@ -35,34 +39,35 @@ def bar(counted: bool = False, console: Console | None = None) -> Progress:
 
 
 class TrainingProgress:
-    """Steps per second, reward, crash rate, lap time and time left of a training run."""
+    """Percentage, time left, steps per second and lap times of a training run."""
 
-    def __init__(self, total_steps: int, description: str) -> None:
-        """Show nothing yet."""
-        self._total, self._description = total_steps, description
-        self._console = Console(stderr=True)
+    def __init__(self, total_steps: int, name: str, console: Console | None = None) -> None:
+        """Prepare the line; nothing is shown yet."""
+        self._total, self._name = total_steps, name
+        self._console = console or Console(stderr=True)
         self._live = self._console.is_terminal
+        self._console.width = min(self._console.width, MAX_WIDTH)
         self._bar = Progress(
-            TextColumn("[bold]{task.description}"),
-            BarColumn(bar_width=24),
-            TaskProgressColumn(),
-            TextColumn("{task.fields[status]}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            TextColumn("[bold]{task.description}", table_column=Column(no_wrap=True)),
+            BarColumn(bar_width=None, table_column=Column(ratio=1, min_width=5)),
+            TaskProgressColumn(table_column=Column(no_wrap=True)),
+            TimeRemainingColumn(
+                compact=True, elapsed_when_finished=True, table_column=Column(no_wrap=True)
+            ),
+            TextColumn("{task.fields[status]}", table_column=Column(no_wrap=True)),
             console=self._console,
+            expand=True,
         )
-        self._logged = 0.0
+        self._logged = -math.inf
 
     def __enter__(self) -> Self:
         """Start showing."""
         if self._live:
+            short = self._name if len(self._name) <= MAX_NAME else f"{self._name[: MAX_NAME - 1]}…"
             self._bar.start()
-            self._task = self._bar.add_task(
-                self._description, total=self._total, status="compiling"
-            )
+            self._task = self._bar.add_task(short, total=self._total, status="compiling")
         else:
-            print(f"{self._description}: compiling", file=sys.stderr, flush=True)
+            print(f"{self._name}: compiling", file=sys.stderr, flush=True)
         return self
 
     def __exit__(
@@ -76,7 +81,7 @@ class TrainingProgress:
             self._bar.stop()
 
     def show(self, row: Row) -> None:
-        """Show one chunk's row."""
+        """Show one row of metrics."""
         status = describe(row)
         if self._live:
             self._bar.update(self._task, completed=row["steps"], status=status)
@@ -84,23 +89,18 @@ class TrainingProgress:
         now = time.monotonic()
         if now - self._logged >= LOG_SECONDS or row["steps"] >= self._total:
             self._logged = now
-            left = (self._total - row["steps"]) / row["steps_per_second"]
+            left = max((self._total - row["steps"]) / row["steps_per_second"], 0.0)
             share = 100.0 * row["steps"] / self._total
-            print(
-                f"{self._description}: {share:3.0f}%  {row['seconds']:.0f} s  {status}  "
-                f"about {max(left, 0.0):.0f} s left",
-                file=sys.stderr,
-                flush=True,
+            line = (
+                f"{self._name}: {share:3.0f}%  {row['seconds']:.0f} s, {left:.0f} s left  {status}"
             )
+            print(line, file=sys.stderr, flush=True)
 
 
 def describe(row: Row) -> str:
-    """One line of a training row."""
-    lap = row["lap_total"]
-    flown = f"{lap:.2f} s" if lap < float("inf") else "-"
-    best = f" (best {row['best_lap_total']:.2f})" if row["best_lap_total"] < float("inf") else ""
-    return (
-        f"{row['steps'] / 1e6:.1f} M steps  {row['steps_per_second'] / 1e3:.0f} k/s  "
-        f"reward {row['reward']:.3f}  crashes {100.0 * row['crash_rate']:.0f}%  "
-        f"laps {flown}{best}"
-    )
+    """A row of metrics in at most 40 characters: lap times once all laps are completed."""
+    speed = f"{row['steps_per_second'] / 1e3:.0f} k/s"
+    if not math.isfinite(row["best_lap_total"]):
+        return f"{speed}  reward {row['reward']:.3f}  crashes {100.0 * row['crash_rate']:.0f}%"
+    laps = f"{row['lap_total']:.2f}" if math.isfinite(row["lap_total"]) else "-"
+    return f"{speed}  laps {laps} s, best {row['best_lap_total']:.2f} s"

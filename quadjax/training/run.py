@@ -1,25 +1,25 @@
-"""A whole training run: from a config to a policy file, its lap table and its figures."""
+"""A whole training run: from a config to a policy file and a folder of results."""
 
+import contextlib
 import dataclasses
 import functools
-import json
-import math
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import jax
 from jax.sharding import Mesh
 
 from quadjax.config.schema import Config
-from quadjax.core.files import write_json
+from quadjax.core.errors import InputError
+from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
-from quadjax.evaluation.tables import published_total
 from quadjax.learners import hosts
 from quadjax.learners import sharding as parallel
-from quadjax.learners.devices import choose_devices
+from quadjax.learners.devices import choose_devices, prepare_devices
 from quadjax.learners.loop import Hooks, Position, Row, run
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.sharding import Chunk
@@ -29,62 +29,67 @@ from quadjax.race.build import build_params
 from quadjax.race.environment import RaceParams
 from quadjax.training.build import build_learner, initial_policy, plan, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints
-from quadjax.training.folder import claim_directory, remove_run
-from quadjax.training.metrics import MetricsFile, check_tensorboard, rows_of, timed
+from quadjax.training.compilation_cache import enable_compilation_cache
+from quadjax.training.folder import KIND, prepare_folder
+from quadjax.training.metrics import MetricsFile, check_tensorboard, saved_rows, timed
 from quadjax.training.progress import TrainingProgress
+from quadjax.training.result import Run, is_finished, read_summary, write_summary
 from quadjax.training.score import Score
-
-
-@dataclasses.dataclass(frozen=True)
-class Result:
-    """What a run came to."""
-
-    directory: Path
-    policy: Policy  # the best one
-    finished: bool  # all steps were flown; false after an interruption
-    summary: dict[str, object]
 
 
 def train(
     config: Config,
-    directory: Path | str,
+    folder: Path | str | None = None,
+    *,
     resume: bool = False,
+    overwrite: bool = False,
+    progress: bool = True,
     started: float | None = None,
     enough: Callable[[Row], bool] | None = None,
-    overwrite: bool = False,
-) -> Result:
-    """Train a policy and leave everything in ``directory``.
+) -> Run:
+    """Train a policy and write everything to a folder.
 
-    Writes ``config.yaml``, ``metrics.csv``, ``checkpoints/``, ``policy.npz`` (best by lap time),
-    ``policy_last.npz`` and ``summary.json``. Ctrl-C saves and returns early.
+    Writes ``config.yaml``, ``metrics.csv``, ``checkpoints/``, ``policy.npz`` (the best by lap time,
+    at every checkpoint), ``policy_last.npz`` and ``summary.json``. Ctrl-C saves and returns early.
 
     Args:
         config: what to train.
-        directory: where to; must hold no run unless it is resumed.
-        resume: go on from the last checkpoint, if there is one.
+        folder: of the run; ``runs/NAME`` if not given.
+        resume: continue from the last checkpoint, if there is one.
+        overwrite: remove what an earlier run left in the folder; other files stay.
+        progress: print the progress to stderr.
         started: ``time.monotonic()`` from which training time counts; now if not given.
-        enough: asked after every chunk with its row of metrics; true ends the run there.
-        overwrite: begin anew where there is a run already.
+        enough: called after every evaluation with its row of metrics; True ends the run there.
 
     Raises:
-        InputError: a directory with a run in it that is not resumed, a run of another config, or a
-            file of the config that cannot be used; all before anything is written or compiled.
-        NonFiniteError: training met a number that is not finite.
+        InputError: a folder that holds a run (and neither ``resume`` nor ``overwrite``), a run of
+            another config, or that another process uses; a file of the config that cannot be
+            used. Nothing is written or compiled before.
+        NonFiniteError: a metric became infinite or NaN.
     """
+    if resume and overwrite:
+        raise InputError("resume and overwrite exclude each other")
     started = time.monotonic() if started is None else started
-    directory = Path(directory)
+    folder = Path("runs") / config.name if folder is None else Path(folder)
+    enable_compilation_cache()
+    prepare_devices(config.train.devices)
     job = _prepare(config)
-    if hosts.is_first():
-        if overwrite:
-            remove_run(directory)
-        claim_directory(config, directory, resume)
-    if (done := _finished(directory)) is not None:
-        return done
-    with interruptions() as stop, TrainingProgress(job.steps, config.name) as show:
-        watch = _Watch(show, stop, enough)
-        position = _run(job, directory, resume, started, watch)
-    finished = position.chunks >= job.chunks
-    return finish_run(config, directory, position, job.steps_per_chunk, finished, job.mesh.size)
+    with _claimed(folder):
+        if hosts.is_first():
+            prepare_folder(config, folder, resume, overwrite)
+        if hosts.alone() and is_finished(folder):
+            policy = read_policy(folder / "policy.npz")
+            return Run(config, folder, policy, True, read_summary(folder))
+        shown = TrainingProgress(job.steps, config.name) if progress else None
+        with interruptions() as stop, shown or contextlib.nullcontext():
+            watch = _Watch(job, folder, shown, stop, enough)
+            position = _run(job, folder, resume, started, watch)
+        return _finish(job, folder, position)
+
+
+def _claimed(folder: Path) -> AbstractContextManager[None]:
+    """The lock of a run's folder, which the first process of several holds."""
+    return claim(folder, KIND) if hosts.is_first() else contextlib.nullcontext()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,37 +112,68 @@ class _Job:
     def steps(self) -> int:
         return self.chunks * self.steps_per_chunk
 
+    def policy(self, params: ActorCritic, steps: int) -> Policy:
+        """Parameters as a policy file's content.
+
+        Args:
+            params: of the networks.
+            steps: environment steps after which they were reached.
+        """
+        config = self.config
+        source = {
+            "project": "quadjax",
+            "config": config.name,
+            "algorithm": config.algorithm,
+            "seed": config.seed,
+            "steps": steps,
+            "residual": config.vehicle.residual,
+        }
+        return policy_of(config, params, source)
+
+    def best(self, position: Position) -> Policy:
+        """The best policy so far, or the latest before any completes its laps."""
+        steps = position.best_steps or position.chunks * self.steps_per_chunk
+        return self.policy(position.best, steps)
+
 
 @dataclasses.dataclass(frozen=True)
 class _Watch:
-    """Who looks on, and what ends a run early."""
+    """What a run reports to between its chunks, and what ends it early."""
 
-    show: TrainingProgress
+    job: _Job
+    folder: Path
+    shown: TrainingProgress | None
     stop: threading.Event
     enough: Callable[[Row], bool] | None
 
     def hooks(
         self, score: Callable[[ActorCritic], float], metrics: MetricsFile, checkpoints: Checkpoints
     ) -> Hooks:
-        """What happens between chunks."""
+        """The functions that the training loop calls between chunks."""
         ended: list[Row] = []
 
         def report(row: Row) -> None:
             row = timed(row)
             if hosts.is_first():
                 metrics.write(row)
-                self.show.show(row)
+                if self.shown is not None:
+                    self.shown.show(row)
             if self.enough is not None and self.enough(row):
                 ended.append(row)
+
+        def save(position: Position) -> None:
+            checkpoints.save(position)
+            if hosts.is_first():
+                write_policy(self.folder / "policy.npz", self.job.best(position))
 
         def stop() -> bool:
             return self.stop.is_set() or bool(ended)
 
-        return Hooks(score, report, checkpoints.save, stop, hosts.agree)
+        return Hooks(score, report, save, stop, hosts.agree)
 
 
 def _prepare(config: Config) -> _Job:
-    """Everything that can be refused before a run leaves a trace."""
+    """Everything that can be refused before a run writes anything."""
     params = build_params(config)
     learner = build_learner(config)
     mesh = parallel.make_mesh(choose_devices(config.train.devices, learner.num_shards))
@@ -149,10 +185,10 @@ def _prepare(config: Config) -> _Job:
     return _Job(config, params, learner, mesh, updates, chunks, initial)
 
 
-def _run(job: _Job, directory: Path, resume: bool, started: float, watch: _Watch) -> Position:
-    """Compile, begin or go on, and train; the position where it ended, which is saved."""
+def _run(job: _Job, folder: Path, resume: bool, started: float, watch: _Watch) -> Position:
+    """Compile, start or resume, and train; returns the final position, which is saved."""
     config, params = job.config, job.params
-    checkpoints = Checkpoints(directory / "checkpoints")
+    checkpoints = Checkpoints(folder / "checkpoints")
     score = Score(config, params)
     begin = functools.partial(start_state, config, job.learner, params, job.initial)
     chunk, first = _compile(job.learner, params, job.mesh, job.updates, score, begin)
@@ -162,7 +198,7 @@ def _run(job: _Job, directory: Path, resume: bool, started: float, watch: _Watch
         position.state = parallel.place(position.state, job.mesh)
         started = time.monotonic() - position.seconds
     done = position.chunks * job.steps_per_chunk
-    metrics = MetricsFile(directory, done, config.train.tensorboard)
+    metrics = MetricsFile(folder, done, config.train.tensorboard)
     position = run(
         chunk,
         params,
@@ -186,7 +222,7 @@ def _compile(
     score: Score,
     begin: Callable[[], TrainState],
 ) -> tuple[Chunk, TrainState]:
-    """The compiled chunk and the first state, with the score's flight compiled meanwhile."""
+    """The compiled chunk and the first state; the evaluation is compiled at the same time."""
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(lambda: parallel.place(begin(), mesh))
         flown = pool.submit(lambda: score(first.result().flown))
@@ -198,82 +234,16 @@ def _compile(
         return chunk, first.result()
 
 
-def _finished(directory: Path) -> Result | None:
-    """The result of a run that has flown all its steps already; None if it has not."""
-    path = directory / "summary.json"
-    if jax.process_count() > 1 or not path.exists():
-        return None
-    summary = json.loads(path.read_text(encoding="utf-8"))
-    if not summary["finished"]:
-        return None
-    return Result(directory, read_policy(directory / "policy.npz"), True, summary)
-
-
-def finish_run(
-    config: Config,
-    directory: Path,
-    position: Position,
-    steps_per_chunk: int,
-    finished: bool,
-    devices: int,
-) -> Result:
-    """The policy files and the summary; the first process of several writes them."""
-    source = {
-        "project": "quadjax",
-        "config": config.name,
-        "algorithm": config.algorithm,
-        "seed": config.seed,
-        "steps": position.best_steps or position.chunks * steps_per_chunk,
-        "residual": config.vehicle.residual,
-    }
-    policy = policy_of(config, position.best, source)
+def _finish(job: _Job, folder: Path, position: Position) -> Run:
+    """The result; the first process of several writes the last policy and the summary."""
+    config, finished = job.config, position.chunks >= job.chunks
+    policy = job.best(position)
     if not hosts.is_first():
-        return Result(directory, policy, finished, {})
-    path = directory / "metrics.csv"
-    rows = rows_of(path) if path.exists() else []
-    last_source = source | {"steps": position.chunks * steps_per_chunk}
-    write_policy(directory / "policy.npz", policy)
-    last = policy_of(config, jax.device_get(position.state.flown), last_source)
-    write_policy(directory / "policy_last.npz", last)
-    begun = {"name": config.name, "seed": config.seed, "finished": finished}
-    counts = {"steps": position.chunks * steps_per_chunk, "devices": devices}
-    summary = begun | counts | _measured(config, position, rows)
-    write_json(directory / "summary.json", summary)
-    return Result(directory, policy, finished, summary)
-
-
-def _measured(config: Config, position: Position, rows: list[Row]) -> dict[str, object]:
-    """What was measured of a run: times in seconds, memory in MiB."""
-    last_score = rows[-1]["lap_total"] if rows else math.inf
-    return {
-        "seconds": round(position.seconds, 1),
-        "best_lap_total": _number(position.best_score),
-        "best_steps": position.best_steps,
-        "last_lap_total": _number(last_score),
-        "first_under": _first_under(config, rows),
-        "peak_memory_mib": peak_memory_mib(),
-    }
-
-
-def _first_under(config: Config, rows: list[Row]) -> dict[str, float | None] | None:
-    """When laps were first faster than the published policy's; None where it flew another race."""
-    published = published_total(config)
-    if published is None:
-        return None
-    under = [row for row in rows if row["lap_total"] < published[1]]
-    seconds = round(under[0]["seconds"], 1) if under else None
-    steps = int(under[0]["steps"]) if under else None
-    return {"total": published[1], "seconds": seconds, "steps": steps}
-
-
-def _number(value: float) -> float | None:
-    return round(value, 3) if math.isfinite(value) else None
-
-
-def peak_memory_mib() -> float | None:
-    """Largest resident memory of this process so far, MiB; None where the system cannot say."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 0)
+        return Run(config, folder, policy, finished, {})
+    steps = position.chunks * job.steps_per_chunk
+    last = job.policy(jax.device_get(position.state.flown), steps)
+    write_policy(folder / "policy_last.npz", last)
+    counts = {"steps": steps, "devices": job.mesh.size}
+    rows = saved_rows(folder / "metrics.csv")
+    summary = write_summary(config, folder, position, rows, counts, finished)
+    return Run(config, folder, policy, finished, summary)

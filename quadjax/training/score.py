@@ -1,4 +1,4 @@
-"""How good a policy in training is: its timed laps."""
+"""The score of a policy during training: its timed laps."""
 
 import jax
 
@@ -39,6 +39,6 @@ class Score:
 
 
 def score_runs(config: Config) -> int:
-    """How many flights a score is the mean of."""
+    """Number of runs that a score is the mean of."""
     drawn = any(value > 0 for value in config.disturbance.half_widths.values())
     return 16 if drawn or choices_of(config).randomise else 1

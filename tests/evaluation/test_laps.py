@@ -6,6 +6,7 @@ from quadjax.config.loading import load_config
 from quadjax.evaluation import tables
 from quadjax.evaluation.recording import choose, distinct, recordings
 from quadjax.race.laps import fly_laps
+from quadjax.training import paper
 from tests.evaluation.support import rate_race, script, scripted
 from tests.race.support import BLANK
 
@@ -90,19 +91,19 @@ def test_json_has_the_promised_keys(flown):
 
 def test_the_table_sets_published_times_beside(flown):
     config, laps, _ = flown
-    assert tables.published_rows(config, 6) == tables.PUBLISHED
-    assert tables.published_rows(config, 5) == ()
-    assert tables.published_rows(config, 6, from_hover=False) == ()
+    assert paper.published_rows(config, 6) == paper.PUBLISHED
+    assert paper.published_rows(config, 5) == ()
+    assert paper.published_rows(config, 6, from_hover=False) == ()
     for words in (["episode.dt=0.005"], ["track.file=figure8.yaml"], [WIDE]):
-        assert tables.published_rows(load_config(BLANK, words), 6) == ()
-        assert tables.published_total(load_config(BLANK, words)) is None
-    assert tables.published_total(load_config(BLANK))[1] == 15.70
-    assert tables.published_total(load_config(BLANK, ["vehicle.kind=rate"]))[1] == 17.04
-    assert tables.published_total(load_config(BLANK, ["evaluate.laps=1"])) is None
-    for row in tables.PUBLISHED:
+        assert paper.published_rows(load_config(BLANK, words), 6) == ()
+        assert paper.published_total(load_config(BLANK, words)) is None
+    assert paper.published_total(load_config(BLANK))[1] == 15.70
+    assert paper.published_total(load_config(BLANK, ["vehicle.kind=rate"]))[1] == 17.04
+    assert paper.published_total(load_config(BLANK, ["evaluate.laps=1"])) is None
+    for row in paper.PUBLISHED:
         assert sum(row.laps) == pytest.approx(row.total, abs=0.03)
     own = tables.lap_row("own", laps)
     assert own.total == pytest.approx(laps.totals.mean())
-    text = tables.format_table([own], tables.published_rows(config, 6))
+    text = tables.format_table([own], paper.published_rows(config, 6))
     assert "2/2" in text and "15.75" in text and "17.26" in text
     assert max(len(line) for line in text.splitlines()) <= 100

@@ -1,0 +1,56 @@
+"""JAX's persistent compilation cache: a second start of the same program compiles nothing."""
+
+import hashlib
+import os
+import platform
+import sys
+from pathlib import Path
+
+import jax
+
+MAX_BYTES = 2 * 2**30  # of the folder; the least recently used entries are removed
+MIN_SECONDS = 0.5  # programs that compile faster are not saved
+
+
+def enable_compilation_cache() -> None:
+    """Use a folder in the user's cache directory, unless one is configured already.
+
+    ``JAX_COMPILATION_CACHE_DIR``, ``jax.config`` and ``JAX_ENABLE_COMPILATION_CACHE=0`` take
+    precedence. Where the folder cannot be written nothing is cached.
+    """
+    if jax.config.jax_compilation_cache_dir or not jax.config.jax_enable_compilation_cache:
+        return
+    folder = cache_folder() / "jax" / _machine()
+    try:
+        # Cached programs are executed: the folder must be the user's alone.
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError:
+        return
+    if not os.access(folder, os.W_OK):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_max_size", MAX_BYTES)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_SECONDS)
+
+
+def cache_folder() -> Path:
+    """The folder for files that can be made again: per user, by the system's convention."""
+    home = Path.home()
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local")) / "quadjax"
+    if sys.platform == "darwin":
+        return home / "Library" / "Caches" / "quadjax"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "quadjax"
+
+
+def _machine() -> str:
+    """A name for the processor: its programs may not run on another one with the same home."""
+    text = platform.machine() + platform.processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        text += "".join(
+            sorted({line for line in lines if line.startswith(("model name", "flags"))})
+        )
+    except OSError:
+        pass
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -1,0 +1,90 @@
+"""The race and the lap times of Ferede et al. (arXiv 2311.16948): six laps from hover.
+
+Published times stand next to own ones only where the race is the paper's; ``is_paper_race``
+decides.
+"""
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.resources import CONFIGS
+
+LAPS = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One line of a lap table; times in seconds, NaN where there is none."""
+
+    label: str
+    laps: tuple[float, ...]
+    total: float
+    best: float
+    finished: int | None = None  # runs that completed every lap
+    runs: int | None = None
+
+
+PUBLISHED = (
+    Row("E2E simulated", (2.97, 2.51, 2.56, 2.55, 2.59, 2.57), 15.75, np.nan),
+    Row("INDI simulated", (3.20, 2.82, 2.75, 2.80, 2.81, 2.76), 17.14, np.nan),
+    Row("E2E flown, mean of 5", (3.22, 2.79, 2.85, 2.82, 2.84, 2.83), 17.35, 17.09),
+    Row("INDI flown, mean of 5", (3.28, 2.80, 2.82, 2.82, 2.84, 2.83), 17.40, 17.26),
+)
+
+# Six laps of the published policies in the paper's model, s, by the vehicle model.
+TOTALS = {
+    "motor": ("published E2E policy", 15.70),
+    "rate": ("published INDI policy", 17.04),
+}
+PRESETS = {"motor": "e2e_paper", "rate": "indi_paper"}
+
+
+@functools.cache
+def _reference(kind: str) -> Config:
+    return load_config(CONFIGS / f"{PRESETS[kind]}.yaml")
+
+
+def is_paper_race(config: Config) -> bool:
+    """Whether a race is the paper's: vehicle, track, rules and disturbances.
+
+    Disturbances may be absent, or those with which the paper trained. Training limits, rewards and
+    the learner do not matter: evaluation knows only the rules.
+    """
+    if config.vehicle.kind not in PRESETS:
+        return False
+    paper = _reference(config.vehicle.kind)
+    return _race_of(config) == _race_of(paper) and _disturbance_of(config) in (
+        _disturbance_of(paper),
+        _disturbance_of(_reference("rate")),  # none
+    )
+
+
+def _race_of(config: Config) -> tuple[object, ...]:
+    """What decides lap times, as values that can be compared."""
+    vehicle, episode = config.vehicle, config.episode
+    constants = vehicle.motor if vehicle.kind == "motor" else vehicle.rate
+    gates = [(*gate.position, gate.yaw_deg % 360.0, *gate.size) for gate in config.track.gates]
+    rules = (episode.dt, episode.gate_test, episode.position_limit, episode.rate_limit)
+    drawn = any(vars(config.randomise).values())
+    model = (vehicle.residual, vehicle.integrator, dict(vehicle.actual))
+    return (dict(constants), gates, rules, drawn, model)
+
+
+def _disturbance_of(config: Config) -> dict[str, object]:
+    return dict(vars(config.disturbance))
+
+
+def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[Row, ...]:
+    """The published lines, where they can be compared: same race, laps and start."""
+    return PUBLISHED if from_hover and laps == LAPS and is_paper_race(config) else ()
+
+
+def published_total(config: Config) -> tuple[str, float] | None:
+    """Label and time, s, of the published policy; None where the race is not the paper's."""
+    if config.evaluate.laps == LAPS and is_paper_race(config):
+        return TOTALS[config.vehicle.kind]
+    return None

@@ -1,0 +1,140 @@
+"""The result of a training run: its policy, its metrics and its folder."""
+
+import dataclasses
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_json, write_json
+from quadjax.learners.loop import Position, Row
+from quadjax.policy.file import Policy, read_policy
+from quadjax.training.metrics import read_metrics
+from quadjax.training.paper import published_total
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A training run.
+
+    Attributes:
+        config: what was trained.
+        folder: with ``config.yaml``, ``metrics.csv``, ``checkpoints/``, ``policy.npz``,
+            ``policy_last.npz`` and ``summary.json``.
+        policy: the best one by lap time.
+        finished: whether all steps were trained; False after an interruption.
+        summary: what ``summary.json`` holds: steps, seconds, lap times in s, memory in MiB.
+    """
+
+    config: Config
+    folder: Path
+    policy: Policy
+    finished: bool
+    summary: dict[str, Any]
+
+    @property
+    def metrics(self) -> dict[str, np.ndarray]:
+        """The columns of ``metrics.csv`` by name, one entry for each evaluation during training.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
+        return read_metrics(self.folder / "metrics.csv")
+
+    @classmethod
+    def load(cls, folder: Path | str) -> "Run":
+        """The run of a folder.
+
+        Raises:
+            InputError: a missing or damaged file.
+        """
+        folder = Path(folder)
+        config = load_config(folder / "config.yaml")
+        summary = read_summary(folder)
+        policy = read_policy(folder / "policy.npz")
+        return cls(config, folder, policy, summary["finished"], summary)
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """The summary of a run's folder.
+
+    Raises:
+        InputError: missing or damaged.
+    """
+    path = folder / "summary.json"
+    summary = read_json(path)
+    if not isinstance(summary.get("finished"), bool):
+        raise InputError(f"{path}: damaged, no 'finished': remove it and resume the run")
+    return summary
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a folder holds a run that has trained all its steps."""
+    return (folder / "summary.json").exists() and read_summary(folder)["finished"]
+
+
+def write_summary(
+    config: Config,
+    folder: Path,
+    position: Position,
+    rows: Sequence[Row],
+    counts: dict[str, int],
+    finished: bool,
+) -> dict[str, Any]:
+    """Write ``summary.json``.
+
+    Args:
+        config: of the run.
+        folder: of the run.
+        position: where training ended.
+        rows: of the metrics.
+        counts: environment steps and devices.
+        finished: whether all steps were trained.
+    """
+    summary = {
+        "name": config.name,
+        "seed": config.seed,
+        "finished": finished,
+        **counts,
+        "seconds": round(position.seconds, 1),
+        "best_lap_total": _number(position.best_score),
+        "best_steps": position.best_steps,
+        "last_lap_total": _number(rows[-1]["lap_total"] if rows else math.inf),
+        "first_under": _first_under(config, rows),
+        "peak_memory_mib": peak_memory_mib(),
+    }
+    write_json(folder / "summary.json", summary)
+    return summary
+
+
+def _first_under(config: Config, rows: Sequence[Row]) -> dict[str, float | None] | None:
+    """When laps were first faster than the published policy's; None for another race."""
+    published = published_total(config)
+    if published is None:
+        return None
+    under = [row for row in rows if row["lap_total"] < published[1]]
+    seconds = round(under[0]["seconds"], 1) if under else None
+    steps = int(under[0]["steps"]) if under else None
+    return {"total": published[1], "seconds": seconds, "steps": steps}
+
+
+def _number(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None
+
+
+def peak_memory_mib() -> float | None:
+    """Largest resident memory of this process so far, MiB; None where it is not reported."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        peak = getattr(psutil.Process().memory_info(), "peak_wset", None)
+        return None if peak is None else round(peak / 2**20, 0)
+    unit = 2**20 if sys.platform == "darwin" else 2**10  # of ru_maxrss, in one MiB
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, 0)

@@ -1,0 +1,131 @@
+"""The folder of a run: locked, of one kind, and never cleared of other people's files."""
+
+import json
+import multiprocessing
+import time
+
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.folders import claim, kind_of, remove_files
+from quadjax.training.folder import FILES, check_same, prepare_folder
+from quadjax.training.metrics import MetricsFile, read_metrics, saved_rows
+from quadjax.training.result import is_finished, read_summary
+from tests.race.support import BLANK
+
+
+def hold(folder, ready):
+    with claim(folder, "training"):
+        ready.set()
+        time.sleep(60)
+
+
+def test_a_folder_in_use_is_refused_until_the_process_is_gone(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    ready = context.Event()
+    process = context.Process(target=hold, args=(tmp_path / "run", ready))
+    process.start()
+    assert ready.wait(60)
+    with pytest.raises(InputError, match="in use by another process"):
+        with claim(tmp_path / "run", "training"):
+            pass
+    process.kill()
+    process.join()
+    with claim(tmp_path / "run", "training"):
+        assert kind_of(tmp_path / "run") == "training"
+
+
+@pytest.mark.parametrize("kind", ["fit", "sweep", "export"])
+def test_a_folder_of_another_kind_is_refused(tmp_path, kind):
+    with claim(tmp_path, kind):
+        pass
+    with pytest.raises(InputError, match=f"holds a {kind}, not a training"):
+        with claim(tmp_path, "training"):
+            pass
+
+
+def test_folders_of_earlier_versions_have_their_kind(tmp_path):
+    (tmp_path / "checkpoints").mkdir()
+    with pytest.raises(InputError, match="holds a training, not a fit"):
+        with claim(tmp_path, "fit"):
+            pass
+    with claim(tmp_path, "training"):
+        pass
+
+
+def test_a_file_where_the_folder_should_be_is_refused(tmp_path):
+    (tmp_path / "run").write_text("a file")
+    with pytest.raises(InputError, match="is a file, expected a folder"):
+        with claim(tmp_path / "run", "training"):
+            pass
+
+
+def test_claiming_removes_what_a_killed_process_left_and_nothing_else(tmp_path):
+    (tmp_path / ".writing-metrics.abc.csv").write_text("half")
+    (tmp_path / ".hidden").write_text("mine")
+    with claim(tmp_path, "training"):
+        pass
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {".hidden", ".lock", ".quadjax.json"}
+
+
+def test_overwriting_removes_only_the_files_of_training(tmp_path):
+    for name in FILES:
+        (tmp_path / name).write_text("{}")
+    for name in ("notes.txt", "vehicle.yaml", "residual.npz"):
+        (tmp_path / name).write_text("mine")
+    remove_files(tmp_path, FILES)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "notes.txt",
+        "vehicle.yaml",
+        "residual.npz",
+    }
+
+
+def test_a_run_of_another_config_names_the_key(tmp_path):
+    config = load_config(BLANK)
+    prepare_folder(config, tmp_path, resume=False, overwrite=False)
+    check_same(config, tmp_path)
+    with pytest.raises(InputError, match="seed: 0, the new config seed: 3"):
+        check_same(load_config(BLANK, ["seed=3"]), tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", '{"finished": "yes"}', "\x00\xff", "[" * 99999])
+def test_a_damaged_summary_is_one_line(tmp_path, text):
+    (tmp_path / "summary.json").write_text(text)
+    with pytest.raises(InputError, match="summary.json") as caught:
+        is_finished(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_summary_says_whether_the_run_has_finished(tmp_path):
+    assert not is_finished(tmp_path)
+    (tmp_path / "summary.json").write_text(json.dumps({"finished": True}))
+    assert is_finished(tmp_path) and read_summary(tmp_path) == {"finished": True}
+
+
+@pytest.mark.parametrize("text", ["", "\n", "steps,seconds\n", "steps,seconds\r\n12"])
+def test_metrics_without_rows_do_not_block_a_resume(tmp_path, text):
+    (tmp_path / "metrics.csv").write_text(text)
+    metrics = MetricsFile(tmp_path, 100, False)
+    metrics.write({"steps": 200, "seconds": 1.0})
+    metrics.close()
+    np.testing.assert_array_equal(read_metrics(tmp_path / "metrics.csv")["steps"], [200])
+
+
+def test_a_resumed_run_drops_the_rows_after_its_checkpoint(tmp_path):
+    (tmp_path / "metrics.csv").write_text("steps,seconds\n100,1\n200,2\n300,3\n")
+    metrics = MetricsFile(tmp_path, 200, False)
+    metrics.write({"steps": 300, "seconds": 9.0})
+    metrics.close()
+    assert [row["seconds"] for row in saved_rows(tmp_path / "metrics.csv")] == [1, 2, 9]
+
+
+@pytest.mark.parametrize("text", ["steps,seconds\n1,x\n", "seconds\n1\n", "steps,seconds\n1,2,3\n"])
+def test_damaged_metrics_are_one_line(tmp_path, text):
+    (tmp_path / "metrics.csv").write_text(text)
+    with pytest.raises(InputError, match="metrics.csv") as caught:
+        saved_rows(tmp_path / "metrics.csv")
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,45 @@
+"""The progress line at 80 columns."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from quadjax.training.progress import TrainingProgress, describe
+
+ROW = {
+    "steps": 12_300_000,
+    "seconds": 45.0,
+    "steps_per_second": 265_000.0,
+    "reward": 0.1234,
+    "crash_rate": 0.4,
+    "lap_total": 15.8,
+    "best_lap_total": 15.7,
+}
+
+
+def shown(name, row):
+    stream = io.StringIO()
+    console = Console(file=stream, force_terminal=True, width=80, color_system=None)
+    with TrainingProgress(20_000_000, name, console) as progress:
+        progress.show(row)
+    return [line for line in stream.getvalue().splitlines() if "%" in line][-1]
+
+
+@pytest.mark.parametrize("name", ["e2e_shac", "a_name_of_forty_letters_that_goes_on_and_on"])
+@pytest.mark.parametrize("laps", [15.8, 123.45, float("inf")])
+def test_bar_percentage_time_and_laps_fit_in_80_columns(name, laps):
+    line = shown(name, ROW | {"lap_total": laps, "best_lap_total": laps})
+    assert "62%" in line and ":" in line and "265 k/s" in line
+    assert "━" in line and "…" not in line.replace(name[:15] + "…", "")
+    if laps < 1000:
+        assert f"laps {laps:.2f} s" in line
+    else:
+        assert "crashes 40%" in line
+
+
+def test_without_a_lap_the_reward_is_shown():
+    text = describe(ROW | {"lap_total": float("inf"), "best_lap_total": float("inf")})
+    assert "reward 0.123" in text and "inf" not in text
+    later = describe(ROW | {"lap_total": float("inf")})
+    assert "laps - s" in later and "15.70" in later
