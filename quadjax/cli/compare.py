@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         from quadjax.config.loading import load_config
         from quadjax.core.resources import find_config
-        from quadjax.plant.plant_schema import load_plant_config
+        from quadjax.plant.config import load_plant_config
         from quadjax.studies.comparison import Setting, contender
         from quadjax.studies.comparison_run import PARTS, Wanted, run_comparison
         from quadjax.training.progress import bar

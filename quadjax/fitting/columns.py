@@ -6,6 +6,8 @@ front-left, front-right, rear-right, rear-left, whatever the autopilot numbers t
 
 import math
 
+import numpy as np
+
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig, UnitsConfig
 
@@ -52,6 +54,12 @@ PRESETS: dict[str, dict[str, list[str]]] = {
         "euler": ["att_phi", "att_theta", "att_psi"],
         "mode": ["autopilot_mode"],
     },
+}
+
+# Columns of a written log; the fit does not read the last two quantities.
+PAPARAZZI = PRESETS["paparazzi"] | {
+    "position": _numbered("pos_", "xyz"),
+    "target_gate": _numbered("target_gate_", "xyz"),
 }
 
 _RADIAN = math.pi / 180.0
@@ -124,3 +132,12 @@ def wanted_columns(config: LogsConfig, header: list[str]) -> dict[str, list[str]
         if names and not (absent and quantity in OPTIONAL and quantity not in config.columns):
             wanted[quantity] = list(names)
     return wanted
+
+
+def paparazzi_columns(quantities: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Quantities, each (n,) or (n, k), as named columns (n,) of a Paparazzi log."""
+    return {
+        name: column
+        for quantity, values in quantities.items()
+        for name, column in zip(PAPARAZZI[quantity], np.atleast_2d(values.T), strict=True)
+    }

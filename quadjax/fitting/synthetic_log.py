@@ -21,6 +21,7 @@ from quadjax.core.files import whole_file
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors, Vec3
+from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorState
@@ -69,20 +70,20 @@ def simulate_flight(
         return exact + size * random.normal(size=exact.shape)
 
     bias = np.broadcast_to(random.normal(scale=0.1, size=3), (count, 3))
-    groups = {
-        "pos_": ("xyz", noisy(states.position, 0.0)),
-        "vel_": ("xyz", noisy(states.velocity, noise.velocity)),
-        "att_": (("phi", "theta", "psi"), noisy(states.euler, noise.angle)),
-        "rate_": ("pqr", noisy(states.rates, noise.gyro)),
-        "rpm_obs_": ("1234", noisy(states.rpm, noise.rpm)),
-        "rpm_ref_": ("1234", noisy(commands, 0.0)),
-        "ekf_U": ("123", noisy(forces, noise.acceleration) + bias),
-        "ekf_X": (("10", "11", "12"), bias),
-    }
-    columns = {"time": np.arange(count) / sample_rate, "autopilot_mode": np.ones(count)}
-    for prefix, (suffixes, values) in groups.items():
-        columns |= {prefix + s: values[:, i] for i, s in enumerate(suffixes)}
-    return columns
+    return paparazzi_columns(
+        {
+            "time": np.arange(count) / sample_rate,
+            "mode": np.ones(count),
+            "position": noisy(states.position, 0.0),
+            "world_velocity": noisy(states.velocity, noise.velocity),
+            "euler": noisy(states.euler, noise.angle),
+            "gyro": noisy(states.rates, noise.gyro),
+            "rpm": noisy(states.rpm, noise.rpm),
+            "rpm_command": noisy(commands, 0.0),
+            "acceleration": noisy(forces, noise.acceleration) + bias,
+            "acceleration_bias": bias,
+        }
+    )
 
 
 def write_log(path: Path | str, columns: dict[str, np.ndarray]) -> None:

@@ -1,4 +1,4 @@
-"""From a config to the numbers of the stand-in plant."""
+"""Numbers of the stand-in plant from its config."""
 
 from pathlib import Path
 
@@ -8,20 +8,21 @@ import numpy as np
 
 from quadjax.core.vectors import Rotors
 from quadjax.fitting.vehicle_file import BaseVehicle, read_vehicle
+from quadjax.plant.config import PlantConfig
 from quadjax.plant.effects import FlexParams, RotorParams
 from quadjax.plant.gusts import gust_params
 from quadjax.plant.plant import PlantParams
-from quadjax.plant.plant_schema import PlantConfig
 from quadjax.plant.power import PowerParams
 from quadjax.vehicle.constants import MotorConstants, constant_names
 from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.residual import Residual
 
 AIR_DENSITY = 1.225  # kg/m^3
-KNOWN = ("g", "rpm_min", "rpm_max")  # constants that are not drawn
+NOT_DRAWN = ("g", "rpm_min", "rpm_max")  # constants without deviation
 
 
 def nominal_vehicle(config: PlantConfig) -> BaseVehicle:
-    """The drone as the training model takes it.
+    """The drone of the training model.
 
     Raises:
         InputError: a vehicle file that cannot be read.
@@ -29,12 +30,12 @@ def nominal_vehicle(config: PlantConfig) -> BaseVehicle:
     return read_vehicle(config.vehicle, Path())
 
 
-def build_plant(config: PlantConfig, residual: object = None) -> PlantParams:
+def build_plant(config: PlantConfig, residual: Residual | None = None) -> PlantParams:
     """The plant's numbers.
 
     Args:
         config: of the plant.
-        residual: networks that are true of the plant, beyond its effects; for tests.
+        residual: networks added to force and moment.
 
     Raises:
         InputError: a vehicle file that cannot be read.
@@ -49,7 +50,7 @@ def build_plant(config: PlantConfig, residual: object = None) -> PlantParams:
     return PlantParams(
         vehicle=VehicleParams(constants, residual),
         rotor_factor=Rotors(*(jnp.float32(x) for x in rotor_factors)),
-        rotors=_rotors(config, base.mass, own["g"]),
+        rotors=_rotors(config, own["g"]),
         power=_power(config, nominal),
         flex=_flex(config),
         gusts=gust_params(
@@ -64,10 +65,10 @@ def build_plant(config: PlantConfig, residual: object = None) -> PlantParams:
 
 
 def drawn_factors(config: PlantConfig) -> tuple[dict[str, float], np.ndarray]:
-    """Factors on the drone's constants by name, and on each rotor's speed (4,)."""
+    """Factors on the drone's constants by name, and on the rotors' speeds (4,)."""
     random = np.random.default_rng(config.constants.seed)
     spread = config.constants.spread * config.effects.constants
-    names = [name for name in constant_names(MotorConstants) if name not in KNOWN]
+    names = [name for name in constant_names(MotorConstants) if name not in NOT_DRAWN]
     factors = dict(zip(names, 1.0 + spread * random.uniform(-1.0, 1.0, len(names)), strict=True))
     unlike = config.motors.rotor_spread * config.effects.constants
     return factors, 1.0 + unlike * random.uniform(-1.0, 1.0, 4)
@@ -77,13 +78,13 @@ def _traced(values: dict[str, float]) -> dict[str, jax.Array]:
     return {name: jnp.asarray(value, jnp.float32) for name, value in values.items()}
 
 
-def _rotors(config: PlantConfig, mass: float, gravity: float) -> RotorParams:
+def _rotors(config: PlantConfig, gravity: float) -> RotorParams:
     r, on = config.rotors, config.effects
     area = 4.0 * np.pi * r.radius**2
     # Momentum theory at hover: v_i = sqrt(T / (2 rho A)) (Leishman, 2006, equation 2.15).
-    induced = np.sqrt(mass * gravity / (2.0 * AIR_DENSITY * area))
+    induced = np.sqrt(config.mass * gravity / (2.0 * AIR_DENSITY * area))
     numbers = {
-        "mass": mass,
+        "mass": config.mass,
         "radius": r.radius,
         "height": r.height,
         "advance_loss": on.inflow * r.advance_loss,

@@ -1,13 +1,12 @@
-"""The covariance of the navigation filter's fifteen errors, in 3 x 3 blocks.
+"""Covariance of the navigation filter's fifteen errors, in 3 x 3 blocks.
 
 Errors, in this order: position (m, world), velocity (m/s, world), attitude (rad, world: the
 rotation vector that turns the estimated attitude into the true one, on the left), gyro bias
 (rad/s, body) and accelerometer bias (m/s^2, body). The true value is the estimated one plus the
 error, for the attitude ``q_true = exp(error) * q``.
 
-Of the 225 entries the 120 of the upper triangle are kept, so the matrix is symmetric by
-construction. The transition is mostly zeros and ones, so a prediction needs twenty 3 x 3 products
-where a dense one needs 250 of them.
+Only the 120 entries of the upper triangle are stored, so the matrix is symmetric by construction.
+The transition is mostly zeros and ones: a prediction takes 20 products of blocks, not 250.
 """
 
 import jax
@@ -35,7 +34,7 @@ _PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
 
 @struct.dataclass
 class Covariance:
-    """Fifteen by fifteen, as five diagonal blocks and ten above them."""
+    """A 15 x 15 matrix as five diagonal blocks and the ten above them."""
 
     diagonal: tuple[Sym3, ...]
     upper: tuple[Mat3, ...]  # in the order of rows, then columns
@@ -60,7 +59,7 @@ class Covariance:
 
 @struct.dataclass
 class Growth:
-    """Variances that one step adds, from ``step`` seconds of the sensors' noise."""
+    """Variances added by one step of sensor noise."""
 
     velocity: jax.Array  # (m/s)^2
     attitude: jax.Array  # rad^2
@@ -70,7 +69,7 @@ class Growth:
 
 @struct.dataclass
 class Transition:
-    """How one step carries the errors on; all else of the matrix is zero or one.
+    """Transition of the errors over one step; all other entries are zero or one.
 
     With ``S = [turn]x``: position += step velocity + step/2 (velocity's change),
     velocity += -S attitude - R force bias, attitude += -R gyro bias.
@@ -82,7 +81,7 @@ class Transition:
 
 
 def diagonal_covariance(standard_deviations: tuple[jax.Array, ...]) -> Covariance:
-    """Independent errors, the same on each axis, of five standard deviations."""
+    """Independent, isotropic errors of five standard deviations."""
     zero = jnp.zeros_like(standard_deviations[0])
     empty = Mat3(*(Vec3(zero, zero, zero) for _ in range(3)))
     blocks = tuple(Sym3.isotropic(value * value) for value in standard_deviations)
@@ -97,8 +96,8 @@ def predict(
     Args:
         covariance: before the step.
         transition: ``F``.
-        growth: ``Q``: the velocity's noise also moves the position by half a step of it.
-        keep: calls a function in a way that its values are computed once.
+        growth: ``Q``; the velocity's noise also moves the position by half a step of it.
+        keep: calls a function; see ``quadjax.core.materialize``.
     """
     half = keep(_rows, covariance, transition)
     return keep(_columns, covariance, half, transition, growth)
@@ -106,11 +105,11 @@ def predict(
 
 @struct.dataclass
 class _Half:
-    """``F P``: the rows of position, velocity and attitude, blocks that are needed."""
+    """The needed blocks of ``F P``: rows of position, velocity and attitude."""
 
-    position: tuple[Mat3, ...]  # with each of the five
-    velocity: tuple[Mat3, ...]  # with all but position
-    attitude: tuple[Mat3, ...]  # with all but position and velocity
+    position: tuple[Mat3, ...]  # all five columns
+    velocity: tuple[Mat3, ...]  # all but position
+    attitude: tuple[Mat3, ...]  # all but position and velocity
 
 
 def _rows(p: Covariance, f: Transition) -> _Half:
@@ -131,10 +130,10 @@ def _rows(p: Covariance, f: Transition) -> _Half:
 
 
 def _columns(p: Covariance, half: _Half, f: Transition, q: Growth) -> Covariance:
-    def turned(row: tuple[Mat3, ...]) -> Mat3:  # the attitude's column; the last three of a row
+    def turned(row: tuple[Mat3, ...]) -> Mat3:  # the attitude column, from the last three of a row
         return row[-3] - times_transposed(row[-2], f.rotation)
 
-    def moved(row: tuple[Mat3, ...]) -> Mat3:  # what the velocity's column changes by
+    def moved(row: tuple[Mat3, ...]) -> Mat3:  # the change of the velocity column
         return times_skew(row[-3], f.turn) - times_transposed(row[-1], f.rotation)
 
     of_position, of_velocity = moved(half.position), moved(half.velocity)
@@ -163,7 +162,7 @@ def _columns(p: Covariance, half: _Half, f: Transition, q: Growth) -> Covariance
 def correct(
     covariance: Covariance, error: int, innovation: Vec3, variance: jax.Array, weight: jax.Array
 ) -> tuple[tuple[Vec3, ...], Covariance]:
-    """Take in a direct measurement of one of the five errors.
+    """Correct with a direct measurement of one of the five errors.
 
     ``K = P H^T S^-1``, ``P <- P - K H P`` on the upper triangle, ``S = H P H^T + variance``.
 
@@ -172,7 +171,7 @@ def correct(
         error: which of the five is measured, on all three axes.
         innovation: measured less expected.
         variance: () of the measurement's noise, on each axis.
-        weight: () 1 to take it in, 0 to leave everything as it is.
+        weight: () 1 to use it, 0 to change nothing.
 
     Returns:
         The corrections of the five errors, and the covariance afterwards.
@@ -190,17 +189,17 @@ def correct(
 def variances_ahead(
     p: Covariance, ahead: Transition, moved: Vec3, growth: Growth
 ) -> tuple[Vec3, Vec3, Sym3]:
-    """Variances of position and velocity, and the attitude's block, some time further on.
+    """Variances of position and velocity, and the attitude block, some time ahead.
 
-    The transition over the whole of that time at once, by the sums of what was measured in it
-    (Forster et al., "On-manifold preintegration for real-time visual-inertial odometry",
-    arXiv 1512.02363, section VI).
+    One transition over the whole time, from the preintegrated measurements (Forster et al.,
+    "On-manifold preintegration for real-time visual-inertial odometry", arXiv 1512.02363,
+    section VI).
 
     Args:
-        p: covariance now.
+        p: present covariance.
         ahead: ``step`` the time, ``turn`` the velocity's change by specific force, m/s.
         moved: the position's change by specific force, m.
-        growth: variances that the time adds.
+        growth: variances added over the time.
 
     Returns:
         Variances (m^2), (m/s)^2 on each axis, and the attitude's covariance, rad^2.
@@ -231,7 +230,7 @@ def _diagonal(
     direct: tuple[tuple[int, jax.Array], ...],
     levers: tuple[tuple[int, Mat3], ...],
 ) -> Vec3:
-    """Diagonal of ``C P C^T`` for ``C`` the errors times a number plus errors times a matrix."""
+    """Diagonal of ``C P C^T``; ``C`` sums errors times a number and errors times a matrix."""
     result = []
     for axis in range(3):
         total = sum(a * b * p.block(i, j).rows()[axis][axis] for i, a in direct for j, b in direct)

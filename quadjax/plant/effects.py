@@ -1,7 +1,7 @@
-"""What the stand-in plant's air, rotors and frame do beyond the training model.
+"""Effects of air, rotors and frame that the training model lacks.
 
-Each function gives what is *added* to the nominal force or moment, or to a state's derivative, and
-gives exactly nothing where its strength is zero. World NED, body FRD; forces are specific.
+Each function returns an *addition* to the nominal force or moment, or to a state's derivative. It
+is exactly zero where its strength is zero. World NED, body FRD; forces are specific.
 """
 
 import jax
@@ -12,17 +12,17 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle.constants import MotorConstants
 
 RPM_PER_RAD_S = 60.0 / (2.0 * jnp.pi)
-_NEAREST = 0.5  # rotor radii between disc and ground, below which the ground's effect grows no more
-_LEAST_RPM = 500.0  # below which a disc is taken to turn as fast as this
+_NEAREST = 0.5  # rotor radii: least height of a disc above the ground in its effect
+_LEAST_RPM = 500.0  # least speed of a disc in flapping
 
 
 @struct.dataclass
 class RotorParams:
-    """Rotors in the air; strengths are taken in."""
+    """Aerodynamics of the rotors, times the strengths of the effects."""
 
     mass: jax.Array  # kg
     radius: jax.Array  # m
-    height: jax.Array  # m above the centre of gravity
+    height: jax.Array  # m above the center of gravity
     advance_loss: jax.Array  # c of C_T0 (1 - c J^2)
     ground: jax.Array  # factor on (R / 4 h)^2
     induced: jax.Array  # m/s, the induced velocity at hover
@@ -38,16 +38,16 @@ class FlexParams:
 
     frequency: jax.Array  # rad/s
     damping: jax.Array  # of critical
-    participation: jax.Array  # share of the angular acceleration that drives it
+    participation: jax.Array  # fraction of the angular acceleration that excites it
 
 
 def advance_loss(r: RotorParams, c: MotorConstants, air_velocity: Vec3) -> jax.Array:
-    """Specific force () along body z, m/s^2, that is lost to air coming down on the rotors.
+    """Specific force () along body z, m/s^2, lost in a climb.
 
-    A propeller's thrust coefficient falls with its advance ratio ``J = V / (n D)`` faster than in
-    proportion (measured curves: Brandt and Selig, "Propeller performance data at low Reynolds
-    numbers", AIAA 2011-1255). The nominal model has the linear part, ``k_z``; this is the rest,
-    ``C_T = C_T0 (1 - c J^2)`` with ``V`` the climb along the rotors' axis: of four rotors
+    The thrust coefficient of a propeller falls faster than linearly with its advance ratio
+    ``J = V / (n D)`` (measured curves: Brandt and Selig, "Propeller performance data at low
+    Reynolds numbers", AIAA 2011-1255). The nominal model has the linear part, ``k_z``; this is
+    the rest, ``C_T = C_T0 (1 - c J^2)`` with ``V`` the climb along the rotors' axis: of four rotors
     ``4 k_w c (60 V / D)^2``, whatever their speed. Nothing in a descent.
     """
     climb = jnp.maximum(-air_velocity.z, 0.0)
@@ -58,7 +58,7 @@ def advance_loss(r: RotorParams, c: MotorConstants, air_velocity: Vec3) -> jax.A
 def ground_gain(
     r: RotorParams, c: MotorConstants, rpm: Rotors, air_velocity: Vec3, altitude: jax.Array
 ) -> jax.Array:
-    """Specific force () along body z, m/s^2, that the ground adds; negative, so upwards.
+    """Specific force () along body z, m/s^2, due to the ground; negative: upwards.
 
     Cheeseman and Bennett, "The effect of the ground on a helicopter rotor in forward flight",
     ARC R&M 3021, 1955: ``T / T_free = 1 / (1 - (R / 4 h)^2 / (1 + (V / v_i)^2))`` with the height
@@ -70,7 +70,7 @@ def ground_gain(
         c: of the drone.
         rpm: propeller speeds, rpm.
         air_velocity: m/s, body.
-        altitude: () of the centre of gravity above the ground, m.
+        altitude: () of the center of gravity above the ground, m.
     """
     height = jnp.maximum(altitude + r.height, _NEAREST * r.radius)
     ratio = r.radius / (4.0 * height)
@@ -85,7 +85,7 @@ def ground_gain(
 def flapping_moment(
     r: RotorParams, c: MotorConstants, rpm: Rotors, air_velocity: Vec3, rates: Vec3
 ) -> Vec3:
-    """Moment, N m, body, of discs that tilt back from the flow and lag behind the body.
+    """Moment, N m, body, of discs that tilt with the flow and lag the body's rotation.
 
     Mahony, Kumar and Corke, "Multirotor aerial vehicles", IEEE Robotics and Automation Magazine
     19(3), 2012, and Hoffmann, Huang, Waslander and Tomlin, AIAA 2007-6461: a disc tilts away from
@@ -109,9 +109,9 @@ def flapping_moment(
 def flex_acceleration(f: FlexParams, angle: Vec3, rate: Vec3, driving: Vec3) -> Vec3:
     """Second derivative, rad/s^2, of the frame's deflection about each axis.
 
-    A mode of the structure in its own coordinate (Meirovitch, "Fundamentals of vibrations", 2001,
+    A structural mode in its own coordinate (Meirovitch, "Fundamentals of vibrations", 2001,
     chapter 7): ``eta'' + 2 zeta omega eta' + omega^2 eta = -b alpha`` with ``alpha`` the body's
-    angular acceleration. What is mounted on it turns at the body's rates plus ``eta'``.
+    angular acceleration. Parts mounted on it turn at the body rates plus ``eta'``.
 
     Args:
         f: the mode.

@@ -1,26 +1,24 @@
-"""The extended Kalman filter on board: inertial unit and motion capture to motion and biases.
+"""Extended Kalman filter of inertial unit and motion capture: motion and sensor biases.
 
-An error-state filter with a quaternion (Sola, arXiv 1711.02508, sections 5 to 7, errors of the
-attitude in the world frame): gyro and accelerometer carry the estimate on, poses correct it.
-Nothing is singular at a pitch of 90 deg.
+An error-state filter with a quaternion (Sola, arXiv 1711.02508, sections 5 to 7, attitude errors
+in the world frame). Gyro and accelerometer predict the estimate, poses correct it. It has no
+singularity at a pitch of 90 deg.
 
-Late poses. A pose that arrives now was taken some time ago, so the filter itself runs that far
-behind: inertial samples wait in a buffer and are taken in when the poses of their own time
-arrive. Each pose then corrects the estimate of the instant at which it was taken, with the gain
-that is right for it. What the drone is told is the delayed estimate carried on over the waiting
-samples, from scratch at every sample, so that a correction or a new bias reaches the present at
-once and in full (the time horizon of Khosravian, Trumpf, Mahony and Hamel, "Recursive attitude
-estimation in the presence of multi-rate and multi-delay vector measurements", American Control
-Conference 2015, and of the filter EKF2 of PX4). With no latency the buffer is empty and this is
-the textbook filter. A frame that was lost changes nothing.
+Delayed poses. A pose arrives some time after it was taken, so the filter runs with that delay:
+inertial samples wait in a buffer until the poses of their time arrive, and each pose corrects the
+estimate of the instant at which it was taken. The present estimate is the delayed one predicted
+over the buffered samples, recomputed at every sample (the delayed time horizon of Khosravian,
+Trumpf, Mahony and Hamel, "Recursive attitude estimation in the presence of multi-rate and
+multi-delay vector measurements", American Control Conference 2015, and of PX4's EKF2). Without
+latency the buffer is empty. A lost frame changes nothing.
 
-Late inertial samples. The unit's own low-pass is, to the third order, a pure delay ``d``, so a
-sample is taken as what was true ``d`` ago. The delayed estimate is then of a time within half a
-sample of the pose's, an ``offset`` that the estimated velocity and rates bridge; and the present
-is ``d`` beyond the last sample.
+Delayed inertial samples. The unit's low-pass is a pure delay ``d`` to the third order, so a sample
+is the value of ``d`` ago. The time of the delayed estimate then differs from the pose's by an
+``offset`` of at most half a sample, which the estimated velocity and rates bridge; the present is
+``d`` after the last sample.
 
-``init`` and ``update`` carry the filter from sample to sample, ``estimate`` says what it believes
-(``quadjax.plant.estimate``). All of it is of one drone: batch with ``vmap``.
+``init`` and ``update`` advance the filter, ``quadjax.plant.estimate`` computes the present
+estimate. Functions are of one drone; batch with ``vmap``.
 """
 
 import jax
@@ -40,7 +38,7 @@ from quadjax.plant.sensors import Fix, Measured
 
 @struct.dataclass
 class Motion:
-    """What the filter estimates, at its delayed instant."""
+    """The estimate at the delayed instant."""
 
     position: Vec3  # m, world
     velocity: Vec3  # m/s, world
@@ -59,8 +57,8 @@ class Sample:
 
 
 @struct.dataclass
-class Unrest:
-    """Mean squares of the second differences of what is measured: how much it surprises."""
+class Roughness:
+    """Mean squares of the second differences of the measurements."""
 
     gyro: Vec3  # (rad/s)^2
     force: Vec3  # (m/s^2)^2
@@ -68,39 +66,39 @@ class Unrest:
 
 @struct.dataclass
 class EkfState:
-    """The filter at its delayed instant, and the samples since."""
+    """The filter at the delayed instant, and the samples since."""
 
     motion: Motion
     covariance: Covariance
-    last: Sample  # taken in last
-    waiting: tuple[Sample, ...]  # not taken in yet, the oldest first
-    newest: Sample  # as measured: gyro and accelerometer not brought to the same instant
+    last: Sample  # processed last
+    waiting: tuple[Sample, ...]  # buffered, the oldest first
+    newest: Sample  # as measured, gyro and accelerometer not aligned
     before: Sample  # the one before it
-    unrest: Unrest
+    roughness: Roughness
 
 
 def init(params: EkfParams, measured: Measured) -> EkfState:
-    """The filter at the start, from a pose and no knowledge of velocity and biases.
+    """The filter at the start, from a pose; velocity and biases are unknown.
 
     Args:
         params: of the filter.
-        measured: the sensors' first sample, with a pose that is not late.
+        measured: the first sample, with a pose without delay.
     """
     zero = Vec3(*(jnp.zeros_like(x) for x in measured.gyro.components()))
     motion = Motion(measured.fix.position, zero, measured.fix.attitude, zero, zero)
     start = cov.diagonal_covariance(tuple(std + zero.x for std in params.start))
     sample = Sample(measured.gyro, measured.accelerometer, zero.x)
     waiting = (sample,) * params.lag
-    return EkfState(motion, start, sample, waiting, sample, sample, Unrest(zero, zero))
+    return EkfState(motion, start, sample, waiting, sample, sample, Roughness(zero, zero))
 
 
 def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
-    """Take in the next sample of one drone.
+    """Process the next sample of one drone.
 
     Args:
         params: of the filter.
         state: from ``init`` or the last ``update``.
-        measured: what arrives at this sample; the pose counts where it is ``fresh``.
+        measured: the sample; its pose is used if it is ``fresh``.
     """
     keep = keeper(params)
     newest = Sample(measured.gyro, measured.accelerometer, params.step)
@@ -112,12 +110,12 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
     taken, *waiting = (*state.waiting, aligned)
     motion, covariance = predict(params, state.motion, state.covariance, state.last, taken, keep)
     motion, covariance = correct(params, motion, covariance, taken, measured.fix, keep)
-    unrest = _unrest(params, state, newest)
-    return EkfState(motion, covariance, taken, tuple(waiting), newest, state.newest, unrest)
+    roughness = _roughness(params, state, newest)
+    return EkfState(motion, covariance, taken, tuple(waiting), newest, state.newest, roughness)
 
 
 def keeper(params: EkfParams) -> Keep:
-    """Calls functions so that their values are computed once; see ``quadjax.core.materialize``."""
+    """A ``Keep`` that materializes values; see ``quadjax.core.materialize``."""
     always = params.step > 0
     return lambda function, *arguments: staged_values(function, always, *arguments)
 
@@ -130,15 +128,15 @@ def predict(
     after: Sample,
     keep: Keep = call,
 ) -> tuple[Motion, Covariance]:
-    """Carry estimate and covariance on from one inertial sample to the next.
+    """Predict estimate and covariance from one inertial sample to the next.
 
     Args:
         params: of the filter.
         motion: at ``before``.
         covariance: of its errors.
-        before: the sample taken in last.
-        after: the sample to take in.
-        keep: calls a function in a way that its values are computed once.
+        before: the sample processed last.
+        after: the sample to process.
+        keep: calls a function; see ``quadjax.core.materialize``.
     """
     moved, transition = keep(advance, params.gravity, motion, before, after)
     densities = (params.force_density, params.gyro_density, params.gyro_walk, params.force_walk)
@@ -149,7 +147,7 @@ def predict(
 def advance(
     gravity: jax.Array, motion: Motion, before: Sample, after: Sample
 ) -> tuple[Motion, Transition]:
-    """The motion one sample later, by the trapezoidal rule, and the errors' transition."""
+    """The motion one sample later, by the trapezoidal rule, and the transition of its errors."""
     step = after.step
     angle = ((before.gyro + after.gyro) * 0.5 - motion.gyro_bias) * step
     force = (before.force + after.force) * 0.5 - motion.force_bias
@@ -161,7 +159,7 @@ def advance(
     moved = motion.replace(
         position=motion.position + (motion.velocity + change * 0.5) * step,
         velocity=motion.velocity + change,
-        attitude=quaternion.normalised(quaternion.multiply(between, half)),
+        attitude=quaternion.normalized(quaternion.multiply(between, half)),
     )
     return moved, Transition(step, turn, middle * step)
 
@@ -180,9 +178,9 @@ def correct(
         params: of the filter.
         motion: at the instant of ``at``.
         covariance: of its errors.
-        at: the sample taken in last: its rates and force bridge the offset to the pose's instant.
-        fix: the pose; nothing changes unless it is ``fresh``.
-        keep: calls a function in a way that its values are computed once.
+        at: the sample processed last; its rates and force bridge the offset to the pose.
+        fix: the pose; without effect unless it is ``fresh``.
+        keep: calls a function; see ``quadjax.core.materialize``.
     """
     motion, covariance = keep(_correct_position, params, motion, covariance, at, fix)
     return keep(_correct_attitude, params, motion, covariance, at, fix)
@@ -224,19 +222,19 @@ def _corrected(motion: Motion, corrections: tuple[Vec3, ...]) -> Motion:
     return Motion(
         motion.position + position,
         motion.velocity + velocity,
-        quaternion.normalised(turned),
+        quaternion.normalized(turned),
         motion.gyro_bias + gyro_bias,
         motion.force_bias + force_bias,
     )
 
 
-def _unrest(params: EkfParams, state: EkfState, newest: Sample) -> Unrest:
+def _roughness(params: EkfParams, state: EkfState, newest: Sample) -> Roughness:
     def mean(old: Vec3, now: Vec3, before: Vec3, earlier: Vec3) -> Vec3:
         second = now - before * 2.0 + earlier
-        return old + (second * second - old) * params.unrest_rate
+        return old + (second * second - old) * params.roughness_rate
 
     before, earlier = state.newest, state.before
-    return Unrest(
-        mean(state.unrest.gyro, newest.gyro, before.gyro, earlier.gyro),
-        mean(state.unrest.force, newest.force, before.force, earlier.force),
+    return Roughness(
+        mean(state.roughness.gyro, newest.gyro, before.gyro, earlier.gyro),
+        mean(state.roughness.force, newest.force, before.force, earlier.force),
     )

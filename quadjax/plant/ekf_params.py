@@ -1,4 +1,4 @@
-"""Numbers of the navigation filter, worked out from what it knows of the sensors."""
+"""Parameters of the navigation filter, derived from those of the sensors."""
 
 import math
 
@@ -8,16 +8,16 @@ import numpy as np
 from flax import struct
 from scipy.signal import lfilter
 
-from quadjax.plant.sensor_schema import EkfConfig, SensorsConfig, check_ekf, check_sensors
+from quadjax.plant.config import EkfConfig, SensorsConfig
 from quadjax.plant.sensors import low_pass, low_pass_delay
 
-UNREST_SECONDS = 0.05  # over which second differences are averaged
-REFERENCE_RATE = 500.0  # Hz, at which the config's noise between two samples is meant
+ROUGHNESS_SECONDS = 0.05  # averaging time of squared second differences
+REFERENCE_RATE = 500.0  # Hz, at which the config gives the noise between two samples
 
 
 @struct.dataclass
 class EkfParams:
-    """The filter of one set of sensors; traced, but for how many samples it runs behind."""
+    """Numbers of the filter; traced, except for the number of samples that it lags."""
 
     step: jax.Array  # s between samples
     gravity: jax.Array  # m/s^2
@@ -28,37 +28,32 @@ class EkfParams:
     position_variance: jax.Array  # of a pose, m^2
     attitude_variance: jax.Array  # rad^2
     start: tuple[jax.Array, ...]  # (5) standard deviations of the first estimate
-    late: jax.Array  # s, by which inertial samples are late
-    offset: jax.Array  # s, of a pose after the delayed estimate
-    gyro_shift: jax.Array  # part of a step by which the gyro is held back to be as late
-    force_shift: jax.Array  # likewise the accelerometer
-    gyro_lead: jax.Array  # steps by which the gyro is carried on to the present
-    force_lead: jax.Array  # likewise the accelerometer
-    gyro_variance: jax.Array  # noise of the gyro carried on to the present, (rad/s)^2
+    late: jax.Array  # s, delay of inertial samples
+    offset: jax.Array  # s, from the delayed estimate to a pose
+    gyro_shift: jax.Array  # fraction of a step by which the gyro is delayed to align it
+    force_shift: jax.Array  # the same of the accelerometer
+    gyro_lead: jax.Array  # steps by which the gyro is extrapolated to the present
+    force_lead: jax.Array  # the same of the accelerometer
+    gyro_variance: jax.Array  # noise of the extrapolated gyro, (rad/s)^2
     force_variance: jax.Array  # (m/s^2)^2
-    unrest_rate: jax.Array  # share of a new second difference in their mean
-    lag: int = struct.field(pytree_node=False, default=0)  # samples that wait
+    roughness_rate: jax.Array  # weight of a new second difference in the mean
+    lag: int = struct.field(pytree_node=False, default=0)  # samples in the buffer
 
 
 def ekf_params(
     sensors: SensorsConfig, config: EkfConfig, sample_rate: float, gravity: float = 9.81
 ) -> EkfParams:
-    """The filter for a config's sensors, whose noise, delays and low-passes it knows.
+    """The filter for the sensors of a config.
 
-    Between two samples a step ``T`` long the trapezoidal rule misses ``T^3 / 12`` of the signal's
-    second derivative. As white noise that is a density which grows with ``T^2.5``.
+    Between two samples a step ``T`` apart the trapezoidal rule has an error of ``T^3 / 12`` times
+    the signal's second derivative; as white noise its density grows with ``T^2.5``.
 
     Args:
         sensors: the ``sensors`` section.
         config: the ``ekf`` section.
         sample_rate: Hz.
         gravity: m/s^2.
-
-    Raises:
-        InputError: a value that cannot be.
     """
-    check_sensors(sensors, sample_rate)
-    check_ekf(config)
     gyro, force = sensors.gyro, sensors.accelerometer
     between = (REFERENCE_RATE / sample_rate) ** 2.5
     timing, lag = _timing(sensors, sample_rate)
@@ -72,9 +67,9 @@ def ekf_params(
         "force_walk": force.bias_walk**2 + config.accelerometer_bias_walk**2,
         "position_variance": position**2,
         "attitude_variance": attitude**2,
-        "gyro_variance": _carried_on(gyro.noise, gyro.low_pass, sample_rate),
-        "force_variance": _carried_on(force.noise, force.low_pass, sample_rate),
-        "unrest_rate": min(1.0, 1.0 / (sample_rate * UNREST_SECONDS)),
+        "gyro_variance": _extrapolated(gyro.noise, gyro.low_pass, sample_rate),
+        "force_variance": _extrapolated(force.noise, force.low_pass, sample_rate),
+        "roughness_rate": min(1.0, 1.0 / (sample_rate * ROUGHNESS_SECONDS)),
     }
     return EkfParams(
         **{name: jnp.asarray(value, jnp.float32) for name, value in (numbers | timing).items()},
@@ -84,7 +79,7 @@ def ekf_params(
 
 
 def _timing(sensors: SensorsConfig, sample_rate: float) -> tuple[dict[str, float], int]:
-    """How late everything is, and how many samples the filter runs behind."""
+    """Delays and alignment of the sensors, and the lag of the filter in samples."""
     units = (sensors.gyro, sensors.accelerometer)
     delays = [low_pass_delay(unit.low_pass, sample_rate) for unit in units]
     late = max(delays)
@@ -104,8 +99,8 @@ def _timing(sensors: SensorsConfig, sample_rate: float) -> tuple[dict[str, float
 def _first_estimate(sensors: SensorsConfig, config: EkfConfig, late: float) -> tuple[float, ...]:
     """Standard deviations of a pose's position and attitude, then of the first estimate (5).
 
-    The first pose is of the present, the first inertial sample of ``late`` seconds ago, and how far
-    the drone went in between is as unknown as its velocity.
+    The first pose has no delay and the first inertial sample has ``late`` seconds; the distance
+    flown in between is as uncertain as the velocity.
     """
     position = math.hypot(sensors.mocap.position_noise, config.position_noise)
     attitude = math.hypot(sensors.mocap.attitude_noise, config.attitude_noise)
@@ -121,12 +116,12 @@ def _first_estimate(sensors: SensorsConfig, config: EkfConfig, late: float) -> t
 
 
 def _density(noise: float, extra: float) -> float:
-    """Variance per second of the integral of white noise, of its one-sided density."""
+    """Variance per second of integrated white noise, from its one-sided density."""
     return 0.5 * (noise**2 + extra**2)
 
 
-def _carried_on(noise: float, cutoff: float, sample_rate: float) -> float:
-    """Variance of a filtered sample that is carried on by its delay along its last difference."""
+def _extrapolated(noise: float, cutoff: float, sample_rate: float) -> float:
+    """Noise variance of a filtered sample extrapolated by its delay along the last difference."""
     forward, feedback = low_pass(cutoff, sample_rate)
     impulse = np.zeros(4096)
     impulse[0] = 1.0

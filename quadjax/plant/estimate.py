@@ -1,4 +1,4 @@
-"""What the navigation filter believes of the present, with its standard deviations."""
+"""The navigation filter's estimate of the present state, with standard deviations."""
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +15,8 @@ from quadjax.plant.matrix import Sym3, apply
 
 
 @struct.dataclass
-class Belief:
-    """Seven vectors: values, or their standard deviations in the same units."""
+class NavigationState:
+    """Seven vectors: an estimate, its standard deviations or its errors, in the same units."""
 
     position: Vec3  # m, world
     velocity: Vec3  # m/s, world
@@ -29,18 +29,18 @@ class Belief:
 
 @struct.dataclass
 class Estimate:
-    """What is believed of the present."""
+    """Estimate of the present and its standard deviations."""
 
-    value: Belief
-    std: Belief
+    value: NavigationState
+    std: NavigationState
 
 
 def estimate(params: EkfParams, state: EkfState) -> Estimate:
-    """The present motion of one drone: the delayed estimate carried on over what waits.
+    """The present state of one drone: the delayed estimate predicted over the buffered samples.
 
-    Rates and specific force are the newest sample less its bias, carried on by the low-pass's
-    delay along the last difference. Their standard deviation holds the noise, the bias's and the
-    part that such a straight line misses, from the mean square of recent second differences.
+    Rates and specific force are the newest sample less its bias, extrapolated by the low-pass's
+    delay along the last difference. Their variance is the sum of the noise's, the bias's and the
+    extrapolation error's, from the mean square of recent second differences.
 
     Args:
         params: of the filter.
@@ -50,7 +50,7 @@ def estimate(params: EkfParams, state: EkfState) -> Estimate:
     rates = newest.gyro + (newest.gyro - before.gyro) * params.gyro_lead - motion.gyro_bias
     force = newest.force + (newest.force - before.force) * params.force_lead - motion.force_bias
     present = _present(params, state, rates, force)
-    value = Belief(
+    value = NavigationState(
         present.position,
         present.velocity,
         quaternion.to_euler(present.attitude),
@@ -67,7 +67,7 @@ def _present(params: EkfParams, state: EkfState, rates: Vec3, force: Vec3) -> Mo
     for sample in state.waiting:
         motion = keep(_advanced, params.gravity, motion, last, sample)
         last = sample
-    # The rest of the way without a measurement: rates and force as they are carried on.
+    # The rest has no measurement: extrapolated rates and force.
     now = Sample(rates + motion.gyro_bias, force + motion.force_bias, params.late)
     return keep(_advanced, params.gravity, motion, last, now)
 
@@ -76,7 +76,9 @@ def _advanced(gravity: jax.Array, motion: Motion, before: Sample, after: Sample)
     return advance(gravity, motion, before, after)[0]
 
 
-def _deviations(params: EkfParams, state: EkfState, present: Motion, euler: Vec3) -> Belief:
+def _deviations(
+    params: EkfParams, state: EkfState, present: Motion, euler: Vec3
+) -> NavigationState:
     p, motion = state.covariance, state.motion
     time = params.late + sum(sample.step for sample in state.waiting)
     fall = params.gravity * time
@@ -91,29 +93,29 @@ def _deviations(params: EkfParams, state: EkfState, present: Motion, euler: Vec3
     position, velocity, turned = cov.variances_ahead(p, ahead, moved, growth)
     gyro_bias = p.diagonal[cov.GYRO_BIAS].diagonal()
     force_bias = p.diagonal[cov.FORCE_BIAS].diagonal()
-    variances = Belief(
+    variances = NavigationState(
         position,
         velocity,
         _euler_variances(turned, euler),
-        _missed(params.gyro_variance, params.gyro_lead, gyro_bias, state.unrest.gyro),
-        _missed(params.force_variance, params.force_lead, force_bias, state.unrest.force),
+        _extrapolated(params.gyro_variance, params.gyro_lead, gyro_bias, state.roughness.gyro),
+        _extrapolated(params.force_variance, params.force_lead, force_bias, state.roughness.force),
         gyro_bias,
         force_bias,
     )
     return jax.tree.map(lambda x: jnp.sqrt(jnp.maximum(x, 0.0)), variances)
 
 
-def _missed(noise: jax.Array, lead: jax.Array, bias: Vec3, unrest: Vec3) -> Vec3:
-    """Variances of a measurement carried on by ``lead`` samples along its last difference.
+def _extrapolated(noise: jax.Array, lead: jax.Array, bias: Vec3, roughness: Vec3) -> Vec3:
+    """Variances of a measurement extrapolated by ``lead`` samples along its last difference.
 
-    A straight line misses ``lead (lead + 1) / 2`` second differences. Twice that is allowed for,
-    because they come in jumps, with every new command.
+    The error is ``lead (lead + 1) / 2`` second differences; twice that is assumed, because they
+    jump with every new command.
     """
-    return bias + unrest * (lead * (lead + 1.0)) ** 2 + Vec3(noise, noise, noise)
+    return bias + roughness * (lead * (lead + 1.0)) ** 2 + Vec3(noise, noise, noise)
 
 
 def _euler_variances(turned: Sym3, euler: Vec3) -> Vec3:
-    """Variances of roll, pitch and yaw, rad^2, of the covariance of a turn of the world's axes."""
+    """Variances of roll, pitch and yaw, rad^2, from the covariance of a rotation vector (world)."""
     a = attitude(euler)
     cos_pitch = jnp.maximum(a.cos_pitch, 1e-3)
     zero = jnp.zeros_like(cos_pitch)

@@ -1,11 +1,11 @@
-"""Races on the stand-in plant: a policy file flown by what the drone believes.
+"""Races on the stand-in plant: the policy observes the onboard estimate.
 
-The rules, the gates and the laps are those of ``quadjax.race``, judged by
-what is true at every sample of the plant.
+Rules, gates and laps are those of ``quadjax.race``, applied to the true motion at every sample.
 """
 
 import dataclasses
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -28,22 +28,21 @@ from quadjax.vehicle.rate import RateCommand, RateState
 
 @dataclasses.dataclass(frozen=True)
 class FlightChoices:
-    """What chooses code."""
+    """Static choices of code."""
 
     race: Choices
     onboard: OnboardChoices
     hold: int  # samples in a control step
-    recorded: int  # of the first runs, what is flown is kept
 
 
 @struct.dataclass
 class FlightParams:
-    """Every number of flights on the plant."""
+    """Numbers of flights on the plant."""
 
     plant: PlantParams
     race: RaceParams
     onboard: OnboardParams
-    charge: tuple[jax.Array, jax.Array]  # of the battery at the start, lowest and highest
+    charge: tuple[jax.Array, jax.Array]  # lowest and highest at the start
 
 
 @struct.dataclass
@@ -57,24 +56,28 @@ class Flight:
 
 @struct.dataclass
 class Frame:
-    """What is kept of a control step, batched over the recorded runs along the last axis."""
+    """Record of one control step."""
 
-    true: MotorState  # with the external moment and force that the policy was told
-    believed: MotorState
+    true: MotorState  # with the external moment and force that the policy observed
+    estimated: MotorState
     gyro: Vec3  # rad/s, as measured
     accelerometer: Vec3  # m/s^2, as measured
-    force_bias: Vec3  # m/s^2, as believed
+    force_bias: Vec3  # m/s^2, estimated
     specific_force: Vec3  # m/s^2, true
-    command: Rotors | RateCommand  # the policy's
-    rpm_command: Rotors  # rpm, as it leaves for the motors in this step's last sample
+    command: Rotors | RateCommand  # of the policy
+    rpm_command: Rotors  # rpm, in the last sample of the step
     target: jax.Array  # () int32
     over: jax.Array  # () bool, before the step
+
+
+# (params, flight before the step, command, rpm command of its last sample) -> record, of one drone
+Recorder = Callable[[FlightParams, Flight, Rotors | RateCommand, Rotors], jax.Array | Frame]
 
 
 def begin(
     choices: FlightChoices, params: FlightParams, key: jax.Array, runs: int, lap_count: int
 ) -> Flight:
-    """Drones hovering at the last gate, their batteries, gusts and sensors drawn."""
+    """Drones in hover at the last gate, with drawn batteries, gusts and sensors."""
 
     def one(drawn: jax.Array, charge: jax.Array) -> tuple[RaceState, PlantState, OnboardState]:
         body = hover(motor.MODEL, params.plant.vehicle.constants, params.race.track)
@@ -82,16 +85,16 @@ def begin(
         left = low + (high - low) * charge
         first, rest = drawn[: gusts.START_DRAWS], drawn[gusts.START_DRAWS :]
         state = plant.begin(params.plant, body, left, first)
-        carried = onboard.begin(choices.onboard, params.onboard, params.plant, state, rest)
+        computers = onboard.begin(choices.onboard, params.onboard, params.plant, state, rest)
         zero = jnp.zeros((), jnp.int32)
-        return RaceState(body, zero, zero, zero, None), state, carried
+        return RaceState(body, zero, zero, zero, None), state, computers
 
     of_noise, of_charge = jax.random.split(key)
     count = gusts.START_DRAWS + sensors.START_DRAWS
     drawn = jax.random.normal(of_noise, (count, runs))
     charge = jax.random.uniform(of_charge, (runs,))
-    race, state, carried = jax.vmap(one, in_axes=-1, out_axes=-1)(drawn, charge)
-    return Flight(laps.begin(race, lap_count), state, carried)
+    race, state, computers = jax.vmap(one, in_axes=-1, out_axes=-1)(drawn, charge)
+    return Flight(laps.begin(race, lap_count), state, computers)
 
 
 def sample(
@@ -110,30 +113,29 @@ def sample(
     def keep(function: object, *arguments: object) -> object:
         return staged_values(function, always, *arguments)
 
-    carried, rotors = onboard.command_rotors(params.onboard, flight.onboard, command)
+    computers, rotors = onboard.command_rotors(params.onboard, flight.onboard, command)
     first, rest = drawn[: gusts.DRAWS], drawn[gusts.DRAWS :]
     state = plant.update(params.plant, flight.plant, rotors, first, keep)
-    carried = onboard.sense(choices.onboard, params.onboard, params.plant, state, carried, rest)
+    computers = onboard.sense(choices.onboard, params.onboard, params.plant, state, computers, rest)
     before, body = flight.race.state, state.physics.body
     g = gate(params.race.track, before.target)
     outcome = environment.evaluate_rules(choices.race, params.race, before, body, g)
     following = environment.progressed(params.race, before, body, outcome)
     gates = gate_count(params.race.track)
     race = laps.score(flight.race, following, outcome, params.plant.step, gates)
-    return Flight(race, state, carried), rotors
+    return Flight(race, state, computers), rotors
 
 
-def see(choices: FlightChoices, params: FlightParams, flight: Flight) -> jax.Array:
-    """What the policy of one drone sees: the race, with the drone as it is believed to be."""
-    motion: MotorState | RateState = flight.onboard.belief.motion
+def observe(choices: FlightChoices, params: FlightParams, flight: Flight) -> jax.Array:
+    """Observation (n,) of one drone's policy: the race with the estimated state."""
+    motion: MotorState | RateState = flight.onboard.estimate.motion
     if choices.race.model is rate.MODEL:
         thrust = flight.onboard.inner.thrust
         motion = RateState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
-    believed = flight.race.state.replace(drone=motion)
-    return environment.observe(choices.race, params.race, believed)
+    return environment.observe(choices.race, params.race, flight.race.state.replace(drone=motion))
 
 
-@functools.partial(jax.jit, static_argnames=("choices", "steps"))
+@functools.partial(jax.jit, static_argnames=("choices", "steps", "recorded", "record"))
 def fly_on(
     choices: FlightChoices,
     steps: int,
@@ -141,20 +143,37 @@ def fly_on(
     pilot: Pilot,
     flight: Flight,
     key: jax.Array,
-) -> tuple[Flight, Frame]:
-    """All drones some control steps further, and what was flown: time first, runs last."""
+    recorded: int,
+    record: Recorder,
+) -> tuple[Flight, jax.Array | Frame]:
+    """Advance all drones by some control steps.
+
+    Args:
+        choices: static choices.
+        steps: control steps.
+        params: of the flights.
+        pilot: the policy.
+        flight: from ``begin`` or the last call.
+        key: of the policy's, the plant's and the sensors' noise.
+        recorded: runs of which a record is kept: the first ones.
+        record: what is kept of a step.
+
+    Returns:
+        The flights, and the records: time first, runs last.
+    """
     runs = flight.race.over.shape[-1]
-    observe = jax.vmap(functools.partial(see, choices), in_axes=(None, -1))
+    see = jax.vmap(functools.partial(observe, choices), in_axes=(None, -1))
     act = jax.vmap(fly, in_axes=(None, 0, 0))
     instruct = jax.vmap(
         functools.partial(environment.command, choices.race), in_axes=(None, 0), out_axes=-1
     )
     advance = jax.vmap(functools.partial(sample, choices), (None, -1, -1, -1), -1)
+    note = jax.vmap(record, (None, -1, -1, -1), -1)
 
-    def control(flight: Flight, key: jax.Array) -> tuple[Flight, Frame]:
+    def control(flight: Flight, key: jax.Array) -> tuple[Flight, jax.Array | Frame]:
         of_policy, of_plant = jax.random.split(key)
         noise = jax.random.normal(of_policy, (runs, 4))
-        action = act(pilot, observe(params, flight), noise)
+        action = act(pilot, see(params, flight), noise)
         command = instruct(params.race, action)
 
         def one(flight: Flight, key: jax.Array) -> tuple[Flight, Rotors]:
@@ -163,35 +182,31 @@ def fly_on(
 
         following, rotors = jax.lax.scan(one, flight, jax.random.split(of_plant, choices.hold))
         last = jax.tree.map(lambda x: x[-1], rotors)
-        return following, _frame(choices, params, flight, command, last)
+        first = jax.tree.map(lambda x: x[..., :recorded], (flight, command, last))
+        return following, note(params, *first)
 
     return jax.lax.scan(control, flight, jax.random.split(key, steps))
 
 
-def _frame(
-    choices: FlightChoices,
-    params: FlightParams,
-    flight: Flight,
-    command: Rotors | RateCommand,
-    rotors: Rotors,
+def record_frame(
+    params: FlightParams, flight: Flight, command: Rotors | RateCommand, rotors: Rotors
 ) -> Frame:
-    belief = flight.onboard.belief
-    truth = jax.vmap(plant.truth_of, in_axes=(None, -1), out_axes=-1)(params.plant, flight.plant)
-    body = flight.plant.physics.body.replace(
-        rates=truth.rates,
-        moment_ext=belief.motion.moment_ext,
-        force_ext=belief.motion.force_ext,
-    )
-    frame = Frame(
-        true=body,
-        believed=belief.motion,
-        gyro=belief.gyro,
-        accelerometer=belief.accelerometer,
-        force_bias=belief.force_bias,
+    """The ``Frame`` of a control step of one drone."""
+    now = flight.onboard.estimate
+    truth = plant.truth_of(params.plant, flight.plant)
+    return Frame(
+        true=flight.plant.physics.body.replace(
+            rates=truth.rates,
+            moment_ext=now.motion.moment_ext,
+            force_ext=now.motion.force_ext,
+        ),
+        estimated=now.motion,
+        gyro=now.gyro,
+        accelerometer=now.accelerometer,
+        force_bias=now.force_bias,
         specific_force=truth.specific_force,
         command=command,
         rpm_command=rotors,
         target=flight.race.state.target,
         over=flight.race.over,
     )
-    return jax.tree.map(lambda x: x[..., : choices.recorded], frame)

@@ -1,170 +1,204 @@
-"""Flights of a policy in the race simulator, as the truth that sensors are to measure."""
+"""Timed flights of a policy file on the stand-in plant."""
 
 import dataclasses
-import functools
+from collections.abc import Callable, Iterator
 
 import jax
 import jax.numpy as jnp
-from flax import struct
+import numpy as np
 
 from quadjax.config.schema import Config
-from quadjax.core.vectors import Rotors
-from quadjax.plant.truth import Truth
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.evaluation.recording import Recording
+from quadjax.plant import flight
+from quadjax.plant.build import build_plant, nominal_vehicle
+from quadjax.plant.config import PlantConfig
+from quadjax.plant.ekf_params import ekf_params
+from quadjax.plant.flight import Flight, FlightChoices, FlightParams, Frame, Recorder
+from quadjax.plant.indi import indi_params
+from quadjax.plant.onboard import OnboardChoices, OnboardParams
+from quadjax.plant.sensors import sensor_params
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import Pilot, command_ranges, fly, make_pilot, race_of
-from quadjax.race import environment
-from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules
-from quadjax.race.laps import starting_states
+from quadjax.policy.pilot import Pilot, command_ranges, make_pilot, race_of
+from quadjax.race import laps
+from quadjax.race.build import build_vehicle
+from quadjax.race.environment import exact_rules
+from quadjax.race.laps import Laps
+from quadjax.vehicle import motor
+from quadjax.vehicle.estimator import estimator_params
+from quadjax.vehicle.rate import RateCommand
 
-WIDER = 0.25  # m by which each side of a gate is wider here: it is the filter that is judged
+CHUNK_SECONDS = 1.0  # of flight between checks for the end
 
 
 @dataclasses.dataclass(frozen=True)
-class Setting:
-    """What is flown and how.
+class Flights:
+    """Flights that have ended.
 
     Attributes:
-        sample_rate: of the physics, Hz; rounded to a multiple of the policy's rate.
-        flights: how many drones.
-        seconds: of each flight, as far as it gets.
-        from_hover: start as a race does, else from the training's random starts.
-        seed: of starts and of the policy's noise.
+        laps: the timed result.
+        frames: of the recorded runs: time first, runs last, NumPy arrays.
+        step: s between frames.
     """
 
-    sample_rate: float = 500.0
-    flights: int = 1000
-    seconds: float = 20.0
-    from_hover: bool = True
-    seed: int = 0
-
-
-@struct.dataclass
-class Flight:
-    """One drone under way."""
-
-    race: RaceState
-    over: jax.Array  # () bool, crashed: what follows is no flight
-
-
-@struct.dataclass
-class Seen:
-    """One drone at one sample."""
-
-    truth: Truth
-    over: jax.Array  # () bool
+    laps: Laps
+    frames: Frame
+    step: float
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """Flights ready to be flown."""
+    """Flights before the start."""
 
-    choices: Choices
-    params: RaceParams
+    choices: FlightChoices
+    params: FlightParams
     pilot: Pilot
-    hold: int  # samples in a control step
-    control_steps: int  # in all
-
-    @property
-    def sample_rate(self) -> float:
-        """Hz."""
-        return 1.0 / float(self.params.limits.dt)
+    step: float  # s, of the control loop
+    limit: int  # control steps, after which a flight is out of time
+    laps: int
+    runs: int
+    recorded: int  # runs, the first ones, whose frames are kept
 
 
-def plan_flights(config: Config, policy: Policy, setting: Setting, name: str) -> Plan:
-    """The flights of a policy: physics by Runge-Kutta steps between two of its commands.
-
-    In these physics a policy that grazes the gates' edges in its own would touch them sooner or
-    later, so the gates are wider.
+def plan_flights(
+    config: Config,
+    plant: PlantConfig,
+    policy: Policy,
+    name: str = "policy",
+    lap_count: int = 6,
+    runs: int = 100,
+    recorded: int = 5,
+    deterministic: bool = True,
+) -> Plan:
+    """Flights of a policy on the plant.
 
     Args:
-        config: of the race; its time step is the policy's.
+        config: of the race; its vehicle, with its residual, is the onboard model.
+        plant: of the plant.
         policy: a policy file's content.
-        setting: what is flown and how.
-        name: the policy's file, for messages.
+        name: of the policy file, for messages.
+        lap_count: laps to fly, from hover.
+        runs: number of independent drones.
+        recorded: runs whose frames are kept.
+        deterministic: fly the mean action rather than samples.
 
     Raises:
-        InputError: the policy does not fit the vehicle.
+        InputError: a policy that does not fit, or files that cannot be read.
     """
-    hold = max(1, round(config.episode.dt * setting.sample_rate))
-    fine = dataclasses.replace(
-        config,
-        episode=dataclasses.replace(config.episode, dt=config.episode.dt / hold),
-        vehicle=dataclasses.replace(config.vehicle, integrator="rk4"),
-    )
-    choices, params = race_of(fine, policy)
-    choices = dataclasses.replace(choices, stagger_clocks=False)
-    pilot = make_pilot(fine, policy, command_ranges(choices, params), False, name)
-    steps = max(1, round(setting.seconds / config.episode.dt))
+    config = race_config(config, policy)
+    choices, params = race_of(config, policy)
     params = exact_rules(choices.model, params)
-    wide = params.replace(limits=params.limits.replace(gate_margin=jnp.float32(-WIDER)))
-    return Plan(choices, wide, pilot, hold, steps)
+    pilot = make_pilot(config, policy, command_ranges(choices, params), deterministic, name)
+    hold = round(plant.sample_rate / plant.control_rate)
+    own = FlightChoices(
+        choices,
+        OnboardChoices(plant.navigation, plant.disturbance),
+        hold,
+    )
+    charge = tuple(jnp.float32(x) for x in plant.battery.charge)
+    numbers = FlightParams(build_plant(plant), params, _onboard(config, plant), charge)
+    limit = round(laps.time_limit(params.track, lap_count) * plant.control_rate)
+    step = 1.0 / plant.control_rate
+    return Plan(own, numbers, pilot, step, limit, lap_count, runs, min(recorded, runs))
 
 
-def begin(plan: Plan, setting: Setting) -> tuple[Flight, Truth]:
-    """All flights at their start, and their truth, batched along the last axis."""
-    key = jax.random.key(setting.seed)
-    states = starting_states(plan.choices, plan.params, key, setting.flights, setting.from_hover)
-    look = jax.vmap(functools.partial(truth_of, plan.choices), (None, -1), -1)
-    return Flight(states, jnp.zeros(setting.flights, bool)), look(plan.params, states)
+def race_config(config: Config, policy: Policy) -> Config:
+    """The race of one policy: its vehicle model and disturbance scale, without randomization.
+
+    On the plant the disturbance is estimated on board; the race adds none.
+    """
+    widths = policy.observation.get("disturbance") or {}
+    known = {key: value for key, value in widths.items() if key in vars(config.disturbance)}
+    return dataclasses.replace(
+        config,
+        vehicle=dataclasses.replace(config.vehicle, kind=policy.vehicle, actual={}),
+        disturbance=dataclasses.replace(config.disturbance, **known),
+        randomise=type(config.randomise)(),
+        episode=dataclasses.replace(config.episode, disturbance_input="true"),
+    )
 
 
-def truth_of(choices: Choices, params: RaceParams, state: RaceState) -> Truth:
-    """What is true of a racing drone; one that is flown by rates has no propeller speeds."""
-    drone = state.drone
-    vehicle = params.vehicle
-    if state.constants is not None:
-        vehicle = vehicle.replace(constants=state.constants)
-    force = choices.model.specific_force(vehicle, drone)
-    rpm = choices.model.actuator_state(drone)
-    if not isinstance(rpm, Rotors):
-        rpm = Rotors.same(jnp.zeros(()))
-    return Truth(drone.position, drone.velocity, drone.euler, drone.rates, force, rpm)
+def _onboard(config: Config, plant: PlantConfig) -> OnboardParams:
+    """Sensors, filters and inner loop; the onboard model is the config's motor-level vehicle."""
+    rate = plant.sample_rate
+    known = dataclasses.replace(config, vehicle=dataclasses.replace(config.vehicle, kind="motor"))
+    model = build_vehicle(known)
+    gravity = float(model.constants.g)
+    return OnboardParams(
+        sensors=sensor_params(plant.sensors, rate),
+        ekf=ekf_params(plant.sensors, plant.ekf, rate, gravity),
+        estimator=estimator_params(motor.MODEL, model, rate),
+        inner=indi_params(nominal_vehicle(plant).motor, plant.indi, rate),
+    )
 
 
-def fly_on(plan: Plan, flights: Flight, key: jax.Array, steps: int) -> tuple[Flight, Seen]:
-    """All flights some control steps further; the policy sees the truth.
+def fly_chunks(
+    plan: Plan, seed: int = 0, record: Recorder = flight.record_frame
+) -> Iterator[tuple[Flight, jax.Array | Frame]]:
+    """Fly until every drone has finished or crashed, a second at a time.
 
     Args:
-        plan: what is flown.
-        flights: batched along the last axis.
-        key: of the policy's noise.
-        steps: control steps.
+        plan: the flights.
+        seed: of batteries, gusts, sensors and the policy's noise.
+        record: what is kept of a control step.
 
-    Returns:
-        The flights then, and what was true at every sample on the way, samples first.
+    Yields:
+        The drones, and the records of the chunk as NumPy arrays.
     """
-    return _fly_on(plan.choices, plan.hold, steps, plan.params, plan.pilot, flights, key)
+    start, key = jax.random.split(jax.random.key(seed))
+    drones = jax.jit(flight.begin, static_argnums=(0, 3, 4))(
+        plan.choices, plan.params, start, plan.runs, plan.laps
+    )
+    chunk = max(1, round(CHUNK_SECONDS / plan.step))
+    for number in range(-(-plan.limit // chunk)):
+        own = jax.random.fold_in(key, number)
+        drones, frames = flight.fly_on(
+            plan.choices, chunk, plan.params, plan.pilot, drones, own, plan.recorded, record
+        )
+        yield drones, jax.tree.map(np.asarray, frames)
+        if bool(jnp.all(drones.race.over)):
+            return
 
 
-@functools.partial(jax.jit, static_argnames=("choices", "hold", "steps"))
-def _fly_on(
-    choices: Choices,
-    hold: int,
-    steps: int,
-    params: RaceParams,
-    pilot: Pilot,
-    flights: Flight,
-    key: jax.Array,
-) -> tuple[Flight, Seen]:
-    count = flights.over.shape[-1]
-    observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
-    act = jax.vmap(fly, in_axes=(None, 0, 0))
-    sample = jax.vmap(functools.partial(_sample, choices), (None, -1, 0), -1)
+def fly_plan(
+    plan: Plan, seed: int = 0, report: Callable[[float], None] = lambda seconds: None
+) -> Flights:
+    """Fly until every drone has finished or crashed.
 
-    def control(flights: Flight, key: jax.Array) -> tuple[Flight, Seen]:
-        noise = jax.random.normal(key, (count, 4))
-        action = act(pilot, observe(params, flights.race), noise)
-        return jax.lax.scan(lambda f, _: sample(params, f, action), flights, None, hold)
-
-    flights, seen = jax.lax.scan(control, flights, jax.random.split(key, steps))
-    return flights, jax.tree.map(lambda x: x.reshape(-1, count), seen)
+    Args:
+        plan: the flights.
+        seed: of batteries, gusts, sensors and the policy's noise.
+        report: called with the number of seconds flown.
+    """
+    kept: list[Frame] = []
+    for flying, frames in fly_chunks(plan, seed):
+        drones = flying
+        kept.append(frames)
+        report(len(kept) * max(1, round(CHUNK_SECONDS / plan.step)) * plan.step)
+    joined = jax.tree.map(lambda *parts: np.concatenate(parts), *kept)
+    result = laps.laps_of(drones.race, float(plan.params.plant.step), plan.limit * plan.step)
+    return Flights(result, joined, plan.step)
 
 
-def _sample(
-    choices: Choices, params: RaceParams, flight: Flight, action: jax.Array
-) -> tuple[Flight, Seen]:
-    """One sample of one drone; one that has crashed stands still."""
-    following, _, outcome = environment.transition(choices, params, flight.race, action)
-    over = flight.over | outcome.terminated
-    race = jax.tree.map(lambda new, old: jnp.where(over, old, new), following, flight.race)
-    return Flight(race, over), Seen(truth_of(choices, params, race), over)
+def rows(flights: Flights, vector: Vec3 | Rotors | RateCommand, run: int) -> np.ndarray:
+    """Components (n, k) of a vector of the frames in one recorded run, until its end."""
+    going = ~flights.frames.over[:, run]
+    columns = [np.asarray(x)[going, run] for x in jax.tree.leaves(vector)]
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def recordings(flights: Flights) -> list[Recording]:
+    """The recorded runs for figures, each cut at its end."""
+    frames, result = flights.frames, []
+    for run in range(frames.over.shape[-1]):
+        true, times = frames.true, flights.laps.lap_times[run]
+        vectors = (true.position, true.velocity, true.euler, true.rates, true.rpm, frames.command)
+        result.append(
+            Recording(
+                flights.step * np.arange(int((~frames.over[:, run]).sum())),
+                *(rows(flights, vector, run) for vector in vectors),
+                np.cumsum(times[np.isfinite(times)]),
+                flights.laps.crashes[run],
+            )
+        )
+    return result

@@ -9,7 +9,7 @@ with, below 1000 ft at an altitude of h feet, ``L_w = h``, ``L_u = L_v = h / (0.
 h)^1.2``, ``sigma_w = 0.1 W_20``, ``sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4``.
 
 The second filter is ``sqrt(3) a + (1 - sqrt(3)) b`` of the noise through one lag, ``a``, and
-through two, ``b``; the states here have unit output, so that a deviation of zero is calm air.
+through two, ``b``; the states have unit variance, so a deviation of zero is calm air.
 """
 
 import jax
@@ -21,7 +21,7 @@ from quadjax.core.vectors import Vec3, safe_norm
 
 SQRT3 = float(np.sqrt(3.0))
 METRES_PER_FOOT = 0.3048
-DRAWS = 3  # normal numbers of a step
+DRAWS = 3  # standard normal numbers per step
 START_DRAWS = 6
 
 
@@ -37,7 +37,7 @@ class GustParams:
 
 @struct.dataclass
 class GustState:
-    """Two numbers of memory for each component; of the first, u, the second is not used."""
+    """Two memories per component; u does not use the second."""
 
     first: Vec3
     second: Vec3
@@ -58,7 +58,7 @@ def gust_params(
 
 
 def init(drawn: jax.Array) -> GustState:
-    """Turbulence that has been there for long, of (START_DRAWS,) standard normal numbers."""
+    """Stationary turbulence, from (START_DRAWS,) standard normal numbers."""
     a, rest = Vec3.of(drawn[0:3]), Vec3.of(drawn[3:6])
     half = float(np.sqrt(0.5))
     first = Vec3(a.x, half * a.y, half * a.z)
@@ -69,8 +69,8 @@ def init(drawn: jax.Array) -> GustState:
 def update(params: GustParams, state: GustState, velocity: Vec3, drawn: jax.Array) -> GustState:
     """The turbulence one step later, of a drone at ``velocity``, m/s, and (DRAWS,) normal numbers.
 
-    The lags of one step are exact for white noise: ``a <- phi a + ..`` with
-    ``phi = exp(-V dt / L)`` keeps the variance whatever the step is.
+    The discretization is exact for white noise: ``a <- phi a + ..`` with ``phi = exp(-V dt / L)``
+    keeps the variance at any step.
     """
     speed = jnp.maximum(safe_norm(velocity), params.least_airspeed)
     first, second = [], []

@@ -1,27 +1,27 @@
-"""The inner loop on board: body rates and specific thrust to rpm, by incremental inversion.
+"""Inner loop from body rates and specific thrust to rpm: incremental dynamic inversion (INDI).
 
 Smeur, Chu and de Croon, "Adaptive incremental nonlinear dynamic inversion for attitude control of
-micro air vehicles", Journal of Guidance, Control, and Dynamics 39(3), 2016. What the effectiveness
-does not explain of the measured acceleration is taken from the filtered measurement, the rest from
-the rotors' present speeds, both through the same filter ``H``, so that they are of one time::
+micro air vehicles", Journal of Guidance, Control, and Dynamics 39(3), 2016. The present
+acceleration is the one modeled from the rotor speeds plus the filtered difference of measurement
+and model; the same filter ``H`` on both gives them the same delay::
 
     alpha = G(omega) + H[ Omega' - G(omega) - G2 omega' ]        (+ G2 omega')
     T     = T(omega) + H[ -f_z - T(omega) ]
 
-``G`` is the angular acceleration of the rotors' speeds and ``G2`` that of their change, which in
-yaw is the larger; ``f_z`` is the accelerometer. As in the onboard estimator of external moments
-(``quadjax.vehicle.estimator``), differentiation is part of the filter.
+``G`` is the angular acceleration due to rotor speeds, ``G2`` that due to their derivatives, which
+dominates yaw; ``f_z`` is the accelerometer. Differentiation is part of the filter, as in
+``quadjax.vehicle.estimator``.
 
-The actuators are first-order lags, ``omega' = (u - omega) / tau``, so that an rpm command is a
-rotor acceleration. Wanted is the one that makes roll, pitch and thrust follow with lags of their
-own, shorter than the motors', and yaw at once, with ``nu = gain (Omega_c - Omega)``::
+The motors are first-order lags, ``omega' = (u - omega) / tau``, so an rpm command sets a rotor
+acceleration. With ``nu = gain (Omega_c - Omega)`` it is chosen such that roll, pitch and thrust
+follow with given lags, shorter than the motors', and yaw without one::
 
     G omega'  = (nu - alpha) / moment_lag       T' = (T_c - T) / thrust_lag
     G2 omega' = nu - alpha                      in yaw
 
-The four rows are solved at the present speeds. With ``x = omega omega'`` the signs of roll, pitch,
-yaw and thrust are orthogonal, so the solution is explicit. Where a motor saturates, roll and pitch
-go first, thrust next and yaw last: each is added as far as it fits.
+The four rows are solved at the present speeds. In ``x = omega omega'`` the signs of roll, pitch,
+yaw and thrust are orthogonal, so the solution is explicit. When a motor saturates, roll and pitch
+have priority over thrust, and thrust over yaw.
 """
 
 import jax
@@ -30,8 +30,9 @@ from flax import struct
 
 from quadjax.core.filters import advance, butterworth, settled
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.plant.plant_schema import IndiConfig
+from quadjax.plant.config import IndiConfig
 from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 
 ROLL = Rotors(1.0, -1.0, -1.0, 1.0)
@@ -41,9 +42,9 @@ YAW = Rotors(-1.0, 1.0, -1.0, 1.0)
 
 @struct.dataclass
 class IndiParams:
-    """Numbers of the inner loop; all of it traced."""
+    """Numbers of the inner loop, all traced."""
 
-    constants: MotorConstants  # what it believes of the drone
+    constants: MotorConstants  # of the onboard model
     feedback: jax.Array  # (2,) of the filter
     low_pass: jax.Array  # (3,)
     derivative: jax.Array  # (3,) 1/s
@@ -54,27 +55,18 @@ class IndiParams:
 
 
 @struct.dataclass
-class Felt:
-    """What the inner loop measures at one sample."""
-
-    gyro: Vec3  # rad/s, body, less its bias
-    force_z: jax.Array  # () m/s^2, accelerometer along body z, less its bias
-    rpm: Rotors  # rpm
-
-
-@struct.dataclass
 class IndiState:
-    """Two numbers of memory for each of the filter's four channels, and the last estimate."""
+    """Two memories for each of the filter's four channels, and the last thrust estimate."""
 
     memory_1: Vec3
     memory_2: Vec3
     thrust_1: jax.Array
     thrust_2: jax.Array
-    thrust: jax.Array  # () specific thrust as it is estimated now, m/s^2
+    thrust: jax.Array  # () estimated specific thrust, m/s^2
 
 
 def indi_params(constants: MotorConstants, config: IndiConfig, sample_rate: float) -> IndiParams:
-    """The inner loop of a drone that is believed to have ``constants``, at a rate in Hz."""
+    """The inner loop with an onboard model of ``constants``, at a sample rate in Hz."""
     numbers = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), constants)
     shared = butterworth(sample_rate, config.cutoff)
     gains = (config.roll_gain, config.pitch_gain, config.yaw_gain)
@@ -96,8 +88,8 @@ def total(signs: Rotors, values: Rotors) -> jax.Array:
     return sum(sign * value for sign, value in parts)
 
 
-def explained(c: MotorConstants, rpm: Rotors) -> tuple[Vec3, jax.Array]:
-    """Angular acceleration, rad/s^2, and specific thrust (), m/s^2, of the rotors' speeds."""
+def modeled(c: MotorConstants, rpm: Rotors) -> tuple[Vec3, jax.Array]:
+    """Angular acceleration, rad/s^2, and specific thrust (), m/s^2, due to rotor speeds."""
     square = rpm * rpm
     turning = Vec3(
         total(ROLL, square) * (c.k_p / c.i_xx),
@@ -107,52 +99,56 @@ def explained(c: MotorConstants, rpm: Rotors) -> tuple[Vec3, jax.Array]:
     return turning, c.k_w * (square.w1 + square.w2 + square.w3 + square.w4)
 
 
-def _differentiated(c: MotorConstants, felt: Felt) -> Vec3:
-    """Body rates less what the rotors' change of speed turned into yaw, rad/s."""
-    return felt.gyro.replace(z=felt.gyro.z - total(YAW, felt.rpm) * (c.k_r2 / c.i_zz))
+def _differentiated(c: MotorConstants, measurement: Measurement) -> Vec3:
+    """Body rates less the yaw rate due to changes of rotor speed, rad/s."""
+    return measurement.gyro.replace(
+        z=measurement.gyro.z - total(YAW, measurement.rpm) * (c.k_r2 / c.i_zz)
+    )
 
 
-def init(params: IndiParams, felt: Felt) -> IndiState:
-    """The filter before the first sample: nothing that the model does not explain until now."""
-    steady = _differentiated(params.constants, felt)
-    _, thrust = explained(params.constants, felt.rpm)
-    zero = jnp.zeros_like(felt.force_z)
+def init(params: IndiParams, measurement: Measurement) -> IndiState:
+    """The filter before the first sample, with no difference of measurement and model."""
+    steady = _differentiated(params.constants, measurement)
+    _, thrust = modeled(params.constants, measurement.rpm)
+    zero = jnp.zeros_like(measurement.specific_force.z)
     return IndiState(*settled(steady, params.derivative), zero, zero, thrust)
 
 
 def update(
-    params: IndiParams, state: IndiState, felt: Felt, command: RateCommand
+    params: IndiParams, state: IndiState, measurement: Measurement, command: RateCommand
 ) -> tuple[IndiState, Rotors]:
     """One sample of the inner loop of one drone.
 
     Args:
         params: of the loop.
         state: from ``init`` or the last ``update``.
-        felt: this sample's measurements.
-        command: body rates, rad/s, and specific thrust, m/s^2, that are wanted.
+        measurement: of this sample; its body velocity is not used.
+        command: wanted body rates, rad/s, and specific thrust, m/s^2.
 
     Returns:
-        The new state and the rpm commands, within the range of the motors.
+        The new state and the rpm commands, clipped to the range of the motors.
     """
     c, b, b_d, a = params.constants, params.low_pass, params.derivative, params.feedback
-    turning, lift = explained(c, felt.rpm)
-    rates = _differentiated(c, felt)
+    turning, lift = modeled(c, measurement.rpm)
+    rates = _differentiated(c, measurement)
     rest, memory = advance(a, [(rates, b_d), (turning * -1.0, b)], (state.memory_1, state.memory_2))
-    rest_thrust, thrust = advance(a, [(-felt.force_z - lift, b)], (state.thrust_1, state.thrust_2))
+    rest_thrust, thrust = advance(
+        a, [(-measurement.specific_force.z - lift, b)], (state.thrust_1, state.thrust_2)
+    )
     following = IndiState(*memory, *thrust, lift + rest_thrust)
-    wanted = (command.rates - felt.gyro) * params.rate_gain - (turning + rest)
+    wanted = (command.rates - measurement.gyro) * params.rate_gain - (turning + rest)
     rise = (command.thrust - following.thrust) / params.thrust_lag
-    return following, allocate(params, felt.rpm, wanted, rise)
+    return following, allocate(params, measurement.rpm, wanted, rise)
 
 
 def allocate(params: IndiParams, rpm: Rotors, wanted: Vec3, rise: jax.Array) -> Rotors:
-    """Rpm commands that give a change of the accelerations, as far as the motors go.
+    """Rpm commands for a change of the accelerations, within the motors' limits.
 
     Args:
         params: of the loop.
         rpm: propeller speeds, rpm.
         wanted: change of the angular acceleration, rad/s^2.
-        rise: () wanted derivative of the specific thrust, m/s^3.
+        rise: () derivative of the specific thrust, m/s^3.
     """
     c = params.constants
     speed = jax.tree.map(lambda w: jnp.maximum(w, params.least_rpm), rpm)
@@ -161,24 +157,24 @@ def allocate(params: IndiParams, rpm: Rotors, wanted: Vec3, rise: jax.Array) -> 
     roll = wanted.x * c.i_xx / (8.0 * c.k_p * params.moment_lag)
     pitch = wanted.y * c.i_yy / (8.0 * c.k_q * params.moment_lag)
     turn = ROLL * roll + PITCH * pitch
-    turn = turn * _share(turn, low, high)
-    lift = jnp.clip(rise / (8.0 * c.k_w), _most(low - turn), -_most(turn - high))
+    turn = turn * _turn_scale(turn, low, high)
+    lift = jnp.clip(rise / (8.0 * c.k_w), _max(low - turn), -_max(turn - high))
     base = turn + lift
     slowness = jax.tree.map(lambda w: 1.0 / w, speed)
     coupled = total(YAW, base * slowness)
     yaw = (wanted.z * (c.i_zz / c.k_r2) - coupled) / total(Rotors.same(1.0), slowness)
     added = YAW * yaw
-    x = base + added * _fits(base, added, low, high)
+    x = base + added * _added_scale(base, added, low, high)
     commands = rpm + x * slowness * c.tau
     return jax.tree.map(lambda u: jnp.clip(u, c.rpm_min, c.rpm_max), commands)
 
 
-def _most(values: Rotors) -> jax.Array:
+def _max(values: Rotors) -> jax.Array:
     return jnp.maximum(jnp.maximum(values.w1, values.w2), jnp.maximum(values.w3, values.w4))
 
 
-def _share(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
-    """Largest share () of a turn that fits within the limits with some thrust added to it."""
+def _turn_scale(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
+    """Largest factor () on a turn that fits within the limits for some thrust."""
     share = jnp.ones_like(turn.w1)
     for i in range(4):
         for j in range(4):
@@ -189,8 +185,8 @@ def _share(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
     return jnp.maximum(share, 0.0)
 
 
-def _fits(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.Array:
-    """Largest share () of ``added`` that fits within the limits on top of ``base``."""
+def _added_scale(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.Array:
+    """Largest factor () on ``added`` such that ``base`` plus it fits within the limits."""
     share = jnp.ones_like(base.w1)
     for b, d, least, most in zip(
         base.components(), added.components(), low.components(), high.components(), strict=True

@@ -1,4 +1,4 @@
-"""3 x 3 matrices as separate scalars, for the same reason as ``quadjax.core.vectors``."""
+"""3 x 3 matrices as separate scalars; see ``quadjax.core.vectors`` for the reason."""
 
 import jax
 import jax.numpy as jnp
@@ -28,8 +28,6 @@ class Mat3:
     def __mul__(self, factor: jax.Array | float) -> "Mat3":
         return Mat3(*(row * factor for row in self.rows()))
 
-    __rmul__ = __mul__
-
     def array(self) -> jax.Array:
         """The matrix (3, 3)."""
         return jnp.stack([row.array() for row in self.rows()])
@@ -37,7 +35,7 @@ class Mat3:
 
 @struct.dataclass
 class Sym3:
-    """A symmetric 3 x 3 matrix by its upper triangle: symmetric whatever the rounding."""
+    """A symmetric 3 x 3 matrix by its upper triangle: rounding cannot make it asymmetric."""
 
     xx: jax.Array
     xy: jax.Array
@@ -54,7 +52,7 @@ class Sym3:
 
     @classmethod
     def of(cls, m: Mat3) -> "Sym3":
-        """The upper triangle of a matrix that is symmetric but for rounding."""
+        """The upper triangle of a matrix that is symmetric up to rounding."""
         return cls(m.x.x, m.x.y, m.x.z, m.y.y, m.y.z, m.z.z)
 
     def full(self) -> Mat3:
@@ -75,7 +73,7 @@ class Sym3:
 
 
 def transpose(m: Mat3) -> Mat3:
-    """The transpose."""
+    """``M^T``."""
     return Mat3(*(Vec3(m.x[i], m.y[i], m.z[i]) for i in range(3)))
 
 
@@ -94,16 +92,6 @@ def apply(m: Mat3, v: Vec3) -> Vec3:
     return Vec3(dot(m.x, v), dot(m.y, v), dot(m.z, v))
 
 
-def apply_transposed(m: Mat3, v: Vec3) -> Vec3:
-    """``M^T v``."""
-    return m.x * v.x + m.y * v.y + m.z * v.z
-
-
-def cross(a: Vec3, b: Vec3) -> Vec3:
-    """``a x b``."""
-    return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
-
-
 def skew(v: Vec3) -> Mat3:
     """``[v]x``, the matrix of ``v x``."""
     zero = jnp.zeros_like(v.x)
@@ -112,20 +100,21 @@ def skew(v: Vec3) -> Mat3:
 
 def skew_times(v: Vec3, m: Mat3) -> Mat3:
     """``[v]x M``."""
-    return Mat3(
-        m.z * v.y - m.y * v.z,
-        m.x * v.z - m.z * v.x,
-        m.y * v.x - m.x * v.y,
-    )
+    return Mat3(m.z * v.y - m.y * v.z, m.x * v.z - m.z * v.x, m.y * v.x - m.x * v.y)
 
 
 def times_skew(m: Mat3, v: Vec3) -> Mat3:
-    """``M [v]x``."""
-    return Mat3(*(cross(row, v) for row in m.rows()))
+    """``M [v]x``: each row becomes ``row x v``."""
+    return Mat3(
+        *(
+            Vec3(r.y * v.z - r.z * v.y, r.z * v.x - r.x * v.z, r.x * v.y - r.y * v.x)
+            for r in m.rows()
+        )
+    )
 
 
 def inverse(s: Sym3) -> Sym3:
-    """The inverse of a symmetric positive matrix, by cofactors."""
+    """The inverse of a symmetric positive definite matrix, by cofactors."""
     xx = s.yy * s.zz - s.yz * s.yz
     xy = s.xz * s.yz - s.xy * s.zz
     xz = s.xy * s.yz - s.xz * s.yy

@@ -1,7 +1,7 @@
-"""What a drone carries and believes: sensors, navigation filter, disturbance estimator, inner loop.
+"""Onboard computers of a drone: sensors, navigation filter, disturbance estimator, inner loop.
 
-One sample goes from what is true to what a policy sees. With ``navigation`` "truth" the motion is
-known exactly, for development; the estimates are what policies are flown with.
+One sample goes from the true motion to the state that a policy observes. With ``navigation``
+"ground_truth" the motion is known exactly, for development.
 """
 
 import dataclasses
@@ -16,10 +16,9 @@ from quadjax.plant import ekf, gusts, indi, plant, sensors
 from quadjax.plant.ekf import EkfState
 from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.estimate import estimate
-from quadjax.plant.indi import Felt, IndiParams, IndiState
+from quadjax.plant.indi import IndiParams, IndiState
 from quadjax.plant.plant import PlantParams, PlantState
-from quadjax.plant.sensors import SensorParams, SensorState
-from quadjax.plant.truth import Truth
+from quadjax.plant.sensors import GroundTruth, Measured, SensorParams, SensorState
 from quadjax.vehicle import estimator as disturbance
 from quadjax.vehicle import motor
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
@@ -27,46 +26,48 @@ from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 
+DRAWS = sensors.DRAWS + gusts.DRAWS
+
 
 @dataclasses.dataclass(frozen=True)
 class OnboardChoices:
-    """What chooses code."""
+    """Static choices of code."""
 
-    navigation: str = "ekf"  # "ekf" | "truth"
-    disturbance_input: str = "estimated"  # "true" | "estimated" | "none"
+    navigation: str = "ekf"  # ekf, ground_truth
+    disturbance: str = "estimated"  # ground_truth, estimated, none
 
 
 @struct.dataclass
 class OnboardParams:
-    """Numbers of what the drone carries."""
+    """Numbers of the onboard computers."""
 
     sensors: SensorParams
     ekf: EkfParams
-    estimator: EstimatorParams  # its vehicle is the model that the drone believes in
+    estimator: EstimatorParams  # with the onboard model of the drone
     inner: IndiParams
 
 
 @struct.dataclass
-class Belief:
-    """What is believed of the drone at one sample."""
+class StateEstimate:
+    """Estimate of the drone's state at one sample."""
 
-    motion: MotorState  # with the external moment and force that the policy is told
-    felt: Felt  # what the inner loop measures
+    motion: MotorState  # with the external moment and force that the policy observes
+    measurement: Measurement  # less the estimated biases
     gyro: Vec3  # rad/s, as measured
     accelerometer: Vec3  # m/s^2, as measured
-    force_bias: Vec3  # m/s^2, of the accelerometer, as believed
+    force_bias: Vec3  # m/s^2, estimated bias of the accelerometer
 
 
 @struct.dataclass
 class OnboardState:
-    """What the drone's own computers carry from sample to sample."""
+    """State of the onboard computers between samples."""
 
-    delayed: tuple[Truth, ...]  # on its way to the sensors, the oldest first
+    delayed: tuple[GroundTruth, ...]  # on its way to the sensors, the oldest first
     sensors: SensorState | None
     ekf: EkfState | None
     estimator: EstimatorState
     inner: IndiState
-    belief: Belief
+    estimate: StateEstimate
 
 
 def begin(
@@ -76,17 +77,17 @@ def begin(
     state: PlantState,
     drawn: jax.Array,
 ) -> OnboardState:
-    """Everything switched on, of a drone at its start and (sensors.START_DRAWS,) normal numbers."""
+    """The initial state of a drone; ``drawn`` holds (sensors.START_DRAWS,) normal numbers."""
     truth = plant.truth_of(body, state)
-    carried = filtered = measured = None
+    own = filtered = measured = None
     if choices.navigation == "ekf":
-        carried, measured = sensors.init(params.sensors, truth, drawn)
+        own, measured = sensors.init(params.sensors, truth, drawn)
         filtered = ekf.init(params.ekf, measured)
-    belief = _believe(params, truth, measured, filtered)
-    estimated = disturbance.init(params.estimator, _measurement(belief))
-    inner = indi.init(params.inner, belief.felt)
+    now = _estimate(params, truth, measured, filtered)
+    estimated = disturbance.init(params.estimator, now.measurement)
+    inner = indi.init(params.inner, now.measurement)
     line = (truth,) * body.measurement_delay
-    return OnboardState(line, carried, filtered, estimated, inner, belief)
+    return OnboardState(line, own, filtered, estimated, inner, now)
 
 
 def sense(
@@ -94,84 +95,72 @@ def sense(
     params: OnboardParams,
     body: PlantParams,
     state: PlantState,
-    carried: OnboardState,
+    onboard: OnboardState,
     drawn: jax.Array,
 ) -> OnboardState:
-    """One sample of everything on board but the inner loop.
+    """One sample of sensors, filter and estimator; the inner loop is ``command_rotors``.
 
     Args:
-        choices: what is flown with.
-        params: of what the drone carries.
+        choices: static choices.
+        params: of the onboard computers.
         body: of the plant.
         state: of the plant, now.
-        carried: from ``begin`` or the last sample.
+        onboard: from ``begin`` or the last sample.
         drawn: (sensors.DRAWS,) standard normal numbers.
     """
-    truth, *waiting = (*carried.delayed, plant.truth_of(body, state))
-    own, filtered, measured = carried.sensors, carried.ekf, None
+    truth, *waiting = (*onboard.delayed, plant.truth_of(body, state))
+    own, filtered, measured = onboard.sensors, onboard.ekf, None
     if choices.navigation == "ekf":
         own, measured = sensors.update(params.sensors, own, truth, drawn)
         filtered = ekf.update(params.ekf, filtered, measured)
-    belief = _believe(params, truth, measured, filtered)
+    now = _estimate(params, truth, measured, filtered)
     estimated, moment, force = disturbance.update(
-        params.estimator, carried.estimator, _measurement(belief)
+        params.estimator, onboard.estimator, now.measurement
     )
-    if choices.disturbance_input == "true":
-        moment, force = unmodelled(params, body, state)
-    elif choices.disturbance_input == "none":
+    if choices.disturbance == "ground_truth":
+        moment, force = unmodeled(params, body, state)
+    elif choices.disturbance == "none":
         moment, force = Vec3.zero(), Vec3.zero()
-    motion = belief.motion.replace(moment_ext=moment, force_ext=force)
-    belief = belief.replace(motion=motion)
-    return OnboardState(tuple(waiting), own, filtered, estimated, carried.inner, belief)
+    now = now.replace(motion=now.motion.replace(moment_ext=moment, force_ext=force))
+    return OnboardState(tuple(waiting), own, filtered, estimated, onboard.inner, now)
 
 
-def _believe(
+def _estimate(
     params: OnboardParams,
-    truth: Truth,
-    measured: sensors.Measured | None,
+    truth: GroundTruth,
+    measured: Measured | None,
     filtered: EkfState | None,
-) -> Belief:
+) -> StateEstimate:
     none = Vec3.zero()
     if filtered is None:
-        motion = MotorState(
-            truth.position, truth.velocity, truth.euler, truth.rates, truth.rpm, none, none
-        )
-        felt = Felt(truth.rates, truth.specific_force.z, truth.rpm)
-        return Belief(motion, felt, truth.rates, truth.specific_force, none)
-    now = estimate(params.ekf, filtered).value
-    motion = MotorState(now.position, now.velocity, now.euler, now.rates, measured.rpm, none, none)
-    force_z = measured.accelerometer.z - now.accelerometer_bias.z
-    felt = Felt(measured.gyro - now.gyro_bias, force_z, measured.rpm)
-    bias = now.accelerometer_bias
-    return Belief(motion, felt, measured.gyro, measured.accelerometer, bias)
+        now, rpm, gyro, accelerometer = truth, truth.rpm, truth.rates, truth.specific_force
+        gyro_bias = force_bias = none
+    else:
+        now, rpm = estimate(params.ekf, filtered).value, measured.rpm
+        gyro, accelerometer = measured.gyro, measured.accelerometer
+        gyro_bias, force_bias = now.gyro_bias, now.accelerometer_bias
+    motion = MotorState(now.position, now.velocity, now.euler, now.rates, rpm, none, none)
+    velocity = world_to_body(attitude(motion.euler), motion.velocity)
+    measurement = Measurement(gyro - gyro_bias, accelerometer - force_bias, rpm, velocity)
+    return StateEstimate(motion, measurement, gyro, accelerometer, force_bias)
 
 
-def _measurement(belief: Belief) -> Measurement:
-    """What the estimator of the disturbance takes."""
-    velocity = world_to_body(attitude(belief.motion.euler), belief.motion.velocity)
-    force = belief.accelerometer - belief.force_bias
-    return Measurement(belief.felt.gyro, force, belief.felt.rpm, velocity)
-
-
-def unmodelled(params: OnboardParams, body: PlantParams, state: PlantState) -> tuple[Vec3, Vec3]:
-    """Moment, N m, and specific force, m/s^2, body, that the believed model lacks, exactly."""
+def unmodeled(params: OnboardParams, body: PlantParams, state: PlantState) -> tuple[Vec3, Vec3]:
+    """True moment, N m, and specific force, m/s^2, body, that the onboard model lacks."""
     true = state.physics.body
     velocity = world_to_body(attitude(true.euler), true.velocity)
-    still = Rotors.same(jnp.zeros(()))
+    steady = Rotors.same(jnp.zeros(()))
     model = params.estimator.vehicle
-    force, moment = motor.force_moment(model, true.rpm, still, velocity, true.rates)
+    force, moment = motor.force_moment(model, true.rpm, steady, velocity, true.rates)
     own_force, own_moment = plant.loads(body, state)
     return own_moment - moment, own_force - force
 
 
 def command_rotors(
-    params: OnboardParams, carried: OnboardState, command: Rotors | RateCommand
+    params: OnboardParams, onboard: OnboardState, command: Rotors | RateCommand
 ) -> tuple[OnboardState, Rotors]:
-    """Rpm commands of a policy's command: its own, or those of the inner loop."""
+    """Rpm commands of a policy's command: the command itself, or the inner loop's."""
     if isinstance(command, Rotors):
-        return carried, command
-    inner, rotors = indi.update(params.inner, carried.inner, carried.belief.felt, command)
-    return carried.replace(inner=inner), rotors
-
-
-DRAWS = sensors.DRAWS + gusts.DRAWS
+        return onboard, command
+    inner, rotors = indi.update(params.inner, onboard.inner, onboard.estimate.measurement, command)
+    return onboard.replace(inner=inner), rotors

@@ -1,6 +1,6 @@
-"""The stand-in plant: the motor-level drone with what the training model leaves out.
+"""The stand-in plant: the motor-level drone with effects that the training model lacks.
 
-One drone's functions; batch with ``vmap``. With every strength zero the derivative is that of
+Functions are of one drone; batch with ``vmap``. With every strength zero the derivative is that of
 ``quadjax.vehicle.motor``.
 """
 
@@ -22,7 +22,7 @@ from quadjax.plant import effects, gusts, power
 from quadjax.plant.effects import FlexParams, RotorParams
 from quadjax.plant.gusts import GustParams, GustState
 from quadjax.plant.power import PowerParams
-from quadjax.plant.truth import Truth
+from quadjax.plant.sensors import GroundTruth
 from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.protocol import VehicleParams
@@ -30,10 +30,10 @@ from quadjax.vehicle.protocol import VehicleParams
 
 @struct.dataclass
 class PlantParams:
-    """Every number of the plant; traced but for what chooses code."""
+    """Numbers of the plant; traced, except for the static fields."""
 
     vehicle: VehicleParams  # the drone's own constants
-    rotor_factor: Rotors  # on each rotor's speed where it makes force and moment
+    rotor_factor: Rotors  # on each rotor's speed in force and moment
     rotors: RotorParams
     power: PowerParams
     flex: FlexParams
@@ -47,10 +47,10 @@ class PlantParams:
 
 @struct.dataclass
 class Physics:
-    """What is integrated."""
+    """The integrated state."""
 
     body: MotorState
-    rpm_rate: Rotors  # rpm/s, where the motors are of second order
+    rpm_rate: Rotors  # rpm/s, of second-order motors
     flex: Vec3  # deflection of the frame, rad
     flex_rate: Vec3  # rad/s
     charge: jax.Array  # () left in the battery, 0 to 1
@@ -66,7 +66,7 @@ class PlantState:
 
 
 def begin(params: PlantParams, body: MotorState, charge: jax.Array, drawn: jax.Array) -> PlantState:
-    """A drone that starts as ``body``, nothing bent, commands that hold its propellers' speeds.
+    """A drone at the start: frame undeflected, pending commands equal to its rotor speeds.
 
     Args:
         params: of the plant.
@@ -140,9 +140,9 @@ def update(
     Args:
         params: of the plant.
         state: from ``begin`` or the last ``update``.
-        command: rpm, kept within the range of the drone's motors.
+        command: rpm, clipped to the range of the motors.
         drawn: (gusts.DRAWS,) standard normal numbers.
-        keep: calls a function in a way that its values are computed once.
+        keep: calls a function; see ``quadjax.core.materialize``.
     """
     low, high = motor.command_range(params.vehicle.constants)
     held = jax.tree.map(jnp.clip, command, low, high)
@@ -167,11 +167,11 @@ def update(
     return PlantState(physics.replace(body=body), following, tuple(waiting))
 
 
-def truth_of(params: PlantParams, state: PlantState) -> Truth:
-    """What is true of the drone where its sensors sit; bent frames turn at their own rate."""
+def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
+    """The true motion at the sensors; a deflecting frame adds its own rate."""
     physics, body = state.physics, state.physics.body
     force, _ = loads(params, state)
-    return Truth(
+    return GroundTruth(
         position=body.position,
         velocity=body.velocity,
         euler=body.euler,
@@ -182,7 +182,7 @@ def truth_of(params: PlantParams, state: PlantState) -> Truth:
 
 
 def loads(params: PlantParams, state: PlantState) -> tuple[Vec3, Vec3]:
-    """Specific force, m/s^2, and moment, N m, body, less the reaction to rotors that speed up."""
+    """Specific force, m/s^2, and moment, N m, body, without that of rotor acceleration."""
     body = state.physics.body
     wind = gusts.velocity(params.gusts, state.gusts)
     air_velocity = world_to_body(attitude(body.euler), body.velocity - wind)

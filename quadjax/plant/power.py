@@ -1,4 +1,4 @@
-"""Motors of second order, and the battery that they drain."""
+"""Second-order motors and the battery."""
 
 import jax
 import jax.numpy as jnp
@@ -9,26 +9,26 @@ from quadjax.core.vectors import Rotors
 
 @struct.dataclass
 class PowerParams:
-    """Motors, controllers and battery; strengths are taken in."""
+    """Motors, controllers and battery, times the strengths of the effects."""
 
     lag: jax.Array  # s, second time constant; 0: first order
-    shortfall: jax.Array  # of a commanded change from hover that is never reached
+    shortfall: jax.Array  # fraction of a commanded change from hover that is not reached
     hover: jax.Array  # rpm
     sags: jax.Array  # strength of the battery's sag; 0: none
-    drop: jax.Array  # share of the full voltage lost from full to empty
-    resistance: jax.Array  # share of the full voltage lost at the hover current
-    drain: jax.Array  # share of the charge used in a second of hover
+    drop: jax.Array  # fraction of the full voltage lost from full to empty
+    resistance: jax.Array  # fraction of the full voltage lost at the hover current
+    drain: jax.Array  # fraction of the charge used per second of hover
     rpm_full: jax.Array  # rpm reached at the full voltage
 
 
 def reachable(p: PowerParams, rpm: Rotors, charge: jax.Array) -> jax.Array:
-    """Highest propeller speed (), rpm, that the battery's voltage allows; infinite without sag.
+    """Highest propeller speed (), rpm, at the battery's voltage; infinite without sag.
 
-    The no-load speed of a motor is in proportion to its voltage. That falls with the charge used
+    The no-load speed of a motor is proportional to its voltage, which falls with the charge used
     and with the current through the battery's resistance (the linear part of Tremblay and
     Dessaint, "Experimental validation of a battery dynamic model for EV applications", World
-    Electric Vehicle Journal 3, 2009); the current goes with the rotors' power, the cube of their
-    speed (Leishman, "Principles of helicopter aerodynamics", 2006, chapter 2).
+    Electric Vehicle Journal 3, 2009). The current is proportional to the rotors' power, the cube of
+    their speed (Leishman, "Principles of helicopter aerodynamics", 2006, chapter 2).
 
     Args:
         p: of motors and battery.
@@ -56,20 +56,20 @@ def rotor_rates(
 ) -> tuple[Rotors, Rotors]:
     """First and second derivative of the propeller speeds, rpm/s and rpm/s^2.
 
-    ``tau lag omega'' + tau omega' + omega = u``: the electrical constant of a brushless motor or
-    its controller before the mechanical one (Franklin, Powell and Emami-Naeini, "Feedback control
-    of dynamic systems", section 2.3). Measured speeds deviate from the first-order model in the
-    published flights too (Ferede et al., arXiv 2311.16948, the figure of commanded, modelled and
-    measured rpm): they start later, and do not reach the ends of the range. ``u`` is the command
-    less the ``shortfall`` of its distance to hover, and at most ``top``.
+    ``tau lag omega'' + tau omega' + omega = u``: the electrical time constant of a brushless motor
+    or its controller before the mechanical one (Franklin, Powell and Emami-Naeini, "Feedback
+    control of dynamic systems", section 2.3). The measured speeds of the published flights deviate
+    from the first-order model as well (Ferede et al., arXiv 2311.16948, figure of commanded,
+    modeled and measured rpm): they rise later and do not reach the ends of the range. ``u`` is
+    the command less the ``shortfall`` of its distance to hover, and at most ``top``.
 
     Args:
         p: of the motors.
         tau: () s, the first time constant.
         rpm: propeller speeds, rpm.
-        rpm_rate: their derivatives where they are a state of their own, rpm/s.
+        rpm_rate: their derivatives, of second-order motors, rpm/s.
         command: rpm.
-        top: () highest speed that can be reached, rpm.
+        top: () highest reachable speed, rpm.
     """
 
     def one(w: jax.Array, rate: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,4 @@
-"""Unit quaternions as attitude: no singularity, unlike Euler angles at a pitch of 90 deg.
+"""Unit quaternions as attitude, without the singularity of Euler angles at a pitch of 90 deg.
 
 Hamilton's convention, scalar first, body to world: ``v_world = q * v_body * q^-1`` (Sola,
 "Quaternion kinematics for the error-state Kalman filter", arXiv 1711.02508, sections 1 and 2).
@@ -24,7 +24,7 @@ class Quaternion:
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The product ``a * b``: first ``b``, then ``a``."""
+    """The product ``a * b``: the rotation ``b`` followed by ``a``."""
     return Quaternion(
         a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
         a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
@@ -38,7 +38,7 @@ def conjugate(q: Quaternion) -> Quaternion:
     return Quaternion(q.w, -q.x, -q.y, -q.z)
 
 
-def normalised(q: Quaternion) -> Quaternion:
+def normalized(q: Quaternion) -> Quaternion:
     """The quaternion scaled to unit length."""
     scale = jax.lax.rsqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z)
     return Quaternion(q.w * scale, q.x * scale, q.y * scale, q.z * scale)
@@ -47,17 +47,17 @@ def normalised(q: Quaternion) -> Quaternion:
 def exponential(angle: Vec3) -> Quaternion:
     """The rotation by a rotation vector, rad.
 
-    By the power series of sine and cosine of half the angle: in float32 exact for angles up to
-    half a radian, far more than a drone turns between two samples, and a unit quaternion always.
+    Uses the power series of sine and cosine of half the angle, exact in float32 for angles up to
+    half a radian. The result always has unit length.
     """
     square = 0.25 * dot(angle, angle)
     half = 0.5 - square * (1.0 / 12.0 - square * (1.0 / 240.0))
     cosine = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0)))
-    return normalised(Quaternion(cosine, half * angle.x, half * angle.y, half * angle.z))
+    return normalized(Quaternion(cosine, half * angle.x, half * angle.y, half * angle.z))
 
 
 def logarithm(q: Quaternion) -> Vec3:
-    """The rotation vector of a unit quaternion, rad, of at most half a turn."""
+    """The rotation vector of a unit quaternion, rad, of length at most pi."""
     square = q.x * q.x + q.y * q.y + q.z * q.z
     large = square > 1e-8
     length = jnp.sqrt(jnp.where(large, square, 1.0))
@@ -93,7 +93,7 @@ def of_euler(euler: Vec3) -> Quaternion:
 
 
 def to_euler(q: Quaternion) -> Vec3:
-    """Euler angles (roll, pitch, yaw), rad; pitch within a quarter turn."""
+    """Euler angles (roll, pitch, yaw), rad; pitch in [-pi/2, pi/2]."""
     r = matrix(q)
     flat = jnp.sqrt(r.x.x * r.x.x + r.y.x * r.y.x)
     return Vec3(jnp.arctan2(r.z.y, r.z.z), jnp.arctan2(-r.z.x, flat), jnp.arctan2(r.y.x, r.x.x))

@@ -1,7 +1,6 @@
-"""What of residual, estimate and randomisation helps: E2E policies to hold against each other.
+"""Ablation of residual, disturbance observation and randomization of E2E policies.
 
-Each variant is a policy file, how it was trained, and what it is told of the disturbance on the
-stand-in plant. One policy is flown with its disturbance input true, estimated and none.
+Each variant is a policy file, its training, and its disturbance observation on the stand-in plant.
 """
 
 import dataclasses
@@ -20,9 +19,9 @@ class Variant:
         group: what is varied.
         label: this line's value of it.
         policy: name of the policy, a file of the ablation's folder.
-        training: config and ``key=value`` words that train it.
-        residual: whether it believes in the stand-in plant's residual.
-        disturbance_input: what it is told on the plant.
+        training: config and ``key=value`` overrides that train it.
+        residual: whether the onboard model has the stand-in plant's residual.
+        disturbance: that it observes on the plant.
     """
 
     group: str
@@ -30,7 +29,7 @@ class Variant:
     policy: str
     training: tuple[str, ...]
     residual: bool = False
-    disturbance_input: str = "estimated"
+    disturbance: str = "estimated"
 
     def command(self, runs: str = "runs") -> str:
         """The command that trains its policy into ``RUNS/POLICY/policy.npz``."""
@@ -42,10 +41,10 @@ class Variant:
         return folder / f"{self.policy}.npz"
 
 
-def _randomised(percent: int) -> Variant:
+def _randomized(percent: int) -> Variant:
     words = tuple(f"randomise.{group}={percent / 100}" for group in _RANDOM)
     training = ("configs/e2e_robust.yaml", STEPS, *words)
-    return Variant("randomisation", f"{percent}%", f"e2e_random_{percent}", training)
+    return Variant("randomization", f"{percent}%", f"e2e_random_{percent}", training)
 
 
 _DISTURBED = ("configs/e2e_disturbed.yaml", STEPS, f"vehicle.residual={RESIDUAL}")
@@ -59,10 +58,10 @@ VARIANTS = (
         ("configs/e2e_shac.yaml", STEPS, f"vehicle.residual={RESIDUAL}"),
         True,
     ),
-    Variant("disturbance input", "true", "e2e_told", _DISTURBED, True, "true"),
-    Variant("disturbance input", "estimated", "e2e_told", _DISTURBED, True, "estimated"),
-    Variant("disturbance input", "none", "e2e_told", _DISTURBED, True, "none"),
-    *(_randomised(percent) for percent in (0, 10, 20, 30)),
+    Variant("disturbance", "ground_truth", "e2e_told", _DISTURBED, True, "ground_truth"),
+    Variant("disturbance", "estimated", "e2e_told", _DISTURBED, True, "estimated"),
+    Variant("disturbance", "none", "e2e_told", _DISTURBED, True, "none"),
+    *(_randomized(percent) for percent in (0, 10, 20, 30)),
 )
 
 

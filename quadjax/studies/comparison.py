@@ -1,4 +1,4 @@
-"""E2E and INDI in the simulator and on the stand-in plant: flights, rows and numbers."""
+"""E2E and INDI in the simulator and on the stand-in plant: flights and numbers."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -8,16 +8,16 @@ import numpy as np
 
 from quadjax.config.schema import Config
 from quadjax.evaluation.tables import lap_row
-from quadjax.plant.plant_schema import EffectsConfig, PlantConfig
-from quadjax.plant.race import Flights, fly_plan, plan_flights, race_config
+from quadjax.plant.config import EffectsConfig, PlantConfig
+from quadjax.plant.flights import Flights, fly_plan, plan_flights, race_config
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy, read_policy
 from quadjax.race.laps import Laps, Trace
 from quadjax.studies.ablation import RESIDUAL, Variant
 from quadjax.training.paper import Row
 
-FLIGHTS = 5  # whose mean and best the paper gives
-EFFECTS = tuple(item.name for item in dataclasses.fields(EffectsConfig))
+FLIGHTS = 5  # number of flights of the paper's mean and best
+EFFECTS = tuple(EffectsConfig.model_fields)
 Report = Callable[[str], None]
 
 
@@ -32,7 +32,7 @@ class Contender:
 
 @dataclasses.dataclass(frozen=True)
 class Compared:
-    """One contender in both worlds."""
+    """One contender in the simulator and on the plant."""
 
     contender: Contender
     simulated: Laps
@@ -42,7 +42,7 @@ class Compared:
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What is compared and how."""
+    """Race, plant and number of flights of a comparison."""
 
     race: Config
     plant: PlantConfig
@@ -84,9 +84,9 @@ def first(laps: Laps, count: int = FLIGHTS) -> Laps:
 
 
 def rows(compared: Compared) -> list[Row]:
-    """The paper's lines of one contender: simulated, and five flights on the plant.
+    """The paper's rows of one contender: simulated, and five flights on the plant.
 
-    Beside each stands the success of all runs.
+    ``finished`` counts all runs.
     """
     name = compared.contender.name
     flown = compared.flown.laps
@@ -95,21 +95,16 @@ def rows(compared: Compared) -> list[Row]:
     return [lap_row(f"{name} simulated", compared.simulated), five]
 
 
-def all_runs_row(label: str, laps: Laps) -> Row:
-    """The mean over every run that finished."""
-    return lap_row(label, laps)
-
-
 def changed_plants(plant: PlantConfig) -> dict[str, PlantConfig]:
-    """The plant with each effect in turn switched off, without delays, and with true states."""
-    result = {}
-    for name in EFFECTS:
-        off = dataclasses.replace(plant.effects, **{name: 0.0})
-        result[f"without {name}"] = dataclasses.replace(plant, effects=off)
-    delay = dataclasses.replace(plant.delay, command=0.0, measurement=0.0)
-    result["without delays"] = dataclasses.replace(plant, delay=delay)
-    truth = {"navigation": "truth", "disturbance_input": "true"}
-    result["with true states"] = dataclasses.replace(plant, **truth)
+    """The plant without each effect in turn, without delays, and with true states."""
+    result = {
+        f"without {name}": plant.replace(effects=plant.effects.replace(**{name: 0.0}))
+        for name in EFFECTS
+    }
+    delay = plant.delay.replace(command=0.0, measurement=0.0)
+    result["without delays"] = plant.replace(delay=delay)
+    exact = "ground_truth"
+    result["with true states"] = plant.replace(navigation=exact, disturbance=exact)
     return result
 
 
@@ -132,12 +127,12 @@ def fly_variant(setting: Setting, variant: Variant, folder: Path, report: Report
         setting.race.vehicle, residual=RESIDUAL if variant.residual else None
     )
     own = dataclasses.replace(setting, race=dataclasses.replace(setting.race, vehicle=vehicle))
-    plant = dataclasses.replace(setting.plant, disturbance_input=variant.disturbance_input)
+    plant = setting.plant.replace(disturbance=variant.disturbance)
     return fly(own, plant, contender("E2E", str(variant.path(folder)))).laps
 
 
 def saturation(flights: Flights, low: float, high: float) -> float:
-    """Share of the rpm commands of the recorded runs that are at a limit of the motors."""
+    """Fraction of the rpm commands of the recorded runs at a limit of the motors."""
     commands = np.stack([np.asarray(x) for x in flights.frames.rpm_command.components()])
     going = ~flights.frames.over
     at_limit = (commands <= low + 1.0) | (commands >= high - 1.0)
@@ -152,7 +147,7 @@ def simulated_saturation(trace: Trace, low: float, high: float) -> float:
 
 
 def lead(e2e: Compared, indi: Compared) -> str:
-    """Where E2E's lead in the simulator goes on the plant, as a line of text; + where E2E leads."""
+    """E2E's lead over INDI in the simulator and on the plant as a line of text; + if E2E leads."""
     worlds = {
         "simulated": (e2e.simulated, indi.simulated),
         "on the stand-in plant": (e2e.flown.laps, indi.flown.laps),

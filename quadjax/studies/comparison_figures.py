@@ -1,25 +1,25 @@
-"""Figures of the comparison: progress, and what is flown against the models of training."""
+"""Figures of the comparison: progress, and flights against the first-order training models."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.signal import lfilter
 
-from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation.figures import INK, MUTED, SERIES, new_figure, tidy
-from quadjax.plant.race import Flights
+from quadjax.plant.flights import Flights, rows
 from quadjax.race.laps import Trace
 
-SECONDS = 3.0  # of a flight that a figure of signals shows
+SECONDS = 3.0  # of a flight in a figure of signals
 
 
 def progress(position: np.ndarray, target: np.ndarray, gates: np.ndarray) -> np.ndarray:
-    """Progress (n,) along the track, laps: gates passed and the way to the next, by its distance.
+    """Progress (n,) along the track, laps: gates passed plus the fraction of the way to the next.
 
     Args:
         position: (n, 3) m, world.
         target: (n,) index of the gate ahead.
-        gates: (gates, 3) centres, m, world.
+        gates: (gates, 3) centers, m, world.
     """
     legs = np.linalg.norm(gates - np.roll(gates, 1, axis=0), axis=1)
     passed = np.concatenate([[0], np.cumsum(np.diff(target) != 0)])
@@ -29,9 +29,9 @@ def progress(position: np.ndarray, target: np.ndarray, gates: np.ndarray) -> np.
 
 def flown_progress(flights: Flights, run: int, gates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times, s, and progress, laps, of a recorded run on the plant."""
-    going = ~flights.frames.over[:, run]
-    position = rows(flights.frames.true.position, run, going)
-    made = progress(position, flights.frames.target[going, run], gates)
+    frames = flights.frames
+    target = np.asarray(frames.target)[~frames.over[:, run], run]
+    made = progress(rows(flights, frames.true.position, run), target, gates)
     return flights.step * np.arange(len(made)), made
 
 
@@ -45,20 +45,14 @@ def simulated_progress(
     return dt * np.arange(len(made)), made
 
 
-def rows(vector: Vec3 | Rotors, run: int, going: np.ndarray) -> np.ndarray:
-    """Components (n, k) of one recorded run."""
-    parts = [np.asarray(x, np.float64)[going, run] for x in vector.components()]
-    return np.stack(parts, axis=1)
-
-
 def progress_figure(
     lines: dict[str, tuple[np.ndarray, np.ndarray]], pace: float, title: str
 ) -> Figure:
-    """Progress relative to a steady pace over time.
+    """Progress relative to a constant pace over time.
 
     Args:
         lines: times, s, and progress, laps, by label.
-        pace: laps per second that everything is relative to.
+        pace: of the reference, laps per second.
         title: over the picture.
     """
     figure = new_figure(9.0, 4.6)
@@ -66,8 +60,8 @@ def progress_figure(
     tidy(axes)
     for index, (label, (time, made)) in enumerate(lines.items()):
         style = "--" if "simulat" in label else "-"
-        colour = SERIES[(index // 2) % len(SERIES)]
-        axes.plot(time, made - pace * time, style, color=colour, lw=1.4, label=label)
+        color = SERIES[(index // 2) % len(SERIES)]
+        axes.plot(time, made - pace * time, style, color=color, lw=1.4, label=label)
     axes.set_xlabel("time (s)", color=INK)
     axes.set_ylabel(f"laps ahead of one in {1.0 / pace:.2f} s", color=INK)
     axes.set_title(title, color=INK, fontsize=13, loc="left", pad=10)
@@ -76,14 +70,11 @@ def progress_figure(
 
 
 def first_order(command: np.ndarray, start: np.ndarray, tau: float, dt: float) -> np.ndarray:
-    """What a first-order lag makes of held commands (n, k), from ``start`` (k,): (n, k)."""
+    """Response (n, k) of a first-order lag to held commands (n, k), from ``start`` (k,)."""
     kept = np.exp(-dt / tau)
-    made = np.empty_like(command)
-    state = np.array(start, np.float64)
-    for index, wanted in enumerate(command):
-        made[index] = state
-        state = wanted + (state - wanted) * kept
-    return made
+    start = np.asarray(start, np.float64)[None]
+    tail, _ = lfilter([1.0 - kept], [1.0, -kept], command[:-1], axis=0, zi=kept * start)
+    return np.concatenate([start, tail])
 
 
 def rpm_figure(flights: Flights, tau: float, run: int = 0) -> tuple[Figure, np.ndarray]:
@@ -93,9 +84,8 @@ def rpm_figure(flights: Flights, tau: float, run: int = 0) -> tuple[Figure, np.n
         The figure, and the root mean square deviation of each motor, rpm, (4,).
     """
     frames, dt = flights.frames, flights.step
-    going = ~frames.over[:, run]
-    command = rows(frames.rpm_command, run, going)
-    true = rows(frames.true.rpm, run, going)
+    command = rows(flights, frames.rpm_command, run)
+    true = rows(flights, frames.true.rpm, run)
     model = first_order(command, true[0], tau, dt)
     names = ["1 front left", "2 front right", "3 rear right", "4 rear left"]
     figure = _panels(dt, command, true, model, names, "rpm", "propeller speeds on the plant")
@@ -111,16 +101,9 @@ def rates_figure(
         The figure, and the root mean square deviation of each, rad/s and m/s^2, (4,).
     """
     frames, dt = flights.frames, flights.step
-    going = ~frames.over[:, run]
-    command = np.concatenate(
-        [
-            rows(frames.command.rates, run, going),
-            np.asarray(frames.command.thrust, np.float64)[going, run][:, None],
-        ],
-        axis=1,
-    )
-    thrust = -rows(frames.specific_force, run, going)[:, 2:]
-    true = np.concatenate([rows(frames.true.rates, run, going), thrust], axis=1)
+    command = rows(flights, frames.command, run)
+    thrust = -rows(flights, frames.specific_force, run)[:, 2:]
+    true = np.concatenate([rows(flights, frames.true.rates, run), thrust], axis=1)
     model = np.concatenate(
         [
             first_order(command[:, i : i + 1], true[0, i : i + 1], tau, dt)

@@ -4,15 +4,15 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import yaml
 from matplotlib.figure import Figure
 
+from quadjax.config.base import to_yaml
 from quadjax.core.files import write_json, write_text
 from quadjax.evaluation.figures import save_figure, trajectory_figure
 from quadjax.evaluation.recording import recordings as simulated_recordings
 from quadjax.evaluation.tables import format_table, lap_row
-from quadjax.plant.flight_log import gate_centres
-from quadjax.plant.race import recordings
+from quadjax.plant.flights import recordings
+from quadjax.plant.logs import gate_centers
 from quadjax.race.laps import Laps
 from quadjax.studies import comparison_figures as figures
 from quadjax.studies.ablation import present
@@ -38,14 +38,14 @@ PARTS = ("table", "effects", "ablation")
 
 @dataclasses.dataclass(frozen=True)
 class Wanted:
-    """Which parts, where the ablation's policies are, and where to write."""
+    """Parts of a comparison, folder of the ablation's policies, and folder to write to."""
 
     parts: tuple[str, ...]
     ablation: Path
     folder: Path
 
     def steps(self) -> int:
-        """How often the run will report."""
+        """Number of calls of ``report``."""
         own = 4 + 1 if "table" in self.parts else 0
         own += 2 * (len(EFFECTS) + 2) if "effects" in self.parts else 0
         return own + (len(present(self.ablation)[0]) if "ablation" in self.parts else 0)
@@ -54,13 +54,13 @@ class Wanted:
 def run_comparison(
     setting: Setting, contenders: tuple[Contender, Contender], wanted: Wanted, report: Report
 ) -> str:
-    """Fly all that is wanted, write it, and return the tables as text.
+    """Fly the wanted parts, write the results, and return the tables as text.
 
     Args:
         setting: race and plant.
         contenders: E2E and INDI.
-        wanted: parts and places.
-        report: told what is being done.
+        wanted: parts and folders.
+        report: called with the progress.
 
     Raises:
         InputError: policies that do not fit, or files that cannot be read.
@@ -80,13 +80,12 @@ def run_comparison(
     text = "\n\n".join(texts)
     write_text(wanted.folder / "table.txt", text + "\n")
     write_json(wanted.folder / "compare.json", result)
-    config = yaml.safe_dump(dataclasses.asdict(setting.plant), sort_keys=False)
-    write_text(wanted.folder / "config.yaml", config)
+    write_text(wanted.folder / "config.yaml", to_yaml(setting.plant.model_dump()))
     return text
 
 
 def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
-    """The paper's table of both contenders, where E2E's lead goes, and who ended early and how."""
+    """The paper's table of both contenders, E2E's lead, and the reasons of early ends."""
     table = format_table([*rows(e2e), *rows(indi)], PUBLISHED if setting.laps == LAPS else ())
     flown, held = limit_shares(setting, e2e)
     notes = [
@@ -105,10 +104,7 @@ def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
 
 
 def limit_shares(setting: Setting, own: Compared) -> tuple[float, float | None]:
-    """Share of a contender's rpm commands at a limit: on the plant, and simulated where it has any.
-
-    A rate-level policy has no motors in the simulator.
-    """
+    """Fraction of rpm commands at a limit: on the plant, and simulated (None without motors)."""
     low, high = (setting.race.vehicle.motor[key] for key in ("rpm_min", "rpm_max"))
     motors = own.contender.policy.vehicle == "motor"
     simulated = simulated_saturation(own.trace, low, high) if motors else None
@@ -132,16 +128,16 @@ def _numbers(setting: Setting, e2e: Compared, indi: Compared) -> dict[str, objec
 
 
 def compared_progress(setting: Setting, e2e: Compared, indi: Compared) -> Figure:
-    """Progress of both contenders in both worlds, relative to the slowest of the four.
+    """Progress of both contenders, simulated and on the plant, relative to the slowest.
 
-    Of the plant it shows the best of the recorded flights.
+    The best of the recorded flights on the plant is shown.
     """
-    centres, lines = gate_centres(setting.race), {}
+    centers, lines = gate_centers(setting.race), {}
     for own in (e2e, indi):
         name, best = own.contender.name, best_recorded(own.flown.laps)
         dt = setting.race.episode.dt
-        lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centres)
-        lines[f"{name} stand-in plant"] = figures.flown_progress(own.flown, best, centres)
+        lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centers)
+        lines[f"{name} stand-in plant"] = figures.flown_progress(own.flown, best, centers)
     slowest = max(time[-1] / max(made[-1], 1e-3) for time, made in lines.values())
     return figures.progress_figure(lines, 1.0 / slowest, "relative progress")
 
@@ -186,7 +182,7 @@ def _effects(
         flown = without_each(setting, own, report)
         result["effects"][own.name] = {key: _summary(laps) for key, laps in flown.items()}
         lines += [lap_row(f"{own.name} {key}", laps) for key, laps in flown.items()]
-    return "stand-in plant with one effect switched off, all runs\n" + format_table(lines)
+    return "stand-in plant without one effect, all runs\n" + format_table(lines)
 
 
 def _ablation(setting: Setting, folder: Path, result: dict, report: Report) -> str:
@@ -202,12 +198,12 @@ def _ablation(setting: Setting, folder: Path, result: dict, report: Report) -> s
     if lines:
         texts.append(format_table(lines))
     for command in dict.fromkeys(variant.command() for variant in missing):
-        texts.append(f"not flown, no policy in {folder.name}/: {command}")
+        texts.append(f"skipped, no policy in {folder.name}/: {command}")
     return "\n".join(texts)
 
 
 def _summary(laps: Laps) -> dict[str, float | int | None]:
-    """Mean of the runs that finished, best, and how many did."""
+    """Mean and best of the runs that finished, and their number."""
     done = laps.totals[np.isfinite(laps.totals)]
     return {
         "mean": round(float(done.mean()), 3) if done.size else None,

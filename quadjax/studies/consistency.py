@@ -1,140 +1,210 @@
-"""Is the navigation filter as good as it says? Its errors against its own standard deviations.
+"""Consistency of the navigation filter: its errors against its own standard deviations.
 
-Flies policies in the race simulator, runs sensors and filter on each flight, and counts how often
-every component is within three of its own standard deviations, and on how many flights the filter
-diverged (half a metre, half a radian or 2 m/s off, or not finite). Exit status 1 where a component
-is inside less than 99% of the time or a flight diverged. key=value words change the sensors
-(sensors.mocap.latency=0.03), the filter (ekf.gyro_noise=1e-3) or the race.
+Flies policies on the plant without unmodeled effects and delays, and counts how often every
+component of the estimate is within three of its standard deviations and on how many flights the
+filter diverged (an error above 0.5 m, 0.5 rad or 2 m/s, or not finite). Exit status 1 where a
+component is within less than 99% of the time or a flight diverged.
 """
 
 import argparse
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
 
-from quadjax.cli.arguments import Parser, check_writable, count, parse, seed
-from quadjax.config.loading import fill, load_config, parse_words
-from quadjax.core.errors import InputError, command_line
+from quadjax.cli.arguments import Parser, add_config, check_writable, count, parse, seed
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
 from quadjax.core.files import write_json
-from quadjax.core.resources import CONFIGS, PRETRAINED
-from quadjax.plant.flights import Setting, plan_flights
-from quadjax.plant.sensor_schema import NavigationConfig
-from quadjax.plant.watch import COMPONENTS, Result, judge, onboard_of
+from quadjax.core.frames import wrap_angle
+from quadjax.core.resources import PRETRAINED, find_config
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.plant import plant as physics
+from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
+from quadjax.plant.ekf import EkfState
+from quadjax.plant.ekf_params import EkfParams
+from quadjax.plant.estimate import NavigationState, estimate
+from quadjax.plant.flight import Flight, FlightParams
+from quadjax.plant.flights import fly_chunks, plan_flights
+from quadjax.plant.sensors import GroundTruth, SensorState
 from quadjax.policy.file import read_policy
-from quadjax.training.progress import bar
+from quadjax.vehicle.rate import RateCommand
 
-WANTED = 0.99  # of the samples within three standard deviations
+WITHIN = 3.0  # standard deviations
+LEAST_INSIDE = 0.99  # of the samples within three standard deviations
+DIVERGED = {"position": 0.5, "euler": 0.5, "velocity": 2.0}  # m, rad, m/s
+COMPONENTS = tuple(item.name for item in dataclasses.fields(NavigationState))
 UNITS = ("m", "m/s", "rad", "rad/s", "m/s^2", "rad/s", "m/s^2")
-SHIPPED = ("e2e", "indi")
+MAX_LAPS = 100  # more than any flight completes
+POLICIES = ("e2e.npz", "indi.npz")
 
 
-def _arguments() -> argparse.Namespace:
-    parser = Parser(prog="python -m quadjax.studies.consistency", description=__doc__)
-    parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
-    parser.add_argument("--config", help="YAML file of the race (both shipped policies' races)")
-    parser.add_argument("--policy", metavar="FILE.npz", help="policy file (the shipped one)")
-    parser.add_argument("--flights", type=count, default=1000, help="of each policy (1000)")
-    parser.add_argument("--seconds", type=_positive, default=20.0, help="of each flight (20)")
-    parser.add_argument("--rate", type=_positive, default=500.0, help="sample rate, Hz (500)")
-    parser.add_argument("--start", choices=("hover", "random"), default="hover")
-    parser.add_argument("--seed", type=seed, default=0, help="of policy noise and sensors")
-    parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
-    arguments = parse(parser)
-    check_writable(arguments.json)
-    if arguments.policy and not arguments.config:
-        raise InputError("--policy needs the --config of its race")
-    return arguments
+@dataclasses.dataclass(frozen=True)
+class Consistency:
+    """Result; arrays are (7, 3): components of ``NavigationState`` by axes."""
+
+    flights: int
+    completed: int  # flights without a crash
+    hours: float  # of flight
+    inside: np.ndarray  # fraction of the samples within three standard deviations
+    rmse: np.ndarray
+    ratio: np.ndarray  # mean of (error / standard deviation)^2; 1 for a consistent filter
+    worst: np.ndarray  # largest error over its standard deviation
+    diverged: int  # flights
+
+    @property
+    def passed(self) -> bool:
+        """Whether no flight diverged and every component is inside often enough."""
+        return self.diverged == 0 and bool((self.inside >= LEAST_INSIDE).all())
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        values = vars(self) | {"passed": self.passed}
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
 
-def _positive(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not 0.0 < number <= 1e4:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a number above 0, at most 10000")
-    return number
-
-
-def split_words(words: Sequence[str]) -> tuple[NavigationConfig, list[str]]:
-    """Sensors and filter of ``key=value`` words, and the words that are the race's.
-
-    Raises:
-        InputError: an unknown key or a value of the wrong type.
-    """
-    own = [word for word in words if word.split("=")[0].split(".")[0] in ("sensors", "ekf")]
-    config = fill(NavigationConfig, parse_words(own), "command line")
-    return config, [word for word in words if word not in own]
-
-
-def _flights(arguments: argparse.Namespace) -> list[tuple[str, str, str]]:
-    """Name, config file and policy file of each set of flights."""
-    if arguments.config:
-        name = Path(arguments.config).stem
-        return [(name, arguments.config, arguments.policy or str(PRETRAINED / f"{name}.npz"))]
-    configs = CONFIGS
-    return [(n, str(configs / f"{n}.yaml"), str(PRETRAINED / f"{n}.npz")) for n in SHIPPED]
-
-
-def hit(result: Result) -> bool:
-    """Whether the filter keeps what it promises."""
-    return result.diverged == 0 and bool((result.inside >= WANTED).all())
-
-
-def _print(name: str, result: Result) -> None:
-    print(
-        f"\n{name}: {result.flights} flights, {result.hours:.2f} h, {result.whole} to the end, "
-        f"{result.diverged} diverged"
+def errors_and_deviations(
+    params: EkfParams, filtered: EkfState, truth: GroundTruth, sensors: SensorState
+) -> jax.Array:
+    """Errors and standard deviations (2, 7, 3) of the present estimate of one drone."""
+    now = estimate(params, filtered)
+    true = (
+        *(getattr(truth, name) for name in COMPONENTS[:5]),
+        sensors.gyro.bias,
+        sensors.accelerometer.bias,
     )
-    print(f"{'':>19} {'RMS error':>32} {'':7}{'inside 3 sigma, %':>22} {'mean (e/sigma)^2':>20}")
+    errors = [getattr(now.value, n) - t for n, t in zip(COMPONENTS, true, strict=True)]
+    errors[2] = Vec3(*(wrap_angle(angle) for angle in errors[2].components()))
+    deviations = [getattr(now.std, name) for name in COMPONENTS]
+    return jnp.stack([jnp.stack([v.array() for v in part]) for part in (errors, deviations)])
+
+
+def _record(
+    params: FlightParams, flight: Flight, command: Rotors | RateCommand, rotors: Rotors
+) -> tuple[jax.Array, jax.Array]:
+    truth = physics.truth_of(params.plant, flight.plant)
+    onboard = flight.onboard
+    numbers = errors_and_deviations(params.onboard.ekf, onboard.ekf, truth, onboard.sensors)
+    return numbers, flight.race.over
+
+
+def evaluate_filter(
+    race: Config,
+    plant: PlantConfig,
+    policy: Path,
+    flights: int,
+    seconds: float,
+    seed: int = 0,
+    report: Callable[[float], None] = lambda seconds: None,
+) -> Consistency:
+    """Fly a policy and compare every estimate with the truth.
+
+    Args:
+        race: config of the race.
+        plant: config of the plant.
+        policy: policy file.
+        flights: number of drones.
+        seconds: of each flight.
+        seed: of batteries, gusts, sensors and the policy's noise.
+        report: called with the seconds flown.
+    """
+    plant = plant.replace(control_rate=plant.sample_rate, navigation="ekf")
+    plan = plan_flights(
+        race, plant, read_policy(policy), str(policy), MAX_LAPS, flights, flights, False
+    )
+    plan = dataclasses.replace(plan, limit=round(seconds * plant.sample_rate))
+    total, worst, diverged = np.zeros((3, 7, 3)), np.zeros((7, 3)), np.zeros(flights, bool)
+    samples, flown = 0, 0.0
+    for drones, (numbers, over) in fly_chunks(plan, seed, _record):
+        numbers = np.where(over[:, None, None, None], 0.0, numbers)  # (time, 2, 7, 3, flights)
+        error, ratio = np.abs(numbers[:, 0]), tally_ratio(numbers)
+        total += [part.sum(axis=(0, -1)) for part in ((ratio <= WITHIN), error**2, ratio**2)]
+        total[0] -= over.sum()
+        worst = np.maximum(worst, ratio.max(axis=(0, -1)))
+        diverged |= diverged_flights(error)
+        samples += int((~over).sum())
+        flown += len(over) / plant.sample_rate
+        crashed = np.asarray(drones.race.crash) > 0
+        report(flown)
+    return Consistency(
+        flights=flights,
+        completed=int((~crashed).sum()),
+        hours=samples / plant.sample_rate / 3600.0,
+        inside=total[0] / samples,
+        rmse=np.sqrt(total[1] / samples),
+        ratio=total[2] / samples,
+        worst=worst,
+        diverged=int(diverged.sum()),
+    )
+
+
+def tally_ratio(numbers: np.ndarray) -> np.ndarray:
+    """Absolute error over standard deviation, of (.., 2, 7, 3, n): (.., 7, 3, n)."""
+    return np.abs(numbers[..., 0, :, :, :]) / np.maximum(numbers[..., 1, :, :, :], 1e-12)
+
+
+def diverged_flights(error: np.ndarray) -> np.ndarray:
+    """Flights (n,) with a large or non-finite error in (time, 7, 3, n)."""
+    sizes = {name: np.linalg.norm(error[:, COMPONENTS.index(name)], axis=1) for name in DIVERGED}
+    return ~np.all([sizes[name] <= limit for name, limit in DIVERGED.items()], axis=(0, 1))
+
+
+def table(name: str, result: Consistency) -> str:
+    """The result as text."""
+    lines = [
+        f"{name}: {result.flights} flights, {result.hours:.2f} h, {result.completed} completed, "
+        f"{result.diverged} diverged",
+        f"{'':>19} {'RMS error':>32} {'':7}{'inside 3 sigma, %':>22} {'mean (e/sigma)^2':>20}",
+    ]
     for index, (component, unit) in enumerate(zip(COMPONENTS, UNITS, strict=True)):
         errors = "".join(f"{x:>10.5f}" for x in result.rmse[index])
         inside = "".join(f"{np.floor(1e4 * x) / 100:>8.2f}" for x in result.inside[index])
         ratio = "".join(f"{x:>7.2f}" for x in result.ratio[index])
-        print(f"{component:>19} {errors} {unit:<7}{inside} {ratio}")
-    print(f"{'hit' if hit(result) else 'missed'}: 99% inside, none diverged")
+        lines.append(f"{component:>19} {errors} {unit:<7}{inside} {ratio}")
+    verdict = "passed" if result.passed else "failed"
+    return "\n".join([*lines, f"{verdict}: 99% inside, none diverged"])
 
 
-@command_line
-def main() -> int:
-    """Fly, judge, print, and write the numbers if asked."""
-    arguments = _arguments()
-    navigation, race = split_words(arguments.words)
-    setting = Setting(
-        arguments.rate,
-        arguments.flights,
-        arguments.seconds,
-        arguments.start == "hover",
-        arguments.seed,
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("consistency", description=__doc__)
+    add_config(parser, "a YAML file of configs/plant")
+    parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
+    parser.add_argument(
+        "--policy", action="append", metavar="FILE.npz", help="(e2e.npz and indi.npz)"
     )
-    sets = _flights(arguments)
-    plans = {
-        name: plan_flights(load_config(config, race), read_policy(policy), setting, policy)
-        for name, config, policy in sets
-    }
-    for plan in plans.values():
-        onboard_of(navigation, plan.sample_rate)  # complains before anything is flown
-    results = {}
-    with bar(console=Console(stderr=True)) as progress:
-        for name, plan in plans.items():
-            task = progress.add_task(name, total=plan.control_steps)
-            results[name] = judge(
-                plan, setting, navigation, lambda steps, task=task: progress.advance(task, steps)
+    parser.add_argument("--flights", type=count, default=1000, help="of each policy (1000)")
+    parser.add_argument("--seconds", type=count, default=20, help="of each flight (20)")
+    parser.add_argument("--seed", type=seed, default=0)
+    parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
+    arguments = parse(parser, words)
+    check_writable(arguments.json)
+    return arguments
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Evaluate the filter on flights of some policies, print, and write if asked."""
+    from rich.console import Console
+
+    words = _arguments(arguments)
+    plant = without_effects(load_plant_config(words.config, words.overrides))
+    race, results = load_config(find_config(words.race)), {}
+    with Console(stderr=True).status("compiling") as status:
+        for policy in map(Path, words.policy or [PRETRAINED / name for name in POLICIES]):
+            results[policy.name] = evaluate_filter(
+                race,
+                plant,
+                policy,
+                words.flights,
+                words.seconds,
+                words.seed,
+                lambda seconds, n=policy.name: status.update(f"{n}: {seconds:.0f} s flown"),
             )
-    for name, result in results.items():
-        _print(name, result)
-    if arguments.json:
-        shown = {"setting": dataclasses.asdict(setting), "config": dataclasses.asdict(navigation)}
-        numbers = {
-            name: result.to_json() | {"hit": hit(result)} for name, result in results.items()
-        }
-        write_json(arguments.json, {**shown, "results": numbers})
-        print(f"wrote {arguments.json}")
-    return int(not all(hit(result) for result in results.values()))
-
-
-if __name__ == "__main__":
-    main()
+            print(table(policy.name, results[policy.name]) + "\n")
+    if words.json:
+        numbers = {name: result.to_json() for name, result in results.items()}
+        write_json(words.json, {"config": plant.model_dump(), "results": numbers})
+        print(f"wrote {words.json}")
+    return int(not all(result.passed for result in results.values()))

@@ -1,37 +1,27 @@
-"""How fast the inner loop is: step responses on the plant, fitted to the first-order model.
+"""Time constants of the inner loop: step responses on the plant, fitted by first-order lags."""
 
-As a command, on the plant with every effect off, or on the stand-in plant with ``--effects``::
-
-    python -m quadjax.studies.identify configs/plant/standin.yaml
-"""
-
-import argparse
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from quadjax.cli.arguments import Parser, parse
-from quadjax.core.errors import command_line
+from quadjax.cli.arguments import Parser, add_config, parse
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, indi, plant
 from quadjax.plant.build import build_plant, nominal_vehicle
-from quadjax.plant.indi import Felt, IndiParams
+from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
+from quadjax.plant.indi import IndiParams
 from quadjax.plant.plant import PlantParams
-from quadjax.plant.plant_schema import (
-    NO_EFFECTS,
-    DelayConfig,
-    PlantConfig,
-    load_plant_config,
-)
 from quadjax.vehicle.motor import MotorState, hover_rpm
+from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 
 SECONDS = 0.2
-BELIEVED = (0.025, 0.035)  # s, about the 0.03 s of the training model
+EXPECTED = (0.025, 0.035)  # s, around the 0.03 s of the training model
 AXES = ("p", "q", "r", "T")
 # Steps inside the paper's limits, rates in rad/s and thrust in m/s^2, from hover.
 STEPS: dict[str, tuple[float, ...]] = {
@@ -50,10 +40,10 @@ class Step:
         axis: one of ``AXES``.
         target: rad/s, or m/s^2.
         tau: fitted time constant, s.
-        error: root mean square of what the fit leaves, as a share of the step.
-        saturated: s for which a motor was told its highest or lowest speed.
+        error: root mean square of the fit's error, as a fraction of the step.
+        saturated: time with a motor command at a limit, s.
         time: (n,) s since the step.
-        response: (n,) what was flown.
+        response: (n,) rad/s, or m/s^2.
     """
 
     axis: str
@@ -66,17 +56,12 @@ class Step:
 
     @property
     def start(self) -> float:
-        """Where the response started."""
+        """First value of the response."""
         return float(self.response[0])
 
 
-def without_effects(config: PlantConfig) -> PlantConfig:
-    """The same drone with every effect off and no delay: the training model."""
-    return dataclasses.replace(config, effects=NO_EFFECTS, delay=DelayConfig(0.0, 0.0))
-
-
 def identify(config: PlantConfig, steps: dict[str, tuple[float, ...]] = STEPS) -> list[Step]:
-    """Fly steps from hover with exact measurements, and fit each.
+    """Simulate steps from hover with exact measurements, and fit each.
 
     Args:
         config: of the plant and its inner loop.
@@ -105,10 +90,14 @@ def fit_step(
     response: np.ndarray,
     saturated: np.ndarray | None = None,
 ) -> Step:
-    """The first-order lag ``start + (target - start) (1 - exp(-t / tau))`` nearest to a response.
+    """Least-squares fit of ``start + (target - start) (1 - exp(-t / tau))`` to a response.
 
-    Least squares over the whole response; times (n,), s, from the instant of the step, and where
-    it is known whether (n,) a motor was at its limit.
+    Args:
+        axis: one of ``AXES``.
+        target: of the step.
+        time: (n,) s from the instant of the step.
+        response: (n,).
+        saturated: (n,) whether a motor command was at a limit.
     """
     start = response[0]
 
@@ -124,9 +113,9 @@ def fit_step(
 
 @functools.partial(jax.jit, static_argnums=0)
 def _fly(count: int, params: PlantParams, loop: IndiParams, commands: jax.Array) -> jax.Array:
-    """What steps from hover to commands (steps, 4) lead to, (count, 5, steps).
+    """Responses (count, 5, steps) to steps from hover to commands (steps, 4).
 
-    Rates, specific thrust, and 1 where a motor is told its highest or lowest speed.
+    Rates, specific thrust, and 1 where a motor command is at a limit.
     """
     c = params.vehicle.constants
 
@@ -138,16 +127,16 @@ def _fly(count: int, params: PlantParams, loop: IndiParams, commands: jax.Array)
         body = MotorState(up, *zeros[:3], rpm, *zeros[3:])
         none = jnp.zeros(gusts.START_DRAWS)
         state = plant.begin(params, body, jnp.ones(()), none)
-        inner = indi.init(loop, _felt(params, state))
+        inner = indi.init(loop, _measure(params, state))
 
         def sample(carry: tuple, _: None) -> tuple[tuple, jax.Array]:
             state, inner = carry
-            felt = _felt(params, state)
-            inner, command = indi.update(loop, inner, felt, wanted)
+            now = _measure(params, state)
+            inner, command = indi.update(loop, inner, now, wanted)
             following = plant.update(params, state, command, none[: gusts.DRAWS])
             limits = [(u <= c.rpm_min) | (u >= c.rpm_max) for u in command.components()]
             limited = (limits[0] | limits[1] | limits[2] | limits[3]).astype(jnp.float32)
-            shown = jnp.stack([*felt.gyro.components(), -felt.force_z, limited])
+            shown = jnp.stack([*now.gyro.components(), -now.specific_force.z, limited])
             return (following, inner), shown
 
         return jax.lax.scan(sample, (state, inner), None, count)[1]
@@ -155,36 +144,30 @@ def _fly(count: int, params: PlantParams, loop: IndiParams, commands: jax.Array)
     return jax.vmap(one, out_axes=-1)(commands)
 
 
-def _felt(params: PlantParams, state: plant.PlantState) -> Felt:
+def _measure(params: PlantParams, state: plant.PlantState) -> Measurement:
+    """An exact measurement, without the velocity, which the inner loop does not use."""
     truth = plant.truth_of(params, state)
-    return Felt(truth.rates, truth.specific_force.z, truth.rpm)
+    return Measurement(truth.rates, truth.specific_force, truth.rpm, Vec3.zero())
 
 
 def table(steps: list[Step]) -> str:
-    """The steps as text, each with whether the training model's time constant holds."""
-    low, high = BELIEVED
-    lines = ["axis   from     to     tau  left  motors at a limit  0.025-0.035 s"]
+    """The steps as text, with whether each has the training model's time constant."""
+    low, high = EXPECTED
+    lines = ["axis   from     to     tau  error  motors at a limit  0.025-0.035 s"]
     for step in steps:
         fine = "yes" if low <= step.tau <= high else "no"
         lines.append(
             f"{step.axis:>4} {step.start:6.2f} {step.target:6.2f} {1e3 * step.tau:5.1f}ms "
-            f"{100.0 * step.error:4.1f}% {1e3 * step.saturated:15.0f} ms  {fine}"
+            f"{100.0 * step.error:5.1f}% {1e3 * step.saturated:15.0f} ms  {fine}"
         )
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Identify the inner loop's time constants."""
-    parser = Parser(description=main.__doc__, formatter_class=argparse.HelpFormatter)
-    parser.add_argument("config", help="YAML file of configs/plant")
-    parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
-    parser.add_argument("--effects", action="store_true", help="on the stand-in plant as it is")
-    arguments = parse(parser)
-    config = load_plant_config(arguments.config, arguments.words)
-    if not arguments.effects:
-        config = without_effects(config)
-    print(table(identify(config)))
-
-
-if __name__ == "__main__":
-    command_line(main)()
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Identify the inner loop's time constants and print them."""
+    parser = Parser("identify", description=__doc__)
+    add_config(parser, "a YAML file of configs/plant")
+    parser.add_argument("--effects", action="store_true", help="with the plant's effects, delays")
+    words = parse(parser, arguments)
+    config = load_plant_config(words.config, words.overrides)
+    print(table(identify(config if words.effects else without_effects(config))))

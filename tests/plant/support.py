@@ -6,36 +6,33 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.plant.covariance import Covariance
-from quadjax.plant.ekf import Motion, Sample
-from quadjax.plant.flights import Seen
-from quadjax.plant.matrix import Mat3, Sym3
-from quadjax.plant.quaternion import Quaternion
-from quadjax.plant.sensor_schema import (
+from quadjax.plant import ekf, sensors
+from quadjax.plant.config import (
     AccelerometerConfig,
     EkfConfig,
     GyroConfig,
     MocapConfig,
-    NavigationConfig,
     RpmConfig,
     SensorsConfig,
 )
-from quadjax.plant.truth import Truth
+from quadjax.plant.covariance import Covariance
+from quadjax.plant.ekf import Motion, Sample
+from quadjax.plant.ekf_params import EkfParams, ekf_params
+from quadjax.plant.matrix import Mat3, Sym3
+from quadjax.plant.quaternion import Quaternion
+from quadjax.plant.sensors import GroundTruth
+from quadjax.studies.consistency import errors_and_deviations
 from tests.plant.reference import Nominal
 
 RATE = 500.0
 # Only what makes signals late is left: low-pass filters and latency.
 ONLY_LATE = SensorsConfig(
-    GyroConfig(noise=0.0, bias=0.0, bias_walk=0.0),
-    AccelerometerConfig(noise=0.0, bias=0.0, bias_walk=0.0),
-    RpmConfig(0.0, 0.0),
-    MocapConfig(position_noise=0.0, attitude_noise=0.0, dropout=0.0),
+    gyro=GyroConfig(noise=0.0, bias=0.0, bias_walk=0.0),
+    accelerometer=AccelerometerConfig(noise=0.0, bias=0.0, bias_walk=0.0),
+    rpm=RpmConfig(noise=0.0, resolution=0.0),
+    mocap=MocapConfig(position_noise=0.0, attitude_noise=0.0, dropout=0.0),
 )
 EXACT = EkfConfig(start_gyro_bias=0.0, start_accelerometer_bias=0.0)
-
-
-def navigation(sensors: SensorsConfig, ekf: EkfConfig = EXACT) -> NavigationConfig:
-    return NavigationConfig(sensors, ekf)
 
 
 def vec3(values: np.ndarray) -> Vec3:
@@ -103,7 +100,7 @@ def correlation(dense: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return dense / np.sqrt(np.outer(np.diag(scale), np.diag(scale)))
 
 
-def loop(samples: int, drones: int, turn_rate: float = 4.0) -> Seen:
+def loop(samples: int, drones: int, turn_rate: float = 4.0) -> GroundTruth:
     """Loops at a steady rate, nose over: pitch goes through 90 deg twice in each turn.
 
     Samples first, drones last; the first sample is the start.
@@ -127,9 +124,46 @@ def loop(samples: int, drones: int, turn_rate: float = 4.0) -> Seen:
 
     euler = np.stack([roll, pitch, yaw])
     rpm = Rotors.same(jnp.full((samples, drones), 7000.0))
-    truth = Truth(*(each(x) for x in (position, velocity, euler, rates, force)), rpm)
-    return Seen(truth, jnp.zeros((samples, drones), bool))
+    return GroundTruth(*(each(x) for x in (position, velocity, euler, rates, force)), rpm)
 
 
 def at(tree: object, index: object) -> object:
     return jax.tree.map(lambda x: x[index], tree)
+
+
+def filtered(
+    config: SensorsConfig, assumed: EkfConfig, truth: GroundTruth, seed: int
+) -> tuple[np.ndarray, ekf.EkfState]:
+    """Sensors and filter on a known motion whose first sample is the start.
+
+    Errors and standard deviations (samples - 1, 2, 7, 3, drones), and the final filters.
+    """
+    own, params = sensors.sensor_params(config, RATE), ekf_params(config, assumed, RATE)
+    numbers, estimated = _filter(own, params, truth, jax.random.key(seed))
+    return np.float64(numbers), estimated
+
+
+@jax.jit
+def _filter(
+    own: sensors.SensorParams, params: EkfParams, truth: GroundTruth, key: jax.Array
+) -> tuple:
+    samples, drones = truth.position.x.shape
+
+    def start(truth: GroundTruth, drawn: jax.Array) -> tuple:
+        state, measured = sensors.init(own, truth, drawn)
+        return state, ekf.init(params, measured)
+
+    def update(carry: tuple, truth: GroundTruth, drawn: jax.Array) -> tuple:
+        state, measured = sensors.update(own, carry[0], truth, drawn)
+        estimated = ekf.update(params, carry[1], measured)
+        return (state, estimated), errors_and_deviations(params, estimated, truth, state)
+
+    def one(carry: tuple, now: tuple) -> tuple:
+        drawn = jax.random.normal(now[1], (sensors.DRAWS, drones))
+        return jax.vmap(update, -1, -1)(carry, now[0], drawn)
+
+    drawn = jax.random.normal(key, (sensors.START_DRAWS, drones))
+    carry = jax.vmap(start, -1, -1)(at(truth, 0), drawn)
+    keys = jax.random.split(jax.random.fold_in(key, 1), samples - 1)
+    (_, estimated), numbers = jax.lax.scan(one, carry, (at(truth, slice(1, None)), keys))
+    return numbers, estimated

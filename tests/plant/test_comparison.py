@@ -8,11 +8,11 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.vectors import Rotors
-from quadjax.plant.plant_schema import NO_EFFECTS, PlantConfig
-from quadjax.plant.race import Flights
+from quadjax.plant.config import PlantConfig
+from quadjax.plant.flights import Flights
 from quadjax.race.laps import Laps
 from quadjax.studies.ablation import VARIANTS, present
-from quadjax.studies.comparison import Compared, Setting, changed_plants, contender, lead
+from quadjax.studies.comparison import EFFECTS, Compared, Setting, changed_plants, contender, lead
 from quadjax.studies.comparison_figures import first_order, progress
 from quadjax.studies.comparison_run import best_recorded, limit_shares, table_text
 from tests import reference as ref
@@ -68,13 +68,13 @@ def test_the_best_recorded_flight_has_the_most_laps():
 
 def test_each_change_of_the_plant_switches_one_thing_off():
     plants = changed_plants(PlantConfig())
-    effects = {name: getattr(PlantConfig().effects, name) for name in vars(NO_EFFECTS)}
+    effects = {name: getattr(PlantConfig().effects, name) for name in EFFECTS}
     for name in effects:
         changed = plants.pop(f"without {name}")
-        assert vars(changed.effects) == effects | {name: 0.0}
+        assert changed.effects.model_dump() == effects | {name: 0.0}
     still, known = plants.pop("without delays"), plants.pop("with true states")
     assert still.delay.command == still.delay.measurement == 0.0 and not plants
-    assert (known.navigation, known.disturbance_input) == ("truth", "true")
+    assert known.navigation == known.disturbance == "ground_truth"
 
 
 def test_progress_grows_from_gate_to_gate():
@@ -101,8 +101,8 @@ def test_a_first_order_lag_of_held_commands():
 def test_the_ablation_has_what_the_paper_argues():
     lines = {(variant.group, variant.label) for variant in VARIANTS}
     assert {("residual", "with"), ("residual", "without")} <= lines
-    assert {("disturbance input", x) for x in ("true", "estimated", "none")} <= lines
-    assert {("randomisation", f"{x}%") for x in (0, 10, 20, 30)} <= lines
+    assert {("disturbance", x) for x in ("ground_truth", "estimated", "none")} <= lines
+    assert {("randomization", f"{x}%") for x in (0, 10, 20, 30)} <= lines
 
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: f"{v.group} {v.label}")

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.frames import rotation_matrix
 from quadjax.plant import covariance as cov
 from quadjax.plant import ekf, quaternion
+from quadjax.plant.config import EkfConfig, SensorsConfig
 from quadjax.plant.ekf_params import ekf_params
-from quadjax.plant.sensor_schema import EkfConfig, SensorsConfig
 from quadjax.plant.sensors import Fix
 from tests.plant import reference
 from tests.plant.support import (

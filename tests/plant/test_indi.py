@@ -9,8 +9,8 @@ import pytest
 
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import indi
-from quadjax.plant.plant_schema import IndiConfig, PlantConfig
-from quadjax.studies.identify import BELIEVED, fit_step, identify, without_effects
+from quadjax.plant.config import IndiConfig, PlantConfig, without_effects
+from quadjax.studies.identify import EXPECTED, fit_step, identify
 from tests import reference as ref
 from tests.convert import constants
 
@@ -85,6 +85,6 @@ def test_the_loop_is_as_fast_as_training_assumes():
     """On the nominal plant, for steps that the motors can follow."""
     sizes = {"p": (1.0, -2.0), "q": (1.0, -2.0), "r": (0.5, -1.0), "T": (8.0, 12.0)}
     for step in identify(without_effects(PlantConfig()), sizes):
-        assert BELIEVED[0] <= step.tau <= BELIEVED[1], (step.axis, step.target, step.tau)
+        assert EXPECTED[0] <= step.tau <= EXPECTED[1], (step.axis, step.target, step.tau)
         assert step.error < 0.1
         assert step.response[-1] == pytest.approx(step.target, rel=0.05)

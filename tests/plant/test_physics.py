@@ -1,6 +1,5 @@
 """The stand-in plant's physics: the training model with all off, and each effect as its source."""
 
-import dataclasses
 import functools
 
 import jax
@@ -14,7 +13,7 @@ from quadjax.core.integrators import euler_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, plant
 from quadjax.plant.build import build_plant, drawn_factors
-from quadjax.plant.plant_schema import PlantConfig, load_plant_config
+from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.vehicle import motor
 from tests import reference as ref
 from tests.convert import command_of, rotors, rows_of, state_of, vec3
@@ -76,7 +75,9 @@ def test_with_all_off_it_flies_as_the_training_model():
 
 
 def _flown_both_ways() -> tuple[np.ndarray, np.ndarray]:
-    config = dataclasses.replace(OFF, sample_rate=100.0, control_rate=100.0, integrator="euler")
+    config = OFF.model_copy(
+        update={"sample_rate": 100.0, "control_rate": 100.0, "integrator": "euler"}
+    )
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), build_plant(config))
     start = state_of("motor", ref.random_states("motor", 8) * 0.2)
     u = Rotors(*(8000.0 + 500.0 * jnp.sin(jnp.arange(100.0) + k) for k in range(4)))
@@ -163,7 +164,7 @@ def test_discs_tilt_back_and_lag_behind(rows, commands):
 
 
 def test_commands_arrive_late():
-    config = dataclasses.replace(OFF, delay=dataclasses.replace(OFF.delay, command=0.006))
+    config = OFF.replace(delay=OFF.delay.replace(command=0.006))
     params = build_plant(config)
     assert params.command_delay == 3
     body = state_of("motor", np.zeros(22, np.float32) + np.eye(22, dtype=np.float32)[12] * 0)
@@ -185,7 +186,7 @@ def test_constants_are_drawn_once_within_their_spread():
     assert np.abs(values - 1.0).max() <= config.constants.spread and values.std() > 0.005
     assert not {"g", "rpm_min", "rpm_max"} & set(factors)
     assert drawn_factors(config)[0] == factors and np.ptp(rotor_factors) > 0
-    other = dataclasses.replace(config, constants=dataclasses.replace(config.constants, seed=9))
+    other = config.replace(constants=config.constants.replace(seed=9))
     assert drawn_factors(other)[0] != factors
     off, level = drawn_factors(OFF)
     assert set(off.values()) == {1.0} and np.all(level == 1.0)
@@ -194,7 +195,7 @@ def test_constants_are_drawn_once_within_their_spread():
 @pytest.mark.parametrize(
     ("word", "names"),
     [
-        ("control_rate=300", "control_rate"),
+        ("control_rate=300", "a multiple of control_rate"),
         ("sample_rate=400", "sample_rate"),
         ("substeps=0", "substeps"),
         ("navigation=gps", "navigation"),
@@ -205,6 +206,16 @@ def test_constants_are_drawn_once_within_their_spread():
         ("indi.cutoff=400", "indi.cutoff"),
         ("rotors.radius=0", "rotors.radius"),
         ("sensors.mocap.rate=0", "sensors.mocap.rate"),
+        ("sensors.mocap.rate=501", "at most 500 Hz"),
+        ("sensors.mocap.latency=0.5", "sensors.mocap.latency is 0.5, allowed: 0 to 0.12 s"),
+        ("sensors.mocap.dropout=1", "sensors.mocap.dropout is 1"),
+        ("sensors.mocap.dropout_frames=0.5", "sensors.mocap.dropout_frames is 0.5"),
+        ("sensors.gyro.noise=-1", "sensors.gyro.noise is -1"),
+        ("sensors.accelerometer.bias_walk=.nan", "sensors.accelerometer.bias_walk is nan"),
+        ("sensors.gyro.low_pass=250", "sensors.gyro.low_pass is 250.0, allowed: 0 (none)"),
+        ("sensors.gps=1", "unknown key sensors.gps"),
+        ("ekf.position_noise=0", "ekf.position_noise is 0"),
+        ("disturbance_input=none", "unknown key disturbance_input"),
     ],
 )
 def test_impossible_values_are_one_line(word, names):

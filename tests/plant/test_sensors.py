@@ -1,5 +1,3 @@
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,31 +5,26 @@ import pytest
 from scipy.signal import butter, freqz, lfilter
 from scipy.stats import norm
 
-from quadjax.config.loading import fill, parse_words
-from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import sensors
-from quadjax.plant.ekf_params import ekf_params
-from quadjax.plant.quaternion import of_euler
-from quadjax.plant.sensor_schema import (
+from quadjax.plant.config import (
     NO_ERRORS,
     AccelerometerConfig,
-    EkfConfig,
     GyroConfig,
     MocapConfig,
-    NavigationConfig,
     RpmConfig,
     SensorsConfig,
 )
-from quadjax.plant.truth import Truth
+from quadjax.plant.quaternion import of_euler
+from quadjax.plant.sensors import GroundTruth
 from tests.plant.support import RATE, at
 
 DRONES, SAMPLES = 200, 1000
 NOISY = SensorsConfig(
-    GyroConfig(noise=1e-3, bias=0.02, bias_walk=0.05, low_pass=98.0),
-    AccelerometerConfig(noise=0.02, bias=0.3, bias_walk=0.0, low_pass=0.0),
-    RpmConfig(noise=20.0, resolution=50.0),
-    MocapConfig(rate=200.0, latency=0.02, dropout=0.2, dropout_frames=4.0),
+    gyro=GyroConfig(noise=1e-3, bias=0.02, bias_walk=0.05, low_pass=98.0),
+    accelerometer=AccelerometerConfig(noise=0.02, bias=0.3, bias_walk=0.0, low_pass=0.0),
+    rpm=RpmConfig(noise=20.0, resolution=50.0),
+    mocap=MocapConfig(rate=200.0, latency=0.02, dropout=0.2, dropout_frames=4.0),
 )
 
 
@@ -59,7 +52,7 @@ def _moving(samples, drones):
 
     zero, fast = wide(0.0 * time), wide(np.sin(2 * np.pi * 98.0 * time))
     rpm = Rotors(*(wide(7000.0 + 100.0 * i + 0.0 * time) for i in range(4)))
-    return Truth(
+    return GroundTruth(
         Vec3(wide(time), zero, wide(-1.5 + 0 * time)),
         Vec3(wide(1.0 + 0.0 * time), zero, zero),
         Vec3(wide(0.3 * time), wide(0.1 * time), wide(-0.5 * time)),
@@ -179,46 +172,3 @@ def test_with_every_error_off_sensors_tell_the_truth():
     )
     for seen, true in pairs:
         jax.tree.map(np.testing.assert_array_equal, seen, true)
-
-
-def _changed(section, **values):
-    own = dataclasses.replace(getattr(SensorsConfig(), section), **values)
-    return dataclasses.replace(SensorsConfig(), **{section: own})
-
-
-@pytest.mark.parametrize(
-    ("section", "values", "words"),
-    [
-        ("gyro", {"noise": -1.0}, "sensors.gyro.noise is -1.0"),
-        ("accelerometer", {"bias_walk": float("nan")}, "sensors.accelerometer.bias_walk is nan"),
-        ("gyro", {"low_pass": 250.0}, "sensors.gyro.low_pass is 250.0, allowed: 0"),
-        ("mocap", {"rate": 0.0}, "sensors.mocap.rate is 0.0, allowed: above 0"),
-        ("mocap", {"rate": 501.0}, "at most the 500 Hz"),
-        ("mocap", {"latency": 0.5}, "sensors.mocap.latency is 0.5, allowed: 0 to 0.12 s"),
-        ("mocap", {"dropout": 1.0}, "sensors.mocap.dropout is 1.0, allowed: 0.0 to 0.9"),
-        ("mocap", {"dropout_frames": 0.5}, "sensors.mocap.dropout_frames is 0.5, allowed: at"),
-        ("rpm", {"resolution": -1.0}, "sensors.rpm.resolution is -1.0"),
-    ],
-)
-def test_impossible_sensors_are_refused(section, values, words):
-    for build in (
-        lambda config: sensors.sensor_params(config, RATE),
-        lambda config: ekf_params(config, EkfConfig(), RATE),
-    ):
-        with pytest.raises(InputError, match=words.replace("(", r"\(")):
-            build(_changed(section, **values))
-
-
-@pytest.mark.parametrize("values", [{"gyro_noise": -1.0}, {"position_noise": 0.0}])
-def test_impossible_filters_are_refused(values):
-    with pytest.raises(InputError, match=f"ekf.{next(iter(values))} is"):
-        ekf_params(SensorsConfig(), EkfConfig(**values), RATE)
-
-
-def test_sections_fill_from_words():
-    words = ["sensors.mocap.rate=120", "sensors.gyro.low_pass=0", "ekf.gyro_noise=1e-3"]
-    config = fill(NavigationConfig, parse_words(words), "command line")
-    assert (config.sensors.mocap.rate, config.sensors.gyro.low_pass) == (120.0, 0.0)
-    assert config.ekf.gyro_noise == 1e-3
-    with pytest.raises(InputError, match="unknown key sensors.gps"):
-        fill(NavigationConfig, parse_words(["sensors.gps=1"]), "command line")

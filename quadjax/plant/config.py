@@ -1,0 +1,300 @@
+"""Config of the stand-in plant: its physics, sensors, navigation filter and inner loop.
+
+"assumed" in a description marks a number without a published value for a Bebop 1. Sensor defaults
+are data-sheet values of the sensors in the flights of Ferede et al. (arXiv 2311.16948): the
+MPU-6050 of a Bebop and an OptiTrack motion capture system.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from quadjax.config.base import (
+    Field,
+    Section,
+    build,
+    merge_trees,
+    model_validator,
+    parse_overrides,
+    read_tree_with_bases,
+)
+
+NonNegative = Annotated[float, Field(ge=0.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Half = Annotated[float, Field(ge=0.0, le=0.5)]
+Delay = Annotated[float, Field(ge=0.0, le=0.05)]
+
+MAX_LATENCY = 60  # samples, of a motion capture pose
+LEAST_PHYSICS_RATE = 500.0  # Hz
+
+
+class EffectsConfig(Section):
+    """Strength of each effect that the training model lacks: 1 as in its section, 0 for none."""
+
+    inflow: NonNegative = Field(1.0, description="thrust lost in a climb")
+    ground: NonNegative = Field(1.0, description="thrust gained near the ground")
+    flapping: NonNegative = Field(1.0, description="moments of blade flapping")
+    motors: NonNegative = Field(1.0, description="second time constant of the motors")
+    flex: NonNegative = Field(1.0, description="vibration mode of the frame")
+    battery: NonNegative = Field(1.0, description="sag of the battery")
+    gusts: NonNegative = Field(1.0, description="turbulence")
+    constants: NonNegative = Field(1.0, description="deviation of the drone's constants")
+
+
+class RotorConfig(Section):
+    """Aerodynamics of the rotors."""
+
+    radius: Positive = Field(0.07, description="m")
+    height: NonNegative = Field(0.02, description="m above the center of gravity; assumed")
+    advance_loss: NonNegative = Field(1.2, description="c of C_T = C_T0 (1 - c J^2)")
+    ground_discs: NonNegative = Field(4.0, description="rotors that act as one disc of their area")
+    flap_gain: NonNegative = Field(0.4, description="disc tilt per advance ratio")
+    lock_number: Positive = Field(
+        3.0, description="aerodynamic / inertial moment of a blade; assumed"
+    )
+    hub_stiffness: NonNegative = Field(0.03, description="N m/rad, all hubs together; assumed")
+
+
+class MotorsConfig(Section):
+    """Motors and their controllers."""
+
+    lag: NonNegative = Field(0.008, description="s, second time constant; assumed")
+    shortfall: NonNegative = Field(
+        0.02, description="fraction of a commanded change from hover that is not reached; assumed"
+    )
+    rotor_spread: Half = Field(0.01, description="largest relative deviation of one rotor's effect")
+
+
+class FlexConfig(Section):
+    """First vibration mode of the frame about each axis."""
+
+    frequency: Positive = Field(32.0, description="Hz; assumed: the body sits on rubber dampers")
+    damping: NonNegative = Field(0.06, description="fraction of critical; assumed")
+    participation: NonNegative = Field(
+        0.15, description="fraction of the angular acceleration that excites the mode; assumed"
+    )
+
+
+class BatteryConfig(Section):
+    """Lithium-polymer battery of three cells, 1200 mAh (Bebop 1)."""
+
+    voltage: Positive = Field(12.6, description="V, open circuit, full")
+    drop: NonNegative = Field(1.5, description="V, of the open-circuit voltage until empty")
+    resistance: NonNegative = Field(0.07, description="ohm, with leads and controllers; assumed")
+    hover_current: NonNegative = Field(6.5, description="A: 11 minutes of hover")
+    capacity: Positive = Field(1.2, description="Ah")
+    charge: tuple[Fraction, Fraction] = Field(
+        (0.6, 1.0), description="lowest, highest at the start"
+    )
+    rpm_full: Positive = Field(12000.0, description="rpm at the full voltage")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.charge[0] > self.charge[1]:
+            raise ValueError(
+                f"battery.charge is {list(self.charge)}, allowed: [lowest, highest], 0 to 1"
+            )
+        return self
+
+
+class GustsConfig(Section):
+    """Dryden turbulence near the ground."""
+
+    wind: NonNegative = Field(
+        2.0, description="m/s at 20 ft; 10% is the vertical deviation; assumed"
+    )
+    altitude: Positive = Field(3.05, description="m; the default is the model's lowest")
+    least_airspeed: Positive = Field(1.0, description="m/s, of gusts past a hovering drone")
+
+
+class ConstantsConfig(Section):
+    """The drone's own constants, each drawn once around the training model's."""
+
+    spread: Half = Field(0.04, description="largest relative deviation of a constant")
+    seed: int = Field(1, ge=0, description="of the draw")
+
+
+class DelayConfig(Section):
+    """Transport delays, rounded to samples."""
+
+    command: Delay = Field(0.004, description="s, from a command to the motor controllers")
+    measurement: Delay = Field(0.002, description="s, from the motion to the sensors")
+
+
+class GyroConfig(Section):
+    """Gyroscope. InvenSense MPU-6000/6050 product specification, PS-MPU-6000A-00."""
+
+    noise: NonNegative = Field(
+        8.7e-5, description="rad/s/sqrt(Hz), one-sided: 0.005 deg/s/sqrt(Hz)"
+    )
+    bias: NonNegative = Field(0.005, description="rad/s at the start, standard deviation; assumed")
+    bias_walk: NonNegative = Field(1.94e-5, description="rad/s/sqrt(s); Burri et al., IJRR 2016")
+    low_pass: NonNegative = Field(
+        98.0, description="Hz, of the unit's filter (setting 2); 0 for none"
+    )
+
+
+class AccelerometerConfig(Section):
+    """Accelerometer of the same unit."""
+
+    noise: NonNegative = Field(3.9e-3, description="m/s^2/sqrt(Hz), one-sided: 400 ug/sqrt(Hz)")
+    bias: NonNegative = Field(0.1, description="m/s^2 at the start, standard deviation; assumed")
+    bias_walk: NonNegative = Field(3.0e-3, description="m/s^2/sqrt(s); Burri et al., IJRR 2016")
+    low_pass: NonNegative = Field(94.0, description="Hz; 0 for none")
+
+
+class RpmConfig(Section):
+    """Propeller speeds as the motor controllers report them."""
+
+    noise: NonNegative = Field(20.0, description="rpm, standard deviation; assumed: 0.3% of hover")
+    resolution: NonNegative = Field(1.0, description="rpm; 0 for exact")
+
+
+class MocapConfig(Section):
+    """Motion capture of a rigid body's pose. OptiTrack Prime 13 data sheet, Flex 13 rates."""
+
+    rate: Positive = Field(200.0, description="Hz; at most sample_rate")
+    latency: NonNegative = Field(
+        0.02, description="s, exposure to arrival; assumed: 4 ms, then Wi-Fi"
+    )
+    position_noise: NonNegative = Field(1.0e-3, description="m: data sheet, body calibration")
+    attitude_noise: NonNegative = Field(8.7e-3, description="rad about each axis: 0.5 deg")
+    dropout: float = Field(0.02, ge=0.0, le=0.9, description="fraction of lost frames; assumed")
+    dropout_frames: float = Field(
+        3.0, description="mean number of consecutive lost frames; assumed"
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        least = 1.0 / (1.0 - self.dropout)
+        if self.dropout_frames < least:
+            raise ValueError(
+                f"sensors.mocap.dropout_frames is {self.dropout_frames}, allowed: at least "
+                f"{least:.3g}, 1 / (1 - dropout)"
+            )
+        return self
+
+
+class SensorsConfig(Section):
+    """All sensors; an error whose number is zero is absent."""
+
+    gyro: GyroConfig = GyroConfig()
+    accelerometer: AccelerometerConfig = AccelerometerConfig()
+    rpm: RpmConfig = RpmConfig()
+    mocap: MocapConfig = MocapConfig()
+
+
+class EkfConfig(Section):
+    """Assumptions of the navigation filter beyond the sensors' own noise, which it knows."""
+
+    gyro_noise: NonNegative = Field(
+        2.0e-4, description="rad/s/sqrt(Hz) at 500 samples/s, for motion between two samples"
+    )
+    accelerometer_noise: NonNegative = Field(6.0e-3, description="m/s^2/sqrt(Hz), likewise")
+    gyro_bias_walk: NonNegative = Field(1.0e-5, description="rad/s/sqrt(s), added")
+    accelerometer_bias_walk: NonNegative = Field(1.0e-3, description="m/s^2/sqrt(s), added")
+    position_noise: Positive = Field(1.0e-4, description="m, added to that of a pose")
+    attitude_noise: Positive = Field(1.0e-4, description="rad, added to that of a pose")
+    start_position: NonNegative = Field(
+        3.0e-3, description="m, standard deviation, added to a pose's"
+    )
+    start_velocity: NonNegative = Field(0.5, description="m/s; the first estimate is zero")
+    start_attitude: NonNegative = Field(5.0e-3, description="rad, added to a pose's")
+    start_gyro_bias: NonNegative = Field(1.0e-3, description="rad/s, added")
+    start_accelerometer_bias: NonNegative = Field(1.0e-2, description="m/s^2, added")
+
+
+class IndiConfig(Section):
+    """Inner loop from body rates and thrust to propeller speeds."""
+
+    cutoff: Positive = Field(20.0, description="Hz, of the filter of every signal")
+    roll_gain: NonNegative = Field(34.0, description="1/s, from rate error to angular acceleration")
+    pitch_gain: NonNegative = Field(39.0, description="1/s; larger: pitch saturates earlier")
+    yaw_gain: NonNegative = Field(33.0, description="1/s")
+    moment_lag: Positive = Field(0.007, description="s, wanted of roll and pitch acceleration")
+    thrust_lag: Positive = Field(0.0305, description="s, wanted of the thrust")
+    least_rpm: Positive = Field(2000.0, description="rpm below which the effectiveness is constant")
+
+
+class PlantConfig(Section):
+    """The stand-in plant."""
+
+    name: str = Field("standin", pattern=r"^[\w-][\w.-]*$", description="folder of results")
+    vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")
+    mass: Positive = Field(0.389, description="kg")
+    sample_rate: Positive = Field(500.0, description="Hz, of sensors, filters and inner loop")
+    control_rate: Positive = Field(500.0, description="Hz, of the policy; divides sample_rate")
+    substeps: int = Field(1, ge=1, le=100, description="physics steps per sample")
+    integrator: Literal["euler", "rk4"] = "rk4"
+    navigation: Literal["ekf", "ground_truth"] = Field("ekf", description="observed state")
+    disturbance: Literal["ground_truth", "estimated", "none"] = Field(
+        "estimated", description="observed external moment and force"
+    )
+    effects: EffectsConfig = EffectsConfig()
+    rotors: RotorConfig = RotorConfig()
+    motors: MotorsConfig = MotorsConfig()
+    flex: FlexConfig = FlexConfig()
+    battery: BatteryConfig = BatteryConfig()
+    gusts: GustsConfig = GustsConfig()
+    constants: ConstantsConfig = ConstantsConfig()
+    delay: DelayConfig = DelayConfig()
+    sensors: SensorsConfig = SensorsConfig()
+    ekf: EkfConfig = EkfConfig()
+    indi: IndiConfig = IndiConfig()
+
+    @model_validator(mode="after")
+    def _rates_agree(self) -> Self:
+        rate, mocap = self.sample_rate, self.sensors.mocap
+        most = MAX_LATENCY / rate
+        half = f"below half the sample_rate, {0.5 * rate:g} Hz"
+        for key, value, fine, allowed in (
+            ("sample_rate", rate, rate % self.control_rate == 0, "a multiple of control_rate"),
+            (
+                "substeps",
+                self.substeps,
+                rate * self.substeps >= LEAST_PHYSICS_RATE,
+                f"sample_rate x substeps of at least {LEAST_PHYSICS_RATE:g} Hz",
+            ),
+            ("indi.cutoff", self.indi.cutoff, self.indi.cutoff < 0.5 * rate, half),
+            *(
+                (f"sensors.{name}.low_pass", cutoff, cutoff < 0.5 * rate, f"0 (none) or {half}")
+                for name in ("gyro", "accelerometer")
+                for cutoff in (getattr(self.sensors, name).low_pass,)
+            ),
+            ("sensors.mocap.rate", mocap.rate, mocap.rate <= rate, f"at most {rate:g} Hz"),
+            (
+                "sensors.mocap.latency",
+                mocap.latency,
+                mocap.latency <= most,
+                f"0 to {most:g} s ({MAX_LATENCY} samples)",
+            ),
+        ):
+            if not fine:
+                raise ValueError(f"{key} is {value}, allowed: {allowed}")
+        return self
+
+
+NO_EFFECTS = EffectsConfig(**dict.fromkeys(EffectsConfig.model_fields, 0.0))
+NO_ERRORS = SensorsConfig(
+    gyro=GyroConfig(noise=0.0, bias=0.0, bias_walk=0.0, low_pass=0.0),
+    accelerometer=AccelerometerConfig(noise=0.0, bias=0.0, bias_walk=0.0, low_pass=0.0),
+    rpm=RpmConfig(noise=0.0, resolution=0.0),
+    mocap=MocapConfig(latency=0.0, position_noise=0.0, attitude_noise=0.0, dropout=0.0),
+)
+
+
+def load_plant_config(path: Path | str, overrides: Sequence[str] = ()) -> PlantConfig:
+    """The config of a YAML file of ``configs/plant`` and ``key=value`` overrides.
+
+    Raises:
+        InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
+    """
+    tree = merge_trees(read_tree_with_bases(path), parse_overrides(overrides))
+    return build(PlantConfig, tree, str(path))
+
+
+def without_effects(config: PlantConfig) -> PlantConfig:
+    """The same drone with every effect off and no delays: the training model."""
+    delay = DelayConfig(command=0.0, measurement=0.0)
+    return config.replace(effects=NO_EFFECTS, delay=delay)

@@ -1,0 +1,140 @@
+"""Flight logs of the stand-in plant, in the columns of Paparazzi's flight logger.
+
+Position, velocity and attitude are the navigation filter's; gyro, propeller speeds and
+accelerometer are as measured, and the accelerometer's bias is the estimated one. A log has a row
+for every sample of the plant, at any ``control_rate``.
+"""
+
+import argparse
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.cli.arguments import Parser, add_config, count, parse, seed
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.resources import find_config
+from quadjax.fitting.columns import paparazzi_columns
+from quadjax.fitting.synthetic_log import write_log
+from quadjax.plant.config import PlantConfig, load_plant_config
+from quadjax.plant.flights import Flights, fly_plan, plan_flights, rows
+from quadjax.policy.file import read_policy
+
+
+@dataclasses.dataclass(frozen=True)
+class Logged:
+    """A log that was written."""
+
+    path: Path
+    rows: int
+    crash: str  # reason of an early end, "" for none
+
+
+def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, np.ndarray]:
+    """One recorded run as quantities of a flight log, each (n,) or (n, k).
+
+    Args:
+        flights: that have ended.
+        run: index of the recorded run.
+        gates: (gates, 3) centers, m, world.
+    """
+    frames = flights.frames
+    target = gates[np.asarray(frames.target)[~frames.over[:, run], run]]
+    vectors = {
+        "position": frames.estimated.position,
+        "world_velocity": frames.estimated.velocity,
+        "euler": frames.estimated.euler,
+        "gyro": frames.gyro,
+        "rpm": frames.estimated.rpm,
+        "rpm_command": frames.rpm_command,
+        "acceleration": frames.accelerometer,
+        "acceleration_bias": frames.force_bias,
+    }
+    time = {"time": flights.step * np.arange(len(target)), "mode": np.ones(len(target))}
+    own = {name: rows(flights, vector, run) for name, vector in vectors.items()}
+    return time | own | {"target_gate": target}
+
+
+def gate_centers(config: Config) -> np.ndarray:
+    """Centers (gates, 3) of a config's track, m, world."""
+    return np.array([gate.position for gate in config.track.gates], np.float64)
+
+
+def write_logs(
+    race: Config,
+    plant: PlantConfig,
+    policies: Sequence[Path | str],
+    folder: Path,
+    flights: int = 4,
+    laps: int = 6,
+    seed: int = 0,
+    report: Callable[[str], None] = lambda line: None,
+) -> list[Logged]:
+    """Fly policies on the plant and write each flight's log to ``folder/POLICY_RUN.csv``.
+
+    Args:
+        race: config of the race.
+        plant: config of the plant.
+        policies: policy files.
+        folder: of the logs.
+        flights: of each policy.
+        laps: of each flight, from hover.
+        seed: of batteries, gusts, sensors and the policies' noise.
+        report: called with the progress.
+
+    Raises:
+        InputError: a policy that cannot be read or does not fit, or a flight that is not finite;
+            then no log of that policy is written.
+    """
+    plant = plant.replace(control_rate=plant.sample_rate)
+    written: list[Logged] = []
+    for name in policies:
+        report(f"{name}: compiling")
+        plan = plan_flights(race, plant, read_policy(name), str(name), laps, flights, flights)
+        flown = fly_plan(plan, seed, lambda seconds, n=name: report(f"{n}: {seconds:.0f} s flown"))
+        logs = [log_quantities(flown, run, gate_centers(race)) for run in range(flights)]
+        for run, log in enumerate(logs):
+            if not all(np.isfinite(values).all() for values in log.values()):
+                raise InputError(f"{name}: flight {run} is not finite")
+        for run, log in enumerate(logs):
+            path = folder / f"{Path(name).stem}_{run}.csv"
+            write_log(path, paparazzi_columns(log))
+            written.append(Logged(path, len(log["time"]), flown.laps.crashes[run]))
+    return written
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("plant-logs", description="Write flight logs of the stand-in plant.")
+    add_config(parser, "a YAML file of configs/plant")
+    parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
+    parser.add_argument("--race", default="e2e_shac", metavar="CONFIG", help="preset or YAML file")
+    parser.add_argument("--flights", type=count, default=4, help="of each policy (4)")
+    parser.add_argument("--laps", type=count, default=6, help="of each flight (6)")
+    parser.add_argument("--seed", type=seed, default=0)
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
+    return parse(parser, words)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fly policies on the plant and write their logs."""
+    from rich.console import Console
+
+    words = _arguments(arguments)
+    plant = load_plant_config(words.config, words.overrides)
+    race = load_config(find_config(words.race))
+    with Console(stderr=True).status("compiling") as status:
+        written = write_logs(
+            race,
+            plant,
+            words.policy,
+            words.output,
+            words.flights,
+            words.laps,
+            words.seed,
+            status.update,
+        )
+    for log in written:
+        print(f"wrote {log.path}, {log.rows} rows {log.crash}".rstrip())
