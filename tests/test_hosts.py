@@ -75,6 +75,7 @@ def together(folder, *arguments):
         finish(process)
 
 
+@pytest.mark.slow
 def test_two_processes_are_one_run(tmp_path):
     """Ten updates."""
     alone = start(tmp_path / "alone", "train.devices=2", "train.steps=1280")
@@ -90,6 +91,7 @@ def test_two_processes_are_one_run(tmp_path):
     assert not (tmp_path / "1/run/summary.json").exists()  # the first one writes
 
 
+@pytest.mark.slow
 def test_stopped_in_one_process_all_save_and_go_on(tmp_path):
     """Ctrl-C reaches one process; the first one's checkpoint is what all go on from."""
     words = ["train.steps=3840", "train.checkpoint_seconds=0", "train.devices=1"]
@@ -131,6 +133,7 @@ def test_what_does_not_fit_is_refused(arguments, says):
         hosts.connect(*arguments)
 
 
+@pytest.mark.slow
 def test_a_process_by_itself_agrees_with_itself():
     hosts.connect(None, None, None)
     assert hosts.alone() and hosts.is_first()

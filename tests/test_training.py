@@ -73,6 +73,7 @@ def after(reports):
     yield Stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
 def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name):
     config = config_of(name)
@@ -121,6 +122,7 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
 def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
     first = training.train(config_of(name, "train.steps=128"), tmp_path / "first")
@@ -133,6 +135,7 @@ def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
         assert same != key.startswith("value_"), key
 
 
+@pytest.mark.slow
 def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
     first = training.train(config_of("e2e_ppo.yaml", "train.steps=128"), tmp_path / "first")
     path = first.folder / "policy_last.npz"
@@ -152,6 +155,7 @@ def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
         np.testing.assert_allclose(bias, b, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "interruptions", lambda: after(0))
     result = training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
@@ -160,6 +164,7 @@ def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch
     assert training.train(config_of("e2e_ppo.yaml"), tmp_path / "run", resume=True).finished
 
 
+@pytest.mark.slow
 def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
     compiled, after_chunk = [], []
 
@@ -187,6 +192,7 @@ def test_a_short_run_is_one_short_chunk(tmp_path):
     ] == pytest.approx(64)
 
 
+@pytest.mark.slow
 def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
     config = config_of("e2e_ppo.yaml")
     compiled, kept = training.parallel.compile_chunk, []
@@ -219,6 +225,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
         np.testing.assert_array_equal(bias, found[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_shipped_config_trains(tmp_path, path):
     words = TINY
@@ -253,6 +260,7 @@ LONG = [w for w in TINY if "train.steps" not in w]
 LONG += ["train.steps=3840", "train.checkpoint_seconds=0", "name=killed"]
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_resumes(tmp_path):
     latest = tmp_path / "killed/checkpoints/latest"
     clock = random.Random(0)
@@ -283,6 +291,7 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
         assert (tmp_path / "killed" / name).stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_interrupted_it_saves_and_says_how_to_go_on(tmp_path):
     words = [w for w in LONG if "train.steps" not in w] + ["train.steps=3840000"]
     process = start(tmp_path, *words)

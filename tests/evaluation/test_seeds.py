@@ -11,6 +11,7 @@ from tests.test_training import CONFIGS, TINY
 CONFIG = str(CONFIGS / "e2e_ppo.yaml")
 
 
+@pytest.mark.slow
 def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
     folder = train_seed(CONFIG, TINY, 3, tmp_path)
     before = (folder / "summary.json").stat().st_mtime_ns

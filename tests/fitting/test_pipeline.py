@@ -41,6 +41,7 @@ def folder(bebop, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_command_does_all_of_it(folder):
     done = _fit(
         CONFIG,
@@ -121,6 +122,7 @@ def test_every_config_of_the_folder_is_sound():
         load_fit_config(path)
 
 
+@pytest.mark.slow
 def test_real_flights_left_out_are_not_harmed(real_flights, tmp_path):
     """A shorter training than the default's: the harm is prevented by then."""
     words = [

@@ -67,6 +67,7 @@ def recovered(bebop):
     return truth, samples, split, fit_residuals(samples, split, bebop, config, 0, True)
 
 
+@pytest.mark.slow
 def test_a_known_residual_is_recovered_on_held_out_flights(bebop, recovered):
     truth, samples, split, fits = recovered
     for number in range(3):
@@ -86,6 +87,7 @@ def test_a_known_residual_is_recovered_on_held_out_flights(bebop, recovered):
         assert (found > 0.95).all()
 
 
+@pytest.mark.slow
 def test_the_file_is_what_was_fitted(tmp_path, bebop, recovered):
     _, samples, _, fits = recovered
     residual = fits[ALL].residual
@@ -104,6 +106,7 @@ def test_the_file_is_what_was_fitted(tmp_path, bebop, recovered):
     np.testing.assert_allclose(moment.array(), expected[1], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_noise_alone_is_refused_and_so_is_what_nothing_validates(bebop):
     samples = _samples(bebop, zero_residual(bebop), noise=1.0, flights=2, seconds=20.0)
     split = make_split(samples, ["a", "b"], SplitConfig())
@@ -156,6 +159,7 @@ def test_mirror_image_is_one_of_the_nominal_model(bebop):
     assert [AXES[i] for i in network.columns] == ["Mx", "My", "Mz"]
 
 
+@pytest.mark.slow
 def test_split_by_flight_and_by_time(bebop, recovered):
     _, samples, _, _ = recovered
     flights = ["a", "b", "c"]

@@ -34,6 +34,7 @@ def indi():
     return flown("indi_shac.npz", EXACT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["e2e", "indi"])
 def test_a_policy_flies_a_lap(name, request):
     _, flights = request.getfixturevalue(name)
@@ -79,6 +80,7 @@ def test_logged_positions_are_the_estimated_ones(e2e):
     np.testing.assert_allclose(log["target_gate"][0], gate_centers(race)[0])
 
 
+@pytest.mark.slow
 def test_the_race_is_the_policys_own(e2e):
     config, _ = e2e
     policy = read_policy(PRETRAINED / "indi.npz")

@@ -81,6 +81,7 @@ def test_a_lag_is_found_again():
     assert step.tau == pytest.approx(0.041, rel=1e-3) and step.error < 1e-3
 
 
+@pytest.mark.slow
 def test_the_loop_is_as_fast_as_training_assumes():
     """On the nominal plant, for steps that the motors can follow."""
     sizes = {"p": (1.0, -2.0), "q": (1.0, -2.0), "r": (0.5, -1.0), "T": (8.0, 12.0)}

@@ -63,6 +63,7 @@ def url():
         shutil.rmtree(folder, ignore_errors=True)
 
 
+@pytest.mark.slow
 def test_two_workers_never_run_the_same_trial(tmp_path, url):
     opened = [open_store(tmp_path / str(i), storage=url, budget={"trials": 12}) for i in range(2)]
 
@@ -80,6 +81,7 @@ def test_two_workers_never_run_the_same_trial(tmp_path, url):
     assert opened[0].counts() == opened[1].counts() and opened[0].counts().done == 12
 
 
+@pytest.mark.slow
 def test_a_dead_workers_trial_is_tried_once_more(tmp_path, url):
     entries = {"storage": url, "name": "second", "budget": {"trials": 1}}
     opened = open_store(tmp_path, **entries)
@@ -97,6 +99,7 @@ def test_a_dead_workers_trial_is_tried_once_more(tmp_path, url):
     assert open_store(tmp_path, **entries).counts().waiting == 1
 
 
+@pytest.mark.slow
 def test_a_server_that_does_not_answer_is_one_line(tmp_path):
     pytest.importorskip("psycopg", reason="the PostgreSQL driver is not installed")
     with pytest.raises(InputError, match=r"storage: 127.0.0.1:9/none: ") as caught:

@@ -63,6 +63,7 @@ def running(store: Store) -> list[dict]:
     ]
 
 
+@pytest.mark.slow
 def test_killed_at_random_and_started_again_nothing_is_lost(tmp_path):
     """SIGKILL to the sweep in the midst of its trials, three times."""
     path, clock = sweep_file(tmp_path, budget={"trials": 10}), random.Random(1)
@@ -84,6 +85,7 @@ def test_killed_at_random_and_started_again_nothing_is_lost(tmp_path):
     assert len({tuple(t.params.values()) for t in complete}) == 10
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_a_trial_leaves_it_failed_and_tried_once_more(tmp_path):
     path = sweep_file(tmp_path, budget={"trials": 2})
     store = open_at(path, tmp_path / "runs")
@@ -100,6 +102,7 @@ def test_a_worker_killed_in_a_trial_leaves_it_failed_and_tried_once_more(tmp_pat
     assert again.user_attrs["attempt"] == 1 and again.params == failed[0].params
 
 
+@pytest.mark.slow
 def test_a_trial_that_kills_two_workers_is_given_up(tmp_path):
     path = sweep_file(tmp_path, budget={"trials": 1})
     store = open_at(path, tmp_path / "runs")
@@ -114,6 +117,7 @@ def test_a_trial_that_kills_two_workers_is_given_up(tmp_path):
     assert [r.error for r in results_of(store)] == ["worker died"]
 
 
+@pytest.mark.slow
 def test_a_whole_sweep_by_its_command(tmp_path):
     """Real training; then the best config trains by itself."""
     path = sweep_file(tmp_path, budget={"trials": 3}, search={"method": "tpe", "pruner": "median"})
