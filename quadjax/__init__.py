@@ -1,3 +1,86 @@
-"""quadjax: time-optimal quadcopter racing policies, from simulation to fixed-point C."""
+"""quadjax: time-optimal quadcopter racing policies, from simulation to fixed-point C.
+
+The names below are the public interface. Each is imported when it is first used, so that
+``import quadjax`` takes milliseconds and does not import JAX.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from quadjax.config.base import Section
+    from quadjax.config.loading import load_config as load
+    from quadjax.config.schema import Config
+    from quadjax.core.environment import Environment
+    from quadjax.core.errors import InputError
+    from quadjax.core.resources import preset_names as presets
+    from quadjax.evaluation.evaluation import Evaluation, evaluate
+    from quadjax.export.convert import export_c
+    from quadjax.learners.ppo.hyperparameters import PPO
+    from quadjax.learners.shac.hyperparameters import SHAC
+    from quadjax.policy.file import Policy
+    from quadjax.race.build import make_race
+    from quadjax.race.layout import Field, Layout
+    from quadjax.training.result import Run
+    from quadjax.training.run import train
+    from quadjax.vehicle.protocol import VehicleModel
+
+_PUBLIC = {  # name: "module:object"
+    "load": "quadjax.config.loading:load_config",
+    "presets": "quadjax.core.resources:preset_names",
+    "Config": "quadjax.config.schema:Config",
+    "make_race": "quadjax.race.build:make_race",
+    "train": "quadjax.training.run:train",
+    "Run": "quadjax.training.result:Run",
+    "evaluate": "quadjax.evaluation.evaluation:evaluate",
+    "Evaluation": "quadjax.evaluation.evaluation:Evaluation",
+    "Policy": "quadjax.policy.file:Policy",
+    "export_c": "quadjax.export.convert:export_c",
+    "PPO": "quadjax.learners.ppo.hyperparameters:PPO",
+    "SHAC": "quadjax.learners.shac.hyperparameters:SHAC",
+    "Environment": "quadjax.core.environment:Environment",
+    "VehicleModel": "quadjax.vehicle.protocol:VehicleModel",
+    "Field": "quadjax.race.layout:Field",
+    "Layout": "quadjax.race.layout:Layout",
+    "Section": "quadjax.config.base:Section",
+    "InputError": "quadjax.core.errors:InputError",
+}
+
+__all__ = [
+    "PPO",
+    "SHAC",
+    "Config",
+    "Environment",
+    "Evaluation",
+    "Field",
+    "InputError",
+    "Layout",
+    "Policy",
+    "Run",
+    "Section",
+    "VehicleModel",
+    "__version__",
+    "evaluate",
+    "export_c",
+    "load",
+    "make_race",
+    "presets",
+    "train",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, imported now (PEP 562)."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, attribute = _PUBLIC[name].partition(":")
+    value = getattr(importlib.import_module(module), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)

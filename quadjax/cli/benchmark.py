@@ -142,7 +142,7 @@ def _run_job(job: Job) -> dict[str, object]:
     prepare_devices("auto")
     with loading():
         from quadjax.evaluation import benchmark
-        from quadjax.training.run import peak_memory_mib
+        from quadjax.training.result import peak_memory_mib
 
     if job.kind == "training":
         speed = benchmark.measure_training(config, job.repeats)

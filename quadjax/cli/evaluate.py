@@ -21,13 +21,11 @@ from quadjax.cli.arguments import (
 )
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import find_config
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
+    from quadjax.evaluation.evaluation import Evaluation
     from quadjax.policy.file import Policy
-    from quadjax.policy.pilot import Race
-    from quadjax.race.laps import Laps, Trace
 
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -45,7 +43,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
         parser, "with --fixed-point: the ranges that the C was exported with, if not the default"
     )
     parser.add_argument("--json", metavar="FILE.json", help="write the laps")
-    parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from above")
+    parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from two sides")
     parser.add_argument("--signals", metavar="FILE.png", help="draw actuators and rates over time")
     parser.add_argument("--animation", metavar="FILE.gif", help="animate the flight")
     arguments = parse(parser, words)
@@ -63,86 +61,75 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words, console = _arguments(arguments), Console(stderr=True)
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.core.files import write_json
-        from quadjax.evaluation import tables
+        from quadjax.core.resources import find_config
+        from quadjax.evaluation.evaluation import lap_table
         from quadjax.policy import pilot
         from quadjax.policy.file import read_policy
-        from quadjax.training.paper import published_rows
+        from quadjax.training.compilation_cache import enable_compilation_cache
 
     config = load_config(find_config(words.config), words.overrides)
     policy = read_policy(words.policy)
     pilot.check_fits(config, policy, words.policy)
     for key in pilot.unknown_scaling(policy):
         console.print(f"note: {words.policy}: observation.{key} is not used", highlight=False)
-    race = pilot.Race(
-        words.laps or config.evaluate.laps,
-        words.runs or config.evaluate.runs,
-        words.start == "hover",
-        words.seed,
-    )
+    enable_compilation_cache()
     with console.status("compiling and flying"):
-        flown = _fly_all(config, policy, race, words)
-    rows = [tables.lap_row(label, laps) for label, (laps, _) in flown.items()]
-    published = published_rows(config, race.laps, race.from_hover)
-    print(tables.format_table(rows, published))
-    for label, (laps, _) in flown.items():
-        for line in tables.describe_crashes(laps).splitlines():
-            print(f"{label}: {line}")
-    laps, trace = next(iter(flown.values()))
-    if words.json:
-        write_json(words.json, laps.to_json())
-        console.print(f"wrote {words.json}", highlight=False)
-    if trace is not None:
-        _draw(config, laps, trace, words, console)
+        flown = _fly_all(config, policy, words)
+    print(lap_table(flown))
+    _write(next(iter(flown.values())), words, console)
     return 0
 
 
 def _fly_all(
-    config: "Config", policy: "Policy", race: "Race", words: argparse.Namespace
-) -> "dict[str, tuple[Laps, Trace | None]]":
-    """Every flight of the table by its label; the first is the one to save."""
-    from quadjax.evaluation.tables import counted
-    from quadjax.policy import pilot
+    config: "Config", policy: "Policy", words: argparse.Namespace
+) -> "dict[str, Evaluation]":
+    """Every line of the table by its label; the first is the one to save."""
+    from quadjax.evaluation import evaluation
 
-    trace = any((words.figure, words.signals, words.animation))
+    options = {
+        "runs": words.runs,
+        "laps": words.laps,
+        "start": words.start,
+        "seed": words.seed,
+        "name": words.policy,
+    }
     if words.fixed_point:
         from quadjax.export.pilot import fly_fixed_point
         from quadjax.export.ranges import parse_overrides
 
         ranges = parse_overrides(words.ranges)
-        flown = fly_fixed_point(config, policy, race, trace, words.policy, ranges)
-        return {"fixed point, mean action": flown}
-    modes = {"deterministic": True}
-    if not words.deterministic:
-        modes = {f"sampled, {counted(race.runs, 'run')}": False} | modes
-    return {
-        label: pilot.fly_policy(config, policy, race, mean, trace, words.policy)
-        for label, mean in modes.items()
-    }
+        flown = evaluation.evaluate_by(
+            lambda race, trace: fly_fixed_point(config, policy, race, trace, words.policy, ranges),
+            config,
+            deterministic=True,
+            **options,
+        )
+        return {"fixed point, mean": flown}
+    flown = {}
+    for deterministic in (True,) if words.deterministic else (False, True):
+        each = evaluation.evaluate(policy, config, deterministic=deterministic, **options)
+        flown[each.label()] = each
+    return flown
 
 
-def _draw(
-    config: "Config", laps: "Laps", trace: "Trace", words: argparse.Namespace, console: Console
-) -> None:
-    """Write the figures and the animation."""
-    with loading():
-        from quadjax.evaluation import figures
-        from quadjax.evaluation.recording import choose, distinct, recordings
+def _write(flown: "Evaluation", words: argparse.Namespace, console: Console) -> None:
+    """Write the JSON file, the figures and the animation that were asked for."""
+    from quadjax.core.files import write_json
+    from quadjax.evaluation.figures import save_figure
 
-    flights = distinct(recordings(trace, laps, config.episode.dt))
-    shown, gates = choose(flights), config.track.gates
-    title = figures.flight_title(shown)
+    if words.json:
+        write_json(words.json, flown.to_json())
     if words.figure:
-        figures.save_figure(figures.trajectory_figure([shown], gates, title), words.figure)
+        save_figure(flown.plot(), words.figure)
     if words.signals:
-        figures.save_figure(figures.signals_figure(shown, title), words.signals)
+        save_figure(flown.plot_signals(), words.signals)
     if words.animation:
-        from quadjax.evaluation.animation import frame_count, write_animation
+        from quadjax.evaluation.animation import frame_count
         from quadjax.training.progress import bar
 
         with bar(console=console) as progress:
-            task = progress.add_task("animation", total=frame_count(flights))
-            write_animation(flights, gates, words.animation, lambda: progress.advance(task))
-    for path in (words.figure, words.signals, words.animation):
+            task = progress.add_task("animation", total=frame_count(flown.flights))
+            flown.animate(words.animation, lambda: progress.advance(task))
+    for path in (words.json, words.figure, words.signals, words.animation):
         if path:
             console.print(f"wrote {path}", highlight=False)

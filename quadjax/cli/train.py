@@ -8,6 +8,7 @@ import argparse
 import shlex
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from quadjax.cli import STARTED
 from quadjax.cli.arguments import (
@@ -22,6 +23,9 @@ from quadjax.cli.arguments import (
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
+
+if TYPE_CHECKING:
+    from quadjax.training.result import Run
 
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -62,7 +66,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prepare_devices(config.train.devices)
     hosts.connect(words.coordinator, words.processes, words.process)
     with loading():
-        from quadjax.evaluation.results import present
         from quadjax.learners.loop import NonFiniteError
         from quadjax.training.run import train
 
@@ -83,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"Stopped and saved. Continue with: {_again(words)}")
         return INTERRUPTED
     if hosts.is_first():
-        present(run)
+        _present(run)
     return 0
 
 
@@ -93,3 +96,44 @@ def _again(words: argparse.Namespace) -> str:
     if str(words.output) != "runs":
         command += ["--output", str(words.output)]
     return shlex.join(command)
+
+
+def _present(run: "Run") -> None:
+    """Evaluate the best policy, print its lap table and write table and figures to the folder."""
+    with loading():
+        from rich.console import Console
+
+        from quadjax.core.files import write_json
+        from quadjax.evaluation.curves import training_figure
+        from quadjax.evaluation.evaluation import evaluate, lap_table
+        from quadjax.evaluation.figures import save_figure
+        from quadjax.training.paper import published_total
+
+    config, folder, name = run.config, run.folder, str(run.folder / "policy.npz")
+    with Console(stderr=True).status("timing laps and drawing"):
+        sampled = evaluate(run.policy, config, name=name)
+        steady = evaluate(run.policy, config, deterministic=True, name=name)
+        write_json(folder / "laps.json", sampled.to_json())
+        write_json(folder / "laps_deterministic.json", steady.to_json())
+        save_figure(steady.plot(), folder / "trajectory.png")
+        curves = training_figure({config.name: run.metrics}, config.name, published_total(config))
+        save_figure(curves, folder / "curves.png")
+    print(lap_table({each.label(): each for each in (sampled, steady)}))
+    print(_report(run))
+
+
+def _report(run: "Run") -> str:
+    """Steps, time, memory and the folder of a run, as text."""
+    summary, devices = run.summary, run.summary["devices"]
+    first, memory = summary.get("first_under"), summary.get("peak_memory_mib")
+    line = (
+        f"trained {summary['steps'] / 1e6:.1f} million steps in {summary['seconds']:.0f} s on "
+        f"{devices} device{'' if devices == 1 else 's'}"
+    )
+    lines = [line if memory is None else f"{line}, {memory:.0f} MiB at most"]
+    if first and first["seconds"] is not None:
+        lines.append(
+            f"first under {first['total']:.2f} s after {first['seconds']:.0f} s and "
+            f"{first['steps'] / 1e6:.1f} million steps"
+        )
+    return "\n".join([*lines, f"policy, figures and metrics are in {run.folder}"])

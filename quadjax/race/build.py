@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.schema import Config, DisturbanceConfig, TrackConfig
+from quadjax.core.environment import Environment
 from quadjax.core.vectors import Vec3
-from quadjax.race.environment import Choices, RaceParams
+from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import make_layout
 from quadjax.race.rules import Limits, RewardWeights
 from quadjax.race.start import DisturbanceRange, RandomiseFractions, StartRange
@@ -123,3 +124,21 @@ def build_params(config: Config) -> RaceParams:
         actual=_actual(config, vehicle),
         estimator=_estimator(config, vehicle),
     )
+
+
+def make_race(config: Config | Path | str) -> tuple[Environment, RaceParams]:
+    """The race of a config as three pure functions of one drone, and every number in them.
+
+    Args:
+        config: a config, a preset's name or a YAML file.
+
+    Returns:
+        The environment (``reset``, ``observe``, ``step``), and the ``params`` that it takes.
+
+    Raises:
+        InputError: a config or a file of it that cannot be used.
+    """
+    from quadjax.config.loading import load_config
+
+    own = config if isinstance(config, Config) else load_config(config)
+    return make_environment(choices_of(own)), build_params(own)

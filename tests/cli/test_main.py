@@ -1,0 +1,163 @@
+"""The command quadjax: subcommands, help, exit status, one-line errors."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import quadjax
+from quadjax.cli import COMMANDS
+from quadjax.core.errors import InputError, error_line, run_command
+from tests.commands import run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_subcommand_has_help(name, capsys):
+    assert run(name, "--help") == 0
+    text = capsys.readouterr().out
+    assert f"usage: quadjax {name}" in text
+
+
+def test_help_lists_every_subcommand(capsys):
+    assert run("--help") == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in COMMANDS)
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"quadjax {quadjax.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (["fly"], "'fly' is no subcommand, allowed: train"),
+        (["train"], "CONFIG"),
+        (["train", "nothing.yaml"], "nothing.yaml"),
+        (["train", "e2e", "nonsense=1"], "nonsense"),
+        (["train", "e2e", "--resume", "--overwrite"], "exclude"),
+        (["train", "e2e", "--name", "../out"], "--name"),
+        (["train", "e2e", "--name", "x" * 300], "--name"),
+        (["train", "e2e", "--process", "1"], "--coordinator"),
+        (["seeds", "e2e", "--seeds", "-1"], "--seeds"),
+        (["seeds", "e2e", "--seeds", "0", "x"], "--seeds"),
+        (["compare", "standin", "--name", "../../zz"], "--name"),
+        (["config", "nothing"], "nothing"),
+        (["presets", "extra"], "extra"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(words, names, capsys):
+    assert run(*words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1 and names in error
+
+
+def test_a_config_is_printed_and_can_be_read_again(capsys, tmp_path):
+    assert run("config", "e2e_shac", "seed=3") == 0
+    text = capsys.readouterr().out
+    (tmp_path / "mine.yaml").write_text(text)
+    assert run("config", tmp_path / "mine.yaml") == 0
+    assert capsys.readouterr().out == text and "seed: 3" in text
+
+
+def test_presets_are_listed(capsys):
+    assert run("presets") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == quadjax.presets()
+    assert all(len(line.split()) > 2 for line in lines)
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "scripts").glob("*.py")), ids=lambda p: p.stem)
+def test_a_script_is_its_subcommand(script):
+    done = subprocess.run(
+        [sys.executable, script, "--help"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    name = {"export_c": "export", "verify_c": "verify"}.get(script.stem, script.stem)
+    assert done.returncode == 0 and f"usage: quadjax {name}" in done.stdout
+
+
+def raising(error):
+    def main():
+        raise error
+
+    return main
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (InputError("a: b"), "a: b"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
+        (PermissionError(errno.EACCES, "Permission denied", "/x"), "/x: Permission denied"),
+        (OSError(errno.ENAMETOOLONG, "File name too long", "n"), "n: File name too long"),
+        (NotADirectoryError(errno.ENOTDIR, "Not a directory", "f"), "f: Not a directory"),
+        (MemoryError("Unable to allocate 522. GiB"), "not enough memory (Unable to allocate"),
+        (OverflowError("int too large"), "too large"),
+        (RecursionError("maximum depth"), "nested too deeply"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_system_errors_are_one_line_and_status_2(error, says, capsys):
+    assert run_command(raising(error)) == 2
+    text = capsys.readouterr().err
+    assert says in text and text.count("\n") == 1
+
+
+def test_memory_of_a_device_is_one_line():
+    failure = type("JaxRuntimeError", (RuntimeError,), {})
+    assert "not enough memory" in error_line(failure("RESOURCE_EXHAUSTED: Out of memory"))
+    assert error_line(failure("INTERNAL: a fault")) is None
+
+
+def test_faults_of_the_program_are_raised(monkeypatch):
+    with pytest.raises(KeyError):
+        run_command(raising(KeyError("x")))
+    monkeypatch.setenv("QUADJAX_DEBUG", "1")
+    with pytest.raises(InputError):
+        run_command(raising(InputError("x")))
+
+
+def test_an_interrupt_is_one_word_and_status_130(capsys):
+    assert run_command(raising(KeyboardInterrupt())) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.3, 0.6, 1.0, 1.5])
+def test_an_interrupt_during_imports_is_quiet(seconds, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "quadjax", "train", "e2e", "--output", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    time.sleep(seconds)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize("place", ["file", "long", "inside a file"])
+def test_a_folder_that_cannot_be_made_is_one_line(place, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    output = {
+        "file": tmp_path / "file",
+        "long": tmp_path / ("n" * 300),
+        "inside a file": tmp_path / "file" / "deeper",
+    }[place]
+    assert run("train", "e2e", "--output", output) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1
