@@ -144,7 +144,7 @@ def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
     state = start_state(config, learner, params, initial_policy(config))
     file = read_policy(path)
     scales = [1.0] * (len(file.value) - 1) + [0.25]
-    for networks in (state.params, state.target, state.mean):
+    for networks in (state.params, state.target, state.ema):
         found = layers_of(networks.value)
         for (kernel, bias), (k, b), scale in zip(found, file.value, scales, strict=True):
             np.testing.assert_allclose(kernel, scale * k, rtol=1e-6)

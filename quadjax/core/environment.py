@@ -1,8 +1,13 @@
-"""The seam between tasks and learners: an environment is three pure functions of one agent.
+"""The interface between tasks and learners: an environment is three pure functions of one agent.
 
-``reset(params, key) -> state``, ``observe(params, state) -> observation`` and
-``step(params, state, action) -> (state, reward, terminated, truncated)``. Everything numeric is in
-the traced ``params``; a learner batches the functions with one ``vmap``.
+``reset(params, key) -> state``
+``observe(params, state) -> observation``
+``step(params, state, action) -> (state, reward, terminated, truncated)``
+
+Everything numeric is in the traced ``params``; a learner batches the functions with one ``vmap``.
+An episode that is *terminated* has no future. One that is *truncated* has a future that is not
+simulated: learners bootstrap from the observation after the step, before any reset. ``step`` does
+not reset.
 """
 
 import dataclasses
@@ -17,10 +22,16 @@ State = TypeVar("State")
 
 @dataclasses.dataclass(frozen=True)
 class Environment(Generic[Params, State]):
-    """Three pure functions of one agent, and the sizes that a network needs."""
+    """Three pure functions of one agent, and the sizes that a network needs.
+
+    ``State`` is a pytree of arrays. Actions are unbounded; policies aim at [-1, 1], and ``step``
+    clips what it cannot execute. Rewards, flags and observations are single-precision, bool and
+    single-precision. For SHAC, ``step`` must be differentiable.
+    """
 
     reset: Callable[[Params, jax.Array], State]
     observe: Callable[[Params, State], jax.Array]  # -> (observation_size,)
+    # -> next state, reward (), terminated () bool, truncated () bool
     step: Callable[[Params, State, jax.Array], tuple[State, jax.Array, jax.Array, jax.Array]]
     observation_size: int
     action_size: int

@@ -1,15 +1,20 @@
-"""Operations that change only how a gradient flows back."""
+"""Functions whose derivative is not that of their values."""
+
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
+Tree = TypeVar("Tree")
+
 
 @jax.custom_vjp
 def clip_inward(value: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Clip to [low, high]; the gradient of a loss passes unless it pushes further out.
+    """Clip to [low, high]; cotangents pass unless gradient descent would move further outside.
 
-    A plain clip has no gradient outside, so that a saturated command could never learn to come
-    back. Here descent may always move a clipped value inwards, and never further outwards.
+    The derivative of ``jnp.clip`` is zero outside [low, high], so that a saturated command gets no
+    gradient. Here a clipped value gets the gradient that moves it inwards, and none that moves it
+    outwards.
     """
     return jnp.clip(value, low, high)
 
@@ -18,8 +23,8 @@ def _clip_forward(value: jax.Array, low: jax.Array, high: jax.Array) -> tuple:
     return jnp.clip(value, low, high), (value, jnp.asarray(low), jnp.asarray(high))
 
 
-def _clip_backward(kept: tuple, cotangent: jax.Array) -> tuple:
-    value, low, high = kept
+def _clip_backward(residuals: tuple, cotangent: jax.Array) -> tuple:
+    value, low, high = residuals
     outwards = ((value > high) & (cotangent < 0)) | ((value < low) & (cotangent > 0))
     return jnp.where(outwards, 0.0, cotangent), jnp.zeros_like(low), jnp.zeros_like(high)
 
@@ -28,23 +33,25 @@ clip_inward.defvjp(_clip_forward, _clip_backward)
 
 
 @jax.custom_vjp
-def tame(tree: object, decay: jax.Array, limit: jax.Array) -> object:
-    """The same values; on the way back each cotangent is decayed, bounded and made finite.
+def scale_and_clip_cotangent(tree: Tree, decay: jax.Array, limit: jax.Array) -> Tree:
+    """The identity; in the backward pass every cotangent is scaled, clipped and made finite.
+
+    ``g -> clip(decay g, -limit, limit)``, and 0 where ``g`` is not finite.
 
     Args:
-        tree: any pytree; integer leaves pass.
+        tree: any pytree; leaves that are not floating-point numbers pass.
         decay: () factor on every cotangent.
         limit: () largest magnitude of an entry afterwards.
     """
     return tree
 
 
-def _tame_forward(tree: object, decay: jax.Array, limit: jax.Array) -> tuple:
+def _scale_forward(tree: Tree, decay: jax.Array, limit: jax.Array) -> tuple:
     return tree, (decay, limit)
 
 
-def _tame_backward(kept: tuple, cotangent: object) -> tuple:
-    decay, limit = kept
+def _scale_backward(residuals: tuple, cotangent: Tree) -> tuple:
+    decay, limit = residuals
 
     def one(g: jax.Array) -> jax.Array:
         if not jnp.issubdtype(g.dtype, jnp.inexact):
@@ -54,4 +61,4 @@ def _tame_backward(kept: tuple, cotangent: object) -> tuple:
     return jax.tree.map(one, cotangent), jnp.zeros_like(decay), jnp.zeros_like(limit)
 
 
-tame.defvjp(_tame_forward, _tame_backward)
+scale_and_clip_cotangent.defvjp(_scale_forward, _scale_backward)

@@ -24,8 +24,11 @@ def apply(layers: Layers, inputs: jax.Array, activation: str = "relu") -> jax.Ar
     Returns:
         (..., outputs) of the last layer.
     """
-    function = ACTIVATIONS[activation]
     for kernel, bias in layers[:-1]:
-        inputs = function(inputs @ kernel + bias)
-    kernel, bias = layers[-1]
-    return inputs @ kernel + bias
+        inputs = ACTIVATIONS[activation](_affine(kernel, bias, inputs))
+    return _affine(*layers[-1], inputs)
+
+
+def _affine(kernel: jax.Array, bias: jax.Array, inputs: jax.Array) -> jax.Array:
+    product = inputs @ kernel
+    return product + bias.reshape((1,) * (product.ndim - 1) + (-1,))

@@ -18,7 +18,7 @@ from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS
-from quadjax.learners.state import where_done
+from quadjax.learners.shards import where_done
 from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import RaceParams, RaceState, make_environment
 

@@ -1,9 +1,10 @@
-"""The host's loop over compiled chunks: score, report, save, stop. Every learner shares it."""
+"""The loop over compiled chunks of updates: score, report, save, stop. All learners share it."""
 
 import dataclasses
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,19 +17,32 @@ Row = dict[str, float]
 
 
 class NonFiniteError(RuntimeError):
-    """Training met a number that is not finite; says where."""
+    """A metric of training is not finite; the message says which, and at which update."""
 
 
 @dataclasses.dataclass
 class Position:
-    """Where a run is: what a checkpoint holds."""
+    """The progress of a run: what a checkpoint holds."""
 
     state: TrainState
     best: ActorCritic  # the parameters of the best score so far; the latest before the first
     best_score: float = math.inf
     best_steps: int = 0
     chunks: int = 0
-    seconds: float = 0.0  # of training, over all resumptions
+    seconds: float = 0.0  # of training, summed over all times that the run was resumed
+
+
+def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> tuple[int, int]:
+    """Updates of one chunk, and chunks of a run: whole numbers, each at least one.
+
+    Args:
+        steps: environment steps of the run; the result is as close to it as whole chunks allow.
+        steps_per_chunk: environment steps of a chunk; a shorter run is one chunk.
+        steps_per_update: environment steps of an update.
+    """
+    wanted = max(1, round(steps / steps_per_update))
+    updates = min(wanted, max(1, round(steps_per_chunk / steps_per_update)))
+    return updates, max(1, round(wanted / updates))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,12 +53,12 @@ class Hooks:
     report: Callable[[Row], None]
     save: Callable[[Position], None]
     stop: Callable[[], bool]
-    agree: Callable[[bool], bool] = bool  # of all processes: whether any says so
+    agree: Callable[[bool], bool] = bool  # whether the flag is true in any process
 
 
 def run(
     chunk: Chunk,
-    params: object,
+    params: Any,
     position: Position,
     hooks: Hooks,
     chunks: int,
@@ -57,24 +71,24 @@ def run(
     Args:
         chunk: a compiled chunk of updates.
         params: traced parameters of the environment.
-        position: where to begin.
-        hooks: what to do between chunks.
+        position: where to start.
+        hooks: called between chunks.
         chunks: in the whole run.
         steps_per_chunk: environment steps of one.
-        save_seconds: at least so long between two checkpoints.
+        save_seconds: minimum time between two checkpoints, s.
         started: ``time.monotonic()`` at which ``position.seconds`` counts as zero.
 
     Raises:
-        NonFiniteError: a metric that is not finite; the last checkpoint stays as it is.
+        NonFiniteError: a metric is not finite. No checkpoint is written after that.
     """
     saved = time.monotonic()
     while position.chunks < chunks and not hooks.agree(hooks.stop()):
-        begun = time.monotonic()
+        chunk_started = time.monotonic()
         state, metrics = chunk(params, position.state)
         values = {name: np.asarray(value) for name, value in metrics.items()}
         check_finite(values, position.chunks * len(next(iter(values.values()))))
-        took = time.monotonic() - begun
-        score = hooks.score(state.flown)
+        took = time.monotonic() - chunk_started
+        score = hooks.score(state.evaluated)
         position = advance(position, state, score, steps_per_chunk, time.monotonic() - started)
         hooks.report(row_of(position, values, score, steps_per_chunk, took))
         due = hooks.agree(time.monotonic() - saved > save_seconds)
@@ -90,13 +104,13 @@ def advance(
 ) -> Position:
     """The position one chunk later, with the best parameters kept on the host.
 
-    Of equal scores the later one counts as better: it has trained for longer.
+    Of equal scores the later one counts as better.
     """
     following = dataclasses.replace(
         position, state=state, chunks=position.chunks + 1, seconds=seconds
     )
     if score <= position.best_score or not math.isfinite(position.best_score):
-        following.best = jax.device_get(state.flown)
+        following.best = jax.device_get(state.evaluated)
         following.best_score = score
         following.best_steps = following.chunks * steps
     return following
@@ -111,7 +125,7 @@ def check_finite(metrics: dict[str, np.ndarray], first_update: int) -> None:
         names = ", ".join(sorted(name for name, index in bad.items() if index[0] == where))
         raise NonFiniteError(
             f"not finite at update {first_update + where + 1}: {names}; training stopped, and any "
-            "checkpoint is from before"
+            "checkpoint is from an earlier update"
         )
 
 
@@ -123,9 +137,9 @@ def row_of(
     Args:
         position: after the chunk.
         values: metrics of the chunk's updates, (updates,) each.
-        score: of the policy now.
+        score: of the current policy.
         steps: of the chunk.
-        took: seconds of the chunk.
+        took: duration of the chunk, s.
     """
     return {
         "steps": position.chunks * steps,

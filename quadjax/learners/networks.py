@@ -1,97 +1,87 @@
-"""Policy and value networks: separate, dense, and a state-independent standard deviation."""
+"""Policy and value networks: separate perceptrons and a standard deviation that is no function."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core import mlp
 from quadjax.core.gradients import clip_inward
+from quadjax.core.mlp import Layer
 
-ACTIVATIONS = {"relu": nn.relu, "tanh": nn.tanh}
-
-
-class MLP(nn.Module):
-    """Dense layers with an activation between them and none after the last."""
-
-    hidden: tuple[int, ...]
-    outputs: int
-    activation: str
-    last_scale: float  # of the last layer's orthogonal initialisation
-
-    @nn.compact
-    def __call__(self, inputs: jax.Array) -> jax.Array:
-        """Map (.., inputs) to (.., outputs)."""
-        value = inputs
-        for width in self.hidden:
-            init = nn.initializers.orthogonal(2.0**0.5)
-            value = ACTIVATIONS[self.activation](nn.Dense(width, kernel_init=init)(value))
-        last = nn.initializers.orthogonal(self.last_scale)
-        return nn.Dense(self.outputs, kernel_init=last)(value)
+Tree = dict[str, dict[str, jax.Array]]  # Dense_0, Dense_1, ... -> kernel, bias
 
 
 @struct.dataclass
 class ActorCritic:
-    """Parameters of the policy, its noise and the value."""
+    """Parameters of a Gaussian policy and of a value function."""
 
-    policy: dict  # of an MLP to the mean action
-    log_std: jax.Array  # (actions,)
-    value: dict  # of an MLP to one number
+    policy: Tree  # of the network that computes the mean action
+    log_std: jax.Array  # (actions,), independent of the observation
+    value: Tree  # of the network that computes the value
+
+
+class _Initializer(nn.Module):
+    """Initial parameters: orthogonal kernels, scaled by sqrt(2) but for the last, zero biases."""
+
+    sizes: tuple[int, ...]
+    last_scale: float
+
+    @nn.compact
+    def __call__(self, inputs: jax.Array) -> jax.Array:
+        for width in self.sizes[:-1]:
+            inputs = nn.Dense(width, kernel_init=nn.initializers.orthogonal(2.0**0.5))(inputs)
+        last = nn.initializers.orthogonal(self.last_scale)
+        return nn.Dense(self.sizes[-1], kernel_init=last)(inputs)
 
 
 @dataclasses.dataclass(frozen=True)
 class Networks:
-    """The two networks; static."""
+    """Sizes and code of the two networks."""
 
     observation_size: int
     action_size: int
     hidden: tuple[int, ...]
     activation: str = "relu"
-    log_std: float = 0.0  # at the start
-    bounded: bool = False  # clip the mean action to [-1, 1] before noise comes on top
-
-    @property
-    def policy(self) -> MLP:
-        """The mean action's network."""
-        return MLP(self.hidden, self.action_size, self.activation, 0.01)
-
-    @property
-    def value(self) -> MLP:
-        """The value's network."""
-        return MLP(self.hidden, 1, self.activation, 1.0)
+    clip_mean: bool = False  # clip the mean action to [-1, 1] before noise is added
 
     def init(self, key: jax.Array) -> ActorCritic:
-        """Fresh parameters."""
+        """Initial parameters, with a ``log_std`` of zero."""
         policy_key, value_key = jax.random.split(key)
-        blank = jnp.zeros((1, self.observation_size))
         return ActorCritic(
-            policy=self.policy.init(policy_key, blank)["params"],
-            log_std=jnp.full((self.action_size,), self.log_std, jnp.float32),
-            value=self.value.init(value_key, blank)["params"],
+            policy=self._init(policy_key, self.action_size, 0.01),
+            log_std=jnp.zeros(self.action_size, jnp.float32),
+            value=self._init(value_key, 1, 1.0),
         )
 
-    def mean(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
-        """Mean action (.., actions), to which noise is added.
+    def _init(self, key: jax.Array, outputs: int, last_scale: float) -> Tree:
+        blank = jnp.zeros((1, self.observation_size))
+        return _Initializer((*self.hidden, outputs), last_scale).init(key, blank)["params"]
 
-        Where it is ``bounded``, the clip's gradient brings back what is beyond it; see
+    def mean(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
+        """Mean action (..., actions) of an observation (..., observation_size).
+
+        Where ``clip_mean`` is set, gradients pass the clip if they point inwards; see
         ``quadjax.core.gradients.clip_inward``.
         """
-        mean = self.policy.apply({"params": params.policy}, observation)
-        return clip_inward(mean, -1.0, 1.0) if self.bounded else mean
+        mean = mlp.apply(layers_of(params.policy), observation, self.activation)
+        return clip_inward(mean, -1.0, 1.0) if self.clip_mean else mean
 
-    def evaluate(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
-        """Value (..) of an observation (.., observation_size)."""
-        return self.value.apply({"params": params.value}, observation)[..., 0]
+    def value(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
+        """Value (...) of an observation (..., observation_size)."""
+        return mlp.apply(layers_of(params.value), observation, self.activation)[..., 0]
 
 
-def layers_of(tree: dict) -> list[tuple[jax.Array, jax.Array]]:
-    """(kernel, bias) of each dense layer of an MLP's parameters, in order."""
+def layers_of(tree: Tree) -> list[Layer]:
+    """(kernel, bias) of each layer of a network's parameters, in order."""
     return [(tree[f"Dense_{i}"]["kernel"], tree[f"Dense_{i}"]["bias"]) for i in range(len(tree))]
 
 
-def tree_of(layers: list[tuple[jax.Array, jax.Array]]) -> dict:
-    """An MLP's parameters from (kernel, bias) of each dense layer."""
+def tree_of(layers: Sequence[Layer]) -> Tree:
+    """A network's parameters from (kernel, bias) of each layer."""
     return {
         f"Dense_{i}": {"kernel": jnp.asarray(kernel), "bias": jnp.asarray(bias)}
         for i, (kernel, bias) in enumerate(layers)

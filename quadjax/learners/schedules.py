@@ -28,7 +28,8 @@ Tree = Any  # a pytree
 class Schedule:
     """Values of some leaves of a pytree at each knot."""
 
-    knots: jax.Array  # (k,) updates done, not decreasing
+    knots: jax.Array  # (k,) number of updates, not decreasing
+    rates: jax.Array  # (k - 1,) 1 / (number of updates between two knots); 0 if there are none
     values: tuple[jax.Array, ...]  # (k, *shape of the leaf), one for each scheduled leaf
     leaves: tuple[int, ...] = struct.field(pytree_node=False)  # their indices in the flat pytree
 
@@ -76,8 +77,11 @@ def make_schedule(
                 "infinite, allowed: finite floating-point numbers"
             )
     knots = np.asarray(steps, np.float64) / steps_per_update
+    lengths = np.diff(knots)
+    rates = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 0)
     return Schedule(
         knots=jnp.asarray(knots, jnp.float32),
+        rates=jnp.asarray(rates, jnp.float32),
         values=tuple(jnp.asarray(np.stack(columns[i])) for i in changed),
         leaves=tuple(changed),
     )
@@ -96,9 +100,8 @@ def interpolate(schedule: Schedule, update: jax.Array) -> list[jax.Array]:
     done = update.astype(jnp.float32)
     results = [values[0] for values in schedule.values]
     for i in range(schedule.knots.shape[0] - 1):
-        begin, end = schedule.knots[i], schedule.knots[i + 1]
-        rising = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
-        share = jnp.where(done >= end, 1.0, rising)
+        rising = jnp.clip((done - schedule.knots[i]) * schedule.rates[i], 0.0, 1.0)
+        share = jnp.where(done >= schedule.knots[i + 1], 1.0, rising)
         for j, values in enumerate(schedule.values):
             results[j] = results[j] + share * (values[i + 1] - values[i])
     return results

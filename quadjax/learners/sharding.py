@@ -22,14 +22,14 @@ def make_mesh(count: int) -> Mesh:
     return Mesh(np.array(chosen), (AXIS,))
 
 
-def device_count(lanes: int, wanted: int) -> int:
-    """The most devices, up to ``wanted``, among which the lanes divide evenly; 0 if none do."""
+def device_count(shards: int, wanted: int) -> int:
+    """The most devices, up to ``wanted``, among which the shards divide evenly; 0 if none do."""
     counts = range(1, max(wanted, 1) + 1)
-    return max((count for count in counts if lanes % count == 0), default=0)
+    return max((count for count in counts if shards % count == 0), default=0)
 
 
 def specs_of(state: TrainState) -> TrainState:
-    """How each leaf is split: environments and keys along their last axis, all else shared."""
+    """How each leaf is split: environments and keys by their last axis; others are replicated."""
 
     def split(leaf: jax.Array) -> PartitionSpec:
         return PartitionSpec(*(None,) * (leaf.ndim - 1), AXIS)
@@ -57,7 +57,7 @@ def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
 def place(state: TrainState, mesh: Mesh) -> TrainState:
     """The state laid out over the mesh.
 
-    With strong types: a weakly typed leaf would come back strong and not fit its own program.
+    Weakly typed leaves become strongly typed, as those that the compiled chunk returns.
     """
     return spread(jax.tree.map(_strong, state), _shardings(state, mesh))
 
@@ -72,20 +72,22 @@ def abstract(state: TrainState, mesh: Mesh) -> TrainState:
 
 
 def compile_options() -> dict[str, bool]:
-    """XLA's own threads get in each other's way in matrices this small: a device a core instead."""
+    """XLA's compiler options: one thread per CPU device.
+
+    XLA's own threads slow down matrix products this small; a device for each core is faster.
+    """
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
 def compile_chunk(
     learner: Learner, mesh: Mesh, updates: int, params: object, state: TrainState
 ) -> Chunk:
-    """``updates`` updates as one compiled program that takes the old state's memory.
+    """Compile ``updates`` updates as one program that reuses the old state's memory.
 
-    Compiled here and now, so that nothing is compiled twice and a state of another shape is an
-    error rather than a wait.
+    It is compiled ahead of time: a state of another shape is an error, not another compilation.
 
     Args:
-        learner: what to run.
+        learner: the algorithm.
         mesh: the devices.
         updates: in one call.
         params: traced parameters of the environment.

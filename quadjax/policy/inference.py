@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.learners.networks import ACTIVATIONS
+from quadjax.core import mlp
 from quadjax.policy.file import Policy
 
 
@@ -31,11 +31,7 @@ def flying(policy: Policy) -> Flying:
 
 def mean_action(policy: Flying, observation: jax.Array) -> jax.Array:
     """Mean action (4,), squashed as the policy says; the last clip is left to the environment."""
-    hidden = observation
-    for kernel, bias in policy.layers[:-1]:
-        hidden = ACTIVATIONS[policy.activation](hidden @ kernel + bias)
-    kernel, bias = policy.layers[-1]
-    mean = hidden @ kernel + bias
+    mean = mlp.apply(policy.layers, observation, policy.activation)
     if policy.output == "tanh":
         return jnp.tanh(mean)
     return jnp.clip(mean, -1.0, 1.0) if policy.noise_on == "clipped_mean" else mean

@@ -1,7 +1,5 @@
 """From a config to a learner on the racing environment."""
 
-import dataclasses
-import math
 from collections.abc import Sequence
 
 import jax
@@ -10,19 +8,18 @@ import numpy as np
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.learners.hyper import as_leaves
+from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic, Networks, layers_of, tree_of
-from quadjax.learners.ppo import update as ppo
-from quadjax.learners.shac import update as shac
+from quadjax.learners.ppo.hyperparameters import PPO
+from quadjax.learners.schedules import make_schedule, with_schedules
+from quadjax.learners.shac.hyperparameters import SHAC
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy, read_policy
 from quadjax.policy.inference import Flying
-from quadjax.race.build import choices_of
+from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import RaceParams, make_environment
 from quadjax.training.curriculum import curriculum_of, follow
-
-
-def _leaves(kind: type, section: object) -> object:
-    return kind(**{name: jnp.float32(getattr(section, name)) for name in kind.__dataclass_fields__})
 
 
 def build_networks(config: Config) -> Networks:
@@ -33,8 +30,7 @@ def build_networks(config: Config) -> Networks:
         action_size=environment.action_size,
         hidden=tuple(config.network.hidden),
         activation=config.network.activation,
-        log_std=config.network.log_std,
-        bounded=noise_on(config) == "clipped_mean",
+        clip_mean=noise_on(config) == "clipped_mean",
     )
 
 
@@ -49,38 +45,78 @@ def noise_on(config: Config) -> str:
 
 
 def build_learner(config: Config) -> Learner[RaceParams]:
-    """The learner of a config, on the racing environment and its curriculum."""
-    return follow(_learner(config), curriculum_of(config))
-
-
-def _learner(config: Config) -> Learner[RaceParams]:
+    """The learner of a config, on the racing environment, with its schedules."""
     environment, networks = make_environment(choices_of(config)), build_networks(config)
+    first, last = _sections(config)
+    updates, chunks = plan(config, first.make(environment, networks, 1).steps_per_update)
+    num_updates = updates * chunks
+    learner = first.make(environment, networks, num_updates, config.train.shares)
+    schedules = {}
+    if first != last:
+        params = build_params(config)
+        trees = [(as_leaves(section), params) for section in (first, last)]
+        steps = [0.0, num_updates * learner.steps_per_update]
+        schedules = {"learner": make_schedule("learner", steps, trees, learner.steps_per_update)}
+    return with_schedules(follow(learner, curriculum_of(config)), schedules)
+
+
+def _sections(config: Config) -> tuple[PPO | SHAC, PPO | SHAC]:
+    """Hyperparameters at the start and at the end of a run."""
     drones = config.train.drones
     if config.algorithm == "ppo":
-        section = config.ppo
-        structure = ppo.Structure(
-            environments=drones,
-            steps=section.steps_per_update,
-            batches=section.batches,
-            epochs=section.epochs,
-            updates=_updates(config, section.steps_per_update),
-            shuffle_block=section.shuffle_block,
-            separate_clip=section.separate_clip,
-            shares=config.train.shares,
+        c = config.ppo
+        first = PPO(
+            num_envs=drones,
+            rollout_length=c.steps_per_update,
+            num_minibatches=c.batches,
+            num_epochs=c.epochs,
+            shuffle_block=c.shuffle_block or None,
+            learning_rate=c.learning_rate,
+            adam_epsilon=c.adam_epsilon,
+            discount=c.discount,
+            gae_lambda=c.gae_lambda,
+            clip_range=c.clip,
+            value_coefficient=c.value_coefficient,
+            entropy_coefficient=c.entropy_coefficient,
+            max_grad_norm=c.gradient_norm,
+            separate_grad_clip=c.separate_clip,
+            max_kl=c.kl_limit,
+            reward_scale=c.reward_scale,
+            critic_warmup=c.warm_up,
+            initial_log_std=config.network.log_std,
         )
-        return ppo.make_learner(environment, networks, structure, _leaves(ppo.Hyper, section))
-    section = config.shac
-    structure = shac.Structure(
-        environments=drones,
-        horizon=section.horizon,
-        critic_passes=section.critic_passes,
-        critic_batches=section.critic_batches,
-        updates=_updates(config, section.horizon),
-        shares=config.train.shares,
+        return first, first.replace(learning_rate=c.final_learning_rate)
+    c = config.shac
+    first = SHAC(
+        num_envs=drones,
+        horizon=c.horizon,
+        learning_rate=c.learning_rate,
+        adam_b1=c.adam_b1,
+        adam_b2=c.adam_b2,
+        max_grad_norm=c.gradient_norm,
+        critic_learning_rate=c.critic_learning_rate,
+        critic_max_grad_norm=c.critic_gradient_norm,
+        critic_epochs=c.critic_passes,
+        critic_minibatches=c.critic_batches,
+        target_update_rate=c.critic_target_rate,
+        td_lambda=c.td_lambda,
+        discount=c.discount,
+        cotangent_decay=c.state_gradient_decay,
+        cotangent_clip=c.state_gradient_clip,
+        std=c.std,
+        reward_scale=c.reward_scale,
+        ema_rate=c.mean_rate,
+        critic_warmup=c.warm_up,
     )
-    if section.final_discount is None:
-        section = dataclasses.replace(section, final_discount=section.discount)
-    return shac.make_learner(environment, networks, structure, _leaves(shac.Hyper, section))
+    single = np.float32
+    critic = single(c.critic_learning_rate) * single(c.final_learning_rate)
+    last = first.replace(
+        learning_rate=c.final_learning_rate,
+        critic_learning_rate=float(critic / single(c.learning_rate)),
+        std=c.final_std,
+        discount=c.discount if c.final_discount is None else c.final_discount,
+    )
+    return first, last
 
 
 def plan(config: Config, steps_per_update: int) -> tuple[int, int]:
@@ -88,14 +124,7 @@ def plan(config: Config, steps_per_update: int) -> tuple[int, int]:
 
     A run of fewer steps than ``train.evaluate_every`` is one short chunk.
     """
-    wanted = max(1, round(config.train.steps / steps_per_update))
-    updates = min(wanted, max(1, round(config.train.evaluate_every / steps_per_update)))
-    return updates, max(1, round(wanted / updates))
-
-
-def _updates(config: Config, steps: int) -> int:
-    """Updates of the whole run: the length of the schedules."""
-    return math.prod(plan(config, config.train.drones * steps))
+    return plan_chunks(config.train.steps, config.train.evaluate_every, steps_per_update)
 
 
 def start_state(
@@ -109,10 +138,10 @@ def start_state(
 
 
 def with_params(state: TrainState, params: ActorCritic) -> TrainState:
-    """The state with other networks, and with copies of them for its target and its mean."""
+    """The state with other networks, which its target and its moving average start from."""
     copies = {
         name: jax.tree.map(jnp.copy, params)
-        for name in ("target", "mean")
+        for name in ("target", "ema")
         if getattr(state, name) is not None
     }
     return state.replace(params=params, **copies)

@@ -55,6 +55,7 @@ def shape_of(config: Config) -> tuple:
         (config.train.drones, config.train.steps, config.train.evaluate_every),
         (config.evaluate.laps, score_runs(config), config.episode.dt),
         curriculum_of(config),
+        jax.tree.structure(build_learner(config).hyper),
         (config.vehicle.residual, len(config.track.gates)),
     )
 
@@ -76,11 +77,9 @@ def start_states(
 ) -> TrainState:
     """First states of the runs, stacked: those that ``start_state`` gives each by itself."""
     seeds = jnp.stack([jax.random.key(config.seed) for config in configs])
-    init = jax.jit(jax.vmap(learner.init, in_axes=(None, 0, 0)))
-    state = init(learner.hyper, lanes.stack(params), seeds)
-    starts = [math.log(c.shac.std) if c.algorithm == "shac" else c.network.log_std for c in configs]
-    log_std = jnp.asarray(starts, jnp.float32)[:, None]
-    own = state.params.replace(log_std=jnp.broadcast_to(log_std, state.params.log_std.shape))
+    hyper = lanes.stack([build_learner(config).hyper for config in configs])
+    state = jax.jit(jax.vmap(learner.init))(hyper, lanes.stack(params), seeds)
+    own = state.params
     if any(config.train.init for config in configs):
         each = [_initial(c, jax.tree.map(lambda x, i=i: x[i], own)) for i, c in enumerate(configs)]
         own = lanes.stack(each)
@@ -167,7 +166,7 @@ def train_many(
         state, metrics = program(state)
         values = {name: np.asarray(value) for name, value in metrics.items()}
         took = time.monotonic() - chunk_began
-        rows = _advance(there, state, values, scores(state.flown), steps, took, began)
+        rows = _advance(there, state, values, scores(state.evaluated), steps, took, began)
         if enough(rows):
             break
     return [_close(lane, steps, chunks, mesh.size) for lane in there]
@@ -179,13 +178,13 @@ def _open(
     params: Sequence[RaceParams],
     state: TrainState,
 ) -> list[Lane]:
-    host = jax.device_get(state.flown)
+    host = jax.device_get(state.evaluated)
     opened = []
     for index, (config, directory) in enumerate(zip(configs, directories, strict=True)):
         directory.mkdir(parents=True, exist_ok=True)
         prepare_folder(config, directory, False, False)
         own = jax.tree.map(lambda x, i=index: x[i], host)
-        position = Position(state=state.replace(params=own, mean=None), best=own)
+        position = Position(state=state.replace(params=own, ema=None), best=own)
         metrics = MetricsFile(directory, 0, config.train.tensorboard)
         opened.append(Lane(config, directory, params[index], metrics, position))
     return opened
@@ -201,7 +200,7 @@ def _advance(
     began: float,
 ) -> list[Row]:
     """Every run one chunk on; one that is not finite any more stays where it was."""
-    host = jax.device_get(state.flown)
+    host = jax.device_get(state.evaluated)
     rows = []
     for index, lane in enumerate(there):
         own = {name: value[:, index] for name, value in values.items()}
@@ -213,7 +212,7 @@ def _advance(
                 lane.error = error
         score = scores[index] if lane.error is None else math.inf
         flown = jax.tree.map(lambda x, i=index: x[i], host)
-        now = state.replace(params=flown, mean=None)
+        now = state.replace(params=flown, ema=None)
         lane.position = advance(lane.position, now, score, steps, time.monotonic() - began)
         row = timed(row_of(lane.position, own, score, steps, took))
         if lane.error is None:

@@ -192,7 +192,7 @@ def _run(job: _Job, folder: Path, resume: bool, started: float, watch: _Watch) -
     score = Score(config, params)
     begin = functools.partial(start_state, config, job.learner, params, job.initial)
     chunk, first = _compile(job.learner, params, job.mesh, job.updates, score, begin)
-    position = Position(state=first, best=jax.device_get(first.flown))
+    position = Position(state=first, best=jax.device_get(first.evaluated))
     if resume and checkpoints.any:
         position = checkpoints.restore(position)
         position.state = parallel.place(position.state, job.mesh)
@@ -225,7 +225,7 @@ def _compile(
     """The compiled chunk and the first state; the evaluation is compiled at the same time."""
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(lambda: parallel.place(begin(), mesh))
-        flown = pool.submit(lambda: score(first.result().flown))
+        flown = pool.submit(lambda: score(first.result().evaluated))
         shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
         chunk = parallel.compile_chunk(
             learner, mesh, updates, params, parallel.abstract(shapes, mesh)
@@ -241,7 +241,7 @@ def _finish(job: _Job, folder: Path, position: Position) -> Run:
     if not hosts.is_first():
         return Run(config, folder, policy, finished, {})
     steps = position.chunks * job.steps_per_chunk
-    last = job.policy(jax.device_get(position.state.flown), steps)
+    last = job.policy(jax.device_get(position.state.evaluated), steps)
     write_policy(folder / "policy_last.npz", last)
     counts = {"steps": steps, "devices": job.mesh.size}
     rows = saved_rows(folder / "metrics.csv")

@@ -18,11 +18,11 @@ class Probe:
     """Weights of the reward, the length of an episode and how it ends."""
 
     constant: jax.Array  # reward of every step
-    shown: jax.Array  # reward of the sign that is shown
+    shown: jax.Array  # reward of the observed sign
     last: jax.Array  # reward of an episode's last step
-    best: jax.Array  # taken off for the squared distance of the action from one half
-    follow: jax.Array  # taken off for that from one half of the sign
-    place: jax.Array  # taken off for the squared place after a step
+    best: jax.Array  # penalty on the squared distance of the action from one half
+    follow: jax.Array  # penalty on that from one half of the sign
+    place: jax.Array  # penalty on the squared position after a step
     move: jax.Array  # how far an action of one moves
     length: jax.Array  # steps of an episode
     truncates: jax.Array  # 1: episodes are truncated; 0: terminated
@@ -50,7 +50,7 @@ def _reset(params: Probe, key: jax.Array) -> State:
 
 
 def _observe(params: Probe, state: State) -> jax.Array:
-    clock = (1.0 - params.truncates) * state.clock  # cut short by what cannot be seen
+    clock = (1.0 - params.truncates) * state.clock  # the cause of truncation is not observed
     return jnp.stack([state.sign, clock, state.place])
 
 
@@ -72,7 +72,7 @@ def _step(params: Probe, state: State, action: jax.Array) -> tuple:
 
 
 ENVIRONMENT = Environment(_reset, _observe, _step, SIZE, 1)
-NETWORKS = Networks(SIZE, 1, (16, 16), activation="tanh", log_std=-1.0)
+NETWORKS = Networks(SIZE, 1, (16, 16), activation="tanh")
 
 
 def observations(sign: float = 1.0, clock: float = 0.0, place: float = 0.0) -> jax.Array:

@@ -4,69 +4,54 @@ import dataclasses
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from quadjax.learners import sharding as parallel
-from quadjax.learners.ppo import update as ppo
-from quadjax.learners.shac import update as shac
+from quadjax.learners.hyper import as_leaves
+from quadjax.learners.networks import Networks
+from quadjax.learners.ppo.hyperparameters import PPO
+from quadjax.learners.shac.hyperparameters import SHAC
 from quadjax.learners.state import Learner
 from tests.learners.probes import ENVIRONMENT, NETWORKS, probe
 
-ENVIRONMENTS = 64
 UPDATES = 5  # of a chunk
-WHOLE = 150  # of a run
+DEFAULTS = {
+    "ppo": PPO(
+        num_envs=64,
+        rollout_length=8,
+        num_minibatches=2,
+        num_epochs=2,
+        learning_rate=5e-3,
+        discount=0.5,
+        gae_lambda=0.9,
+        max_kl=1.0,
+        initial_log_std=-1.0,
+    ),
+    "shac": SHAC(
+        num_envs=64,
+        horizon=4,
+        critic_epochs=2,
+        critic_minibatches=2,
+        learning_rate=5e-3,
+        critic_learning_rate=5e-3,
+        target_update_rate=0.3,
+        td_lambda=0.9,
+        discount=0.5,
+        cotangent_decay=1.0,
+        cotangent_clip=100.0,
+        std=0.2,
+        reward_scale=0.5,
+    ),
+}
 
 
-def ppo_hyper(**numbers: float) -> ppo.Hyper:
-    values = {
-        "learning_rate": 1e-2,
-        "final_learning_rate": 1e-3,
-        "adam_epsilon": 1e-5,
-        "discount": 0.5,
-        "gae_lambda": 0.9,
-        "clip": 0.2,
-        "value_coefficient": 0.5,
-        "entropy_coefficient": 0.0,
-        "gradient_norm": 0.5,
-        "kl_limit": 1.0,
-        "reward_scale": 1.0,
-        "warm_up": 0,
-    }
-    return ppo.Hyper(**{k: jnp.float32(v) for k, v in (values | numbers).items()})
+def networks_of(name: str) -> Networks:
+    clipped = DEFAULTS[name].noise_on == "clipped_mean"
+    return dataclasses.replace(NETWORKS, clip_mean=clipped)
 
 
-def shac_hyper(**numbers: float) -> shac.Hyper:
-    values = {
-        "learning_rate": 1e-2,
-        "final_learning_rate": 1e-3,
-        "adam_b1": 0.7,
-        "adam_b2": 0.95,
-        "gradient_norm": 1.0,
-        "critic_learning_rate": 1e-2,
-        "critic_gradient_norm": 1.0,
-        "critic_target_rate": 0.3,
-        "td_lambda": 0.9,
-        "discount": 0.5,
-        "final_discount": 0.5,
-        "state_gradient_decay": 1.0,
-        "state_gradient_clip": 100.0,
-        "std": 0.3,
-        "final_std": 0.1,
-        "reward_scale": 0.5,
-        "mean_rate": 1.0,
-        "warm_up": 0,
-    }
-    return shac.Hyper(**{k: jnp.float32(v) for k, v in (values | numbers).items()})
-
-
-def make(name: str, **numbers: float) -> Learner:
-    if name == "ppo":
-        structure = ppo.Structure(ENVIRONMENTS, 8, 2, 2, WHOLE)
-        return ppo.make_learner(ENVIRONMENT, NETWORKS, structure, ppo_hyper(**numbers))
-    structure = shac.Structure(ENVIRONMENTS, 4, 2, 2, WHOLE)
-    bounded = dataclasses.replace(NETWORKS, bounded=True)
-    return shac.make_learner(ENVIRONMENT, bounded, structure, shac_hyper(**numbers))
+def make(name: str, **numbers: object) -> Learner:
+    return DEFAULTS[name].replace(**numbers).make(ENVIRONMENT, networks_of(name), 150)
 
 
 @functools.cache
@@ -74,7 +59,7 @@ def _program(name: str, devices: int):
     """A chunk that takes its hyperparameters too: one program for every test."""
     learner = make(name)
     mesh = parallel.make_mesh(devices)
-    state = parallel.place(jax.jit(learner.init)(learner.hyper, probe(), jax.random.key(0)), mesh)
+    state = jax.eval_shape(learner.init, learner.hyper, probe(), jax.random.key(0))
     specs = parallel.specs_of(state)
     everywhere = jax.sharding.PartitionSpec()
 
@@ -106,7 +91,7 @@ class Run:
         **numbers,
     ) -> None:
         self.learner, mesh, self.program = _program(name, devices)
-        self.hyper = {"ppo": ppo_hyper, "shac": shac_hyper}[name](**numbers)
+        self.hyper = as_leaves(DEFAULTS[name].replace(**numbers))
         self.params = params
         state = jax.jit(self.learner.init)(self.hyper, params, jax.random.key(seed))
         self.state = parallel.place(state, mesh)
@@ -120,14 +105,14 @@ class Run:
         return float(NETWORKS.mean(self.state.params, observation)[0])
 
     def value(self, observation: jax.Array) -> float:
-        return float(NETWORKS.evaluate(self.state.params, observation))
+        return float(NETWORKS.value(self.state.params, observation))
 
 
 def plain(tree: object) -> list[np.ndarray]:
     """Every leaf as NumPy, keys as their integers."""
 
     def leaf(x: jax.Array) -> np.ndarray:
-        is_key = jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
+        is_key = jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key)
         return np.asarray(jax.random.key_data(x) if is_key else x)
 
     return [leaf(x) for x in jax.tree.leaves(tree)]

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from quadjax.learners import state as shared
-from quadjax.learners.batches import shuffled, take_rows
-from quadjax.learners.loop import Position, advance
+from quadjax.learners import shards
+from quadjax.learners.loop import Position, advance, plan_chunks
+from quadjax.learners.minibatches import shuffled, take_rows, to_blocks
+from quadjax.learners.optimization import clip_by_norm
 from quadjax.learners.ppo.advantage import advantages
-from quadjax.learners.ppo.loss import normalise
-from quadjax.learners.ppo.rollout import block_length, log_probability
-from quadjax.learners.shac.rollout import Flight
+from quadjax.learners.ppo.loss import normalize
+from quadjax.learners.ppo.rollout import log_probability, reset_interval
+from quadjax.learners.shac.rollout import Trajectory
 from quadjax.learners.shac.targets import td_lambda_targets
 from quadjax.learners.sharding import device_count
+from quadjax.learners.state import AXIS
 
 TIME, COUNT = 30, 7
 
@@ -77,10 +79,10 @@ def returns(reward, next_value, terminated, truncated, discount, lam):
 @pytest.mark.parametrize(("discount", "lam"), [(0.99, 0.95), (0.9, 0.0), (0.95, 1.0)])
 def test_td_lambda_targets(steps, discount, lam):
     reward, _, next_value, terminated, truncated = steps
-    flight = Flight(
+    trajectory = Trajectory(
         jnp.zeros((TIME, COUNT, 1)), *map(jnp.asarray, (reward, next_value)), *steps[3:]
     )
-    found = jax.jit(td_lambda_targets)(flight, jnp.float32(discount), jnp.float32(lam))
+    found = jax.jit(td_lambda_targets)(trajectory, jnp.float32(discount), jnp.float32(lam))
     wanted = returns(reward, next_value, terminated, truncated, discount, lam)
     np.testing.assert_allclose(found, wanted, atol=2e-5)
 
@@ -95,43 +97,36 @@ def test_log_probability():
     )
 
 
-def test_advantages_are_normalised_over_all_devices():
+def test_advantages_are_normalized_over_all_devices():
     values = np.random.default_rng(2).normal(3.0, 5.0, (4, 100)).astype(np.float32)
-    found = jax.vmap(normalise, axis_name=shared.AXIS)(values)
+    found = jax.vmap(normalize, axis_name=AXIS)(values)
     np.testing.assert_allclose(found, (values - values.mean()) / values.std(), atol=1e-4)
-
-
-def test_linear_schedule_end_points():
-    def at(fraction):
-        return float(shared.linear(jnp.float32(3.0), jnp.float32(1.0), jnp.float32(fraction)))
-
-    assert [at(x) for x in (-0.5, 0.0, 0.25, 1.0, 2.0)] == [3.0, 3.0, 2.5, 1.0, 1.0]
 
 
 def test_clip_by_norm():
     tree = {"a": jnp.array([3.0]), "b": jnp.array([[0.0, 4.0]])}
-    same, norm = shared.clip_by_norm(tree, jnp.float32(6.0))
+    same, norm = clip_by_norm(tree, jnp.float32(6.0))
     assert norm == 5 and same["a"] == 3
-    half, norm = shared.clip_by_norm(tree, jnp.float32(2.5))
+    half, norm = clip_by_norm(tree, jnp.float32(2.5))
     assert norm == 5 and half["a"] == 1.5 and half["b"][0, 1] == 2
-    still, _ = shared.clip_by_norm(jax.tree.map(jnp.zeros_like, tree), jnp.float32(1.0))
+    still, _ = clip_by_norm(jax.tree.map(jnp.zeros_like, tree), jnp.float32(1.0))
     np.testing.assert_array_equal(still["b"], 0.0)
 
 
 @pytest.mark.parametrize(
-    ("environments", "blocks", "batches", "lanes"),
+    ("num_envs", "blocks", "minibatches", "count"),
     [(64, 1, 1, 8), (12, 1, 1, 4), (7, 1, 1, 1), (16, 1, 8, 2), (16, 2, 8, 4), (100, 10, 200, 1)],
 )
-def test_count_lanes(environments, blocks, batches, lanes):
-    assert shared.count_lanes(environments, blocks, batches) == lanes
+def test_count_shards(num_envs, blocks, minibatches, count):
+    assert shards.count_shards(num_envs, blocks, minibatches) == count
 
 
 def test_device_count():
     assert [device_count(8, wanted) for wanted in (0, 1, 2, 3, 8, 20)] == [1, 1, 2, 2, 8, 8]
 
 
-def test_block_length():
-    assert [block_length(n) for n in (1, 8, 64, 128, 100, 67)] == [1, 8, 64, 64, 50, 1]
+def test_reset_interval():
+    assert [reset_interval(n) for n in (1, 8, 64, 128, 100, 67)] == [1, 8, 64, 64, 50, 1]
 
 
 def test_where_done_of_states_of_any_shape():
@@ -140,43 +135,58 @@ def test_where_done_of_states_of_any_shape():
         {"a": jnp.ones(2), "b": jnp.ones((3, 2))},
         {"a": jnp.zeros(2), "b": jnp.zeros((3, 2))},
     )
-    found = shared.where_done(done, fresh, old)
+    found = shards.where_done(done, fresh, old)
     np.testing.assert_array_equal(found["a"], [1, 0])
     np.testing.assert_array_equal(found["b"], [[1, 0]] * 3)
 
 
-def test_noise_belongs_to_its_lane():
-    """What a lane draws does not depend on how many lanes are drawn together."""
+def test_noise_of_a_shard_does_not_depend_on_the_others():
     keys = jax.random.split(jax.random.key(0), 4)
-    every = shared.normal_all(keys, (5,), 3, 2)
+    every = shards.normal_all(keys, (5,), 3, 2)
     assert every.shape == (5, 12, 2)
-    np.testing.assert_array_equal(shared.normal_all(keys[1:2], (5,), 3, 2), every[:, 3:6])
+    np.testing.assert_array_equal(shards.normal_all(keys[1:2], (5,), 3, 2), every[:, 3:6])
     assert abs(float(every.mean())) < 0.3 and abs(float(every.std()) - 1) < 0.2
 
 
-def test_batches_take_every_piece_of_every_lane_once():
-    lanes, count, batches, length = 2, 6, 3, 4
-    pieces = jnp.arange(lanes * count * length * 5.0).reshape(lanes, count, length, 5)
-    chosen = shuffled(jax.random.split(jax.random.key(0), lanes), count, batches)
-    chex.assert_shape(chosen, (batches, lanes, count // batches))
-    rows = jnp.stack([take_rows(pieces, batch) for batch in chosen])
-    chex.assert_shape(rows, (batches, lanes * count // batches * length, 5))
-    assert sorted(rows[..., 0].ravel().tolist()) == pieces[..., 0].ravel().tolist()
-    first = rows[0, :length]  # a piece stays together, in order
-    chex.assert_trees_all_equal(first, pieces[0, chosen[0, 0, 0]])
+def test_minibatches_take_every_block_of_every_shard_once():
+    count, minibatches, length = 2, 3, 4
+    steps = jnp.arange(3 * length * 4.0 * 5).reshape(3 * length, 4, 5)  # time, environments
+    blocks = to_blocks(steps, count, length)
+    chex.assert_shape(blocks, (count, 6, length, 5))
+    np.testing.assert_array_equal(blocks[1, 4], steps[length : 2 * length, 3])
+    chosen = shuffled(jax.random.split(jax.random.key(0), count), 6, minibatches)
+    chex.assert_shape(chosen, (minibatches, count, 2))
+    rows = jnp.stack([take_rows(blocks, batch) for batch in chosen])
+    chex.assert_shape(rows, (minibatches, count * 2 * length, 5))
+    assert sorted(rows[..., 0].ravel().tolist()) == sorted(steps[..., 0].ravel().tolist())
+    first = rows[0, :length]  # a block stays together, in order
+    chex.assert_trees_all_equal(first, blocks[0, chosen[0, 0, 0]])
     with pytest.raises(AssertionError):
-        take_rows(pieces, chosen[0, :1])
+        take_rows(blocks, chosen[0, :1])
+
+
+@pytest.mark.parametrize(
+    ("steps", "chunk", "update", "expected"),
+    [
+        (1000, 100, 10, (10, 10)),
+        (50, 100, 10, (5, 1)),
+        (3, 100, 10, (1, 1)),
+        (1000, 3, 7, (1, 143)),
+    ],
+)
+def test_plan_chunks(steps, chunk, update, expected):
+    assert plan_chunks(steps, chunk, update) == expected
 
 
 def test_the_best_policy_is_the_latest_of_equal_scores():
-    def flown(name):
-        return types.SimpleNamespace(flown=name)
+    def state(name):
+        return types.SimpleNamespace(evaluated=name)
 
     position = Position(state=None, best="none")
     scores = [np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]
     kept = []
     for chunk, score in enumerate(scores):
-        position = advance(position, flown(str(chunk)), score, 100, 1.0)
+        position = advance(position, state(str(chunk)), score, 100, 1.0)
         kept.append((position.best, position.best_score, position.best_steps))
     assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
     assert kept[3:] == [("3", 14.0, 400)] * 3

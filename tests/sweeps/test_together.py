@@ -29,7 +29,7 @@ WORDS = [
     "train.devices=1",
 ]
 OWN = [
-    ["seed=0", "ppo.learning_rate=1e-3", "shac.std=0.3", "reward.gate=10"],
+    ["seed=0", "ppo.learning_rate=1e-3", "shac.std=0.4", "reward.gate=10"],
     ["seed=3", "ppo.learning_rate=3e-3", "shac.std=0.2", "reward.gate=5", "network.log_std=-0.5"],
 ]
 
@@ -70,7 +70,7 @@ def test_runs_from_a_file_begin_together_as_they_do_alone(tmp_path, name):
     together = many.start_states(configs, learner, params)
     for index, config in enumerate(configs):
         alone = start_state(config, build_learner(config), params[index], initial_policy(config))
-        for part in ("params", "target", "mean"):
+        for part in ("params", "target", "ema"):
             wanted = jax.tree.leaves(getattr(alone, part))
             found = jax.tree.leaves(getattr(together, part))
             for a, b in zip(wanted, found, strict=True):

@@ -1,14 +1,22 @@
 """Hyperparameters of PPO: declared once, for configs and for ``quadjax.PPO``."""
 
-from typing import Literal, Self
+from __future__ import annotations
 
-from quadjax.config.base import Field, Section, model_validator
+from typing import TYPE_CHECKING, Literal, Self
+
+from quadjax.config.base import Field, model_validator
+from quadjax.learners.section import LearnerSection
+
+if TYPE_CHECKING:
+    from quadjax.core.environment import Environment
+    from quadjax.learners.networks import Networks
+    from quadjax.learners.state import Learner
 
 MAX_ENVS = 1_000_000
 MAX_UPDATE_STEPS = 250_000_000  # environment steps of an update, all of which are in memory at once
 
 
-class PPO(Section):
+class PPO(LearnerSection):
     """Proximal policy optimization (Schulman et al., 2017)."""
 
     algorithm: Literal["ppo"] = Field("ppo", description="proximal policy optimization")
@@ -83,3 +91,11 @@ class PPO(Section):
                 f"blocks of an update (num_envs {self.num_envs} x {self.rollout_length // block})"
             )
         return self
+
+    def make(
+        self, environment: Environment, networks: Networks, num_updates: int, max_shards: int = 8
+    ) -> Learner:
+        """The learner on an environment; see ``LearnerSection.make``."""
+        from quadjax.learners.ppo.update import make_learner
+
+        return make_learner(environment, networks, self, max_shards)

@@ -1,4 +1,6 @@
-"""Flying the current policy and keeping what an update needs."""
+"""Rollouts of the current policy: what a PPO update learns from."""
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -6,18 +8,18 @@ from flax import struct
 
 from quadjax.core.environment import Environment
 from quadjax.learners.networks import ActorCritic, Networks
-from quadjax.learners.state import normal_all, reset_all, split_keys, where_done
+from quadjax.learners.shards import envs_per_shard, normal_all, reset_all, split_keys, where_done
 
-RESTART_BLOCK = 64  # longest time for which an environment's next start stays the same
+MAX_RESET_INTERVAL = 64  # steps between two draws of the states that episodes restart from
 
 
 @struct.dataclass
 class Rollout:
-    """Steps of all environments: time first, then environments."""
+    """Steps of all environments: axes are time, environment, then the quantity's own."""
 
     observation: jax.Array  # (time, n, observation_size)
-    action: jax.Array  # (time, n, actions) sampled, not clipped
-    log_prob: jax.Array  # (time, n)
+    action: jax.Array  # (time, n, actions), sampled, not clipped
+    log_prob: jax.Array  # (time, n) of the action under the policy that sampled it
     value: jax.Array  # (time, n) of the observation
     next_value: jax.Array  # (time, n) of the observation after the step, before any reset
     reward: jax.Array  # (time, n)
@@ -26,71 +28,73 @@ class Rollout:
 
 
 def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
-    """Log density (..) of an action (.., k) under independent normals."""
+    """Log density (...) of an action (..., k) under independent normal distributions."""
     log_std = jnp.broadcast_to(log_std, action.shape)
     scaled = (action - mean) * jnp.exp(-log_std)
     return -0.5 * jnp.sum(scaled**2 + 2.0 * log_std + jnp.log(2.0 * jnp.pi), axis=-1)
 
 
-def block_length(steps: int) -> int:
-    """The longest divisor of ``steps`` that is at most ``RESTART_BLOCK``."""
-    return max(d for d in range(1, min(steps, RESTART_BLOCK) + 1) if steps % d == 0)
+def reset_interval(steps: int) -> int:
+    """The longest divisor of ``steps`` that is at most ``MAX_RESET_INTERVAL``."""
+    return max(d for d in range(1, min(steps, MAX_RESET_INTERVAL) + 1) if steps % d == 0)
 
 
 def collect(
     environment: Environment,
     networks: Networks,
-    environment_params: object,
+    environment_params: Any,
     params: ActorCritic,
-    state: object,
+    state: Any,
     keys: jax.Array,
     steps: int,
-) -> tuple[object, Rollout]:
-    """Fly ``steps`` steps of every environment.
+) -> tuple[Any, Rollout]:
+    """Simulate ``steps`` steps of every environment with sampled actions.
 
-    Each environment's next start is drawn once a block of at most ``RESTART_BLOCK`` steps rather
-    than at every step, which would cost more than the physics.
+    The state that an environment restarts from is drawn once per ``reset_interval``, because
+    drawing it at every step takes longer than the simulation. An environment whose episode ends
+    twice within an interval restarts from the same state.
 
     Args:
-        environment: three pure functions.
+        environment: three pure functions of one agent.
         networks: the policy and the value.
         environment_params: traced parameters of the environment.
-        params: of the networks.
+        params: parameters of the networks.
         state: environment states, batched along the last axis.
-        keys: (lanes,) PRNG keys.
+        keys: (shards,) PRNG keys.
         steps: of each environment.
 
     Returns:
         The environment states after the last step, reset where an episode ended, and the rollout.
     """
-    length = block_length(steps)
+    length = reset_interval(steps)
 
-    def block(carry: tuple, _: None) -> tuple[tuple, Rollout]:
+    def interval(carry: tuple[Any, jax.Array], _: None) -> tuple[tuple[Any, jax.Array], Rollout]:
         state, keys = carry
         keys, reset_keys, noise_keys = split_keys(keys, 3)
-        count = jax.tree.leaves(state)[0].shape[-1] // keys.shape[0]
+        count = envs_per_shard(state, keys)
         fresh = reset_all(environment, environment_params, reset_keys, count)
         noise = normal_all(noise_keys, (length,), count, networks.action_size)
 
-        def one(state: object, noise: jax.Array) -> tuple[object, Rollout]:
+        def one(state: Any, noise: jax.Array) -> tuple[Any, Rollout]:
             return _step(environment, networks, environment_params, params, fresh, state, noise)
 
         state, rollout = jax.lax.scan(one, state, noise)
         return (state, keys), rollout
 
-    (state, _), rollout = jax.lax.scan(block, (state, keys), None, steps // length)
+    (state, _), rollout = jax.lax.scan(interval, (state, keys), None, steps // length)
     return state, jax.tree.map(lambda x: x.reshape(steps, *x.shape[2:]), rollout)
 
 
 def _step(
     environment: Environment,
     networks: Networks,
-    environment_params: object,
+    environment_params: Any,
     params: ActorCritic,
-    fresh: object,
-    state: object,
+    fresh: Any,
+    state: Any,
     noise: jax.Array,
-) -> tuple[object, Rollout]:
+) -> tuple[Any, Rollout]:
+    """One step of all environments; an ended episode restarts from ``fresh``."""
     observe = jax.vmap(environment.observe, in_axes=(None, -1))
     observation = observe(environment_params, state)
     mean = networks.mean(params, observation)
@@ -101,8 +105,8 @@ def _step(
         observation=observation,
         action=action,
         log_prob=log_probability(action, mean, params.log_std),
-        value=networks.evaluate(params, observation),
-        next_value=networks.evaluate(params, observe(environment_params, following)),
+        value=networks.value(params, observation),
+        next_value=networks.value(params, observe(environment_params, following)),
         reward=reward,
         terminated=terminated,
         truncated=truncated,

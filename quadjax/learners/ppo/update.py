@@ -1,110 +1,68 @@
-"""One PPO update: fly, estimate advantages, several epochs of batches."""
+"""One PPO update: collect a rollout, estimate advantages, take gradient steps on minibatches."""
 
-import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
-from flax import struct
 
 from quadjax.core.environment import Environment
-from quadjax.learners.batches import shuffled, take_rows
+from quadjax.learners.hyper import as_leaves, register
+from quadjax.learners.metrics import episode_metrics, explained_variance, global_mean
+from quadjax.learners.minibatches import shuffled, take_rows, to_blocks
 from quadjax.learners.networks import ActorCritic, Networks
+from quadjax.learners.optimization import clip_by_norm, descend, select
 from quadjax.learners.ppo.advantage import advantages
+from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.ppo.loss import Batch, loss
 from quadjax.learners.ppo.rollout import Rollout, collect
-from quadjax.learners.state import (
-    AXIS,
-    Learner,
-    Metrics,
-    TrainState,
-    clip_by_norm,
-    count_lanes,
-    episode_metrics,
-    linear,
-    mean_of_all,
-    reset_all,
-    select_finite,
-    split_keys,
-)
+from quadjax.learners.shards import count_shards, reset_all, split_keys
+from quadjax.learners.state import AXIS, Learner, Metrics, TrainState
 
+Carry = tuple[ActorCritic, optax.OptState]
 
-@struct.dataclass
-class Hyper:
-    """Float hyperparameters: leaves, so that a sweep can batch them."""
-
-    learning_rate: jax.Array
-    final_learning_rate: jax.Array
-    adam_epsilon: jax.Array
-    discount: jax.Array
-    gae_lambda: jax.Array
-    clip: jax.Array
-    value_coefficient: jax.Array
-    entropy_coefficient: jax.Array
-    gradient_norm: jax.Array
-    kl_limit: jax.Array
-    reward_scale: jax.Array
-    warm_up: jax.Array  # updates of the value alone
-
-
-@dataclasses.dataclass(frozen=True)
-class Structure:
-    """What fixes shapes and code."""
-
-    environments: int
-    steps: int  # of each environment per update
-    batches: int
-    epochs: int
-    updates: int  # in the whole run: the schedule's length
-    shuffle_block: int = 0  # consecutive steps kept together; 0: all of an update
-    separate_clip: bool = True  # clip the policy's and the value's gradients apart
-    shares: int = 8  # of the environments, at most: a power of two
-
-    @property
-    def block(self) -> int:
-        """Consecutive steps kept together when shuffling."""
-        return self.shuffle_block or self.steps
-
-    @property
-    def lanes(self) -> int:
-        """Equal shares of the environments, each with its own key."""
-        blocks = self.steps // self.block
-        return count_lanes(self.environments, blocks, self.batches, self.shares)
+register(PPO)
 
 
 def make_learner(
-    environment: Environment, networks: Networks, structure: Structure, hyper: Hyper
+    environment: Environment, networks: Networks, hyper: PPO, max_shards: int = 8
 ) -> Learner:
-    """PPO on an environment."""
-    parts = (environment, networks, structure)
+    """PPO on an environment; arguments as of ``PPO.make``."""
+    blocks = hyper.rollout_length // _block_length(hyper)
+    shards = count_shards(hyper.num_envs, blocks, hyper.num_minibatches, max_shards)
     return Learner(
-        init=functools.partial(_init, *parts),
-        update=functools.partial(_update, *parts),
-        hyper=hyper,
-        steps_per_update=structure.environments * structure.steps,
-        num_shards=structure.lanes,
+        init=functools.partial(_init, environment, networks, shards),
+        update=functools.partial(_update, environment, networks),
+        hyper=as_leaves(hyper),
+        steps_per_update=hyper.num_envs * hyper.rollout_length,
+        num_shards=shards,
     )
+
+
+def _block_length(hyper: PPO) -> int:
+    return hyper.shuffle_block or hyper.rollout_length
 
 
 def _init(
     environment: Environment,
     networks: Networks,
-    s: Structure,
-    hyper: Hyper,
-    environment_params: object,
+    shards: int,
+    hyper: PPO,
+    environment_params: Any,
     key: jax.Array,
 ) -> TrainState:
-    network_key, reset_key, lane_key = jax.random.split(key, 3)
+    network_key, reset_key, shard_key = jax.random.split(key, 3)
     params = networks.init(network_key)
-    resets = jax.random.split(reset_key, s.lanes)
-    count = s.environments // s.lanes
+    params = params.replace(log_std=jnp.full_like(params.log_std, hyper.initial_log_std))
+    resets = jax.random.split(reset_key, shards)
+    count = hyper.num_envs // shards
     return TrainState(
         params=params,
-        optimiser=optax.scale_by_adam().init(params),
+        optimizer=optax.scale_by_adam().init(params),
         target=None,
         environment=reset_all(environment, environment_params, resets, count),
-        keys=jax.random.split(lane_key, s.lanes),
+        keys=jax.random.split(shard_key, shards),
         update=jnp.zeros((), jnp.int32),
     )
 
@@ -112,31 +70,35 @@ def _init(
 def _update(
     environment: Environment,
     networks: Networks,
-    s: Structure,
-    hyper: Hyper,
-    environment_params: object,
+    hyper: PPO,
+    environment_params: Any,
     state: TrainState,
 ) -> tuple[TrainState, Metrics]:
     keys, rollout_keys, shuffle_keys = split_keys(state.keys, 3)
-    flown, rollout = collect(
+    environment_state, rollout = collect(
         environment,
         networks,
         environment_params,
         state.params,
         state.environment,
         rollout_keys,
-        s.steps,
+        hyper.rollout_length,
     )
-    batch = _batch(rollout, hyper)
-    params, optimiser, metrics = _epochs(networks, s, hyper, state, batch, shuffle_keys)
-    metrics |= _watch(rollout, batch, state.params)
+    batch = _make_batch(rollout, hyper)
+    params, optimizer, metrics = _optimize(networks, hyper, state, batch, shuffle_keys)
+    metrics |= _rollout_metrics(rollout, batch, state.params)
     following = state.replace(
-        params=params, optimiser=optimiser, environment=flown, keys=keys, update=state.update + 1
+        params=params,
+        optimizer=optimizer,
+        environment=environment_state,
+        keys=keys,
+        update=state.update + 1,
     )
     return following, metrics
 
 
-def _batch(rollout: Rollout, hyper: Hyper) -> Batch:
+def _make_batch(rollout: Rollout, hyper: PPO) -> Batch:
+    """The rollout with advantages and value targets, ``G = A + V``."""
     advantage = advantages(
         rollout.reward * hyper.reward_scale,
         rollout.value,
@@ -155,104 +117,73 @@ def _batch(rollout: Rollout, hyper: Hyper) -> Batch:
     )
 
 
-def _lay_out(batch: Batch, s: Structure, lanes: int) -> Batch:
-    """From (time, n, ..) to (lanes, pieces, block, ..): stretches of ``block`` steps."""
-
-    def one(x: jax.Array) -> jax.Array:
-        time, n = x.shape[:2]
-        x = x.reshape(time // s.block, s.block, lanes, n // lanes, *x.shape[2:])
-        x = jnp.moveaxis(x, (2, 3), (0, 1))
-        return x.reshape(lanes, -1, s.block, *x.shape[4:])
-
-    return jax.tree.map(one, batch)
-
-
-def _epochs(
-    networks: Networks,
-    s: Structure,
-    hyper: Hyper,
-    state: TrainState,
-    batch: Batch,
-    keys: jax.Array,
+def _optimize(
+    networks: Networks, hyper: PPO, state: TrainState, batch: Batch, keys: jax.Array
 ) -> tuple[ActorCritic, optax.OptState, Metrics]:
-    """All epochs of all batches.
+    """All epochs of all minibatches.
 
-    A batch whose KL is beyond the limit or whose gradient is not finite changes nothing.
+    A minibatch whose KL divergence is above the limit or whose gradient is not finite changes
+    nothing.
     """
-    fraction = state.update.astype(jnp.float32) / s.updates
-    rate = linear(hyper.learning_rate, hyper.final_learning_rate, fraction)
-    policy_rate = jnp.where(state.update < hyper.warm_up, 0.0, rate)
-    rates = ActorCritic(policy=policy_rate, log_std=policy_rate, value=rate)
-    epoch_keys = jnp.stack(split_keys(keys, s.epochs))
+    blocks = to_blocks(batch, keys.shape[0], _block_length(hyper))
+    count = blocks.advantage.shape[1]
 
-    pieces = _lay_out(batch, s, keys.shape[0])
-    count = pieces.advantage.shape[1]
+    def minibatch(carry: Carry, chosen: jax.Array) -> tuple[Carry, Metrics]:
+        return _gradient_step(networks, hyper, state.update, carry, take_rows(blocks, chosen))
 
-    def one_batch(carry: tuple, chosen: jax.Array) -> tuple[tuple, Metrics]:
-        rows = jax.tree.map(lambda x: take_rows(x, chosen), pieces)
-        return _gradient_step(networks, s, hyper, rates, carry, rows)
+    def epoch(carry: Carry, keys: jax.Array) -> tuple[Carry, Metrics]:
+        return jax.lax.scan(minibatch, carry, shuffled(keys, count, hyper.num_minibatches))
 
-    def one_epoch(carry: tuple, keys: jax.Array) -> tuple[tuple, Metrics]:
-        return jax.lax.scan(one_batch, carry, shuffled(keys, count, s.batches))
-
-    (params, optimiser), metrics = jax.lax.scan(
-        one_epoch, (state.params, state.optimiser), epoch_keys
-    )
+    epoch_keys = jnp.stack(split_keys(keys, hyper.num_epochs))
+    start = (state.params, state.optimizer)
+    (params, optimizer), metrics = jax.lax.scan(epoch, start, epoch_keys)
     reduced = jax.tree.map(jnp.mean, metrics)
     reduced["kl_max"] = jnp.max(metrics["approx_kl"])
-    reduced["learning_rate"] = rate
-    return params, optimiser, reduced
+    reduced["learning_rate"] = jnp.asarray(hyper.learning_rate)
+    return params, optimizer, reduced
 
 
 def _gradient_step(
-    networks: Networks,
-    s: Structure,
-    hyper: Hyper,
-    rates: ActorCritic,
-    carry: tuple[ActorCritic, optax.OptState],
-    batch: Batch,
-) -> tuple[tuple[ActorCritic, optax.OptState], Metrics]:
-    params, optimiser = carry
-    gradient, metrics = jax.grad(loss, has_aux=True)(
-        params,
-        networks,
-        batch,
-        hyper.clip,
-        hyper.value_coefficient,
-        hyper.entropy_coefficient,
-    )
+    networks: Networks, hyper: PPO, update: jax.Array, carry: Carry, batch: Batch
+) -> tuple[Carry, Metrics]:
+    """One step of Adam; while the critic warms up, the policy stays as it is."""
+    params, optimizer = carry
+    gradient, metrics = jax.grad(loss, has_aux=True)(params, networks, hyper, batch)
     gradient, metrics = jax.lax.pmean((gradient, metrics), AXIS)
-    finite = jnp.isfinite(optax.tree.norm(gradient))
-    gradient, norm = _clip(gradient, hyper.gradient_norm, s.separate_clip)
-    adam = optax.scale_by_adam(eps=hyper.adam_epsilon)
-    direction, new_optimiser = adam.update(gradient, optimiser)
-    new_params = jax.tree.map(
-        lambda rate, part, d: jax.tree.map(lambda p, d: p - rate * d, part, d),
-        rates,
-        params,
-        direction,
+    accepted = jnp.isfinite(optax.tree.norm(gradient))
+    if hyper.max_kl is not None:
+        accepted = (metrics["approx_kl"] <= hyper.max_kl) & accepted
+    gradient, norm = _clip(gradient, hyper)
+    direction, new_optimizer = optax.scale_by_adam(eps=hyper.adam_epsilon).update(
+        gradient, optimizer
     )
-    fine = (metrics["approx_kl"] <= hyper.kl_limit) & finite
-    metrics |= {"gradient_norm": norm, "skipped": 1.0 - fine.astype(norm.dtype)}
-    kept = select_finite(fine, (new_params, new_optimiser), carry)
-    return kept, metrics
+    rate = jnp.asarray(hyper.learning_rate)
+    policy_rate = jnp.where(update < hyper.critic_warmup, 0.0, rate)
+    new_params = ActorCritic(
+        policy=descend(params.policy, direction.policy, policy_rate),
+        log_std=descend(params.log_std, direction.log_std, policy_rate),
+        value=descend(params.value, direction.value, rate),
+    )
+    metrics |= {"gradient_norm": norm, "skipped": 1.0 - accepted.astype(norm.dtype)}
+    return select(accepted, (new_params, new_optimizer), carry), metrics
 
 
-def _clip(gradient: ActorCritic, limit: jax.Array, apart: bool) -> tuple[ActorCritic, jax.Array]:
-    """Clip by the global norm: of all, or of the policy's and of the value's part apart."""
-    if not apart:
-        return clip_by_norm(gradient, limit)
-    actor, actor_norm = clip_by_norm((gradient.policy, gradient.log_std), limit)
-    critic, _ = clip_by_norm(gradient.value, limit)
-    return ActorCritic(policy=actor[0], log_std=actor[1], value=critic), actor_norm
+def _clip(gradient: ActorCritic, hyper: PPO) -> tuple[ActorCritic, jax.Array]:
+    """Clip by the global norm: of everything, or of policy and value separately.
+
+    Returns:
+        The clipped gradient, and the norm before: of everything, or of the policy.
+    """
+    if not hyper.separate_grad_clip:
+        return clip_by_norm(gradient, hyper.max_grad_norm)
+    actor, norm = clip_by_norm((gradient.policy, gradient.log_std), hyper.max_grad_norm)
+    critic, _ = clip_by_norm(gradient.value, hyper.max_grad_norm)
+    return ActorCritic(policy=actor[0], log_std=actor[1], value=critic), norm
 
 
-def _watch(rollout: Rollout, batch: Batch, params: ActorCritic) -> Metrics:
-    """Scalars of the rollout, over all devices."""
-    target_mean = mean_of_all(batch.target)
-    target_variance = mean_of_all((batch.target - target_mean) ** 2)
-    left = mean_of_all((batch.target - rollout.value) ** 2)
+def _rollout_metrics(rollout: Rollout, batch: Batch, params: ActorCritic) -> Metrics:
+    error = global_mean((batch.target - rollout.value) ** 2)
     return episode_metrics(rollout.reward, rollout.terminated, rollout.truncated) | {
-        "explained_variance": 1.0 - left / jnp.maximum(target_variance, 1e-9),
+        "explained_variance": explained_variance(error, batch.target),
         "std": jnp.mean(jnp.exp(params.log_std)),
     }

@@ -1,15 +1,25 @@
 """Hyperparameters of SHAC: declared once, for configs and for ``quadjax.SHAC``."""
 
-from typing import Literal, Self
+from __future__ import annotations
 
-from quadjax.config.base import Field, Section, model_validator
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
+
+from quadjax.config.base import Field, model_validator
+from quadjax.learners.section import LearnerSection
+
+if TYPE_CHECKING:
+    from quadjax.core.environment import Environment
+    from quadjax.learners.networks import Networks
+    from quadjax.learners.state import Learner
 
 MAX_ENVS = 1_000_000
 MAX_UPDATE_STEPS = 250_000_000  # environment steps of an update, all of which are in memory at once
 
 
-class SHAC(Section):
+class SHAC(LearnerSection):
     """Short-horizon actor-critic (Xu et al., 2022): gradients through the simulator."""
+
+    noise_on: ClassVar[Literal["mean", "clipped_mean"]] = "clipped_mean"
 
     algorithm: Literal["shac"] = Field("shac", description="short-horizon actor-critic")
     num_envs: int = Field(
@@ -87,3 +97,11 @@ class SHAC(Section):
                 f"{self.num_envs}"
             )
         return self
+
+    def make(
+        self, environment: Environment, networks: Networks, num_updates: int, max_shards: int = 8
+    ) -> Learner:
+        """The learner on an environment; see ``LearnerSection.make``."""
+        from quadjax.learners.shac.update import make_learner
+
+        return make_learner(environment, networks, self, max_shards)

@@ -1,24 +1,27 @@
-"""What the critic learns from: the returns of short flights."""
+"""Targets of the critic: returns of short trajectories."""
 
 import jax
 import jax.numpy as jnp
 
-from quadjax.learners.shac.rollout import Flight
+from quadjax.learners.shac.rollout import Trajectory
 
 
-def td_lambda_targets(flight: Flight, discount: jax.Array, td_lambda: jax.Array) -> jax.Array:
-    """TD(lambda) targets (time, n) of the value of each observation.
+def td_lambda_targets(
+    trajectory: Trajectory, discount: jax.Array, td_lambda: jax.Array
+) -> jax.Array:
+    """TD(lambda) targets (time, n) of the value of each observation (Xu et al., 2022, eq. 7).
 
-    ``G_t = r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``, with ``V(s'_t)`` alone at the
-    horizon and where an episode is truncated, and nothing where it is terminated.
+    ``G_t = r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``. At the horizon and where an
+    episode is truncated, ``V(s'_t)`` alone takes the place of the mixture; where it is terminated,
+    zero does.
     """
 
-    def back(following: jax.Array, step: Flight) -> tuple[jax.Array, jax.Array]:
+    def backward(following: jax.Array, step: Trajectory) -> tuple[jax.Array, jax.Array]:
         mixed = (1.0 - td_lambda) * step.next_value + td_lambda * following
-        ahead = jnp.where(step.truncated, step.next_value, mixed)
-        ahead = jnp.where(step.terminated, 0.0, ahead)
-        target = step.reward + discount * ahead
+        future = jnp.where(step.truncated, step.next_value, mixed)
+        future = jnp.where(step.terminated, 0.0, future)
+        target = step.reward + discount * future
         return target, target
 
-    _, targets = jax.lax.scan(back, flight.next_value[-1], flight, reverse=True)
+    _, targets = jax.lax.scan(backward, trajectory.next_value[-1], trajectory, reverse=True)
     return targets

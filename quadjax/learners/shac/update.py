@@ -1,300 +1,126 @@
 """One SHAC update: a policy gradient through the simulator, then the critic."""
 
-import dataclasses
 import functools
+from typing import Any
 
-import chex
 import jax
 import jax.numpy as jnp
 import optax
-from flax import struct
 
 from quadjax.core.environment import Environment
-from quadjax.learners.batches import shuffled, take_rows
+from quadjax.learners.hyper import as_leaves, register
+from quadjax.learners.metrics import episode_metrics
 from quadjax.learners.networks import ActorCritic, Networks
-from quadjax.learners.shac.rollout import Bounds, Flight, fly
+from quadjax.learners.shac.actor import collect_gradient, policy_step
+from quadjax.learners.shac.critic import fit_critic
+from quadjax.learners.shac.hyperparameters import SHAC
+from quadjax.learners.shac.rollout import Trajectory
 from quadjax.learners.shac.targets import td_lambda_targets
-from quadjax.learners.state import (
-    AXIS,
-    Learner,
-    Metrics,
-    TrainState,
-    clip_by_norm,
-    count_lanes,
-    episode_metrics,
-    linear,
+from quadjax.learners.shards import (
+    count_shards,
+    envs_per_shard,
     normal_all,
     reset_all,
-    select_finite,
     split_keys,
 )
+from quadjax.learners.state import Learner, Metrics, TrainState
 
-MEAN_PART = 20.0  # the running mean is over at most one part in so many of the updates so far
+EMA_SHARE = 20.0  # the moving average covers about one part in 20 of the updates so far
 
-
-@struct.dataclass
-class Hyper:
-    """Float hyperparameters: leaves, so that a sweep can batch them."""
-
-    learning_rate: jax.Array
-    final_learning_rate: jax.Array
-    adam_b1: jax.Array
-    adam_b2: jax.Array
-    gradient_norm: jax.Array
-    critic_learning_rate: jax.Array
-    critic_gradient_norm: jax.Array
-    critic_target_rate: jax.Array
-    td_lambda: jax.Array
-    discount: jax.Array
-    final_discount: jax.Array
-    state_gradient_decay: jax.Array
-    state_gradient_clip: jax.Array
-    std: jax.Array
-    final_std: jax.Array
-    reward_scale: jax.Array
-    mean_rate: jax.Array  # of the running mean of the networks
-    warm_up: jax.Array  # updates of the critic alone
-
-
-@dataclasses.dataclass(frozen=True)
-class Structure:
-    """What fixes shapes and code."""
-
-    environments: int
-    horizon: int  # steps of each environment per update
-    critic_passes: int
-    critic_batches: int
-    updates: int  # in the whole run: the schedules' length
-    shares: int = 8  # of the environments, at most: a power of two
-
-    @property
-    def lanes(self) -> int:
-        """Equal shares of the environments, each with its own key."""
-        return count_lanes(self.environments, 1, self.critic_batches, self.shares)
+register(SHAC)
 
 
 def make_learner(
-    environment: Environment, networks: Networks, structure: Structure, hyper: Hyper
+    environment: Environment, networks: Networks, hyper: SHAC, max_shards: int = 8
 ) -> Learner:
-    """SHAC on a differentiable environment."""
-    parts = (environment, networks, structure)
+    """SHAC on a differentiable environment; arguments as of ``SHAC.make``."""
+    shards = count_shards(hyper.num_envs, 1, hyper.critic_minibatches, max_shards)
     return Learner(
-        init=functools.partial(_init, *parts),
-        update=functools.partial(_update, *parts),
-        hyper=hyper,
-        steps_per_update=structure.environments * structure.horizon,
-        num_shards=structure.lanes,
+        init=functools.partial(_init, environment, networks, shards),
+        update=functools.partial(_update, environment, networks),
+        hyper=as_leaves(hyper),
+        steps_per_update=hyper.num_envs * hyper.horizon,
+        num_shards=shards,
     )
 
 
 def _init(
     environment: Environment,
     networks: Networks,
-    s: Structure,
-    hyper: Hyper,
-    environment_params: object,
+    shards: int,
+    hyper: SHAC,
+    environment_params: Any,
     key: jax.Array,
 ) -> TrainState:
-    network_key, reset_key, lane_key = jax.random.split(key, 3)
+    network_key, reset_key, shard_key = jax.random.split(key, 3)
     params = networks.init(network_key)
     params = params.replace(log_std=jnp.full_like(params.log_std, jnp.log(hyper.std)))
-    resets = jax.random.split(reset_key, s.lanes)
-    count = s.environments // s.lanes
+    resets = jax.random.split(reset_key, shards)
+    count = hyper.num_envs // shards
     adam = optax.scale_by_adam()
     return TrainState(
         params=params,
-        optimiser=(adam.init(params.policy), adam.init(params.value)),
+        optimizer=(adam.init(params.policy), adam.init(params.value)),
         target=jax.tree.map(jnp.copy, params),
         environment=reset_all(environment, environment_params, resets, count),
-        keys=jax.random.split(lane_key, s.lanes),
+        keys=jax.random.split(shard_key, shards),
         update=jnp.zeros((), jnp.int32),
-        mean=jax.tree.map(jnp.copy, params),
+        ema=jax.tree.map(jnp.copy, params),
     )
 
 
 def _update(
     environment: Environment,
     networks: Networks,
-    s: Structure,
-    hyper: Hyper,
-    environment_params: object,
+    hyper: SHAC,
+    environment_params: Any,
     state: TrainState,
 ) -> tuple[TrainState, Metrics]:
-    fraction = state.update.astype(jnp.float32) / s.updates
     keys, reset_keys, noise_keys, shuffle_keys = split_keys(state.keys, 4)
-    count = s.environments // s.lanes
+    count = envs_per_shard(state.environment, keys)
     fresh = reset_all(environment, environment_params, reset_keys, count)
-    std = linear(hyper.std, hyper.final_std, fraction)
-    hyper = hyper.replace(discount=linear(hyper.discount, hyper.final_discount, fraction))
-    noise = std * normal_all(noise_keys, (s.horizon,), count, networks.action_size)
-    scaled = _scale_reward(environment, hyper.reward_scale)
-    policy, policy_adam, flown, flight, metrics = _actor(
-        scaled, networks, s, hyper, environment_params, state, fresh, noise, fraction
+    noise = hyper.std * normal_all(noise_keys, (hyper.horizon,), count, networks.action_size)
+    loss, gradient, environment_state, trajectory = collect_gradient(
+        environment, networks, hyper, environment_params, state, fresh, noise
     )
-    value, value_adam, critic_metrics = _critic(
-        networks, s, hyper, state, flight, shuffle_keys, fraction
+    targets = td_lambda_targets(trajectory, hyper.discount, hyper.td_lambda)
+    policy, policy_optimizer, policy_metrics = policy_step(hyper, state, gradient)
+    value, value_optimizer, critic_metrics = fit_critic(
+        networks, hyper, state, trajectory.observation, targets, shuffle_keys
     )
-    log_std = jnp.full_like(state.params.log_std, jnp.log(std))
+    log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))
     params = ActorCritic(policy=policy, log_std=log_std, value=value)
-    target = jax.tree.map(
-        lambda old, new: old + hyper.critic_target_rate * (new - old), state.target, params
+    following = TrainState(
+        params=params,
+        optimizer=(policy_optimizer, value_optimizer),
+        target=_move(state.target, params, hyper.target_update_rate),
+        environment=environment_state,
+        keys=keys,
+        update=state.update + 1,
+        ema=_moving_average(hyper, state, params),
     )
-    optimiser = (policy_adam, value_adam)
-    mean = _mean(hyper, state, params)
-    following = TrainState(params, optimiser, target, flown, keys, state.update + 1, mean)
-    return following, metrics | critic_metrics | _watch(flight, hyper.reward_scale, std)
+    metrics = {"policy_loss": loss} | policy_metrics | critic_metrics
+    return following, metrics | _rollout_metrics(trajectory, hyper)
 
 
-def _mean(hyper: Hyper, state: TrainState, params: ActorCritic) -> ActorCritic:
-    """The running mean of all networks' parameters, over at most a part of the updates so far."""
-    rate = jnp.maximum(hyper.mean_rate, MEAN_PART / (MEAN_PART + state.update))
-    mean = jax.tree.map(lambda old, new: (1.0 - rate) * old + rate * new, state.mean, params)
-    return mean.replace(log_std=params.log_std)
+def _move(old: ActorCritic, new: ActorCritic, rate: jax.Array) -> ActorCritic:
+    """``old + rate (new - old)``: the target critic follows the critic."""
+    return jax.tree.map(lambda a, b: a + rate * (b - a), old, new)
 
 
-def _scale_reward(environment: Environment, scale: jax.Array) -> Environment:
-    def step(params: object, state: object, action: jax.Array) -> tuple:
-        following, reward, terminated, truncated = environment.step(params, state, action)
-        return following, scale * reward, terminated, truncated
+def _moving_average(hyper: SHAC, state: TrainState, params: ActorCritic) -> ActorCritic:
+    """The exponential moving average of the parameters.
 
-    return dataclasses.replace(environment, step=step)
-
-
-def _actor(
-    environment: Environment,
-    networks: Networks,
-    s: Structure,
-    hyper: Hyper,
-    environment_params: object,
-    state: TrainState,
-    fresh: object,
-    noise: jax.Array,
-    fraction: jax.Array,
-) -> tuple[dict, optax.OptState, object, Flight, Metrics]:
-    """Ascend the return of a short flight."""
-    bounds = Bounds(hyper.state_gradient_decay, hyper.state_gradient_clip)
-
-    def loss(policy: dict) -> tuple[jax.Array, tuple[object, Flight]]:
-        value, flown = fly(
-            environment,
-            networks,
-            environment_params,
-            state.params.replace(policy=policy),
-            state.target,
-            state.environment,
-            fresh,
-            noise,
-            hyper.discount,
-            bounds,
-        )
-        return -value, flown
-
-    (value, (flown, flight)), gradient = jax.value_and_grad(loss, has_aux=True)(state.params.policy)
-    share = 1.0 / (s.environments * s.horizon)
-    value, gradient = jax.lax.psum(jax.tree.map(lambda x: x * share, (value, gradient)), AXIS)
-    policy, adam, metrics = _policy_step(hyper, state, gradient, fraction)
-    return policy, adam, flown, flight, {"policy_loss": value} | metrics
-
-
-def _policy_step(
-    hyper: Hyper, state: TrainState, gradient: dict, fraction: jax.Array
-) -> tuple[dict, optax.OptState, Metrics]:
-    """One step against the loss's gradient.
-
-    One that is not finite changes nothing. While the critic warms up the policy stands still, and
-    Adam learns the gradient's size.
+    ``(1 - rate) ema + rate params`` with ``rate = max(ema_rate, 20 / (20 + updates))``: the average
+    covers about a twentieth of the updates so far, or less, so that early parameters fade.
+    (``optax.incremental_update`` adds in the other order, which rounds differently.)
     """
-    gradient, norm = clip_by_norm(gradient, hyper.gradient_norm)
-    rate = linear(hyper.learning_rate, hyper.final_learning_rate, fraction)
-    old = (state.params.policy, state.optimiser[0])
-    new = _adam_step(hyper, rate, gradient, *old)
-    fine = jnp.isfinite(norm)
-    policy, adam = select_finite(fine, new, old)
-    policy = select_finite(state.update >= hyper.warm_up, policy, old[0])
-    metrics = {
-        "gradient_norm": norm,
-        "skipped": 1.0 - fine.astype(norm.dtype),
-        "learning_rate": rate,
-    }
-    return policy, adam, metrics
+    rate = jnp.maximum(hyper.ema_rate, EMA_SHARE / (EMA_SHARE + state.update))
+    ema = jax.tree.map(lambda old, new: (1.0 - rate) * old + rate * new, state.ema, params)
+    return ema.replace(log_std=params.log_std)
 
 
-def _adam_step(
-    hyper: Hyper, rate: jax.Array, gradient: dict, params: dict, adam: optax.OptState
-) -> tuple[dict, optax.OptState]:
-    transform = optax.scale_by_adam(b1=hyper.adam_b1, b2=hyper.adam_b2)
-    direction, adam = transform.update(gradient, adam)
-    return jax.tree.map(lambda p, d: p - rate * d, params, direction), adam
-
-
-def _critic(
-    networks: Networks,
-    s: Structure,
-    hyper: Hyper,
-    state: TrainState,
-    flight: Flight,
-    keys: jax.Array,
-    fraction: jax.Array,
-) -> tuple[dict, optax.OptState, Metrics]:
-    """Several passes over the flight towards its TD(lambda) targets."""
-    rate = linear(
-        hyper.critic_learning_rate,
-        hyper.critic_learning_rate * hyper.final_learning_rate / hyper.learning_rate,
-        fraction,
-    )
-    targets = td_lambda_targets(flight, hyper.discount, hyper.td_lambda)
-    rows = _lay_out((flight.observation, targets), keys.shape[0])
-    count = rows[0].shape[1]
-
-    def one_batch(carry: tuple, chosen: jax.Array) -> tuple[tuple, jax.Array]:
-        observation, target = (take_rows(x, chosen) for x in rows)
-        return _critic_step(networks, hyper, rate, state.params, carry, observation, target)
-
-    def one_pass(carry: tuple, keys: jax.Array) -> tuple[tuple, jax.Array]:
-        return jax.lax.scan(one_batch, carry, shuffled(keys, count, s.critic_batches))
-
-    pass_keys = jnp.stack(split_keys(keys, s.critic_passes))
-    carry = (state.params.value, state.optimiser[1])
-    (value, adam), errors = jax.lax.scan(one_pass, carry, pass_keys)
-    centre = jax.lax.pmean(jnp.mean(targets), AXIS)
-    variance = jax.lax.pmean(jnp.mean((targets - centre) ** 2), AXIS)
-    explained = 1.0 - errors[-1].mean() / jnp.maximum(variance, 1e-9)
-    return value, adam, {"value_loss": errors.mean(), "explained_variance": explained}
-
-
-def _lay_out(flown: tuple[jax.Array, jax.Array], lanes: int) -> tuple[jax.Array, jax.Array]:
-    """From (time, n, ..) to (lanes, n / lanes, time, ..): each environment's steps together."""
-
-    def one(x: jax.Array) -> jax.Array:
-        time, n = x.shape[:2]
-        return jnp.moveaxis(x.reshape(time, lanes, n // lanes, *x.shape[2:]), 0, 2)
-
-    return jax.tree.map(one, flown)
-
-
-def _critic_step(
-    networks: Networks,
-    hyper: Hyper,
-    rate: jax.Array,
-    params: ActorCritic,
-    carry: tuple[dict, optax.OptState],
-    observation: jax.Array,
-    target: jax.Array,
-) -> tuple[tuple[dict, optax.OptState], jax.Array]:
-    value, adam = carry
-    chex.assert_equal_shape_prefix((observation, target), 1)
-
-    def loss(value: dict) -> jax.Array:
-        predicted = networks.evaluate(params.replace(value=value), observation)
-        return jnp.mean((predicted - target) ** 2)
-
-    error, gradient = jax.lax.pmean(jax.value_and_grad(loss)(value), AXIS)
-    gradient, norm = clip_by_norm(gradient, hyper.critic_gradient_norm)
-    new = _adam_step(hyper, rate, gradient, value, adam)
-    return select_finite(jnp.isfinite(norm), new, carry), error
-
-
-def _watch(flight: Flight, reward_scale: jax.Array, std: jax.Array) -> Metrics:
-    """Scalars of the flight, over all devices."""
-    metrics = episode_metrics(flight.reward, flight.terminated, flight.truncated)
-    return metrics | {"reward": metrics["reward"] / reward_scale, "std": std}
+def _rollout_metrics(trajectory: Trajectory, hyper: SHAC) -> Metrics:
+    metrics = episode_metrics(trajectory.reward, trajectory.terminated, trajectory.truncated)
+    reward = metrics["reward"] / hyper.reward_scale
+    return metrics | {"reward": reward, "std": jnp.asarray(hyper.std)}

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.core.gradients import clip_inward, tame
+from quadjax.core.gradients import clip_inward, scale_and_clip_cotangent
 
 
 @pytest.mark.parametrize(
@@ -36,30 +36,30 @@ def test_clip_inward_of_traced_bounds_gives_them_no_gradient():
     assert slopes == (3.0, 0.0, 0.0)
 
 
-def test_tame_is_the_identity_forwards():
+def test_scale_and_clip_is_the_identity_forwards():
     tree = {"x": jnp.array([1.0, jnp.nan, jnp.inf]), "n": jnp.arange(3), "on": jnp.array(True)}
-    kept = jax.jit(tame)(tree, jnp.float32(0.5), jnp.float32(0.1))
+    kept = jax.jit(scale_and_clip_cotangent)(tree, jnp.float32(0.5), jnp.float32(0.1))
     jax.tree.map(np.testing.assert_array_equal, kept, tree)
 
 
-def test_tame_decays_then_bounds_and_drops_what_is_not_finite():
+def test_cotangents_are_scaled_clipped_and_finite():
     tree = {"x": jnp.zeros(6), "n": jnp.arange(3)}
     weights = jnp.array([0.1, -0.1, 10.0, -10.0, jnp.nan, jnp.inf])
 
     def total(x):
-        kept = tame({**tree, "x": x}, jnp.float32(0.5), jnp.float32(2.0))
+        kept = scale_and_clip_cotangent({**tree, "x": x}, jnp.float32(0.5), jnp.float32(2.0))
         return jnp.sum(weights * kept["x"])
 
     slope = jax.jit(jax.grad(total))(tree["x"])
     np.testing.assert_allclose(slope, [0.05, -0.05, 2.0, -2.0, 0.0, 0.0], rtol=1e-6)
 
 
-def test_tame_acts_at_every_step_of_a_scan():
-    def flown(x):
+def test_cotangents_are_scaled_at_every_step_of_a_scan():
+    def rolled(x):
         def step(x, _):
-            return 2.0 * tame(x, jnp.float32(0.25), jnp.float32(1e3)), None
+            return 2.0 * scale_and_clip_cotangent(x, jnp.float32(0.25), jnp.float32(1e3)), None
 
         return jax.lax.scan(step, x, None, 5)[0]
 
-    assert jax.grad(flown)(jnp.float32(1.0)) == pytest.approx(0.5**5)
-    assert flown(jnp.float32(1.0)) == 32
+    assert jax.grad(rolled)(jnp.float32(1.0)) == pytest.approx(0.5**5)
+    assert rolled(jnp.float32(1.0)) == 32
