@@ -16,6 +16,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from quadjax.cli import STARTED
 from quadjax.cli.arguments import Parser, check_writable, count, parse
@@ -102,7 +103,7 @@ def _jobs(quick: bool, repeats: int) -> list[Job]:
     return [*jobs, Job("training", ENVIRONMENT, 0, few, devices="1")]
 
 
-def _measure_all(jobs: Sequence[Job]) -> list[dict[str, object]]:
+def _measure_all(jobs: Sequence[Job]) -> list[dict[str, Any]]:
     from quadjax.training.progress import bar
 
     results = []
@@ -115,7 +116,7 @@ def _measure_all(jobs: Sequence[Job]) -> list[dict[str, object]]:
     return results
 
 
-def _measure(job: Job) -> dict[str, object]:
+def _measure(job: Job) -> dict[str, Any]:
     """Measure in a process of its own, so that the peak memory is this measurement's."""
     text = json.dumps(dataclasses.asdict(job))
     done = subprocess.run(
@@ -130,7 +131,7 @@ def _measure(job: Job) -> dict[str, object]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def _run_job(job: Job) -> dict[str, object]:
+def _run_job(job: Job) -> dict[str, Any]:
     """Measure in this process."""
     with loading():
         from quadjax.config.loading import load_config
@@ -154,7 +155,7 @@ def _run_job(job: Job) -> dict[str, object]:
     return result | memory | {"config": Path(job.config).stem, "machine": benchmark.machine()}
 
 
-def _run_side(job: Job) -> dict[str, object]:
+def _run_side(job: Job) -> dict[str, Any]:
     """Train one side of --sb3 in this process, for its time."""
     from quadjax.config.loading import load_config
     from quadjax.learners.devices import prepare_devices
@@ -193,7 +194,7 @@ def _side_by_side(seconds: int, path: str | None) -> int:
     return 0
 
 
-def _print_machine(machine: dict[str, object]) -> None:
+def _print_machine(machine: dict[str, Any]) -> None:
     print(
         f"{machine['processor']}, {machine['cores']} cores, {machine['memory_gib']} GiB, "
         f"{machine['system']}, Python {machine['python']}, JAX {machine['jax']} on "
@@ -201,7 +202,7 @@ def _print_machine(machine: dict[str, object]) -> None:
     )
 
 
-def _print_results(results: list[dict[str, object]]) -> None:
+def _print_results(results: list[dict[str, Any]]) -> None:
     for kind, title in TITLES.items():
         print(f"\n{title}")
         print(

@@ -98,13 +98,13 @@ def _fly_all(
         from quadjax.export.ranges import parse_overrides
 
         ranges = parse_overrides(words.ranges)
-        flown = evaluation.evaluate_by(
+        fixed = evaluation.evaluate_by(
             lambda race, trace: fly_fixed_point(config, policy, race, trace, words.policy, ranges),
             config,
             deterministic=True,
             **options,
         )
-        return {"fixed point, mean": flown}
+        return {"fixed point, mean": fixed}
     flown = {}
     for deterministic in (True,) if words.deterministic else (False, True):
         each = evaluation.evaluate(policy, config, deterministic=deterministic, **options)

@@ -85,7 +85,7 @@ def read_json(path: Path | str) -> dict[str, Any]:
 def write_npz(path: Path | str, arrays: dict[str, np.ndarray], meta: dict[str, object]) -> None:
     """Write arrays and a JSON string ``meta`` to an ``.npz`` file, whole and without pickles."""
     with whole_file(path) as temporary, open(temporary, "wb") as stream:
-        np.savez(stream, **arrays, meta=np.array(json.dumps(meta)))
+        np.savez(stream, allow_pickle=False, **{**arrays, "meta": np.array(json.dumps(meta))})
 
 
 def check_file(path: Path | str) -> None:

@@ -82,7 +82,8 @@ def counted(number: int, noun: str) -> str:
 
 def describe_crashes(laps: Laps) -> str:
     """One line for every way in which runs ended early, with their numbers from 1; or nothing."""
-    flown, ways = laps.laps_flown(), {}
+    flown = laps.laps_flown()
+    ways: dict[str, list[str]] = {}
     for run, reason in enumerate(laps.crashes):
         if reason:
             how = f"{reason} in lap {flown[run] + 1} after {laps.seconds[run]:.2f} s"

@@ -1,4 +1,4 @@
-"""Checkpoints by Orbax: the latest and the best, each complete or absent."""
+"""The checkpoint of a training run, by Orbax: complete or absent."""
 
 import dataclasses
 import logging
@@ -20,36 +20,25 @@ from quadjax.learners.state import TrainState
 logging.getLogger("absl").setLevel(logging.ERROR)
 
 
-def _is_key(leaf: object) -> bool:
-    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-
-
-def _as_before(plain: TrainState, like: TrainState) -> TrainState:
-    return jax.tree.map(
-        lambda x, y: jax.random.wrap_key_data(jnp.asarray(x)) if _is_key(y) else jnp.asarray(x),
-        plain,
-        like,
-    )
-
-
 class Checkpoints:
-    """The checkpoints of one run, in ``directory/latest`` and ``directory/best``."""
+    """The latest checkpoint of a run: its position, in ``folder/latest``."""
 
-    def __init__(self, directory: Path | str) -> None:
-        """Open, and create where it is not there."""
-        directory = Path(directory).resolve()
-        self._latest = self._best = None
-        if hosts.is_first():
-            self._latest = _manager(directory / "latest")
-            self._best = _manager(directory / "best")
+    def __init__(self, folder: Path | str) -> None:
+        """Open the folder, which is created if needed; only the first process reads and writes."""
+        path = Path(folder).resolve() / "latest"
+        self._manager = _make_manager(path) if hosts.is_first() else None
 
     def save(self, position: Position) -> None:
-        """Save the position, and the best parameters if they are new.
+        """Save the position: the state, and the best parameters so far.
 
         All processes of a run gather the state; the first one writes.
+
+        Raises:
+            InputError: it cannot be written; the last checkpoint stays.
         """
         plain = hosts.gather(position.state)
-        if self._latest is None:
+        manager = self._manager
+        if manager is None or manager.latest_step() == position.chunks:
             return
         meta = {
             "best_score": position.best_score if math.isfinite(position.best_score) else None,
@@ -57,97 +46,100 @@ class Checkpoints:
             "chunks": position.chunks,
             "seconds": position.seconds,
         }
+        tree = {"state": plain, "best": jax.device_get(position.best)}
+        both = ocp.args.Composite(tree=ocp.args.StandardSave(tree), meta=ocp.args.JsonSave(meta))
         try:
-            self._write(position, plain, meta)
+            manager.save(position.chunks, args=both)
+            manager.wait_until_finished()
         except Exception as error:  # Orbax and TensorStore raise many kinds
-            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
             raise InputError(
-                f"{self._latest.directory}: the checkpoint cannot be written ({reason[:200]}); "
-                "the last one stays"
+                f"{manager.directory}: the checkpoint cannot be written ({_reason(error)}); the "
+                "last one stays"
             ) from error
-
-    def _write(self, position: Position, plain: TrainState, meta: dict[str, Any]) -> None:
-        """Write the latest checkpoint, and the best if it is new."""
-        if self._latest.latest_step() != position.chunks:
-            tree = {"state": plain, "best": jax.device_get(position.best)}
-            self._latest.save(position.chunks, args=_both(tree, meta))
-        if self._best.latest_step() != position.best_steps and position.best_steps:
-            self._best.save(position.best_steps, args=_both({"best": position.best}, meta))
-        self._latest.wait_until_finished()
-        self._best.wait_until_finished()
 
     @property
     def any(self) -> bool:
         """Whether there is a checkpoint to resume from."""
-        there = self._latest is not None and self._latest.latest_step() is not None
-        return hosts.agree(there)
+        return hosts.agree(self._manager is not None and self._manager.latest_step() is not None)
 
     def restore(self, like: Position) -> Position:
-        """The latest position.
+        """The position of the checkpoint.
 
         Args:
-            like: a fresh position of the same run: the shapes to expect.
+            like: a fresh position of a run of the same config, for the shapes.
 
         Raises:
-            InputError: the checkpoint is of a run of another shape, or damaged.
+            InputError: the checkpoint is damaged.
         """
-        tree = {"state": hosts.gather(like.state), "best": jax.device_get(like.best)}
-        restored, meta = tree, {}
-        if self._latest is not None:
-            restored, meta = self._read(tree)
-        restored = hosts.share(restored)
+        tree: dict[str, Any] = {
+            "state": hosts.gather(like.state),
+            "best": jax.device_get(like.best),
+        }
+        meta: dict[str, Any] = {}
+        if self._manager is not None:
+            tree, meta = _read(self._manager, tree)
+        restored: Any = hosts.share(tree)
         score = meta.get("best_score")
         numbers = [meta.get(name, 0) for name in ("best_steps", "chunks", "seconds")]
-        best_steps, chunks, seconds = hosts.share(np.asarray(numbers, np.float64)).tolist()
+        best_steps, chunks, seconds = np.asarray(hosts.share(np.asarray(numbers, np.float64)))
         return dataclasses.replace(
             like,
-            state=_as_before(restored["state"], like.state),
+            state=_with_keys(restored["state"], like.state),
             best=ActorCritic(**vars(restored["best"])),
             best_score=math.inf if score is None else score,
             best_steps=int(best_steps),
             chunks=int(chunks),
-            seconds=seconds,
+            seconds=float(seconds),
         )
-
-    def _read(self, tree: dict) -> tuple[dict, dict]:
-        """The latest checkpoint's tree, of the shapes of ``tree``, and its meta data."""
-        step = self._latest.latest_step()
-        shapes = jax.tree.map(
-            lambda x: jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype), tree
-        )
-        try:
-            found = self._latest.restore(
-                step,
-                args=ocp.args.Composite(
-                    tree=ocp.args.StandardRestore(shapes), meta=ocp.args.JsonRestore()
-                ),
-            )
-        except Exception as error:  # Orbax raises many kinds
-            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-            raise InputError(
-                f"{self._latest.directory}: checkpoint {step} cannot be read ({reason})"
-            ) from error
-        return found["tree"], found["meta"]
 
     def close(self) -> None:
         """Release Orbax's resources."""
-        for manager in (self._latest, self._best):
-            if manager is not None:
-                manager.close()
+        if self._manager is not None:
+            self._manager.close()
 
 
-def _manager(directory: Path) -> ocp.CheckpointManager:
+def _make_manager(path: Path) -> ocp.CheckpointManager:
     """A manager of one checkpoint, in this process alone."""
-    directory.mkdir(parents=True, exist_ok=True)
-    processes = ocp.options.MultiprocessingOptions(
-        primary_host=0, active_processes={0}, barrier_sync_key_prefix=directory.name
-    )
-    together = {} if hosts.alone() else {"multiprocessing_options": processes}
+    path.mkdir(parents=True, exist_ok=True)
+    several: dict[str, Any] = {}
+    if not hosts.alone():
+        several["multiprocessing_options"] = ocp.options.MultiprocessingOptions(
+            primary_host=0, active_processes={0}, barrier_sync_key_prefix=path.name
+        )
     options = ocp.CheckpointManagerOptions(
-        max_to_keep=1, create=False, enable_async_checkpointing=False, **together
+        max_to_keep=1, create=False, enable_async_checkpointing=False, **several
     )
-    return ocp.CheckpointManager(directory, options=options)
+    return ocp.CheckpointManager(path, options=options)
 
 
-def _both(tree: dict, meta: dict) -> ocp.args.Composite:
-    return ocp.args.Composite(tree=ocp.args.StandardSave(tree), meta=ocp.args.JsonSave(meta))
+def _read(
+    manager: ocp.CheckpointManager, tree: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The checkpoint's tree, of the shapes of ``tree``, and its numbers."""
+    step = manager.latest_step()
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype), tree)
+    wanted = ocp.args.Composite(tree=ocp.args.StandardRestore(shapes), meta=ocp.args.JsonRestore())
+    try:
+        found = manager.restore(step, args=wanted)
+    except Exception as error:  # Orbax raises many kinds
+        raise InputError(
+            f"{manager.directory}: checkpoint {step} cannot be read ({_reason(error)})"
+        ) from error
+    return found["tree"], found["meta"]
+
+
+def _reason(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+
+
+def _is_key(leaf: object) -> bool:
+    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _with_keys(plain: TrainState, like: TrainState) -> TrainState:
+    """A restored state with PRNG keys where ``like`` has them."""
+    return jax.tree.map(
+        lambda x, y: jax.random.wrap_key_data(jnp.asarray(x)) if _is_key(y) else jnp.asarray(x),
+        plain,
+        like,
+    )

@@ -18,7 +18,8 @@ def enable_compilation_cache() -> None:
     ``JAX_COMPILATION_CACHE_DIR``, ``jax.config`` and ``JAX_ENABLE_COMPILATION_CACHE=0`` take
     precedence. Where the folder cannot be written nothing is cached.
     """
-    if jax.config.jax_compilation_cache_dir or not jax.config.jax_enable_compilation_cache:
+    settings = jax.config.values
+    if settings["jax_compilation_cache_dir"] or not settings["jax_enable_compilation_cache"]:
         return
     folder = cache_folder() / "jax" / _machine()
     try:

@@ -4,6 +4,7 @@ import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -25,7 +26,7 @@ class MetricsFile:
     def __init__(self, directory: Path, steps: int, tensorboard: bool) -> None:
         """Open ``directory/metrics.csv`` after the last row of at most ``steps`` steps."""
         self._path = directory / "metrics.csv"
-        self._stream = None
+        self._stream: TextIO | None = None
         self._rows = [row for row in saved_rows(self._path) if row["steps"] <= steps]
         self._tensorboard = _tensorboard(directory) if tensorboard else None
 
@@ -34,8 +35,7 @@ class MetricsFile:
         if self._stream is None:
             _write_rows(self._path, list(row), self._rows)
             self._stream = open(self._path, "a", newline="", encoding="utf-8")  # noqa: SIM115
-            self._writer = csv.DictWriter(self._stream, list(row))
-        self._writer.writerow(row)
+        csv.DictWriter(self._stream, list(row)).writerow(row)
         self._stream.flush()
         if self._tensorboard is not None:
             for name, value in row.items():
@@ -69,7 +69,7 @@ def check_tensorboard() -> None:
         ) from None
 
 
-def _tensorboard(directory: Path) -> object:
+def _tensorboard(directory: Path) -> Any:
     check_tensorboard()
     from tensorboardX import SummaryWriter
 

@@ -1,0 +1,57 @@
+"""Checkpoints that cannot be written or read are one line."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.learners.loop import Position
+from quadjax.learners.networks import ActorCritic
+from quadjax.training.checkpoint import Checkpoints
+
+
+def position(chunks):
+    parameters = ActorCritic(jnp.ones(3), jnp.ones(3), jnp.zeros(4))
+    state = {"params": jnp.arange(3.0), "key": jax.random.key(7)}
+    return Position(state=state, best=parameters, chunks=chunks, best_score=15.0, best_steps=100)
+
+
+def test_a_position_is_restored(tmp_path):
+    checkpoints = Checkpoints(tmp_path)
+    assert not checkpoints.any
+    checkpoints.save(position(2))
+    checkpoints.save(position(3))
+    found = checkpoints.restore(position(0))
+    assert (found.chunks, found.best_score, found.best_steps) == (3, 15.0, 100)
+    assert jnp.array_equal(found.state["params"], jnp.arange(3.0))
+    assert jax.random.key_data(found.state["key"]).tolist() == [0, 7]
+    assert [path.name for path in (tmp_path / "latest").iterdir() if path.name.isdigit()] == ["3"]
+    checkpoints.close()
+
+
+def test_a_damaged_checkpoint_is_one_line(tmp_path):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(position(1))
+    for path in (tmp_path / "latest/1").rglob("*"):
+        if path.is_file():
+            path.write_bytes(b"damaged")
+    with pytest.raises(InputError, match="checkpoint 1 cannot be read") as caught:
+        checkpoints.restore(position(0))
+    assert "\n" not in str(caught.value)
+    checkpoints.close()
+
+
+def test_a_full_disk_is_one_line_and_the_last_checkpoint_stays(tmp_path, monkeypatch):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(position(1))
+
+    def full(*arguments, **named):
+        raise ValueError("RESOURCE_EXHAUSTED: No space left on device\nmany lines")
+
+    monkeypatch.setattr(type(checkpoints._manager), "save", full)
+    with pytest.raises(InputError, match="cannot be written .*No space left") as caught:
+        checkpoints.save(position(2))
+    assert "\n" not in str(caught.value)
+    monkeypatch.undo()
+    assert checkpoints.restore(position(0)).chunks == 1
+    checkpoints.close()
