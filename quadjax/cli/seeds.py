@@ -55,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = _arguments(arguments)
     with loading():
         from quadjax.core.files import write_json
+        from quadjax.evaluation.curves import learning_figure
         from quadjax.evaluation.figures import save_figure
-        from quadjax.evaluation.learning_curves import learning_figure
         from quadjax.evaluation.seeds import evaluate_seed, format_seeds
 
     named = [f"name={words.name}"] if words.name else []
@@ -87,7 +87,7 @@ def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
             be compared.
     """
     from quadjax.config.loading import load_config
-    from quadjax.evaluation.learning_curves import check_laps
+    from quadjax.evaluation.curves import check_laps
 
     overrides = [word for word in words if "=" in word and "/" not in word.partition("=")[0]]
     files = [str(find_config(word)) for word in words if word not in overrides]

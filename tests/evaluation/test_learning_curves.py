@@ -6,8 +6,8 @@ import pytest
 from quadjax.config.loading import load_config, to_yaml
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
+from quadjax.evaluation.curves import COLOURS, learning_figure, spread
 from quadjax.evaluation.figures import save_figure
-from quadjax.evaluation.learning_curves import COLOURS, learning_figure, spread
 from tests.test_training import CONFIGS
 
 
