@@ -94,7 +94,7 @@ def _fly_all(
         "name": words.policy,
     }
     if words.fixed_point:
-        from quadjax.export.pilot import fly_fixed_point
+        from quadjax.export.actor import fly_fixed_point
         from quadjax.export.ranges import parse_overrides
 
         ranges = parse_overrides(words.ranges)

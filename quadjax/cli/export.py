@@ -23,9 +23,19 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
         parser, "declare +-R for an input instead of the default, a power of two: position=16"
     )
     parser.add_argument("--track", help="track file of configs/tracks, or a path to one")
-    parser.add_argument("--config", type=Path, help="training config whose race the policy flies")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="training config of the policy's race (default: the policy file's own, or the "
+        "config.yaml next to it)",
+    )
     parser.add_argument("--sample-rate", type=float, default=512.0, help="of the estimator, Hz")
     parser.add_argument("--cutoff", type=float, default=8.0, help="of the estimator, Hz")
+    parser.add_argument(
+        "--allow-unfinished",
+        action="store_true",
+        help="export a policy of which less than 90%% of the simulated flights finish",
+    )
     return parse(parser, words)
 
 
@@ -33,20 +43,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Convert, write, and print the report."""
     words = _arguments(arguments)
     with loading():
-        from quadjax.export.convert_policy import Request, write_folder
+        from quadjax.export.convert import export_c
         from quadjax.export.ranges import parse_overrides
-        from quadjax.export.report import report_text
 
-    request = Request(
-        policy=words.policy,
-        out=words.output,
-        ranges=parse_overrides(words.ranges),
-        name=words.name,
+    export = export_c(
+        words.policy,
+        words.output,
+        words.config,
+        parse_overrides(words.ranges),
+        words.name,
         track=words.track,
-        config=words.config,
         sample_rate=words.sample_rate,
         cutoff=words.cutoff,
+        allow_unfinished=words.allow_unfinished,
     )
-    converted, report = write_folder(request)
-    print(report_text(report, converted.origin.name))
+    print(export.text)
     print(f"Written to {words.output}. Next: quadjax verify {words.output}")

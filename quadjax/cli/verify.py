@@ -24,6 +24,11 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
         "--vectors", type=count, default=5_000, help="vectors for every build (default: 5000)"
     )
     parser.add_argument("--flights", type=count, default=0, help="flights of the closed loop")
+    parser.add_argument(
+        "--allow-unfinished",
+        action="store_true",
+        help="accept a policy that was exported with --allow-unfinished",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE.json", help="write the table")
     arguments = parse(parser, words)
     if arguments.vectors < 100:
@@ -44,7 +49,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if sys.stderr.isatty():
             print(f"\r\033[K{name} ..", end="", file=sys.stderr, flush=True)
 
-    results = verify(words.folder, words.vectors, words.flights, announce)
+    results = verify(
+        words.folder,
+        words.vectors,
+        words.flights,
+        announce,
+        allow_unfinished=words.allow_unfinished,
+    )
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr)
     print(table_text(results))

@@ -7,7 +7,7 @@ import os
 import re
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -97,16 +97,17 @@ def check_file(path: Path | str) -> None:
 
 
 def read_npz(
-    path: Path | str, expected_format: str | tuple[str, ...]
+    path: Path | str, expected_format: str | tuple[str, ...], names: Sequence[str] = ()
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read an ``.npz`` file that ``write_npz`` or plain NumPy wrote.
 
-    Only the arrays that the formats define are read (``kernel_N``, ``bias_N`` with any prefix and
-    ``log_std``), and only up to ``MAX_BYTES`` each. Nothing is unpickled.
+    Only the arrays that the formats define are read (``kernel_N``, ``bias_N`` with any prefix,
+    ``log_std`` and ``names``), and only up to ``MAX_BYTES`` each. Nothing is unpickled.
 
     Args:
         path: the file.
         expected_format: the value of ``meta["format"]``, or the allowed values.
+        names: of further arrays.
 
     Returns:
         The arrays by name, and ``meta``.
@@ -119,11 +120,11 @@ def read_npz(
         raise InputError(f"{path}: not an .npz file")
     try:
         with zipfile.ZipFile(path) as archive:
-            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            found = [name.removesuffix(".npy") for name in archive.namelist()]
             arrays = {
                 name: _read_entry(path, archive, name)
-                for name in names
-                if ARRAYS.fullmatch(name) or name == "meta"
+                for name in found
+                if ARRAYS.fullmatch(name) or name in ("meta", *names)
             }
     except InputError:
         raise
@@ -135,10 +136,10 @@ def read_npz(
         meta = json.loads(str(arrays.pop("meta")))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: 'meta' is not JSON ({error})") from error
-    found = meta.get("format") if isinstance(meta, dict) else None
+    stated = meta.get("format") if isinstance(meta, dict) else None
     formats = (expected_format,) if isinstance(expected_format, str) else expected_format
-    if found not in formats:
-        raise InputError(f"{path}: format is {found!r}, expected {' or '.join(formats)}")
+    if stated not in formats:
+        raise InputError(f"{path}: format is {stated!r}, expected {' or '.join(formats)}")
     return arrays, meta
 
 

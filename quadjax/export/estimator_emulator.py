@@ -14,29 +14,21 @@ from quadjax.export.estimator_tables import (
     EstimatorTables,
     FixedResidual,
 )
-from quadjax.export.fixed import LARGEST_INPUT, WORD
+from quadjax.export.integers import ONE, dense, hidden_output, quantize, round_shift
 
 SPLIT = 16  # a long product is made of an upper part and 16 lower bits
 
 
 @dataclasses.dataclass
 class Memory:
-    """What the filter remembers of n drones, in fine units."""
+    """Memory of the filters of n drones, in fine units."""
 
     s1: np.ndarray  # (n, 6) int64
     s2: np.ndarray  # (n, 6) int64
 
 
-def quantize(tables: EstimatorTables, measured: np.ndarray) -> np.ndarray:
-    """Measurements (n, 13) float32, gyro, specific force, rpm, body velocity, as integers."""
-    given = np.asarray(measured, np.float32)
-    x = np.where(np.isnan(given), np.float32(0), given).astype(np.float64)
-    limit = np.ldexp(1.0, np.asarray(tables.exponents))
-    return np.trunc(np.clip(x, -limit, limit) * (LARGEST_INPUT / limit)).astype(np.int64)
-
-
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return (a * b + (1 << (Q30 - 1))) >> Q30
+    return round_shift(a * b, Q30)
 
 
 def monomials(q: np.ndarray) -> np.ndarray:
@@ -51,36 +43,30 @@ def monomials(q: np.ndarray) -> np.ndarray:
     columns.append(squares[0] + squares[1] + squares[2] + squares[3])
     columns.append(-w[0] + w[1] - w[2] + w[3])
     columns += [_product(x, total) for x in v]
-    columns.append((v[0] * v[0] + v[1] * v[1] + (1 << (Q30 - 1))) >> Q30)
+    columns.append(round_shift(v[0] * v[0] + v[1] * v[1], Q30))
     return np.stack(columns, axis=1)
-
-
-def _shifted(sums: np.ndarray, bits: int) -> np.ndarray:
-    if bits <= 0:
-        return sums << -bits
-    return (sums + (1 << (bits - 1))) >> bits
 
 
 def residual_output(network: FixedResidual, inputs: np.ndarray) -> np.ndarray:
     """What a residual network adds (n, rows), in fine units, held to half a channel's range."""
     y = inputs
     for layer in network.hidden:
-        y = np.maximum((y @ layer.weights.T.astype(np.int64) + layer.bias) >> WORD, 0)
-    sums = y @ network.output.weights.T.astype(np.int64) + network.output.bias
-    columns = [_shifted(sums[:, i], shift) for i, shift in enumerate(network.shifts)]
+        y = hidden_output(dense(y, layer.weights, layer.bias))
+    sums = dense(y, network.output.weights, network.output.bias)
+    columns = [round_shift(sums[:, i], shift) for i, shift in enumerate(network.shifts)]
     return np.clip(np.stack(columns, axis=1), -RESIDUAL_LIMIT, RESIDUAL_LIMIT)
 
 
 def unexplained(tables: EstimatorTables, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What goes into the filters: (n, 6), and what is differentiated, (n, 6), in fine units."""
     m = monomials(q)
-    x = _shifted(m @ tables.model.T, MODEL_BITS)
+    x = round_shift(m @ tables.model.T, MODEL_BITS)
     d = np.zeros_like(x)
-    d[:, :3] = _shifted(m @ tables.differentiated.T, DIFFERENCE_BITS)
+    d[:, :3] = round_shift(m @ tables.differentiated.T, DIFFERENCE_BITS)
     if tables.thrust is not None and tables.moment is not None and tables.rpm_input is not None:
         r = tables.rpm_input
-        rpm = _shifted((q[:, 6:10] - r.middle) * r.factor, r.shift)
-        rpm = np.clip(rpm, -LARGEST_INPUT, LARGEST_INPUT)
+        rpm = round_shift((q[:, 6:10] - r.middle) * r.factor, r.shift)
+        rpm = np.clip(rpm, -ONE, ONE)
         inputs = np.concatenate([rpm, q[:, 10:13]], axis=1)
         x[:, 5] -= residual_output(tables.thrust, inputs)[:, 0]
         with_rates = np.concatenate([inputs, q[:, 0:3]], axis=1)
@@ -91,19 +77,19 @@ def unexplained(tables: EstimatorTables, q: np.ndarray) -> tuple[np.ndarray, np.
 def scaled(value: np.ndarray, factor: int, bits: int) -> np.ndarray:
     """``value factor / 2^bits`` to the nearest, of a product that needs more than 64 bits."""
     upper, lower = value >> SPLIT, value & ((1 << SPLIT) - 1)
-    return _shifted(upper * factor + ((lower * factor) >> SPLIT), bits - SPLIT)
+    return round_shift(upper * factor + ((lower * factor) >> SPLIT), bits - SPLIT)
 
 
 def start(tables: EstimatorTables, measured: np.ndarray) -> Memory:
     """The memory before the first sample (n, 13): no disturbance, all steady until now."""
-    _, d = unexplained(tables, quantize(tables, measured))
+    _, d = unexplained(tables, quantize(measured, tables.exponents))
     before = -scaled(d, tables.gain, LOW_PASS_BITS)
     return Memory(before, before.copy())
 
 
 def update(tables: EstimatorTables, memory: Memory, measured: np.ndarray) -> np.ndarray:
     """One sample (n, 13): the external moment and specific force (n, 6), in fine units."""
-    x, d = unexplained(tables, quantize(tables, measured))
+    x, d = unexplained(tables, quantize(measured, tables.exponents))
     y = scaled(x + d, tables.gain, LOW_PASS_BITS) + memory.s1
     memory.s1 = memory.s2 + scaled(2 * x, tables.gain, LOW_PASS_BITS) - scaled(y, tables.a1, Q30)
     memory.s2 = scaled(x - d, tables.gain, LOW_PASS_BITS) - scaled(y, tables.a2, Q30)

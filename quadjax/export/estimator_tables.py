@@ -15,17 +15,19 @@ import dataclasses
 import math
 
 import numpy as np
+from scipy.signal import butter, lfilter
 
 from quadjax.core.errors import InputError
-from quadjax.export.fixed import LARGEST_INPUT, FixedLayer, convert_hidden, largest_power
+from quadjax.export.fixed import FixedLayer, convert_hidden, largest_power
+from quadjax.export.integers import INPUT_BITS, ONE
 from quadjax.export.race_tables import Rescale, rescale
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.residual import Residual
 
 MODEL_BITS, DIFFERENCE_BITS = 14, 10  # of a monomial's constant beyond the fine unit's
 FINE_BITS = 46  # a channel's range is 2^46 fine units
-Q30 = 30
-LOW_PASS_BITS = 32
+Q30 = INPUT_BITS
+LOW_PASS_BITS = 32  # of the gain
 RESIDUAL_LIMIT = 1 << (FINE_BITS - 1)  # its output is held to half a channel's range
 GYRO_EXPONENT, FORCE_EXPONENT, VELOCITY_EXPONENT = 5, 7, 5  # +-32 rad/s, 128 m/s^2, 32 m/s
 MONOMIALS = (
@@ -59,7 +61,6 @@ class EstimatorTables:
     a2: int  # Q30
     gain: int  # K, Q32
     rpm_input: Rescale | None  # rpm to the residual's input
-    rpm_input_exponent: int
     thrust: FixedResidual | None  # its output is added to the body-z force
     moment: FixedResidual | None
 
@@ -74,7 +75,7 @@ def monomial_units(exponents: tuple[int, ...]) -> np.ndarray:
 def monomial_bounds() -> np.ndarray:
     """The largest magnitude of each monomial, as an integer; rounding adds at most one."""
     ones = [1] * 11 + [2, 2, 4, 4, 4, 4, 4, 2]
-    return np.array(ones, np.int64) * LARGEST_INPUT + 2
+    return np.array(ones, np.int64) * ONE + 2
 
 
 def make_estimator(
@@ -109,7 +110,6 @@ def make_estimator(
         a2=a2,
         gain=(1 << Q30) + a1 + a2,
         rpm_input=None,
-        rpm_input_exponent=0,
         thrust=None,
         moment=None,
     )
@@ -162,13 +162,8 @@ def prove_estimator(tables: EstimatorTables) -> None:
 
 def _feedback(sample_rate: float, cutoff: float) -> tuple[int, int]:
     """a[1] and a[2] of the second-order Butterworth low-pass, Q30."""
-    w = math.tan(math.pi * cutoff / sample_rate)
-    n = 1.0 / (1.0 + math.sqrt(2.0) * w + w * w)
-    one = float(1 << Q30)
-    return (
-        round(2.0 * n * (w * w - 1.0) * one),
-        round(n * (1.0 - math.sqrt(2.0) * w + w * w) * one),
-    )
+    _, a = butter(2, cutoff, fs=sample_rate)
+    return round(a[1] * (1 << Q30)), round(a[2] * (1 << Q30))
 
 
 def _row(**terms: float) -> list[float]:
@@ -202,17 +197,11 @@ def filter_gains(sample_rate: float, cutoff: float) -> tuple[float, float]:
     """
     a1, a2 = (x / float(1 << Q30) for x in _feedback(sample_rate, cutoff))
     gain = 0.25 * (1.0 + a1 + a2)
-    steps = round(20.0 * sample_rate / cutoff)
-    sums = []
-    for b in ((1.0, 2.0, 1.0), (1.0, 0.0, -1.0)):
-        s1 = s2 = total = 0.0
-        for step in range(steps):
-            x = [gain * c if step == 0 else 0.0 for c in b]
-            y = x[0] + s1
-            s1, s2 = s2 + x[1] - a1 * y, x[2] - a2 * y
-            total += abs(y)
-        sums.append(1.001 * total)
-    return sums[0], sums[1]
+    impulse = np.zeros(round(20.0 * sample_rate / cutoff))
+    impulse[0] = gain
+    responses = (lfilter(b, [1.0, a1, a2], impulse) for b in ([1.0, 2.0, 1.0], [1.0, 0.0, -1.0]))
+    straight, derivative = (1.001 * float(np.abs(y).sum()) for y in responses)
+    return straight, derivative
 
 
 def _channel_exponents(
@@ -240,7 +229,7 @@ def _with_residual(tables: EstimatorTables, residual: Residual) -> EstimatorTabl
     exponent = tables.exponents[6]
     reach = max(abs(2.0 * s * 2.0**exponent - low - high) / (high - low) for s in (-1, 1))
     network = math.ceil(math.log2(reach))
-    unit = LARGEST_INPUT / 2.0**exponent
+    unit = ONE / 2.0**exponent
     rpm_input = rescale(0.5 * (low + high) * unit, 2.0 / (high - low) * 2.0 ** (exponent - network))
     ranges = np.ldexp(1.0, np.array([network] * 4 + list(tables.exponents[10:])))
     rates = np.ldexp(1.0, np.array(tables.exponents[:3]))
@@ -249,7 +238,6 @@ def _with_residual(tables: EstimatorTables, residual: Residual) -> EstimatorTabl
     return dataclasses.replace(
         tables,
         rpm_input=rpm_input,
-        rpm_input_exponent=network,
         thrust=_network("thrust", residual.thrust, ranges, channels[5:], sign),
         moment=_network("moment", residual.moment, np.append(ranges, rates), channels[:3], 1.0),
     )

@@ -18,20 +18,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from quadjax.core.errors import InputError
+from quadjax.export.integers import INPUT_BITS, ONE, WORD
 from quadjax.export.ranges import InputBox, declare
 from quadjax.policy.file import Policy
 
 FORMAT_VERSION = 1
-WORD = 32  # bits by which a hidden accumulator is shifted
-INPUT_BITS = 30  # an input of +-range is +-2**30
-LARGEST_INPUT = 2**INPUT_BITS
-LARGEST_HIDDEN = 2**30 - 1
+LARGEST_HIDDEN = 2**INPUT_BITS - 1
 LARGEST_WEIGHT = 2**31 - 1
 # Scales leave this many units of headroom, and one per column, for the rounding of weights.
 HEADROOM = 257
-# Pre-squash values of a tanh output: +-TANH_LIMIT in Q27.
-TANH_FRACTION_BITS = 27
-TANH_LIMIT = 12
 LARGEST_SHIFT = 32  # of the output: its clamp limits stay below 2^63
 
 
@@ -55,17 +50,16 @@ class FixedNetwork:
     fraction_bits: int  # of a command: command = integer / 2**fraction_bits
     command_low: np.ndarray  # (outputs,) int64, in units of 2**-fraction_bits
     command_high: np.ndarray  # (outputs,) int64
-    squash: str  # "clip" | "tanh"
     vehicle: str  # "motor" | "rate"
 
     @property
     def inputs(self) -> int:
-        """How many numbers the network takes."""
+        """Number of inputs."""
         return len(self.box.exponents)
 
     @property
     def outputs(self) -> int:
-        """How many commands it gives."""
+        """Number of commands."""
         return len(self.output.bias)
 
     @property
@@ -75,7 +69,7 @@ class FixedNetwork:
 
 
 def check_policy(policy: Policy) -> None:
-    """Refuse what the format has no place for.
+    """Check that the format can represent a policy.
 
     Raises:
         InputError: an activation other than ReLU, a weight or bias that is not finite, or a motor
@@ -91,7 +85,7 @@ def check_policy(policy: Policy) -> None:
             values = np.append(kernel[:, row], bias[row])
             bad = values[~np.isfinite(values)]
             if bad.size:
-                raise InputError(f"layer {index}, row {row}: {bad[0]} is no finite weight")
+                raise InputError(f"layer {index}, row {row}: {bad[0]} is not a finite weight")
     if policy.vehicle == "motor" and not (
         np.all(policy.command_low >= 0) and np.all(policy.command_high <= 65535)
     ):
@@ -102,7 +96,7 @@ def check_policy(policy: Policy) -> None:
 
 
 def convert(policy: Policy, overrides: dict[str, float] | None = None) -> FixedNetwork:
-    """The integers of a policy. ``proof.prove`` must pass before anybody runs them.
+    """The integers of a policy; ``proof.prove`` must pass before they are used.
 
     Args:
         policy: any number of ReLU layers of any width.
@@ -133,7 +127,7 @@ def convert_hidden(layers: Sequence[tuple[np.ndarray, np.ndarray]], ranges: np.n
     Raises:
         InputError: a row whose range is not finite.
     """
-    low, high, scale = -ranges, ranges, ranges / LARGEST_INPUT
+    low, high, scale = -ranges, ranges, ranges / ONE
     hidden = []
     for index, (kernel, bias) in enumerate(layers):
         layer, high = _hidden_layer(index, _exact(kernel).T, _exact(bias), scale, low, high)
@@ -213,24 +207,20 @@ def _output_layer(policy: Policy, box: InputBox, hidden: Hidden) -> FixedNetwork
     low, high = policy.command_low, policy.command_high
     half, middle = 0.5 * (high - low), 0.5 * (high + low)
     fraction_bits = min(30, 30 - math.frexp(float(np.max(np.abs([low, high]))))[1])
-    kept = fraction_bits
-    if policy.output == "clip":
-        kernel, bias = half[:, None] * kernel, half * bias + middle
-    else:
-        kept = TANH_FRACTION_BITS
+    kernel, bias = half[:, None] * kernel, half * bias + middle
     index, limits = len(hidden.layers), []
     for row in range(len(bias)):
         total = math.fsum([abs(bias[row]), *np.abs(kernel[row]) * hidden.magnitude])
         largest = np.max(np.abs(kernel[row]) * hidden.scale)
         _finite(index, row, total)
         limits.append(largest_power(total, largest))
-        if limits[-1] <= kept:
+        if limits[-1] <= fraction_bits:
             raise InputError(
                 f"layer {index}, row {row}: outputs up to {total:.3g} leave no bits for a "
                 "command; the range proof fails"
             )
-    power = min(*limits, kept + LARGEST_SHIFT)
-    shift = power - kept
+    power = min(*limits, fraction_bits + LARGEST_SHIFT)
+    shift = power - fraction_bits
     weights = np.rint(kernel * hidden.scale * 2.0**power).astype(np.int64).astype(np.int32)
     rounded = [round(float(b) * 2.0**power) + 2 ** (shift - 1) for b in bias]
     return FixedNetwork(
@@ -243,7 +233,6 @@ def _output_layer(policy: Policy, box: InputBox, hidden: Hidden) -> FixedNetwork
         fraction_bits=fraction_bits,
         command_low=np.rint(low * 2.0**fraction_bits).astype(np.int64),
         command_high=np.rint(high * 2.0**fraction_bits).astype(np.int64),
-        squash=policy.output,
         vehicle=policy.vehicle,
     )
 

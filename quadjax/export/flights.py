@@ -1,27 +1,24 @@
-"""Flights of a policy in its own environment: what its declared ranges and its tests rest on."""
+"""Flights of a policy in its own race: the data of its tests, and checks of what they show."""
 
 import dataclasses
 import functools
 import itertools
-import json
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.loading import load_config
-from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.export.emulator_jax import fixed_point_action
+from quadjax.export.actor import fixed_point_action
 from quadjax.export.fixed import FixedNetwork
+from quadjax.export.race_source import DISTURBANCES, OwnRace
 from quadjax.export.ranges import InputBox
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import act_deterministic, flying
-from quadjax.race import build, environment, rules
-from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race import environment, rules
+from quadjax.race.environment import RaceState
 from quadjax.race.laps import Laps, Trace, fly_laps
 from quadjax.race.track import gate
 from quadjax.vehicle.motor import MotorState
@@ -29,85 +26,36 @@ from quadjax.vehicle.rate import RateState
 
 Carry = tuple[jax.Array, jax.Array]  # a position and the target after it
 LOST_CONTROL = ("lost its attitude", "out of bounds", "not finite")  # of CRASHES
-DISTURBANCES = ("moment_x", "moment_y", "moment_z", "force_z")
+RUNS, LAPS = 32, 6
+FINISHED = 0.9  # share of the flights that must finish
 
 
 @dataclasses.dataclass(frozen=True)
-class OwnRace:
-    """The environment that a policy flies in."""
-
-    choices: Choices
-    params: RaceParams
-    config: Config
-
-
-@dataclasses.dataclass(frozen=True)
-class Flown:
-    """What was flown, one row a step of a drone that was still racing."""
+class Rollouts:
+    """Simulated flights, one row per step of a drone that is still racing."""
 
     observations: np.ndarray  # (n, inputs) float32
     states: np.ndarray  # (n, state_size) float32, in the order of the emitted state
     targets: np.ndarray  # (n,) int32
-    laps: Laps | None  # of all that flew; None for rows read back from a file
+    laps: Laps | None = None  # of all flights; None for rows read back from a file
+    steps: int = 0  # of all flights
 
 
-def own_race(
-    policy: Policy, config_path: Path | None, track: str | None, residual: Path | None = None
-) -> OwnRace:
-    """The race of a config, or of the project's default one, as the policy was trained to see it.
+def simulate(
+    own: OwnRace, policy: Policy, runs: int = RUNS, laps: int = LAPS, seed: int = 0
+) -> Rollouts:
+    """Fly the float policy's mean actions from the training's random starts.
 
-    Args:
-        policy: its vehicle, the scaling of its observation and the limits of its commands take the
-            place of the config's.
-        config_path: a training config, or ``None`` for the default.
-        track: the name of a track file, or ``None`` for the config's.
-        residual: a residual file that takes the place of the config's, if that names one.
-
-    Raises:
-        InputError: a file that cannot be read, a scaling that makes no sense, or limits that no
-            vehicle of the policy's kind has.
+    The rows are those of all flights but the ones that lost control, or of all if every one did.
     """
-    words = [f"vehicle.kind={policy.vehicle}", *_limits(policy)]
-    if track is not None:
-        words.append(f"track.file={track}")
-    spans = policy.observation.get("disturbance") or {}
-    words += [f"disturbance.{name}={spans[name]}" for name in DISTURBANCES if name in spans]
-    for key in ("wrap_next_yaw", "disturbance_input"):
-        if key in policy.observation:
-            words.append(f"episode.{key}={json.dumps(policy.observation[key])}")
-    config = load_config(config_path or CONFIGS / "e2e_shac.yaml", words)
-    if residual is not None and config.vehicle.residual:
-        words.append(f"vehicle.residual={residual}")
-        config = load_config(config_path or CONFIGS / "e2e_shac.yaml", words)
-    return OwnRace(build.choices_of(config), build.build_params(config), config)
-
-
-def _limits(policy: Policy) -> list[str]:
-    """Words for a config: a vehicle whose commands have the policy's limits."""
-    low, high = policy.command_low.tolist(), policy.command_high.tolist()
-    if policy.vehicle == "motor":
-        if len(set(low)) > 1 or len(set(high)) > 1:
-            raise InputError(f"policy commands {low}..{high} rpm: expected the same for all motors")
-        return [f"vehicle.motor.rpm_min={low[0]!r}", f"vehicle.motor.rpm_max={high[0]!r}"]
-    if low[:3] != [-x for x in high[:3]]:
-        raise InputError(f"policy commands rates of {low[:3]}..{high[:3]} rad/s: expected +-")
-    words = [f"vehicle.rate.{axis}_max={x!r}" for axis, x in zip("pqr", high, strict=False)]
-    return [*words, f"vehicle.rate.thrust_min={low[3]!r}", f"vehicle.rate.thrust_max={high[3]!r}"]
-
-
-def fly(own: OwnRace, policy: Policy, runs: int, laps: int = 6, seed: int = 0) -> Flown:
-    """Fly the float policy, its means, from the training's random starts, and keep what it saw.
-
-    What is kept is of all flights but those that lost control, or of all if every one did.
-    """
-    result, trace = _fly_traced(own, policy, runs, laps, seed, from_hover=False)
+    result, trace = _traced(own, policy, runs, laps, seed, from_hover=False)
     held = np.array([crash not in LOST_CONTROL for crash in result.crashes])
-    counted = held if held.any() else ~held  # what a tumbling wreck sees does not count
+    counted = held if held.any() else ~held
     states, targets = _states(trace, policy.vehicle, own, counted, seed)
-    return Flown(observe(own, states, targets), states, targets, result)
+    return Rollouts(observe(own, states, targets), states, targets, result, len(states))
 
 
-def _fly_traced(
+def _traced(
     own: OwnRace, policy: Policy, runs: int, laps: int, seed: int, from_hover: bool
 ) -> tuple[Laps, Trace]:
     result, trace = fly_laps(
@@ -133,7 +81,7 @@ def _states(
     parts = [trace.position, trace.velocity, trace.euler, trace.rates, trace.actuators]
     rows = [np.moveaxis(np.asarray(part), 1, -1)[going] for part in parts]
     if vehicle == "motor":
-        # The disturbances do not change in flight; they are drawn again from their ranges.
+        # Disturbances are constant in a flight; they are drawn again from their ranges.
         rng = np.random.default_rng(seed)
         span = own.params.disturbance
         half = np.array([float(getattr(span, name)) for name in DISTURBANCES])
@@ -151,7 +99,7 @@ def drone_of(vehicle: str, state: jax.Array) -> MotorState | RateState:
 
 
 def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """What the environment shows of states (n, state_size) towards targets (n,): float32."""
+    """Observations (n, inputs) float32 of states (n, state_size) towards targets (n,)."""
 
     def one(state: jax.Array, target: jax.Array) -> jax.Array:
         zero = jnp.zeros((), jnp.int32)
@@ -163,11 +111,7 @@ def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray
 
 
 def check_box(box: InputBox, observations: np.ndarray) -> None:
-    """Refuse a declared range that a flight left.
-
-    Raises:
-        InputError: what left it, how far, and which range to declare.
-    """
+    """Raise an ``InputError`` if observations leave a declared range, with the range to declare."""
     problems = box.outside(observations)
     if not problems:
         return
@@ -182,10 +126,22 @@ def check_box(box: InputBox, observations: np.ndarray) -> None:
     )
 
 
-def fly_both(
+def check_finished(laps: Laps, own: OwnRace, who: str) -> None:
+    """Raise an ``InputError`` unless ``FINISHED`` of a policy's flights finish."""
+    runs, wanted = len(laps.crashes), laps.lap_times.shape[1]
+    if laps.finished < FINISHED * runs:
+        where = own.config.track.name or Path(own.config.track.file).stem
+        raise InputError(
+            f"{who}: {laps.finished} of {runs} flights finish {wanted} laps of track {where} "
+            f"({own.origin} config), expected {FINISHED:.0%}; give the config that it was trained "
+            "with by --config, or --allow-unfinished"
+        )
+
+
+def fly_float_and_fixed(
     own: OwnRace, policy: Policy, network: FixedNetwork, runs: int, laps: int = 6, seed: int = 1
 ) -> tuple[Laps, Laps]:
-    """The same starts flown by the float policy and by the fixed-point one."""
+    """Laps of the float policy and of the fixed-point one, from the same starts."""
     key = jax.random.key(seed)
     common = {"laps": laps, "runs": runs, "from_hover": False}
     as_float, _ = fly_laps(
@@ -198,17 +154,17 @@ def fly_both(
 
 def fly_traced(own: OwnRace, policy: Policy, runs: int, laps: int, seed: int = 2) -> Trace:
     """Flights of the float policy from hover, step by step."""
-    return _fly_traced(own, policy, runs, laps, seed, from_hover=True)[1]
+    return _traced(own, policy, runs, laps, seed, from_hover=True)[1]
 
 
 def paths(trace: Trace) -> list[tuple[np.ndarray, np.ndarray]]:
     """Positions (n, 3) and the target at each, run by run."""
-    flown = []
+    found = []
     for run in range(np.shape(trace.over)[1]):
         going = ~np.asarray(trace.over)[:, run]
         positions = np.asarray(trace.position)[going][:, :, run]
-        flown.append((positions, np.asarray(trace.target)[going][:, run]))
-    return flown
+        found.append((positions, np.asarray(trace.target)[going][:, run]))
+    return found
 
 
 def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -11,16 +11,8 @@ import math
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export.fixed import (
-    LARGEST_HIDDEN,
-    LARGEST_INPUT,
-    TANH_FRACTION_BITS,
-    TANH_LIMIT,
-    WORD,
-    FixedLayer,
-    FixedNetwork,
-)
-from quadjax.export.squash import SQUASH_ERROR
+from quadjax.export.fixed import LARGEST_HIDDEN, FixedLayer, FixedNetwork
+from quadjax.export.integers import ONE, WORD
 from quadjax.policy.file import Policy
 
 ACCUMULATOR = 2**63
@@ -56,8 +48,8 @@ def prove(network: FixedNetwork, policy: Policy) -> Proof:
         InputError: a row whose accumulator may overflow or whose output may leave its range, or
             a table of the wrong shape, by layer and row.
     """
-    low = [-LARGEST_INPUT] * network.inputs
-    high = [LARGEST_INPUT] * network.inputs
+    low = [-ONE] * network.inputs
+    high = [ONE] * network.inputs
     layers, inactive = [], []
     for index, layer in enumerate(network.layers):
         hidden = index < len(network.hidden)
@@ -117,12 +109,7 @@ def _prove_output(network: FixedNetwork, rows: tuple[RowRange, ...]) -> None:
     """The clamp makes the output's range; its limits must themselves fit."""
     index = len(network.hidden)
     for number in range(len(rows)):
-        if network.squash == "tanh":
-            limit = TANH_LIMIT << TANH_FRACTION_BITS
-        else:
-            limit = max(
-                abs(int(network.command_low[number])), abs(int(network.command_high[number]))
-            )
+        limit = max(abs(int(network.command_low[number])), abs(int(network.command_high[number])))
         if limit << network.output_shift >= ACCUMULATOR or limit >= 2**31:
             raise InputError(f"layer {index}, row {number}: its clamp does not fit in 63 bits")
 
@@ -136,8 +123,8 @@ def error_bound(
     with ``s_i'`` the real value of one unit of the accumulator; ReLU and the clamp enlarge no
     error. Rounded up at every step by more than float64 can lose.
     """
-    largest = np.full(network.inputs, float(LARGEST_INPUT))
-    scale_in = network.box.ranges / LARGEST_INPUT
+    largest = np.full(network.inputs, float(ONE))
+    scale_in = network.box.ranges / ONE
     error = scale_in.copy()  # truncation to the input's grid
     for index, layer in enumerate(network.hidden):
         kernel, bias = (np.asarray(x, np.float32).astype(np.float64) for x in policy.layers[index])
@@ -161,16 +148,11 @@ def _output_error(
     kernel, bias = (np.asarray(x, np.float32).astype(np.float64) for x in policy.layers[-1])
     half = 0.5 * (policy.command_high - policy.command_low)
     middle = 0.5 * (policy.command_high + policy.command_low)
-    kept = TANH_FRACTION_BITS if network.squash == "tanh" else network.fraction_bits
-    if network.squash == "clip":
-        kernel, bias = kernel * half, bias * half + middle
-    unit = np.full(network.outputs, 2.0 ** -(kept + network.output_shift))
+    kernel, bias = kernel * half, bias * half + middle
+    unit = np.full(network.outputs, 2.0 ** -(network.fraction_bits + network.output_shift))
     real = network.output.bias - 2.0 ** (network.output_shift - 1)
     total = _layer_error(network.output, kernel.T, bias, real, unit, scale_in, largest, error)
-    total = _up(total + 2.0 ** -(kept + 1))
-    if network.squash == "tanh":
-        total = _up(half * (total + SQUASH_ERROR))
-    return _up(total + 2.0**-network.fraction_bits)
+    return _up(total + 1.5 * 2.0**-network.fraction_bits)
 
 
 def _layer_error(

@@ -4,10 +4,18 @@ import dataclasses
 
 import numpy as np
 
-from quadjax.export.fixed import LARGEST_INPUT
-from quadjax.export.race_tables import TURN_BITS, YAW_EXPONENT, RaceTables, Rescale
+from quadjax.export import integers
+from quadjax.export.integers import INPUT_BITS, ONE, round_shift
+from quadjax.export.race_tables import (
+    TURN_BITS,
+    TURNS_PER_UNIT,
+    TWO_PI,
+    YAW_EXPONENT,
+    RaceTables,
+    Rescale,
+)
 
-ROTATION_BITS = 30
+NO_EVENT, PASSED, MISSED = 0, 1, 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,95 +28,78 @@ class Observed:
     outside: np.ndarray  # (n,) uint32, bit i: input i of the network
 
 
-def quantize_state(
-    tables: RaceTables, states: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States (n, state_size) float32 as integers (n, state_size), and the masks (n,)."""
-    given = np.asarray(states, np.float32)
-    nan = np.isnan(given)
-    x = np.where(nan, np.float32(0), given).astype(np.float64)
-    limit = np.ldexp(1.0, np.asarray(tables.exponents))
-    clipped = np.abs(x) > limit
-    q = np.trunc(np.clip(x, -limit, limit) * (LARGEST_INPUT / limit)).astype(np.int64)
-    bits = np.uint32(1) << np.arange(tables.state_size, dtype=np.uint32)
-    return q, (clipped * bits).sum(1, dtype=np.uint32), (nan * bits).sum(1, dtype=np.uint32)
-
-
 def observe(tables: RaceTables, states: np.ndarray, target: np.ndarray) -> Observed:
     """Network inputs of states (n, state_size) float32 towards gates ``target`` (n,)."""
-    q, clipped, nan = quantize_state(tables, states)
-    raw = np.stack(_inputs(tables, q, np.asarray(target)), axis=1)
-    held = np.clip(raw, -LARGEST_INPUT, LARGEST_INPUT)
-    bits = np.uint32(1) << np.arange(raw.shape[1], dtype=np.uint32)
-    outside = ((held != raw) * bits).sum(1, dtype=np.uint32)
-    return Observed(held.astype(np.int32), clipped, nan, outside)
+    q = integers.quantize(states, tables.exponents)
+    raw = np.concatenate(_inputs(tables, q, np.asarray(target)), axis=1)
+    held = np.clip(raw, -ONE, ONE)
+    masks = integers.status_masks(states, tables.exponents)
+    return Observed(held.astype(np.int32), *masks, integers.bit_mask(held != raw))
 
 
 def _inputs(tables: RaceTables, q: np.ndarray, target: np.ndarray) -> list[np.ndarray]:
-    network = tables.network_exponents
-    cosine, sine = tables.gate_cos[target], tables.gate_sin[target]
-    offset = q[:, 0:3] - tables.gate_position[target]
-    columns = _rotate(offset, cosine, sine, ROTATION_BITS - tables.exponents[0] + network[0])
-    columns += _rotate(q[:, 3:6], cosine, sine, ROTATION_BITS - tables.exponents[3] + network[3])
-    columns += [q[:, 6], q[:, 7]]
-    yaw = (q[:, 8] << YAW_EXPONENT) - tables.gate_yaw[target]
-    columns.append(_round_shift(wrap(tables, yaw), network[8]))
-    columns += [q[:, 9], q[:, 10], q[:, 11]]
-    numbers = [q[:, index] for index in range(12, q.shape[1])]
-    if tables.vehicle == "motor":  # of the external force only the z component
-        numbers = numbers[:-3] + numbers[-1:]
-    scaled = [_rescaled(r, x) for r, x in zip(tables.scaled, numbers, strict=True)]
-    actuators = 4 if tables.vehicle == "motor" else 1
-    following = [tables.next_gate[target, index] for index in range(4)]
-    return columns + scaled[:actuators] + following + scaled[actuators:]
-
-
-def _rotate(vector: np.ndarray, cosine: np.ndarray, sine: np.ndarray, shift: int) -> list:
-    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
+    """The inputs before clipping, (n, size) of each field of the observation."""
+    state = {f.name: q[:, tables.start(f.name) :][:, : len(f.exponents)] for f in tables.fields}
+    offset = state["position"] - tables.gate_position[target]
+    yaw = (state["euler"][:, 2:] << YAW_EXPONENT) - tables.gate_yaw[target][:, None]
+    yaw = round_shift(wrap(yaw), tables.box.exponent("attitude"))
+    fixed = {
+        "position": lambda: _in_gate_frame(tables, "position", offset, target),
+        "velocity": lambda: _in_gate_frame(tables, "velocity", state["velocity"], target),
+        "attitude": lambda: np.concatenate([state["euler"][:, :2], yaw], axis=1),
+        "rates": lambda: state["rates"],
+        "next_position": lambda: tables.next_gate[target, :3],
+        "next_yaw": lambda: tables.next_gate[target, 3:],
+    }
     return [
-        _round_shift(cosine * x + sine * y, shift),
-        _round_shift(cosine * y - sine * x, shift),
-        _round_shift(z << ROTATION_BITS, shift),
+        np.stack([_rescaled(s.rescale, q[:, s.number]) for s in tables.scaled[name]], axis=1)
+        if name in tables.scaled
+        else fixed[name]()
+        for name in tables.box.groups
     ]
 
 
-def _round_shift(value: np.ndarray, shift: int) -> np.ndarray:
-    if shift <= 0:
-        return value << -shift
-    return (value + (1 << (shift - 1))) >> shift
+def _in_gate_frame(
+    tables: RaceTables, field: str, vector: np.ndarray, target: np.ndarray
+) -> np.ndarray:
+    """A field of the state in the gate's frame, in the network's units."""
+    cosine, sine = tables.gate_cos[target], tables.gate_sin[target]
+    shift = INPUT_BITS - tables.exponents[tables.start(field)] + tables.box.exponent(field)
+    return np.stack([round_shift(x, shift) for x in _rotate(vector, cosine, sine)], axis=1)
 
 
-def wrap(tables: RaceTables, yaw: np.ndarray) -> np.ndarray:
+def _rotate(vector: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> list[np.ndarray]:
+    """Through the gate, to its right and down, in Q30 of the vector's units."""
+    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
+    return [cosine * x + sine * y, cosine * y - sine * x, z << INPUT_BITS]
+
+
+def wrap(yaw: np.ndarray) -> np.ndarray:
     """A yaw in Q30 within half a turn, by one multiplication."""
-    units = yaw >> YAW_EXPONENT
-    turns = (units * tables.turns_per_unit + (1 << (TURN_BITS - 1))) >> TURN_BITS
-    return yaw - turns * tables.two_pi
+    turns = ((yaw >> YAW_EXPONENT) * TURNS_PER_UNIT + (1 << (TURN_BITS - 1))) >> TURN_BITS
+    return yaw - turns * TWO_PI
 
 
 def _rescaled(rescale: Rescale | None, value: np.ndarray) -> np.ndarray:
     if rescale is None:
         return np.zeros_like(value)
-    return _round_shift((value - rescale.middle) * rescale.factor, rescale.shift)
-
-
-NO_EVENT, PASSED, MISSED = 0, 1, 2
+    return round_shift((value - rescale.middle) * rescale.factor, rescale.shift)
 
 
 def gate_event(
     tables: RaceTables, before: np.ndarray, after: np.ndarray, target: np.ndarray
 ) -> np.ndarray:
-    """What steps from positions ``before`` to ``after`` (n, 3), integers, led to, (n,)."""
+    """The event (n,) of steps from positions ``before`` to ``after`` (n, 3), integers."""
     cosine, sine = tables.gate_cos[target], tables.gate_sin[target]
     old = before - tables.gate_position[target]
     new = after - tables.gate_position[target]
-    was = cosine * old[:, 0] + sine * old[:, 1]
-    _, y, z = _rotate(new, cosine, sine, ROTATION_BITS)
-    now = cosine * new[:, 0] + sine * new[:, 1]
+    was, now = (_rotate(x, cosine, sine) for x in (old, new))
     half = tables.half_size[target]
     if tables.world_box:
         aside = np.maximum(np.abs(new[:, 0]), np.abs(new[:, 1]))
         inside = (aside < half[:, 0]) & (np.abs(new[:, 2]) < half[:, 1])
     else:
-        inside = (np.abs(y) <= half[:, 0]) & (np.abs(z) <= half[:, 1])
-    crossed = (was < 0) & (now >= 0)
+        right, down = (round_shift(x, INPUT_BITS) for x in now[1:])
+        inside = (np.abs(right) <= half[:, 0]) & (np.abs(down) <= half[:, 1])
+    crossed = (was[0] < 0) & (now[0] >= 0)
     return np.where(crossed, np.where(inside, PASSED, MISSED), NO_EVENT)

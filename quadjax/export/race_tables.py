@@ -1,9 +1,9 @@
 """The observation in fixed point: a track and the scales of a vehicle's state as integers.
 
-Every number of the state becomes an integer of 2^-30 of its own range, a power of two, wide enough
-for the hall, by the same rule as a network's input; the rest is sums and products of integers.
-Positions and velocities turn into the gate's frame by a cosine and a sine in Q30, a yaw is wrapped
-by one multiplication, and what is scaled to [-1, 1] is ``(q - middle) factor >> shift``.
+Every number of the state becomes an integer of 2^-30 of its own range, a power of two; the rest is
+sums and products of integers. Positions and velocities are rotated into the gate's frame by a
+cosine and a sine in Q30, a yaw is wrapped by one multiplication, and what is scaled to [-1, 1] is
+``(q - middle) factor >> shift``.
 """
 
 import dataclasses
@@ -12,15 +12,26 @@ import math
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export.fixed import LARGEST_INPUT, FixedNetwork
+from quadjax.export.fixed import FixedNetwork
+from quadjax.export.integers import ONE
+from quadjax.export.ranges import InputBox
 from quadjax.policy.file import Policy
 from quadjax.race.track import Track
 
-ONE = LARGEST_INPUT
-YAW_EXPONENT = 6  # of the state's yaw: +-64 rad, which an autopilot's may wind up to
+YAW_EXPONENT = 6  # of the state's yaw: +-64 rad, because an autopilot may not wrap it
 WIND_EXPONENT = 2  # the state's velocity has four times the range of the network's input
-TURN_BITS = 56  # one turn is 2^56 of (yaw * turns_per_unit)
+TURN_BITS = 56  # one turn is 2^56 of (yaw * TURNS_PER_UNIT)
+TURNS_PER_UNIT = round(2.0**32 / (2.0 * math.pi))  # turns of a yaw in Q24 are its product in Q56
+TWO_PI = round(2.0 * math.pi * ONE)  # Q30
+# Scaled inputs: the state's numbers that each takes (of the external force only z), by field.
+SCALED = {
+    "rpm": ("rpm[0]", "rpm[1]", "rpm[2]", "rpm[3]"),
+    "thrust": ("thrust",),
+    "moment_ext": ("moment_ext[0]", "moment_ext[1]", "moment_ext[2]"),
+    "force_ext": ("force_ext[2]",),
+}
 EXTERNAL = ("moment_x", "moment_y", "moment_z", "force_z")
+FARTHEST = 15  # exponent of the largest distance of a gate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,33 +44,73 @@ class Rescale:
 
 
 @dataclasses.dataclass(frozen=True)
+class StateField:
+    """Numbers of the state that belong together."""
+
+    name: str
+    note: str  # unit and frame, for the header
+    exponents: tuple[int, ...]  # of each number's range
+
+    @property
+    def names(self) -> list[str]:
+        """``position[0]`` and so on; the field's own name if it is a single number."""
+        if len(self.exponents) == 1:
+            return [self.name]
+        return [f"{self.name}[{i}]" for i in range(len(self.exponents))]
+
+    @property
+    def ranges_text(self) -> str:
+        """The declared ranges, for the header; a single one where all are the same."""
+        shown = self.exponents[:1] if len(set(self.exponents)) == 1 else self.exponents
+        return ", ".join(f"+-{2.0**e:g}" for e in shown)
+
+
+@dataclasses.dataclass(frozen=True)
+class Scaled:
+    """An input that is a number of the state over its range."""
+
+    number: int  # of the state
+    rescale: Rescale | None  # None: the policy sees zero
+
+
+@dataclasses.dataclass(frozen=True)
 class RaceTables:
     """Integers of the observation and of the gate logic."""
 
-    vehicle: str
-    fields: tuple[tuple[str, int], ...]  # of the state: name and how many numbers
-    exponents: tuple[int, ...]  # of every number of the state
-    network_exponents: tuple[int, ...]  # of every input of the network
-    gate_position: np.ndarray  # (gates, 3) int32, in the state's position units
-    gate_cos: np.ndarray  # (gates,) int32 Q30
-    gate_sin: np.ndarray  # (gates,) int32 Q30
+    box: InputBox  # of the network's inputs
+    fields: tuple[StateField, ...]
+    scaled: dict[str, tuple[Scaled, ...]]  # by field of the observation
+    gate_position: np.ndarray  # (gates, 3) int64, in the state's position units
+    gate_cos: np.ndarray  # (gates,) int64 Q30
+    gate_sin: np.ndarray  # (gates,) int64 Q30
     gate_yaw: np.ndarray  # (gates,) int64, rad in Q30
-    half_size: np.ndarray  # (gates, 2) int32 half width and height, in position units
-    next_gate: np.ndarray  # (gates, 4) int32, network inputs
-    scaled: tuple[Rescale | None, ...]  # rpm or thrust, then disturbances; None: always zero
-    turns_per_unit: int  # 2^32 / (2 pi): turns of a yaw in Q24 are its product in Q56
-    two_pi: int  # Q30
+    half_size: np.ndarray  # (gates, 2) int64 half width and height, in position units
+    next_gate: np.ndarray  # (gates, 4) int64, network inputs
     world_box: bool  # a gate's opening is tested along the world's axes, not its own
 
     @property
     def gates(self) -> int:
-        """How many gates."""
+        """Number of gates."""
         return len(self.gate_yaw)
 
     @property
+    def names(self) -> list[str]:
+        """The state's numbers in order."""
+        return [name for field in self.fields for name in field.names]
+
+    @property
+    def exponents(self) -> tuple[int, ...]:
+        """Exponent of the range of every number of the state."""
+        return tuple(e for field in self.fields for e in field.exponents)
+
+    @property
     def state_size(self) -> int:
-        """How many floats the state has."""
+        """Number of floats in the state."""
         return len(self.exponents)
+
+    def start(self, field: str) -> int:
+        """Index of the first number of a field of the state."""
+        return next(i for i, name in enumerate(self.names) if name.split("[")[0] == field)
 
 
 def make_tables(
@@ -77,81 +128,92 @@ def make_tables(
         InputError: a gate farther away than 2^15 m, or a next gate outside the network's box.
     """
     box = network.box
-    exponent = {name: box.exponents[box.index(name)] for name in ("position", "velocity")}
     position = np.stack([np.asarray(c, np.float64) for c in track.position.components()], axis=1)
-    reach = float(np.abs(position).max()) + 2.0 ** exponent["position"]
+    reach = float(np.abs(position).max()) + box.limit("position")
     world = max(5, math.ceil(math.log2(reach)))
-    if world > 15:
-        raise InputError(f"a gate lies {reach:.3g} m away, allowed: 2^15 m")
-    fields, exponents, scaled = _state_fields(network, policy, world)
+    if world > FARTHEST:
+        raise InputError(f"a gate lies {reach:.3g} m away, allowed: 2^{FARTHEST} m")
     yaw = np.asarray(track.yaw, np.float64)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
     unit = ONE / 2.0**world
+    fields, rescales = _state_fields(box, policy, world)
+    names = [name for field in fields for name in field.names]
     return RaceTables(
-        vehicle=policy.vehicle,
+        box=box,
         fields=fields,
-        exponents=exponents,
-        network_exponents=box.exponents,
+        scaled={
+            field: tuple(
+                Scaled(names.index(name), rescale)
+                for name, rescale in zip(SCALED[field], rescales[field], strict=True)
+            )
+            for field in rescales
+        },
         gate_position=np.rint(position * unit).astype(np.int64),
         gate_cos=np.rint(np.cos(yaw) * ONE).astype(np.int64),
         gate_sin=np.rint(np.sin(yaw) * ONE).astype(np.int64),
         gate_yaw=np.rint(yaw * ONE).astype(np.int64),
         half_size=np.rint(half.astype(np.float64) * unit).astype(np.int64),
-        next_gate=_next_gates(network, policy, track),
-        scaled=scaled,
-        turns_per_unit=round(2.0**32 / (2.0 * math.pi)),
-        two_pi=round(2.0 * math.pi * ONE),
+        next_gate=_next_gates(box, policy, track),
         world_box=world_box,
     )
 
 
-def _next_gates(network: FixedNetwork, policy: Policy, track: Track) -> np.ndarray:
-    start = network.box.index("next_position")
+def _next_gates(box: InputBox, policy: Policy, track: Track) -> np.ndarray:
+    """The inputs that a gate alone determines, (gates, 4)."""
     next_yaw = track.next_yaw
     if policy.observation.get("wrap_next_yaw") is False:
         next_yaw = np.roll(track.yaw, -1) - np.asarray(track.yaw)
     columns = [*track.next_position.components(), next_yaw]
     values = np.stack([np.asarray(c, np.float64) for c in columns], axis=1)
-    ranges = network.box.ranges[start : start + 4]
-    for gate, row in enumerate(values):
-        for name, value, limit in zip(network.box.names[start:], row, ranges, strict=False):
-            if abs(value) > limit:
-                raise InputError(
-                    f"gate {gate}: {name} is {value:.4g}, declared +-{limit:g}; "
-                    f"declare more with --range {name.split('[')[0]}={2 * limit:g}"
-                )
+    start = box.index("next_position")
+    ranges = box.ranges[start : start + values.shape[1]]
+    for gate, column in np.argwhere(np.abs(values) > ranges):
+        name, value, limit = box.names[start + column], values[gate, column], ranges[column]
+        raise InputError(
+            f"gate {gate}: {name} is {value:.4g}, declared +-{limit:g}; "
+            f"declare more with --range {name.split('[')[0]}={2 * limit:g}"
+        )
     return np.trunc(values * (ONE / ranges)).astype(np.int64)
 
 
 def _state_fields(
-    network: FixedNetwork, policy: Policy, world: int
-) -> tuple[tuple[tuple[str, int], ...], tuple[int, ...], tuple[Rescale | None, ...]]:
-    box = network.box
-
-    def of(name: str) -> int:
-        return box.exponents[box.index(name)]
-
-    attitude = of("attitude")
-    parts = [
-        ("position", [world] * 3),
-        ("velocity", [of("velocity") + WIND_EXPONENT] * 3),
-        ("euler", [attitude, attitude, YAW_EXPONENT]),
-        ("rates", [of("rates")] * 3),
+    box: InputBox, policy: Policy, world: int
+) -> tuple[tuple[StateField, ...], dict[str, list[Rescale | None]]]:
+    """The fields of the state, and how each scaled field of the observation is computed."""
+    attitude = box.exponent("attitude")
+    fields = [
+        StateField("position", "m, world", (world,) * 3),
+        StateField("velocity", "m/s, world", (box.exponent("velocity") + WIND_EXPONENT,) * 3),
+        StateField(
+            "euler",
+            "roll, pitch, yaw, rad; any yaw, wrapped here",
+            (attitude, attitude, YAW_EXPONENT),
+        ),
+        StateField("rates", "p, q, r, rad/s, body", (box.exponent("rates"),) * 3),
     ]
-    low, high = policy.command_low, policy.command_high
+    low, high = policy.command_low.tolist(), policy.command_high.tolist()
     if policy.vehicle == "rate":
-        exponent, thrust = _span(float(low[3]), float(high[3]), of("thrust"))
-        parts.append(("thrust", [exponent]))
-        scaled: list[Rescale | None] = [thrust]
-    else:
-        spans = [_span(float(a), float(b), of("rpm")) for a, b in zip(low, high, strict=True)]
-        parts.append(("rpm", [exponent for exponent, _ in spans]))
-        external = _external(policy, [of("moment_ext")] * 3 + [of("force_ext")])
-        parts.append(("moment_ext", [exponent for exponent, _ in external[:3]]))
-        parts.append(("force_ext", [external[3][0]] * 3))
-        scaled = [pair[1] for pair in spans] + [pair[1] for pair in external]
-    fields = tuple((name, len(exponents)) for name, exponents in parts)
-    return fields, tuple(e for _, exponents in parts for e in exponents), tuple(scaled)
+        exponent, thrust = _span(low[3], high[3], box.exponent("thrust"))
+        note = "specific thrust along body -z, m/s^2"
+        fields.append(StateField("thrust", note, (exponent,)))
+        return tuple(fields), {"thrust": [thrust]}
+    spans = [_span(a, b, box.exponent("rpm")) for a, b in zip(low, high, strict=True)]
+    external = _external(policy, [box.exponent("moment_ext")] * 3 + [box.exponent("force_ext")])
+    fields += [
+        StateField(
+            "rpm",
+            "1 front-left, 2 front-right, 3 rear-right, 4 rear-left",
+            tuple(exponent for exponent, _ in spans),
+        ),
+        StateField("moment_ext", "external moment, N m, body", tuple(e for e, _ in external[:3])),
+        StateField("force_ext", "external specific force, m/s^2, body", (external[3][0],) * 3),
+    ]
+    rescales = [rescale for _, rescale in external]
+    return tuple(fields), {
+        "rpm": [rescale for _, rescale in spans],
+        "moment_ext": rescales[:3],
+        "force_ext": rescales[3:],
+    }
 
 
 def _span(low: float, high: float, network: int) -> tuple[int, Rescale]:
@@ -185,11 +247,3 @@ def rescale(middle: float, factor: float) -> Rescale:
     """Integers of ``(q - middle) factor``, the factor with 30 bits."""
     shift = 30 - math.frexp(factor)[1]
     return Rescale(round(middle), round(factor * 2.0**shift), shift)
-
-
-def state_names(tables: RaceTables) -> list[str]:
-    """The state's numbers in order, ``position[0]`` and so on."""
-    names = []
-    for name, count in tables.fields:
-        names += [f"{name}[{i}]" if count > 1 else name for i in range(count)]
-    return names

@@ -84,13 +84,26 @@ class InputBox:
             for group, value in groups.items()
         ]
 
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The fields of the observation, in order."""
+        return tuple(dict.fromkeys(name.split("[")[0] for name in self.names))
+
     def columns(self, group: str) -> list[int]:
-        """The indices of a group's inputs."""
+        """The indices of a field's inputs."""
         return [i for i, name in enumerate(self.names) if name.split("[")[0] == group]
 
     def index(self, group: str) -> int:
-        """The index of the first input of a group, as in ``DEFAULTS``."""
-        return next(i for i, name in enumerate(self.names) if name.split("[")[0] == group)
+        """The index of a field's first input."""
+        return self.columns(group)[0]
+
+    def exponent(self, group: str) -> int:
+        """The exponent of a field's range."""
+        return self.exponents[self.index(group)]
+
+    def limit(self, group: str) -> float:
+        """The half-width of a field's range, in its unit."""
+        return 2.0 ** self.exponent(group)
 
 
 def power_of_two(name: str, value: float) -> int:

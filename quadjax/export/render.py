@@ -1,36 +1,83 @@
-"""Text of C: templates with ``@name@`` in them, tables and comments."""
+"""C from Jinja templates: the environment, literals, tables and comments."""
 
+import functools
 import re
 from collections.abc import Iterable
-from importlib import resources
 
+import jinja2
 import numpy as np
 
-FIELD = re.compile(r"@([A-Za-z_0-9]+)@")
 WIDTH = 100
+RESERVED = frozenset(
+    """
+    auto break case char const continue default do double else enum extern float for goto if inline
+    int long register restrict return short signed sizeof static struct switch typedef union
+    unsigned void volatile while
+    alignas alignof bool constexpr false nullptr static_assert thread_local true typeof
+    typeof_unqual
+    asm catch class concept consteval constinit co_await co_return co_yield const_cast decltype
+    delete dynamic_cast explicit export friend mutable namespace new noexcept operator private
+    protected public reinterpret_cast requires static_cast template this throw try typeid typename
+    using virtual wchar_t char8_t char16_t char32_t and and_eq bitand bitor compl not not_eq or
+    or_eq xor xor_eq
+    assert complex ctype errno fenv float inttypes iso646 limits locale main math memory setjmp
+    signal stdalign stdarg stdatomic stdbit stdbool stdckdint stddef stdint stdio stdlib
+    stdnoreturn string tgmath threads time uchar wchar wctype
+    arm_neon autopilot cstdint cstdio linux module state unistd unix
+    """.split()
+)
 
 
-def fill(template: str, values: dict[str, str]) -> str:
-    """A template of this package with every ``@name@`` replaced.
+@functools.cache
+def environment() -> jinja2.Environment:
+    """The templates of this package; fields are written ``${name}``, statements ``{% .. %}``."""
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("quadjax.export", "templates"),
+        variable_start_string="${",
+        variable_end_string="}",
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+        autoescape=False,
+    )
+    found.filters |= {
+        "int32": literal,
+        "int64": literal_64,
+        "hex": lambda bits: f"0x{int(bits):08X}U",
+        "number": lambda value: f"{value:g}",
+        "short": lambda value: f"{value:.3g}",
+        "float32": lambda value: f"{float(value)!r}F",
+        "unsigned": lambda value: f"{value}U",
+        "wrapped": wrapped,
+        "comment": comment,
+        "string": string,
+        "each": lambda values, convert: [found.filters[convert](v) for v in np.ravel(values)],
+    }
+    found.globals |= {"table": table, "rows": rows, "zip": zip}
+    return found
+
+
+def render(template: str, values: dict[str, object]) -> str:
+    """A template of this package as text, without trailing blanks or repeated blank lines.
 
     Raises:
-        KeyError: the template has a field without a value.
+        jinja2.UndefinedError: the template has a field without a value.
     """
-    text = resources.files("quadjax.export").joinpath("templates", template).read_text("utf-8")
-    text = FIELD.sub(lambda match: values[match[1]], text)
+    text = environment().get_template(template).render(values)
     lines = [line.rstrip() for line in text.splitlines()]
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
 
 
 def literal(value: int) -> str:
     """An int32 as C writes it; the most negative one has no literal of its own."""
-    return str(value) if value > -(2**31) else "(-2147483647 - 1)"
+    return str(int(value)) if value > -(2**31) else "(-2147483647 - 1)"
 
 
 def literal_64(value: int) -> str:
     """An int64 as C writes it."""
     if value > -(2**63):
-        return f"INT64_C({value})"
+        return f"INT64_C({int(value)})"
     return "(-INT64_C(9223372036854775807) - 1)"
 
 
@@ -46,20 +93,19 @@ def wrapped(items: Iterable[str], indent: str = "    ") -> str:
     return "\n".join(lines)
 
 
-def table(kind: str, name: str, size: str, values: np.ndarray) -> str:
+def table(kind: str, name: str, values: np.ndarray) -> str:
     """A ``static const`` table of one dimension."""
     write = literal_64 if kind == "int64_t" else literal
     body = wrapped(write(int(value)) for value in np.ravel(values))
-    return f"static const {kind} {name}[{size}] = {{\n{body}}};\n"
+    return f"static const {kind} {name}[{np.size(values)}] = {{\n{body}}};"
 
 
-def rows_table(kind: str, name: str, size: str, values: np.ndarray) -> str:
-    """A ``static const`` table of two dimensions (rows, columns)."""
-    write = (lambda v: f"UINT32_C({v})") if kind == "uint32_t" else literal
-    rows = ",\n".join(
+def rows(values: np.ndarray, convert: str) -> str:
+    """The rows of a two-dimensional initializer; ``convert`` is the filter of each number."""
+    write = environment().filters[convert]
+    return ",\n".join(
         "    {" + wrapped(map(write, row), "     ").strip() + "}" for row in values.tolist()
     )
-    return f"static const {kind} {name}{size} = {{\n{rows}}};\n"
 
 
 def comment(lines: Iterable[str]) -> str:
@@ -74,6 +120,11 @@ def string(text: str) -> str:
 
 
 def identifier(text: str) -> str:
-    """Text as a lower-case C identifier."""
+    """Text as a lower-case C identifier that is no keyword and no name of the C library."""
     name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "policy"
-    return name if name[0].isalpha() else f"policy_{name}"
+    return f"policy_{name}" if not name[0].isalpha() or is_reserved(name) else name
+
+
+def is_reserved(name: str) -> bool:
+    """Whether a prefix collides with a C or C++ keyword, a standard header or ``name_t`` type."""
+    return name in RESERVED or bool(re.fullmatch(r"u?int(_?(fast|least|max|ptr))?\d*(_t)?", name))

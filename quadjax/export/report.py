@@ -1,68 +1,44 @@
-"""The report beside the C: what was proven and measured, as JSON and as a table."""
+"""The report that accompanies the C: what is proven and what was measured, as JSON and as text."""
 
-import dataclasses
-
+import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core import mlp
 from quadjax.export import emulator
+from quadjax.export.conversion import Converted, Request
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
-from quadjax.export.proof import Proof
+from quadjax.export.integers import WORD, enable_x64
 from quadjax.export.ranges import UNITS
+from quadjax.export.render import render
 from quadjax.policy.file import Policy
 
+BOX_SAMPLES = 20_000
 
-@dataclasses.dataclass(frozen=True)
-class Measured:
-    """Errors against float64 that were measured, in the command's unit."""
-
-    samples: int
-    largest: list[float]  # per output
-    median: float
+Json = dict[str, object]
 
 
 def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
     """Commands (n, 4) of the real-valued policy, in float64."""
-    y = np.asarray(observations, np.float64)
-    for index, (kernel, bias) in enumerate(policy.layers):
-        y = y @ np.asarray(kernel, np.float64) + np.asarray(bias, np.float64)
-        if index < len(policy.layers) - 1:
-            y = np.maximum(y, 0.0)
-    action = np.tanh(y) if policy.output == "tanh" else np.clip(y, -1.0, 1.0)
+    with enable_x64(True):
+        layers = [tuple(jnp.asarray(x, jnp.float64) for x in layer) for layer in policy.layers]
+        y = np.asarray(mlp.apply(layers, jnp.asarray(observations, jnp.float64), "relu"))
     low, high = policy.command_low, policy.command_high
-    return low + 0.5 * (high - low) * (action + 1.0)
+    return low + 0.5 * (high - low) * (np.clip(y, -1.0, 1.0) + 1.0)
 
 
-def measure(network: FixedNetwork, policy: Policy, observations: np.ndarray) -> Measured:
-    """Errors of the fixed-point policy over observations (n, inputs) within the box."""
-    found = emulator.commands(network, observations)
-    error = np.abs(found - float64_commands(policy, observations))
-    return Measured(len(observations), error.max(axis=0).tolist(), float(np.median(error)))
-
-
-def make_report(
-    network: FixedNetwork, proof: Proof, measured: dict[str, Measured], extra: dict[str, object]
-) -> dict[str, object]:
-    """The report as JSON takes it."""
+def make_report(converted: Converted, request: Request) -> Json:
+    """The report as JSON takes it; the verification reads the request from it."""
+    network, policy, rollouts = converted.network, converted.policy, converted.rollouts
     box = network.box
-    layers = []
-    for index, rows in enumerate(proof.rows):
-        magnitude = max(row.magnitude for row in rows)
-        hidden = index < len(network.hidden)
-        layers.append(
-            {
-                "rows": len(rows),
-                "columns": int(network.layers[index].weights.shape[1]),
-                "largest_accumulator": str(magnitude),
-                "accumulator_bits": round(proof.accumulator_bits[index], 4),
-                "largest_output": max(max(0, row.high >> 32) for row in rows) if hidden else None,
-                "never_active": proof.inactive[index] if hidden else None,
-            }
-        )
+    rng = np.random.default_rng(0)
+    shape = (BOX_SAMPLES, network.inputs)
+    samples = (rng.uniform(-1.0, 1.0, shape) * box.ranges).astype(np.float32)
+    measured = {"the whole box": samples, "simulated": rollouts.observations}
     unit = 2.0**network.fraction_bits
+    laps = rollouts.laps
     return {
         "format_version": FORMAT_VERSION,
         "vehicle": network.vehicle,
-        "output": network.squash,
         "inputs": [
             {"name": name, "range": float(limit), "unit": UNITS[name.split("[")[0]]}
             for name, limit in zip(box.names, box.ranges, strict=True)
@@ -70,51 +46,67 @@ def make_report(
         "fraction_bits": network.fraction_bits,
         "command_low": (network.command_low / unit).tolist(),
         "command_high": (network.command_high / unit).tolist(),
-        "layers": layers,
-        "error_bound": proof.error_bound.tolist(),
-        "measured_error": {name: dataclasses.asdict(m) for name, m in measured.items()},
-        **extra,
+        "layers": [_layer(converted, index) for index in range(len(network.layers))],
+        "error_bound": converted.proof.error_bound.tolist(),
+        "measured_error": {name: _measure(network, policy, x) for name, x in measured.items()},
+        "policy": request.policy.name,
+        "policy_sha256": converted.origin.policy_hash,
+        "source": policy.source,
+        "name": converted.origin.name,
+        "track": converted.own.config.track.name,
+        "config": converted.own.origin,
+        "deterministic": True,
+        "ranges": request.ranges,
+        "allow_unfinished": request.allow_unfinished,
+        "estimator": _estimator(converted),
+        "flights": {
+            "runs": len(laps.crashes),
+            "finished": laps.finished,
+            "laps": laps.lap_times.shape[1],
+            "observations": rollouts.steps,
+        },
     }
 
 
-def report_text(report: dict, name: str) -> str:
-    """The report as a table to read."""
-    lines = [f"{name}: fixed-point policy, format version {report['format_version']}", ""]
-    lines += [
-        f"{key}: {report[key]}" for key in ("policy", "policy_sha256", "track") if key in report
-    ]
-    lines += ["", "Inputs, and the range that every proof below holds for:"]
-    for index, entry in enumerate(report["inputs"]):
-        lines.append(f"  {index:2d}  {entry['name']:<17} +-{entry['range']:g} {entry['unit']}")
-    lines += ["", "Proven for every input in those ranges, by intervals of exact integers:"]
-    lines.append("  layer   rows  columns  largest |sum|   of 2^63   largest output  never active")
-    for index, layer in enumerate(report["layers"]):
-        largest = "-" if layer["largest_output"] is None else str(layer["largest_output"])
-        never = "-" if layer["never_active"] is None else str(layer["never_active"])
-        share = 100.0 * int(layer["largest_accumulator"]) / 2.0**63
-        lines.append(
-            f"  {index:5d}  {layer['rows']:5d}  {layer['columns']:7d}"
-            f"  2^{layer['accumulator_bits']:<11.3f}  {share:6.2f}%  {largest:>15}  {never:>12}"
-        )
-    lines += _errors(report)
-    return "\n".join(lines) + "\n"
+def _layer(converted: Converted, index: int) -> Json:
+    """What is proven of a layer."""
+    rows, proof = converted.proof.rows[index], converted.proof
+    hidden = index < len(converted.network.hidden)
+    return {
+        "rows": len(rows),
+        "columns": int(converted.network.layers[index].weights.shape[1]),
+        "largest_accumulator": str(max(row.magnitude for row in rows)),
+        "accumulator_bits": round(proof.accumulator_bits[index], 4),
+        "largest_output": max(max(0, row.high >> WORD) for row in rows) if hidden else None,
+        "never_active": proof.inactive[index] if hidden else None,
+    }
 
 
-def _errors(report: dict) -> list[str]:
+def _measure(network: FixedNetwork, policy: Policy, observations: np.ndarray) -> Json:
+    """Errors of the fixed-point policy over observations (n, inputs), in the command's unit."""
+    error = np.abs(
+        emulator.commands(network, observations) - float64_commands(policy, observations)
+    )
+    return {
+        "samples": len(observations),
+        "largest": error.max(axis=0).tolist(),
+        "median": float(np.median(error)),
+    }
+
+
+def _estimator(converted: Converted) -> Json | None:
+    tables = converted.estimator
+    if tables is None:
+        return None
+    return {
+        "sample_rate": tables.sample_rate,
+        "cutoff": tables.cutoff,
+        "residual_sha256": converted.residual_hash,
+        "channel_ranges": [2.0**e for e in tables.channel_exponents],
+    }
+
+
+def report_text(report: Json, name: str) -> str:
+    """The report as text."""
     unit = "rpm" if report["vehicle"] == "motor" else "rad/s and m/s^2"
-    bound = ", ".join(f"{x:.3g}" for x in report["error_bound"])
-    lines = ["", f"Error against real arithmetic, {unit}:"]
-    lines.append(f"  proven for every input      {bound}")
-    for name, m in report["measured_error"].items():
-        largest = ", ".join(f"{x:.3g}" for x in m["largest"])
-        lines.append(f"  measured, {name:<17} {largest} (of {m['samples']} samples)")
-    low, high = report["command_low"], report["command_high"]
-    lines.append("")
-    lines.append(f"Commands, whatever the input: {min(low):g} .. {max(high):g} {unit}")
-    flights = report.get("flights")
-    if flights:
-        lines.append(
-            f"Flights: {flights['finished']} of {flights['runs']} finished {flights['laps']} laps; "
-            f"{flights['observations']} observations, none outside the ranges"
-        )
-    return lines
+    return render("report.txt", {"r": report, "name": name, "unit": unit})

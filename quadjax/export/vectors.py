@@ -1,51 +1,44 @@
-"""Inputs that a fixed-point policy is checked with: corners, flown, uniform and Gaussian."""
-
-import dataclasses
+"""Inputs for checks of a fixed-point policy: corners, simulated, uniform, Gaussian, hostile."""
 
 import numpy as np
 
-from quadjax.export.fixed import LARGEST_INPUT, FixedNetwork
+from quadjax.export.fixed import FixedNetwork
+from quadjax.export.integers import ONE, quantize
 
-CORNERS, FLOWN, RANDOM = 8, 16, 8
-
-
-@dataclasses.dataclass(frozen=True)
-class SelfTest:
-    """The inferences that the emitted self-test repeats."""
-
-    inputs: np.ndarray  # (n, inputs) int32
-    kinds: tuple[str, ...]  # what each is
+CORNERS, SIMULATED, RANDOM = 8, 16, 8
 
 
-def self_test_inputs(network: FixedNetwork, flown: np.ndarray | None) -> SelfTest:
-    """Corners of the box, flown observations evenly spread over ``flown``, and random ones."""
-    from quadjax.export.emulator import quantize
+def self_test_inputs(
+    network: FixedNetwork, observations: np.ndarray | None
+) -> tuple[np.ndarray, list[str]]:
+    """Inputs (n, inputs) int32 of the emitted self-test, and the kind of each.
 
+    Corners of the box, rows evenly spread over the simulated ``observations``, and random ones.
+    """
     rng = np.random.default_rng(0)
     signs = rng.choice([-1, 1], (CORNERS, network.inputs))
     signs[0], signs[1] = 1, -1
-    corners = signs * LARGEST_INPUT
-    parts, kinds = [corners], ["corner"] * CORNERS
+    parts, kinds = [signs * ONE], ["corner"] * CORNERS
     random = RANDOM
-    if flown is not None and len(flown):
-        pick = np.linspace(0, len(flown) - 1, FLOWN).astype(int)
-        parts.append(quantize(network, flown[pick])[0])
-        kinds += ["flown"] * FLOWN
+    if observations is not None and len(observations):
+        pick = np.linspace(0, len(observations) - 1, SIMULATED).astype(int)
+        parts.append(quantize(observations[pick], network.box.exponents))
+        kinds += ["flown"] * SIMULATED
     else:
-        random += FLOWN
-    parts.append(rng.integers(-LARGEST_INPUT, LARGEST_INPUT + 1, (random, network.inputs)))
+        random += SIMULATED
+    parts.append(rng.integers(-ONE, ONE + 1, (random, network.inputs)))
     kinds += ["random"] * random
-    return SelfTest(np.concatenate(parts).astype(np.int32), tuple(kinds))
+    return np.concatenate(parts).astype(np.int32), kinds
 
 
 def check_vectors(
-    network: FixedNetwork, count: int, flown: np.ndarray | None, seed: int = 0
+    network: FixedNetwork, count: int, observations: np.ndarray | None, seed: int = 0
 ) -> np.ndarray:
-    """Observations (count, inputs) float32: a quarter each of corners, flown, uniform, Gaussian.
+    """Observations (count, inputs) float32: corners, simulated, uniform, Gaussian.
 
-    Corners are -range, 0 or +range in every input; flown observations are used again and again
-    with noise of one per cent; the Gaussian ones have a standard deviation of half the range, so
-    that some of them leave the box.
+    A quarter each. Corners are -range, 0 or +range in every input; the simulated ``observations``
+    are repeated with noise of one percent; the Gaussian ones have a standard deviation of half the
+    range, so that some of them leave the box.
     """
     rng = np.random.default_rng(seed)
     ranges = network.box.ranges
@@ -54,10 +47,10 @@ def check_vectors(
     corners = rng.integers(-1, 2, shape) * ranges
     uniform = rng.uniform(-1.0, 1.0, shape) * ranges
     gaussian = rng.standard_normal((count - 3 * quarter, network.inputs)) * 0.5 * ranges
-    if flown is not None and len(flown):
-        repeated = flown[rng.integers(0, len(flown), quarter)]
+    if observations is not None and len(observations):
+        repeated = observations[rng.integers(0, len(observations), quarter)]
         repeated = repeated + 0.01 * ranges * rng.standard_normal(shape)
-        repeated[: len(flown)] = flown[:quarter]
+        repeated[: len(observations)] = observations[:quarter]
     else:
         repeated = rng.standard_normal(shape) * 0.1 * ranges
     return np.concatenate([corners, repeated, uniform, gaussian]).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Made-up policies, and what the tests of the export room share."""
+"""Made-up policies, and what the tests of the export package share."""
 
 import shutil
 from pathlib import Path
@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.export.emit_network import Provenance, emit_network
+from quadjax.export.emit import Provenance, emit_network
 from quadjax.export.fixed import FixedNetwork, convert
-from quadjax.export.vectors import self_test_inputs
 from quadjax.policy.file import Policy
 from quadjax.vehicle.residual import Residual
 
@@ -22,7 +21,6 @@ def made_policy(
     width: int = 16,
     vehicle: str = "motor",
     seed: int = 0,
-    output: str = "clip",
     depth: int = 3,
     gain: float = 1.0,
     activation: str = "relu",
@@ -44,7 +42,7 @@ def made_policy(
         log_std=np.zeros(4, np.float32),
         vehicle=vehicle,
         activation=activation,
-        output=output,
+        output="clip",
         command_low=np.full(4, 3000.0) if motor else np.array([-3.0, -3.0, -3.0, 0.0]),
         command_high=np.full(4, 11000.0) if motor else np.array([3.0, 3.0, 3.0, 15.0]),
         observation={"disturbance": DISTURBANCE} if motor else {},
@@ -92,7 +90,7 @@ def need(program: str) -> str:
 
 def write_network(network: FixedNetwork, folder: Path) -> Path:
     """The emitted network in a folder; returns its source."""
-    for name, text in emit_network(network, ORIGIN, self_test_inputs(network, None)).items():
+    for name, text in emit_network(network, ORIGIN, None).items():
         (folder / name).write_text(text)
     return folder / "made.c"
 
@@ -100,12 +98,11 @@ def write_network(network: FixedNetwork, folder: Path) -> Path:
 POLICIES = {
     "motor 64": {"width": 64},
     "rate": {"vehicle": "rate"},
-    "tanh": {"output": "tanh"},
     "narrow": {"width": 5, "depth": 1},
     "linear": {"depth": 0},
     "mixed": {"hidden": (96, 96, 48)},
-    "odd": {"hidden": (33, 7, 18), "output": "tanh"},
-    "wide": {"width": 300, "depth": 2, "vehicle": "rate", "output": "tanh"},
+    "odd": {"hidden": (33, 7, 18)},
+    "wide": {"width": 300, "depth": 2, "vehicle": "rate"},
 }
 
 

@@ -9,8 +9,8 @@ from quadjax.export import emulator
 from quadjax.export.fixed import convert
 from quadjax.export.proof import prove
 from quadjax.export.vectors import check_vectors, hostile_vectors
-from quadjax.export.verify.harness import write_memory
-from quadjax.export.verify.result import LeftOut
+from quadjax.export.verify.emitted import write_memory
+from quadjax.export.verify.result import Skipped
 from quadjax.export.verify.toolchain import WARNINGS, host, zig_arm
 from tests.export.support import POLICIES, made_policy, named_network, write_network
 
@@ -19,7 +19,7 @@ from tests.export.support import POLICIES, made_policy, named_network, write_net
 def compiler():
     try:
         return host()
-    except LeftOut as reason:
+    except Skipped as reason:
         pytest.skip(str(reason))
 
 

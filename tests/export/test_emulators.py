@@ -6,8 +6,12 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.export import emulator
-from quadjax.export.emulator_jax import fixed_point_action, fixed_point_actor, fixed_point_forward
-from quadjax.export.pilot import fly_fixed_point
+from quadjax.export.actor import (
+    fixed_point_action,
+    fixed_point_actor,
+    fixed_point_forward,
+    fly_fixed_point,
+)
 from quadjax.export.proof import prove
 from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.policy import pilot
@@ -60,7 +64,7 @@ def test_jax_is_numpy_bit_for_bit(name):
 
 
 def test_jax_does_not_depend_on_the_x64_flag():
-    _, network = named_network("tanh")
+    _, network = named_network("rate")
     x = check_vectors(network, 500, None)
     with jax.enable_x64(True):
         found = np.asarray(jax.jit(jax.vmap(fixed_point_forward(network)))(x))
@@ -78,6 +82,7 @@ def test_actors_give_the_same_command():
     assert np.abs(3000.0 + 4000.0 * (action + 1.0) - wanted).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_the_fixed_point_policy_flies_the_laps_of_the_float_one():
     config = load_config(CONFIGS / "e2e.yaml")
     policy = read_policy(ROOT / "quadjax" / "pretrained" / "e2e.npz")

@@ -8,11 +8,11 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.export import emulator, flights
-from quadjax.export.fixed import LARGEST_HIDDEN, LARGEST_INPUT, convert
+from quadjax.export.fixed import LARGEST_HIDDEN, convert
+from quadjax.export.integers import ONE
 from quadjax.export.proof import prove
 from quadjax.export.ranges import declare, parse_overrides
 from quadjax.export.report import float64_commands
-from quadjax.export.squash import SQUASH_ERROR, tanh_q
 from tests.export.support import POLICIES, made_policy, named_network
 
 
@@ -37,7 +37,7 @@ def test_proof_bounds_hold_at_the_worst_corner_of_every_first_row():
     proof = prove(network, policy)
     first = network.layers[0]
     for row in range(8):
-        corner = np.where(first.weights[row] > 0, LARGEST_INPUT, -LARGEST_INPUT)[None]
+        corner = np.where(first.weights[row] > 0, ONE, -ONE)[None]
         _, trace = emulator.forward_traced(network, corner)
         assert int(trace[0][0, row]) == proof.rows[0][row].high
 
@@ -45,7 +45,7 @@ def test_proof_bounds_hold_at_the_worst_corner_of_every_first_row():
 def test_hidden_values_stay_in_thirty_bits():
     _, network = named_network("motor 64")
     signs = np.array(list(itertools.product((-1, 1), repeat=8)))
-    corners = np.tile(signs, (1, 3)) * LARGEST_INPUT
+    corners = np.tile(signs, (1, 3)) * ONE
     _, trace = emulator.forward_traced(network, corners)
     assert max(int((sums >> 32).max()) for sums in trace[:-1]) <= LARGEST_HIDDEN
 
@@ -117,11 +117,3 @@ def test_refuses_a_range_that_flights_leave():
     x[1, 4] = 20.0
     with pytest.raises(InputError, match=r"velocity reaches 20 m/s, declared \+-16.*velocity=32"):
         flights.check_box(box, x)
-
-
-def test_integer_tanh():
-    z = np.concatenate([np.linspace(-12, 12, 200_001), [-1e-8, 0.0, 11.9999999]])
-    q = np.trunc(z * 2.0**27).astype(np.int64)
-    error = np.abs(tanh_q(q) / 2.0**30 - np.tanh(q / 2.0**27))
-    assert error.max() < SQUASH_ERROR
-    assert np.array_equal(tanh_q(-q), -tanh_q(q))

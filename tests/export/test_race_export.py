@@ -10,9 +10,9 @@ from quadjax.core.resources import CONFIGS
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
+from quadjax.export.race_source import own_race
 from quadjax.export.race_tables import make_tables
 from quadjax.export.verify import measurements
-from quadjax.fitting.estimator_reference import estimate
 from quadjax.vehicle.protocol import VehicleParams
 from tests.export.support import WIDE, made_policy, made_residual
 
@@ -35,7 +35,7 @@ def random_states(rng, count, vehicle):
 @pytest.mark.parametrize("track", ["square4.yaml", "figure8.yaml"])
 def test_observation_is_the_environments(vehicle, track):
     policy = made_policy(8, vehicle)
-    own = flights.own_race(policy, None, track)
+    own = own_race(policy, track=track)
     ranges = {k: v for k, v in WIDE.items() if k != "next_position"} | {"next_position": 16.0}
     network = convert(policy, ranges)
     tables = make_tables(network, policy, own.params.track)
@@ -51,11 +51,8 @@ def test_observation_is_the_environments(vehicle, track):
 
 
 def test_yaw_wraps_at_any_turn_without_a_loop():
-    policy = made_policy(8, "rate")
-    own = flights.own_race(policy, None, None)
-    tables = make_tables(convert(policy), policy, own.params.track)
     yaw = np.linspace(-63.0, 63.0, 20001)
-    wrapped = race_emulator.wrap(tables, np.rint(yaw * 2.0**30).astype(np.int64)) / 2.0**30
+    wrapped = race_emulator.wrap(np.rint(yaw * 2.0**30).astype(np.int64)) / 2.0**30
     exact = np.arctan2(np.sin(yaw), np.cos(yaw))
     away = np.abs(np.abs(exact) - np.pi) > 1e-6
     assert np.abs(wrapped - exact)[away].max() < 1e-7
@@ -64,7 +61,7 @@ def test_yaw_wraps_at_any_turn_without_a_loop():
 
 def test_state_status_and_edges():
     policy = made_policy(8)
-    own = flights.own_race(policy, None, None)
+    own = own_race(policy)
     tables = make_tables(convert(policy), policy, own.params.track)
     states = random_states(np.random.default_rng(0), 3, "motor")
     states[0, 2], states[1, 8], states[2, 3] = np.nan, np.inf, 20.0
@@ -77,7 +74,7 @@ def test_state_status_and_edges():
 
 def test_gates_are_passed_and_missed():
     policy = made_policy(8, "rate")
-    own = flights.own_race(policy, None, None)
+    own = own_race(policy)
     tables = make_tables(convert(policy), policy, own.params.track)
     unit = 2.0 ** (30 - tables.exponents[0])
     gate = np.array([2.0, -1.5, -1.5])
@@ -100,8 +97,8 @@ def test_gates_are_passed_and_missed():
 
 @pytest.mark.parametrize("config", ["indi.yaml", "authors_code.yaml"])
 def test_gates_along_a_wandering_path_are_the_simulators(config):
-    policy = made_policy(8, "rate")
-    own = flights.own_race(policy, CONFIGS / config, None)
+    policy = made_policy(8, "rate" if config == "indi.yaml" else "motor")
+    own = own_race(policy, config=CONFIGS / config)
     world_box = own.choices.gate_test == "world_box"
     assert world_box == (config == "authors_code.yaml")
     network = convert(policy, {"next_yaw": 8.0})
@@ -115,32 +112,32 @@ def test_gates_along_a_wandering_path_are_the_simulators(config):
 
 def test_a_policys_own_limits_are_the_vehicles():
     policy = dataclasses.replace(made_policy(8), command_high=np.full(4, 12000.0))
-    constants = flights.own_race(policy, None, None).params.vehicle.constants
+    constants = own_race(policy).params.vehicle.constants
     assert (float(constants.rpm_min), float(constants.rpm_max)) == (3000.0, 12000.0)
     rate = made_policy(8, "rate")
     high = np.array([3.0, 3.0, 2.0, 16.0])
     rate = dataclasses.replace(rate, command_low=-high * [1, 1, 1, 0], command_high=high)
-    constants = flights.own_race(rate, None, None).params.vehicle.constants
+    constants = own_race(rate).params.vehicle.constants
     assert (float(constants.r_max), float(constants.thrust_max)) == (2.0, 16.0)
 
 
 def test_refuses_limits_that_no_vehicle_has():
     unequal = dataclasses.replace(made_policy(8), command_low=np.arange(4.0))
     with pytest.raises(InputError, match="same for all motors"):
-        flights.own_race(unequal, None, None)
+        own_race(unequal)
     skewed = dataclasses.replace(made_policy(8, "rate"), command_low=np.full(4, -1.0))
     with pytest.raises(InputError, match="rad/s"):
-        flights.own_race(skewed, None, None)
+        own_race(skewed)
 
 
 @pytest.mark.parametrize("with_residual", [False, True])
 @pytest.mark.parametrize("rate, cutoff", [(512.0, 8.0), (400.0, 16.0)])
 def test_estimator_is_the_reference(with_residual, rate, cutoff):
     rng = np.random.default_rng(0)
-    constants = flights.own_race(made_policy(8), None, None).params.vehicle.constants
+    constants = own_race(made_policy(8)).params.vehicle.constants
     residual = made_residual(rng) if with_residual else None
     tables = make_estimator(constants, residual, rate, cutoff)
-    measured = measurements.thrown(rng, rate, 4.0)
+    measured = measurements.tumbling(rng, rate, 4.0)
     memory = estimator_emulator.start(tables, measured[:1])
     found = np.concatenate(
         [
@@ -148,14 +145,13 @@ def test_estimator_is_the_reference(with_residual, rate, cutoff):
             for row in measured
         ]
     )
-    moment, force = estimate(
-        VehicleParams(constants, residual), measurements.signals(measured), rate, cutoff
-    )
-    assert np.abs(found[:, :3] - moment).max() < 1e-6
-    assert np.abs(found[:, 3:] - force).max() < 2e-5
+    vehicle = VehicleParams(constants, residual)
+    error = np.abs(found - measurements.estimate_float64(vehicle, measured[None], rate, cutoff)[0])
+    assert error[:, :3].max() < 1e-6
+    assert error[:, 3:].max() < 2e-5
 
 
 def test_estimator_refuses_a_cutoff_without_room():
-    constants = flights.own_race(made_policy(8), None, None).params.vehicle.constants
+    constants = own_race(made_policy(8)).params.vehicle.constants
     with pytest.raises(InputError, match="cut-off"):
         make_estimator(constants, None, 512.0, 200.0)

@@ -8,13 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.export.verify.context import Context
-from quadjax.export.verify.float_version import write_float
-from quadjax.export.verify.harness import (
-    machine_infer,
-    write_harness,
-    write_memory,
-)
-from quadjax.export.verify.result import LeftOut, require
+from quadjax.export.verify.emitted import write_float, write_harness, write_memory
+from quadjax.export.verify.harness import machine_infer
+from quadjax.export.verify.result import Skipped, require
 from quadjax.export.verify.toolchain import (
     FREESTANDING,
     WARNINGS,
@@ -34,7 +30,7 @@ COUNTED = 12  # vectors whose instructions are counted
 def _need_emulator() -> None:
     for module in ("unicorn", "elftools"):
         if not has_module(module):
-            raise LeftOut(f"no {module}; pip install -e '.[verify]'")
+            raise Skipped(f"no {module}; pip install -e '.[verify]'")
 
 
 def _build(c: Context, compiler: Compiler, tag: str) -> Path:
@@ -131,12 +127,10 @@ def float_instructions(c: Context, compiler: Compiler, tag: str) -> int:
     """Instructions of one inference of the float version."""
     from quadjax.export.verify.machine import Machine
 
-    if c.folder.policy.output == "tanh":
-        raise LeftOut("the float version of a tanh output needs a C library")
     extra = ["-Wl,-e,float_forward"] + (FREESTANDING if compiler.name != "zig cc" else [])
     elf = compiler.build([write_float(c.folder, c.work), write_memory(c.work)], c.work / tag, extra)
     machine = Machine(elf)
-    x = machine.place(c.folder.observations[0])
+    x = machine.place(c.folder.rollouts.observations[0])
     return machine.count("float_forward", x, machine.reserve(16))[0]
 
 
@@ -150,10 +144,10 @@ def _compilers() -> list[tuple[str, Compiler, str, int]]:
     )
     found = []
     for name, make, tag, kernel in makers:
-        with contextlib.suppress(LeftOut):
+        with contextlib.suppress(Skipped):
             found.append((name, make(), tag, kernel))
     if not found:
-        raise LeftOut("no compiler for ARM; pip install -e '.[verify]'")
+        raise Skipped("no compiler for ARM; pip install -e '.[verify]'")
     return found
 
 
@@ -185,9 +179,10 @@ def _count_step(c: Context, elf: Path, kernel: int) -> tuple[int, int, int]:
     from quadjax.export.verify.machine import Machine
 
     machine, prefix = Machine(elf), c.folder.name
-    flown = np.linspace(0, len(c.folder.states) - 1, COUNTED).astype(int)
+    rows = np.linspace(0, len(c.folder.rollouts.states) - 1, COUNTED).astype(int)
     hostile = np.linspace(0, len(c.hostile) - 1, COUNTED).astype(int)
-    states = [*c.folder.states[flown], *c.hostile[hostile, : c.folder.states.shape[1]]]
+    size = c.folder.race.state_size
+    states = [*c.folder.rollouts.states[rows], *c.hostile[hostile, :size]]
     race, status, command = (machine.reserve(size) for size in (64, 16, 16))
     memory, moment, force = (machine.reserve(size) for size in (128, 16, 16))
     largest = np.zeros((2, 2), int)

@@ -1,29 +1,43 @@
-"""Checks against the Python that trains: observation, gate logic, estimator, closed loop."""
+"""Checks against the simulator: own flights, observation, gates, estimator, closed loop."""
 
 import numpy as np
 
+from quadjax.core.errors import InputError
 from quadjax.export import flights, race_emulator
 from quadjax.export.report import float64_commands
 from quadjax.export.verify import measurements
 from quadjax.export.verify.context import Context
-from quadjax.export.verify.result import LeftOut, require
-from quadjax.fitting.estimator_reference import estimate
+from quadjax.export.verify.result import Failed, Skipped, require
 
 OBSERVATION_TOLERANCE = 1e-6  # of each input's range
 COMMAND_TOLERANCE = {"motor": 0.5, "rate": 1e-4}  # rpm; of the range
-# Moment, N m, and force, m/s^2: of the float64 reference, and of the float32 that trains.
-ESTIMATOR_TOLERANCE, TRAINED_TOLERANCE = (1e-6, 2e-5), (1e-5, 2e-4)
+ESTIMATOR_TOLERANCE = (1e-6, 2e-5)  # moment, N m, and force, m/s^2
 LAP_TOLERANCE = 1e-3  # s
 
 
+def check_own_flights(c: Context) -> str:
+    """The policy finishes its own race: the flights of the conversion, repeated."""
+    folder = c.folder
+    laps = flights.simulate(folder.own, folder.policy).laps
+    assert laps is not None
+    result = f"{laps.finished} of {len(laps.crashes)} finish {laps.lap_times.shape[1]} laps"
+    try:
+        flights.check_finished(laps, folder.own, folder.name)
+    except InputError as error:
+        if folder.allow_unfinished and c.allow_unfinished:
+            raise Skipped(f"{result}; allowed by --allow-unfinished") from None
+        raise Failed(str(error)) from None
+    return result
+
+
 def check_observation(c: Context) -> str:
-    """The C's observation of flown states, and what it commands, beside the environment's."""
-    folder, network = c.folder, c.folder.network
-    rows = c.library.observe(folder.states, folder.targets)
-    require(not np.any(rows[:, network.inputs :]), "a flown state was clipped")
-    same = race_emulator.observe(folder.race, folder.states, folder.targets)
+    """The C's observation of simulated states, and its commands, against the environment's."""
+    folder, network, seen = c.folder, c.folder.network, c.folder.rollouts
+    rows = c.library.observe(seen.states, seen.targets)
+    require(not np.any(rows[:, network.inputs :]), "a simulated state was clipped")
+    same = race_emulator.observe(folder.race, seen.states, seen.targets)
     require(bool(np.all(rows[:, : network.inputs] == same.q)), "C and NumPy differ")
-    shown = flights.observe(folder.own, folder.states, folder.targets).astype(np.float64)
+    shown = flights.observe(folder.own, seen.states, seen.targets).astype(np.float64)
     found = rows[:, : network.inputs] / 2.0**30 * network.box.ranges
     error = np.abs(found - shown) / network.box.ranges
     # A yaw within rounding of half a turn is the same angle on either side.
@@ -41,16 +55,16 @@ def check_observation(c: Context) -> str:
     change = float(np.median(np.max(np.abs(exact - trained) / scale, axis=1)))
     limit = COMMAND_TOLERANCE[folder.policy.vehicle]
     require(change <= limit, f"commands move by {change:.2g}, median")
-    return f"{len(rows)} flown states: within {worst:.1e} of each input's range"
+    return f"{len(rows)} simulated states: within {worst:.1e} of each input's range"
 
 
 def check_gates(c: Context) -> str:
-    """The C passes and misses the same gates at the same steps as the simulator's rules say."""
+    """The C passes and misses the same gates as the simulator, at the same steps."""
     folder = c.folder
-    flown = flights.paths(c.trace)
-    flown.append(flights.wander(folder.own, steps=5000))
+    followed = flights.paths(c.trace)
+    followed.append(flights.wander(folder.own, steps=5000))
     counts = {race_emulator.PASSED: 0, race_emulator.MISSED: 0}
-    for positions, targets in flown:
+    for positions, targets in followed:
         rows = c.library.events(positions, int(targets[0]))
         # The simulator's target at a step is the one after the step's own crossing.
         wrong = np.flatnonzero(rows[:, 1] != targets)
@@ -63,33 +77,26 @@ def check_gates(c: Context) -> str:
 
 
 def check_estimator(c: Context) -> str:
-    """The C's estimator beside the float64 reference and beside the one that policies train with.
+    """The C's estimator against ``quadjax.vehicle.estimator`` in float64.
 
-    Over what the sensors of flights say, and of a drone that is thrown about, both held to the
-    ranges that the header states: beyond them the C clips and says so, as its vectors show.
+    The measurements are those of simulated flights and of a drone that tumbles, both clipped to the
+    ranges that the header states.
     """
     tables, vehicle = c.folder.estimator, c.folder.own.params.vehicle
     if tables is None:
-        raise LeftOut("a rate-level policy does not see the disturbances")
+        raise Skipped("a rate-level policy does not observe the disturbances")
     rate, cutoff, rng = tables.sample_rate, tables.cutoff, np.random.default_rng(0)
-    logs = measurements.flown(rng, vehicle, c.trace, c.folder.own.config.episode.dt, rate)
-    logs = np.concatenate([logs, measurements.thrown(rng, rate, logs.shape[1] / rate)[None]])
+    logs = measurements.simulated(rng, vehicle, c.trace, c.folder.own.time_step, rate)
+    logs = np.concatenate([logs, measurements.tumbling(rng, rate, logs.shape[1] / rate)[None]])
     limits = np.ldexp(np.float32(1.0), np.array(tables.exponents))
     logs = np.clip(logs, -limits, limits).astype(np.float32)
     found = np.stack([c.library.estimate(log) for log in logs]).astype(np.float64)
-    exact = [estimate(vehicle, measurements.signals(log), rate, cutoff) for log in logs]
-    exact = _worst(found - np.stack([np.concatenate(pair, axis=1) for pair in exact]))
-    trained = _worst(found - measurements.estimate_as_trained(vehicle, logs, rate, cutoff))
-    for (moment, force), tolerance, who in (
-        (exact, ESTIMATOR_TOLERANCE, "float64"),
-        (trained, TRAINED_TOLERANCE, "the Python that trains"),
-    ):
-        require(moment <= tolerance[0], f"moment off by {moment:.2g} N m from {who}")
-        require(force <= tolerance[1], f"force off by {force:.2g} m/s^2 from {who}")
+    moment, force = _worst(found - measurements.estimate_float64(vehicle, logs, rate, cutoff))
+    require(moment <= ESTIMATOR_TOLERANCE[0], f"moment off by {moment:.2g} N m")
+    require(force <= ESTIMATOR_TOLERANCE[1], f"force off by {force:.2g} m/s^2")
     return (
-        f"{len(logs) * logs.shape[1]} samples, flown and thrown: within {exact[0]:.1e} N m and "
-        f"{exact[1]:.1e} m/s^2 of float64, {trained[0]:.1e} and {trained[1]:.1e} of the Python "
-        "that trains"
+        f"{len(logs) * logs.shape[1]} samples, simulated and tumbling: within {moment:.1e} N m and "
+        f"{force:.1e} m/s^2 of float64"
     )
 
 
@@ -98,12 +105,12 @@ def _worst(difference: np.ndarray) -> np.ndarray:
     return np.array([np.abs(part).max() for part in np.split(difference, 2, axis=2)])
 
 
-def check_closed_loop(c: Context, runs: int) -> str:
-    """The fixed-point policy flies the float policy's races: the same finishes and times."""
+def check_closed_loop(c: Context) -> str:
+    """The fixed-point policy finishes where the float policy does, in the same times."""
+    folder, runs = c.folder, c.runs
     if not runs:
-        raise LeftOut("ask for it with --flights 200")
-    folder = c.folder
-    single, fixed = flights.fly_both(folder.own, folder.policy, folder.network, runs)
+        raise Skipped("ask for it with --flights 200")
+    single, fixed = flights.fly_float_and_fixed(folder.own, folder.policy, folder.network, runs)
     require(single.crashes == fixed.crashes, "other finishes")
     both = np.isfinite(single.totals)
     if not both.any():

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.export.verify.context import Context
-from quadjax.export.verify.eva import write_eva_main
-from quadjax.export.verify.harness import write_harness
-from quadjax.export.verify.result import Failed, LeftOut, require
+from quadjax.export.verify.emitted import write_eva_main, write_harness
+from quadjax.export.verify.result import Failed, Skipped, require
 from quadjax.export.verify.toolchain import Compiler, host, need_program
 
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -g -O1".split()
@@ -22,7 +21,7 @@ def check_sanitizers(c: Context) -> str:
     """Address and undefined-behaviour sanitizers over ordinary and hostile vectors."""
     compiler = host()
     if compiler.name == "zig cc":
-        raise LeftOut("needs gcc or clang on this machine")
+        raise Skipped("needs gcc or clang on this machine")
     folder = c.folder
     strict = Compiler(compiler.name, compiler.command, ("-std=c99", *SANITIZERS))
     extra = ["-DHARNESS_MAIN", f"-I{folder.path}"]

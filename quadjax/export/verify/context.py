@@ -1,4 +1,4 @@
-"""What the checks share: the folder, the vectors, what NumPy says of them."""
+"""What the checks share: the folder, the vectors and the emulator's results."""
 
 import dataclasses
 import functools
@@ -39,11 +39,13 @@ class Context:
     folder: Folder
     work: Path  # a temporary folder for what is built
     count: int  # vectors
+    runs: int = 0  # of the closed loop
+    allow_unfinished: bool = False  # accept a policy that does not finish its own race
 
     @functools.cached_property
     def vectors(self) -> np.ndarray:
         """Corner, trajectory, uniform and Gaussian vectors, float32."""
-        return check_vectors(self.folder.network, self.count, self.folder.observations)
+        return check_vectors(self.folder.network, self.count, self.folder.rollouts.observations)
 
     @functools.cached_property
     def hostile(self) -> np.ndarray:
@@ -52,12 +54,12 @@ class Context:
 
     @functools.cached_property
     def expected(self) -> np.ndarray:
-        """What NumPy says of the vectors."""
+        """The emulator's rows of the vectors."""
         return expected_rows(self.folder, self.vectors)
 
     @functools.cached_property
     def expected_hostile(self) -> np.ndarray:
-        """What NumPy says of the hostile vectors."""
+        """The emulator's rows of the hostile vectors."""
         return expected_rows(self.folder, self.hostile)
 
     @functools.cached_property
@@ -71,7 +73,7 @@ class Context:
         return flights.fly_traced(self.folder.own, self.folder.policy, TRACED_RUNS, TRACED_LAPS)
 
     def same(self, who: str, rows: np.ndarray, expected: np.ndarray) -> None:
-        """Raise ``Failed`` unless rows are NumPy's, bit for bit."""
+        """Raise ``Failed`` unless rows are the emulator's, bit for bit."""
         wrong = np.flatnonzero(np.any(rows != expected, axis=1))
         if wrong.size:
             raise Failed(f"{who}: {wrong.size} of {len(rows)} vectors differ, first {wrong[0]}")

@@ -1,4 +1,4 @@
-"""The C around the C: a harness that runs batches, a float version to compare with, main files."""
+"""Compiled C as a library of this process, or on the emulated processor."""
 
 import ctypes
 import dataclasses
@@ -8,87 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.export.render import fill
+from quadjax.export.verify.emitted import write_float, write_harness, write_memory
 from quadjax.export.verify.folder import Folder
 from quadjax.export.verify.machine import Machine
 from quadjax.export.verify.toolchain import Compiler
 
 ROW = 7  # commands, trace, clipped, NaN
 CHUNK = 20_000  # vectors that go into the emulated machine at a time
-
-ESTIMATOR_BATCH = """
-void harness_estimate(const float *measurements, float *out, uint32_t count);
-void harness_estimate(const float *measurements, float *out, uint32_t count) {
-  @name@_estimator estimator = {{0}, {0}, 0U};
-  for (uint32_t i = 0U; i < count; ++i) {
-    (void)@name@_estimator_update(&estimator, (const @name@_measurement *)measurements, out,
-                                  out + 3);
-    measurements += 13;
-    out += 6;
-  }
-}
-"""
-ESTIMATOR_STEP = """\
-  static @name@_estimator estimator;
-  float moment[3];
-  float force[3];
-  (void)@name@_estimator_update(&estimator, (const @name@_measurement *)x, moment, force);
-"""
-MEMORY = """
-#include <stddef.h>
-/* What a compiler may call where there is no C library, by its own and by the ARM ABI's names. */
-void *memset(void *to, int value, size_t size);
-void *memcpy(void *restrict to, const void *restrict from, size_t size);
-void *memset(void *to, int value, size_t size) {
-  volatile unsigned char *byte = to;
-  while (size-- != 0U) {
-    *byte++ = (unsigned char)value;
-  }
-  return to;
-}
-void *memcpy(void *restrict to, const void *restrict from, size_t size) {
-  volatile unsigned char *byte = to;
-  const unsigned char *source = from;
-  while (size-- != 0U) {
-    *byte++ = *source++;
-  }
-  return to;
-}
-#define ABI(suffix)                                                                     \\
-  void __aeabi_memclr##suffix(void *to, size_t size);                                   \\
-  void __aeabi_memset##suffix(void *to, size_t size, int value);                        \\
-  void __aeabi_memcpy##suffix(void *to, const void *from, size_t size);                 \\
-  void __aeabi_memclr##suffix(void *to, size_t size) { memset(to, 0, size); }           \\
-  void __aeabi_memset##suffix(void *to, size_t size, int value) { memset(to, value, size); } \\
-  void __aeabi_memcpy##suffix(void *to, const void *from, size_t size) { memcpy(to, from, size); }
-ABI()
-ABI(4)
-ABI(8)
-"""
-
-
-def write_harness(folder: Folder, work: Path) -> Path:
-    """The batch functions, with a ``main`` under -DHARNESS_MAIN."""
-    motor = folder.estimator is not None
-    values = {
-        "name": folder.name,
-        "NAME": folder.name.upper(),
-        "command_type": "uint16_t" if folder.policy.vehicle == "motor" else "float",
-        "estimator_include": f'#include "{folder.name}_estimator.h"\n' if motor else "",
-        "estimator_batch": ESTIMATOR_BATCH.replace("@name@", folder.name) if motor else "",
-        "estimator_step": ESTIMATOR_STEP.replace("@name@", folder.name) if motor else "",
-        "estimator_test": f" + {folder.name}_estimator_self_test()" if motor else "",
-    }
-    path = work / "harness.c"
-    path.write_text(fill("harness.c.in", values))
-    return path
-
-
-def write_memory(work: Path) -> Path:
-    """``memset`` and ``memcpy``, which a compiler may call where there is no C library."""
-    path = work / "memory.c"
-    path.write_text(MEMORY)
-    return path
 
 
 @dataclasses.dataclass
@@ -115,9 +41,9 @@ class HostLibrary:
         return out
 
     def command(self, x: np.ndarray) -> np.ndarray:
-        """What the forward function gives (n, 4)."""
+        """Commands (n, 4) of the forward function."""
         x = np.ascontiguousarray(x, np.float32)
-        kind = np.uint16 if self.folder.policy.vehicle == "motor" else np.float32
+        kind = np.uint16 if self.folder.motor else np.float32
         out = np.zeros((len(x), 4), kind)
         self._call("harness_command", 0, x, out, len(x))
         return out
@@ -167,6 +93,21 @@ def host_library(folder: Folder, compiler: Compiler, work: Path) -> HostLibrary:
     sources = [*folder.files, write_harness(folder, work)]
     library = load_library(compiler, sources, work / "host.so", [f"-I{folder.path}"])
     return HostLibrary(library, folder)
+
+
+def float_library(folder: Folder, compiler: Compiler, work: Path) -> ctypes.CDLL:
+    """The float version for this machine, without fused or reordered arithmetic."""
+    source = write_float(folder, work)
+    return load_library(compiler, [source], work / "float.so", ["-ffp-contract=off"])
+
+
+def float_commands(library: ctypes.CDLL, x: np.ndarray) -> np.ndarray:
+    """Commands (n, 4) float32 of the float version."""
+    x = np.ascontiguousarray(x, np.float32)
+    out = np.zeros((len(x), 4), np.float32)
+    pointers = (array.ctypes.data_as(ctypes.c_void_p) for array in (x, out))
+    library.float_batch(*pointers, len(x))
+    return out
 
 
 def machine_infer(machine: Machine, kernel: int, x: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Measurements to try the estimator with: flown, and of a drone that is thrown about."""
+"""Measurements for checks of the estimator: of simulated flights and of a tumbling drone."""
 
 import functools
 
@@ -9,6 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.vectors import Rotors, Vec3
+from quadjax.export.integers import enable_x64
 from quadjax.race.laps import Trace
 from quadjax.vehicle import estimator, motor
 from quadjax.vehicle.motor import force_moment
@@ -23,8 +24,8 @@ def _noisy(rng: np.random.Generator, clean: np.ndarray) -> np.ndarray:
     return (clean + NOISE * rng.standard_normal(clean.shape)).astype(np.float32)
 
 
-def thrown(rng: np.random.Generator, rate: float, seconds: float) -> np.ndarray:
-    """A drone that is thrown about, (n, 13) float32 at ``rate`` Hz, with noise."""
+def tumbling(rng: np.random.Generator, rate: float, seconds: float) -> np.ndarray:
+    """Measurements of a tumbling drone, (n, 13) float32 at ``rate`` Hz, with noise."""
     t = np.arange(round(rate * seconds)) / rate
     gyro = [8.0 * np.sin(2 * np.pi * f * t + f) for f in (1.3, 2.1, 0.7)]
     force = [5.0 * np.sin(3 * t), 4.0 * np.cos(2 * t), -9.8 + 6.0 * np.sin(7 * t)]
@@ -33,17 +34,17 @@ def thrown(rng: np.random.Generator, rate: float, seconds: float) -> np.ndarray:
     return _noisy(rng, np.stack([*gyro, *force, *rpm, *velocity], axis=1))
 
 
-def flown(
+def simulated(
     rng: np.random.Generator, vehicle: VehicleParams, trace: Trace, dt: float, rate: float
 ) -> np.ndarray:
-    """What the sensors of flights say, (runs, n, 13) float32 at ``rate`` Hz, with noise.
+    """Measurements of simulated flights, (runs, n, 13) float32 at ``rate`` Hz, with noise.
 
     Args:
         rng: of the noise.
-        vehicle: its forces are what the accelerometer feels, and ``PUSH`` besides.
-        trace: a step every ``dt`` seconds; in between by cubic splines, to the end of the shortest.
-        dt: s.
-        rate: Hz.
+        vehicle: its forces and ``PUSH`` are what the accelerometer measures.
+        trace: a step every ``dt`` seconds, by cubic splines in between, until a run ends.
+        dt: time step of the trace, s.
+        rate: of the samples, Hz.
     """
     parts = (trace.velocity, trace.euler, trace.rates, trace.actuators)
     rows = [np.asarray(part, np.float64) for part in parts]  # (time, k, runs)
@@ -66,17 +67,18 @@ def _measure(vehicle: VehicleParams, state: jax.Array) -> jax.Array:
     return jnp.stack([x for vector in numbers for x in vector.components()])
 
 
-def signals(measured: np.ndarray) -> dict[str, np.ndarray]:
-    """Measurements (n, 13) as ``fit.estimator_reference`` takes them, float64."""
-    exact = measured.astype(np.float64)
-    names = ("gyro", "specific_force", "rpm", "body_velocity")
-    return dict(zip(names, np.split(exact, (3, 6, 10), axis=1), strict=True))
-
-
-def estimate_as_trained(
+def estimate_float64(
     vehicle: VehicleParams, measured: np.ndarray, rate: float, cutoff: float
 ) -> np.ndarray:
-    """Moments and forces (runs, n, 6) float32 by the estimator that a policy trains with."""
+    """Moments and forces (runs, n, 6) of ``quadjax.vehicle.estimator`` in float64."""
+    with enable_x64(True):
+        exact = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), vehicle)
+        return _estimate(exact, jnp.asarray(measured, jnp.float64), rate, cutoff)
+
+
+def _estimate(
+    vehicle: VehicleParams, measured: jax.Array, rate: float, cutoff: float
+) -> np.ndarray:
     params = estimator.estimator_params(motor.MODEL, vehicle, rate, cutoff)
 
     def measurement(row: jax.Array) -> Measurement:

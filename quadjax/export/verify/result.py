@@ -1,10 +1,10 @@
-"""What a check found, and the table of all of them."""
+"""Results of checks, and their table."""
 
 import dataclasses
 import time
 from collections.abc import Callable
 
-PASSED, FAILED, LEFT_OUT = "pass", "FAIL", "left out"
+PASSED, FAILED, SKIPPED = "pass", "FAIL", "skipped"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -12,29 +12,29 @@ class Result:
     """One row of the table."""
 
     check: str
-    verdict: str  # PASSED | FAILED | LEFT_OUT
-    figure: str  # what was measured, or why it was left out
+    verdict: str  # PASSED | FAILED | SKIPPED
+    figure: str  # measured value, or why the check was skipped
     seconds: float = 0.0
 
 
-class LeftOut(Exception):
-    """A check that this machine cannot run; the message says why."""
+class Skipped(Exception):
+    """A check that cannot run on this machine; the message gives the reason."""
 
 
 class Failed(Exception):
-    """A check that ran and failed; the message says how."""
+    """A check that failed; the message says how."""
 
 
 def run_check(name: str, check: Callable[[], str]) -> Result:
-    """Run one check, which returns its figure or raises ``LeftOut`` or ``Failed``."""
+    """Run one check, which returns its figure or raises ``Skipped`` or ``Failed``."""
     start = time.monotonic()
     try:
         verdict, figure = PASSED, check()
-    except LeftOut as reason:
-        verdict, figure = LEFT_OUT, str(reason)
+    except Skipped as reason:
+        verdict, figure = SKIPPED, str(reason)
     except Failed as reason:
         verdict, figure = FAILED, str(reason)
-    except Exception as error:  # a check that breaks has not passed
+    except Exception as error:  # any other error is a failure
         verdict, figure = FAILED, f"{type(error).__name__}: {error}"
     return Result(name, verdict, " ".join(figure.split()), time.monotonic() - start)
 
@@ -51,10 +51,10 @@ def table_text(results: list[Result]) -> str:
     lines = []
     for r in results:
         lines.append(f"{r.check:<{width}}  {r.verdict:<8}  {r.seconds:6.1f} s  {r.figure}")
-    counts = {v: sum(r.verdict == v for r in results) for v in (PASSED, FAILED, LEFT_OUT)}
+    counts = {v: sum(r.verdict == v for r in results) for v in (PASSED, FAILED, SKIPPED)}
     lines.append("")
     lines.append(
-        f"{counts[PASSED]} passed, {counts[FAILED]} failed, {counts[LEFT_OUT]} left out; "
+        f"{counts[PASSED]} passed, {counts[FAILED]} failed, {counts[SKIPPED]} skipped; "
         f"{sum(r.seconds for r in results):.0f} s"
     )
     return "\n".join(lines)

@@ -1,70 +1,101 @@
 """All the checks of a folder, in order."""
 
+import dataclasses
+import functools
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from quadjax.core.files import write_text
 from quadjax.export.verify import checks_arm, checks_bits, checks_flight, checks_static
 from quadjax.export.verify.context import Context
-from quadjax.export.verify.folder import read_folder
-from quadjax.export.verify.result import Result, run_check
+from quadjax.export.verify.folder import Folder, read_folder
+from quadjax.export.verify.result import FAILED, Result, require, run_check
 
 Check = Callable[[Context], str]
 
-CHECKS: tuple[tuple[str, Check], ...] = (
-    ("sources", checks_bits.check_sources),
-    ("range proof", checks_bits.check_proof),
-    ("warnings, host", checks_bits.check_warnings),
-    ("NumPy = JAX", checks_bits.check_jax),
-    ("NumPy = C, host", checks_bits.check_host),
-    ("hostile inputs", checks_bits.check_hostile),
-    ("accuracy", checks_bits.check_accuracy),
-    ("mutations", checks_bits.check_mutations),
-    ("observation", checks_flight.check_observation),
-    ("gate logic", checks_flight.check_gates),
-    ("estimator", checks_flight.check_estimator),
-    ("Cortex-A9 scalar, zig", checks_arm.check_zig_scalar),
-    ("Cortex-A9 NEON, zig", checks_arm.check_zig_neon),
-    ("Cortex-A9 scalar, gcc", checks_arm.check_bebop_scalar),
-    ("Cortex-A9 NEON, gcc", checks_arm.check_bebop_neon),
-    ("against float C", checks_arm.check_against_float),
-    ("a step on board", checks_arm.check_step),
-    ("warnings, gcc armel", checks_arm.check_warnings_bebop),
-    ("QEMU armel", checks_arm.check_qemu_armel),
-    ("QEMU armhf", checks_arm.check_qemu_armhf),
-    ("ASan and UBSan", checks_static.check_sanitizers),
-    ("Frama-C EVA", checks_static.check_eva),
-    ("cppcheck", checks_static.check_cppcheck),
-)
+SOURCES = "sources"  # runs always, and first
+CHECKS: dict[str, Check] = {
+    "range proof": checks_bits.check_proof,
+    "warnings, host": checks_bits.check_warnings,
+    "NumPy = JAX": checks_bits.check_jax,
+    "NumPy = C, host": checks_bits.check_host,
+    "hostile inputs": checks_bits.check_hostile,
+    "accuracy": checks_bits.check_accuracy,
+    "mutations": checks_bits.check_mutations,
+    "own flights": checks_flight.check_own_flights,
+    "observation": checks_flight.check_observation,
+    "gate logic": checks_flight.check_gates,
+    "estimator": checks_flight.check_estimator,
+    "Cortex-A9 scalar, zig": checks_arm.check_zig_scalar,
+    "Cortex-A9 NEON, zig": checks_arm.check_zig_neon,
+    "Cortex-A9 scalar, gcc": checks_arm.check_bebop_scalar,
+    "Cortex-A9 NEON, gcc": checks_arm.check_bebop_neon,
+    "against float C": checks_arm.check_against_float,
+    "a step on board": checks_arm.check_step,
+    "warnings, gcc armel": checks_arm.check_warnings_bebop,
+    "QEMU armel": checks_arm.check_qemu_armel,
+    "QEMU armhf": checks_arm.check_qemu_armhf,
+    "ASan and UBSan": checks_static.check_sanitizers,
+    "Frama-C EVA": checks_static.check_eva,
+    "cppcheck": checks_static.check_cppcheck,
+    "closed loop": checks_flight.check_closed_loop,
+}
 
 
 def verify(
-    path: Path,
+    path: Path | str,
     vectors: int = 5_000,
     runs: int = 0,
     announce: Callable[[str], None] = lambda _: None,
     only: Sequence[str] | None = None,
+    allow_unfinished: bool = False,
 ) -> list[Result]:
-    """Verify an exported folder.
+    """Verify an exported folder: build and run it with the tools of this machine.
+
+    If a file is not what the converter writes, that is the only result and nothing is compiled.
 
     Args:
-        path: what ``export_c.py`` wrote.
-        vectors: how many vectors every build must agree on.
+        path: a folder that ``export_c`` wrote.
+        vectors: number of vectors on which every build must agree.
         runs: flights of the closed loop, 0 for none.
-        announce: told the name of every check before it runs.
-        only: names of the checks to run, as in ``CHECKS``; all if not given.
+        announce: called with the name of every check before it runs.
+        only: names of the checks to run besides the first, as in ``CHECKS``; all if not given.
+        allow_unfinished: accept a policy that was exported although it does not finish its race.
+
+    Returns:
+        A result for each check, in order.
 
     Raises:
-        InputError: no such folder, or one that cannot be read.
+        InputError: no such folder, or a file in it that is missing or damaged.
     """
-    folder = read_folder(path)
-    checks = (*CHECKS, ("closed loop", lambda c: checks_flight.check_closed_loop(c, runs)))
-    results = []
+    folder = read_folder(Path(path))
+    chosen = [name for name in CHECKS if only is None or name in only]
+    announce(SOURCES)
+    results = [run_check(SOURCES, lambda: check_sources(folder))]
+    if results[0].verdict == FAILED:
+        return results
     with tempfile.TemporaryDirectory() as work:
-        context = Context(folder, Path(work), vectors)
-        for name, check in checks:
-            if only is not None and name not in only:
-                continue
+        context = Context(_copied(folder, Path(work) / "c"), Path(work), vectors, runs)
+        context.allow_unfinished = allow_unfinished
+        for name in chosen:
             announce(name)
-            results.append(run_check(name, lambda check=check: check(context)))
+            results.append(run_check(name, functools.partial(CHECKS[name], context)))
     return results
+
+
+def check_sources(folder: Folder) -> str:
+    """Every C file is, byte for byte, what the converter writes for this policy."""
+    for file, text in folder.sources.items():
+        path = folder.path / file
+        require(path.is_file(), f"{file} is missing")
+        same = path.read_bytes() == text.encode("utf-8")
+        require(same, f"{file} is not what the converter writes; nothing is compiled")
+    return f"{len(folder.sources)} files as the converter writes them"
+
+
+def _copied(folder: Folder, path: Path) -> Folder:
+    """The folder with its sources in ``path``: other files of the user's are not compiled."""
+    for file, text in folder.sources.items():
+        write_text(path / file, text)
+    return dataclasses.replace(folder, path=path)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.export.verify.result import Failed, LeftOut
+from quadjax.export.verify.result import Failed, Skipped
 
 WARNINGS = (
     "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wcast-align -Werror "
@@ -57,10 +57,10 @@ def has_module(name: str) -> bool:
 
 
 def need_program(name: str) -> str:
-    """The path of a program, or ``LeftOut``."""
+    """The path of a program, or ``Skipped``."""
     path = shutil.which(name)
     if path is None:
-        raise LeftOut(f"no {name} on this machine")
+        raise Skipped(f"no {name} on this machine")
     return path
 
 
@@ -72,13 +72,13 @@ def host() -> Compiler:
     if has_module("ziglang"):
         command = (sys.executable, "-m", "ziglang", "cc")
         return Compiler("zig cc", command, ("-std=c99", "-O2", "-fno-sanitize=all"))
-    raise LeftOut("no C compiler on this machine; pip install ziglang")
+    raise Skipped("no C compiler on this machine; pip install ziglang")
 
 
 def zig_arm(neon: bool) -> Compiler:
     """The compiler that pip installs, for a Cortex-A9 without an operating system."""
     if not has_module("ziglang"):
-        raise LeftOut("no ziglang; pip install -e '.[verify]'")
+        raise Skipped("no ziglang; pip install -e '.[verify]'")
     flags = ZIG if neon else [f.replace("cortex_a9", "cortex_a9-neon") for f in ZIG]
     command = (sys.executable, "-m", "ziglang", "cc")
     return Compiler("zig cc", command, tuple(flags))

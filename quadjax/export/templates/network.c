@@ -1,7 +1,7 @@
 /*
- * @name@: see @name@.h.
+ * ${name}: see ${name}.h.
  *
-@provenance@
+${origin.lines | comment}
  *
  * Every hidden neuron is  y = max(0, (bias + sum of weight * x) >> 32),  the rounding half folded
  * into its bias: ReLU, rounding and requantisation are one shift by a whole word. Its scale is
@@ -11,9 +11,9 @@
  * Right shifts of negative numbers are arithmetic, as in every compiler for every processor that
  * this may run on; the self-test would see it otherwise.
  */
-#include "@name@.h"
+#include "${name}.h"
 
-#if @NAME@_HAS_NEON
+#if ${NAME}_HAS_NEON
 #if !defined(__ARM_NEON) && !defined(__ARM_NEON__)
 /* Only what lies between push and pop is compiled for NEON: the rest must run without it. */
 #pragma GCC push_options
@@ -32,16 +32,24 @@
 enum {
   ROWS_PER_BLOCK = 4,
   COLUMNS_PER_LOAD = 4, /* of the NEON kernel */
-@dimensions@
-  WIDEST = @widest@, /* the longest vector between two layers, padded */
-  TEST_VECTORS = @vectors@
+{% for layer in layers %}
+  ROWS_${loop.index0} = ${layer.rows}, PADDED_ROWS_${loop.index0} = ${layer.bias.size}, COLUMNS_${loop.index0} = ${layer.columns},
+{% endfor %}
+  WIDEST = ${layers | map(attribute="columns") | max}, /* the longest vector between two layers, padded */
+  TEST_VECTORS = ${test.inputs | length}
 };
 
-@tables@
+{% for layer in layers %}
+/* Layer ${loop.index0}: ${layer.rows} rows of ${layer.columns} columns, padded. */
+${table("int32_t", "weight_" ~ loop.index0, layer.weights)}
+
+${table("int64_t", "bias_" ~ loop.index0, layer.bias)}
+
+{% endfor %}
 /* ---- inputs ---------------------------------------------------------------------------------- */
 
 /* A float of magnitude 2^e has the exponent field 127 + e. */
-static const int8_t range_exponent[@NAME@_INPUTS] = {@exponents@};
+static const int8_t range_exponent[${NAME}_INPUTS] = {${network.box.exponents | join(", ")}};
 
 enum {
   EXPONENT_SHIFT = 23,
@@ -64,7 +72,7 @@ static uint32_t float_bits(float value) {
 }
 
 /* By the bits of the float, so that no compiler flag, rounding mode or missing FPU matters. */
-int32_t @name@_quantize_one(uint32_t bits, int32_t exponent, uint32_t *clipped, uint32_t *nan) {
+int32_t ${name}_quantize_one(uint32_t bits, int32_t exponent, uint32_t *clipped, uint32_t *nan) {
   const uint32_t limit = (uint32_t)(EXPONENT_BIAS + exponent) << EXPONENT_SHIFT;
   uint32_t magnitude = bits & MAGNITUDE_MASK;
   *nan = (magnitude > INFINITY_BITS) ? 1U : 0U;
@@ -86,12 +94,12 @@ int32_t @name@_quantize_one(uint32_t bits, int32_t exponent, uint32_t *clipped, 
   return (int32_t)value * sign * (int32_t)(1U - *nan);
 }
 
-@name@_status @name@_quantize(const float x[@NAME@_INPUTS], int32_t q[@NAME@_INPUTS]) {
-  @name@_status status = {0U, 0U};
-  for (uint32_t i = 0U; i < @NAME@_INPUTS; ++i) {
+${name}_status ${name}_quantize(const float x[${NAME}_INPUTS], int32_t q[${NAME}_INPUTS]) {
+  ${name}_status status = {0U, 0U};
+  for (uint32_t i = 0U; i < ${NAME}_INPUTS; ++i) {
     uint32_t clipped;
     uint32_t nan;
-    q[i] = @name@_quantize_one(float_bits(x[i]), range_exponent[i], &clipped, &nan);
+    q[i] = ${name}_quantize_one(float_bits(x[i]), range_exponent[i], &clipped, &nan);
     status.clipped |= clipped << i;
     status.nan |= nan << i;
   }
@@ -110,7 +118,7 @@ int32_t @name@_quantize_one(uint32_t bits, int32_t exponent, uint32_t *clipped, 
 
 /* How many columns a turn of the scalar kernel takes, known to the compiler so that it unrolls them.
  * One where clang may use NEON: what it makes of more than that is slow. */
-#if defined(__clang__) && (@NAME@_HAS_NEON)
+#if defined(__clang__) && (${NAME}_HAS_NEON)
 #define COLUMNS_PER_TURN 1U
 #else
 #define COLUMNS_PER_TURN 8U
@@ -141,7 +149,7 @@ KERNEL void sums_scalar(const int32_t *restrict weight, const int64_t *restrict 
   sums_of_two(weight + 2, bias + 2, x, columns, sums + 2);
 }
 
-#if @NAME@_HAS_NEON
+#if ${NAME}_HAS_NEON
 #if NEON_NEEDS_TARGET
 #pragma GCC push_options
 #pragma GCC target("fpu=neon")
@@ -181,10 +189,10 @@ KERNEL void sums_neon(const int32_t *restrict weight, const int64_t *restrict bi
 #endif
 #endif
 
-static void block_sums(@name@_kernel kernel, const int32_t *weight, const int64_t *bias,
+static void block_sums(${name}_kernel kernel, const int32_t *weight, const int64_t *bias,
                        const int32_t *x, uint32_t columns, int64_t sums[ROWS_PER_BLOCK]) {
-#if @NAME@_HAS_NEON
-  if (kernel == @NAME@_NEON) {
+#if ${NAME}_HAS_NEON
+  if (kernel == ${NAME}_NEON) {
     sums_neon(weight, bias, x, columns, sums);
     return;
   }
@@ -214,69 +222,159 @@ static void digest_sums(uint32_t *trace, const int64_t *sums, uint32_t rows) {
   }
 }
 
-@hidden_layer@
-static int32_t clamp_input(int32_t value) {
-  value = (value > @NAME@_INPUT_ONE) ? @NAME@_INPUT_ONE : value;
-  return (value < -@NAME@_INPUT_ONE) ? -@NAME@_INPUT_ONE : value;
+{% if network.hidden %}
+/* ReLU, rounding and requantisation in one: the upper word, or zero if it is negative. */
+static int32_t relu_upper_word(int64_t sum) {
+  const int32_t upper = (int32_t)(sum >> 32);
+  return (upper > 0) ? upper : 0;
 }
 
-@squash@
+/* rows is what the policy has: the sums of the padding are not digested. */
+static void hidden_layer(${name}_kernel kernel, const int32_t *weight, const int64_t *bias,
+                         uint32_t rows, uint32_t padded_rows, uint32_t columns, const int32_t *x,
+                         int32_t *y, uint32_t *trace) {
+  for (uint32_t row = 0U; row < padded_rows; row += ROWS_PER_BLOCK) {
+    int64_t sums[ROWS_PER_BLOCK];
+    block_sums(kernel, weight, bias + row, x, columns, sums);
+    y[row] = relu_upper_word(sums[0]);
+    y[row + 1U] = relu_upper_word(sums[1]);
+    y[row + 2U] = relu_upper_word(sums[2]);
+    y[row + 3U] = relu_upper_word(sums[3]);
+    if ((trace != 0) && (row < rows)) {
+      digest_sums(trace, sums, (rows - row < ROWS_PER_BLOCK) ? rows - row : ROWS_PER_BLOCK);
+    }
+    weight += ROWS_PER_BLOCK * columns;
+  }
+}
+{% endif %}
+
+static int32_t clamp_input(int32_t value) {
+  value = (value > ${NAME}_INPUT_ONE) ? ${NAME}_INPUT_ONE : value;
+  return (value < -${NAME}_INPUT_ONE) ? -${NAME}_INPUT_ONE : value;
+}
+
+/* Clamped in the accumulator's own units, so that the shift cannot overflow. */
+${table("int64_t", "sum_low", network.command_low * 2**network.output_shift)}
+${table("int64_t", "sum_high", network.command_high * 2**network.output_shift)}
+
+static int32_t output_command(int64_t sum, uint32_t i) {
+  const int64_t low = sum_low[i];
+  const int64_t high = sum_high[i];
+  sum = (sum < low) ? low : sum;
+  sum = (sum > high) ? high : sum;
+  return (int32_t)(sum >> ${network.output_shift});
+}
+
 /* One inference. trace is where to digest the accumulators, or 0. */
-static void forward(@name@_kernel kernel, const int32_t q[@NAME@_INPUTS],
-                    int32_t command[@NAME@_OUTPUTS], uint32_t *trace) {
+static void forward(${name}_kernel kernel, const int32_t q[${NAME}_INPUTS],
+                    int32_t command[${NAME}_OUTPUTS], uint32_t *trace) {
   int32_t a[WIDEST];
-@second_buffer@  int64_t sums[ROWS_PER_BLOCK];
-  for (uint32_t i = 0U; i < @NAME@_INPUTS; ++i) {
+{% if network.hidden %}
+  int32_t b[WIDEST];
+{% endif %}
+  int64_t sums[ROWS_PER_BLOCK];
+  for (uint32_t i = 0U; i < ${NAME}_INPUTS; ++i) {
     a[i] = clamp_input(q[i]);
   }
-  for (uint32_t i = @NAME@_INPUTS; i < COLUMNS_0; ++i) {
+  for (uint32_t i = ${NAME}_INPUTS; i < COLUMNS_0; ++i) {
     a[i] = 0;
   }
-@layer_calls@
+{% for layer in layers %}
+{% set i = loop.index0 %}
+{% set x, y = ("a", "b") if i % 2 == 0 else ("b", "a") %}
+{% if loop.last %}
+  block_sums(kernel, weight_${i}, bias_${i}, ${x}, COLUMNS_${i}, sums);
+{% else %}
+  hidden_layer(kernel, weight_${i}, bias_${i}, ROWS_${i}, PADDED_ROWS_${i}, COLUMNS_${i}, ${x}, ${y}, trace);
+{% endif %}
+{% endfor %}
   if (trace != 0) {
-    digest_sums(trace, sums, @NAME@_OUTPUTS);
+    digest_sums(trace, sums, ${NAME}_OUTPUTS);
   }
-  for (uint32_t i = 0U; i < @NAME@_OUTPUTS; ++i) {
+  for (uint32_t i = 0U; i < ${NAME}_OUTPUTS; ++i) {
     command[i] = output_command(sums[i], i);
   }
 }
 
 /* ---- the public functions ---------------------------------------------------------------------- */
 
-void @name@_forward_q_with(@name@_kernel kernel, const int32_t q[@NAME@_INPUTS],
-                           int32_t command[@NAME@_OUTPUTS]) {
+void ${name}_forward_q_with(${name}_kernel kernel, const int32_t q[${NAME}_INPUTS],
+                           int32_t command[${NAME}_OUTPUTS]) {
   forward(kernel, q, command, 0);
 }
 
-void @name@_forward_q(const int32_t q[@NAME@_INPUTS], int32_t command[@NAME@_OUTPUTS]) {
-  forward(@NAME@_DEFAULT_KERNEL, q, command, 0);
+void ${name}_forward_q(const int32_t q[${NAME}_INPUTS], int32_t command[${NAME}_OUTPUTS]) {
+  forward(${NAME}_DEFAULT_KERNEL, q, command, 0);
 }
 
-uint32_t @name@_forward_traced(@name@_kernel kernel, const int32_t q[@NAME@_INPUTS],
-                               int32_t command[@NAME@_OUTPUTS]) {
+uint32_t ${name}_forward_traced(${name}_kernel kernel, const int32_t q[${NAME}_INPUTS],
+                               int32_t command[${NAME}_OUTPUTS]) {
   uint32_t trace = DIGEST_START;
   forward(kernel, q, command, &trace);
   return trace;
 }
 
-@command_function@
-@name@_status @name@_forward_with(@name@_kernel kernel, const float x[@NAME@_INPUTS],
-                                  @command_type@ command[@NAME@_OUTPUTS]) {
-  int32_t q[@NAME@_INPUTS];
-  int32_t integers[@NAME@_OUTPUTS];
-  const @name@_status status = @name@_quantize(x, q);
+void ${name}_command(const int32_t q[${NAME}_OUTPUTS], ${command_type} command[${NAME}_OUTPUTS]) {
+  for (uint32_t i = 0U; i < ${NAME}_OUTPUTS; ++i) {
+{% if motor %}
+    command[i] = (uint16_t)((q[i] + (INT32_C(1) << ${network.fraction_bits - 1})) >> ${network.fraction_bits});
+{% else %}
+    command[i] = (float)q[i] * ${2.0 ** -network.fraction_bits}F; /* exact: 2^-${network.fraction_bits} */
+{% endif %}
+  }
+}
+
+${name}_status ${name}_forward_with(${name}_kernel kernel, const float x[${NAME}_INPUTS],
+                                  ${command_type} command[${NAME}_OUTPUTS]) {
+  int32_t q[${NAME}_INPUTS];
+  int32_t integers[${NAME}_OUTPUTS];
+  const ${name}_status status = ${name}_quantize(x, q);
   forward(kernel, q, integers, 0);
-  @name@_command(integers, command);
+  ${name}_command(integers, command);
   return status;
 }
 
-@name@_status @name@_forward(const float x[@NAME@_INPUTS], @command_type@ command[@NAME@_OUTPUTS]) {
-  return @name@_forward_with(@NAME@_DEFAULT_KERNEL, x, command);
+${name}_status ${name}_forward(const float x[${NAME}_INPUTS], ${command_type} command[${NAME}_OUTPUTS]) {
+  return ${name}_forward_with(${NAME}_DEFAULT_KERNEL, x, command);
 }
 
 /* ---- self-test ---------------------------------------------------------------------------------- */
 
-@vector_tables@
+#define TABLES_HASH UINT32_C(${test.tables_hash})
+{% for digest in test.probes %}
+#define PROBE_${loop.index0} UINT32_C(${digest})
+{% endfor %}
+#define QUANTIZE_DIGEST UINT32_C(${test.quantize_digest})
+
+/* ${test.kinds}. */
+static const int32_t test_input[TEST_VECTORS][${network.inputs}] = {
+${rows(test.inputs, "int32")}};
+
+static const int32_t test_command[TEST_VECTORS][${network.outputs}] = {
+${rows(test.commands, "int32")}};
+
+/* Digest of every accumulator of each vector. */
+static const uint32_t test_trace[TEST_VECTORS] = {
+${test.traces | each("hex") | wrapped}};
+
+/* Zeros, subnormals, ordinary and huge numbers, infinities and NaNs: in every position. */
+static const uint32_t quantize_pattern[${test.patterns | length}] = {
+${test.patterns | each("hex") | wrapped}};
+
+static uint32_t quantize_fails(void) {
+  uint32_t digest = DIGEST_START;
+  for (uint32_t pattern = 0U; pattern < ${test.patterns | length}U; ++pattern) {
+    for (uint32_t i = 0U; i < sizeof(range_exponent); ++i) {
+      uint32_t clipped;
+      uint32_t nan;
+      const uint32_t bits = quantize_pattern[pattern];
+      const int32_t q = ${name}_quantize_one(bits, range_exponent[i], &clipped, &nan);
+      digest = digest_word(digest_word(digest_word(digest, (uint32_t)q), clipped), nan);
+    }
+  }
+  return (digest != QUANTIZE_DIGEST) ? 1U : 0U;
+}
+
 static uint32_t digest_table_32(uint32_t digest, const int32_t *table, uint32_t count) {
   for (uint32_t i = 0U; i < count; ++i) {
     digest = digest_word(digest, (uint32_t)table[i]);
@@ -293,13 +391,16 @@ static uint32_t digest_table_64(uint32_t digest, const int64_t *table, uint32_t 
 
 static uint32_t tables_hash(void) {
   uint32_t digest = DIGEST_START;
-@hash_calls@
+{% for layer in layers %}
+  digest = digest_table_32(digest, weight_${loop.index0}, ${layer.weights.size}U);
+  digest = digest_table_64(digest, bias_${loop.index0}, ${layer.bias.size}U);
+{% endfor %}
   return digest;
 }
 
 /* Odd numbers below 2^16, none zero: every bit of every weight shows in a sum, and no table, not
  * even a corrupted one, can overflow. Returns the digest of the sums of one layer. */
-static uint32_t probe_layer(@name@_kernel kernel, const int32_t *weight, const int64_t *bias,
+static uint32_t probe_layer(${name}_kernel kernel, const int32_t *weight, const int64_t *bias,
                             uint32_t padded_rows, uint32_t columns) {
   int32_t x[WIDEST];
   uint32_t state = 1U;
@@ -317,18 +418,21 @@ static uint32_t probe_layer(@name@_kernel kernel, const int32_t *weight, const i
   return digest;
 }
 
-static uint32_t vector_fails(@name@_kernel kernel, uint32_t number) {
-  int32_t command[@NAME@_OUTPUTS];
-  uint32_t wrong = @name@_forward_traced(kernel, test_input[number], command) ^ test_trace[number];
-  for (uint32_t i = 0U; i < @NAME@_OUTPUTS; ++i) {
+static uint32_t vector_fails(${name}_kernel kernel, uint32_t number) {
+  int32_t command[${NAME}_OUTPUTS];
+  uint32_t wrong = ${name}_forward_traced(kernel, test_input[number], command) ^ test_trace[number];
+  for (uint32_t i = 0U; i < ${NAME}_OUTPUTS; ++i) {
     wrong |= (uint32_t)(command[i] ^ test_command[number][i]);
   }
   return (wrong != 0U) ? 1U : 0U;
 }
 
-uint32_t @name@_self_test_with(@name@_kernel kernel) {
+uint32_t ${name}_self_test_with(${name}_kernel kernel) {
   uint32_t mismatches = (tables_hash() != TABLES_HASH) ? 1U : 0U;
-@probe_calls@
+{% for layer in layers %}
+{% set i = loop.index0 %}
+  mismatches += (probe_layer(kernel, weight_${i}, bias_${i}, PADDED_ROWS_${i}, COLUMNS_${i}) != PROBE_${i}) ? 1U : 0U;
+{% endfor %}
   for (uint32_t number = 0U; number < TEST_VECTORS; ++number) {
     mismatches += vector_fails(kernel, number);
   }
@@ -336,4 +440,4 @@ uint32_t @name@_self_test_with(@name@_kernel kernel) {
   return mismatches;
 }
 
-uint32_t @name@_self_test(void) { return @name@_self_test_with(@NAME@_DEFAULT_KERNEL); }
+uint32_t ${name}_self_test(void) { return ${name}_self_test_with(${NAME}_DEFAULT_KERNEL); }

@@ -1,0 +1,97 @@
+"""The fixed-point policy as a pure JAX function, for simulations of what the C does on board."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.config.schema import Config
+from quadjax.export import emulator
+from quadjax.export.fixed import FixedNetwork, convert
+from quadjax.export.integers import enable_x64
+from quadjax.export.proof import prove
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy
+from quadjax.policy.pilot import Pilot, Race
+from quadjax.race.laps import Laps, Trace
+
+
+def fixed_point_forward(network: FixedNetwork) -> Callable[[jax.Array], jax.Array]:
+    """A function from observations (.., inputs) float32 to commands (.., outputs) int32.
+
+    It can be called under ``jit`` and ``vmap``, and enables 64-bit integers for itself only.
+    """
+
+    def forward(observation: jax.Array) -> jax.Array:
+        with enable_x64(True):
+            return emulator.forward(network, observation, jnp)
+
+    return forward
+
+
+def fixed_point_actor(
+    policy: Policy, ranges: dict[str, float] | None = None
+) -> Callable[[jax.Array], jax.Array]:
+    """The fixed-point policy as a function from one observation to the commands.
+
+    Args:
+        policy: see ``fixed.convert``.
+        ranges: declared ranges that differ from the defaults.
+
+    Returns:
+        A pure function from an observation (inputs,) float32 to the commands (4,) float32, in rpm,
+        or rad/s and m/s^2. Its integers are those of the C, bit for bit; float32 holds a command to
+        2^-24 of itself.
+
+    Raises:
+        InputError: a policy that cannot be converted or proven.
+    """
+    network = convert(policy, ranges)
+    prove(network, policy)
+    integers = fixed_point_forward(network)
+    scale = np.float32(2.0**-network.fraction_bits)
+    return lambda observation: integers(observation).astype(jnp.float32) * scale
+
+
+def fixed_point_action(
+    network: FixedNetwork,
+) -> Callable[[object, jax.Array, jax.Array], jax.Array]:
+    """The fixed-point policy as an actor for ``race.laps.fly_laps``.
+
+    Returns:
+        A function of (anything, observation (inputs,), noise) to the action (4,) in [-1, 1] that
+        stands for the command, to float32's precision. The noise is ignored: the C computes the
+        mean action.
+    """
+    integers = fixed_point_forward(network)
+    low, high = network.command_low, network.command_high
+    middle, span = jnp.asarray(low + high, jnp.int32), np.float32(1.0) / (high - low)
+
+    def act(_policy: object, observation: jax.Array, _noise: jax.Array) -> jax.Array:
+        doubled = 2 * integers(observation) - middle
+        return doubled.astype(jnp.float32) * span.astype(np.float32)
+
+    return act
+
+
+def fly_fixed_point(
+    config: Config,
+    policy: Policy,
+    race: Race,
+    trace: bool = False,
+    name: str = "policy",
+    ranges: dict[str, float] | None = None,
+) -> tuple[Laps, Trace | None]:
+    """Time the laps of a policy as the exported C computes it, bit for bit.
+
+    The C computes the mean action and clips observations to the declared ranges (the defaults, or
+    ``ranges``). Other arguments and errors as of ``quadjax.policy.pilot.fly_policy``.
+    """
+    commands = fixed_point_actor(policy, ranges)
+
+    def actor(own: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
+        given = commands(pilot.see(own, observation))
+        return 2.0 * (given - own.low) / (own.high - own.low) - 1.0
+
+    return pilot.fly_by(config, policy, race, actor, True, trace, name)

@@ -1,0 +1,180 @@
+"""Public functions of the exporter: a policy to a folder of fixed-point C."""
+
+import contextlib
+import dataclasses
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from quadjax.config.loading import to_yaml
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.files import whole_file, write_json, write_npz, write_text
+from quadjax.export.conversion import (
+    RESIDUAL_FILE,
+    Converted,
+    Request,
+    convert_policy,
+    sources,
+    symbol_name,
+)
+from quadjax.export.race_source import CONFIG_FILE, self_contained
+from quadjax.export.report import make_report, report_text
+from quadjax.export.verify.result import Result
+from quadjax.policy.file import Policy, write_policy
+from quadjax.vehicle.residual_file import located
+
+POLICY_FILE, ROLLOUTS_FILE = "policy.npz", "rollouts.npz"
+ROLLOUTS_FORMAT, ROLLOUTS_ARRAYS = "quadjax-rollouts/1", ("observations", "states", "targets")
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """The result of ``export_c``."""
+
+    folder: Path
+    converted: Converted
+    report: dict[str, object]  # as in the folder's ``NAME_report.json``
+
+    @property
+    def name(self) -> str:
+        """Prefix of every C symbol and file."""
+        return self.converted.origin.name
+
+    @property
+    def text(self) -> str:
+        """The report as text."""
+        return report_text(self.report, self.name)
+
+
+def export_c(
+    policy: Policy | Path | str,
+    folder: Path | str,
+    config: Path | str | Config | None = None,
+    ranges: dict[str, float] | None = None,
+    name: str | None = None,
+    *,
+    track: str | None = None,
+    sample_rate: float = 512.0,
+    cutoff: float = 8.0,
+    allow_unfinished: bool = False,
+) -> Export:
+    """Write a policy as fixed-point C: network, observation, estimator and a Paparazzi module.
+
+    The policy is converted to integers, the conversion is proven for every input in the declared
+    ranges, and the policy's own race is simulated. Nothing is written unless all of that succeeds.
+
+    Args:
+        policy: a policy or the path of a policy file.
+        folder: where the C goes. It may hold an earlier export of the same name.
+        config: of the race that the policy was trained in: a configuration or the path of one.
+            Without it: the config in the policy file, or ``config.yaml`` next to it, or the default
+            race.
+        ranges: half-widths of the inputs that differ from the defaults, powers of two, by name:
+            ``{"position": 16.0}``.
+        name: prefix of every C symbol; the policy file's name by default.
+        track: a track file that replaces the config's.
+        sample_rate: of the disturbance estimator on board, Hz.
+        cutoff: of the estimator's low-pass, Hz.
+        allow_unfinished: export a policy although it does not finish its own race.
+
+    Returns:
+        The integers, the proof and the report.
+
+    Raises:
+        InputError: a policy that cannot be converted, that leaves its declared ranges, or of which
+            less than 90% of the simulated flights finish; a folder that cannot be written.
+    """
+    with _policy_file(policy) as path:
+        request = Request(
+            policy=path,
+            folder=Path(folder),
+            ranges=ranges or {},
+            name=name,
+            track=track,
+            config=config,
+            sample_rate=sample_rate,
+            cutoff=cutoff,
+            allow_unfinished=allow_unfinished,
+        )
+        _check_folder(request)
+        converted = convert_policy(request)
+        report = make_report(converted, request)
+        try:
+            _write(converted, request, report)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    return Export(Path(folder), converted, report)
+
+
+@contextlib.contextmanager
+def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
+    """The path of a policy file; a policy in memory is written to a temporary one."""
+    if not isinstance(policy, Policy):
+        yield Path(policy)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        write_policy(Path(folder) / POLICY_FILE, policy)
+        yield Path(folder) / POLICY_FILE
+
+
+def verify(
+    folder: Path | str, vectors: int = 5_000, runs: int = 0, allow_unfinished: bool = False
+) -> list[Result]:
+    """Build and run an exported folder with the tools of this machine; see ``verify.run.verify``.
+
+    Args:
+        folder: a folder that ``export_c`` wrote.
+        vectors: number of vectors on which every build must agree.
+        runs: flights of the closed loop, 0 for none.
+        allow_unfinished: accept a policy that was exported although it does not finish its race.
+
+    Returns:
+        A result for each check: ``verdict`` is "pass", "FAIL" or "skipped".
+
+    Raises:
+        InputError: no such folder, or a file in it that is missing or damaged.
+    """
+    from quadjax.export.verify import run  # which imports this module
+
+    return run.verify(folder, vectors, runs, allow_unfinished=allow_unfinished)
+
+
+def _check_folder(request: Request) -> None:
+    """Refuse an output that is not a folder, or that holds the export of another name."""
+    name, folder = symbol_name(request, request.policy.name), request.folder
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is not a folder")
+    others = sorted({path.name for path in folder.glob("*_report.json")} - {f"{name}_report.json"})
+    if others:
+        other = others[0].removesuffix("_report.json")
+        raise InputError(
+            f"{folder}: holds an export named {other!r}; take another folder, or delete it"
+        )
+
+
+def _write(converted: Converted, request: Request, report: dict[str, object]) -> None:
+    """The C, the report, and what the verification repeats the conversion from."""
+    name, folder = converted.origin.name, request.folder
+    files = sources(converted)
+    for file, text in files.items():
+        write_text(folder / file, text)
+    for file in {f"{name}_estimator.c", f"{name}_estimator.h"} - files.keys():
+        (folder / file).unlink(missing_ok=True)  # of an earlier export of another policy
+    write_json(folder / f"{name}_report.json", report)
+    write_text(folder / f"{name}_report.txt", report_text(report, name))
+    config = converted.own.config
+    copies = {POLICY_FILE: request.policy}
+    if config.vehicle.residual:
+        copies[RESIDUAL_FILE] = located(config.vehicle.residual)
+    else:
+        (folder / RESIDUAL_FILE).unlink(missing_ok=True)
+    for file, source in copies.items():
+        if source.resolve() != (folder / file).resolve():
+            with whole_file(folder / file) as temporary:
+                shutil.copyfile(source, temporary)
+    write_text(folder / CONFIG_FILE, to_yaml(self_contained(config, folder)))
+    rollouts = converted.rollouts
+    arrays = {name: getattr(rollouts, name) for name in ROLLOUTS_ARRAYS}
+    write_npz(folder / ROLLOUTS_FILE, arrays, {"format": ROLLOUTS_FORMAT})

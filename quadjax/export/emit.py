@@ -1,0 +1,161 @@
+"""The emitted C: every file from its template and the integers of a conversion."""
+
+import dataclasses
+
+import numpy as np
+
+from quadjax.export.estimator_tables import (
+    DIFFERENCE_BITS,
+    FINE_BITS,
+    LOW_PASS_BITS,
+    MODEL_BITS,
+    MONOMIALS,
+    RESIDUAL_LIMIT,
+    EstimatorTables,
+)
+from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
+from quadjax.export.integers import INPUT_BITS
+from quadjax.export.race_tables import TURNS_PER_UNIT, TWO_PI, YAW_EXPONENT, RaceTables
+from quadjax.export.ranges import UNITS
+from quadjax.export.render import render
+from quadjax.export.selftest import estimator_test, network_test, padded_layers, race_test
+
+MODULE_FREQUENCY = 512  # Hz, of the Paparazzi module
+ACCELEROMETER = {"a_x": "s[3]", "a_y": "s[4]", "a_z": "s[5]"}  # monomials with no name of their own
+
+
+@dataclasses.dataclass(frozen=True)
+class Provenance:
+    """Where the C came from, for its headers."""
+
+    name: str  # the prefix of every symbol
+    policy_hash: str  # SHA-256 of the policy file
+    lines: tuple[str, ...]  # of the comment at the top of each file
+    source: str  # one line
+
+
+Values = dict[str, object]
+
+
+def emit_network(
+    network: FixedNetwork, origin: Provenance, observations: np.ndarray | None
+) -> dict[str, str]:
+    """The network's header and source, by file name.
+
+    Args:
+        network: the integers.
+        origin: for the comments.
+        observations: (n, inputs) simulated observations for the self-test, if there are any.
+    """
+    return _files(origin, _network_values(network, origin, observations), [".h", ".c"], "network")
+
+
+def emit_race(
+    tables: RaceTables, origin: Provenance, motor: bool, states: np.ndarray, targets: np.ndarray
+) -> dict[str, str]:
+    """The header and source of observation and gate logic, by file name.
+
+    Args:
+        tables: the integers.
+        origin: for the comments.
+        motor: commands are rpm rather than rates and thrust.
+        states: (n, state_size) simulated states for the self-test.
+        targets: (n,) the target gate of each.
+    """
+    values = _common(origin, motor) | {
+        "race": tables,
+        "race_test": race_test(tables, states, targets),
+        "state_values": [f"state->{name}" for name in tables.names],
+        "yaw_exponent": YAW_EXPONENT,
+        "turns_per_unit": TURNS_PER_UNIT,
+        "two_pi": TWO_PI,
+    }
+    return _files(origin, values, [".h", ".c"], "race", "_race")
+
+
+def emit_estimator(
+    tables: EstimatorTables, origin: Provenance, residual_hash: str
+) -> dict[str, str]:
+    """The disturbance estimator's header and source; the hash is empty without a residual."""
+    residuals = {"thrust": tables.thrust, "moment": tables.moment} if tables.thrust else {}
+    hidden = [len(layer.bias) for network in residuals.values() for layer in network.hidden]
+    used = np.any(tables.model != 0, axis=0) | np.any(tables.differentiated != 0, axis=0)
+    rate = f"{tables.sample_rate:g}"
+    values = _common(origin, True) | {
+        "estimator": tables,
+        "estimator_test": estimator_test(tables),
+        "terms": _terms,
+        "unused": [
+            name
+            for name, needed in zip(MONOMIALS, used, strict=True)
+            if not needed and name not in ACCELEROMETER
+        ],
+        "channel_units": [f"{2.0 ** (e - INPUT_BITS)!r}F" for e in tables.channel_exponents],
+        "sample_rate": rate if "." in rate else f"{rate}.0",
+        "bits": {
+            "model": MODEL_BITS,
+            "difference": DIFFERENCE_BITS,
+            "low_pass": LOW_PASS_BITS,
+            "fine": FINE_BITS,
+        },
+        "residuals": residuals,
+        "residual_hash": residual_hash,
+        "residual_widest": max([1, *hidden]),
+        "residual_depth": max([0, *(len(network.hidden) for network in residuals.values())]),
+        "residual_limit": RESIDUAL_LIMIT,
+    }
+    return _files(origin, values, [".h", ".c"], "estimator", "_estimator")
+
+
+def emit_paparazzi(network: FixedNetwork, origin: Provenance) -> dict[str, str]:
+    """The Paparazzi module's files, by path under ``paparazzi/``."""
+    values = _common(origin, network.vehicle == "motor") | {"frequency": MODULE_FREQUENCY}
+    files = _files(origin, values, [".h", ".c"], "module", "_module")
+    files |= _files(origin, values, [".xml"], "module")
+    return {f"paparazzi/{file}": text for file, text in files.items()}
+
+
+def _files(
+    origin: Provenance, values: Values, suffixes: list[str], template: str, part: str = ""
+) -> dict[str, str]:
+    return {f"{origin.name}{part}{end}": render(f"{template}{end}", values) for end in suffixes}
+
+
+def _common(origin: Provenance, motor: bool) -> Values:
+    return {
+        "name": origin.name,
+        "NAME": origin.name.upper(),
+        "origin": origin,
+        "motor": motor,
+        "command_type": "uint16_t" if motor else "float",
+        "unit": "rpm" if motor else "rad/s and m/s^2",
+    }
+
+
+def _network_values(
+    network: FixedNetwork, origin: Provenance, observations: np.ndarray | None
+) -> Values:
+    layers = padded_layers(network)
+    ends = (network.command_low, network.command_high)
+    return _common(origin, network.vehicle == "motor") | {
+        "network": network,
+        "layers": layers,
+        "test": network_test(network, layers, observations),
+        "units": UNITS,
+        "format_version": FORMAT_VERSION,
+        "limits": [_limits(x / 2.0**network.fraction_bits) for x in ends],
+    }
+
+
+def _limits(commands: np.ndarray) -> list[str]:
+    """The ends of the commands' ranges; a single one where all are the same."""
+    return [f"{x:g}" for x in (commands[:1] if len(set(commands)) == 1 else commands)]
+
+
+def _terms(row: np.ndarray) -> list[str]:
+    """The terms of a sum of monomials (monomials,) with integer factors, as C."""
+    return [
+        f"INT64_C({value}) * {ACCELEROMETER.get(name, name)}"
+        for name, value in zip(MONOMIALS, row.tolist(), strict=True)
+        if value
+    ]

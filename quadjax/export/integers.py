@@ -1,0 +1,79 @@
+"""Integer arithmetic shared by the emulators: quantization, rounding shifts, dense layers, digests.
+
+Every function takes NumPy arrays, or JAX arrays while 64-bit types are enabled; ``xp`` is the
+array module where one has to be chosen.
+"""
+
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+try:
+    from jax import enable_x64 as enable_x64
+except ImportError:  # JAX before 0.8
+    from jax.experimental import enable_x64 as enable_x64
+
+Array = Any  # np.ndarray or jax.Array
+
+INPUT_BITS = 30  # the edge of a declared range is 2^30
+ONE = 2**INPUT_BITS
+WORD = 32  # shift from a hidden accumulator to its output
+DIGEST_START, DIGEST_FACTOR = 2166136261, 16777619  # FNV-1a over 32-bit words
+
+
+def quantize(values: Array, exponents: tuple[int, ...], xp: ModuleType = np) -> Array:
+    """Floats (.., k) as int64 in units of 2^-30 of their ranges ``+-2**exponent``, truncated.
+
+    NaN becomes zero; a value outside its range becomes the edge of the range.
+    """
+    limit = np.ldexp(1.0, np.asarray(exponents))
+    given = xp.asarray(values, xp.float32)
+    finite = xp.where(xp.isnan(given), xp.float32(0), given).astype(xp.float64)
+    return xp.trunc(xp.clip(finite, -limit, limit) * (ONE / limit)).astype(xp.int64)
+
+
+def status_masks(values: np.ndarray, exponents: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Bit masks (n,) uint32 of floats (n, k): bit i if value i is clipped, and if it is NaN."""
+    given = np.asarray(values, np.float32)
+    nan = np.isnan(given)
+    clipped = np.abs(np.where(nan, np.float32(0), given)) > np.ldexp(1.0, np.asarray(exponents))
+    return bit_mask(clipped), bit_mask(nan)
+
+
+def bit_mask(flags: np.ndarray) -> np.ndarray:
+    """Flags (n, k) as masks (n,) uint32, bit i for column i."""
+    bits = np.uint32(1) << np.arange(flags.shape[1], dtype=np.uint32)
+    return (flags * bits).sum(1, dtype=np.uint32)
+
+
+def round_shift(value: Array, shift: int) -> Array:
+    """``value / 2**shift`` to the nearest integer, halves up; a negative shift multiplies."""
+    if shift <= 0:
+        return value << -shift
+    return (value + (1 << (shift - 1))) >> shift
+
+
+def dense(inputs: Array, weights: np.ndarray, bias: np.ndarray, xp: ModuleType = np) -> Array:
+    """Accumulators (.., rows) int64 of inputs (.., columns) int64."""
+    return inputs @ xp.asarray(weights.T.astype(np.int64)) + xp.asarray(bias)
+
+
+def hidden_output(sums: Array, xp: ModuleType = np) -> Array:
+    """ReLU, rounding and rescaling of hidden accumulators: the upper word, or zero."""
+    return xp.maximum(sums >> WORD, 0)
+
+
+def words_of(values: np.ndarray) -> np.ndarray:
+    """The low and the high 32-bit word of each int64, (.., 2) in one row of (.., 2 k) uint32."""
+    values = np.asarray(values, np.int64)
+    words = np.stack([values & 0xFFFFFFFF, (values >> 32) & 0xFFFFFFFF], axis=-1)
+    return words.reshape(*values.shape[:-1], -1).astype(np.uint32)
+
+
+def digest(words: np.ndarray) -> np.ndarray:
+    """FNV-1a digest (n,) uint32 of words (n, k), as the C computes it."""
+    value = np.full(len(words), DIGEST_START, np.uint32)
+    for column in np.asarray(words).astype(np.uint32).T:
+        value = (value ^ column) * np.uint32(DIGEST_FACTOR)
+    return value

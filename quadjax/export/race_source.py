@@ -1,0 +1,141 @@
+"""The race of a policy: which configuration describes it, and its environment."""
+
+import contextlib
+import dataclasses
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from quadjax.config.loading import load_config, to_yaml
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.files import write_text
+from quadjax.core.resources import CONFIGS
+from quadjax.policy.file import Policy
+from quadjax.race import build
+from quadjax.race.environment import Choices, RaceParams
+from quadjax.vehicle.residual_file import located
+
+DEFAULT_CONFIG = CONFIGS / "e2e_shac.yaml"
+DISTURBANCES = ("moment_x", "moment_y", "moment_z", "force_z")
+CONFIG_FILE = "config.yaml"  # of a training run or an exported folder
+
+
+@dataclasses.dataclass(frozen=True)
+class OwnRace:
+    """The environment that a policy was trained in."""
+
+    choices: Choices
+    params: RaceParams
+    config: Config
+    origin: str  # where the configuration came from, for messages
+
+    @property
+    def time_step(self) -> float:
+        """Time step of the simulation, s."""
+        return float(self.params.limits.dt)
+
+
+def own_race(
+    policy: Policy,
+    file: Path | None = None,
+    config: Path | str | Config | None = None,
+    track: str | None = None,
+    residual: Path | None = None,
+) -> OwnRace:
+    """The race that a policy was trained in, observed as the policy was trained to see it.
+
+    The configuration is the first of: ``config``; the one in the policy file; ``config.yaml`` next
+    to the policy file; the default race, with the residual that the policy file names.
+
+    Args:
+        policy: the scaling of its observation and the limits of its commands replace the config's.
+        file: the policy file.
+        config: a configuration or the path of one.
+        track: a track file that replaces the config's, or ``None``.
+        residual: a residual file that replaces the config's, if the config names one.
+
+    Raises:
+        InputError: a file that cannot be read, a config for another vehicle, a scaling that makes
+            no sense, or limits that no vehicle of the policy's kind has.
+    """
+    found, origin = _configuration(policy, file, config)
+    overrides = [*_limits(policy), *_observation(policy)]
+    if track is not None:
+        overrides.append(f"track.file={track}")
+    with _as_file(found) as path:
+        if origin == "default":
+            overrides.append(f"vehicle.kind={policy.vehicle}")
+            named = policy.source.get("residual")
+            if isinstance(named, str) and policy.vehicle == "motor" and located(named).is_file():
+                overrides.append(f"vehicle.residual={named}")
+        loaded = load_config(path, overrides)
+        if residual is not None and loaded.vehicle.residual:
+            loaded = load_config(path, [*overrides, f"vehicle.residual={residual}"])
+    if loaded.vehicle.kind != policy.vehicle:
+        raise InputError(
+            f"{origin}: vehicle.kind is {loaded.vehicle.kind}, but the policy commands the "
+            f"{policy.vehicle} vehicle"
+        )
+    return OwnRace(build.choices_of(loaded), build.build_params(loaded), loaded, origin)
+
+
+def _configuration(
+    policy: Policy, file: Path | None, config: Path | str | Config | None
+) -> tuple[Path | Config, str]:
+    """The configuration of a policy's race, and a word on where it came from."""
+    if config is not None:
+        return (config, "config") if isinstance(config, Config) else (Path(config), str(config))
+    stored = getattr(policy, "config", None)
+    if stored is not None:
+        return stored, "the policy file's config"
+    if file is not None and (file.parent / CONFIG_FILE).is_file():
+        return file.parent / CONFIG_FILE, str(file.parent / CONFIG_FILE)
+    return DEFAULT_CONFIG, "default"
+
+
+@contextlib.contextmanager
+def _as_file(config: Path | Config) -> Iterator[Path]:
+    if isinstance(config, Path):
+        yield config
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        write_text(Path(folder) / CONFIG_FILE, to_yaml(config))
+        yield Path(folder) / CONFIG_FILE
+
+
+def _limits(policy: Policy) -> list[str]:
+    """Overrides for a vehicle whose commands have the policy's limits."""
+    low, high = policy.command_low.tolist(), policy.command_high.tolist()
+    if policy.vehicle == "motor":
+        if len(set(low)) > 1 or len(set(high)) > 1:
+            raise InputError(f"policy commands {low}..{high} rpm: expected the same for all motors")
+        return [f"vehicle.motor.rpm_min={low[0]!r}", f"vehicle.motor.rpm_max={high[0]!r}"]
+    if low[:3] != [-x for x in high[:3]]:
+        raise InputError(f"policy commands rates of {low[:3]}..{high[:3]} rad/s: expected +-")
+    rates = [f"vehicle.rate.{axis}_max={x!r}" for axis, x in zip("pqr", high, strict=False)]
+    return [*rates, f"vehicle.rate.thrust_min={low[3]!r}", f"vehicle.rate.thrust_max={high[3]!r}"]
+
+
+def _observation(policy: Policy) -> list[str]:
+    """Overrides for the scaling that the policy was trained with."""
+    spans = policy.observation.get("disturbance") or {}
+    overrides = [f"disturbance.{name}={spans[name]}" for name in DISTURBANCES if name in spans]
+    for key in ("wrap_next_yaw", "disturbance_input"):
+        if key in policy.observation:
+            overrides.append(f"episode.{key}={json.dumps(policy.observation[key])}")
+    return overrides
+
+
+def self_contained(config: Config, folder: Path) -> Config:
+    """The config with copies in ``folder`` of track or vehicle files from outside the package."""
+    for section in ("track", "vehicle"):
+        part = getattr(config, section)
+        source = Path(part.file)
+        if source.is_absolute():
+            if source.resolve() != (folder / source.name).resolve():
+                write_text(folder / source.name, source.read_text("utf-8"))
+            part = dataclasses.replace(part, file=source.name)
+            config = dataclasses.replace(config, **{section: part})
+    return config

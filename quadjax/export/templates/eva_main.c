@@ -1,0 +1,102 @@
+#include "__fc_builtin.h"
+#include "${name}_race.h"
+{% if motor %}
+#include "${name}_estimator.h"
+{% endif %}
+
+/* Any bits at all: NaN, infinities, everything. */
+static float any_float(void) {
+  union {
+    float value;
+    unsigned bits;
+  } pun;
+  pun.bits = Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU);
+  return pun.value;
+}
+
+static int32_t any_integer(void) { return Frama_C_interval(-2147483647 - 1, 2147483647); }
+static uint32_t any_unsigned(void) { return Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU); }
+
+static void run_network(void) {
+  float x[${NAME}_INPUTS];
+  int32_t q[${NAME}_INPUTS];
+  int32_t command[${NAME}_OUTPUTS];
+  ${command_type} out[${NAME}_OUTPUTS];
+  for (int i = 0; i < ${NAME}_INPUTS; ++i) {
+    q[i] = any_integer();
+  }
+  ${name}_forward_q(q, command);
+{% for low, high in zip(network.command_low, network.command_high) %}
+  /*@ assert ${low} <= command[${loop.index0}] <= ${high}; */
+{% endfor %}
+  ${name}_command(command, out);
+{% for low, high in limits %}
+  /*@ assert ${low} <= out[${loop.index0}] <= ${high}; */
+{% endfor %}
+  for (int i = 0; i < ${NAME}_INPUTS; ++i) {
+    x[i] = any_float();
+  }
+  (void)${name}_quantize(x, q);
+  for (int i = 0; i < ${NAME}_INPUTS; ++i) {
+    /*@ assert -${NAME}_INPUT_ONE <= q[i] <= ${NAME}_INPUT_ONE; */
+  }
+}
+
+/* The race from any memory of it. */
+static void run_race(void) {
+  ${name}_state state;
+  ${name}_race race;
+  int32_t q[${NAME}_INPUTS];
+  ${command_type} out[${NAME}_OUTPUTS];
+  ${name}_event event;
+  float *const numbers = (float *)&state;
+  for (int i = 0; i < ${states}; ++i) {
+    numbers[i] = any_float();
+  }
+  ${name}_race_start(&race, state.position, any_unsigned());
+  for (int i = 0; i < 3; ++i) {
+    race.previous[i] = any_integer();
+  }
+  race.target = any_unsigned();
+  race.passed = any_unsigned();
+  race.missed = any_unsigned();
+  (void)${name}_observe(&state, any_unsigned(), q);
+  for (int i = 0; i < ${NAME}_INPUTS; ++i) {
+    /*@ assert -${NAME}_INPUT_ONE <= q[i] <= ${NAME}_INPUT_ONE; */
+  }
+  (void)${name}_race_step(&race, ${NAME}_SCALAR, &state, out, &event);
+  /*@ assert race.target < ${NAME}_GATES; */
+{% for low, high in limits %}
+  /*@ assert ${low} <= out[${loop.index0}] <= ${high}; */
+{% endfor %}
+}
+{% if motor %}
+
+/* A sample from any memory that the filters can have: the converter has proven their outputs to
+ * stay below ${memory}. The first number of a filter's memory is its next output should all inputs
+ * be zero, so below that too; the second is at most twice as much. */
+static void run_estimator(void) {
+  ${name}_measurement m;
+  ${name}_estimator estimator;
+  float moment[3];
+  float force[3];
+  float *const numbers = (float *)&m;
+  for (int i = 0; i < 13; ++i) {
+    numbers[i] = any_float();
+  }
+  for (int i = 0; i < 6; ++i) {
+    estimator.s1[i] = Frama_C_long_long_interval(-${memory}LL, ${memory}LL);
+    estimator.s2[i] = Frama_C_long_long_interval(-2LL * ${memory}LL, 2LL * ${memory}LL);
+  }
+  estimator.started = any_unsigned();
+  (void)${name}_estimator_update(&estimator, &m, moment, force);
+}
+{% endif %}
+void eva_main(void);
+void eva_main(void) {
+  run_network();
+  run_race();
+{% if motor %}
+  run_estimator();
+{% endif %}
+}

@@ -1,0 +1,294 @@
+/*
+ * ${name}_race: see ${name}_race.h.
+ *
+${origin.lines | comment}
+ *
+ * A number of the state with the range +-2^e is an integer q = x 2^(30 - e). Sums are int64_t: of
+ * two coordinates below 2^31 times a sine and a cosine of at most 2^30, so below 2^63.
+ */
+#include "${name}_race.h"
+
+#include <stdbool.h>
+
+enum {
+  POSITION_EXPONENT = ${race.exponents[race.start("position")]},
+  VELOCITY_EXPONENT = ${race.exponents[race.start("velocity")]},
+  /* Network inputs have their own ranges. */
+  INPUT_POSITION_EXPONENT = ${race.box.exponent("position")},
+  INPUT_VELOCITY_EXPONENT = ${race.box.exponent("velocity")},
+  INPUT_YAW_EXPONENT = ${race.box.exponent("attitude")},
+  YAW_EXPONENT = ${yaw_exponent},
+  Q30 = 30,
+  SELF_TESTS = ${race_test.states | length}
+};
+
+/* 2^32 / (2 pi): a yaw in Q24 times this is in turns of 2^56. */
+#define TURNS_PER_UNIT INT64_C(${turns_per_unit})
+#define TURN_SHIFT 56
+/* 2 pi in Q30 */
+#define TWO_PI INT64_C(${two_pi})
+
+/* ---- the track ---------------------------------------------------------------------------------- */
+
+typedef struct {
+  int32_t position[3];  /* centre, units of 2^(POSITION_EXPONENT - 30) m */
+  int32_t cosine;       /* of the yaw, Q30 */
+  int32_t sine;         /* of the yaw, Q30 */
+  int32_t half_width;   /* of the opening, units of the position */
+  int32_t half_height;  /* of the opening, units of the position */
+  int64_t yaw;          /* rad, Q30 */
+  int32_t next[4];      /* inputs: the next gate's position and yaw from this one */
+} gate;
+
+static const gate track[${NAME}_GATES] = {
+{% for g in range(race.gates) %}
+    {{${race.gate_position[g] | join(", ")}}, ${race.gate_cos[g]}, ${race.gate_sin[g]}, ${race.half_size[g] | join(", ")}, ${race.gate_yaw[g] | int64},
+     {${race.next_gate[g] | join(", ")}}}${"" if loop.last else ","}
+{% endfor %}
+};
+
+/* ---- integers ----------------------------------------------------------------------------------- */
+
+static const int8_t state_exponent[${NAME}_STATE_SIZE] = {${race.exponents | join(", ")}};
+
+static int32_t quantize(float value, int32_t exponent, uint32_t *clipped, uint32_t *nan) {
+  union {
+    float value;
+    uint32_t bits;
+  } pun;
+  pun.value = value;
+  return ${name}_quantize_one(pun.bits, exponent, clipped, nan);
+}
+
+/* value / 2^shift to the nearest; a shift below one is one to the left. */
+static int64_t round_shift(int64_t value, int32_t shift) {
+  if (shift <= 0) {
+    return value * (INT64_C(1) << -shift);
+  }
+  return (value + (INT64_C(1) << (shift - 1))) >> shift;
+}
+
+/* Into the network's range, and whether it was outside. */
+static int32_t hold(int64_t value, uint32_t *outside, uint32_t input) {
+  const int64_t held = (value > ${NAME}_INPUT_ONE)
+                           ? ${NAME}_INPUT_ONE
+                           : ((value < -${NAME}_INPUT_ONE) ? -${NAME}_INPUT_ONE : value);
+  *outside |= ((held != value) ? 1U : 0U) << input;
+  return (int32_t)held;
+}
+
+/* x through the gate, y to its right; the result before its shift, Q30 times the units of x. */
+static int64_t along(const gate *g, int64_t x, int64_t y) { return g->cosine * x + g->sine * y; }
+static int64_t across(const gate *g, int64_t x, int64_t y) { return g->cosine * y - g->sine * x; }
+
+/* Within half a turn, by one multiplication and no loop. */
+static int64_t wrap(int64_t yaw_q30) {
+  const int64_t turns = ((yaw_q30 >> YAW_EXPONENT) * TURNS_PER_UNIT +
+                         (INT64_C(1) << (TURN_SHIFT - 1))) >> TURN_SHIFT;
+  return yaw_q30 - turns * TWO_PI;
+}
+
+/* (value - middle) factor / 2^shift: what is scaled to [-1, 1]. */
+static int64_t rescale(int32_t value, int32_t middle, int32_t factor, int32_t shift) {
+  return round_shift(((int64_t)value - middle) * factor, shift);
+}
+
+/* ---- the observation ---------------------------------------------------------------------------- */
+
+static ${name}_race_status quantize_state(const ${name}_state *state,
+                                         int32_t s[${NAME}_STATE_SIZE]) {
+  ${name}_race_status status = {0U, 0U, 0U};
+  const float x[${NAME}_STATE_SIZE] = {
+${state_values | wrapped}};
+  for (uint32_t i = 0U; i < ${NAME}_STATE_SIZE; ++i) {
+    uint32_t clipped;
+    uint32_t nan;
+    s[i] = quantize(x[i], state_exponent[i], &clipped, &nan);
+    status.clipped |= clipped << i;
+    status.nan |= nan << i;
+  }
+  return status;
+}
+
+${name}_race_status ${name}_observe(const ${name}_state *state, uint32_t target,
+                                  int32_t q[${NAME}_INPUTS]) {
+  int32_t s[${NAME}_STATE_SIZE];
+  ${name}_race_status status = quantize_state(state, s);
+  const gate *const g = &track[(target < ${NAME}_GATES) ? target : 0U];
+  uint32_t *const outside = &status.outside;
+{% for field in race.box.groups %}
+{% set i = race.box.index(field) %}
+{% if field == "position" %}
+{% set s = race.start("position") %}
+  const int64_t x = (int64_t)s[${s}] - g->position[0];
+  const int64_t y = (int64_t)s[${s + 1}] - g->position[1];
+  const int64_t z = (int64_t)s[${s + 2}] - g->position[2];
+  const int32_t metres = Q30 - POSITION_EXPONENT + INPUT_POSITION_EXPONENT;
+  q[${i}] = hold(round_shift(along(g, x, y), metres), outside, ${i}U);
+  q[${i + 1}] = hold(round_shift(across(g, x, y), metres), outside, ${i + 1}U);
+  q[${i + 2}] = hold(round_shift(z * (INT64_C(1) << Q30), metres), outside, ${i + 2}U);
+{% elif field == "velocity" %}
+{% set s = race.start("velocity") %}
+  const int32_t speed = Q30 - VELOCITY_EXPONENT + INPUT_VELOCITY_EXPONENT;
+  q[${i}] = hold(round_shift(along(g, s[${s}], s[${s + 1}]), speed), outside, ${i}U);
+  q[${i + 1}] = hold(round_shift(across(g, s[${s}], s[${s + 1}]), speed), outside, ${i + 1}U);
+  q[${i + 2}] = hold(round_shift(s[${s + 2}] * (INT64_C(1) << Q30), speed), outside, ${i + 2}U);
+{% elif field == "attitude" %}
+{% set s = race.start("euler") %}
+  q[${i}] = s[${s}];
+  q[${i + 1}] = s[${s + 1}];
+  const int64_t yaw = s[${s + 2}] * (INT64_C(1) << YAW_EXPONENT) - g->yaw;
+  q[${i + 2}] = hold(round_shift(wrap(yaw), INPUT_YAW_EXPONENT), outside, ${i + 2}U);
+{% elif field == "rates" %}
+{% for k in range(3) %}
+  q[${i + k}] = s[${race.start("rates") + k}];
+{% endfor %}
+{% elif field in race.scaled %}
+{% for scaled in race.scaled[field] %}
+{% set k = i + loop.index0 %}
+{% if scaled.rescale %}
+  q[${k}] = hold(rescale(s[${scaled.number}], ${scaled.rescale.middle}, ${scaled.rescale.factor}, ${scaled.rescale.shift}), outside, ${k}U);
+{% else %}
+  q[${k}] = 0; /* the policy was trained without it */
+{% endif %}
+{% endfor %}
+{% elif field == "next_position" %}
+{% for k in range(3) %}
+  q[${i + k}] = g->next[${k}];
+{% endfor %}
+{% elif field == "next_yaw" %}
+  q[${i}] = g->next[3];
+{% endif %}
+{% endfor %}
+  return status;
+}
+
+/* ---- the race ----------------------------------------------------------------------------------- */
+
+static uint32_t quantize_position(const float position[3], int32_t p[3]) {
+  uint32_t unusable = 0U;
+  for (uint32_t i = 0U; i < 3U; ++i) {
+    uint32_t clipped;
+    uint32_t nan;
+    p[i] = quantize(position[i], POSITION_EXPONENT, &clipped, &nan);
+    unusable |= clipped | nan;
+  }
+  return unusable;
+}
+
+void ${name}_race_start(${name}_race *race, const float position[3], uint32_t target) {
+  (void)quantize_position(position, race->previous);
+  race->target = (target < ${NAME}_GATES) ? target : 0U;
+  race->passed = 0U;
+  race->missed = 0U;
+}
+
+static int64_t magnitude(int64_t value) { return (value < 0) ? -value : value; }
+
+{% if race.world_box %}
+/* Whether a point, relative to the gate's centre, is within the opening: along the world's axes. */
+static bool is_inside(const gate *g, int64_t x, int64_t y, int64_t z) {
+  return (magnitude(x) < g->half_width) && (magnitude(y) < g->half_width) &&
+         (magnitude(z) < g->half_height);
+}
+{% else %}
+/* Whether a point, relative to the gate's centre, is within the opening: along the gate's axes. */
+static bool is_inside(const gate *g, int64_t x, int64_t y, int64_t z) {
+  return (magnitude(round_shift(across(g, x, y), Q30)) <= g->half_width) &&
+         (magnitude(z) <= g->half_height);
+}
+{% endif %}
+
+/* A gate is crossed when the position goes from behind its plane to in front of it. */
+static ${name}_event crossing(const gate *g, const int32_t before[3], const int32_t after[3]) {
+  const int64_t x = (int64_t)after[0] - g->position[0];
+  const int64_t y = (int64_t)after[1] - g->position[1];
+  const int64_t z = (int64_t)after[2] - g->position[2];
+  const int64_t was = along(g, (int64_t)before[0] - g->position[0],
+                            (int64_t)before[1] - g->position[1]);
+  if ((was >= 0) || (along(g, x, y) < 0)) {
+    return ${NAME}_NO_EVENT;
+  }
+  return is_inside(g, x, y, z) ? ${NAME}_GATE_PASSED : ${NAME}_GATE_MISSED;
+}
+
+${name}_event ${name}_race_update(${name}_race *race, const float position[3]) {
+  int32_t now[3];
+  race->target = (race->target < ${NAME}_GATES) ? race->target : 0U;
+  if (quantize_position(position, now) != 0U) {
+    return ${NAME}_NO_EVENT;
+  }
+  const ${name}_event event = crossing(&track[race->target], race->previous, now);
+  if (event == ${NAME}_GATE_PASSED) {
+    race->target = (race->target + 1U < ${NAME}_GATES) ? race->target + 1U : 0U;
+    ++race->passed;
+  } else if (event == ${NAME}_GATE_MISSED) {
+    ++race->missed;
+  }
+  for (uint32_t i = 0U; i < 3U; ++i) {
+    race->previous[i] = now[i];
+  }
+  return event;
+}
+
+${name}_race_status ${name}_race_step(${name}_race *race, ${name}_kernel kernel,
+                                    const ${name}_state *state,
+                                    ${command_type} command[${NAME}_OUTPUTS], ${name}_event *event) {
+  int32_t q[${NAME}_INPUTS];
+  int32_t integers[${NAME}_OUTPUTS];
+  const ${name}_event happened = ${name}_race_update(race, state->position);
+  const ${name}_race_status status = ${name}_observe(state, race->target, q);
+  ${name}_forward_q_with(kernel, q, integers);
+  ${name}_command(integers, command);
+  if (event != 0) {
+    *event = happened;
+  }
+  return status;
+}
+
+/* ---- self-test ---------------------------------------------------------------------------------- */
+
+/* The bits of states, the target of each, the inputs that follow and the status. */
+static const uint32_t test_state[SELF_TESTS][${NAME}_STATE_SIZE] = {
+${rows(race_test.states, "hex")}
+};
+static const uint8_t test_target[SELF_TESTS] = {${race_test.targets | join(", ")}};
+static const int32_t test_input[SELF_TESTS][${NAME}_INPUTS] = {
+${rows(race_test.inputs, "int32")}
+};
+static const uint32_t test_status[SELF_TESTS][3] = {
+${rows(race_test.status, "unsigned")}
+};
+
+static float float_of(uint32_t bits) {
+  union {
+    float value;
+    uint32_t bits;
+  } pun;
+  pun.bits = bits;
+  return pun.value;
+}
+
+static uint32_t state_fails(uint32_t number) {
+  int32_t q[${NAME}_INPUTS];
+  ${name}_state state;
+  const uint32_t *const bits = test_state[number];
+{% for name in race.names %}
+  state.${name} = float_of(bits[${loop.index0}]);
+{% endfor %}
+  const ${name}_race_status status = ${name}_observe(&state, test_target[number], q);
+  uint32_t wrong = (status.clipped ^ test_status[number][0]) | (status.nan ^ test_status[number][1]);
+  wrong |= status.outside ^ test_status[number][2];
+  for (uint32_t i = 0U; i < ${NAME}_INPUTS; ++i) {
+    wrong |= (uint32_t)(q[i] ^ test_input[number][i]);
+  }
+  return (wrong != 0U) ? 1U : 0U;
+}
+
+uint32_t ${name}_race_self_test(void) {
+  uint32_t mismatches = 0U;
+  for (uint32_t number = 0U; number < SELF_TESTS; ++number) {
+    mismatches += state_fails(number);
+  }
+  return mismatches;
+}
