@@ -2,4 +2,5 @@
 
 from quadjax.cli import main
 
-main("sweep")
+if __name__ == "__main__":  # worker processes import this file
+    main("sweep")

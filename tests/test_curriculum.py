@@ -12,7 +12,6 @@ from quadjax.learners.state import Learner
 from quadjax.race.build import build_params
 from quadjax.training.build import build_learner
 from quadjax.training.curriculum import Curriculum, curriculum_of, follow, ramp, with_residual_share
-from quadjax.training.many import shape_of
 from quadjax.vehicle.residual import residual_force_moment, scale_residual
 from tests.convert import residual_of
 from tests.reference import random_residual
@@ -114,15 +113,6 @@ def test_the_estimator_believes_in_the_same_share():
     np.testing.assert_allclose(
         outputs(half.estimator.vehicle.residual), 0.5 * outputs(params.vehicle.residual), rtol=1e-5
     )
-
-
-def test_runs_of_other_ramps_are_of_different_programs():
-    base = config_of()
-    assert shape_of(base) == shape_of(config_of("seed=3"))
-    for key in ("residual_ramp", "yaw_ramp", "edge_ramp"):
-        assert shape_of(base) != shape_of(config_of(f"train.{key}=[7, 9]"))
-    words = ("episode.gate_margin=-0.3", "reward.edge=9", "train.nose_up_price=9")
-    assert shape_of(base) == shape_of(config_of(*words))
 
 
 def test_a_config_s_ramps_reach_its_learner():

@@ -1,1 +1,1 @@
-"""Sweeps over a training config: search spaces, studies, workers and what came of them."""
+"""Hyperparameter sweeps: a thin layer over Optuna and an executor (local processes or Ray)."""

@@ -1,4 +1,6 @@
-"""Optuna, which is an extra: one line that names it where it is not installed."""
+"""Optuna, or one line that says how to install it."""
+
+import warnings
 
 from quadjax.core.errors import InputError
 
@@ -6,9 +8,10 @@ try:
     import optuna
 except ImportError:
     raise InputError(
-        "sweeps need Optuna, which is not installed: pip install -e '.[sweep]'"
+        "sweeps need Optuna, which is not installed: pip install 'quadjax[sweep]'"
     ) from None
 
+warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
 __all__ = ["optuna"]

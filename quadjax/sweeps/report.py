@@ -1,184 +1,125 @@
 """What a sweep found: a table of its trials, importances, figures and the best config."""
 
 import csv
-import dataclasses
 import io
+import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.config.loading import load_config, to_yaml
+from quadjax.config.base import to_yaml
 from quadjax.core.files import write_text
-from quadjax.evaluation.figures import save_figure
 from quadjax.sweeps.extra import optuna
-from quadjax.sweeps.figures import parallel_figure, slice_figure
-from quadjax.sweeps.schema import Sweep
-from quadjax.sweeps.space import Params
-from quadjax.sweeps.store import State, Store
+from quadjax.sweeps.study import OVER, State, latest_trials
+from quadjax.sweeps.sweep import Sweep, tree_of
 
-SHOWN = 10  # best trials of the printed table
+FrozenTrial = optuna.trial.FrozenTrial
 
-
-@dataclasses.dataclass(frozen=True)
-class TrialResult:
-    """One trial that is over."""
-
-    slot: int
-    state: str  # complete | pruned | failed
-    value: float | None  # s, the median over seeds
-    values: tuple[float, ...]  # of the seeds
-    seconds: float | None  # of wall time
-    host: str
-    params: Params
-    error: str = ""
+SHOWN = 10  # trials of the printed table
+ORDER = (State.COMPLETE, State.PRUNED, State.FAIL)
+TITLES = ("trial", "state", "median", "seeds", "finished", "wall s", "host")
 
 
-def results_of(store: Store) -> list[TrialResult]:
-    """Every slot's last word: complete trials by value, then pruned ones, then failed ones."""
-    latest: dict[int, TrialResult] = {}
-    for trial in store.trials():
-        own = trial.user_attrs
-        if not trial.state.is_finished():
-            latest.pop(own["slot"], None)  # a failed one that is queued again
-            continue
-        names = {State.COMPLETE: "complete", State.PRUNED: "pruned", State.FAIL: "failed"}
-        latest[own["slot"]] = TrialResult(
-            slot=own["slot"],
-            state=names[trial.state],
-            value=trial.value if trial.state != State.FAIL else None,
-            values=tuple(own.get("values", ())),
-            seconds=own.get("seconds"),
-            host=own.get("worker", {}).get("host", ""),
-            params=dict(trial.params),
-            error=own.get("error", "") if trial.state == State.FAIL else "",
-        )
-    order = ("complete", "pruned", "failed")
+def results_of(study: optuna.Study) -> list[FrozenTrial]:
+    """The trials that are over: complete ones by value, then pruned ones, then failed ones."""
+    trials = latest_trials(study).values()
+    over = [t for t in trials if t.state in OVER or "error" in t.user_attrs]
     return sorted(
-        latest.values(),
-        key=lambda r: (order.index(r.state), float("inf") if r.value is None else r.value, r.slot),
+        over, key=lambda t: (ORDER.index(t.state), math.inf if t.value is None else t.value)
     )
 
 
-def importances(store: Store, results: Sequence[TrialResult]) -> dict[str, float]:
-    """How much of the value each key explains, adding up to one; empty where trials are too few.
+def importances(study: optuna.Study) -> dict[str, float]:
+    """The share of the value that each key explains; empty where there are too few trials.
 
     By Optuna's PED-ANOVA (Watanabe et al., 2023), over complete trials.
     """
-    values = {r.value for r in results if r.state == "complete"}
-    if len(values) < 3:
+    if len({t.value for t in study.get_trials(False, (State.COMPLETE,))}) < 3:
         return {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-            return optuna.importance.get_param_importances(store.study(), evaluator=evaluator)
+            return optuna.importance.get_param_importances(study, evaluator=evaluator)
         except (RuntimeError, ValueError):
             return {}
 
 
-def shown(value: object) -> str:
-    """A parameter as the table shows it."""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+def rows_of(results: Sequence[FrozenTrial], keys: Sequence[str]) -> list[list[str]]:
+    """A table with a line of titles and a line for each trial; times in s."""
+    rows = [[*TITLES, *keys, "error"]]
+    for t in results:
+        own, state = t.user_attrs, {State.FAIL: "failed"}.get(t.state, t.state.name.lower())
+        value = "" if t.value is None else f"{t.value:.3f}"
+        seeds = " ".join(f"{value:.3f}" for value in own.get("values", ()))
+        measured = [value, seeds, f"{own.get('finished', 0.0):.2f}", str(own.get("seconds", ""))]
+        params = [t.params.get(key, "") for key in keys]
+        texts = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in params]
+        host, error = own.get("host", ""), own.get("error", "")
+        rows.append([str(own["index"]), state, *measured, host, *texts, error])
+    return rows
 
 
-def format_results(results: Sequence[TrialResult], keys: Sequence[str]) -> str:
-    """A Markdown table, a line per trial."""
-    names = _short(keys)
-    titles = ["trial", "median", "seeds", "wall s", *names, ""]
-    lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
-    for r in results:
-        note = r.error if r.state == "failed" else r.state.replace("complete", "")
-        cells = [
-            str(r.slot),
-            "-" if r.value is None else f"{r.value:.3f}",
-            " ".join(f"{value:.2f}" for value in r.values) or "-",
-            "-" if r.seconds is None else f"{r.seconds:.0f}",
-            *(shown(r.params[key]) if key in r.params else "-" for key in keys),
-            note,
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
 
 
-def _short(keys: Sequence[str]) -> list[str]:
-    """The last words of the keys, or the keys where those are not enough."""
-    last = [key.split(".")[-1] for key in keys]
-    return [end if last.count(end) == 1 else key for key, end in zip(keys, last, strict=True)]
+def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
+    """Write the report into the sweep's folder; returns what to print.
 
-
-def format_importances(found: dict[str, float]) -> str:
-    """A Markdown table, the most important key first."""
-    lines = ["| key | importance |", "|---|---|"]
-    ordered = sorted(found.items(), key=lambda item: -item[1])
-    return "\n".join([*lines, *(f"| {key} | {share:.2f} |" for key, share in ordered)])
-
-
-def best_yaml(sweep: Sweep, best: TrialResult) -> str:
-    """The best trial's full config, which ``quadjax train`` takes."""
-    config = sweep.config_of(best.params, f"{sweep.file.name}_best", 0)
-    devices = load_config(sweep.base, sweep.words).train.devices
-    config = dataclasses.replace(config, train=dataclasses.replace(config.train, devices=devices))
-    seeds = ", ".join(f"{value:.3f}" for value in best.values)
-    measure = sweep.file.objective.measure.replace("_", " ")
-    return (
-        f"# The best of the sweep {sweep.file.name}: trial {best.slot}, {measure} "
-        f"{best.value:.3f} s (seeds: {seeds}).\n" + to_yaml(config)
-    )
-
-
-def table_csv(results: Sequence[TrialResult], keys: Sequence[str]) -> str:
-    """All trials, one row each."""
-    stream = io.StringIO()
-    writer = csv.writer(stream)
-    writer.writerow(["trial", "state", "value", "seeds", "seconds", "host", *keys, "error"])
-    for r in results:
-        own = [r.slot, r.state, r.value, " ".join(map(str, r.values)), r.seconds, r.host]
-        writer.writerow([*own, *(r.params.get(key, "") for key in keys), r.error])
-    return stream.getvalue()
-
-
-def write_report(store: Store) -> str:
-    """Write everything into the sweep's folder; returns what to print.
-
-    ``trials.csv``, ``report.md``, ``best.yaml``, ``parallel.png`` and ``slices.png``.
+    ``trials.csv`` and ``report.md``; and, if a flight finished, ``best.yaml``, ``parallel.png`` and
+    ``slices.png``.
     """
-    sweep, directory = store.sweep, store.directory
-    results = results_of(store)
-    keys = [d.key for d in sweep.dimensions]
-    write_text(directory / "trials.csv", table_csv(results, keys))
-    complete = [r for r in results if r.state == "complete"]
-    text = [format_results(results[:SHOWN], keys)]
-    found = importances(store, results)
+    results = results_of(study)
+    rows = rows_of(results, sweep.keys)
+    stream = io.StringIO()
+    csv.writer(stream).writerows(rows)
+    write_text(directory / "trials.csv", stream.getvalue())
+    found = sorted(importances(study).items(), key=lambda item: -item[1])
+    explained = "Importances need three complete trials of different values."
     if found:
-        text += ["", format_importances(found)]
-    else:
-        text += ["", "Importances need three complete trials of different values."]
-    _write_markdown(sweep, directory / "report.md", results, found)
-    if complete:
-        write_text(directory / "best.yaml", best_yaml(sweep, complete[0]))
-        over = [r for r in results if r.value is not None]
-        save_figure(parallel_figure(sweep, over), directory / "parallel.png")
-        save_figure(slice_figure(sweep, over), directory / "slices.png")
-        text.append(f"best config: quadjax train {directory / 'best.yaml'}")
-    text.append(f"all trials, report and figures are in {directory}")
-    return "\n".join(text)
-
-
-def _write_markdown(
-    sweep: Sweep, path: Path, results: Sequence[TrialResult], found: dict[str, float]
-) -> None:
-    objective, keys = sweep.file.objective, [d.key for d in sweep.dimensions]
+        table = [("key", "importance"), *((key, f"{share:.2f}") for key, share in found)]
+        explained = markdown(table)
+    asked = sweep.file.objective
     head = (
         f"# {sweep.file.name}\n\n{len(results)} trials of {sweep.trials}; "
-        f"{sweep.file.search.method}; median over {objective.seeds} seeds of "
-        f"{objective.measure.replace('_', ' ')}, s. Base: `{sweep.base.name}`"
-        + (f" with `{' '.join(sweep.words)}`" if sweep.words else "")
-        + ".\n\n"
+        f"{sweep.file.search.method}; median over {asked.seeds} seeds of {asked.measure}, s. "
+        f"Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
     )
-    tail = f"\n\n{format_importances(found)}" if found else ""
-    write_text(path, head + format_results(results, keys) + tail + "\n")
+    flown = [t for t in results if t.state == State.COMPLETE and t.user_attrs["finished"]]
+    last = "No policy finished a flight: every value is the penalty. Train for more steps."
+    if flown:
+        best = flown[0]
+        config = sweep.config_of(best.params, f"name={sweep.file.name}_best")
+        values = f"{asked.measure} {best.value:.3f} s (seeds: {best.user_attrs['values']})"
+        title = f"# The best trial of {sweep.file.name}: {best.user_attrs['index']}, {values}.\n"
+        write_text(directory / "best.yaml", title + to_yaml(tree_of(config)))
+        draw(study, directory)
+        last = f"best config: quadjax train {directory / 'best.yaml'}"
+    write_text(directory / "report.md", f"{head}\n\n{markdown(rows)}\n\n{explained}\n\n{last}\n")
+    shown = markdown(rows[: SHOWN + 1])
+    return f"{shown}\n\n{explained}\n{last}\nall trials, report and figures: {directory}"
 
 
-def present(store: Store) -> None:
-    """Write the report and print its best part."""
-    print(write_report(store))
+def draw(study: optuna.Study, directory: Path) -> None:
+    """Optuna's figures of the complete trials in which every flight finished.
+
+    Where there is none, of those in which a flight finished. The penalty of a crash is far from
+    every lap time and would set the scale.
+    """
+    from quadjax.evaluation.figures import save_figure
+
+    complete = [t for t in study.get_trials(True, (State.COMPLETE,)) if t.user_attrs["finished"]]
+    every = [t for t in complete if t.user_attrs["finished"] >= 1.0]
+    shown = optuna.create_study(study_name=study.study_name)
+    shown.add_trials(every or complete)
+    plots = optuna.visualization.matplotlib
+    for name, plot in (("parallel", plots.plot_parallel_coordinate), ("slices", plots.plot_slice)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            axes = plot(shown, target=lambda t: t.value, target_name="median (s)")
+        axes = axes if hasattr(axes, "figure") else axes[0]
+        axes.figure.set_size_inches(max(8.0, 3.0 * len(study.trials[0].params)), 4.5)
+        save_figure(axes.figure, directory / f"{name}.png")

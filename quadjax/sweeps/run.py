@@ -1,191 +1,170 @@
-"""Running a sweep on this machine: workers started, tended, shown and stopped."""
+"""Running a sweep: Optuna's loop over the queue, with each trial on an executor."""
 
+import contextlib
 import dataclasses
-import json
-import os
-import signal
-import subprocess
+import datetime
+import statistics
 import sys
+import threading
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import IO
+from typing import TYPE_CHECKING
 
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions
-from quadjax.sweeps.machine import Layout
-from quadjax.sweeps.progress import SweepProgress
-from quadjax.sweeps.schema import Sweep
-from quadjax.sweeps.store import Counts, Store
+from quadjax.sweeps.extra import optuna
+from quadjax.sweeps.local import Function, LocalExecutor, WorkerDied
+from quadjax.sweeps.study import Counts, State, count, retry, storage_errors
+from quadjax.sweeps.sweep import Params, Sweep
+from quadjax.sweeps.trial import Job, Outcome, run_trial
 
-WORKER = "quadjax.sweeps.worker"  # the module that a worker runs
-POLL_SECONDS = 0.25
-TEND_SECONDS = 2.0
-STOP_SECONDS = 30.0  # for workers to save what they are at
-FRUITLESS = 3  # workers in a row that end without a trial: something is wrong with all of them
+if TYPE_CHECKING:
+    from quadjax.sweeps.cluster import RayExecutor
+
+WAIT_SECONDS = 1.0  # between looks at trials that other machines run
 
 
-class WorkersFailError(RuntimeError):
-    """Workers end without doing anything; says why."""
+class TrialFailed(Exception):
+    """A trial that is queued again, or given up if it has the user attribute ``error``."""
+
+
+def make_executor(
+    sweep: Sweep, directory: Path, function: Function = run_trial
+) -> "LocalExecutor | RayExecutor":
+    """The executor that the sweep file asks for; ``function`` runs a trial there."""
+    asked = sweep.file.executor
+    if asked.kind == "local":
+        return LocalExecutor(asked, function, directory / "logs")
+    from quadjax.sweeps.cluster import RayExecutor
+
+    return RayExecutor(asked, function)
+
+
+def job_of(sweep: Sweep, params: Params, index: int, directory: Path) -> Job:
+    """What a worker needs to run a trial; ``InputError`` if the parameters do not go together."""
+    own = [f"name=trial{index:04d}", "train.devices='1'"]
+    seeds = range(sweep.file.objective.seeds)
+    return Job(
+        configs=tuple(sweep.config_of(params, *own, f"seed={seed}") for seed in seeds),
+        race=sweep.config_of(params, *own, *sweep.conditions),
+        folder=(directory / "trials" / f"{index:04d}").resolve(),
+        objective=sweep.file.objective,
+        reports=0 if sweep.file.search.pruner == "none" else sweep.file.search.reports,
+    )
 
 
 @dataclasses.dataclass
-class Running:
-    """A worker's process, on its place."""
+class Reports:
+    """What a running trial tells the pruner."""
 
-    process: subprocess.Popen
-    place: int
-    log: Path
+    trial: optuna.Trial
+    stop: threading.Event
+    pruned: bool = False
+    last: int = -1
+
+    def tell(self, step: int, value: float) -> bool:
+        """Report a new step; returns whether the trial is to stop."""
+        if step > self.last and not self.pruned:
+            self.last = step
+            self.trial.report(value, step)
+            self.pruned = self.trial.should_prune()
+        return self.pruned or self.stop.is_set()
 
 
 @dataclasses.dataclass
-class Crew:
-    """The workers of this machine."""
+class Trials:
+    """The objective function of the study, and its callback."""
 
-    command: dict[str, object]  # of every worker: what to do
-    layout: Layout
-    logs: Path
-    there: list[Running] = dataclasses.field(default_factory=list)
-    fruitless: int = 0
+    sweep: Sweep
+    directory: Path
+    executor: "LocalExecutor | RayExecutor"
+    stop: threading.Event
 
-    def start(self) -> None:
-        """One more worker, on the first free place."""
-        place = min(set(range(self.layout.workers)) - {w.place for w in self.there})
-        job = self.command | {"core": self.layout.cores[place]}
-        environment = dict(os.environ)
-        gpu = self.layout.accelerators[place]
-        if gpu is not None:
-            environment["CUDA_VISIBLE_DEVICES"] = str(gpu)
-        path = [str(Path(__file__).resolve().parents[2]), environment.get("PYTHONPATH", "")]
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, path))
-        log = self.logs / f"worker{place}.log"
-        with open(log, "ab") as stream:
-            process = self._spawn(job, environment, stream)
-        self.there.append(Running(process, place, log))
+    def objective(self, trial: optuna.Trial) -> float:
+        """Run a trial on the executor and return its value."""
+        if "index" not in trial.user_attrs:  # another machine has emptied the queue meanwhile
+            trial.study.stop()
+            raise TrialFailed
+        started, report = time.monotonic(), Reports(trial, self.stop)
+        try:
+            params = {d.key: d.suggest(trial) for d in self.sweep.dimensions}
+            job = job_of(self.sweep, params, trial.user_attrs["index"], self.directory)
+            outcome = self.executor.run(job, report.tell)
+        except InputError as error:
+            outcome = Outcome((), 0.0, False, str(error))
+        except WorkerDied as error:
+            deaths = trial.user_attrs.get("deaths", 0) + (not self.stop.is_set())
+            trial.set_user_attr("deaths", deaths)
+            if deaths <= self.sweep.file.executor.retries:
+                raise TrialFailed(str(error)) from error
+            outcome = Outcome((), 0.0, False, str(error))
+        own = {"values": list(outcome.values), "finished": outcome.finished, "host": outcome.host}
+        own["seconds"] = round(time.monotonic() - started, 1)
+        for name, value in (own | ({"error": outcome.error} if outcome.error else {})).items():
+            trial.set_user_attr(name, value)
+        if report.pruned:
+            raise optuna.TrialPruned
+        if outcome.error or not outcome.complete:
+            raise TrialFailed(outcome.error or "interrupted")
+        return statistics.median(outcome.values)
 
-    def _spawn(
-        self, job: dict[str, object], environment: dict[str, str], stream: IO[bytes]
-    ) -> subprocess.Popen:
-        return subprocess.Popen(
-            [sys.executable, "-m", WORKER, "--job", json.dumps(job)],
-            stdout=stream,
-            stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL,
-            env=environment,
-            start_new_session=True,  # Ctrl-C comes to this process, which tells them
-        )
-
-    def look(self, store: Store) -> None:
-        """Forget workers that have ended.
-
-        Raises:
-            WorkersFailError: several in a row failed before they took a trial.
-        """
-        for worker in [w for w in self.there if w.process.poll() is not None]:
-            self.there.remove(worker)
-            bad = worker.process.returncode != 0 and not store.has_run(worker.process.pid)
-            self.fruitless = self.fruitless + 1 if bad else 0
-            if self.fruitless >= FRUITLESS:
-                raise WorkersFailError(f"workers fail: {_last_line(worker.log)} ({worker.log})")
-
-    def stop(self) -> None:
-        """Ask all workers to save and end; after a while, insist."""
-        for worker in self.there:
-            worker.process.send_signal(signal.SIGTERM)
-        deadline = time.monotonic() + STOP_SECONDS
-        for worker in self.there:
-            try:
-                worker.process.wait(max(0.1, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                worker.process.kill()
-                worker.process.wait()
-
-
-def _last_line(path: Path) -> str:
-    lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    return lines[-1] if lines else "no message"
-
-
-@dataclasses.dataclass(frozen=True)
-class Outcome:
-    """How a sweep ended."""
-
-    counts: Counts
-    interrupted: bool
-    out_of_time: bool
-    seconds: float
+    def after(self, study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        """Queue an interrupted trial again, and end the loop after Ctrl-C."""
+        own = trial.user_attrs
+        if trial.state == State.FAIL and "index" in own and "error" not in own:
+            retry(study, trial)
+        if self.stop.is_set():
+            study.stop()
 
 
 def run_sweep(
-    store: Store, sweep_file: Path | str, words: Sequence[str], runs: Path, layout: Layout
-) -> Outcome:
-    """Run trials until the budget is spent, the time is over or Ctrl-C.
-
-    Args:
-        store: the sweep's, opened.
-        sweep_file: for the workers.
-        words: changes to it.
-        runs: the folder of all runs.
-        layout: workers, and runs at once in each.
+    study: optuna.Study, sweep: Sweep, directory: Path, executor: "LocalExecutor | RayExecutor"
+) -> bool:
+    """Run the trials of the queue until it is empty or the time is over; False after Ctrl-C.
 
     Raises:
-        WorkersFailError: no worker gets anywhere.
-        InputError: the study has been given more trials than the budget says.
+        InputError: the database cannot be used any more.
     """
-    began = time.monotonic()
-    limit = store.sweep.file.budget.seconds
-    deadline = time.time() + (limit if limit is not None else 1e9)
-    logs = store.directory / "logs"
-    logs.mkdir(exist_ok=True)
-    command = {
-        "sweep": str(sweep_file),
-        "words": list(words),
-        "runs": str(runs),
-        "parent": os.getpid(),
-        "lanes": layout.lanes,
-        "deadline": deadline,
-    }
-    crew, counts = Crew(command, layout, logs), store.tend()
-    with interruptions() as stop, SweepProgress(store.sweep, counts) as show:
-        try:
-            counts = _loop(store, crew, counts, stop.is_set, deadline, show)
-        finally:
-            crew.stop()
-    counts = store.tend(stopped=True)
-    out_of_time = counts.open > 0 and not stop.is_set()
-    return Outcome(counts, stop.is_set(), out_of_time, time.monotonic() - began)
+    started, before, left = time.monotonic(), count(study).done, sweep.file.budget.seconds
+
+    def show(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        text = progress(count(study), before, time.monotonic() - started)
+        print(f"{sweep.file.name}: {text}", file=sys.stderr, flush=True)
+
+    journal = sweep.file.storage == "journal"
+    guard = contextlib.nullcontext() if journal else storage_errors(sweep, directory)
+    with interruptions() as stop, guard:
+        trials = Trials(sweep, directory, executor, stop)
+        while not stop.is_set() and (counts := count(study)).waiting + counts.running:
+            if sweep.file.budget.seconds is not None:
+                left = sweep.file.budget.seconds - (time.monotonic() - started)
+                if left <= 0:
+                    break
+            if not counts.waiting:  # other machines run the rest
+                stop.wait(WAIT_SECONDS)
+                optuna.storages.fail_stale_trials(study)
+                continue
+            study.optimize(
+                trials.objective,
+                n_trials=counts.waiting,
+                timeout=left,
+                n_jobs=executor.workers,
+                catch=(TrialFailed,),
+                callbacks=[trials.after, show],
+            )
+    return not stop.is_set()
 
 
-def _loop(
-    store: Store,
-    crew: Crew,
-    counts: Counts,
-    stopped: object,
-    deadline: float,
-    show: SweepProgress,
-) -> Counts:
-    tended = time.monotonic()
-    while counts.open and not stopped():
-        over = time.time() >= deadline
-        if over and not crew.there:
-            return counts
-        wanted = 0 if over else min(crew.layout.workers, counts.waiting + len(crew.there))
-        while len(crew.there) < wanted:
-            crew.start()
-        time.sleep(POLL_SECONDS)
-        before = len(crew.there)
-        crew.look(store)
-        if len(crew.there) != before or time.monotonic() - tended > TEND_SECONDS:
-            counts, tended = store.tend(), time.monotonic()
-            show.show(counts)
-    return counts
+def progress(counts: Counts, before: int, seconds: float) -> str:
+    """One line: trials done, the best value, and the time left.
 
-
-def check_budget(sweep: Sweep, counts: Counts) -> None:
-    """Raise an ``InputError`` where the study holds more slots than the budget."""
-    slots = counts.done + counts.open + counts.failed
-    if slots > sweep.trials:
-        raise InputError(
-            f"the study {sweep.file.name} holds {slots} trials, budget.trials is {sweep.trials}: "
-            "a budget can grow, not shrink"
-        )
+    The pace is that of this command: ``seconds`` since ``before`` trials were done.
+    """
+    open_trials = counts.running + counts.waiting
+    text = f"{counts.done}/{counts.done + counts.failed + open_trials} trials, "
+    text += "no flight finished yet" if counts.best is None else f"best {counts.best:.2f} s"
+    text += f", {counts.failed} failed" if counts.failed else ""
+    if counts.done > before:
+        left = datetime.timedelta(seconds=round(seconds / (counts.done - before) * open_trials))
+        text += f", about {left} left"
+    return text

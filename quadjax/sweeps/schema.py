@@ -1,327 +1,109 @@
-"""Sweep files: their keys, what they may be, and the check that every trial could run."""
+"""The keys of a sweep file."""
 
-import dataclasses
-import itertools
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+import json
+from typing import Any, Literal
 
-import numpy as np
+from quadjax.config.base import Field, Section, model_validator
 
-from quadjax.config.loading import fill, load_config, merge_trees, parse_words, read_yaml, to_yaml
-from quadjax.config.schema import Config
-from quadjax.core.errors import InputError
-from quadjax.sweeps.space import (
-    ENTRIES,
-    Dimension,
-    Params,
-    flatten,
-    read_space,
-    word,
-    words_of,
-)
-
-RACE = ("vehicle", "track", "randomise", "disturbance", "start", "evaluate")  # sections
-COMBINATIONS = 64  # at most so many combinations are checked before anything runs
+ENTRIES = ("choices", "range", "log", "step", "points")  # of a key of the search space
+MAX_TRIALS = 10_000
 
 
-@dataclass(frozen=True)
-class SearchConfig:
+class Range(Section):
+    """The values of one key: exactly one of ``choices``, ``range`` and ``log``."""
+
+    choices: list[Any] | None = Field(None, min_length=1, max_length=1000, description="values")
+    range: tuple[float, float] | None = Field(None, description="lowest and highest value")
+    log: tuple[float, float] | None = Field(None, description="the same, on a log scale")
+    step: float | None = Field(None, gt=0, description="distance of the values of a range")
+    points: int | None = Field(None, ge=2, le=10_000, description="number of values of a grid")
+
+    @model_validator(mode="after")
+    def _check(self) -> "Range":
+        ways = [way for way in ENTRIES[:3] if getattr(self, way) is not None]
+        if len(ways) != 1:
+            raise ValueError(f"expected one of choices, range and log, found {len(ways)}")
+        if self.choices is None:
+            low, high = self.range or self.log
+            if low >= high:
+                raise ValueError(f"{ways[0]} [{low:g}, {high:g}], expected lowest < highest")
+        texts = [json.dumps(choice) for choice in self.choices or []]
+        if twice := [text for text in texts if texts.count(text) > 1]:
+            raise ValueError(f"the choice {twice[0]} is there twice")
+        if self.step and (self.range is None or self.points or self.step > high - low):
+            raise ValueError(f"step is {self.step:g}, allowed: less than range, without points")
+        return self
+
+
+class Search(Section):
     """How the space is searched."""
 
-    method: str = "tpe"  # grid | random | tpe
-    seed: int = 0
-    base_first: bool = False  # the first trial is the base config itself
-    startup: int = 10  # random trials before TPE begins
-    pruner: str = "none"  # none | median | halving
-    pruner_startup: int = 5  # trials that run to their end before any is pruned
-    reports: int = 10  # times a seed's training reports to the pruner
+    method: Literal["tpe", "random", "grid"] = Field("tpe", description="Optuna's sampler")
+    seed: int = Field(0, ge=0, lt=2**31, description="seed of the sampler")
+    base_first: bool = Field(False, description="the first trial is the base config")
+    startup: int = Field(10, ge=1, le=MAX_TRIALS, description="random trials before TPE starts")
+    pruner: Literal["none", "median", "halving"] = Field("none", description="stops bad trials")
+    pruner_startup: int = Field(5, ge=0, le=MAX_TRIALS, description="trials before any is pruned")
+    reports: int = Field(10, ge=1, le=1000, description="reports to the pruner in each training")
 
 
-@dataclass(frozen=True)
-class ObjectiveConfig:
-    """What a trial is judged by; the median over its seeds, lower is better."""
+class Objective(Section):
+    """The value of a trial: the median over its seeds; lower is better."""
 
-    measure: str = "lap_time"  # lap_time | seconds_to
-    seeds: int = 3  # trained, from train seed 0
-    flights: int = 16  # timed from hover with the policy's own noise
-    deterministic: bool = False  # fly without noise
-    policy: str = "best"  # best | last
-    missing_lap: float = 8.0  # s counted for a lap that is not flown: the penalty for a crash
-    target: float = 15.70  # s for all laps, for seconds_to
-
-
-@dataclass(frozen=True)
-class BudgetConfig:
-    """When the sweep is over."""
-
-    trials: int | None = None  # a grid's default: all its points; else 20
-    seconds: float | None = None  # of wall time, after which no trial begins
+    measure: Literal["lap_time", "seconds_to"] = Field("lap_time", description="what is measured")
+    seeds: int = Field(3, ge=1, le=1000, description="trainings of a trial, from seed 0")
+    flights: int = Field(16, ge=1, le=100_000, description="timed flights from hover, per seed")
+    deterministic: bool = Field(False, description="fly the mean action instead of samples")
+    policy: Literal["best", "last"] = Field("best", description="which policy of a run flies")
+    missing_lap: float | None = Field(
+        None, gt=0, le=1e6, description="s for each lap not flown; null: the track's time limit"
+    )
+    target: float = Field(15.70, gt=0, le=1e6, description="s for all laps, for seconds_to")
 
 
-@dataclass(frozen=True)
-class SweepFile:
-    """A sweep file without its space."""
+class Budget(Section):
+    """When the sweep ends."""
 
-    name: str = "sweep"  # results go to runs/NAME
-    config: str = ""  # the base config, beside the sweep file or from the working folder
-    search: SearchConfig = field(default_factory=SearchConfig)
-    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
-    budget: BudgetConfig = field(default_factory=BudgetConfig)
-    storage: str = "journal"  # journal | postgresql://USER@HOST/DATABASE
-    heartbeat_seconds: float = 15.0  # a silent worker of another machine is dead after six
+    trials: int | None = Field(None, ge=1, le=MAX_TRIALS, description="null: a grid's size, or 20")
+    seconds: float | None = Field(None, gt=0, description="wall time after which no trial starts")
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """A sweep, checked."""
+class Executor(Section):
+    """Where trials run."""
 
-    file: SweepFile
-    base: Path  # the base config
-    words: tuple[str, ...]  # changes to it, the same for every trial
-    dimensions: tuple[Dimension, ...]
-    trials: int  # the budget
-    conditions: tuple[str, ...] = ()  # words: the race in which every trial's policy is judged
-
-    def config_of(self, params: Mapping[str, object], name: str, seed: int) -> Config:
-        """The config of a trial's run, on one device.
-
-        Raises:
-            InputError: the parameters do not go together.
-        """
-        own = [word("name", name), word("seed", seed), "train.devices='1'"]
-        return load_config(self.base, [*self.words, *words_of(self.dimensions, params), *own])
-
-    @property
-    def first(self) -> Params | None:
-        """The first trial's parameters where they are the base config's own."""
-        if not self.file.search.base_first:
-            return None
-        config = load_config(self.base, self.words)
-        return {d.key: d.plain(_base_value(config, d.key)) for d in self.dimensions}
-
-    def definition(self) -> dict[str, str]:
-        """What makes trials comparable, flat: a study takes only workers with the same."""
-        base = to_yaml(load_config(self.base, self.words)).splitlines()
-        parts = {
-            "search": dataclasses.asdict(self.file.search),
-            "objective": dataclasses.asdict(self.file.objective),
-        }
-        flat = {key: repr(value) for key, value in flatten(parts).items()}
-        for d in self.dimensions:
-            flat[f"space.{d.key}"] = repr(
-                d.choices or (d.kind, d.low, d.high, d.log, d.step, d.points)
-            )
-        return flat | {"conditions": repr(self.conditions), "config": "\n".join(base)}
+    kind: Literal["local", "ray"] = Field("local", description="processes, or tasks on Ray")
+    workers: int | None = Field(None, ge=1, le=4096, description="trials at once; null: all fit")
+    cpus: float = Field(1.0, gt=0, le=4096, description="CPUs of a trial, for ray")
+    gpus: float = Field(0.0, ge=0, le=64, description="GPUs of a trial; 0.25: four share one")
+    address: str = Field("auto", description="of the Ray cluster; auto: the running one")
+    retries: int = Field(1, ge=0, le=100, description="of a trial whose process or node died")
 
 
-def difference(found: dict[str, str], wanted: dict[str, str]) -> str:
-    """The first key in which two definitions of sweeps differ, and how."""
-    for key in [*found, *wanted]:
-        old, new = found.get(key, "nothing"), wanted.get(key, "nothing")
-        if old == new:
-            continue
-        if key != "config":
-            return f"{key} was {old}, is {new}"
-        for before, now in zip(old.splitlines(), new.splitlines(), strict=False):
-            if before != now:
-                return f"the config said '{before.strip()}', says '{now.strip()}'"
-    return "the config has more keys"
+class SweepFile(Section):
+    """A sweep file."""
 
+    name: str = Field("sweep", pattern=r"^\w[\w.-]*$", max_length=100, description="of the study")
+    config: str = Field(description="base config: a file next to the sweep file, or a preset")
+    overrides: dict[str, Any] = Field({}, description="changes to it, the same for every trial")
+    space: dict[str, Any] = Field(min_length=1, description="values by dotted key of the config")
+    conditions: dict[str, Any] = Field({}, description="the race in which policies are evaluated")
+    search: Search = Search()
+    objective: Objective = Objective()
+    budget: Budget = Budget()
+    executor: Executor = Executor()
+    storage: str = Field("journal", description="journal, or postgresql://USER@HOST/DATABASE")
+    heartbeat_seconds: int = Field(15, ge=1, le=3600, description="of Optuna, in a database")
 
-def load_sweep(path: Path | str, words: Sequence[str] = (), values: bool = True) -> Sweep:
-    """The sweep of a YAML file and ``key=value`` words, checked as far as can be without training.
-
-    Args:
-        path: the sweep file.
-        words: changes to it.
-        values: try the space's values in the base config too, which takes a second or more.
-
-    Raises:
-        InputError: an unknown key, an impossible value, an impossible search space, in one line.
-    """
-    path = Path(path)
-    tree, over = read_yaml(path), parse_words(words)
-    space = _part(tree, "space", path, ENTRIES) | _part(over, "space", path, ENTRIES)
-    overrides = _part(tree, "overrides", path) | _part(over, "overrides", path)
-    asked = _part(tree, "conditions", path) | _part(over, "conditions", path)
-    file = fill(SweepFile, merge_trees(tree, over), str(path))
-    _check(file, str(path))
-    base = _find_base(file.config, path)
-    fixed = tuple(word(key, value) for key, value in overrides.items())
-    try:
-        config = load_config(base, fixed)
-    except InputError as error:
-        raise InputError(f"{path}: overrides: {error}") from error
-    dimensions = read_space(space, config.algorithm, str(path))
-    _check_measure(file, config, str(path))
-    conditions = _conditions(asked, config, dimensions, base, fixed, str(path))
-    trials = _trials(file, dimensions, str(path))
-    sweep = Sweep(file, base, fixed, dimensions, trials, conditions)
-    _check_first(sweep, str(path))
-    if values:
-        _check_values(sweep, str(path))
-    return sweep
-
-
-def _conditions(
-    asked: dict[str, object],
-    config: Config,
-    dimensions: Sequence[Dimension],
-    base: Path,
-    fixed: Sequence[str],
-    source: str,
-) -> tuple[str, ...]:
-    """The race that is the same for every trial: the base's, where the space varies it."""
-    keys = [d.key for d in dimensions if d.key.split(".")[0] in RACE and d.key != "vehicle.kind"]
-    values = {key: _base_value(config, key) for key in keys}
-    words = tuple(word(key, value) for key, value in (values | asked).items())
-    try:
-        load_config(base, [*fixed, *words])
-    except InputError as error:
-        raise InputError(f"{source}: conditions: {error}") from error
-    return words
-
-
-def _base_value(config: Config, key: str) -> object:
-    """The base's value of a key; a factor that it does not name is one."""
-    node: object = config
-    for part in key.split("."):
-        node = node.get(part, 1.0) if isinstance(node, dict) else getattr(node, part)
-    return node
-
-
-def _part(tree: dict, name: str, path: Path, stop: Sequence[str] = ()) -> dict[str, object]:
-    part = tree.pop(name, {})
-    if not isinstance(part, dict):
-        raise InputError(f"{path}: {name} is {part!r}, expected a mapping")
-    return flatten(part, stop)
-
-
-def _find_base(name: str, path: Path) -> Path:
-    if not name:
-        raise InputError(f"{path}: config is missing: the base config, such as ../e2e_shac.yaml")
-    for place in (path.parent / name, Path(name)):
-        if place.is_file():
-            return place
-    raise InputError(f"{path}: config: {name}: no such file")
-
-
-def _check(file: SweepFile, source: str) -> None:
-    def require(key: str, value: object, fine: bool, allowed: str) -> None:
-        if not fine:
-            raise InputError(f"{source}: {key} is {value!r}, allowed: {allowed}")
-
-    search, objective, budget = file.search, file.objective, file.budget
-    for key, value, allowed in (
-        ("search.method", search.method, ("grid", "random", "tpe")),
-        ("search.pruner", search.pruner, ("none", "median", "halving")),
-        ("objective.measure", objective.measure, ("lap_time", "seconds_to")),
-        ("objective.policy", objective.policy, ("best", "last")),
-    ):
-        require(key, value, value in allowed, ", ".join(allowed))
-    for key, value in (
-        ("search.startup", search.startup),
-        ("search.reports", search.reports),
-        ("objective.seeds", objective.seeds),
-        ("objective.flights", objective.flights),
-        ("budget.trials", budget.trials),
-    ):
-        require(key, value, value is None or value >= 1, "at least 1")
-    for key, value in (
-        ("objective.missing_lap", objective.missing_lap),
-        ("objective.target", objective.target),
-        ("budget.seconds", budget.seconds),
-        ("heartbeat_seconds", file.heartbeat_seconds),
-    ):
-        require(key, value, value is None or (value > 0 and math.isfinite(value)), "positive")
-    require("search.seed", search.seed, 0 <= search.seed < 2**31, f"0 to {2**31 - 1}")
-    require("search.pruner_startup", search.pruner_startup, search.pruner_startup >= 0, "from 0")
-    fine = bool(file.name) and all(c.isalnum() or c in "._-" for c in file.name)
-    require("name", file.name, fine and not file.name.startswith("."), "letters, digits, . _ -")
-    url = file.storage.split("@")[-1]  # without a password
-    fine = file.storage == "journal" or file.storage.startswith("postgresql://")
-    require("storage", url, fine, "journal, or postgresql://USER@HOST/DATABASE")
-
-
-def _check_measure(file: SweepFile, config: Config, source: str) -> None:
-    if file.objective.measure == "seconds_to" and file.search.pruner != "none":
-        raise InputError(
-            f"{source}: search.pruner is {file.search.pruner!r}, allowed: none, where "
-            "objective.measure is seconds_to, which ends a run at its target"
-        )
-
-
-def _check_first(sweep: Sweep, source: str) -> None:
-    first = sweep.first
-    if first is None:
-        return
-    if sweep.file.search.method == "grid":
-        raise InputError(f"{source}: search.base_first is True, allowed: False for a grid")
-    for d in sweep.dimensions:
-        value = first[d.key]
-        if not d.holds(value):
-            raise InputError(
-                f"{source}: space.{d.key} is without the base config's {value}, which is to be "
-                "the first trial (search.base_first)"
-            )
-
-
-def _trials(file: SweepFile, dimensions: Sequence[Dimension], source: str) -> int:
-    """The budget; a grid's is all of its points."""
-    if file.search.method != "grid":
-        return file.budget.trials or 20
-    try:
-        size = math.prod(len(d.grid()) for d in dimensions)
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from error
-    if file.budget.trials is not None and file.budget.trials < size:
-        raise InputError(
-            f"{source}: budget.trials is {file.budget.trials}, but the grid has {size} points"
-        )
-    return size
-
-
-def _check_values(sweep: Sweep, source: str) -> None:
-    """Every choice and both ends of every range, alone; then combinations of them."""
-    for dimension in sweep.dimensions:
-        for value in dimension.ends():
-            shown = word(dimension.key, dimension.value(value))
-            try:
-                load_config(sweep.base, [*sweep.words, shown])
-            except InputError as error:
-                alone = len(sweep.dimensions) == 1
-                if alone or not _may_depend(sweep, dimension, value):
-                    raise InputError(f"{source}: space.{dimension.key}: {error}") from error
-    for params in _combinations(sweep):
-        try:
-            sweep.config_of(params, "check", 0)
-        except InputError as error:
-            shown = ", ".join(words_of(sweep.dimensions, params))
-            raise InputError(f"{source}: space: {shown}: {error}") from error
-
-
-def _may_depend(sweep: Sweep, dimension: Dimension, value: object) -> bool:
-    """Whether a value that the base config refuses goes with some value of another dimension."""
-    random = np.random.default_rng(0)
-    for _ in range(20):
-        params = {d.key: d.draw(random) for d in sweep.dimensions} | {dimension.key: value}
-        try:
-            sweep.config_of(params, "check", 0)
-        except InputError:
-            continue
-        return True
-    return False
-
-
-def _combinations(sweep: Sweep) -> list[Params]:
-    """All combinations of the ends where they are few, else some of them and some at random."""
-    keys = [d.key for d in sweep.dimensions]
-    ends = [d.ends() for d in sweep.dimensions]
-    if math.prod(len(values) for values in ends) <= COMBINATIONS:
-        return [dict(zip(keys, values, strict=True)) for values in itertools.product(*ends)]
-    random = np.random.default_rng(0)
-    some = [[values[random.integers(len(values))] for values in ends] for _ in range(24)]
-    found = [dict(zip(keys, values, strict=True)) for values in some]
-    return found + [{d.key: d.draw(random) for d in sweep.dimensions} for _ in range(24)]
+    @model_validator(mode="after")
+    def _check(self) -> "SweepFile":
+        search, executor = self.search, self.executor
+        if self.storage != "journal" and not self.storage.startswith("postgresql://"):
+            raise ValueError("storage: allowed: journal, or postgresql://USER@HOST/DATABASE")
+        if self.objective.measure == "seconds_to" and search.pruner != "none":
+            reason = "seconds_to ends a training at its target"
+            raise ValueError(f"search.pruner is {search.pruner}, allowed: none ({reason})")
+        if search.method == "grid" and search.base_first:
+            raise ValueError("search.base_first is true, allowed: false for a grid")
+        if executor.kind == "local" and executor.gpus and not executor.workers:
+            raise ValueError("executor.workers is null, allowed: a number with executor.gpus")
+        return self

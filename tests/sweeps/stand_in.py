@@ -1,40 +1,54 @@
-"""A worker whose training is a short sleep: python -m tests.sweeps.stand_in --job JSON.
-
-As a sweep: python -m tests.sweeps.stand_in FILE RUNS WORKERS.
-"""
+"""A trial whose training is a short sleep; as a command: ``python -m tests.sweeps.stand_in ..``."""
 
 import os
 import sys
 import time
 from pathlib import Path
 
-from quadjax.sweeps import run, trial, worker
+from quadjax.sweeps.trial import Job, Outcome
 from tests.sweeps.support import value_of
 
-SECONDS = float(os.environ.get("STAND_IN_SECONDS", "0.3"))
+SECONDS = float(os.environ.get("STAND_IN_SECONDS", "0.2"))
 
 
-def train_seed(store, config, folder, reports, seed):
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "began").write_text(str(os.getpid()))
-    time.sleep(SECONDS)
-    return value_of({"ppo.clip": config.ppo.clip, "ppo.learning_rate": config.ppo.learning_rate})
+def run_trial(job: Job, tell) -> Outcome:
+    """Resume a counter of ticks in the trial's folder, and stop when told to."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with open(job.folder / "workers", "a") as stream:
+        stream.write(f"{os.getpid()}\n")
+    ticks = job.folder / "ticks"
+    ppo = job.configs[0].ppo
+    value = value_of(ppo.clip, ppo.learning_rate)
+    for tick in range(int(ticks.read_text()) if ticks.exists() else 0, 10):
+        time.sleep(SECONDS / 10)
+        ticks.write_text(str(tick + 1))
+        if tell(tick, value):
+            return Outcome((), 0.0, False)
+    with open(job.folder / "finished", "a") as stream:
+        stream.write(f"{os.getpid()}\n")
+    return Outcome((value,), 1.0, True)
 
 
-def sweep(path: str, runs: str, workers: str) -> int:
-    from quadjax.sweeps.machine import Layout
-    from quadjax.sweeps.schema import load_sweep
-    from quadjax.sweeps.store import Store
+def sweep(path: str, runs: str, *overrides: str) -> int:
+    """A whole sweep without its report."""
+    from quadjax.core.errors import run_command
+    from quadjax.sweeps.run import make_executor, run_sweep
+    from quadjax.sweeps.study import count, locked, open_study
+    from quadjax.sweeps.sweep import load_sweep
 
-    run.WORKER, run.TEND_SECONDS = "tests.sweeps.stand_in", 0.2
-    loaded = load_sweep(path)
-    store = Store(loaded, Path(runs) / loaded.file.name)
-    count = int(workers)
-    layout = Layout(count, 1, (None,) * count, (None,) * count, "a test")
-    outcome = run.run_sweep(store, path, (), Path(runs), layout)
-    return 130 if outcome.interrupted else int(outcome.counts.failed > 0)
+    def run() -> int:
+        loaded = load_sweep(path, overrides)
+        directory = Path(runs) / loaded.file.name
+        with locked(directory), make_executor(loaded, directory, run_trial) as executor:
+            study = open_study(loaded, directory)
+            if not run_sweep(study, loaded, directory, executor):
+                return 130
+        return int(count(study).failed > 0)
+
+    return run_command(run)
 
 
 if __name__ == "__main__":
-    trial.train_seed = train_seed
-    sys.exit(worker.main() if sys.argv[1] == "--job" else sweep(*sys.argv[1:]))
+    from tests.sweeps import stand_in  # so that workers find ``run_trial`` by its module
+
+    sys.exit(stand_in.sweep(*sys.argv[1:]))

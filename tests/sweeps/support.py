@@ -2,7 +2,11 @@
 
 from pathlib import Path
 
-import yaml
+import optuna
+
+from quadjax.config.base import to_yaml
+from quadjax.sweeps.study import State, latest_trials, open_study
+from quadjax.sweeps.sweep import load_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = {
@@ -11,6 +15,7 @@ TINY = {
     "ppo": {"steps_per_update": 8, "batches": 2, "epochs": 1},
     "evaluate.laps": 1,
 }
+RATE, CLIP = "ppo.learning_rate", "ppo.clip"
 
 
 def sweep_file(folder: Path, **entries: object) -> Path:
@@ -19,29 +24,43 @@ def sweep_file(folder: Path, **entries: object) -> Path:
         "name": "small",
         "config": str(ROOT / "configs" / "e2e_ppo.yaml"),
         "overrides": TINY,
-        "space": {
-            "ppo.learning_rate": {"log": [1e-4, 1e-2]},
-            "ppo.clip": {"range": [0.1, 0.3]},
-        },
+        "space": {RATE: {"log": [1e-4, 1e-2]}, CLIP: {"range": [0.1, 0.3]}},
         "search": {"method": "random"},
         "objective": {"seeds": 1, "flights": 2},
         "budget": {"trials": 4},
     }
-    path = folder / "small.yaml"
     folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(yaml.safe_dump({**tree, **entries}, sort_keys=False))
+    path = folder / "small.yaml"
+    path.write_text(to_yaml({**tree, **entries}))
     return path
 
 
-def open_store(folder: Path, *words: str, **entries: object):
-    """A store of the small sweep in ``folder``."""
-    from quadjax.sweeps.schema import load_sweep
-    from quadjax.sweeps.store import Store
+def open_small(folder: Path, *overrides: str, **entries: object):
+    """The small sweep, its folder and its study."""
+    sweep = load_sweep(sweep_file(folder, **entries), overrides)
+    directory = folder / "runs" / sweep.file.name
+    directory.mkdir(parents=True, exist_ok=True)
+    return sweep, directory, open_study(sweep, directory)
 
-    sweep = load_sweep(sweep_file(folder, **entries), words)
-    return Store(sweep, folder / "runs" / sweep.file.name)
+
+def finish(study: optuna.Study, sweep, value=None, flown: float = 1.0) -> optuna.Trial:
+    """Take the next trial of the queue and give it a value."""
+    trial = study.ask()
+    params = {d.key: d.suggest(trial) for d in sweep.dimensions}
+    value = value_of(params[CLIP], params.get(RATE, 0.0)) if value is None else value
+    own = {"values": [value], "finished": flown, "seconds": 1.5, "host": "here"}
+    for name, item in own.items():
+        trial.set_user_attr(name, item)
+    study.tell(trial, value)
+    return trial
 
 
-def value_of(params: dict) -> float:
+def complete(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
+    """The complete trials in the order of their indexes."""
+    found = sorted(latest_trials(study).items())
+    return [trial for _, trial in found if trial.state == State.COMPLETE]
+
+
+def value_of(clip: float, rate: float) -> float:
     """What the stand-in for a training finds."""
-    return 10.0 + abs(params["ppo.clip"] - 0.2) * 50.0 + 100.0 * params["ppo.learning_rate"]
+    return 10.0 + abs(clip - 0.2) * 50.0 + 100.0 * rate

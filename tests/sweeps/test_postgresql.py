@@ -1,4 +1,4 @@
-"""Two workers on one PostgreSQL database, on a server that the test itself starts."""
+"""Two sweeps on one PostgreSQL database, on a server that the test itself starts."""
 
 import os
 import pwd
@@ -11,10 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from quadjax.core.errors import InputError
-from quadjax.sweeps import locks
-from quadjax.sweeps.store import State, Store, delete_study
-from tests.sweeps.support import open_store, value_of
+from quadjax.sweeps.run import make_executor, run_sweep
+from quadjax.sweeps.study import State, count, delete_study, open_study
+from quadjax.sweeps.sweep import load_sweep
+from tests.sweeps import stand_in
+from tests.sweeps.support import complete, open_small, sweep_file
+
+pytestmark = pytest.mark.slow
 
 PLACES = [str(p) for p in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)]
 
@@ -63,45 +66,36 @@ def url():
         shutil.rmtree(folder, ignore_errors=True)
 
 
-@pytest.mark.slow
-def test_two_workers_never_run_the_same_trial(tmp_path, url):
-    opened = [open_store(tmp_path / str(i), storage=url, budget={"trials": 12}) for i in range(2)]
+def test_two_machines_never_run_the_same_trial(tmp_path, url):
+    """Two sweeps with folders of their own on one database."""
+    entries = {"storage": url, "budget": {"trials": 8}, "heartbeat_seconds": 1}
+    found = [load_sweep(sweep_file(tmp_path / str(i), **entries)) for i in range(2)]
 
-    def work(own: Store) -> list[tuple]:
-        taken = []
-        while (claim := own.claim(locks.this_worker())) is not None:
-            taken.append((claim.slot, tuple(claim.params.values())))
-            own.finish(claim, value_of(claim.params))
-        return taken
+    def work(number: int) -> None:
+        directory = tmp_path / str(number)
+        with make_executor(found[number], directory, stand_in.run_trial) as executor:
+            study = open_study(found[number], directory)
+            assert run_sweep(study, found[number], directory, executor)
 
     with ThreadPoolExecutor(2) as pool:
-        first, second = pool.map(work, opened)
-    slots = [slot for slot, _ in first + second]
-    assert sorted(slots) == list(range(12)) and len({p for _, p in first + second}) == 12
-    assert opened[0].counts() == opened[1].counts() and opened[0].counts().done == 12
+        list(pool.map(work, range(2)))
+    study = open_study(found[0], tmp_path, run=False)
+    assert sorted(t.user_attrs["index"] for t in complete(study)) == list(range(8))
+    finished = [path.parent.name for path in tmp_path.glob("*/trials/*/finished")]
+    assert sorted(finished) == [f"{index:04d}" for index in range(8)]
 
 
-@pytest.mark.slow
-def test_a_dead_workers_trial_is_tried_once_more(tmp_path, url):
-    entries = {"storage": url, "name": "second", "budget": {"trials": 1}}
-    opened = open_store(tmp_path, **entries)
-    process = subprocess.Popen(["true"])
-    process.wait()
-    gone = locks.Worker(**(locks.this_worker().to_json() | {"pid": process.pid, "began": "1"}))
-    params = opened.claim(gone).params
-    other = open_store(tmp_path / "other", **entries)
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda own: own.tend(), [opened, other]))
-    assert [t.state for t in other.trials()] == [State.FAIL, State.WAITING]
-    again = other.claim(locks.this_worker())
-    assert again.params == params and again.attempt == 1
-    delete_study(opened.sweep, opened.directory)
-    assert open_store(tmp_path, **entries).counts().waiting == 1
-
-
-@pytest.mark.slow
-def test_a_server_that_does_not_answer_is_one_line(tmp_path):
-    pytest.importorskip("psycopg", reason="the PostgreSQL driver is not installed")
-    with pytest.raises(InputError, match=r"storage: 127.0.0.1:9/none: ") as caught:
-        open_store(tmp_path, storage="postgresql://me:secret@127.0.0.1:9/none")
-    assert "secret" not in str(caught.value) and "\n" not in str(caught.value)
+def test_a_trial_of_a_silent_machine_is_run_by_another(tmp_path, url):
+    entries = {"storage": url, "name": "second", "budget": {"trials": 1}, "heartbeat_seconds": 1}
+    sweep, directory, study = open_small(tmp_path, **entries)
+    taken = study.ask()
+    params = {d.key: d.suggest(taken) for d in sweep.dimensions}
+    study._storage.record_heartbeat(taken._trial_id)  # as the machine that dies now did
+    with make_executor(sweep, directory, stand_in.run_trial) as executor:
+        again = open_study(sweep, directory)
+        assert count(again).running == 1
+        assert run_sweep(again, sweep, directory, executor)
+    assert [t.state for t in again.get_trials()] == [State.FAIL, State.COMPLETE]
+    assert complete(again)[0].params == params
+    delete_study(sweep, directory)
+    assert count(open_study(sweep, directory)).waiting == 1

@@ -1,0 +1,105 @@
+"""Trials as Ray tasks on a running cluster, with the CPUs and GPUs that each asks for."""
+
+import uuid
+from typing import Any, Self
+
+from quadjax.core.errors import InputError
+from quadjax.sweeps.local import Function, WorkerDied
+from quadjax.sweeps.schema import Executor
+from quadjax.sweeps.trial import Job, Outcome, Tell
+
+try:
+    import ray
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+except ImportError:
+    ray = None
+
+POLL_SECONDS = 0.5
+
+
+class Mailbox:
+    """Reports of running trials on their way to the sweep, and its answers; a Ray actor."""
+
+    def __init__(self) -> None:
+        self._reports: dict[str, list[tuple[int, float]]] = {}
+        self._stopped: set[str] = set()
+
+    def tell(self, trial: str, step: int, value: float) -> bool:
+        """Keep a report; returns whether the trial is to stop."""
+        self._reports.setdefault(trial, []).append((step, value))
+        return trial in self._stopped
+
+    def take(self, trial: str) -> list[tuple[int, float]]:
+        """The reports since the last call."""
+        return self._reports.pop(trial, [])
+
+    def stop(self, trial: str) -> None:
+        """Answer that a trial is to stop."""
+        self._stopped.add(trial)
+
+
+def _task(function: Function, job: Job, trial: str, mailbox: Any) -> Outcome:
+    """A trial in a Ray worker."""
+
+    def tell(step: int, value: float) -> bool:
+        return ray.get(mailbox.tell.remote(trial, step, value))
+
+    return Outcome((), 0.0, False) if tell(-1, 0.0) else function(job, tell)
+
+
+class RayExecutor:
+    """Tasks on a Ray cluster. The output folder must be on a file system that all nodes share."""
+
+    def __init__(self, asked: Executor, function: Function) -> None:
+        """Connect to the cluster.
+
+        Raises:
+            InputError: Ray is not installed, no cluster answers, or no node has room for a trial.
+        """
+        if ray is None:
+            raise InputError("executor.kind is ray: pip install 'quadjax[ray]'")
+        if not ray.is_initialized():
+            try:
+                ray.init(address=asked.address, log_to_driver=False)
+            except (ConnectionError, ValueError) as error:
+                hint = "no Ray cluster answers; start one with ray start --head"
+                raise InputError(f"executor.address is {asked.address}: {hint}") from error
+        each = {"CPU": asked.cpus, "GPU": asked.gpus}
+        room = sum(_room(node["Resources"], each) for node in ray.nodes() if node["Alive"])
+        if not room:
+            raise InputError(f"executor: no node has {asked.cpus:g} CPUs and {asked.gpus:g} GPUs")
+        self.workers, self._function = asked.workers or room, function
+        here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
+        self._mailbox = ray.remote(Mailbox).options(num_cpus=0, scheduling_strategy=here).remote()
+        # No retries by Ray: a trial whose node died goes back to the study's queue.
+        task = ray.remote(_task)
+        self._task = task.options(num_cpus=asked.cpus, num_gpus=asked.gpus, max_retries=0)
+
+    def run(self, job: Job, tell: Tell) -> Outcome:
+        """Run a trial where the cluster has room; called by several threads.
+
+        Raises:
+            WorkerDied: the task's process or node is gone.
+        """
+        trial = uuid.uuid4().hex
+        task = self._task.remote(self._function, job, trial, self._mailbox)
+        try:
+            while not ray.wait([task], timeout=POLL_SECONDS)[0]:
+                reports = ray.get(self._mailbox.take.remote(trial))
+                if any([tell(*report) for report in [*reports, (-1, 0.0)]]):
+                    self._mailbox.stop.remote(trial)
+            return ray.get(task)
+        except ray.exceptions.RayError as error:
+            reason = str(error).strip().splitlines() or [""]
+            raise WorkerDied(f"{type(error).__name__}: {reason[-1]}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """The cluster is left as it was."""
+
+
+def _room(resources: dict[str, float], each: dict[str, float]) -> int:
+    """How many trials a node can run at the same time."""
+    return min(int(resources.get(kind, 0.0) / n + 1e-9) for kind, n in each.items() if n)

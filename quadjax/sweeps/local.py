@@ -1,0 +1,130 @@
+"""Trials in processes of this machine, each pinned to one core."""
+
+import os
+import queue
+import signal
+from collections.abc import Callable
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Self
+
+import psutil
+
+from quadjax.core.errors import InputError
+from quadjax.sweeps.schema import Executor
+from quadjax.sweeps.trial import Job, Outcome, Tell
+
+Function = Callable[[Job, Tell], Outcome]
+
+
+class WorkerDied(RuntimeError):
+    """The process or node that ran a trial is gone."""
+
+
+class LocalExecutor:
+    """A worker process for each core; with GPUs, a worker for each GPU or share of one."""
+
+    def __init__(self, asked: Executor, function: Function, logs: Path) -> None:
+        """Processes start with their first trial; ``InputError`` for more than there are cores."""
+        process = psutil.Process()
+        pinned = hasattr(process, "cpu_affinity")
+        cores = process.cpu_affinity() if pinned else list(range(psutil.cpu_count() or 1))
+        self.workers = asked.workers or len(cores)
+        if self.workers > len(cores):
+            most = f"{len(cores)}, the cores of this process"
+            raise InputError(f"executor.workers is {self.workers}, allowed: up to {most}")
+        logs.mkdir(parents=True, exist_ok=True)
+        self._function = function
+        self._free: queue.Queue[Worker] = queue.Queue()
+        for i, core in enumerate(cores[: self.workers]):
+            self._free.put(Worker(core, gpu_environment(asked.gpus, i), logs / f"worker{i}.log"))
+
+    def run(self, job: Job, tell: Tell) -> Outcome:
+        """Run a trial on a free worker; called by as many threads as there are workers.
+
+        Raises:
+            WorkerDied: the worker's process ended before the trial.
+        """
+        worker = self._free.get()
+        try:
+            return worker.run(self._function, job, tell)
+        finally:
+            self._free.put(worker)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        while not self._free.empty():
+            self._free.get().close()
+
+
+class Worker:
+    """A process that runs one trial after another."""
+
+    def __init__(self, core: int, environment: dict[str, str], log: Path) -> None:
+        self._arguments, self._log = (core, environment, str(log)), log
+        self._process = None
+
+    def run(self, function: Function, job: Job, tell: Tell) -> Outcome:
+        """Run a trial, in a new process where the last one has ended."""
+        if self._process is None or not self._process.is_alive():
+            context = get_context("spawn")  # JAX does not survive a fork
+            self._pipe, other = context.Pipe()
+            self._process = context.Process(target=_serve, args=(other, *self._arguments))
+            self._process.daemon = True
+            self._process.start()
+            other.close()
+        try:
+            self._pipe.send((function, job))
+            while not isinstance(message := self._pipe.recv(), Outcome):
+                self._pipe.send(tell(*message))
+        except (EOFError, OSError):
+            self._process.join()
+            code = self._process.exitcode
+            raise WorkerDied(f"worker died (exit code {code}; see {self._log})") from None
+        return message
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._pipe.close()
+
+
+def _serve(pipe: Connection, core: int, environment: dict[str, str], log: str) -> None:
+    """The main function of a worker: runs trials until the other end of the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C, the parent says when to stop
+    os.environ.update(environment)
+    if hasattr(process := psutil.Process(), "cpu_affinity"):
+        process.cpu_affinity([core])
+    stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    os.dup2(stream, 1)
+    os.dup2(stream, 2)
+
+    def tell(step: int, value: float) -> bool:
+        try:
+            pipe.send((step, value))
+            return pipe.recv()
+        except (EOFError, OSError):  # the parent is gone: save and stop
+            return True
+
+    try:
+        while True:
+            function, job = pipe.recv()
+            pipe.send(function(job, tell))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
+
+
+def gpu_environment(gpus: float, index: int) -> dict[str, str]:
+    """Environment variables that give a worker its GPUs, or its share of one; none: the CPU."""
+    if not gpus:
+        return {"JAX_PLATFORMS": "cpu"}
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    names = visible.split(",") if visible else [str(i) for i in range(1024)]
+    first = int(index * gpus + 1e-9)
+    environment = {"CUDA_VISIBLE_DEVICES": ",".join(names[first : first + max(1, int(gpus))])}
+    if gpus < 1:
+        environment["XLA_PYTHON_CLIENT_MEM_FRACTION"] = f"{0.9 * gpus:.3f}"
+    return environment

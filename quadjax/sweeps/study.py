@@ -1,0 +1,206 @@
+"""A sweep's Optuna study: its storage, the queue of its trials, and how they stand.
+
+Every trial of the budget is in the study's queue from the start, with its ``index`` as a user
+attribute. A trial whose process died is failed and queued again by Optuna's retry callback, with
+the same parameters and index. A failed trial with the user attribute ``error`` is not retried.
+"""
+
+import contextlib
+import copy
+import dataclasses
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import parse_qsl, urlsplit
+
+import filelock
+
+from quadjax.core.errors import InputError
+from quadjax.sweeps.extra import optuna
+from quadjax.sweeps.sweep import Sweep
+
+JOURNAL = "study.journal"
+GRACE = 4  # heartbeats without a sign of life after which a trial of another machine is retried
+State = optuna.trial.TrialState
+OVER = (State.COMPLETE, State.PRUNED)
+Trials = dict[int, optuna.trial.FrozenTrial]
+
+retry = optuna.storages.RetryHeartbeatStaleTrialCallback()  # queues a failed trial again
+
+
+@contextlib.contextmanager
+def locked(directory: Path) -> Iterator[None]:
+    """A lock on a sweep's folder, which the system releases with its process."""
+    directory.mkdir(parents=True, exist_ok=True)
+    lock = filelock.FileLock(directory / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except filelock.Timeout:
+        reason = "several machines need a database (storage)"
+        raise InputError(f"{directory}: another command runs this sweep; {reason}") from None
+    with lock:
+        yield
+
+
+def open_study(sweep: Sweep, directory: Path, run: bool = True) -> optuna.Study:
+    """The study of a sweep; to run its trials, with a full queue, inside ``locked``.
+
+    Raises:
+        InputError: the study is of another sweep, or the storage cannot be used.
+    """
+    with storage_errors(sweep, directory):
+        storage = _open_storage(sweep, directory)
+        with _exclusive(sweep):
+            study = _create(sweep, storage)
+            if run:
+                _fill(study, sweep)
+    return study
+
+
+def delete_study(sweep: Sweep, directory: Path) -> None:
+    """Delete a sweep's trials from its storage."""
+    if sweep.file.storage == "journal":
+        (directory / JOURNAL).unlink(missing_ok=True)
+        return
+    with storage_errors(sweep, directory), contextlib.suppress(KeyError):
+        optuna.delete_study(study_name=sweep.file.name, storage=_open_storage(sweep, directory))
+
+
+def _open_storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
+    if sweep.file.storage == "journal":
+        path = directory / JOURNAL
+        lock = filelock.FileLock(f"{path}.lock")  # released by the system with its process
+        backend = optuna.storages.journal.JournalFileBackend(str(path), lock_obj=lock)
+        with lock, open(path, "rb+") as stream:  # a power failure leaves a line without an end
+            stream.truncate(stream.read().rfind(b"\n") + 1)
+        return optuna.storages.JournalStorage(backend)
+    with _exclusive(sweep):
+        return optuna.storages.RDBStorage(
+            _driver_url(sweep),
+            engine_kwargs={"pool_pre_ping": True},
+            heartbeat_interval=sweep.file.heartbeat_seconds,
+            grace_period=GRACE * sweep.file.heartbeat_seconds,
+            heartbeat_stale_trial_callback=retry,
+        )
+
+
+def _driver_url(sweep: Sweep) -> str:
+    return sweep.file.storage.replace("postgresql://", "postgresql+psycopg://", 1)
+
+
+@contextlib.contextmanager
+def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
+    """Turn errors of the storage into one line, without the password of a database.
+
+    Raises:
+        InputError: the file is damaged, or the database cannot be used.
+    """
+    kinds: tuple[type[Exception], ...] = (ValueError, LookupError, TypeError, AttributeError)
+    where, secrets = f"{directory / JOURNAL} is damaged, start over with --overwrite", []
+    if sweep.file.storage != "journal":
+        from sqlalchemy.exc import SQLAlchemyError
+
+        kinds = (SQLAlchemyError, ImportError, ValueError, optuna.exceptions.OptunaError)
+        parts = urlsplit(sweep.file.storage)
+        where = f"storage: {parts.netloc.rsplit('@')[-1]}{parts.path} cannot be used"
+        secrets = [parts.password, *(value for _, value in parse_qsl(parts.query))]
+    try:
+        yield
+    except InputError:
+        raise
+    except kinds as error:
+        cause = getattr(error.__cause__ or error, "orig", None) or error.__cause__ or error
+        reason = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
+        for secret in filter(None, secrets):
+            reason = reason.replace(secret, "***")
+        if isinstance(cause, ImportError):
+            reason += ": pip install 'quadjax[sweep-postgresql]'"
+        raise InputError(f"{where} ({reason})") from None
+
+
+@contextlib.contextmanager
+def _exclusive(sweep: Sweep) -> Iterator[None]:
+    """A lock among all machines of a database, which goes with the connection."""
+    if sweep.file.storage == "journal":
+        yield
+        return
+    import sqlalchemy
+
+    engine = sqlalchemy.create_engine(_driver_url(sweep), poolclass=sqlalchemy.pool.NullPool)
+    key = {"key": zlib.crc32(b"quadjax sweeps")}
+    with engine.connect() as connection:
+        connection.execute(sqlalchemy.text("select pg_advisory_lock(:key)"), key)
+        yield
+
+
+def _create(sweep: Sweep, storage: optuna.storages.BaseStorage) -> optuna.Study:
+    search, name, wanted = sweep.file.search, sweep.file.name, sweep.definition()
+    sampler = optuna.samplers.RandomSampler(seed=search.seed)  # its trials are all in the queue
+    if search.method == "tpe":  # the constant liar keeps trials that run at the same time apart
+        known = {"n_startup_trials": search.startup, "multivariate": True, "constant_liar": True}
+        sampler = optuna.samplers.TPESampler(seed=search.seed, **known)
+    pruner = {
+        "none": optuna.pruners.NopPruner(),
+        "median": optuna.pruners.MedianPruner(n_startup_trials=search.pruner_startup),
+        "halving": optuna.pruners.SuccessiveHalvingPruner(reduction_factor=2),
+    }[search.pruner]
+    study = optuna.create_study(
+        storage=storage, study_name=name, sampler=sampler, pruner=pruner, load_if_exists=True
+    )
+    found = study.user_attrs.get("definition")
+    if found is None:
+        study.set_user_attr("definition", wanted)
+    elif found != wanted:
+        key = next(k for k in [*found, *wanted] if found.get(k) != wanted.get(k))
+        change = f"{key} was {found.get(key)}, is {wanted.get(key)}"
+        hint = "choose another name=NAME, or start over with --overwrite"
+        raise InputError(f"the study {name} is of another sweep: {change}; {hint}")
+    return study
+
+
+def _fill(study: optuna.Study, sweep: Sweep) -> None:
+    """Queue every trial of the budget that is not in the study, and the interrupted ones."""
+    if sweep.file.storage == "journal":  # no other command runs its trials
+        for trial in study.get_trials(deepcopy=False, states=(State.RUNNING,)):
+            study.tell(trial.number, state=State.FAIL)
+    latest = latest_trials(study)
+    if len(latest) > sweep.trials:
+        had = f"the study {sweep.file.name} holds {len(latest)} trials"
+        raise InputError(f"{had}, budget.trials is {sweep.trials}: a budget can only grow")
+    for index, params in enumerate(sweep.queue()):
+        if index not in latest:
+            study.enqueue_trial(params, user_attrs={"index": index})
+        elif latest[index].state == State.FAIL and "error" not in latest[index].user_attrs:
+            retry(study, copy.deepcopy(latest[index]))
+
+
+def latest_trials(study: optuna.Study) -> Trials:
+    """The trial of each index: the one with a value, else the last one."""
+    latest: Trials = {}
+    for trial in study.get_trials(deepcopy=False):
+        index = trial.user_attrs.get("index")
+        if index is not None and (index not in latest or latest[index].state not in OVER):
+            latest[index] = trial
+    return latest
+
+
+@dataclasses.dataclass(frozen=True)
+class Counts:
+    """The number of trials in each state."""
+
+    done: int  # complete or pruned
+    running: int
+    waiting: int
+    failed: int  # not retried any more
+    best: float | None  # of the complete trials with a finished flight
+
+
+def count(study: optuna.Study) -> Counts:
+    """How the trials stand."""
+    trials = latest_trials(study).values()
+    states = [trial.state for trial in trials]
+    failed = sum(t.state == State.FAIL and "error" in t.user_attrs for t in trials)
+    values = [t.value for t in trials if t.state == State.COMPLETE and t.user_attrs["finished"]]
+    done = sum(state in OVER for state in states)
+    running, waiting = states.count(State.RUNNING), states.count(State.WAITING)
+    return Counts(done, running, waiting, failed, min(values, default=None))

@@ -1,0 +1,260 @@
+"""A sweep: the search space, and the check that every trial can run."""
+
+import dataclasses
+import itertools
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadjax.config.base import build, find_file, merge_trees, parse_overrides, read_yaml
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.sweeps.extra import optuna
+from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
+
+Plain = bool | int | float | str | None  # a value as Optuna stores it: lists as JSON text
+Params = dict[str, Plain]
+
+OWN_KEYS = ("name", "seed", "train.devices", "train.tensorboard")  # set by the sweep
+RACE = ("vehicle", "track", "rules", "randomise", "disturbance", "start", "evaluate")
+COMBINATIONS = 64  # combinations of the space's ends that are all checked
+
+
+@dataclasses.dataclass(frozen=True)
+class Dimension:
+    """One key of the config, its values and its Optuna distribution."""
+
+    key: str  # dotted
+    given: Range
+    distribution: optuna.distributions.BaseDistribution
+
+    @property
+    def integer(self) -> bool:
+        """Whether it is a range of whole numbers."""
+        return isinstance(self.distribution, optuna.distributions.IntDistribution)
+
+    def suggest(self, trial: optuna.Trial) -> Plain:
+        """The value of a trial."""
+        x = self.distribution
+        if self.given.choices is not None:
+            return trial.suggest_categorical(self.key, x.choices)
+        pick = trial.suggest_int if self.integer else trial.suggest_float
+        return pick(self.key, x.low, x.high, step=x.step, log=x.log)
+
+    def override(self, plain: Plain) -> str:
+        """The ``key=value`` override of a stored value."""
+        if self.given.choices is not None:
+            return override(self.key, self.given.choices[self.distribution.choices.index(plain)])
+        return override(self.key, plain)
+
+    def ends(self) -> list[Plain]:
+        """All choices, or both ends of a range."""
+        x = self.distribution
+        return list(x.choices) if self.given.choices is not None else [x.low, x.high]
+
+    def grid(self) -> list[Plain]:
+        """Every value of a grid; an ``InputError`` for a range without ``step`` or ``points``."""
+        given, ends = self.given, self.ends()
+        if given.choices is not None:
+            return ends
+        if given.points is not None:
+            spaced = np.geomspace if given.log else np.linspace
+            values = [ends[0], *spaced(*ends, given.points)[1:-1].tolist(), ends[1]]
+        elif given.step or (self.integer and not given.log):
+            step = max(given.step or 1.0, (ends[1] - ends[0]) / 1e6)
+            values = np.arange(ends[0], ends[1] + 0.5 * step, step).tolist()
+        else:
+            raise InputError(f"space.{self.key}: a grid needs choices, step or points")
+        return sorted({round(value) for value in values}) if self.integer else values
+
+
+def override(key: str, value: object) -> str:
+    """A ``key=value`` override."""
+    return f"{key}={json.dumps(value)}"
+
+
+def plain(value: object) -> Plain:
+    """A config's value as Optuna stores it."""
+    return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
+
+
+def flatten(tree: Mapping[str, Any], leaf: Sequence[str] = (), prefix: str = "") -> dict[str, Any]:
+    """The values of a nested mapping by dotted key; a mapping with a key in ``leaf`` is a value."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        branch = isinstance(value, dict) and value and not any(entry in value for entry in leaf)
+        flat |= flatten(value, leaf, f"{name}.") if branch else {name: value}
+    return flat
+
+
+def value_at(config: object, key: str) -> Any:
+    """A config's value of a dotted key; 1.0 for a factor that a mapping does not list."""
+    node = config
+    for part in key.split("."):
+        known = node if isinstance(node, Mapping) else getattr(node, "__dict__", {})
+        if part not in known and not isinstance(node, Mapping):
+            raise InputError(f"space.{key}: unknown key; allowed there: {', '.join(known)}")
+        node = known.get(part, 1.0)
+    if hasattr(node, "__dict__"):
+        raise InputError(f"space.{key}: is a section of the keys {', '.join(vars(node))}")
+    return node
+
+
+def read_dimension(key: str, given: object, config: object) -> Dimension:
+    """A dimension of a sweep file's ``space``.
+
+    Args:
+        key: of the config.
+        given: the entries of ``Range``.
+        config: the base config, whose value tells the type of the key.
+
+    Raises:
+        InputError: an unknown key, an empty range or a wrong type.
+    """
+    if key in OWN_KEYS:
+        raise InputError(f"space.{key}: {key} is set by the sweep")
+    base, kinds = value_at(config, key), optuna.distributions
+    if not isinstance(given, dict):
+        raise InputError(f"space.{key} is {given!r}, allowed: a mapping with choices, range or log")
+    known = build(Range, given, f"space.{key}")
+    if known.choices is not None:
+        return Dimension(key, known, kinds.CategoricalDistribution([*map(plain, known.choices)]))
+    if isinstance(base, bool) or not isinstance(base, (int, float, type(None))):
+        raise InputError(f"space.{key}: is not a number, allowed: choices")
+    numbers, log = [*(known.range or known.log), known.step or 1.0], known.log is not None
+    whole = all(number.is_integer() for number in numbers)
+    if isinstance(base, int) and not whole:
+        raise InputError(f"space.{key}: expected whole numbers, found {given}")
+    try:
+        if whole and not isinstance(base, float):
+            low, high, step = map(int, numbers)
+            return Dimension(key, known, kinds.IntDistribution(low, high, log, step))
+        return Dimension(key, known, kinds.FloatDistribution(*numbers[:2], log, known.step))
+    except ValueError as error:
+        raise InputError(f"space.{key}: {error}") from error
+
+
+def draws(dimensions: Sequence[Dimension], count: int, seed: int) -> list[Params]:
+    """Random parameters; the first ones of a longer list are the same."""
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
+    space = {d.key: d.distribution for d in dimensions}
+    return [study.ask(space).params for _ in range(count)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """A checked sweep."""
+
+    file: SweepFile
+    base: Path  # the base config
+    overrides: tuple[str, ...]  # changes to it, the same for every trial
+    dimensions: tuple[Dimension, ...]
+    trials: int  # the budget
+    conditions: tuple[str, ...]  # overrides: the race in which every policy is evaluated
+
+    def config_of(self, params: Params, *more: str) -> Config:
+        """A trial's config with more overrides; ``InputError`` if they do not go together."""
+        own = [d.override(params[d.key]) for d in self.dimensions]
+        return load_config(self.base, [*self.overrides, *own, *more])
+
+    def queue(self) -> list[Params]:
+        """Parameters of all trials in order; empty where the sampler chooses them.
+
+        A grid, random trials and the random start of TPE do not depend on the order in which
+        trials end.
+        """
+        search = self.file.search
+        if search.method == "grid":
+            points = itertools.product(*(d.grid() for d in self.dimensions))
+            return [dict(zip(self.keys, point, strict=True)) for point in points]
+        count = self.trials if search.method == "random" else min(search.startup, self.trials)
+        queue = draws(self.dimensions, count, search.seed)
+        queue += [{} for _ in range(self.trials - count)]
+        if search.base_first:
+            config = load_config(self.base, self.overrides)
+            queue[0] = {d.key: plain(value_at(config, d.key)) for d in self.dimensions}
+        return queue
+
+    @property
+    def keys(self) -> list[str]:
+        """The keys of the space."""
+        return [d.key for d in self.dimensions]
+
+    def definition(self) -> dict[str, str]:
+        """What makes trials comparable, by dotted key: a study takes only the same."""
+        parts = {
+            "search": self.file.search.model_dump(),
+            "objective": self.file.objective.model_dump(),
+            "conditions": list(self.conditions),
+            "space": {d.key: d.given.model_dump(exclude_none=True) for d in self.dimensions},
+            "config": tree_of(load_config(self.base, self.overrides)),
+        }
+        return {key: json.dumps(value) for key, value in flatten(parts, ENTRIES).items()}
+
+
+def tree_of(config: Config) -> dict[str, Any]:
+    """A config as plain nested mappings."""
+    return dataclasses.asdict(config)
+
+
+def load_sweep(path: Path | str, overrides: Sequence[str] = ()) -> Sweep:
+    """The sweep of a YAML file and ``key=value`` overrides, checked before anything is trained.
+
+    Raises:
+        InputError: an unknown key, an impossible value or an impossible search space.
+    """
+    path = Path(path)
+    trees = [read_yaml(path), parse_overrides(overrides)]
+    for tree in trees:
+        if isinstance(tree.get("space"), dict):
+            tree["space"] = flatten(tree["space"], ENTRIES)
+    file = build(SweepFile, merge_trees(*trees), str(path))
+    try:
+        return _checked(file, find_file(file.config, path.parent))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _checked(file: SweepFile, base: Path) -> Sweep:
+    fixed = tuple(override(key, value) for key, value in file.overrides.items())
+    config = load_config(base, fixed)
+    dimensions = tuple(read_dimension(key, given, config) for key, given in file.space.items())
+    race = {d.key: value_at(config, d.key) for d in dimensions if d.key.split(".")[0] in RACE}
+    race.pop("vehicle.kind", None)
+    conditions = tuple(override(k, v) for k, v in (race | file.conditions).items())
+    load_config(base, (*fixed, *conditions))
+    trials = file.budget.trials or 20
+    if file.search.method == "grid":
+        trials = math.prod(len(d.grid()) for d in dimensions)
+        most = file.budget.trials or MAX_TRIALS
+        if trials > most:
+            raise InputError(f"the grid has {trials} points, allowed by budget.trials: {most}")
+    sweep = Sweep(file, base, fixed, dimensions, trials, conditions)
+    for d in dimensions if file.search.base_first else ():
+        first, ends = plain(value_at(config, d.key)), d.ends()
+        if first not in ends and (d.given.choices is not None or not ends[0] < first < ends[1]):
+            raise InputError(f"space.{d.key}: search.base_first needs the base's {first} in it")
+    _check_values(sweep)
+    return sweep
+
+
+def _check_values(sweep: Sweep) -> None:
+    """Try combinations of the ends of all ranges: all, or each end with random other values."""
+    ends = [d.ends() for d in sweep.dimensions]
+    if math.prod(map(len, ends)) <= COMBINATIONS:
+        tried = [dict(zip(sweep.keys, x, strict=True)) for x in itertools.product(*ends)]
+    else:
+        alone = [{d.key: x} for d in sweep.dimensions for x in d.ends()]
+        tried = [a | b for a, b in zip(draws(sweep.dimensions, len(alone), 0), alone, strict=True)]
+    for params in tried:
+        try:
+            sweep.config_of(params)
+        except InputError as error:
+            shown = ", ".join(d.override(params[d.key]) for d in sweep.dimensions)
+            raise InputError(f"space: {shown}: {error}") from error

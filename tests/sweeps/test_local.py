@@ -1,0 +1,165 @@
+"""Whole sweeps in local processes: pinned workers, killed workers, killed sweeps, Ctrl-C."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.sweeps.local import gpu_environment
+from quadjax.sweeps.run import make_executor, progress, run_sweep
+from quadjax.sweeps.study import Counts, State, count, open_study
+from quadjax.sweeps.sweep import load_sweep
+from tests.sweeps import stand_in
+from tests.sweeps.support import CLIP, RATE, ROOT, complete, open_small, sweep_file, value_of
+
+LIMIT = 120.0  # s, for whatever a test waits for
+
+
+def start(path, runs, *overrides, seconds=0.2) -> subprocess.Popen:
+    """A sweep whose training is a sleep, in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.sweeps.stand_in", str(path), str(runs), *overrides],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "STAND_IN_SECONDS": str(seconds)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def wait_for(what, process):
+    deadline = time.monotonic() + LIMIT
+    while time.monotonic() < deadline:
+        if found := what():
+            return found
+        if process.poll() is not None:
+            raise AssertionError(process.stdout.read())
+        time.sleep(0.02)
+    raise AssertionError("nothing happened")
+
+
+def lines(folder, name) -> list[str]:
+    """The lines of a file in every trial's folder."""
+    return [line for path in folder.glob(f"trials/*/{name}") for line in path.read_text().split()]
+
+
+def ended(path, runs):
+    """The sweep's study and folder, as they are."""
+    sweep = load_sweep(path)
+    return open_study(sweep, runs / sweep.file.name, run=False), runs / sweep.file.name
+
+
+@pytest.mark.slow
+def test_killed_and_interrupted_sweeps_resume_and_run_every_trial_once(tmp_path):
+    path, folder = sweep_file(tmp_path, budget={"trials": 6}), tmp_path / "runs" / "small"
+    for number, after, status in (
+        (signal.SIGKILL, 1, -9),
+        (signal.SIGTERM, 3, 130),
+        (signal.SIGINT, 4, 130),
+    ):
+        process = start(path, tmp_path / "runs", "executor.workers=2")
+        wait_for(lambda n=after: len(lines(folder, "finished")) >= n, process)
+        process.send_signal(number)
+        output, _ = process.communicate(timeout=LIMIT)
+        assert process.returncode == status, output
+    process = start(path, tmp_path / "runs", "executor.workers=2")
+    output, _ = process.communicate(timeout=LIMIT)
+    assert process.returncode == 0, output
+    assert "6/6 trials, best" in output
+    study, _ = ended(path, tmp_path / "runs")
+    found = complete(study)
+    assert [trial.user_attrs["index"] for trial in found] == list(range(6))
+    assert all(t.value == pytest.approx(value_of(t.params[CLIP], t.params[RATE])) for t in found)
+    assert lines(folder, "ticks") == ["10"] * 6
+    # A trial that ended while its sweep was killed may have been evaluated again, never retrained.
+    assert 6 <= len(lines(folder, "finished")) <= 8
+    assert len({tuple(t.params.values()) for t in found}) == 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("deaths", [1, 2])
+def test_a_trial_is_retried_after_its_worker_died_and_given_up_the_second_time(tmp_path, deaths):
+    path, folder = sweep_file(tmp_path, budget={"trials": 1}), tmp_path / "runs" / "small"
+    process = start(path, tmp_path / "runs", "executor.workers=1", seconds=2.0)
+    for death in range(deaths):
+        wait_for(lambda n=death: len(lines(folder, "workers")) > n, process)
+        os.kill(int(lines(folder, "workers")[death]), signal.SIGKILL)
+    output, _ = process.communicate(timeout=LIMIT)
+    study, _ = ended(path, tmp_path / "runs")
+    trials = study.get_trials()
+    assert trials[0].state == State.FAIL and trials[-1].params == trials[0].params
+    if deaths == 1:
+        assert process.returncode == 0, output
+        assert [t.state for t in trials] == [State.FAIL, State.COMPLETE]
+    else:
+        assert process.returncode == 1 and count(study).failed == 1
+        assert "worker died (exit code -9; see" in trials[-1].user_attrs["error"]
+
+
+@pytest.mark.slow
+def test_workers_are_pinned_and_end_with_the_sweep(tmp_path):
+    process = start(sweep_file(tmp_path), tmp_path / "runs", seconds=3.0)
+    cores = psutil.Process().cpu_affinity()
+    folder, most = tmp_path / "runs" / "small", min(4, len(cores))
+    wait_for(lambda: len(lines(folder, "workers")) >= most, process)
+    workers = [psutil.Process(int(pid)) for pid in set(lines(folder, "workers"))]
+    assert sorted(w.cpu_affinity() for w in workers) == [[core] for core in cores[:most]]
+    process.kill()
+    gone, alive = psutil.wait_procs(workers, timeout=LIMIT)
+    assert len(gone) == most and not alive
+
+
+def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
+    search = {"method": "random", "pruner": "halving"}
+    sweep, directory, study = open_small(tmp_path, search=search, budget={"trials": 6})
+    with make_executor(sweep, directory, stand_in.run_trial) as executor:
+        assert run_sweep(study, sweep, directory, executor)
+    pruned = [t for t in study.get_trials() if t.state == State.PRUNED]
+    assert pruned and count(study).done == 6 and all(t.intermediate_values for t in pruned)
+    best = min(complete(study), key=lambda t: t.value)
+    assert best.value <= min(t.value for t in pruned)
+
+    sweep, directory, study = open_small(tmp_path, "budget.seconds=1e-3", name="other")
+    with make_executor(sweep, directory, stand_in.run_trial) as executor:
+        assert run_sweep(study, sweep, directory, executor)
+    assert count(study).done == 0 and count(study).waiting == 4
+
+
+def test_a_trial_that_cannot_run_is_given_up_with_its_reason(tmp_path):
+    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
+    with make_executor(sweep, directory, _impossible) as executor:
+        run_sweep(study, sweep, directory, executor)
+    assert count(study).failed == 1
+    assert study.trials[-1].user_attrs["error"] == "track: the gates overlap"
+
+
+def _impossible(job, tell):
+    return stand_in.Outcome((), 0.0, False, "track: the gates overlap")
+
+
+def test_more_workers_than_cores_are_refused(tmp_path):
+    sweep = load_sweep(sweep_file(tmp_path), ["executor.workers=4000"])
+    with pytest.raises(InputError, match=r"executor.workers is 4000, allowed: up to \d+"):
+        make_executor(sweep, tmp_path)
+
+
+def test_workers_share_gpus(monkeypatch):
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    assert gpu_environment(0.0, 3) == {"JAX_PLATFORMS": "cpu"}
+    assert [gpu_environment(0.5, i)["CUDA_VISIBLE_DEVICES"] for i in range(4)] == list("0011")
+    assert gpu_environment(0.5, 0)["XLA_PYTHON_CLIENT_MEM_FRACTION"] == "0.450"
+    assert gpu_environment(2.0, 1) == {"CUDA_VISIBLE_DEVICES": "2,3"}
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "5,7")
+    assert gpu_environment(1.0, 1) == {"CUDA_VISIBLE_DEVICES": "7"}
+
+
+def test_progress_tells_the_time_left_and_whether_a_flight_finished():
+    text = progress(Counts(3, 1, 2, 0, 13.2), before=1, seconds=20.0)
+    assert text == "3/6 trials, best 13.20 s, about 0:00:30 left"
+    text = progress(Counts(1, 1, 2, 1, None), before=1, seconds=9.0)
+    assert text == "1/5 trials, no flight finished yet, 1 failed"

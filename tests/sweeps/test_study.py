@@ -1,0 +1,174 @@
+"""The queue of trials in Optuna's study: every trial once, nothing lost."""
+
+import os
+import subprocess
+import sys
+
+import filelock
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.sweeps.study import JOURNAL, OVER, State, count, locked, open_study, retry
+from quadjax.sweeps.sweep import load_sweep
+from tests.sweeps.support import CLIP, RATE, ROOT, complete, finish, open_small, sweep_file
+
+
+def states(study) -> list[State]:
+    return [trial.state for trial in study.get_trials(deepcopy=False)]
+
+
+def test_random_parameters_do_not_depend_on_the_order_of_the_trials(tmp_path):
+    def drawn(name, order):
+        sweep, _, study = open_small(tmp_path / name)
+        trials = [study.ask() for _ in range(4)]
+        for index in order:
+            params = {d.key: d.suggest(trials[index]) for d in sweep.dimensions}
+            study.tell(trials[index], sum(params.values()))
+        return [trial.params for trial in complete(study)]
+
+    first = drawn("a", [0, 1, 2, 3])
+    assert first == drawn("b", [3, 1, 0, 2])
+    assert len({params[RATE] for params in first}) == 4
+    assert all(1e-4 <= params[RATE] <= 1e-2 and 0.1 <= params[CLIP] <= 0.3 for params in first)
+
+
+def test_tpe_gets_better_and_a_grid_has_every_point(tmp_path):
+    sweep, _, study = open_small(tmp_path / "tpe", "budget.trials=30", search={"method": "tpe"})
+    for _ in range(30):
+        finish(study, sweep)
+    values = [trial.value for trial in complete(study)]
+    assert sum(values[-10:]) < sum(values[:10])
+
+    space = {CLIP: {"choices": [0.1, 0.2]}, "ppo.epochs": {"range": [1, 3]}}
+    sweep, _, study = open_small(tmp_path / "g", search={"method": "grid"}, space=space, budget={})
+    points = [tuple(finish(study, sweep, 1.0).params.values()) for _ in range(6)]
+    assert sorted(points) == [(clip, epochs) for clip in (0.1, 0.2) for epochs in (1, 2, 3)]
+
+
+def test_the_base_config_may_be_the_first_trial(tmp_path):
+    space = {CLIP: {"range": [0.1, 0.3]}, "network.hidden": {"choices": [[8], [9]]}}
+    for method in ("random", "tpe"):
+        search = {"method": method, "base_first": True}
+        sweep, _, study = open_small(tmp_path / method, search=search, space=space)
+        base = {CLIP: 0.2, "network.hidden": "[8]"}
+        assert finish(study, sweep, 1.0).params == base
+        assert finish(study, sweep, 1.0).params != base
+
+
+def test_a_trial_of_a_killed_command_is_queued_again_with_its_parameters(tmp_path):
+    sweep, directory, study = open_small(tmp_path, "budget.trials=2")
+    taken = study.ask()
+    params = {d.key: d.suggest(taken) for d in sweep.dimensions}
+    again = open_study(sweep, directory)
+    assert count(again).waiting == 2 and states(again)[0] == State.FAIL
+    finish(again, sweep)
+    trial = finish(again, sweep)
+    assert trial.user_attrs["index"] == 0 and trial.params == params
+    assert count(open_study(sweep, directory)).done == 2
+
+
+def test_a_command_killed_between_failing_and_queueing_a_trial_loses_nothing(tmp_path):
+    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
+    study.tell(study.ask(), state=State.FAIL)
+    assert count(study).waiting == 0
+    assert count(open_study(sweep, directory)).waiting == 1
+
+
+def test_a_trial_that_was_given_up_is_not_queued_again(tmp_path):
+    sweep, directory, study = open_small(tmp_path, "budget.trials=1")
+    trial = study.ask()
+    trial.set_user_attr("error", "out of memory")
+    study.tell(trial, state=State.FAIL)
+    found = count(open_study(sweep, directory))
+    assert (found.failed, found.waiting, found.done) == (1, 0, 0)
+
+
+def test_a_report_reads_the_study_and_changes_nothing(tmp_path):
+    sweep, directory, study = open_small(tmp_path)
+    study.ask()
+    assert count(open_study(sweep, directory, run=False)).running == 1
+
+
+def test_a_value_of_a_retried_trial_counts_whatever_comes_later(tmp_path):
+    sweep, _, study = open_small(tmp_path, "budget.trials=1")
+    finish(study, sweep, 12.0)
+    retry(study, study.trials[0])
+    assert count(study).done == 1 and count(study).best == 12.0 and states(study)[0] in OVER
+
+
+def test_a_line_without_an_end_is_dropped_and_other_damage_is_one_line(tmp_path):
+    sweep, directory, study = open_small(tmp_path)
+    finish(study, sweep)
+    journal = directory / JOURNAL
+    whole = journal.read_bytes()
+    journal.write_bytes(whole + b'{"op_code": 6, "tri')
+    again = open_study(sweep, directory)
+    assert count(again).done == 1
+    finish(again, sweep)
+    assert count(open_study(sweep, directory)).done == 2
+    lines = whole.splitlines(keepends=True)
+    damages = [
+        b"\x00\xff\n".join(lines),
+        b"".join([lines[0], b"{}\n", *lines[1:]]),
+        b"[]\n" + whole,
+        b"".join([lines[0][:-9], *lines[1:]]),
+    ]
+    for damage in damages:
+        journal.write_bytes(damage)
+        with pytest.raises(InputError, match=r"study.journal is damaged.*--overwrite") as caught:
+            open_study(sweep, directory)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_study_takes_only_its_own_sweep(tmp_path):
+    open_small(tmp_path)
+    with pytest.raises(InputError, match=r"objective.seeds was 1, is 2"):
+        open_small(tmp_path, objective={"seeds": 2, "flights": 2})
+    with pytest.raises(InputError, match=r"space.ppo.clip was .*0.3.* is .*0.4"):
+        open_small(tmp_path, "space.ppo.clip.range=[0.1,0.4]")
+    with pytest.raises(InputError, match=r"config.*discount was 0.99.*, is 0.9"):
+        open_small(tmp_path, "overrides.ppo.discount=0.9")
+    assert count(open_small(tmp_path)[2]).waiting == 4
+
+
+def test_a_budget_can_grow_and_not_shrink(tmp_path):
+    open_small(tmp_path)
+    assert count(open_small(tmp_path, "budget.trials=6")[2]).waiting == 6
+    with pytest.raises(InputError, match="holds 6 trials, budget.trials is 4"):
+        open_small(tmp_path)
+
+
+def test_a_second_command_is_refused_until_the_first_one_has_died(tmp_path):
+    hold = (
+        "import pathlib, sys, time; from quadjax.sweeps.study import locked\n"
+        "with locked(pathlib.Path(sys.argv[1])): print('locked', flush=True); time.sleep(60)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", hold, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert process.stdout.readline() == b"locked\n"
+    with pytest.raises(InputError, match="another command runs this sweep"), locked(tmp_path):
+        pass
+    process.kill()
+    process.wait()
+    with locked(tmp_path), pytest.raises(filelock.Timeout):
+        filelock.FileLock(tmp_path / ".lock", timeout=0).acquire()
+
+
+def test_a_password_is_never_shown(tmp_path):
+    pytest.importorskip("psycopg", reason="the PostgreSQL driver is not installed")
+    for url in (
+        "postgresql://me:s3cret@127.0.0.1:9/none",
+        "postgresql://me@127.0.0.1:9/none?password=s3cret",
+        "postgresql://me@127.0.0.1:9/none?passwort=s3cret",
+        "postgresql://me:s3cret@127.0.0.1:port/none",
+    ):
+        sweep = load_sweep(sweep_file(tmp_path, storage=url))
+        with pytest.raises(InputError, match="storage: 127.0.0.1") as caught:
+            open_study(sweep, tmp_path)
+        assert "s3cret" not in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="allowed: journal, or postgresql") as caught:
+        load_sweep(sweep_file(tmp_path, storage="mysql://me:s3cret@host/none"))
+    assert "s3cret" not in str(caught.value)

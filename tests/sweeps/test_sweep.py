@@ -1,0 +1,187 @@
+"""Sweep files: what is refused in one line before anything runs, and what a grid holds."""
+
+import pytest
+
+from quadjax.config.base import to_yaml
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.sweeps.sweep import load_sweep, read_dimension
+from tests.commands import run
+from tests.sweeps.support import CLIP, RATE, ROOT, TINY, sweep_file
+
+EPOCHS, ACTIVATION, HIDDEN = "ppo.epochs", "network.activation", "network.hidden"
+
+IMPOSSIBLE_SPACES = {
+    "unknown key": ({"ppo.rate": {"range": [0, 1]}}, ["space.ppo.rate", "learning_rate"]),
+    "unknown section": ({"pppo.clip": {"range": [0, 1]}}, ["space.pppo.clip", "unknown key"]),
+    "below a value": ({f"{CLIP}.low": {"range": [0, 1]}}, [f"space.{CLIP}.low", "unknown"]),
+    "a section": ({"ppo": {"range": [0, 1]}}, ["space.ppo", "section", "clip"]),
+    "an empty range": ({CLIP: {"range": [0.3, 0.3]}}, [f"space.{CLIP}", "[0.3, 0.3]"]),
+    "a reversed range": ({CLIP: {"range": [0.3, 0.1]}}, ["[0.3, 0.1]", "lowest < highest"]),
+    "no choices": ({EPOCHS: {"choices": []}}, [f"space.{EPOCHS}", "choices"]),
+    "a choice twice": ({EPOCHS: {"choices": [3, 3]}}, ["3", "twice"]),
+    "text for a bound": ({CLIP: {"range": ["a", 1]}}, [f"space.{CLIP}", "range"]),
+    "three bounds": ({CLIP: {"range": [0, 1, 2]}}, [f"space.{CLIP}", "range", "[0, 1, 2]"]),
+    "infinite": ({CLIP: {"range": [0.1, 1e99]}}, [f"space.{CLIP}", "finite"]),
+    "half an epoch": ({EPOCHS: {"range": [1, 2.5]}}, ["2.5", "whole number"]),
+    "half a step": ({EPOCHS: {"range": [1, 4], "step": 0.5}}, ["0.5", "whole number"]),
+    "a log from zero": ({CLIP: {"log": [0, 1]}}, [f"space.{CLIP}", "low > 0"]),
+    "a range of texts": ({ACTIVATION: {"range": [0, 1]}}, [ACTIVATION, "choices"]),
+    "a range of lists": ({HIDDEN: {"range": [1, 2]}}, [HIDDEN, "choices"]),
+    "a plain value": ({CLIP: 0.2}, [f"space.{CLIP}", "0.2", "choices"]),
+    "two ways": ({CLIP: {"range": [0.1, 1], "log": [0.1, 1]}}, ["one of", "2"]),
+    "an unknown way": ({CLIP: {"range": [0.1, 1], "mean": 3}}, ["mean", "points"]),
+    "a step of a log": ({CLIP: {"log": [0.1, 1], "step": 0.1}}, ["step"]),
+    "a step too long": ({CLIP: {"range": [0.1, 1], "step": 2}}, ["step", "2"]),
+    "one point": ({CLIP: {"range": [0.1, 1], "points": 1}}, ["points", "1"]),
+    "the seed": ({"seed": {"range": [0, 9]}}, ["space.seed", "set by the sweep"]),
+    "the name": ({"name": {"choices": ["a"]}}, ["space.name", "set by the sweep"]),
+    "nothing": ({}, ["space"]),
+    "a list": ([1], ["space"]),
+}
+
+
+def space(entries):
+    return {"space": entries}
+
+
+IMPOSSIBLE_FILES = {
+    "beyond the schema": (space({"ppo.discount": {"range": [0.9, 1.2]}}), ["discount", "1.2"]),
+    "a wrong choice": (space({ACTIVATION: {"choices": ["gelu"]}}), ["gelu", "relu"]),
+    "a choice of a wrong type": (space({EPOCHS: {"choices": [2, "many"]}}), ["many"]),
+    "a truth for a number": (space({CLIP: {"choices": [True]}}), [CLIP, "true"]),
+    "what does not go together": (
+        space({"ppo.batches": {"choices": [2, 4]}, "train.drones": {"choices": [16, 10]}}),
+        ["ppo.batches=4", "train.drones=10"],
+    ),
+    "an unknown entry": ({"serach": {}}, ["serach", "search"]),
+    "an unknown method": ({"search": {"method": "magic"}}, ["search.method", "magic", "tpe"]),
+    "no trials": ({"budget": {"trials": 0}}, ["budget.trials", "0", "at least 1"]),
+    "half a trial": ({"budget": {"trials": 1.5}}, ["budget.trials"]),
+    "too many trials": ({"budget": {"trials": 10**9}}, ["budget.trials", "10000"]),
+    "no seeds": ({"objective": {"seeds": 0}}, ["objective.seeds", "0"]),
+    "too many flights": ({"objective": {"flights": 10**9}}, ["objective.flights"]),
+    "no penalty": ({"objective": {"missing_lap": -1}}, ["missing_lap", "-1"]),
+    "no such config": ({"config": "none.yaml"}, ["config", "none.yaml", "no such file"]),
+    "an empty config": ({"config": ""}, ["no such file"]),
+    "another store": ({"storage": "mysql://u:secret@host/d"}, ["storage", "postgresql://"]),
+    "a name with a slash": ({"name": "a/b"}, ["name", "a/b"]),
+    "an unknown override": ({"overrides": {"ppo.klip": 1}}, ["klip"]),
+    "unknown conditions": ({"conditions": {"randomise.mass": 1}}, ["mass"]),
+    "a grid of a line": (
+        {"search": {"method": "grid"}},
+        [RATE, "choices, step or points"],
+    ),
+    "a grid with too few trials": (
+        {"search": {"method": "grid"}, **space({EPOCHS: {"range": [1, 5]}})},
+        ["5 points", "budget.trials: 4"],
+    ),
+    "a grid of a million": (
+        {
+            "search": {"method": "grid"},
+            "budget": {},
+            **space({CLIP: {"range": [0.1, 0.3], "step": 1e-9}}),
+        },
+        ["points", "10000"],
+    ),
+    "a base outside of the space": (
+        {"search": {"base_first": True}, **space({CLIP: {"range": [0.3, 0.4]}})},
+        [f"space.{CLIP}", "0.2", "base_first"],
+    ),
+    "a base's choice outside of the space": (
+        {"search": {"base_first": True}, **space({HIDDEN: {"choices": [[9]]}})},
+        [f"space.{HIDDEN}", "[8]", "base_first"],
+    ),
+    "a grid with the base first": (
+        {"search": {"method": "grid", "base_first": True}, **space({EPOCHS: {"range": [1, 4]}})},
+        ["search.base_first", "grid"],
+    ),
+    "pruning of a race to a target": (
+        {"search": {"pruner": "median"}, "objective": {"measure": "seconds_to"}},
+        ["search.pruner", "seconds_to"],
+    ),
+    "GPUs for an unknown number of workers": ({"executor": {"gpus": 0.5}}, ["executor.workers"]),
+    "an unknown executor": ({"executor": {"kind": "slurm"}}, ["executor.kind", "local, ray"]),
+}
+IMPOSSIBLE = {name: (space(entries), says) for name, (entries, says) in IMPOSSIBLE_SPACES.items()}
+IMPOSSIBLE |= IMPOSSIBLE_FILES
+
+
+@pytest.mark.parametrize("case", IMPOSSIBLE)
+def test_impossible_sweeps(tmp_path, case):
+    entries, says = IMPOSSIBLE[case]
+    with pytest.raises(InputError) as caught:
+        load_sweep(sweep_file(tmp_path, **entries))
+    text = str(caught.value)
+    assert all(part in text for part in [*says, "small.yaml"]) and "\n" not in text, text
+    assert "secret" not in text
+
+
+def test_the_command_refuses_in_one_line_and_leaves_nothing(tmp_path, capsys):
+    path = sweep_file(tmp_path, **space({"ppo.rate": {"range": [0, 1]}}))
+    assert run("sweep", path, "--output", tmp_path / "runs") == 2
+    printed = capsys.readouterr()
+    assert not printed.out and not (tmp_path / "runs").exists()
+    assert len(printed.err.splitlines()) == 1 and "space.ppo.rate" in printed.err
+    assert run("sweep", sweep_file(tmp_path), "--check", "--output", tmp_path / "runs") == 0
+    assert "4 trials of 1 seeds" in capsys.readouterr().out and not (tmp_path / "runs").exists()
+
+
+def test_a_grid_holds_every_point():
+    config = load_config(ROOT / "configs/e2e_ppo.yaml", [])
+    given = {
+        CLIP: {"range": [0.1, 0.3], "points": 3},
+        RATE: {"log": [1e-4, 1e-2], "points": 3},
+        EPOCHS: {"range": [2, 6], "step": 2},
+        HIDDEN: {"choices": [[8], [16, 16]]},
+    }
+    dimensions = [read_dimension(key, entries, config) for key, entries in given.items()]
+    assert dimensions[0].grid() == pytest.approx([0.1, 0.2, 0.3])
+    assert dimensions[1].grid() == pytest.approx([1e-4, 1e-3, 1e-2])
+    assert dimensions[2].grid() == [2, 4, 6]
+    assert dimensions[3].grid() == ["[8]", "[16, 16]"]
+    last = [d.override(d.grid()[-1]) for d in dimensions]
+    config = load_config(ROOT / "configs/e2e_ppo.yaml", last)
+    assert list(config.network.hidden) == [16, 16] and config.ppo.epochs == 6
+    assert config.ppo.clip == 0.3 and config.ppo.learning_rate == 1e-2
+
+
+def test_overrides_change_a_sweep(tmp_path):
+    path = sweep_file(tmp_path)
+    changes = ["budget.trials=9", f"space.{CLIP}.range=[0.2,0.4]", "name=other"]
+    sweep = load_sweep(path, [*changes, "overrides.ppo.epochs=2"])
+    assert sweep.trials == 9 and sweep.file.name == "other"
+    assert sweep.dimensions[1].ends() == [0.2, 0.4]
+    config = sweep.config_of({CLIP: 0.25, RATE: 1e-3}, "name=t", "seed=4")
+    assert (config.ppo.clip, config.seed, config.name, config.ppo.epochs) == (0.25, 4, "t", 2)
+    assert config.train.drones == 16
+
+
+def test_every_trial_is_evaluated_in_the_same_race(tmp_path):
+    """Where the space varies the race itself, policies fly in the base's."""
+    varied = {"randomise.thrust": {"range": [0.0, 0.3]}, "start.position": {"range": [0.1, 1.0]}}
+    sweep = load_sweep(sweep_file(tmp_path, **space(varied)))
+    base = load_config(sweep.base)
+    race = sweep.config_of({"randomise.thrust": 0.3, "start.position": 1.0}, *sweep.conditions)
+    assert race.randomise.thrust == 0.0 and race.start.position == base.start.position
+    entries = space(varied) | {"conditions": {"randomise": {"thrust": 0.1}}}
+    sweep = load_sweep(sweep_file(tmp_path, **entries))
+    race = sweep.config_of({"randomise.thrust": 0.3, "start.position": 1.0}, *sweep.conditions)
+    assert race.randomise.thrust == 0.1
+
+
+def test_the_base_config_is_found_by_the_name_of_a_preset(tmp_path):
+    path = sweep_file(tmp_path, config="e2e_ppo")
+    assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).algorithm == "ppo"
+    base = str(ROOT / "configs/e2e_ppo.yaml")
+    (tmp_path / "own.yaml").write_text(to_yaml({"base": base, "ppo": {"epochs": 7}}))
+    own = {key: value for key, value in TINY.items() if key != "ppo"}
+    path = sweep_file(tmp_path, config="own.yaml", overrides=own)
+    assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).ppo.epochs == 7
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "configs/sweeps").glob("*.yaml")), ids=lambda p: p.stem
+)
+def test_every_shipped_sweep_can_run(path):
+    assert load_sweep(path).trials >= 1

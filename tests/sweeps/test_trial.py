@@ -1,0 +1,136 @@
+"""A real trial: training, resuming, evaluation, and the command with its report."""
+
+import csv
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from quadjax.config.loading import load_config
+from quadjax.sweeps import trial
+from quadjax.sweeps.report import importances, results_of, rows_of, write_report
+from quadjax.sweeps.run import job_of
+from quadjax.sweeps.schema import Objective
+from quadjax.sweeps.study import State
+from tests.commands import run
+from tests.sweeps.support import CLIP, RATE, finish, open_small, sweep_file
+
+
+def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
+    search = {"method": "random", "pruner": "median", "reports": 4}
+    sweep, directory, _ = open_small(tmp_path, search=search, objective={"seeds": 2, "flights": 2})
+    job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)
+    told = []
+
+    def tell(step, value):
+        told.append((step, value))
+        return len(told) == 2
+
+    stopped = trial.run_trial(job, tell)
+    assert not stopped.complete and not stopped.values and len(told) == 2
+    outcome = trial.run_trial(job, tell)
+    assert outcome.complete and len(outcome.values) == 2 and outcome.finished == 0.0
+    assert [step for step, _ in told] == [1, 2, 3, 4, 5, 6, 7, 8]
+    missing = trial.missing_lap(job.configs[0], job.objective)
+    assert missing == pytest.approx(8.0) and all(value == missing for value in outcome.values)
+
+
+def test_a_whole_sweep_by_its_command(tmp_path, capfd):
+    path = sweep_file(tmp_path, budget={"trials": 2}, search={"method": "tpe"})
+    words = ["sweep", path, "--workers", 1, "--output", tmp_path / "runs"]
+    assert run(*words) == 0
+    printed = capfd.readouterr()
+    assert "2/2 trials, no flight finished yet" in printed.err
+    assert "No policy finished a flight" in printed.out and "best" not in printed.out
+    folder = tmp_path / "runs" / "small"
+    own = load_config(folder / "trials/0001/seed0/config.yaml")
+    assert own.train.devices == "1" and own.train.drones == 16
+    assert "No policy" in (folder / "report.md").read_text()
+    assert not (folder / "best.yaml").exists()
+    (folder / "notes.txt").write_text("mine")
+    assert run(*words) == 0 and run(*words, "--report") == 0
+    assert "2 trials done, 0 to do" in capfd.readouterr().out
+    assert run(*words[:2], "--overwrite", "--report", *words[4:]) == 0
+    assert (folder / "notes.txt").exists()
+
+
+SPACE = {
+    CLIP: {"range": [0.1, 0.3]},
+    RATE: {"log": [1e-4, 1e-2]},
+    "network.hidden": {"choices": [[8], [16, 16]]},
+}
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """Thirty trials whose value is the clip's alone; one failed, one without a finished flight."""
+    folder = tmp_path_factory.mktemp("sweep")
+    sweep, directory, study = open_small(folder, space=SPACE, budget={"trials": 30})
+    for index in range(30):
+        if index == 7:
+            failed = study.ask()
+            failed.set_user_attr("error", "not enough memory")
+            study.tell(failed, state=State.FAIL)
+        elif index == 3:
+            finish(study, sweep, 48.0, flown=0.0)
+        else:
+            finish(study, sweep)
+    return sweep, directory, study
+
+
+def test_the_report_has_a_table_importances_figures_and_the_best_config(found):
+    sweep, directory, study = found
+    results = results_of(study)
+    values = [t.value for t in results[:-1]]
+    assert len(results) == 30 and values == sorted(values) and values[-1] == 48.0
+    assert results[-1].user_attrs["error"] == "not enough memory"
+    rows = rows_of(results, sweep.keys)
+    assert all(len(row) == len(rows[0]) for row in rows) and "[16, 16]" in str(rows)
+    text = write_report(study, sweep, directory)
+    assert "best.yaml" in text and "| importance |" in text and f"{values[0]:.3f}" in text
+    with open(directory / "trials.csv", newline="") as stream:
+        table = list(csv.DictReader(stream))
+    assert len(table) == 30 and float(table[0]["median"]) == pytest.approx(values[0], abs=1e-3)
+    config = load_config(directory / "best.yaml")
+    assert config.ppo.clip == results[0].params[CLIP] and config.name == "small_best"
+    assert config.train.devices == "auto"
+    for name in ("parallel.png", "slices.png"):
+        with Image.open(directory / name) as image:
+            assert image.size[0] > 600 and len(set(image.convert("L").tobytes())) > 20
+
+
+def test_the_key_that_matters_is_the_most_important(tmp_path):
+    _, _, study = open_small(tmp_path)
+    assert importances(study) == {}
+    sweep, _, study = open_small(tmp_path / "clip", budget={"trials": 30})
+    for _ in range(30):
+        taken = study.ask()
+        params = {d.key: d.suggest(taken) for d in sweep.dimensions}
+        study.tell(taken, abs(params[CLIP] - 0.17))
+    shares = importances(study)
+    assert sum(shares.values()) == pytest.approx(1.0) and shares[CLIP] > 0.6
+
+
+def test_a_lap_that_is_not_flown_counts_the_penalty():
+    nan = np.nan
+    assert trial.total_time(np.array([[2.0, 3.0]]), 8.0) == 5.0
+    assert trial.total_time(np.array([[2.0, 3.0], [2.0, nan]]), 8.0) == 7.5
+    assert trial.total_time(np.array([[nan, nan]]), 8.0) == 16.0
+
+
+def test_the_penalty_is_longer_than_any_lap_of_a_long_track(tmp_path):
+    sweep, _, _ = open_small(tmp_path)
+    gates = [{"position": [x, y, -1.5], "yaw_deg": 0.0} for x in (-9, 9) for y in (-9, 9)]
+    config = sweep.config_of({CLIP: 0.2, RATE: 1e-3}, f"track.gates={gates}")
+    assert trial.missing_lap(config, Objective()) > 30.0
+    assert trial.missing_lap(config, Objective(missing_lap=5.0)) == 5.0
+
+
+def test_seconds_to_a_target_are_of_training_alone(tmp_path):
+    metrics = tmp_path / "metrics.csv"
+    metrics.write_text("steps,steps_per_second,lap_total\n100,10,inf\n200,20,16\n300,10,15\n")
+    assert trial.seconds_to(tmp_path, 15.7) == (pytest.approx(25.0), 1.0)
+    assert trial.seconds_to(tmp_path, 16.5) == (pytest.approx(15.0), 1.0)
+    assert trial.seconds_to(tmp_path, 10.0) == (pytest.approx(25.0 * 2.5), 1.0)
+    metrics.write_text("steps,steps_per_second,lap_total\n100,10,inf\n")
+    assert trial.seconds_to(tmp_path, 15.7) == (pytest.approx(40.0), 0.0)
