@@ -125,7 +125,7 @@ def test_it_is_the_race_that_is_trained():
     env = RaceVectorEnv(1, config, "Disabled")
     env.reset(seed=2)
     race, params = make_environment(choices_of(config)), build_params(config)
-    state = jax.tree.map(lambda x: x[..., 0], env._drones.state)
+    state = jax.tree.map(lambda x: x[..., 0], env._batch.state)
     action = np.array([0.1, -0.2, 0.3, 0.0], np.float32)
     following, reward, _, _ = jax.jit(race.step)(params, state, action)
     found = env.step(action[None])
