@@ -25,7 +25,8 @@ OPTIONS = {  # added to a command, unless it has them
     "seeds": ["--seeds", "0", "1", "--runs", "2"],
     "evaluate": ["--runs", "2", "--laps", "1"],
     "compare": ["--runs", "2", "--laps", "1", "--parts", "table"],
-    "verify": ["--vectors", "100"],
+    "export": ["--allow-unfinished"],
+    "verify": ["--allow-unfinished", "--vectors", "100"],
     "benchmark": ["--quick", "--repeats", "1"],
 }
 SMALLER = [  # in Python blocks
@@ -33,6 +34,7 @@ SMALLER = [  # in Python blocks
     (r"\bruns=\d+", "runs=2"),
     (r"\bnum_envs=\d+", "num_envs=16"),
     (r"\bhorizon=\d+", "horizon=4"),
+    (r"\.export_c\((.*)\)", r".export_c(\1, allow_unfinished=True)"),
 ]
 RUN = {"python", "sh"}
 LIMIT = 600  # s, a command
