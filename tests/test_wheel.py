@@ -12,8 +12,6 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = ["run.steps=20000", "run.evaluate_every=10000", "evaluate.laps=1", "network.hidden=[8]"]
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
