@@ -5,12 +5,13 @@ import io
 import json
 import zipfile
 
+import jax
 import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz, remove_stale, whole_file, write_json, write_text
-from quadjax.policy.file import Policy, read_policy, write_policy
+from quadjax.policy.file import Policy
 from quadjax.vehicle.residual_file import read_residual, write_residual
 from tests import reference as ref
 from tests.convert import residual_of
@@ -72,21 +73,22 @@ def refusal(read, path):
 def test_policy_of_plain_numpy(tmp_path):
     arrays = policy_arrays()
     bare = {key: value for key, value in POLICY_META.items() if key != "output"}
-    policy = read_policy(save(tmp_path / "p.npz", arrays, bare))
-    assert (policy.vehicle, policy.activation, policy.output) == ("rate", "relu", "clip")
+    policy = Policy.load(save(tmp_path / "p.npz", arrays, bare))
+    assert (policy.vehicle, policy.activation) == ("rate", "relu")
     assert len(policy.layers) == 3
     for i, (kernel, bias) in enumerate(policy.layers):
         np.testing.assert_array_equal(kernel, arrays[f"kernel_{i}"])
         np.testing.assert_array_equal(bias, arrays[f"bias_{i}"])
     np.testing.assert_array_equal(policy.log_std, arrays["log_std"])
     np.testing.assert_array_equal(policy.command_high, [3, 3, 3, 15])
-    assert policy.observation == POLICY_META["observation"]
+    assert policy.layout.size == 17 and policy.layout["thrust"].span == ((0.0, 15.0),)
+    assert policy.config is None
 
 
 def test_policy_comes_back_as_it_went(tmp_path):
-    first = read_policy(save(tmp_path / "a.npz", policy_arrays(), POLICY_META | {"output": "tanh"}))
-    write_policy(tmp_path / "new" / "b.npz", first)
-    second = read_policy(tmp_path / "new" / "b.npz")
+    first = Policy.load(save(tmp_path / "a.npz", policy_arrays(), POLICY_META))
+    first.save(tmp_path / "new" / "b.npz")
+    second = Policy.load(tmp_path / "new" / "b.npz")
     for name in Policy.__dataclass_fields__:
         left, right = getattr(first, name), getattr(second, name)
         if name == "layers":
@@ -98,14 +100,32 @@ def test_policy_comes_back_as_it_went(tmp_path):
     names = np.load(tmp_path / "new" / "b.npz", allow_pickle=False).files
     expected = {f"{kind}_{i}" for kind in ("kernel", "bias") for i in range(3)}
     assert set(names) == expected | {"log_std", "meta"}
+    assert second.meta["format"] == "quadjax-policy/2"
+
+
+def test_inference_from_a_file(tmp_path):
+    """The mean and samples, of one observation and of many, in float64 by hand."""
+    policy = Policy.load(save(tmp_path / "p.npz", policy_arrays(), POLICY_META))
+    hidden = seen = np.random.default_rng(1).normal(size=(5, 17))
+    for index, (kernel, bias) in enumerate(policy.layers):
+        hidden = hidden @ kernel.astype(float) + bias
+        hidden = np.maximum(hidden, 0.0) if index < 2 else hidden
+    mean = np.asarray(policy.mean(seen.astype(np.float32)))
+    np.testing.assert_allclose(mean, np.clip(hidden, -1, 1), atol=1e-5)
+    np.testing.assert_allclose(policy.mean(seen[0].astype(np.float32)), mean[0], atol=1e-6)
+    quiet = dataclasses.replace(policy, log_std=np.full(4, -20.0))
+    drawn = quiet.sample(seen.astype(np.float32), jax.random.key(0))
+    np.testing.assert_allclose(drawn, mean, atol=1e-6)
+    noisy = np.asarray(policy.sample(np.zeros((4000, 17), np.float32), jax.random.key(0)))
+    assert noisy.min() >= -1 and noisy.max() <= 1 and noisy.std(axis=0).min() > 0.1
 
 
 def test_a_policy_may_have_its_critic(tmp_path):
     value = ((np.ones((17, 8)), np.zeros(8)), (np.full((8, 1), 0.5), np.array([3.0])))
-    plain = read_policy(save(tmp_path / "p.npz", policy_arrays(), POLICY_META))
+    plain = Policy.load(save(tmp_path / "p.npz", policy_arrays(), POLICY_META))
     assert plain.value is None
-    write_policy(tmp_path / "v.npz", dataclasses.replace(plain, value=value))
-    for found, wanted in zip(read_policy(tmp_path / "v.npz").value, value, strict=True):
+    dataclasses.replace(plain, value=value).save(tmp_path / "v.npz")
+    for found, wanted in zip(Policy.load(tmp_path / "v.npz").value, value, strict=True):
         for left, right in zip(found, wanted, strict=True):
             np.testing.assert_array_equal(left, right)
 
@@ -117,7 +137,7 @@ def test_a_source_in_anybody_s_own_words(tmp_path):
         ({"a": 1}, {"a": 1}),
     ):
         path = save(tmp_path / "p.npz", policy_arrays(), POLICY_META | {"source": source})
-        assert read_policy(path).source == expected
+        assert Policy.load(path).source == expected
 
 
 def without(arrays, *names):
@@ -157,13 +177,19 @@ POLICY_DAMAGE = {
     "vehicle": (lambda a: a, {"vehicle": "boat"}, "boat"),
     "list of vehicles": (lambda a: a, {"vehicle": ["rate"]}, "vehicle"),
     "activation": (lambda a: a, {"activation": "gelu"}, "gelu"),
-    "output": (lambda a: a, {"output": "round"}, "round"),
+    "output": (lambda a: a, {"output": "tanh"}, "tanh"),
     "three limits": (lambda a: a, {"command_low": [0, 0, 0]}, "command_low"),
     "word limits": (lambda a: a, {"command_low": "low"}, "command_low"),
     "nan limits": (lambda a: a, {"command_high": [1, 2, 3, float("nan")]}, "command_high"),
     "no limits": (lambda a: a, {"command_high": None}, "command_high"),
     "crossed limits": (lambda a: a, {"command_high": [-3, 3, 3, 15]}, "command_low"),
     "observation": (lambda a: a, {"observation": [1, 2]}, "observation"),
+    "wrap": (lambda a: a, {"observation": {"wrap_next_yaw": "yes"}}, "wrap_next_yaw"),
+    "source": (lambda a: a, {"observation": {"disturbance_input": "some"}}, "disturbance_input"),
+    "width": (lambda a: a, {"observation": {"disturbance": {"moment_x": -1.0}}}, "disturbance"),
+    "wind": (lambda a: a, {"observation": {"disturbance": {"wind": 1.0}}}, "disturbance"),
+    "no layout": (lambda a: a, {"format": "quadjax-policy/2"}, "layout"),
+    "empty layout": (lambda a: a, {"format": "quadjax-policy/2", "layout": []}, "layout"),
     "a value's bias": (lambda a: a | {"value_kernel_0": np.zeros((17, 1))}, {}, "value_bias_0"),
     "a value's inputs": (lambda a: a | with_value(24, 1), {}, "17 and 1"),
     "a value's outputs": (lambda a: a | with_value(17, 4), {}, "17 and 1"),
@@ -174,7 +200,7 @@ POLICY_DAMAGE = {
 def test_damaged_policy(tmp_path, damage):
     change, meta, says = POLICY_DAMAGE[damage]
     path = save(tmp_path / "p.npz", change(policy_arrays()), POLICY_META | meta)
-    assert says in refusal(read_policy, path)
+    assert says in refusal(Policy.load, path)
 
 
 RESIDUAL_DAMAGE = {
@@ -204,7 +230,7 @@ def test_damaged_residual(tmp_path, damage):
     assert says in refusal(read_residual, path)
 
 
-READERS = pytest.mark.parametrize("read", [read_policy, read_residual])
+READERS = pytest.mark.parametrize("read", [Policy.load, read_residual])
 
 
 @READERS
@@ -249,7 +275,7 @@ def test_pickles_are_never_loaded(tmp_path, read):
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.98])
 def test_truncated_files(tmp_path, share):
     for read, arrays, meta in (
-        (read_policy, policy_arrays(), POLICY_META),
+        (Policy.load, policy_arrays(), POLICY_META),
         (read_residual, residual_arrays(), RESIDUAL_META),
     ):
         path = save(tmp_path / "f.npz", arrays, meta)
@@ -269,7 +295,7 @@ def test_flipped_bits(tmp_path):
         damaged[place] ^= 1 << int(draw.integers(8))
         path.write_bytes(damaged)
         try:
-            read_policy(path)
+            Policy.load(path)
         except InputError as error:
             refused += 1
             assert "\n" not in str(error)
@@ -344,7 +370,7 @@ def test_an_array_that_the_format_does_not_name_is_not_read(tmp_path):
     path = save(tmp_path / "p.npz", policy_arrays(), POLICY_META)
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("ballast.npy", b"not an array")
-    assert len(read_policy(path).layers) == 3
+    assert len(Policy.load(path).layers) == 3
 
 
 @READERS

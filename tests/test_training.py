@@ -20,7 +20,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.learners import loop
 from quadjax.learners.networks import layers_of
-from quadjax.policy.file import read_policy
+from quadjax.policy.file import Policy
 from quadjax.race.build import build_params
 from quadjax.training import run as training
 from quadjax.training.build import build_learner, initial_policy, policy_of, start_state
@@ -142,7 +142,7 @@ def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
     config = config_of("e2e_shac.yaml", f"train.init={path}", "shac.reward_scale=0.25")
     learner, params = build_learner(config), build_params(config)
     state = start_state(config, learner, params, initial_policy(config))
-    file = read_policy(path)
+    file = Policy.load(path)
     scales = [1.0] * (len(file.value) - 1) + [0.25]
     for networks in (state.params, state.target, state.ema):
         found = layers_of(networks.value)
@@ -219,7 +219,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(training, "interruptions", lambda: after(0))
     training.train(config, tmp_path / "run", resume=True)
-    saved = read_policy(tmp_path / "run/policy_last.npz")
+    saved = Policy.load(tmp_path / "run/policy_last.npz")
     for (kernel, bias), found in zip(layers_of(kept[1].policy), saved.layers, strict=True):
         np.testing.assert_array_equal(kernel, found[0])
         np.testing.assert_array_equal(bias, found[1])

@@ -64,14 +64,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.core.resources import find_config
         from quadjax.evaluation.evaluation import lap_table
         from quadjax.policy import pilot
-        from quadjax.policy.file import read_policy
+        from quadjax.policy.file import Policy
         from quadjax.training.compilation_cache import enable_compilation_cache
 
     config = load_config(find_config(words.config), words.overrides)
-    policy = read_policy(words.policy)
+    policy = Policy.load(words.policy)
     pilot.check_fits(config, policy, words.policy)
-    for key in pilot.unknown_scaling(policy):
-        console.print(f"note: {words.policy}: observation.{key} is not used", highlight=False)
     enable_compilation_cache()
     with console.status("compiling and flying"):
         flown = _fly_all(config, policy, words)

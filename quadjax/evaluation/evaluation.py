@@ -17,7 +17,7 @@ from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_
 from quadjax.evaluation.recording import Recording, choose, distinct, recordings
 from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
 from quadjax.policy import pilot
-from quadjax.policy.file import Policy, read_policy
+from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps, Trace
 from quadjax.training.paper import published_rows
 
@@ -142,7 +142,7 @@ def evaluate(
     Raises:
         InputError: a file that cannot be read, or a policy for another vehicle model.
     """
-    own = policy if isinstance(policy, Policy) else read_policy(policy)
+    own = policy if isinstance(policy, Policy) else Policy.load(policy)
     name = name or ("policy" if isinstance(policy, Policy) else str(policy))
     race_config = config if isinstance(config, Config) else load_config(config)
 

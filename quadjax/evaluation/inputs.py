@@ -16,7 +16,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config, GateConfig
 from quadjax.core.errors import command_line
 from quadjax.core.files import write_json
-from quadjax.policy.file import Policy, read_policy
+from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Race, fly_policy
 from quadjax.race.laps import Trace
 
@@ -111,7 +111,7 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
     words = parse(parser)
     check_writable(words.json)
-    config, policy = load_config(words.config, words.words), read_policy(words.policy)
+    config, policy = load_config(words.config, words.words), Policy.load(words.policy)
     race = Race(words.laps or config.evaluate.laps, words.runs, words.start == "hover", words.seed)
     results = compare(config, policy, race, words.policy)
     print(f"{'input':10}{'finished':>10}{'mean, s':>10}{'offset, m':>10}{'95%, m':>10}")

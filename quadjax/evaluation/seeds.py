@@ -8,7 +8,7 @@ import numpy as np
 
 from quadjax.config.loading import load_config
 from quadjax.policy import pilot
-from quadjax.policy.file import read_policy
+from quadjax.policy.file import Policy
 from quadjax.training.result import read_summary
 
 
@@ -40,7 +40,7 @@ def evaluate_seed(run: Path, runs: int) -> SeedResult:
     """
     config = load_config(run / "config.yaml")
     summary = read_summary(run)
-    policy = read_policy(run / "policy.npz")
+    policy = Policy.load(run / "policy.npz")
     laps = config.evaluate.laps
     mean, _ = pilot.fly_policy(config, policy, pilot.Race(laps, 1, True, 0), True)
     hover, _ = pilot.fly_policy(config, policy, pilot.Race(laps, runs, True, 1), False)

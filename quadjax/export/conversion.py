@@ -25,7 +25,7 @@ from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import OwnRace, own_race
 from quadjax.export.race_tables import RaceTables, make_tables
 from quadjax.export.render import identifier, is_reserved
-from quadjax.policy.file import Policy, read_policy
+from quadjax.policy.file import Policy
 from quadjax.vehicle.residual_file import located
 
 KEPT_ROWS = 20_000  # rows of the simulated flights that are kept for the verification
@@ -75,7 +75,7 @@ def convert_policy(request: Request) -> Converted:
     Raises:
         InputError: see ``convert.export_c``.
     """
-    policy = read_policy(request.policy)
+    policy = Policy.load(request.policy)
     network = convert(policy, request.ranges)
     proof = prove(network, policy)
     own = own_race(policy, request.policy, request.config, request.track)
@@ -101,7 +101,7 @@ def convert_again(request: Request, file: str, rollouts: Rollouts) -> Converted:
     Raises:
         InputError: see ``convert.export_c``.
     """
-    policy = read_policy(request.policy)
+    policy = Policy.load(request.policy)
     network = convert(policy, request.ranges)
     residual = request.folder / RESIDUAL_FILE
     own = own_race(policy, request.policy, request.config, None, residual)

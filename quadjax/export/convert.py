@@ -22,7 +22,7 @@ from quadjax.export.conversion import (
 from quadjax.export.race_source import CONFIG_FILE, self_contained
 from quadjax.export.report import make_report, report_text
 from quadjax.export.verify.result import Result
-from quadjax.policy.file import Policy, write_policy
+from quadjax.policy.file import Policy
 from quadjax.vehicle.residual_file import located
 
 POLICY_FILE, ROLLOUTS_FILE = "policy.npz", "rollouts.npz"
@@ -115,7 +115,7 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
         yield Path(policy)
         return
     with tempfile.TemporaryDirectory() as folder:
-        write_policy(Path(folder) / POLICY_FILE, policy)
+        policy.save(Path(folder) / POLICY_FILE)
         yield Path(folder) / POLICY_FILE
 
 

@@ -6,6 +6,7 @@ import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from quadjax.config.loading import load_config, to_yaml
 from quadjax.config.schema import Config
@@ -83,25 +84,25 @@ def own_race(
 
 def _configuration(
     policy: Policy, file: Path | None, config: Path | str | Config | None
-) -> tuple[Path | Config, str]:
+) -> tuple[Path | Config | dict[str, Any], str]:
     """The configuration of a policy's race, and a word on where it came from."""
     if config is not None:
         return (config, "config") if isinstance(config, Config) else (Path(config), str(config))
-    stored = getattr(policy, "config", None)
-    if stored is not None:
-        return stored, "the policy file's config"
+    if policy.config is not None:
+        return policy.config, "the policy file's config"
     if file is not None and (file.parent / CONFIG_FILE).is_file():
         return file.parent / CONFIG_FILE, str(file.parent / CONFIG_FILE)
     return DEFAULT_CONFIG, "default"
 
 
 @contextlib.contextmanager
-def _as_file(config: Path | Config) -> Iterator[Path]:
+def _as_file(config: Path | Config | dict[str, Any]) -> Iterator[Path]:
     if isinstance(config, Path):
         yield config
         return
     with tempfile.TemporaryDirectory() as folder:
-        write_text(Path(folder) / CONFIG_FILE, to_yaml(config))
+        text = json.dumps(config) if isinstance(config, dict) else to_yaml(config)  # JSON is YAML
+        write_text(Path(folder) / CONFIG_FILE, text)
         yield Path(folder) / CONFIG_FILE
 
 

@@ -1,15 +1,16 @@
 """The nominal force and moment model as a matrix of regressors, in float64 NumPy.
 
-The model of Ferede et al. (arXiv 2311.16948) is linear in its constants, axis by axis: each axis of
-``AXES`` is a sum of ``constant * regressor``. It is the model of ``quadjax.vehicle.motor``, over
-whole logs and in double precision; the tests hold the two against each other.
+The model of ``quadjax.vehicle.motor`` is linear in its constants, axis by axis: each axis of
+``AXES`` is a sum of ``constant * regressor``.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.motor import nominal_force, nominal_moment
 
 AXES = ("ax", "ay", "az", "Mx", "My", "Mz")
 FORCE_AXES, MOMENT_AXES = AXES[:3], AXES[3:]
@@ -41,35 +42,29 @@ class Motion:
 
 
 def regressors(motion: Motion) -> dict[str, np.ndarray]:
-    """For each axis, a column (n,) per constant of ``CONSTANTS``, stacked to (n, k)."""
-    w, s = motion.rpm, motion.rpm**2
-    vx, vy, vz = motion.body_velocity.T
-    total = w.sum(1)
-    columns = {
-        "ax": [-vx * total],
-        "ay": [-vy * total],
-        "az": [-s.sum(1), -vz * total, -(vx**2 + vy**2)],
-        "Mx": [s @ (1.0, -1.0, -1.0, 1.0), vy],
-        "My": [s @ (1.0, 1.0, -1.0, -1.0), vx],
-        "Mz": [
-            w @ (-1.0, 1.0, -1.0, 1.0),
-            motion.rpm_rate @ (-1.0, 1.0, -1.0, 1.0),
-            -motion.rates[:, 2],
-        ],
+    """For each axis, a column (n,) per constant of ``CONSTANTS``, stacked to (n, k).
+
+    A column is what the vehicle's equations give with that constant one and all others zero.
+    """
+    return {
+        axis: np.stack([_evaluate({name: 1.0}, motion)[:, index] for name in CONSTANTS[axis]], 1)
+        for index, axis in enumerate(AXES)
     }
-    return {axis: np.stack(parts, axis=1) for axis, parts in columns.items()}
 
 
 def nominal(constants: MotorConstants, motion: Motion) -> np.ndarray:
     """Specific forces, m/s^2, and moments, N m, of the nominal model: (n, 6), ordered as AXES."""
-    parts = regressors(motion)
-    return np.stack(
-        [
-            parts[axis] @ np.array([float(getattr(constants, name)) for name in CONSTANTS[axis]])
-            for axis in AXES
-        ],
-        axis=1,
-    )
+    return _evaluate({name: float(value) for name, value in vars(constants).items()}, motion)
+
+
+def _evaluate(values: dict[str, float], motion: Motion) -> np.ndarray:
+    """The equations of ``quadjax.vehicle.motor`` in float64, (n, 6); other constants are zero."""
+    c = MotorConstants(**dict.fromkeys(constant_names(MotorConstants), 0.0) | values)
+    rpm, rpm_rate = Rotors(*motion.rpm.T), Rotors(*motion.rpm_rate.T)
+    velocity, rates = Vec3(*motion.body_velocity.T), Vec3(*motion.rates.T)
+    force = nominal_force(c, rpm, velocity)
+    moment = nominal_moment(c, rpm, rpm_rate, velocity, rates)
+    return np.stack([*force.components(), *moment.components()], axis=1)
 
 
 def angular_moment(

@@ -19,7 +19,7 @@ from quadjax.plant.indi import indi_params
 from quadjax.plant.onboard import OnboardChoices, OnboardParams
 from quadjax.plant.sensors import sensor_params
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import Pilot, command_ranges, make_pilot, race_of
+from quadjax.policy.pilot import Pilot, make_pilot, race_of
 from quadjax.race import laps
 from quadjax.race.build import build_vehicle
 from quadjax.race.environment import exact_rules
@@ -86,9 +86,9 @@ def plan_flights(
         InputError: a policy that does not fit, or files that cannot be read.
     """
     config = race_config(config, policy)
-    choices, params = race_of(config, policy)
+    choices, params = race_of(config, policy, name)
     params = exact_rules(choices.model, params)
-    pilot = make_pilot(config, policy, command_ranges(choices, params), deterministic, name)
+    pilot = make_pilot(choices, params, policy, deterministic)
     hold = round(plant.sample_rate / plant.control_rate)
     own = FlightChoices(
         choices,

@@ -21,7 +21,7 @@ from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.synthetic_log import write_log
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.plant.flights import Flights, fly_plan, plan_flights, rows
-from quadjax.policy.file import read_policy
+from quadjax.policy.file import Policy
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +93,7 @@ def write_logs(
     written: list[Logged] = []
     for name in policies:
         report(f"{name}: compiling")
-        plan = plan_flights(race, plant, read_policy(name), str(name), laps, flights, flights)
+        plan = plan_flights(race, plant, Policy.load(name), str(name), laps, flights, flights)
         flown = fly_plan(plan, seed, lambda seconds, n=name: report(f"{n}: {seconds:.0f} s flown"))
         logs = [log_quantities(flown, run, gate_centers(race)) for run in range(flights)]
         for run, log in enumerate(logs):

@@ -1,113 +1,164 @@
-"""The policy file: a trained policy as plain arrays, which NumPy alone can read and write.
+"""A trained policy, and the file that holds it: plain arrays that NumPy alone can read and write.
 
-``kernel_0..`` (in, out), ``bias_0..``, ``log_std`` (4,) and ``meta``, a JSON string with
-``format: "quadjax-policy/1"``, ``vehicle: "motor" | "rate"``, ``activation``, ``output``
-(``"clip"`` where it is missing), ``command_low``, ``command_high``, ``observation`` and where the
-policy came from. It may have ``value_kernel_0..`` and ``value_bias_0..``, the critic that it was
-trained with: what trains the policy on begins with it, and nothing else looks at it.
+Arrays: ``kernel_0..`` (in, out), ``bias_0..``, ``log_std`` (actions,) and optionally the critic,
+``value_kernel_0..`` and ``value_bias_0..``, which training from the file starts with. ``meta`` is a
+JSON string with ``format: "quadjax-policy/2"``, ``vehicle``, ``activation``, ``noise_on``,
+``command_low``, ``command_high``, ``layout`` (the fields of the observation, see
+``quadjax.race.layout``), ``source`` and ``config``, the full training config. Files of
+``quadjax-policy/1`` have ``observation`` instead of ``layout`` and no ``config``.
 """
 
 import dataclasses
 from pathlib import Path
+from typing import Any, Self
 
+import jax
 import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
+from quadjax.policy import inference
+from quadjax.policy.release1 import layout_of_release_1, observation_of_release_1
+from quadjax.race.layout import Layout
 
-FORMAT = "quadjax-policy/1"
-OBSERVATION_SIZES = {"motor": 24, "rate": 17}
-ACTION_SIZE = 4
-VALUE = "value_"  # before the names of the critic's arrays
+FORMAT, RELEASE_1 = FORMATS = ("quadjax-policy/2", "quadjax-policy/1")
+VALUE = "value_"  # prefix of the critic's arrays
 ACTIVATIONS = ("relu", "tanh")
-OUTPUTS = ("clip", "tanh")
 NOISE = ("mean", "clipped_mean")
-
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # (kernel (in, out), bias (out,)) of each
 
 
 @dataclasses.dataclass(frozen=True)
 class Policy:
-    """A policy: dense layers, the noise it was trained with, and what it commands.
+    """A stochastic policy: dense layers, Gaussian noise, and what it observes and commands.
 
-    The mean action is the network's output, squashed by ``output`` to [-1, 1] and scaled to
-    [``command_low``, ``command_high``].
+    The mean action is the network's output; an action in [-1, 1] is scaled to [``command_low``,
+    ``command_high``].
+
+    Attributes:
+        layers: kernel (in, out) and bias (out,) of each.
+        log_std: (actions,) natural logarithm of the noise's standard deviation.
+        vehicle: name of the vehicle model.
+        activation: of the hidden layers, "relu" or "tanh".
+        command_low: (actions,) in the units of the model's commands.
+        command_high: (actions,)
+        layout: the fields of the observation, with the scale of each.
+        source: where the policy comes from.
+        noise_on: "mean" or "clipped_mean": what the noise of a sample is added to.
+        value: layers of the critic, (observation,) -> (1,), in the reward's own unit.
+        config: the full training config, as plain dicts and lists; None where unknown.
     """
 
     layers: Layers
-    log_std: np.ndarray  # (4,) natural logarithm of the actions' standard deviation
-    vehicle: str  # "motor" | "rate"
-    activation: str  # of the hidden layers
-    output: str  # "clip" | "tanh"
-    command_low: np.ndarray  # (4,) rpm, or rad/s and m/s^2
-    command_high: np.ndarray  # (4,)
-    observation: dict  # the scaling of the observation it was trained with
-    source: dict  # where it came from
-    noise_on: str = "mean"  # "mean" | "clipped_mean": what the noise of a sample is added to
-    value: Layers | None = None  # the critic: (observation,) -> (1,), in the reward's own unit
+    log_std: np.ndarray
+    vehicle: str
+    activation: str
+    command_low: np.ndarray
+    command_high: np.ndarray
+    layout: Layout
+    source: dict[str, Any] = dataclasses.field(default_factory=dict)
+    noise_on: str = "mean"
+    value: Layers | None = None
+    config: dict[str, Any] | None = None
 
+    @classmethod
+    def load(cls, path: Path | str) -> Self:
+        """Read and check a policy file.
 
-def write_policy(path: Path | str, policy: Policy) -> None:
-    """Write a policy file, whole."""
-    arrays: dict[str, np.ndarray] = {"log_std": np.asarray(policy.log_std, np.float32)}
-    for prefix, layers in (("", policy.layers), (VALUE, policy.value or ())):
-        for index, (kernel, bias) in enumerate(layers):
-            arrays[f"{prefix}kernel_{index}"] = np.asarray(kernel, np.float32)
-            arrays[f"{prefix}bias_{index}"] = np.asarray(bias, np.float32)
-    meta = {
-        "format": FORMAT,
-        "vehicle": policy.vehicle,
-        "activation": policy.activation,
-        "output": policy.output,
-        "noise_on": policy.noise_on,
-        "command_low": [float(x) for x in policy.command_low],
-        "command_high": [float(x) for x in policy.command_high],
-        "observation": policy.observation,
-        "source": policy.source,
-    }
-    write_npz(path, arrays, meta)
-
-
-def read_policy(path: Path | str) -> Policy:
-    """Read and check a policy file.
-
-    Raises:
-        InputError: a missing, damaged or inconsistent file, in one line.
-    """
-    arrays, meta = read_npz(path, FORMAT)
-    vehicle = _choice(path, meta, "vehicle", tuple(OBSERVATION_SIZES))
-    layers = read_layers(path, arrays)
-    if layers[0][0].shape[0] != OBSERVATION_SIZES[vehicle]:
-        raise InputError(
-            f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but a {vehicle} policy "
-            f"observes {OBSERVATION_SIZES[vehicle]} numbers"
+        Raises:
+            InputError: a missing, damaged or inconsistent file, in one line.
+        """
+        arrays, meta = read_npz(path, FORMATS)
+        layers = tuple(read_layers(path, arrays))
+        actions = layers[-1][0].shape[1]
+        low, high = (_command(path, meta, f"command_{end}", actions) for end in ("low", "high"))
+        if not np.all(low < high):
+            raise InputError(f"{path}: meta 'command_low' {low.tolist()} is not below high")
+        layout = _layout(path, meta, low, high)
+        if layers[0][0].shape[0] != layout.size:
+            raise InputError(
+                f"{path}: kernel_0 takes {layers[0][0].shape[0]} inputs, but the policy observes "
+                f"{layout.size} numbers"
+            )
+        if meta.get("output", "clip") != "clip":
+            raise InputError(f"{path}: meta 'output' is {meta['output']!r}, allowed: ['clip']")
+        source, config = meta.get("source") or {}, meta.get("config")
+        return cls(
+            layers=layers,
+            log_std=_log_std(path, arrays, actions),
+            vehicle=str(meta["vehicle"]),
+            activation=_choice(path, meta, "activation", ACTIVATIONS),
+            command_low=low,
+            command_high=high,
+            layout=layout,
+            source=source if isinstance(source, dict) else {"source": source},
+            noise_on=_choice(path, {"noise_on": "mean"} | meta, "noise_on", NOISE),
+            value=_value(path, arrays, layout.size),
+            config=config if isinstance(config, dict) else None,
         )
-    if layers[-1][0].shape[1] != ACTION_SIZE:
-        raise InputError(
-            f"{path}: kernel_{len(layers) - 1} has {layers[-1][0].shape[1]} outputs, "
-            f"expected {ACTION_SIZE}"
-        )
+
+    def save(self, path: Path | str) -> None:
+        """Write a policy file, whole."""
+        arrays: dict[str, np.ndarray] = {"log_std": np.asarray(self.log_std, np.float32)}
+        for prefix, layers in (("", self.layers), (VALUE, self.value or ())):
+            for index, (kernel, bias) in enumerate(layers):
+                arrays[f"{prefix}kernel_{index}"] = np.asarray(kernel, np.float32)
+                arrays[f"{prefix}bias_{index}"] = np.asarray(bias, np.float32)
+        write_npz(path, arrays, self.meta)
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """What the file says besides its arrays."""
+        return {
+            "format": FORMAT,
+            "vehicle": self.vehicle,
+            "activation": self.activation,
+            "output": "clip",
+            "noise_on": self.noise_on,
+            "command_low": [float(x) for x in self.command_low],
+            "command_high": [float(x) for x in self.command_high],
+            "layout": self.layout.to_meta(),
+            "source": self.source,
+            "config": self.config,
+        }
+
+    @property
+    def output(self) -> str:
+        """What limits the network's output: it is clipped to [-1, 1]."""
+        return "clip"
+
+    @property
+    def observation(self) -> dict[str, Any]:
+        """The scaling of the observation as files of the first release say it."""
+        return observation_of_release_1(self.layout)
+
+    def mean(self, observation: jax.Array) -> jax.Array:
+        """The mean action (.., actions) of observations (.., layout.size), clipped to [-1, 1]."""
+        return jax.numpy.clip(inference.mean_action(inference.flying(self), observation), -1, 1)
+
+    def sample(self, observation: jax.Array, key: jax.Array) -> jax.Array:
+        """Actions (.., actions) in [-1, 1], drawn with a PRNG key."""
+        own = inference.flying(self)
+        shape = (*jax.numpy.shape(observation)[:-1], len(self.log_std))
+        noise = jax.random.normal(key, shape)
+        return jax.numpy.clip(inference.act_sampled(own, observation, noise), -1, 1)
+
+
+def _layout(path: Path | str, meta: dict[str, Any], low: np.ndarray, high: np.ndarray) -> Layout:
+    if not isinstance(meta.get("vehicle"), str):
+        raise InputError(f"{path}: meta 'vehicle' is {meta.get('vehicle')!r}, expected a name")
+    if meta["format"] == RELEASE_1:
+        return layout_of_release_1(path, meta, low, high)
+    return Layout.from_meta(meta.get("layout"), f"{path}: meta 'layout'")
+
+
+def _log_std(path: Path | str, arrays: dict[str, np.ndarray], actions: int) -> np.ndarray:
     log_std = arrays.get("log_std")
-    if log_std is None or log_std.shape != (ACTION_SIZE,):
-        raise InputError(f"{path}: log_std is missing or not of shape ({ACTION_SIZE},)")
+    if log_std is None or log_std.shape != (actions,):
+        raise InputError(f"{path}: log_std is missing or not of shape ({actions},)")
     check_finite(path, "log_std", log_std)
-    low, high = _command(path, meta, "command_low"), _command(path, meta, "command_high")
-    if not np.all(low < high):
-        raise InputError(f"{path}: meta 'command_low' {low.tolist()} is not below 'command_high'")
-    return Policy(
-        layers=tuple(layers),
-        log_std=log_std,
-        vehicle=vehicle,
-        activation=_activation(path, meta),
-        output=_choice(path, {"output": "clip"} | meta, "output", OUTPUTS),
-        command_low=low,
-        command_high=high,
-        observation=_observation(path, meta),
-        source=_source(meta),
-        noise_on=_choice(path, {"noise_on": "mean"} | meta, "noise_on", NOISE),
-        value=_value(path, arrays, layers[0][0].shape[0]),
-    )
+    return log_std
 
 
 def _value(path: Path | str, arrays: dict[str, np.ndarray], inputs: int) -> Layers | None:
@@ -124,39 +175,20 @@ def _value(path: Path | str, arrays: dict[str, np.ndarray], inputs: int) -> Laye
     return tuple(layers)
 
 
-def _choice(path: Path | str, meta: dict, key: str, allowed: tuple[str, ...]) -> str:
+def _choice(path: Path | str, meta: dict[str, Any], key: str, allowed: tuple[str, ...]) -> str:
     if meta.get(key) not in allowed:
         raise InputError(f"{path}: meta {key!r} is {meta.get(key)!r}, allowed: {list(allowed)}")
     return meta[key]
 
 
-def _activation(path: Path | str, meta: dict) -> str:
-    try:
-        return _choice(path, meta, "activation", ACTIVATIONS)
-    except InputError as error:
-        raise InputError(f"{error}; it is that of layer 0, row 0 and every hidden row") from None
-
-
-def _observation(path: Path | str, meta: dict) -> dict:
-    value = meta.get("observation") or {}
-    if not isinstance(value, dict):
-        raise InputError(f"{path}: meta 'observation' is {value!r}, expected a mapping")
-    return value
-
-
-def _source(meta: dict) -> dict:
-    """Where the policy came from; whoever wrote the file may have put it in their own words."""
-    value = meta.get("source") or {}
-    return value if isinstance(value, dict) else {"source": value}
-
-
-def _command(path: Path | str, meta: dict, key: str) -> np.ndarray:
+def _command(path: Path | str, meta: dict[str, Any], key: str, actions: int) -> np.ndarray:
     try:
         value = np.asarray(meta.get(key), np.float64)
     except (TypeError, ValueError):
         value = np.zeros(0)
-    if value.shape != (ACTION_SIZE,) or not np.all(np.isfinite(value)):
+    if value.shape != (actions,) or not np.all(np.isfinite(value)):
         raise InputError(
-            f"{path}: meta {key!r} is {meta.get(key)!r}, expected {ACTION_SIZE} finite numbers"
+            f"{path}: meta {key!r} is {meta.get(key)!r}, expected {actions} finite numbers, as "
+            "many as the last layer has outputs"
         )
     return value

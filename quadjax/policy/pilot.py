@@ -1,10 +1,10 @@
-"""A policy file in the race: fitted to the environment it flies in, then timed.
+"""A policy in a race: fitted to the environment that it flies in, then timed.
 
 The environment scales actions and observations by its own vehicle's ranges; a policy was trained
-with those in its file. Both are converted here, so that a policy commands the rpm (or rates and
-thrust) that its file says, whatever the vehicle's own limits are, and sees its propeller speeds and
-thrust in the scaling that it was trained with. The race itself scales the disturbances as the file
-says, because it may draw none and yet meet some: a steady moment, or less thrust than modelled.
+with those of its file. Both are converted here, so that a policy commands the rpm (or rates and
+thrust) that its file says, whatever the vehicle's own limits are, and observes in the scaling that
+it was trained with. The environment itself scales the disturbances as the file says, because it may
+draw none and yet have some: a moment bias, or less thrust than modelled.
 """
 
 import dataclasses
@@ -14,18 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from quadjax.config.checks import CHOICES
-from quadjax.config.schema import Config, DisturbanceConfig
+from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.policy.file import ACTION_SIZE, Policy
+from quadjax.policy.file import Policy
 from quadjax.policy.inference import Flying, act_sampled, flying
-from quadjax.race.build import build_params, choices_of, disturbance_range
-from quadjax.race.environment import Choices, RaceParams, command
+from quadjax.race.build import build_params, choices_of
+from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
+from quadjax.race.layout import Layout, arranged
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
-DISTURBANCES = tuple(DisturbanceConfig().half_widths)
-KNOWN = ("wrap_next_yaw", "disturbance_input", "disturbance")  # what a policy says of its scaling
+DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
 
 
 @struct.dataclass
@@ -35,10 +34,10 @@ class Pilot:
     policy: Flying
     see_scale: jax.Array  # (observations,)
     see_offset: jax.Array  # (observations,)
-    act_scale: jax.Array  # (4,)
-    act_offset: jax.Array  # (4,)
-    low: jax.Array  # (4,) lowest command of the environment's vehicle: rpm, or rad/s and m/s^2
-    high: jax.Array  # (4,)
+    act_scale: jax.Array  # (actions,)
+    act_offset: jax.Array  # (actions,)
+    low: jax.Array  # (actions,) lowest command of the environment's vehicle
+    high: jax.Array  # (actions,)
     noise: jax.Array  # () 1 to fly samples, 0 to fly the mean: one compilation for both
 
 
@@ -59,113 +58,92 @@ class Race:
     seed: int = 0
 
 
-def check_fits(config: Config, policy: Policy, name: str) -> None:
-    """Raise an ``InputError`` for a policy that cannot fly this vehicle as it was trained.
+def fit_race(
+    choices: Choices, params: RaceParams, policy: Policy, name: str = "policy"
+) -> tuple[Choices, RaceParams]:
+    """The race with the observation that a policy was trained with.
+
+    It has the policy's fields in the policy's order, and scales the disturbances as its file says:
+    also where the race draws none, or others. The source of the disturbance (ground truth,
+    estimated or none) is the race's choice: it is what a drone can measure.
 
     Args:
-        config: of the race.
-        policy: the policy file's content.
-        name: the file, for the message.
+        choices: of the race.
+        params: of the race.
+        policy: the policy.
+        name: its file, for messages.
+
+    Raises:
+        InputError: the policy is for another vehicle, or observes what the race does not show.
     """
-    if policy.vehicle != config.vehicle.kind:
+    if policy.vehicle != choices.model.name:
         raise InputError(
-            f"{name}: a policy for the {policy.vehicle} vehicle; the config's vehicle.kind is "
-            f"{config.vehicle.kind}"
+            f"{name}: a policy for the {policy.vehicle} vehicle; vehicle.model of the config is "
+            f"{choices.model.name}"
         )
-    seen = policy.observation
-    if not isinstance(seen, dict):
-        raise InputError(f"{name}: meta 'observation' is {seen!r}, expected a mapping")
-    if not isinstance(seen.get("wrap_next_yaw", True), bool):
+    if len(policy.command_low) != choices.model.action_size:
         raise InputError(
-            f"{name}: meta observation.wrap_next_yaw is {seen['wrap_next_yaw']!r}, allowed: "
-            "true, false"
+            f"{name}: commands {len(policy.command_low)} numbers, the vehicle takes "
+            f"{choices.model.action_size}"
         )
-    allowed = CHOICES["episode.disturbance_input"]
-    if seen.get("disturbance_input", "true") not in allowed:
-        raise InputError(
-            f"{name}: meta observation.disturbance_input is {seen['disturbance_input']!r}, "
-            f"allowed: {', '.join(allowed)}"
-        )
-    _policy_disturbance(policy, dict.fromkeys(DISTURBANCES, 0.0), name)
+    layout = arranged(choices.layout, policy.layout, name)
+    scale = params.observed_disturbance
+    for field, names in DISTURBANCES.items():
+        span = policy.layout[field].span if field in policy.layout else None
+        if span is not None:
+            widths = {key: jnp.float32(high) for key, (_, high) in zip(names, span, strict=True)}
+            scale = scale.replace(**widths)
+    return dataclasses.replace(choices, layout=layout), params.replace(disturbance_scale=scale)
 
 
-def unknown_scaling(policy: Policy) -> list[str]:
-    """Keys of a policy's ``observation`` that mean nothing here."""
-    return [key for key in policy.observation if key not in KNOWN]
+def check_fits(config: Config, policy: Policy, name: str) -> None:
+    """Raise an ``InputError`` for a policy that cannot fly a config's race as it was trained."""
+    fit_race(choices_of(config), build_params(config), policy, name)
 
 
-def _policy_disturbance(policy: Policy, default: dict[str, float], name: str) -> dict[str, float]:
-    """Half-widths by which a policy's disturbances were scaled, or ``default``."""
-    widths = policy.observation.get("disturbance")
-    if widths is None:
-        return default
-    fine = isinstance(widths, dict) and set(widths) <= set(DISTURBANCES)
-    for value in widths.values() if fine else ():
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        fine = fine and number and np.isfinite(value) and value >= 0
-    if not fine:
-        raise InputError(
-            f"{name}: meta observation.disturbance is {widths!r}, expected half-widths, not "
-            f"negative, of {', '.join(DISTURBANCES)}"
-        )
-    return default | {key: float(value) for key, value in widths.items()}
-
-
-def race_of(config: Config, policy: Policy) -> tuple[Choices, RaceParams]:
-    """The race of a config, seen as the policy knows it.
-
-    The next gate's yaw is wrapped or not, and the disturbances are scaled, as its file says: also
-    where the race draws none, or others. Where the disturbance comes from (true, estimated or none)
-    is the race's choice, not the policy's: it is what a drone can measure.
-    """
-    seen = policy.observation
-    episode = dataclasses.replace(
-        config.episode,
-        **{key: seen[key] for key in ("wrap_next_yaw",) if key in seen},
-    )
-    config = dataclasses.replace(config, episode=episode)
-    drawn = config.disturbance
-    trained = _policy_disturbance(policy, drawn.half_widths, "policy")
-    scaling = disturbance_range(dataclasses.replace(drawn, **trained))
-    return choices_of(config), build_params(config).replace(disturbance_scale=scaling)
+def race_of(config: Config, policy: Policy, name: str = "policy") -> tuple[Choices, RaceParams]:
+    """The race of a config, with the observation that the policy was trained with."""
+    return fit_race(choices_of(config), build_params(config), policy, name)
 
 
 def command_ranges(choices: Choices, params: RaceParams) -> Ranges:
-    """Lowest and highest command (4,) of the environment's vehicle: rpm, or rad/s and m/s^2."""
-    ends = [command(choices, params, jnp.full(ACTION_SIZE, end)) for end in (-1.0, 1.0)]
+    """Lowest and highest command (actions,) of the environment's vehicle."""
+    ends = choices.model.command_range(params.vehicle.constants)
     low, high = (np.array([float(x) for x in jax.tree.leaves(end)]) for end in ends)
     return low, high
 
 
-def make_pilot(
-    config: Config,
-    policy: Policy,
-    vehicle: Ranges,
-    deterministic: bool,
-    name: str = "policy",
-) -> Pilot:
+def make_pilot(choices: Choices, params: RaceParams, policy: Policy, deterministic: bool) -> Pilot:
     """The policy with the conversions to and from the environment's scaling.
 
     Args:
-        config: of the race.
-        policy: the policy file's content.
-        vehicle: the environment's lowest and highest command, (4,) each.
+        choices: of the race, from ``fit_race``.
+        params: of the race, from ``fit_race``.
+        policy: the policy.
         deterministic: fly the mean rather than samples.
-        name: the file, for messages.
     """
-    check_fits(config, policy, name)
+    vehicle = command_ranges(choices, params)
     # Rounded as the environment's numbers are: equal ranges convert by exactly one and zero.
     own = [np.float32(x).astype(np.float64) for x in (policy.command_low, policy.command_high)]
     act_scale, act_offset = _between(own, vehicle)
-    choices = choices_of(config)
-    see_scale, see_offset = np.ones(choices.layout.size), np.zeros(choices.layout.size)
-    actuators = choices.layout.slice(choices.model.actuators.name)
-    count = actuators.stop - actuators.start
-    back_scale, back_offset = _between(vehicle, own)
-    see_scale[actuators] = back_scale[-count:]
-    see_offset[actuators] = back_offset[-count:]
+    see_scale, see_offset = _observation_scale(
+        choices.layout.with_spans(choices.model, params), policy.layout
+    )
     numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle, float(not deterministic))
     return Pilot(flying(policy), *(jnp.asarray(x, jnp.float32) for x in numbers))
+
+
+def _observation_scale(shown: Layout, own: Layout) -> Ranges:
+    """Scale and offset from what an environment shows to what a policy was trained with."""
+    scale, offset = np.ones(own.size), np.zeros(own.size)
+    for field in own.fields:
+        spans = (shown[field.name].span, field.span)
+        if None in spans or field.name in DISTURBANCES:
+            continue
+        here, there = (np.float32(span).astype(np.float64).T for span in spans)
+        columns = own.slice(field.name)
+        scale[columns], offset[columns] = _between(here, there)
+    return scale, offset
 
 
 def _between(source: Ranges, target: Ranges) -> Ranges:
@@ -181,7 +159,7 @@ def see(pilot: Pilot, observation: jax.Array) -> jax.Array:
 
 
 def fly(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
-    """The environment's action (4,) for what it shows, with normal ``noise`` (4,)."""
+    """The environment's action (actions,) for an observation (k,), with normal ``noise``."""
     action = act_sampled(pilot.policy, see(pilot, observation), pilot.noise * noise)
     return jnp.clip(action, -1.0, 1.0) * pilot.act_scale + pilot.act_offset
 
@@ -194,15 +172,15 @@ def fly_policy(
     trace: bool = False,
     name: str = "policy",
 ) -> tuple[Laps, Trace | None]:
-    """Time a policy file's laps.
+    """Time a policy's laps.
 
     Args:
-        config: of the race; the observation is made as the policy's file says.
-        policy: the policy file's content.
+        config: of the race; the observation is the one that the policy was trained with.
+        policy: the policy.
         race: laps, runs and starts.
         deterministic: fly the mean rather than samples.
         trace: whether to keep what was flown.
-        name: the file, for messages.
+        name: the policy's file, for messages.
 
     Raises:
         InputError: the policy does not fit the vehicle.
@@ -219,14 +197,12 @@ def fly_by(
     trace: bool,
     name: str,
 ) -> tuple[Laps, Trace | None]:
-    """Time the laps of a policy file whose commands ``actor`` computes, as ``fly`` does.
+    """Time the laps of a policy whose commands ``actor`` computes, as ``fly`` does.
 
     Other arguments, results and errors as of ``fly_policy``.
     """
-    check_fits(config, policy, name)
-    choices, params = race_of(config, policy)
-    vehicle = command_ranges(choices, params)
-    pilot = make_pilot(config, policy, vehicle, deterministic, name)
+    choices, params = race_of(config, policy, name)
+    pilot = make_pilot(choices, params, policy, deterministic)
     key = jax.random.key(race.seed)
     return fly_laps(
         choices, params, actor, pilot, key, race.laps, race.runs, race.from_hover, trace

@@ -11,7 +11,7 @@ from quadjax.evaluation.tables import lap_row
 from quadjax.plant.config import EffectsConfig, PlantConfig
 from quadjax.plant.flights import Flights, fly_plan, plan_flights, race_config
 from quadjax.policy import pilot
-from quadjax.policy.file import Policy, read_policy
+from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps, Trace
 from quadjax.studies.ablation import RESIDUAL, Variant
 from quadjax.training.paper import Row
@@ -57,7 +57,7 @@ def contender(name: str, file: str) -> Contender:
     Raises:
         InputError: a file that cannot be read.
     """
-    return Contender(name, read_policy(file), file)
+    return Contender(name, Policy.load(file), file)
 
 
 def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:

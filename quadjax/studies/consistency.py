@@ -30,7 +30,7 @@ from quadjax.plant.estimate import NavigationState, estimate
 from quadjax.plant.flight import Flight, FlightParams
 from quadjax.plant.flights import fly_chunks, plan_flights
 from quadjax.plant.sensors import GroundTruth, SensorState
-from quadjax.policy.file import read_policy
+from quadjax.policy.file import Policy
 from quadjax.vehicle.rate import RateCommand
 
 WITHIN = 3.0  # standard deviations
@@ -113,7 +113,7 @@ def evaluate_filter(
     """
     plant = plant.replace(control_rate=plant.sample_rate, navigation="ekf")
     plan = plan_flights(
-        race, plant, read_policy(policy), str(policy), MAX_LAPS, flights, flights, False
+        race, plant, Policy.load(policy), str(policy), MAX_LAPS, flights, flights, False
     )
     plan = dataclasses.replace(plan, limit=round(seconds * plant.sample_rate))
     total, worst, diverged = np.zeros((3, 7, 3)), np.zeros((7, 3)), np.zeros(flights, bool)

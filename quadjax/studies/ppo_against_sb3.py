@@ -68,12 +68,12 @@ def ours(config: Config, seconds: float, started: float, directory: Path) -> Sid
         started: by ``time.monotonic()``.
         directory: of the run.
     """
-    from quadjax.policy.file import read_policy
+    from quadjax.policy.file import Policy
     from quadjax.training.run import train
 
     clock = Clock(started, seconds)
     result = train(config, directory, started=started, enough=lambda row: clock.over(row["steps"]))
-    total, flown = _judge(config, read_policy(directory / "policy_last.npz"))
+    total, flown = _judge(config, Policy.load(directory / "policy_last.npz"))
     threads = f"{result.summary['devices']} host devices of one thread"
     steps = int(result.summary["steps"])
     return Side(

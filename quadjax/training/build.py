@@ -1,6 +1,8 @@
 """From a config to a learner on the racing environment."""
 
+import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.schedules import make_schedule, with_schedules
 from quadjax.learners.shac.hyperparameters import SHAC
 from quadjax.learners.state import Learner, TrainState
-from quadjax.policy.file import Policy, read_policy
+from quadjax.policy.file import Policy
 from quadjax.policy.inference import Flying
 from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import RaceParams, make_environment
@@ -160,7 +162,7 @@ def initial_policy(config: Config) -> Policy | None:
     """
     if config.train.init is None:
         return None
-    policy = read_policy(config.train.init)
+    policy = Policy.load(config.train.init)
     widths = [int(kernel.shape[1]) for kernel, _ in policy.layers[:-1]]
     wanted = list(config.network.hidden)
     judge = wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
@@ -169,7 +171,6 @@ def initial_policy(config: Config) -> Policy | None:
         ("hidden widths", widths, wanted),
         ("hidden widths of the value", judge, wanted),
         ("activation", policy.activation, config.network.activation),
-        ("output", policy.output, "clip"),
     ):
         if found != allowed:
             raise InputError(
@@ -204,31 +205,23 @@ def flying_of(params: ActorCritic, activation: str) -> Flying:
     return Flying(tuple(layers_of(params.policy)), params.log_std, activation)
 
 
-def policy_of(config: Config, params: ActorCritic, source: dict) -> Policy:
-    """Networks in training as a policy file's content."""
-    vehicle = config.vehicle
-    if vehicle.kind == "motor":
-        low, high = [vehicle.motor["rpm_min"]] * 4, [vehicle.motor["rpm_max"]] * 4
-    else:
-        rates = [vehicle.rate[name] for name in ("p_max", "q_max", "r_max")]
-        low = [-x for x in rates] + [vehicle.rate["thrust_min"]]
-        high = rates + [vehicle.rate["thrust_max"]]
-    ranges = {"disturbance": config.disturbance.half_widths} if vehicle.kind == "motor" else {}
+def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Policy:
+    """Networks in training as a policy."""
+    choices = choices_of(config)
+    model = choices.model
+    constants = model.constants(**getattr(config.vehicle, model.name))
+    low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
     value = _scaled(layers_of(params.value), 1.0 / reward_scale(config))
     return Policy(
         layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers_of(params.policy)),
         log_std=np.asarray(params.log_std),
-        vehicle=vehicle.kind,
+        vehicle=model.name,
         activation=config.network.activation,
-        output="clip",
         noise_on=noise_on(config),
-        command_low=np.array(low),
-        command_high=np.array(high),
-        observation={
-            "wrap_next_yaw": config.episode.wrap_next_yaw,
-            "disturbance_input": config.episode.disturbance_input,
-            **ranges,
-        },
+        command_low=low,
+        command_high=high,
+        layout=choices.layout.with_spans(model, build_params(config)),
         source=source,
         value=tuple((np.asarray(k), np.asarray(b)) for k, b in value),
+        config=dataclasses.asdict(config),
     )

@@ -15,7 +15,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
 from quadjax.learners.loop import Position, Row
-from quadjax.policy.file import Policy, read_policy
+from quadjax.policy.file import Policy
 from quadjax.training.metrics import read_metrics
 from quadjax.training.paper import published_total
 
@@ -58,7 +58,7 @@ class Run:
         folder = Path(folder)
         config = load_config(folder / "config.yaml")
         summary = read_summary(folder)
-        policy = read_policy(folder / "policy.npz")
+        policy = Policy.load(folder / "policy.npz")
         return cls(config, folder, policy, summary["finished"], summary)
 
 

@@ -24,7 +24,7 @@ from quadjax.learners.loop import Hooks, Position, Row, run
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.sharding import Chunk
 from quadjax.learners.state import Learner, TrainState
-from quadjax.policy.file import Policy, read_policy, write_policy
+from quadjax.policy.file import Policy
 from quadjax.race.build import build_params
 from quadjax.race.environment import RaceParams
 from quadjax.training.build import build_learner, initial_policy, plan, policy_of, start_state
@@ -78,7 +78,7 @@ def train(
         if hosts.is_first():
             prepare_folder(config, folder, resume, overwrite)
         if hosts.alone() and is_finished(folder):
-            policy = read_policy(folder / "policy.npz")
+            policy = Policy.load(folder / "policy.npz")
             return Run(config, folder, policy, True, read_summary(folder))
         shown = TrainingProgress(job.steps, config.name) if progress else None
         with interruptions() as stop, shown or contextlib.nullcontext():
@@ -164,7 +164,7 @@ class _Watch:
         def save(position: Position) -> None:
             checkpoints.save(position)
             if hosts.is_first():
-                write_policy(self.folder / "policy.npz", self.job.best(position))
+                self.job.best(position).save(self.folder / "policy.npz")
 
         def stop() -> bool:
             return self.stop.is_set() or bool(ended)
@@ -242,7 +242,7 @@ def _finish(job: _Job, folder: Path, position: Position) -> Run:
         return Run(config, folder, policy, finished, {})
     steps = position.chunks * job.steps_per_chunk
     last = job.policy(jax.device_get(position.state.evaluated), steps)
-    write_policy(folder / "policy_last.npz", last)
+    last.save(folder / "policy_last.npz")
     counts = {"steps": steps, "devices": job.mesh.size}
     rows = saved_rows(folder / "metrics.csv")
     summary = write_summary(config, folder, position, rows, counts, finished)

@@ -6,6 +6,7 @@ import numpy as np
 
 from quadjax.config.loading import load_config
 from quadjax.policy.file import Policy
+from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.build import build_params, choices_of
 from tests.race.support import BLANK
 
@@ -41,21 +42,23 @@ def scripted(wish: dict, observation: jax.Array, noise: jax.Array) -> jax.Array:
     return 2.0 * (command - LOW) / (HIGH - LOW) - 1.0
 
 
-def random_policy(vehicle: str = "motor", seed: int = 0, **changes: object) -> Policy:
+def random_policy(
+    vehicle: str = "motor", seed: int = 0, observation: dict | None = None, **changes: object
+) -> Policy:
     random = np.random.default_rng(seed)
     inputs = {"motor": 24, "rate": 17}[vehicle]
     shapes = ((inputs, 8), (8, 4))
     layers = tuple((0.3 * random.normal(size=s), 0.1 * random.normal(size=s[1])) for s in shapes)
     low, high = (np.full(4, 3000.0), np.full(4, 11000.0)) if vehicle == "motor" else (LOW, HIGH)
+    meta = {"vehicle": vehicle, "observation": observation or {}}
+    low, high = changes.get("command_low", low), changes.get("command_high", high)
     values = {
         "layers": layers,
         "log_std": np.full(4, -1.0),
         "vehicle": vehicle,
         "activation": "relu",
-        "output": "clip",
         "command_low": low,
         "command_high": high,
-        "observation": {},
-        "source": {},
+        "layout": layout_of_release_1("made up", meta, low, high),
     }
     return Policy(**(values | changes))

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from quadjax.policy.file import write_policy
 from tests.commands import run
 from tests.evaluation.support import random_policy
 
@@ -20,7 +19,7 @@ EVALUATE = ROOT / "scripts" / "evaluate.py"
 @pytest.fixture(scope="module")
 def policy_file(tmp_path_factory) -> str:
     path = tmp_path_factory.mktemp("policy") / "policy.npz"
-    write_policy(path, random_policy())
+    random_policy().save(path)
     return str(path)
 
 

@@ -1,3 +1,5 @@
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.policy import pilot
 from quadjax.policy.inference import flying, mean_action
 from quadjax.race import environment
+from quadjax.race.layout import Layout
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
 
@@ -18,7 +21,7 @@ WIDE = {"command_low": np.full(4, 2000.0), "command_high": np.full(4, 12000.0)}
 def make(policy, *words: str):
     config = load_config(BLANK, words)
     choices, params = pilot.race_of(config, policy)
-    ready = pilot.make_pilot(config, policy, pilot.command_ranges(choices, params), True)
+    ready = pilot.make_pilot(choices, params, policy, True)
     return choices, params, ready
 
 
@@ -88,19 +91,30 @@ def test_sampling_and_the_mean_share_an_actor():
     np.testing.assert_allclose(sampled, wanted, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("changes", "names"),
-    [
-        ({"vehicle": "rate"}, "vehicle.kind"),
-        ({"observation": []}, "observation"),
-        ({"observation": {"wrap_next_yaw": "yes"}}, "wrap_next_yaw"),
-        ({"observation": {"disturbance_input": "some"}}, "disturbance_input"),
-        ({"observation": {"disturbance": {"moment_x": -1.0}}}, "disturbance"),
-        ({"observation": {"disturbance": {"wind": 1.0}}}, "disturbance"),
-    ],
-)
-def test_what_does_not_fit_is_refused(changes, names):
+def test_what_does_not_fit_is_refused():
     config = load_config(BLANK, [])
-    kind = changes.pop("vehicle", "motor")
-    with pytest.raises(InputError, match=names):
-        pilot.check_fits(config, random_policy(kind, **changes), "file.npz")
+    with pytest.raises(InputError, match=r"file.npz: a policy for the rate vehicle"):
+        pilot.check_fits(config, random_policy("rate"), "file.npz")
+    policy = random_policy()
+    own = dataclasses.replace(policy.layout.fields[0], name="altitude")
+    layout = Layout((own, *policy.layout.fields[1:]))
+    with pytest.raises(InputError, match=r"observes 'altitude' \(3\), which the race"):
+        pilot.check_fits(config, dataclasses.replace(policy, layout=layout), "file.npz")
+
+
+def test_a_policy_with_its_fields_in_another_order_flies_the_same():
+    """A layout is what a policy says, not where its numbers happen to be."""
+    policy = random_policy(command_high=np.full(4, 12000.0))
+    choices, params, ready = make(policy)
+    order = np.roll(np.arange(len(policy.layout.fields)), 3)
+    fields = [policy.layout.fields[i] for i in order]
+    columns = np.concatenate([np.arange(24)[policy.layout.slice(f.name)] for f in fields])
+    kernel, bias = policy.layers[0]
+    turned = dataclasses.replace(
+        policy, layout=Layout(tuple(fields)), layers=((kernel[columns], bias), *policy.layers[1:])
+    )
+    other, other_params, other_ready = make(turned)
+    state = environment.hover_start(choices, params)
+    first = pilot.fly(ready, environment.observe(choices, params, state), jnp.zeros(4))
+    shown = environment.observe(other, other_params, state)
+    np.testing.assert_allclose(pilot.fly(other_ready, shown, jnp.zeros(4)), first, atol=1e-6)

@@ -10,6 +10,7 @@ import pytest
 from quadjax.export.emit import Provenance, emit_network
 from quadjax.export.fixed import FixedNetwork, convert
 from quadjax.policy.file import Policy
+from quadjax.policy.release1 import layout_of_release_1
 from quadjax.vehicle.residual import Residual
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
@@ -37,15 +38,17 @@ def made_policy(
         )
     layers[-1] = (np.float32(0.3) * layers[-1][0], layers[-1][1])
     motor = vehicle == "motor"
+    low = np.full(4, 3000.0) if motor else np.array([-3.0, -3.0, -3.0, 0.0])
+    high = np.full(4, 11000.0) if motor else np.array([3.0, 3.0, 3.0, 15.0])
+    seen = {"disturbance": DISTURBANCE} if motor else {}
     return Policy(
         layers=tuple(layers),
         log_std=np.zeros(4, np.float32),
         vehicle=vehicle,
         activation=activation,
-        output="clip",
-        command_low=np.full(4, 3000.0) if motor else np.array([-3.0, -3.0, -3.0, 0.0]),
-        command_high=np.full(4, 11000.0) if motor else np.array([3.0, 3.0, 3.0, 15.0]),
-        observation={"disturbance": DISTURBANCE} if motor else {},
+        command_low=low,
+        command_high=high,
+        layout=layout_of_release_1("made up", {"vehicle": vehicle, "observation": seen}, low, high),
         source={"made": "up"},
     )
 

@@ -15,7 +15,7 @@ from quadjax.export.actor import (
 from quadjax.export.proof import prove
 from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.policy import pilot
-from quadjax.policy.file import read_policy
+from quadjax.policy.file import Policy
 from tests.export.support import POLICIES, named_network, observations
 from tests.test_training import CONFIGS, ROOT
 
@@ -85,7 +85,7 @@ def test_actors_give_the_same_command():
 @pytest.mark.slow
 def test_the_fixed_point_policy_flies_the_laps_of_the_float_one():
     config = load_config(CONFIGS / "e2e.yaml")
-    policy = read_policy(ROOT / "quadjax" / "pretrained" / "e2e.npz")
+    policy = Policy.load(ROOT / "quadjax" / "pretrained" / "e2e.npz")
     race = pilot.Race(laps=1, runs=1)
     wanted, _ = pilot.fly_policy(config, policy, race, True)
     found, _ = fly_fixed_point(config, policy, race)

@@ -23,7 +23,7 @@ from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
 from quadjax.export.verify.result import FAILED, PASSED, SKIPPED, run_check
 from quadjax.export.verify.toolchain import WARNINGS
-from quadjax.policy.file import read_policy, write_policy
+from quadjax.policy.file import Policy
 from quadjax.vehicle.residual_file import write_residual
 from tests.export.support import WIDE, made_policy, made_residual, need
 
@@ -46,7 +46,7 @@ def export(folder, vehicle="motor"):
     without some effects.
     """
     policy, out = folder / "policy.npz", folder / "c"
-    write_policy(policy, made_policy(24, vehicle, gain=0.5))
+    made_policy(24, vehicle, gain=0.5).save(policy)
     if vehicle == "rate":
         ranges = WIDE | {"rates": 8.0, "velocity": 32.0}
         export_c(policy, out, ranges=ranges, name="made", allow_unfinished=True)
@@ -263,12 +263,12 @@ def test_refuses_a_range_that_its_own_flights_leave(tmp_path):
 def test_one_line_on_the_command_line(arguments, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     policy = made_policy(8)
-    write_policy(tmp_path / "policy.npz", policy)
-    write_policy(tmp_path / "tanh.npz", dataclasses.replace(policy, activation="tanh"))
+    policy.save(tmp_path / "policy.npz")
+    dataclasses.replace(policy, activation="tanh").save(tmp_path / "tanh.npz")
     for name, layer, row, value in (("nan", 1, 6, np.nan), ("huge", 3, 2, 1e30)):
         broken = made_policy(8)
         broken.layers[layer][0][2, row] = value
-        write_policy(tmp_path / f"{name}.npz", broken)
+        broken.save(tmp_path / f"{name}.npz")
     with pytest.raises(InputError, match=said):
         export_command.main([*arguments, "--output", "c"])
     assert not (tmp_path / "c").exists()
@@ -314,7 +314,7 @@ def test_the_race_is_the_one_of_the_config_next_to_the_policy(tmp_path):
     (tmp_path / "config.yaml").write_text(
         f"base: {CONFIGS / 'e2e.yaml'}\ntrack: {{file: {tmp_path / 'triangle.yaml'}}}\n"
     )
-    own = own_race(read_policy(policy), policy)
+    own = own_race(Policy.load(policy), policy)
     assert own.origin == str(tmp_path / "config.yaml")
     assert own.params.track.yaw.shape == (3,)
     with pytest.raises(InputError, match="of 32 flights finish 6 laps of track triangle"):

@@ -13,6 +13,8 @@ from quadjax.export.integers import ONE
 from quadjax.export.proof import prove
 from quadjax.export.ranges import declare, parse_overrides
 from quadjax.export.report import float64_commands
+from quadjax.race.layout import make_layout
+from quadjax.vehicle.motor import MODEL
 from tests.export.support import POLICIES, made_policy, named_network
 
 
@@ -106,7 +108,7 @@ def test_ranges_are_powers_of_two_of_known_names():
             declare(policy, words)
     with pytest.raises(InputError):
         parse_overrides(["velocity"])
-    unwrapped = dataclasses.replace(policy, observation={"wrap_next_yaw": False})
+    unwrapped = dataclasses.replace(policy, layout=make_layout(MODEL, wrap_next_yaw=False))
     assert declare(unwrapped).ranges[19] == 8.0
 
 

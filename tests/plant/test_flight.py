@@ -1,7 +1,5 @@
 """Races on the stand-in plant: both policies, their observations, and their logs."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,8 @@ from quadjax.fitting.flight_log import read_logs
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.plant.flights import fly_plan, plan_flights, race_config, recordings, rows
 from quadjax.plant.logs import gate_centers, log_quantities, write_logs
-from quadjax.policy.file import read_policy
+from quadjax.policy.file import Policy
+from tests.evaluation.support import random_policy
 
 PLANT = load_plant_config(CONFIGS / "plant" / "standin.yaml")
 EXACT = PLANT.replace(navigation="ground_truth")
@@ -20,7 +19,7 @@ EXACT = PLANT.replace(navigation="ground_truth")
 
 def flown(name: str, plant: PlantConfig):
     config = load_config(CONFIGS / "e2e.yaml")
-    policy = read_policy(PRETRAINED / name)
+    policy = Policy.load(PRETRAINED / name)
     return config, fly_plan(plan_flights(config, plant, policy, name, 1, 2, 2), seed=3)
 
 
@@ -83,8 +82,8 @@ def test_logged_positions_are_the_estimated_ones(e2e):
 @pytest.mark.slow
 def test_the_race_is_the_policys_own(e2e):
     config, _ = e2e
-    policy = read_policy(PRETRAINED / "indi.npz")
+    policy = Policy.load(PRETRAINED / "indi.npz")
     race = race_config(config, policy)
     assert race.vehicle.kind == "rate" and race.episode.disturbance_input == "true"
-    widths = dataclasses.replace(policy, observation={"disturbance": {"moment_x": 0.03}})
+    widths = random_policy(observation={"disturbance": {"moment_x": 0.03}})
     assert race_config(config, widths).disturbance.moment_x == 0.03
