@@ -22,7 +22,7 @@ N = 6
 
 def short(*words: str):
     """Episodes of five steps, if nobody crashes first."""
-    return load_config(BLANK, ["episode.max_steps=5", *words])
+    return load_config(BLANK, ["training_limits.episode_steps=5", *words])
 
 
 def hover(n: int = N) -> np.ndarray:
@@ -31,7 +31,7 @@ def hover(n: int = N) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_gymnasiums_own_checker_passes(kind):
-    config = load_config(BLANK, [f"vehicle.kind={kind}"])
+    config = load_config(BLANK, [f"vehicle.model={kind}"])
     env = gymnasium.make(ID, config=config, disable_env_checker=True).unwrapped
     assert isinstance(env, RaceEnv)
     with warnings.catch_warnings():
@@ -85,7 +85,7 @@ def test_a_truncation_is_no_crash_and_shows_where_it_ended():
 
 def test_a_crash_is_no_truncation():
     """Upside down from the start: the roll limit ends every episode at its first step."""
-    env = RaceVectorEnv(N, load_config(BLANK, ["episode.roll_limit_deg=1"]), "SameStep")
+    env = RaceVectorEnv(N, load_config(BLANK, ["training_limits.roll_deg=1"]), "SameStep")
     env.reset(seed=0)
     _, reward, terminated, truncated, infos = env.step(hover())
     assert terminated.any() and not truncated.any()
@@ -146,8 +146,13 @@ def test_stable_baselines_learns_on_it():
     for flag, info in zip(done, infos, strict=True):
         assert flag == ("terminal_observation" in info)
     assert any(info.get("TimeLimit.truncated") for info in infos)
-    words = ["algorithm=ppo", "train.drones=8", "ppo.steps_per_update=16", "ppo.epochs=1"]
-    model = make_ppo(short(*words, "ppo.batches=2", "network.hidden=[8]"), seed=0)
+    words = [
+        "learner.algorithm=ppo",
+        "learner.num_envs=8",
+        "learner.rollout_length=16",
+        "learner.num_epochs=1",
+    ]
+    model = make_ppo(short(*words, "learner.num_minibatches=2", "network.hidden=[8]"), seed=0)
     before = [p.detach().clone() for p in model.policy.parameters()]
     model.learn(128)
     assert any((p != q).any() for p, q in zip(model.policy.parameters(), before, strict=True))

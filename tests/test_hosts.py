@@ -19,13 +19,13 @@ from quadjax.training.metrics import read_metrics
 
 ROOT = Path(__file__).resolve().parent.parent
 WORDS = [
-    "train.drones=16",
+    "learner.num_envs=16",
     "network.hidden=[8]",
-    "ppo.steps_per_update=8",
-    "ppo.batches=2",
-    "ppo.epochs=1",
+    "learner.rollout_length=8",
+    "learner.num_minibatches=2",
+    "learner.num_epochs=1",
     "evaluate.laps=1",
-    "train.evaluate_every=128",
+    "run.evaluate_every=128",
     "name=run",
 ]
 
@@ -65,7 +65,7 @@ def together(folder, *arguments):
     both = [
         start(
             folder / str(process),
-            "train.devices=1",
+            "run.devices=1",
             *arguments,
             *("--coordinator", f"127.0.0.1:{port}", "--processes", "2", "--process", str(process)),
         )
@@ -78,8 +78,8 @@ def together(folder, *arguments):
 @pytest.mark.slow
 def test_two_processes_are_one_run(tmp_path):
     """Ten updates."""
-    alone = start(tmp_path / "alone", "train.devices=2", "train.steps=1280")
-    together(tmp_path, "train.steps=1280")
+    alone = start(tmp_path / "alone", "run.devices=2", "run.steps=1280")
+    together(tmp_path, "run.steps=1280")
     finish(alone)
     wanted = read_metrics(tmp_path / "alone/run/metrics.csv")
     found = read_metrics(tmp_path / "0/run/metrics.csv")
@@ -94,7 +94,7 @@ def test_two_processes_are_one_run(tmp_path):
 @pytest.mark.slow
 def test_stopped_in_one_process_all_save_and_go_on(tmp_path):
     """Ctrl-C reaches one process; the first one's checkpoint is what all go on from."""
-    words = ["train.steps=3840", "train.checkpoint_seconds=0", "train.devices=1"]
+    words = ["run.steps=3840", "run.checkpoint_seconds=0", "run.devices=1"]
 
     def both(*more):
         port = free_port()

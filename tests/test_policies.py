@@ -16,7 +16,7 @@ from tests.race.support import BLANK
 @pytest.mark.parametrize("algorithm", ["ppo", "shac"])
 def test_training_and_flight_share_one_head(algorithm):
     """Noise comes on top of the same mean, also where the network is far beyond the limits."""
-    config = load_config(BLANK, ["network.hidden=[8]", f"algorithm={algorithm}"])
+    config = load_config(BLANK, ["network.hidden=[8]", f"learner.algorithm={algorithm}"])
     networks = build_networks(config)
     params = networks.init(jax.random.key(0))
     last = jax.tree.map(lambda x: 300.0 * x, params.policy["Dense_1"])

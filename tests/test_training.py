@@ -1,7 +1,6 @@
 """Whole runs: the same bits after a stop, a kill at any moment, and every shipped config."""
 
 import csv
-import dataclasses
 import json
 import os
 import random
@@ -30,22 +29,23 @@ from quadjax.training.result import Run
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"
 TINY = [
-    "train.drones=16",
+    "learner.num_envs=16",
     "network.hidden=[8]",
-    "ppo.steps_per_update=8",
-    "ppo.batches=2",
-    "ppo.epochs=1",
-    "shac.horizon=4",
     "evaluate.laps=1",
-    "train.steps=512",
-    "train.evaluate_every=128",
-    "train.devices=2",
+    "run.steps=512",
+    "run.evaluate_every=128",
+    "run.devices=2",
 ]
+TINY_LEARNER = {
+    "ppo": ["learner.rollout_length=8", "learner.num_minibatches=2", "learner.num_epochs=1"],
+    "shac": ["learner.horizon=4"],
+}
 TIMES = ("seconds", "steps_per_second")
 
 
 def config_of(name, *words):
-    return load_config(CONFIGS / name, [*TINY, *words])
+    algorithm = load_config(CONFIGS / name).learner.algorithm
+    return load_config(CONFIGS / name, [*TINY, *TINY_LEARNER[algorithm], *words])
 
 
 def arrays(path):
@@ -95,11 +95,11 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name)
 
 
 def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
-    config = config_of("e2e_ppo.yaml", "train.steps=128")
+    config = config_of("e2e_ppo.yaml", "run.steps=128")
     training.train(config, tmp_path / "run")
     with pytest.raises(InputError, match="--resume"):
         training.train(config, tmp_path / "run")
-    other = dataclasses.replace(config, seed=7)
+    other = config.replace(seed=7)
     with pytest.raises(InputError, match="seed: 0.*seed: 7"):
         training.train(other, tmp_path / "run", resume=True)
     (tmp_path / "run/notes.txt").write_text("not written by the program")
@@ -112,11 +112,11 @@ def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
 
 
 def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
-    for word in ("train.init=none.npz", "vehicle.residual=none.npz"):
+    for word in ("run.initial_policy=none.npz", "vehicle.residual=none.npz"):
         with pytest.raises(InputError, match="none.npz"):
             training.train(config_of("e2e_ppo.yaml", word), tmp_path / "run")
     narrow = training.train(config_of("e2e_ppo.yaml", "network.hidden=[4]"), tmp_path / "narrow")
-    policy = f"train.init={narrow.folder / 'policy.npz'}"
+    policy = f"run.initial_policy={narrow.folder / 'policy.npz'}"
     with pytest.raises(InputError, match=r"hidden widths \[4\], the config \[8\]"):
         training.train(config_of("e2e_ppo.yaml", policy), tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run").exists()
@@ -125,9 +125,9 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
 def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
-    first = training.train(config_of(name, "train.steps=128"), tmp_path / "first")
-    word = f"train.init={first.folder / 'policy_last.npz'}"
-    held = [f"{section}.warm_up=1000" for section in ("ppo", "shac")]
+    first = training.train(config_of(name, "run.steps=128"), tmp_path / "first")
+    word = f"run.initial_policy={first.folder / 'policy_last.npz'}"
+    held = ["learner.critic_warmup=1000"]
     second = training.train(config_of(name, word, *held, "seed=1"), tmp_path / "second")
     before, after = (arrays(run.folder / "policy_last.npz") for run in (first, second))
     for key in set(before) - {"log_std"}:
@@ -137,9 +137,9 @@ def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
 
 @pytest.mark.slow
 def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
-    first = training.train(config_of("e2e_ppo.yaml", "train.steps=128"), tmp_path / "first")
+    first = training.train(config_of("e2e_ppo.yaml", "run.steps=128"), tmp_path / "first")
     path = first.folder / "policy_last.npz"
-    config = config_of("e2e_shac.yaml", f"train.init={path}", "shac.reward_scale=0.25")
+    config = config_of("e2e_shac.yaml", f"run.initial_policy={path}", "learner.reward_scale=0.25")
     learner, params = build_learner(config), build_params(config)
     state = start_state(config, learner, params, initial_policy(config))
     file = Policy.load(path)
@@ -186,7 +186,7 @@ def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
 
 
 def test_a_short_run_is_one_short_chunk(tmp_path):
-    words = ("train.steps=64", "train.evaluate_every=1000000", "ppo.steps_per_update=4")
+    words = ("run.steps=64", "run.evaluate_every=1000000", "learner.rollout_length=4")
     assert training.train(config_of("e2e_ppo.yaml", *words), tmp_path / "run").summary[
         "steps"
     ] == pytest.approx(64)
@@ -211,9 +211,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
         return run
 
     monkeypatch.setattr(training.parallel, "compile_chunk", broken)
-    config = dataclasses.replace(
-        config, train=dataclasses.replace(config.train, checkpoint_seconds=0.0)
-    )
+    config = config.at("run.checkpoint_seconds", 0.0)
     with pytest.raises(loop.NonFiniteError, match="update 3: value_loss"):
         training.train(config, tmp_path / "run")
     monkeypatch.undo()
@@ -228,13 +226,10 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_shipped_config_trains(tmp_path, path):
-    words = TINY
-    if "paper" in path.stem or "authors" in path.stem:
-        words = [*TINY, "ppo.shuffle_block=1"]
-    config = load_config(path, [*words, "train.steps=256", "train.residual_ramp=[64, 128]"])
+    config = config_of(path.name, "run.steps=256")
     result = training.train(config, tmp_path / "run")
     assert result.finished
-    assert result.policy.vehicle == config.vehicle.kind
+    assert result.policy.vehicle == config.vehicle.model
     assert all(np.isfinite(kernel).all() for kernel, _ in result.policy.layers)
 
 
@@ -256,8 +251,8 @@ def start(runs, *words):
     )
 
 
-LONG = [w for w in TINY if "train.steps" not in w]
-LONG += ["train.steps=3840", "train.checkpoint_seconds=0", "name=killed"]
+LONG = [w for w in [*TINY, *TINY_LEARNER["ppo"]] if "run.steps" not in w]
+LONG += ["run.steps=3840", "run.checkpoint_seconds=0", "name=killed"]
 
 
 @pytest.mark.slow
@@ -293,7 +288,7 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
 
 @pytest.mark.slow
 def test_interrupted_it_saves_and_says_how_to_go_on(tmp_path):
-    words = [w for w in LONG if "train.steps" not in w] + ["train.steps=3840000"]
+    words = [w for w in LONG if "run.steps" not in w] + ["run.steps=3840000"]
     process = start(tmp_path, *words)
     metrics = tmp_path / "killed/metrics.csv"
     deadline = time.monotonic() + 120

@@ -139,7 +139,7 @@ def _run_job(job: Job) -> dict[str, Any]:
 
     if job.kind in ("quadjax", "sb3"):
         return _run_side(job)
-    config = load_config(find_config(job.config), [f"train.devices='{job.devices}'"])
+    config = load_config(find_config(job.config), [f"run.devices={job.devices}"])
     prepare_devices("auto")
     with loading():
         from quadjax.evaluation import benchmark
@@ -161,8 +161,8 @@ def _run_side(job: Job) -> dict[str, Any]:
     from quadjax.learners.devices import prepare_devices
 
     config = load_config(find_config(job.config))
-    per_update = config.train.drones * config.ppo.steps_per_update
-    config = load_config(find_config(job.config), [f"train.evaluate_every={per_update}"])
+    per_update = config.learner.num_envs * config.learner.rollout_length
+    config = load_config(find_config(job.config), [f"run.evaluate_every={per_update}"])
     prepare_devices("auto" if job.kind == "quadjax" else "1")
     with loading():
         from quadjax.evaluation.benchmark import machine

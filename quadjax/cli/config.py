@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from quadjax.cli.arguments import Parser, add_config, parse
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import find_config
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -13,6 +12,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_config(parser)
     words = parse(parser, arguments)
     with loading():
-        from quadjax.config.loading import load_config, to_yaml
+        from quadjax.config.loading import load_config
+        from quadjax.config.reference import commented_yaml
 
-    print(to_yaml(load_config(find_config(words.config), words.overrides)), end="")
+    print(commented_yaml(load_config(words.config, words.overrides)), end="")

@@ -32,7 +32,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         "train",
         description=__doc__,
-        epilog="Example: quadjax train e2e_shac seed=3 train.steps=5000000 --name third",
+        epilog="Example: quadjax train e2e_shac seed=3 run.steps=5000000 --name third",
     )
     add_config(parser)
     add_name(parser)
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.learners.devices import prepare_devices
 
     config = load_config(find_config(words.config), overrides_of(words))
-    prepare_devices(config.train.devices)
+    prepare_devices(config.run.devices)
     hosts.connect(words.coordinator, words.processes, words.process)
     with loading():
         from quadjax.learners.loop import NonFiniteError

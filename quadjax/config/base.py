@@ -27,6 +27,7 @@ message of the ``InputError``; start it with the dotted key. ``section.replace(k
 changed copy, validated again.
 """
 
+import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -69,7 +70,8 @@ __all__ = [
     "to_yaml",
 ]
 
-MAX_FLOAT = 3.4e38  # single precision
+_UNION_TAG = re.compile(r"int|float|str|bool|(literal|tuple|constrained|function)\b.*")
+MIN_FLOAT, MAX_FLOAT = 1.2e-38, 3.4e38  # single precision
 
 
 class Section(pydantic.BaseModel):
@@ -94,8 +96,15 @@ class Section(pydantic.BaseModel):
         return {key: _coerce(hints.get(key), value) for key, value in values.items()}
 
     def replace(self, **changes: object) -> Self:
-        """A copy with other values, validated as a whole."""
-        return type(self).model_validate({**self.__dict__, **changes})
+        """A copy with other values, validated as a whole.
+
+        Raises:
+            InputError: as ``build``.
+        """
+        known = {
+            (f.alias or name): getattr(self, name) for name, f in type(self).model_fields.items()
+        }
+        return build(type(self), {**known, **changes}, type(self).__name__)
 
 
 SectionType = TypeVar("SectionType", bound=Section)
@@ -103,6 +112,8 @@ SectionType = TypeVar("SectionType", bound=Section)
 
 def _options(hint: object) -> tuple[object, ...]:
     """The members of a union, or the type itself."""
+    if typing.get_origin(hint) is typing.Annotated:
+        hint = typing.get_args(hint)[0]
     if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
         return typing.get_args(hint)
     return (hint,)
@@ -151,15 +162,17 @@ def _check_numbers(value: object, source: str, key: str) -> None:
     elif isinstance(value, (list, tuple)):
         for item in value:
             _check_numbers(item, source, key)
-    elif isinstance(value, (int, float)) and not abs(value) <= MAX_FLOAT:
+    elif isinstance(value, (int, float)) and value and not MIN_FLOAT <= abs(value) <= MAX_FLOAT:
         raise InputError(
-            f"{source}: {key.rstrip('.')} is {short(value)}, allowed: finite numbers up to 3.4e38"
+            f"{source}: {key.rstrip('.')} is {short(value)}, allowed: finite numbers in the range "
+            "of single precision"
         )
 
 
 def _message(schema: type[Section], error: Mapping, prefix: str) -> str:
-    *parents, last = error["loc"] or ("",)
-    dotted = prefix + _dotted(error["loc"])
+    location = tuple(part for part in error["loc"] if not _UNION_TAG.fullmatch(str(part)))
+    *parents, last = location or ("",)
+    dotted = prefix + _dotted(location)
     if error["type"] == "extra_forbidden":
         names = _keys(_section_of(_at(schema, parents)[0]) or schema)
         there = f"allowed there: {', '.join(sorted(names))}"
@@ -167,7 +180,7 @@ def _message(schema: type[Section], error: Mapping, prefix: str) -> str:
     if error["type"] in ("value_error", "assertion_error"):
         reason = str(error["ctx"]["error"])
         return reason if not dotted or dotted in reason else f"{dotted}: {reason}"
-    field = _at(schema, error["loc"])[1]
+    field = _at(schema, location)[1]
     text = allowed(field) if field is not None else error["msg"]
     if error["type"] == "missing":
         return f"{dotted} is missing, allowed: {text}"
@@ -218,6 +231,8 @@ def allowed(field: FieldInfo) -> str:
 
 
 def _words(hint: object, plural: bool = False) -> str:
+    if typing.get_origin(hint) is typing.Annotated:
+        hint = typing.get_args(hint)[0]
     if typing.get_origin(hint) is Literal:
         return "one of " + ", ".join(str(choice) for choice in typing.get_args(hint))
     inner = typing.get_args(hint)
@@ -241,7 +256,7 @@ def _bounds(field: FieldInfo) -> str:
     for item in field.metadata:
         for name, text in (("ge", "at least"), ("gt", "above"), ("le", "at most"), ("lt", "below")):
             if (bound := getattr(item, name, None)) is not None:
-                words.append(f"{text} {bound:g}" if abs(bound) >= 1e6 else f"{text} {bound}")
+                words.append(f"{text} {_number(bound)}")
         for name, text in (("min_length", "at least"), ("max_length", "at most")):
             if (bound := getattr(item, name, None)) is not None:
                 counts.append(f"{text} {bound}")
@@ -250,6 +265,14 @@ def _bounds(field: FieldInfo) -> str:
     if counts:
         words.append(f"{', '.join(counts)} of them")
     return "".join(f", {word}" for word in words)
+
+
+def _number(bound: float) -> str:
+    return (
+        f"{bound:g}".replace("e+0", "e").replace("e+", "e")
+        if abs(bound) in {1e5, 1e6, 1e7, 1e8, 1e9, 1e12}
+        else str(bound)
+    )
 
 
 class KeyInfo(NamedTuple):

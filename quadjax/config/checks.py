@@ -1,292 +1,202 @@
-"""What values a config may hold: every impossible one is refused before anything compiles."""
+"""Checks of several keys of a config together: what no single key's bounds can say."""
 
-import dataclasses
-import math
+from collections.abc import Sequence
 
-from quadjax.config.schema import Config, RandomiseConfig
+from quadjax.config.files import close_match, short
+from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError
-from quadjax.vehicle.constants import MotorConstants, RateConstants, constant_names
-
-CHOICES: dict[str, tuple[str, ...]] = {
-    "algorithm": ("ppo", "shac"),
-    "vehicle.kind": ("motor", "rate"),
-    "vehicle.integrator": ("euler", "rk4"),
-    "episode.gate_test": ("square", "world_box"),
-    "episode.disturbance_input": ("true", "estimated", "none"),
-    "network.activation": ("relu", "tanh"),
-}
-MOST_LAPS, MOST_RUNS = 1000, 100_000  # of a race: what is flown at once must fit in memory
-# Lowest and highest value, and whether each bound itself is allowed.
-_UNIT = (0.0, 1.0)
-CLOSED: dict[str, tuple[float, float]] = {
-    "episode.max_steps": (1, 10**6),
-    "episode.dt": (1e-4, 0.1),
-    "train.steps": (1, 10**12),
-    "train.drones": (1, 10**7),
-    "seed": (0, 2**31 - 1),
-    "evaluate.laps": (1, MOST_LAPS),
-    "evaluate.runs": (1, MOST_RUNS),
-    "ppo.gae_lambda": _UNIT,
-    "shac.td_lambda": _UNIT,
-    "shac.state_gradient_decay": _UNIT,
-    "shac.critic_target_rate": _UNIT,
-    "shac.mean_rate": (1e-4, 1.0),
-    "start.roll_pitch_deg": (0.0, 89.0),
-    "start.yaw_deg": (0.0, 180.0),
-    "episode.pitch_limit_deg": (1.0, 89.0),
-    "episode.roll_limit_deg": (1.0, 180.0),
-    **{f"randomise.{f.name}": (0.0, 0.9) for f in dataclasses.fields(RandomiseConfig)},
-}
-HALF_OPEN_DISCOUNT = ("ppo.discount", "shac.discount")  # [0, 1)
-AT_LEAST_ONE = (
-    "ppo.steps_per_update",
-    "ppo.batches",
-    "ppo.epochs",
-    "shac.horizon",
-    "shac.critic_passes",
-    "shac.critic_batches",
-    "train.evaluate_every",
-)
-POSITIVE = (
-    "vehicle.mass",
-    "episode.position_limit",
-    "episode.rate_limit",
-    "episode.yaw_rate_limit",
-    "ppo.learning_rate",
-    "ppo.adam_epsilon",
-    "ppo.clip",
-    "ppo.gradient_norm",
-    "ppo.kl_limit",
-    "ppo.reward_scale",
-    "shac.learning_rate",
-    "shac.gradient_norm",
-    "shac.critic_learning_rate",
-    "shac.critic_gradient_norm",
-    "shac.state_gradient_clip",
-    "shac.std",
-    "shac.final_std",
-    "shac.reward_scale",
-)
-NOT_NEGATIVE = (
-    "reward.onward",
-    "reward.edge",
-    "reward.edge_margin",
-    "start.position",
-    "start.velocity",
-    "start.rates",
-    "disturbance.moment_x",
-    "disturbance.moment_y",
-    "disturbance.moment_z",
-    "disturbance.force_z",
-    "ppo.shuffle_block",
-    "ppo.warm_up",
-    "shac.warm_up",
-    "ppo.final_learning_rate",
-    "ppo.value_coefficient",
-    "ppo.entropy_coefficient",
-    "shac.final_learning_rate",
-    "train.checkpoint_seconds",
-    "train.nose_up_price",
-)
+from quadjax.vehicle.registry import model as vehicle_model
 
 
-def value_at(config: object, key: str) -> object:
-    """The value at a dotted key."""
-    for part in key.split("."):
-        config = getattr(config, part)
-    return config
+def refuse(key: str, value: object, allowed: str) -> None:
+    """Raise the one-line error of a value."""
+    raise InputError(f"{key} is {short(value)}, allowed: {allowed}")
 
 
 def check(config: Config) -> None:
-    """Raise an ``InputError`` that names the key, the value and what is allowed."""
-    _check_finite(config, "")
-    for key, allowed in CHOICES.items():
-        _require(config, key, value_at(config, key) in allowed, f"one of {', '.join(allowed)}")
-    for key, (low, high) in CLOSED.items():
-        _require(config, key, low <= value_at(config, key) <= high, f"{low} to {high}")
-    for key in HALF_OPEN_DISCOUNT:
-        _require(config, key, 0 <= value_at(config, key) < 1, "at least 0 and less than 1")
-    last = config.shac.final_discount
-    fine = last is None or 0 <= last < 1
-    _require(config, "shac.final_discount", fine, "at least 0 and less than 1, or null")
-    for key in AT_LEAST_ONE:
-        _require(config, key, value_at(config, key) >= 1, "at least 1")
-    for key in POSITIVE:
-        _require(config, key, value_at(config, key) > 0, "a positive number")
-    for key in NOT_NEGATIVE:
-        _require(config, key, value_at(config, key) >= 0, "not negative")
-    _check_name(config)
-    _check_lists(config)
-    _check_wide_gates(config)
-    _check_ramps(config)
-    _check_sizes(config)
+    """Refuse combinations of values that are impossible or have no effect.
+
+    Raises:
+        InputError: one line that names the key, its value and what is allowed.
+    """
+    _check_run(config)
     _check_constants(config)
-    _check_used(config)
+    _check_schedules(config)
+    last = at_end(config)
+    _check_gates(last)
+    _check_used(last)
 
 
-def _require(config: Config, key: str, fine: bool, allowed: str) -> None:
-    if not fine:
-        raise InputError(f"{key} is {value_at(config, key)!r}, allowed: {allowed}")
+def at_end(config: Config) -> Config:
+    """The config with the last value of every schedule."""
+    for key, schedule in config.schedules.items():
+        if schedule.linear[-1] != "value":
+            config = config.at(key, schedule.linear[-1])
+    return config
 
 
-def _check_finite(node: object, prefix: str) -> None:
-    for item in dataclasses.fields(node):
-        value, key = getattr(node, item.name), f"{prefix}{item.name}"
-        if dataclasses.is_dataclass(value):
-            _check_finite(value, f"{key}.")
-        values = value if isinstance(value, (list, tuple)) else [value]
-        if any(isinstance(x, float) and not math.isfinite(x) for x in values):
-            raise InputError(f"{key} is {value!r}, allowed: finite numbers")
-
-
-def _check_name(config: Config) -> None:
-    fine = bool(config.name) and all(c.isalnum() or c in "._-" for c in config.name)
-    _require(config, "name", fine and not config.name.startswith("."), "letters, digits, . _ -")
-    devices = config.train.devices
-    fine = devices in ("auto", "all") or (devices.isdigit() and int(devices) >= 1)
-    _require(config, "train.devices", fine, "auto, all, or a number from 1")
-    shares = config.train.shares
-    fine = shares >= 1 and shares & (shares - 1) == 0
-    _require(config, "train.shares", fine, "a power of two")
-
-
-def _check_lists(config: Config) -> None:
-    widths = config.network.hidden
-    _require(config, "network.hidden", bool(widths) and min(widths) >= 1, "widths of at least 1")
-    low_high = config.start.thrust
-    fine = len(low_high) == 2 and 0 <= low_high[0] <= low_high[1]
-    _require(config, "start.thrust", fine, "[lowest, highest], not negative")
-    steady = config.disturbance.steady_moment
-    fine = len(steady) == 3 and all(math.isfinite(x) for x in steady)
-    _require(config, "disturbance.steady_moment", fine, "three finite numbers, N m")
-    if not config.track.gates:
-        raise InputError(f"track.gates is empty in {config.track.file}, expected one gate or more")
-    for index, gate in enumerate(config.track.gates):
-        for name, count in (("position", 3), ("size", 2)):
-            value = getattr(gate, name)
-            if len(value) != count or not all(math.isfinite(x) for x in value):
-                raise InputError(
-                    f"track.gates[{index}].{name} is {value}, expected {count} finite numbers"
-                )
-        if not math.isfinite(gate.yaw_deg):
-            raise InputError(
-                f"track.gates[{index}].yaw_deg is {gate.yaw_deg}, expected a finite number"
-            )
-        if min(gate.size) <= 2 * config.episode.gate_margin:
-            raise InputError(
-                f"track.gates[{index}].size is {gate.size}, expected more than twice the "
-                f"episode.gate_margin {config.episode.gate_margin}"
-            )
-
-
-def _check_wide_gates(config: Config) -> None:
-    """What flies on beyond a gate's edge pays for it, by a price that has a slope there."""
-    margin, reward = config.episode.gate_margin, config.reward
-    priced = margin >= 0 or reward.edge > 0 or reward.gate_offset > 0
-    beyond = "at least 0 where neither reward.edge nor reward.gate_offset prices what is beyond"
-    _require(config, "episode.gate_margin", priced, beyond)
-    if reward.edge == 0:
-        return
-    lowest = reward.edge_margin - 1.0  # farther out the price stays the same
-    _require(config, "episode.gate_margin", margin >= lowest, f"at least {lowest:g}")
-    half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
-    _require(config, "reward.edge_margin", reward.edge_margin < half, f"less than {half:g}")
-
-
-def _check_ramps(config: Config) -> None:
-    """Ramps rise, and a residual is there in full before the run ends."""
-    for key in ("train.residual_ramp", "train.yaw_ramp", "train.edge_ramp"):
-        ramp = value_at(config, key)
-        fine = len(ramp) == 2 and 0 <= ramp[0] <= ramp[1]
-        _require(config, key, fine, "[first, last] step, not negative")
-    within = config.vehicle.residual is None or config.train.residual_ramp[1] <= config.train.steps
-    _require(config, "train.residual_ramp", within, f"up to train.steps {config.train.steps}")
-    turned = not config.train.yaw_ramp[1] or config.start.yaw_deg == 180.0
-    _require(config, "train.yaw_ramp", turned, f"[0, 0] for start.yaw_deg {config.start.yaw_deg}")
-
-
-def _check_sizes(config: Config) -> None:
-    ppo, shac, drones = config.ppo, config.shac, config.train.drones
-    if config.algorithm == "ppo":
-        block = ppo.shuffle_block or ppo.steps_per_update
-        if ppo.steps_per_update % block:
-            raise InputError(
-                f"ppo.shuffle_block is {block}, expected a divisor of ppo.steps_per_update "
-                f"{ppo.steps_per_update}"
-            )
-        blocks = drones * (ppo.steps_per_update // block)
-        if blocks % ppo.batches:
-            raise InputError(
-                f"ppo.batches is {ppo.batches}, expected a divisor of the {blocks} blocks of "
-                f"an update (train.drones {drones} x {ppo.steps_per_update // block})"
-            )
-    elif drones % shac.critic_batches:
-        raise InputError(
-            f"shac.critic_batches is {shac.critic_batches}, expected a divisor of train.drones "
-            f"{drones}"
-        )
+def _check_run(config: Config) -> None:
+    shards, devices = config.run.shards, config.run.devices
+    if shards & (shards - 1):
+        refuse("run.shards", shards, "a power of two")
+    if isinstance(devices, int) and devices < 1:
+        refuse("run.devices", devices, "auto, all, or a number from 1")
+    low, high = config.start.thrust
+    if low > high:
+        refuse("start.thrust", config.start.thrust, "[lowest, highest]")
 
 
 def _check_constants(config: Config) -> None:
-    """Every constant of both models is there, is a finite number and makes sense."""
-    positive = {"g", "i_xx", "i_yy", "i_zz", "k_w", "tau", "tau_rate", "tau_thrust"}
-    positive |= {"p_max", "q_max", "r_max"}
-    for section, kind in (("motor", MotorConstants), ("rate", RateConstants)):
-        values, names = getattr(config.vehicle, section), constant_names(kind)
-        for name in [*values, *names]:
-            key = f"vehicle.{section}.{name}"
-            if name not in names:
-                raise InputError(f"unknown key {key}; allowed there: {', '.join(names)}")
-            if name not in values:
-                raise InputError(f"{key} is missing from {config.vehicle.file}")
-            if not math.isfinite(values[name]):
-                raise InputError(f"{key} is {values[name]}, expected a finite number")
-            if name in positive and values[name] <= 0:
-                raise InputError(f"{key} is {values[name]}, expected a positive number")
-    _check_actual(config)
-    spread = config.randomise.limits
-    for section, values, low, high in (
-        ("motor", config.vehicle.motor, "rpm_min", "rpm_max"),
-        ("rate", config.vehicle.rate, "thrust_min", "thrust_max"),
-    ):
-        if not 0 <= values[low] * (1 + spread) < values[high] * (1 - spread):
-            drawn = f", however randomise.limits {spread} draws them" if spread else ""
-            raise InputError(
-                f"vehicle.{section}.{low} is {values[low]}, expected at least 0 and less than "
-                f"{high} {values[high]}{drawn}"
+    """Constants with which the drone can hover and the integration is stable."""
+    vehicle, spread = config.vehicle, config.randomization
+    model, constants = vehicle_model(vehicle.model), vehicle.constants
+    for name in model.positive:
+        if constants[name] <= 0:
+            refuse(f"vehicle.constants.{name}", constants[name], "a positive number")
+    for low, high in model.ranges:
+        if not 0 <= constants[low] * (1 + spread.limits) < constants[high] * (1 - spread.limits):
+            drawn = f", also as randomization.limits {spread.limits} draws them"
+            refuse(
+                f"vehicle.constants.{low}",
+                constants[low],
+                f"at least 0 and below {high} {constants[high]}{drawn if spread.limits else ''}",
             )
+    for name in model.lags:
+        least = 0.5 * config.rules.time_step / (1 - spread.lag)
+        if constants[name] <= least:
+            refuse(
+                f"vehicle.constants.{name}",
+                constants[name],
+                f"above {least:g} s, half of rules.time_step {config.rules.time_step} s "
+                "(integration is unstable below)",
+            )
+    if model.thrust_to_weight is not None:
+        lowest = {**constants, **{high: constants[low] for low, high in model.ranges}}
+        least, most = model.thrust_to_weight(lowest), model.thrust_to_weight(constants)
+        if not least < 1 < most:
+            raise InputError(
+                f"vehicle.constants give a thrust of {least:.3g} to {most:.3g} times the weight, "
+                "allowed: a range around 1, so that the drone can hover"
+            )
+    for name in vehicle.mismatch:
+        _check_name(f"vehicle.mismatch.{name}", name, model.constant_names)
 
 
-def _check_actual(config: Config) -> None:
-    """The flown drone's factors name constants of its model and are positive."""
-    names = constant_names(MotorConstants if config.vehicle.kind == "motor" else RateConstants)
-    for name, factor in config.vehicle.actual.items():
-        key = f"vehicle.actual.{name}"
-        if name not in names:
-            raise InputError(f"unknown key {key}; allowed there: {', '.join(names)}")
-        if not (math.isfinite(factor) and factor > 0):
-            raise InputError(f"{key} is {factor}, expected a positive factor")
+def _check_name(key: str, name: str, names: Sequence[str]) -> None:
+    if name not in names:
+        raise InputError(
+            f"unknown key {key}{close_match(name, names)}; allowed there: {', '.join(names)}"
+        )
 
 
-# Keys that say something of one kind of vehicle only, with the value that says nothing. The drawn
-# disturbances are not among them: a preset of both kinds may carry them, and one shows no others.
-MOTOR_ONLY = {
-    "vehicle.residual": None,
-    "disturbance.steady_moment": [0.0, 0.0, 0.0],
-    "randomise.inertia": 0.0,
-    "randomise.thrust": 0.0,
-    "randomise.moment": 0.0,
-    "randomise.velocity_moment": 0.0,
-    "randomise.yaw": 0.0,
-}
+def _check_schedules(config: Config) -> None:
+    for key, schedule in config.schedules.items():
+        own = value_at(config, key)
+        if not isinstance(own, float) or isinstance(own, bool):
+            raise InputError(f"schedules: {key} is {short(own)}, allowed: the key of a number")
+        _check_times(config, key, schedule)
+        default = value_at(_defaults(config), key)
+        if "value" not in schedule.linear and own not in (default, *schedule.linear):
+            refuse(
+                key,
+                own,
+                f"a value of its schedule {short(schedule.linear)}, as it would have no effect; "
+                f"write schedules.{key}.linear, with value for the key's own",
+            )
+        for value in schedule.linear:
+            if value != "value":
+                config.at(key, value)
+
+
+def _defaults(config: Config) -> Config:
+    return Config.model_construct(learner=type(config.learner)())
+
+
+def value_at(config: Config, key: str) -> object:
+    """The value at a dotted key; None if there is no such key."""
+    node: object = config
+    for part in key.split("."):
+        node = node.get(part) if isinstance(node, dict) else getattr(node, part, None)
+    return node
+
+
+def _check_times(config: Config, key: str, schedule: Schedule) -> None:
+    """A schedule begins before it ends, and ends within the run."""
+    steps = config.run.steps
+    for name, time in (("from", schedule.start), ("until", schedule.until)):
+        if time > 1 and time > steps:
+            refuse(
+                f"schedules.{key}.{name}",
+                f"{time:g} steps",
+                f"at most run.steps {steps}; write a fraction of the run ({name}: "
+                f"{0.5 if name == 'until' else 0.25}) or fewer steps",
+            )
+    begin, *_, end = schedule.knots(steps, steps)
+    if begin > end:
+        refuse(f"schedules.{key}.from", schedule.start, f"before until {schedule.until:g}")
+
+
+def _check_gates(config: Config) -> None:
+    """Gates that can be reached and passed, and widened ones whose edges have a penalty."""
+    limit, inflation = config.rules.position_limit, config.training_limits.gate_inflation
+    for index, gate in enumerate(config.track.gates):
+        key = f"track.gates[{index}]"
+        x, y, z = gate.position
+        if limit is not None and max(abs(x), abs(y)) >= limit:
+            refuse(
+                f"{key}.position", gate.position, f"|x| and |y| below rules.position_limit {limit}"
+            )
+        if z >= 0:
+            refuse(f"{key}.position", gate.position, "z below 0 (above ground)")
+        if min(gate.size) + 2 * inflation <= 0:
+            refuse(
+                f"{key}.size",
+                gate.size,
+                f"above {-2 * inflation:g} with training_limits.gate_inflation {inflation}",
+            )
+    reward = config.reward
+    if inflation > 0 and not (reward.gate_edge > 0 or reward.gate_offset > 0):
+        refuse(
+            "training_limits.gate_inflation",
+            inflation,
+            "at most 0 without reward.gate_edge or reward.gate_offset",
+        )
+    if reward.gate_edge == 0:
+        return
+    most = 1.0 - reward.gate_edge_margin  # the penalty is constant farther out
+    if inflation > most:
+        refuse("training_limits.gate_inflation", inflation, f"at most {most:g}")
+    half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
+    if reward.gate_edge_margin >= half:
+        refuse("reward.gate_edge_margin", reward.gate_edge_margin, f"below {half:g}")
 
 
 def _check_used(config: Config) -> None:
-    """Refuse what would change nothing: a person who set it expects that it does."""
-    if config.vehicle.kind != "rate":
-        return
-    for key, nothing in MOTOR_ONLY.items():
-        _require(config, key, value_at(config, key) == nothing, f"{nothing} for vehicle.kind=rate")
-    source = config.episode.disturbance_input
-    fine = source != "estimated"
-    _require(config, "episode.disturbance_input", fine, "true, none for vehicle.kind=rate")
+    """Refuse values that change nothing."""
+    model, defaults = vehicle_model(config.vehicle.model), _defaults(config)
+    with_model = f"with vehicle.model={config.vehicle.model}"
+    unused: dict[str, str] = {}
+    if not model.has_residual:
+        unused["vehicle.residual"] = with_model
+    if config.vehicle.residual is None:
+        unused["vehicle.residual_gain"] = "without vehicle.residual"
+    if model.disturbance is None:
+        unused |= {
+            f"disturbance.{key}": with_model for key in type(config.disturbance).model_fields
+        }
+        unused["observation.disturbance"] = with_model
+    for group in Randomization.model_fields:
+        if group not in model.groups:
+            unused[f"randomization.{group}"] = with_model
+    if config.vehicle.model == "motor":
+        unused["start.thrust"] = with_model
+    if config.reward.gate_edge == 0 and "reward.gate_edge" not in config.schedules:
+        unused["reward.gate_edge_margin"] = "without reward.gate_edge"
+    for key, reason in unused.items():
+        if key in config.schedules:
+            raise InputError(f"schedules: {key} has no effect {reason}; write schedules.{key}=null")
+        value, default = value_at(config, key), value_at(defaults, key)
+        if value != default:
+            refuse(key, value, f"{short(default)} {reason}, as it would have no effect")
+    if config.observation.disturbance == "estimated" and model.balance is None:
+        refuse("observation.disturbance", "estimated", f"ground_truth or none {with_model}")

@@ -5,7 +5,7 @@ import json
 import math
 import re
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from ruamel.yaml import YAML
@@ -95,36 +95,42 @@ def _check_plain(value: object, source: str, depth: int, count: list[int]) -> No
         raise InputError(f"{source}: {short(value)} is not a plain value")
 
 
-def read_tree_with_bases(path: Path | str) -> Tree:
+Merge = Callable[[Tree, Tree, Path], Tree]
+
+
+def read_tree_with_bases(path: Path | str, merge: Merge | None = None) -> Tree:
     """A YAML mapping merged over the files that its key ``base`` names, one or a list, in order.
 
     A base is a path relative to the file that names it, or the name of a file in ``configs/``,
     with or without ``.yaml``.
 
+    Args:
+        path: the file.
+        merge: ``(under, over, file of over) -> merged``; ``merge_trees`` by default.
+
     Raises:
         InputError: a file that cannot be read, a base that leads back to itself, a long chain.
     """
-    return _with_bases(Path(path), ())
+    return _with_bases(
+        {}, Path(path), (), merge or (lambda under, over, _: merge_trees(under, over))
+    )
 
 
-def _with_bases(path: Path, chain: tuple[Path, ...]) -> Tree:
+def _with_bases(under: Tree, path: Path, chain: tuple[Path, ...], merge: Merge) -> Tree:
     tree = read_yaml(path)
-    bases = tree.pop("base", None)
-    if bases is None:
-        return tree
+    bases = tree.pop("base", [])
     names = [bases] if isinstance(bases, str) else bases
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError(f"{path}: base is {short(bases)}, allowed: a file name or a list of them")
     chain = (*chain, path.resolve())
     if len(chain) > MAX_DEPTH:
         raise InputError(f"{path}: a chain of more than {MAX_DEPTH} bases")
-    merged: Tree = {}
     for name in names:
         base = find_file(name, path.parent)
         if base.resolve() in chain:
             raise InputError(f"{path}: base {name} leads back to itself")
-        merged = merge_trees(merged, _with_bases(base, chain))
-    return merge_trees(merged, tree)
+        under = _with_bases(under, base, chain, merge)
+    return merge(under, tree, path)
 
 
 def find_file(name: str, folder: Path, kind: str = ".") -> Path:

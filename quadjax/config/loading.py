@@ -1,288 +1,220 @@
-"""Configs: frozen dataclasses are the schema, YAML files and ``key=value`` words fill them.
+"""Loading a training config: presets, files, overrides, vehicle and track files."""
 
-A config file may name another as ``base``; ``vehicle.file`` and ``track.file`` name files of
-``configs/vehicles`` and ``configs/tracks``, whose values the config may override key by key.
-Whatever is wrong is one ``InputError`` that names the key, the value and what is allowed.
-"""
-
-import dataclasses
-import re
-import types
-import typing
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
 
-import yaml
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-
-from quadjax.config.checks import check
-from quadjax.config.schema import Config
+from quadjax.config.base import build
+from quadjax.config.checks import check, vehicle_model
+from quadjax.config.dataclass_config import fill, read_yaml_with_base  # noqa: F401
+from quadjax.config.files import (
+    Tree,
+    close_match,
+    find_file,
+    merge_trees,
+    parse_overrides,
+    read_tree_with_bases,
+    read_yaml,  # noqa: F401
+    short,
+)
+from quadjax.config.files import parse_overrides as parse_words  # noqa: F401
+from quadjax.config.renamed import check_renamed
+from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS
+from quadjax.core.imports import load_object
+from quadjax.core.resources import CONFIGS, find_config, preset_names
+from quadjax.learners.ppo.hyperparameters import PPO
+from quadjax.learners.section import LearnerSection
+from quadjax.learners.shac.hyperparameters import SHAC
 
-Schema = TypeVar("Schema")
-Tree = dict[str, object]
+LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
+FROM_FILE = {"vehicle": ("file", "name", "constants", "models"), "track": ("file", "name", "gates")}
+DEFAULTS: Tree = {"vehicle": {"file": "bebop1.yaml"}, "track": {"file": "square4.yaml"}}
 
 
-def load_config(path: Path | str, words: Sequence[str] = ()) -> Config:
-    """The config of a YAML file and ``key=value`` words, complete and checked.
+def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
+    """A training config, complete and checked.
+
+    Args:
+        config: the name of a preset, or a YAML file. A key ``base`` names one or several other
+            configs, over which this one is merged.
+        overrides: ``key=value`` with dotted keys; the value is read as YAML. ``track=figure8`` is
+            short for ``track.file=figure8.yaml``; likewise ``vehicle``.
 
     Raises:
-        InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
+        InputError: one line that names the file, the key, the value and what is allowed.
     """
-    tree = merge_trees(read_yaml_with_base(path), parse_words(words))
-    tree = _with_file(tree, "vehicle", _vehicle_values, Path(path).parent)
-    tree = _with_file(tree, "track", _track_values, Path(path).parent)
-    config = fill(Config, tree, str(path))
-    check(config)
+    path = find_config(config)
+    if path.suffix == "" and not path.exists():
+        names = preset_names()
+        hint = close_match(str(config), names)
+        raise InputError(f"{config}: no such preset or file{hint}; presets: {', '.join(names)}")
+    tree = read_tree_with_bases(path, _merge)
+    if not tree:
+        raise InputError(f"{path}: empty; write at least the preset to start from, as base: e2e")
+    tree = merge_trees(_defaults(tree), tree)
+    over = parse_overrides(overrides)
+    here = Path() if _exists(over, Path()) else path.parent
+    return _build(_merge(tree, over, here / "overrides"), str(path))
+
+
+def _defaults(tree: Tree) -> Tree:
+    """The default vehicle and track, unless a config names a file or gives all gates."""
+    absent = {
+        section: value
+        for section, value in DEFAULTS.items()
+        if not {"models", "gates"} & set(tree.get(section) or ())
+    }
+    return _merge({}, absent, CONFIGS / "defaults")
+
+
+def _exists(over: Tree, folder: Path) -> bool:
+    """Whether a vehicle or track file of the overrides is in ``folder``."""
+    sections = [over.get(name) for name in FROM_FILE]
+    names = [s.get("file") if isinstance(s, dict) else s for s in sections]
+    return any(isinstance(name, str) and (folder / name).is_file() for name in names)
+
+
+def _merge(under: Tree, over: Tree, path: Path) -> Tree:
+    """The config ``over``, of a file, on ``under``, with the vehicle and track files it names.
+
+    A file replaces what lower configs say of name, constants or gates; another algorithm replaces
+    the hyperparameters of the one below.
+    """
+    check_renamed(over, str(path))
+    over, under = _nested_schedules(over), dict(under)
+    for section, keys in FROM_FILE.items():
+        own = over.get(section)
+        own = {"file": own} if isinstance(own, str) else own
+        if not isinstance(own, dict) or own.get("file") is None:
+            continue
+        if not isinstance(own["file"], str):
+            raise InputError(f"{section}.file is {short(own['file'])}, allowed: name of a file")
+        values = _file_values(section, find_file(own["file"], path.parent, f"{section}s"))
+        lower = under.get(section, {})
+        under[section] = {k: v for k, v in lower.items() if k not in keys}
+        over = {**over, section: merge_trees(values, {**own, "file": None})}
+    _switch_model(under, over)
+    learner = over.get("learner")
+    if isinstance(learner, dict) and "algorithm" in learner:
+        lower = under.get("learner", {})
+        if isinstance(lower, dict) and lower.get("algorithm") != learner["algorithm"]:
+            under["learner"] = {}
+            schedules = under.get("schedules", {})
+            under["schedules"] = {k: v for k, v in schedules.items() if "learner." not in k}
+    return merge_trees(under, over)
+
+
+def _switch_model(under: Tree, over: Tree) -> None:
+    """Keep the constants below with the other models, where ``over`` has another one."""
+    lower, own = under.get("vehicle"), over.get("vehicle")
+    if not (isinstance(lower, dict) and isinstance(own, dict) and "model" in own):
+        return
+    model, constants = lower.get("model", "motor"), lower.get("constants")
+    if own["model"] != model and isinstance(constants, dict):
+        lower = {key: value for key, value in lower.items() if key != "constants"}
+        under["vehicle"] = merge_trees(lower, {"models": {model: constants}})
+
+
+def _file_values(section: str, path: Path) -> Tree:
+    """Name and gates of a track file; name and constants by model of a vehicle file."""
+    tree = read_tree_with_bases(path)
+    if section == "track":
+        for key in tree:
+            if key not in ("name", "gates"):
+                hint = close_match(key, ["name", "gates"])
+                raise InputError(f"{path}: unknown key {key}{hint}; allowed: gates, name")
+        return {"name": path.stem, "gates": [], **tree}
+    models = {k: v for k, v in tree.items() if k not in ("name", "mass")}
+    for key, value in models.items():
+        if not isinstance(value, dict):
+            raise InputError(
+                f"{path}: {key} is {short(value)}; allowed: name, mass, and the constants of each "
+                "model as a mapping (motor, rate)"
+            )
+    return {"name": tree.get("name", path.stem), "models": models}
+
+
+def _nested_schedules(tree: Tree) -> Tree:
+    """The tree with flat keys of schedules: ``learner.std``, not ``learner: {std: ..}``."""
+    flat: Tree = {}
+
+    def collect(node: object, prefix: str) -> None:
+        fields = {field.alias or name for name, field in Schedule.model_fields.items()}
+        if not isinstance(node, dict) or not node or fields & set(node):
+            flat[prefix] = node
+            return
+        for key, value in node.items():
+            collect(value, f"{prefix}.{key}" if prefix else key)
+
+    if not isinstance(tree.get("schedules"), dict):
+        return tree
+    collect(tree["schedules"], "")
+    flat.pop("", None)
+    return {**tree, "schedules": flat}
+
+
+def _build(tree: Tree, source: str) -> Config:
+    """The config of a merged tree."""
+    vehicle, learner = tree.get("vehicle"), tree.get("learner", {})
+    if not isinstance(vehicle, dict):
+        raise InputError(f"{source}: vehicle is {short(vehicle)}, allowed: a mapping")
+    if not isinstance(learner, dict):
+        raise InputError(f"{source}: learner is {short(learner)}, allowed: a mapping")
+    schedules = tree.get("schedules", {})
+    if isinstance(schedules, dict):  # null removes a schedule
+        schedules = {key: value for key, value in schedules.items() if value is not None}
+    tree = {
+        **tree,
+        "vehicle": _with_constants(vehicle, source),
+        "learner": _learner(learner, source),
+        "schedules": schedules,
+    }
+    config = build(Config, tree, source)
+    try:
+        check(config)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
     return config
 
 
-def fill(schema: type[Schema], tree: Tree, source: str) -> Schema:
-    """An instance of a dataclass schema, filled from plain values by OmegaConf.
-
-    Args:
-        schema: a (nested) dataclass with defaults.
-        tree: plain dictionaries, lists and values.
-        source: what to name in an error: the file.
-
-    Raises:
-        InputError: an unknown key or a value of the wrong type.
-    """
-    _check_keys(schema, tree, source, "")
-    try:
-        merged = OmegaConf.merge(_open(OmegaConf.structured(schema)), OmegaConf.create(tree))
-        return OmegaConf.to_object(merged)
-    except OmegaConfBaseException as error:
-        key = getattr(error, "full_key", None) or "?"
-        reason = str(error.msg if hasattr(error, "msg") else error).splitlines()[0]
-        raise InputError(f"{source}: {key}: {reason}") from error
-
-
-def _open(node: DictConfig) -> DictConfig:
-    """Let a frozen dataclass's nodes be merged into."""
-    OmegaConf.set_readonly(node, False)
-    for key in node:
-        child = node._get_node(key)
-        if isinstance(child, DictConfig):
-            _open(child)
-    return node
-
-
-def _check_keys(schema: type, tree: object, source: str, prefix: str) -> None:
-    """Refuse unknown keys with the list of allowed ones, before OmegaConf sees them."""
-    hints = typing.get_type_hints(schema)
-    if not isinstance(tree, dict):
-        raise InputError(f"{source}: {prefix.rstrip('.') or 'config'}: {tree!r} is not a mapping")
-    for key, value in tree.items():
-        if key not in hints:
-            raise InputError(
-                f"{source}: unknown key {prefix}{key}; allowed there: {', '.join(sorted(hints))}"
-            )
-        kind = _plain(hints[key])
-        if value is None and kind is not hints[key]:
-            continue
-        _check_value(kind, value, source, f"{prefix}{key}")
-        tree[key] = _as_meant(kind, value)
-        if dataclasses.is_dataclass(kind):
-            _check_keys(kind, value, source, f"{prefix}{key}.")
-        elif isinstance(value, list):
-            _check_items(kind, value, source, f"{prefix}{key}")
-
-
-def _check_value(kind: object, value: object, source: str, name: str) -> None:
-    """Refuse what OmegaConf would pass over or answer without naming the key."""
-    container = typing.get_origin(kind)
-    if container in (list, dict) and not isinstance(value, container):
-        wanted = "list" if container is list else "mapping"
-        raise InputError(f"{source}: {name}: {value!r} is not a {wanted}")
-    if container is dict and typing.get_args(kind)[1:] == (float,):
-        for key, number in value.items():
-            if isinstance(number, bool) or not isinstance(number, (int, float)):
-                raise InputError(f"{source}: {name}.{key} is {number!r}, expected a number")
-    if value == "???":
-        raise InputError(f"{source}: {name} is '???', expected a value")
-
-
-def _as_meant(kind: object, value: object) -> object:
-    """A value as its field's type takes it: YAML reads true as a truth value, 2e6 as a float."""
-    if kind is str and isinstance(value, bool):
-        return str(value).lower()
-    if kind is int and isinstance(value, float) and value.is_integer():
-        return int(value)
-    return value
-
-
-def _check_items(kind: object, values: list, source: str, name: str) -> None:
-    inner = [_plain(argument) for argument in typing.get_args(kind)]
-    for index, value in enumerate(values):
-        if inner and dataclasses.is_dataclass(inner[0]):
-            _check_keys(inner[0], value, source, f"{name}[{index}].")
-        elif inner and inner[0] in (int, float):
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise InputError(f"{source}: {name}[{index}] is {value!r}, expected a number")
-
-
-def _plain(hint: object) -> object:
-    """The type under an ``| None``."""
-    if isinstance(hint, types.UnionType):
-        return next(a for a in typing.get_args(hint) if a is not type(None))
-    return hint
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML in which 1e-3 is a number, as everybody expects, and a key given twice is an error."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Tree:
-        seen: set[object] = set()
-        for key_node, _ in node.value:
-            if not isinstance(key_node, yaml.ScalarNode):
-                raise yaml.constructor.ConstructorError(
-                    None, None, "a key is not a plain word", key_node.start_mark
-                )
-            if key_node.tag == "tag:yaml.org,2002:merge":
-                continue
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key!r} is given twice", key_node.start_mark
-                )
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)[eE][-+]?\d+$"),
-    list("-+0123456789."),
-)
-# YAML 1.1 takes on, off, yes and no for truth values; here some are choices: residual.mirror. A key
-# that is true or false understands them all the same.
-for _letter in "yYnNoO":
-    _Loader.yaml_implicit_resolvers[_letter] = [
-        (tag, pattern)
-        for tag, pattern in _Loader.yaml_implicit_resolvers[_letter]
-        if tag != "tag:yaml.org,2002:bool"
-    ]
-
-
-def read_yaml(path: Path | str) -> Tree:
-    """A YAML file that holds a mapping.
-
-    Raises:
-        InputError: no such file, not YAML (with the line), or not a mapping.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
-    return _parse_yaml(text, str(path), mapping=True)
-
-
-def _parse_yaml(text: str, source: str, mapping: bool = False) -> object:
-    try:
-        value = yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" line {mark.line + 1}:" if mark else ""
-        reason = " ".join(str(getattr(error, "problem", error)).split())
-        raise InputError(f"{source}:{where} {reason}") from error
-    if mapping and value is None:
-        return {}
-    if mapping and not isinstance(value, dict):
-        raise InputError(f"{source}: expected a mapping of keys to values")
-    return value
-
-
-def read_yaml_with_base(path: Path | str, _seen: tuple[Path, ...] = ()) -> Tree:
-    """A YAML mapping laid over the file that it names as ``base``, if it names one."""
-    path = Path(path)
-    if path.resolve() in _seen:
-        raise InputError(f"{path}: 'base' leads back to itself")
-    tree = read_yaml(path)
-    base = tree.pop("base", None)
-    if base is None:
-        return tree
-    if not isinstance(base, str):
-        raise InputError(f"{path}: base is {base!r}, expected the name of a config file")
-    under = read_yaml_with_base(path.parent / base, (*_seen, path.resolve()))
-    return merge_trees(under, tree)
-
-
-def parse_words(words: Sequence[str]) -> Tree:
-    """Dotted ``key=value`` words as a tree; values are read as YAML.
-
-    Raises:
-        InputError: a word that is not ``key=value``.
-    """
-    tree: Tree = {}
-    for word in words:
-        key, equals, text = word.partition("=")
-        parts = key.split(".")
-        if not equals or not all(parts):
-            raise InputError(f"{word!r} is not of the form key=value")
-        value = _parse_yaml(text, key)
-        for part in reversed(parts):
-            value = {part: value}
-        tree = merge_trees(tree, value)
-    return tree
-
-
-def merge_trees(under: Tree, over: Tree) -> Tree:
-    """``over`` laid over ``under``: mappings merge, all else is replaced."""
-    merged = dict(under)
-    for key, value in over.items():
-        if isinstance(value, dict) and isinstance(merged.get(key), dict):
-            merged[key] = merge_trees(merged[key], value)
-        else:
-            merged[key] = value
-    return merged
-
-
-def find_file(name: str, folder: str, beside: Path) -> Path:
-    """A file named in a config: beside the config, in its ``folder``, or the project's own."""
-    places = [Path(name), beside / name, beside / folder / name, CONFIGS / folder / name]
-    for place in places:
-        if place.is_file():
-            return place
-    raise InputError(f"{name}: no such file in {folder}/ (looked at {places[-1]} too)")
-
-
-def _with_file(
-    tree: Tree, section: str, values: typing.Callable[[Tree, Path], Tree], beside: Path
-) -> Tree:
-    """Lay a section of the config over the file that it names."""
-    own = tree.get(section, {})
-    if not isinstance(own, dict):
-        raise InputError(f"{section}: {own!r} is not a mapping")
-    name = own.get("file") or getattr(Config(), section).file
+def _with_constants(vehicle: Tree, source: str) -> Tree:
+    """The vehicle section with the constants of its model, complete."""
+    vehicle = dict(vehicle)
+    models = vehicle.get("models", {})
+    name, own = vehicle.get("model", "motor"), vehicle.get("constants", {})
     if not isinstance(name, str):
-        raise InputError(f"{section}.file is {name!r}, expected the name of a file")
-    path = find_file(name, f"{section}s", beside)
-    if path != CONFIGS / f"{section}s" / name:
-        own = {**own, "file": str(path.resolve())}  # found again from wherever this is saved
-    return {**tree, section: merge_trees(values(read_yaml(path), path), own)}
+        raise InputError(f"{source}: vehicle.model is {short(name)}, allowed: motor, rate or text")
+    if not isinstance(own, dict):
+        raise InputError(f"{source}: vehicle.constants is {short(own)}, allowed: a mapping")
+    names = vehicle_model(name).constant_names
+    constants = {**models.get(name, {}), **own}
+    for key in constants:
+        if key not in names:
+            raise InputError(
+                f"{source}: unknown key vehicle.constants.{key}{close_match(key, names)}; allowed "
+                f"with vehicle.model={name}: {', '.join(names)}"
+            )
+    for key in names:
+        if constants.get(key) is None:
+            where = f"; {vehicle.get('name')} has constants of: {', '.join(models) or 'no model'}"
+            raise InputError(f"{source}: vehicle.constants.{key} is missing{where}")
+    return {
+        **vehicle,
+        "constants": {key: constants[key] for key in names},
+        "models": {other: values for other, values in models.items() if other != name},
+    }
 
 
-def _vehicle_values(tree: Tree, path: Path) -> Tree:
-    allowed = {"name", "mass", "motor", "rate"}
-    for key in tree:
-        if key not in allowed:
-            raise InputError(f"{path}: unknown key {key}; allowed: {', '.join(sorted(allowed))}")
-    return {key: tree[key] for key in allowed if key in tree}
-
-
-def _track_values(tree: Tree, path: Path) -> Tree:
-    for key in tree:
-        if key not in ("name", "gates"):
-            raise InputError(f"{path}: unknown key {key}; allowed: gates, name")
-    return tree
-
-
-def to_yaml(config: Config) -> str:
-    """The full config as YAML, which ``load_config`` reads back."""
-    return OmegaConf.to_yaml(OmegaConf.structured(config))
+def _learner(tree: Tree, source: str) -> LearnerSection:
+    """The learner section, of the class that its algorithm names."""
+    name = tree.get("algorithm", "ppo")
+    allowed = f"{', '.join(LEARNERS)} or module:Class"
+    if isinstance(name, str) and ":" in name:
+        schema = load_object(name, "learner.algorithm")
+        if not (isinstance(schema, type) and issubclass(schema, LearnerSection)):
+            raise InputError(f"{source}: learner.algorithm is {name}: not a LearnerSection")
+    elif name in LEARNERS:
+        schema = LEARNERS[name]
+    else:
+        raise InputError(f"{source}: learner.algorithm is {short(name)}, allowed: {allowed}")
+    return build(schema, tree, source, prefix="learner.")

@@ -1,233 +1,346 @@
-"""The schema of a training config: every key, its default and the values it may take."""
+"""The training config: every key with its default, unit, bounds and description.
 
-from dataclasses import dataclass, field
+Lengths are in m, velocities in m/s, angles in deg where the name says so and in rad otherwise. The
+world frame is north-east-down, the body frame front-right-down.
+"""
 
+from typing import Annotated, Any, Literal, Self
 
-@dataclass(frozen=True)
-class VehicleConfig:
-    """The drone: which model, its constants (filled from ``file``) and its residual."""
+from pydantic import SerializeAsAny
 
-    kind: str = "motor"  # motor (E2E) | rate (INDI)
-    file: str = "bebop1.yaml"  # in configs/vehicles
-    residual: str | None = None  # residual file (.npz), or the name of a shipped one
-    integrator: str = "euler"  # euler | rk4
-    name: str = ""
-    mass: float = 1.0  # kg, only to report newtons
-    motor: dict[str, float] = field(default_factory=dict)
-    rate: dict[str, float] = field(default_factory=dict)
-    # Factors on constants of the drone that flies, where it is not the one that the policy and
-    # its estimator know: {k_w: 0.96} for four per cent less thrust.
-    actual: dict[str, float] = field(default_factory=dict)
+from quadjax.config.base import Field, Section, to_yaml
+from quadjax.core.errors import InputError
+from quadjax.learners.ppo.hyperparameters import PPO
+from quadjax.learners.section import LearnerSection, Network
 
-
-@dataclass(frozen=True)
-class GateConfig:
-    """One gate, world NED."""
-
-    position: list[float] = field(default_factory=list)  # x, y, z, m
-    yaw_deg: float = 0.0  # heading of the way through, deg
-    size: list[float] = field(default_factory=lambda: [1.0, 1.0])  # width and height, m
+MAX_LAPS, MAX_RUNS = 1000, 100_000  # of one evaluation, which is simulated all at once
+Fraction = Annotated[float, Field(ge=0, le=0.9)]
+HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
+Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
+Penalty = Annotated[float, Field(ge=0, le=1e6)]
 
 
-@dataclass(frozen=True)
-class TrackConfig:
-    """The gates in flying order (filled from ``file``)."""
+class Vehicle(Section):
+    """The drone: its model, constants and residual."""
 
-    file: str = "square4.yaml"  # in configs/tracks
-    name: str = ""
-    gates: list[GateConfig] = field(default_factory=list)
+    model: str = Field(
+        "motor",
+        description="dynamics: motor (commands are four propeller speeds; E2E), rate (body rates "
+        "and thrust; INDI), or the module:OBJECT of your own VehicleModel",
+    )
+    file: str | None = Field(
+        None,
+        description="YAML file with the name and the constants, next to the config or in "
+        "configs/vehicles; loading copies its values into the config and sets this to null "
+        "(default: bebop1.yaml)",
+    )
+    name: str = Field("", description="name of the drone, for tables and figures")
+    constants: dict[str, float] = Field(
+        {}, description="physical constants of the chosen model, each overrides that of the file"
+    )
+    models: dict[str, dict[str, float]] = Field(
+        {}, description="constants of the file's other models, for a later vehicle.model"
+    )
+    residual: str | None = Field(
+        None, description="residual networks: an .npz file, or the name of a shipped one"
+    )
+    residual_gain: float = Field(
+        1.0, ge=0, le=10, description="factor on the outputs of the residual networks"
+    )
+    integrator: Literal["euler", "rk4"] = Field("euler", description="integration of a time step")
+    mismatch: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(
+        {},
+        description="factors on constants of the simulated drone that policy and estimator do not "
+        "know of: {k_w: 0.96} for 4% less thrust",
+    )
 
+    def with_model(self, model: str) -> "Vehicle":
+        """The vehicle with another model that its file has constants of.
 
-@dataclass(frozen=True)
-class RewardConfig:
-    """Weights of the reward; the defaults are the published ones."""
-
-    progress: float = 1.0  # per metre nearer to the target gate
-    gate: float = 10.0  # per gate passed
-    gate_offset: float = 10.0  # taken off per metre from its centre
-    collision: float = 10.0  # taken off for a collision
-    time: float = 0.0  # taken off per second
-    rates: float = 0.0  # taken off per second and rad/s of body rate
-    # Per metre of the passing step, to the gate's centre and then to the next one's; in the weight
-    # of progress, a leg sums to the same wherever its gates are passed.
-    onward: float = 0.0
-    edge: float = 0.0  # taken off per metre beyond the safe part of a gate's opening, passed or hit
-    edge_margin: float = 0.1  # m between the safe part and each edge of the opening
-
-
-@dataclass(frozen=True)
-class EpisodeConfig:
-    """An episode: its clock, its limits, its start and what the policy is told."""
-
-    dt: float = 0.01  # s
-    max_steps: int = 1200
-    gate_test: str = "square"  # square (the paper) | world_box (the authors' code)
-    # m taken off each side of a gate in training; below zero, added: what would have hit flies on,
-    # at the price of reward.edge or gate_offset, and is no crash in the metrics of training.
-    # Evaluation knows only the rule.
-    gate_margin: float = 0.0
-    position_limit: float = 10.0  # m
-    rate_limit: float = 1000.0  # rad/s
-    pitch_limit_deg: float = 85.0  # in training
-    roll_limit_deg: float = 180.0  # in training; 180: none
-    yaw_rate_limit: float = 1000.0  # rad/s, in training; 1000: none
-    random_gate: bool = False  # start before any gate, not only the first
-    stagger_clocks: bool = False  # start at a random step of the clock
-    disturbance_input: str = "true"  # true | estimated | none: what the observation says
-    wrap_next_yaw: bool = True  # false: the authors' code's plain difference
-
-
-@dataclass(frozen=True)
-class StartConfig:
-    """Half-widths of the uniform start; the defaults are the paper's."""
-
-    position: float = 0.5  # m
-    velocity: float = 0.5  # m/s
-    roll_pitch_deg: float = 40.0  # the authors' code: 20
-    yaw_deg: float = 180.0
-    rates: float = 1.0  # rad/s; the authors' code: 0.1
-    thrust: list[float] = field(default_factory=lambda: [7.4, 7.6])  # m/s^2, rate-level vehicle
+        Raises:
+            InputError: the file has none.
+        """
+        if model == self.model:
+            return self
+        if model not in self.models:
+            raise InputError(f"vehicle.models has no constants for {model}; it has {self.models}")
+        others = {name: values for name, values in self.models.items() if name != model}
+        others[self.model] = self.constants
+        return self.replace(model=model, constants=self.models[model], models=others, mismatch={})
 
 
-@dataclass(frozen=True)
-class DisturbanceConfig:
-    """Half-widths of the external disturbances, constant over an episode."""
+class Gate(Section):
+    """One gate, in the world frame."""
 
-    moment_x: float = 0.0  # N m; the paper: 0.03
-    moment_y: float = 0.0  # N m; the paper: 0.03
-    moment_z: float = 0.0  # N m; the paper: 0.01
-    force_z: float = 0.0  # m/s^2; the paper: 0.5
-    steady_moment: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N m, always there
+    position: tuple[float, float, float] = Field(description="center x, y, z, m; z < 0 is above 0")
+    yaw_deg: float = Field(0.0, ge=-720, le=720, description="direction of passage, deg")
+    size: tuple[Annotated[float, Field(gt=0, le=100)], Annotated[float, Field(gt=0, le=100)]] = (
+        Field((1.0, 1.0), description="width and height of the opening, m")
+    )
+
+
+class Track(Section):
+    """The gates, in the order of passage."""
+
+    file: str | None = Field(
+        None,
+        description="YAML file with the name and the gates, next to the config or in "
+        "configs/tracks; loading copies its values into the config and sets this to null "
+        "(default: square4.yaml)",
+    )
+    name: str = Field("", description="name of the track, for tables and figures")
+    gates: tuple[Gate, ...] = Field(
+        min_length=1, max_length=100, description="list of {position, yaw_deg, size}"
+    )
+
+
+class Observation(Section):
+    """What the policy observes besides its state and the next two gates."""
+
+    disturbance: Literal["ground_truth", "estimated", "none"] = Field(
+        "ground_truth",
+        description="source of the observed external disturbance: the simulator, the onboard "
+        "estimator, or zeros",
+    )
+    wrap_next_yaw: bool = Field(
+        True,
+        description="wrap the next gate's relative yaw to +-180 deg; the authors' code does not",
+    )
+    extra: tuple[str, ...] = Field(
+        (), max_length=32, description="further fields, each the module:FIELD of your own Field"
+    )
+
+
+class Reward(Section):
+    """Weights of the reward terms; the defaults are the published ones."""
+
+    progress: Weight = Field(1.0, description="reward per m of progress to the target gate")
+    gate: Weight = Field(10.0, description="reward per gate passed")
+    gate_offset: Weight = Field(10.0, description="penalty per m from the gate's center on passing")
+    collision: Weight = Field(10.0, description="penalty for a collision")
+    time: Weight = Field(0.0, description="penalty per s")
+    body_rates: Weight = Field(0.0, description="penalty per s and rad/s of body rate")
+    pitch_up: Penalty = Field(0.0, description="penalty per s and rad of pitch (nose up)")
+    next_gate_progress: Penalty = Field(
+        0.0,
+        description="reward per m of progress to the next gate within the step that passes a gate; "
+        "equal to progress, a leg's reward does not depend on where its gates are passed",
+    )
+    gate_edge: Penalty = Field(
+        0.0, description="penalty per m of clearance violation on crossing the gate's plane"
+    )
+    gate_edge_margin: Penalty = Field(
+        0.1, description="required clearance from each edge of a gate's opening, m"
+    )
+    terms: dict[str, Weight] = Field(
+        {}, description="weights of your own reward terms, by module:function"
+    )
+
+
+class Rules(Section):
+    """The rules of the race, in training and evaluation."""
+
+    time_step: float = Field(
+        0.01, ge=1e-4, le=0.1, description="time between two commands and of the simulation, s"
+    )
+    gate_test: Literal["square", "world_box"] = Field(
+        "square",
+        description="what counts as passing: within the opening (the paper), or within a box along "
+        "the world axes (the authors' code)",
+    )
+    position_limit: float | None = Field(
+        10.0, gt=0, le=1e6, description="largest |x| and |y|, m; null: none"
+    )
+    body_rate_limit: float | None = Field(
+        1000.0, gt=0, le=1e6, description="largest body rate about any axis, rad/s; null: none"
+    )
+    extra: tuple[str, ...] = Field(
+        (), max_length=32, description="your own rules that end an episode, as module:function"
+    )
+
+
+class TrainingLimits(Section):
+    """Limits that apply in training only."""
+
+    episode_steps: int = Field(1200, ge=1, le=10**6, description="time steps of an episode")
+    pitch_deg: float = Field(85.0, ge=1, le=89, description="largest |pitch|, deg")
+    roll_deg: float | None = Field(None, ge=1, le=180, description="largest |roll|, deg")
+    yaw_rate: float | None = Field(None, gt=0, le=1e6, description="largest |yaw rate|, rad/s")
+    gate_inflation: float = Field(
+        0.0,
+        ge=-50,
+        le=50,
+        description="widening of every gate's opening on each side, m; negative: narrowing",
+    )
+
+
+class Start(Section):
+    """The uniform distribution of an episode's start; the defaults are the paper's."""
+
+    gate: Literal["first", "random"] = Field(
+        "first", description="target of a start: the first gate or any; starts at the one before it"
+    )
+    heading: Literal["north", "inside_turn"] = Field(
+        "north", description="center of the start's yaw: north, or to the inside of the turn"
+    )
+    stagger_clocks: bool = Field(
+        False, description="start at a random step of the episode's clock, so that resets spread"
+    )
+    position: HalfWidth = Field(0.5, description="half-width about the gate's center, m")
+    velocity: HalfWidth = Field(0.5, description="half-width of each component, m/s")
+    roll_pitch_deg: float = Field(40.0, ge=0, le=89, description="half-width of roll and pitch")
+    yaw_deg: float = Field(180.0, ge=0, le=180, description="half-width of yaw about the heading")
+    body_rates: HalfWidth = Field(1.0, description="half-width of each component, rad/s")
+    thrust: tuple[HalfWidth, HalfWidth] = Field(
+        (7.4, 7.6), description="lowest and highest thrust, m/s^2; model rate"
+    )
+
+
+class Disturbance(Section):
+    """External disturbances, drawn per episode and constant in it."""
+
+    moment_x: HalfWidth = Field(0.0, description="half-width, N m; the paper: 0.03")
+    moment_y: HalfWidth = Field(0.0, description="half-width, N m; the paper: 0.03")
+    moment_z: HalfWidth = Field(0.0, description="half-width, N m; the paper: 0.01")
+    force_z: HalfWidth = Field(0.0, description="half-width, m/s^2; the paper: 0.5")
+    moment_bias: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="moment added in every episode, N m, body"
+    )
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """The ranges by name, without the steady part: what scales the observation."""
-        return {name: value for name, value in vars(self).items() if name != "steady_moment"}
+        """The drawn ranges by name, without the bias: what scales the observation."""
+        return {key: value for key, value in self.__dict__.items() if key != "moment_bias"}
 
 
-@dataclass(frozen=True)
-class RandomiseConfig:
-    """Domain randomisation: the fraction by which each constant of a group may be off."""
+class Randomization(Section):
+    """Domain randomization: largest relative error of each constant of a group, per episode."""
 
-    gravity: float = 0.0
-    inertia: float = 0.0
-    thrust: float = 0.0
-    drag: float = 0.0
-    moment: float = 0.0
-    velocity_moment: float = 0.0
-    yaw: float = 0.0
-    lag: float = 0.0
-    limits: float = 0.0
-
-
-@dataclass(frozen=True)
-class NetworkConfig:
-    """Separate policy and value networks."""
-
-    hidden: list[int] = field(default_factory=lambda: [64, 64, 64])
-    activation: str = "relu"  # relu | tanh
-    log_std: float = 0.0  # at the start
+    gravity: Fraction = Field(0.0, description="g")
+    inertia: Fraction = Field(0.0, description="moments of inertia")
+    thrust: Fraction = Field(0.0, description="thrust coefficient")
+    drag: Fraction = Field(0.0, description="drag coefficients")
+    moment: Fraction = Field(0.0, description="roll and pitch moment coefficients")
+    velocity_moment: Fraction = Field(0.0, description="moments of translational flight")
+    yaw: Fraction = Field(0.0, description="yaw moment coefficients")
+    lag: Fraction = Field(0.0, description="time constants")
+    limits: Fraction = Field(0.0, description="lowest and highest commands")
 
 
-@dataclass(frozen=True)
-class PPOConfig:
-    """Proximal policy optimisation (Schulman et al., 2017)."""
-
-    steps_per_update: int = 64  # steps of each drone before an update
-    batches: int = 8  # per epoch
-    epochs: int = 5
-    shuffle_block: int = 0  # consecutive steps kept together when shuffling; 0: all of an update
-    learning_rate: float = 7e-4
-    final_learning_rate: float = 0.0  # reached linearly at the end
-    adam_epsilon: float = 1e-5
-    discount: float = 0.99
-    gae_lambda: float = 0.95
-    clip: float = 0.2
-    value_coefficient: float = 0.5
-    entropy_coefficient: float = 0.0
-    gradient_norm: float = 0.5
-    separate_clip: bool = True  # clip the policy's and the value's gradients apart
-    kl_limit: float = 0.03  # batches whose KL from the old policy is larger are skipped
-    reward_scale: float = 1.0
-    warm_up: int = 0  # updates of the value alone, for a policy from train.init
-
-
-@dataclass(frozen=True)
-class SHACConfig:
-    """Short-horizon actor-critic (Xu et al., 2022): gradients through the simulator."""
-
-    horizon: int = 48  # steps of each drone per gradient
-    learning_rate: float = 3e-3
-    final_learning_rate: float = 1.5e-4  # reached linearly at the end
-    adam_b1: float = 0.7
-    adam_b2: float = 0.95
-    gradient_norm: float = 1.0
-    critic_learning_rate: float = 3e-3
-    critic_gradient_norm: float = 1.0
-    critic_passes: int = 4
-    critic_batches: int = 4
-    critic_target_rate: float = 0.2  # how fast the target critic follows
-    td_lambda: float = 0.95
-    discount: float = 0.99
-    final_discount: float | None = None  # reached linearly at the end; null: the same throughout
-    state_gradient_decay: float = 0.95  # per step, on its way back through the state
-    state_gradient_clip: float = 0.02  # largest entry of the state's gradient
-    std: float = 0.3  # of the actions while training
-    final_std: float = 0.3
-    reward_scale: float = 0.1
-    # Of the running mean of the policy, which is flown and kept; 1: the policy itself. The mean is
-    # never over more than a twentieth of the updates so far.
-    mean_rate: float = 1.0
-    warm_up: int = 0  # updates of the value alone, for a policy from train.init
-
-
-@dataclass(frozen=True)
-class TrainConfig:
+class Run(Section):
     """The training run."""
 
-    drones: int = 1024
-    steps: int = 40_000_000  # environment steps in all
-    devices: str = "auto"  # auto | all | a number, of each process
-    shares: int = 8  # a power of two: at most so many devices may share the drones
-    init: str | None = None  # policy file (.npz) to start from
-    # What grows in from nothing between two numbers of environment steps of this run: the vehicle's
-    # residual, the yaw (up to half a turn) by which a start may be turned away from the inside of
-    # the track's bend, and reward.edge.
-    residual_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    yaw_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    # Taken off the reward per second and rad of pitch: in full until yaw_ramp begins, nothing from
-    # its end on (a shorter run ends with some of it) nor where there is none.
-    nose_up_price: float = 0.0
-    edge_ramp: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    evaluate_every: int = 500_000  # steps between timed laps: one compiled chunk
-    checkpoint_seconds: float = 20.0  # at least so long between checkpoints
-    tensorboard: bool = False
+    steps: int = Field(
+        40_000_000, ge=1, le=10**12, description="environment steps, of all environments together"
+    )
+    devices: Literal["auto", "all"] | int = Field(
+        "auto", description="number of devices in each process, or auto, or all"
+    )
+    shards: int = Field(
+        8,
+        ge=1,
+        le=4096,
+        description="largest number of devices that can share the environments: a power of two; "
+        "results depend on it, not on the devices",
+    )
+    initial_policy: str | None = Field(None, description="policy file (.npz) to start from")
+    evaluate_every: int = Field(
+        500_000, ge=1, le=10**12, description="environment steps between evaluations (one chunk)"
+    )
+    checkpoint_seconds: float = Field(
+        20.0, ge=0, le=1e6, description="least time between two checkpoints, s"
+    )
+    tensorboard: bool = Field(False, description="write TensorBoard events")
 
 
-@dataclass(frozen=True)
-class EvaluateConfig:
-    """Timed laps."""
+class Evaluate(Section):
+    """Timed laps after training."""
 
-    laps: int = 6
-    runs: int = 5
+    laps: int = Field(6, ge=1, le=MAX_LAPS, description="laps of a run")
+    runs: int = Field(5, ge=1, le=MAX_RUNS, description="runs")
 
 
-@dataclass(frozen=True)
-class Config:
-    """All of it."""
+class Schedule(Section):
+    """Values of one number during training."""
 
-    name: str = "run"  # results go to runs/NAME
-    seed: int = 0
-    algorithm: str = "ppo"  # ppo | shac
-    vehicle: VehicleConfig = field(default_factory=VehicleConfig)
-    track: TrackConfig = field(default_factory=TrackConfig)
-    reward: RewardConfig = field(default_factory=RewardConfig)
-    episode: EpisodeConfig = field(default_factory=EpisodeConfig)
-    start: StartConfig = field(default_factory=StartConfig)
-    disturbance: DisturbanceConfig = field(default_factory=DisturbanceConfig)
-    randomise: RandomiseConfig = field(default_factory=RandomiseConfig)
-    network: NetworkConfig = field(default_factory=NetworkConfig)
-    ppo: PPOConfig = field(default_factory=PPOConfig)
-    shac: SHACConfig = field(default_factory=SHACConfig)
-    train: TrainConfig = field(default_factory=TrainConfig)
-    evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
+    linear: tuple[float | Literal["value"], ...] = Field(
+        min_length=2,
+        max_length=64,
+        description="values at equal distances, linear in between; value: the key's own",
+    )
+    start: float = Field(
+        0.0,
+        alias="from",
+        ge=0,
+        le=1e12,
+        description="when the first value ends: up to 1 a fraction of the run, above 1 steps",
+    )
+    until: float = Field(
+        1.0, gt=0, le=1e12, description="when the last value is reached: as from; 1 is the end"
+    )
+
+    def knots(self, run_steps: int, total: int) -> list[float]:
+        """Environment steps of the values.
+
+        Args:
+            run_steps: ``run.steps``, of which fractions are taken.
+            total: steps of the run, a whole number of chunks: its end.
+        """
+        begin, end = (
+            float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)
+            for x in (self.start, self.until)
+        )
+        last = len(self.linear) - 1
+        return [begin + (end - begin) * i / last for i in range(last + 1)]
+
+
+class Config(Section):
+    """A training run on a race."""
+
+    name: str = Field(
+        "run",
+        pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]{0,99}$",
+        description="of the run; results are written to runs/NAME",
+    )
+    seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of all random numbers of training")
+    vehicle: Vehicle = Vehicle()
+    track: Track
+    observation: Observation = Observation()
+    reward: Reward = Reward()
+    rules: Rules = Rules()
+    training_limits: TrainingLimits = TrainingLimits()
+    start: Start = Start()
+    disturbance: Disturbance = Disturbance()
+    randomization: Randomization = Randomization()
+    network: Network = Network()
+    learner: SerializeAsAny[LearnerSection] = Field(
+        PPO(), description="hyperparameters of the algorithm"
+    )
+    schedules: dict[str, Schedule] = Field(
+        {},
+        description="numbers that change during training, by dotted key: {learner.std: {linear: "
+        "[0.3, 0.05], from: 0.5}}",
+    )
+    run: Run = Run()
+    evaluate: Evaluate = Evaluate()
+
+    def at(self, key: str, value: Any) -> Self:
+        """The config with another value at a dotted key.
+
+        Raises:
+            InputError: no such key, or a value that is not allowed.
+        """
+        return _at(self, key.split("."), value)
+
+    def to_yaml(self) -> str:
+        """The whole config as YAML, which ``load`` reads back without any other file."""
+        return to_yaml(self.model_dump(by_alias=True))
+
+
+def _at(node: Section | dict, parts: list[str], value: Any) -> Section | dict:
+    head, rest = parts[0], parts[1:]
+    if isinstance(node, dict):
+        return {**node, ".".join(parts): value}
+    if rest:
+        value = _at(getattr(node, head, {}), rest, value)
+    return node.replace(**{head: value})

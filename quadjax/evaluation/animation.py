@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
-from quadjax.config.schema import GateConfig
+from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.evaluation import scene
@@ -38,7 +38,7 @@ def frame_count(flights: Sequence[Recording]) -> int:
 
 def write_animation(
     flights: Sequence[Recording],
-    gates: Sequence[GateConfig],
+    gates: Sequence[Gate],
     path: Path | str,
     advance: Callable[[], object] = lambda: None,
     names: Sequence[str] = (),
@@ -68,7 +68,7 @@ def write_animation(
 
 def _frames(
     flights: Sequence[Recording],
-    gates: Sequence[GateConfig],
+    gates: Sequence[Gate],
     names: Sequence[str],
     advance: Callable[[], object],
 ) -> Iterator[Image.Image]:
@@ -99,7 +99,7 @@ class Film:
     def __init__(
         self,
         flights: Sequence[Recording],
-        gates: Sequence[GateConfig],
+        gates: Sequence[Gate],
         names: Sequence[str] = (),
     ) -> None:
         """Choose the views and draw the track."""
@@ -137,7 +137,7 @@ class Film:
             scene.fit_view(beside, corners, (0.50 * w, 0.16 * h, 0.985 * w, 0.97 * h)),
         )
 
-    def _draw_still(self, gates: Sequence[GateConfig]) -> Image.Image:
+    def _draw_still(self, gates: Sequence[Gate]) -> Image.Image:
         image = Image.new("RGB", (WIDTH * SMOOTH, HEIGHT * SMOOTH), scene.BACKGROUND)
         draw = ImageDraw.Draw(image)
         for view in self._views:

@@ -144,7 +144,7 @@ def measure_environment(
 def measure_training(config: Config, repeats: int) -> Speed:
     """Training steps a second of a config, from its first updates."""
     learner, params = build_learner(config), build_params(config)
-    devices = choose_devices(config.train.devices, learner.num_shards)
+    devices = choose_devices(config.run.devices, learner.num_shards)
     mesh = parallel.make_mesh(devices)
     state = parallel.place(start_state(config, learner, params), mesh)
     updates = max(1, round(STEPS_PER_CALL / 10 / learner.steps_per_update))
@@ -157,7 +157,7 @@ def measure_training(config: Config, repeats: int) -> Speed:
         state, _ = jax.block_until_ready(chunk(params, state))
 
     steps = updates * learner.steps_per_update
-    return _speed(call, steps, repeats, config.train.drones, devices, compile_seconds)
+    return _speed(call, steps, repeats, config.learner.num_envs, devices, compile_seconds)
 
 
 def _speed(

@@ -63,7 +63,7 @@ class Evaluation:
         """The recorded trajectory of every run; the race is repeated to record it."""
         laps, trace = self.fly(True)
         assert trace is not None
-        return recordings(trace, laps, self.config.episode.dt)
+        return recordings(trace, laps, self.config.rules.time_step)
 
     @property
     def best(self) -> Recording:

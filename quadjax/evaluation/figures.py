@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from quadjax.config.schema import GateConfig
+from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.evaluation.recording import Recording
@@ -59,7 +59,7 @@ def tidy(axes: Axes) -> None:
 
 
 def trajectory_figure(
-    flights: Sequence[Recording], gates: Sequence[GateConfig], title: str = ""
+    flights: Sequence[Recording], gates: Sequence[Gate], title: str = ""
 ) -> Figure:
     """Flights seen from above, coloured by speed, with the gates to size and their direction.
 
@@ -101,9 +101,7 @@ def flight_title(flight: Recording) -> str:
     return f"{title}, then {flight.crash}" if flight.crash else title
 
 
-def _extent(
-    flights: Sequence[Recording], gates: Sequence[GateConfig]
-) -> tuple[np.ndarray, np.ndarray]:
+def _extent(flights: Sequence[Recording], gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x, y of all there is to see, with a margin, m."""
     points = [flight.position[:, :2] for flight in flights]
     points += [
@@ -138,7 +136,7 @@ def _speed_line(
     return lines
 
 
-def _draw_gate(axes: Axes, gate: GateConfig, index: int, middle: np.ndarray, reach: float) -> None:
+def _draw_gate(axes: Axes, gate: Gate, index: int, middle: np.ndarray, reach: float) -> None:
     """A gate as its opening, two posts, an arrow the way through, and its number outside."""
     centre, yaw = np.array(gate.position[:2]), np.radians(gate.yaw_deg)
     ahead, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])

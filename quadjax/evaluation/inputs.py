@@ -11,16 +11,15 @@ import dataclasses
 import numpy as np
 
 from quadjax.cli.arguments import Parser, check_writable, count_up_to, parse, seed
-from quadjax.config.checks import CHOICES, MOST_LAPS, MOST_RUNS
 from quadjax.config.loading import load_config
-from quadjax.config.schema import Config, GateConfig
+from quadjax.config.schema import MAX_LAPS, MAX_RUNS, Config, Gate
 from quadjax.core.errors import command_line
 from quadjax.core.files import write_json
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Race, fly_policy
 from quadjax.race.laps import Trace
 
-INPUTS = CHOICES["episode.disturbance_input"]
+INPUTS = ("ground_truth", "estimated", "none")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +39,7 @@ class InputResult:
         return f"{f'{self.finished}/{self.runs}':>10}" + "".join(cells)
 
 
-def gate_offsets(trace: Trace, gates: list[GateConfig]) -> np.ndarray:
+def gate_offsets(trace: Trace, gates: list[Gate]) -> np.ndarray:
     """How far from its gate's centre each passage was.
 
     Args:
@@ -69,7 +68,7 @@ def compare(config: Config, policy: Policy, race: Race, name: str) -> dict[str, 
     """Fly the samples of a policy with the true, the estimated and no disturbance input.
 
     Args:
-        config: of the race; its own ``episode.disturbance_input`` is not used.
+        config: of the race; its own ``observation.disturbance`` is not used.
         policy: the policy file's content.
         race: laps, runs and starts.
         name: the file, for messages.
@@ -79,8 +78,7 @@ def compare(config: Config, policy: Policy, race: Race, name: str) -> dict[str, 
     """
     results = {}
     for word in INPUTS:
-        episode = dataclasses.replace(config.episode, disturbance_input=word)
-        told = dataclasses.replace(config, episode=episode)
+        told = config.at("observation.disturbance", word)
         laps, trace = fly_policy(told, policy, race, False, trace=True, name=name)
         offsets = gate_offsets(trace, config.track.gates)
         totals = laps.totals[np.isfinite(laps.totals)]
@@ -101,10 +99,10 @@ def main() -> None:
     parser.add_argument("words", nargs="*", metavar="key=value", help="changes to the config")
     parser.add_argument("--policy", required=True, metavar="FILE.npz", help="policy file")
     parser.add_argument(
-        "--runs", type=count_up_to(MOST_RUNS), default=100, help="runs with each input (100)"
+        "--runs", type=count_up_to(MAX_RUNS), default=100, help="runs with each input (100)"
     )
     parser.add_argument(
-        "--laps", type=count_up_to(MOST_LAPS), help="laps of a run (the config's, 6)"
+        "--laps", type=count_up_to(MAX_LAPS), help="laps of a run (the config's, 6)"
     )
     parser.add_argument("--start", choices=("hover", "random"), default="random")
     parser.add_argument("--seed", type=seed, default=0, help="of noise, disturbances and starts")

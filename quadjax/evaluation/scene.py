@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import ImageDraw
 
-from quadjax.config.schema import GateConfig
+from quadjax.config.schema import Gate
 
 BACKGROUND = (15, 22, 33)
 FLOOR = (38, 50, 67)
@@ -75,7 +75,7 @@ def body_axes(euler: np.ndarray) -> np.ndarray:
     return yaw @ pitch @ roll
 
 
-def gate_corners(gate: GateConfig) -> np.ndarray:
+def gate_corners(gate: Gate) -> np.ndarray:
     """Corners (4, 3) of a gate's opening, m, world, round it."""
     yaw = np.radians(gate.yaw_deg)
     right = 0.5 * gate.size[0] * np.array([-np.sin(yaw), np.cos(yaw), 0.0])
@@ -99,7 +99,7 @@ def dot(
     draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=colour)
 
 
-def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[GateConfig]) -> None:
+def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[Gate]) -> None:
     """Gates as frames with an arrow the way through."""
     for gate in gates:
         corners = view.project(gate_corners(gate))

@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from quadjax.config.loading import to_yaml
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file, write_json, write_npz, write_text
@@ -19,7 +18,7 @@ from quadjax.export.conversion import (
     sources,
     symbol_name,
 )
-from quadjax.export.race_source import CONFIG_FILE, self_contained
+from quadjax.export.race_source import CONFIG_FILE
 from quadjax.export.report import make_report, report_text
 from quadjax.export.verify.result import Result
 from quadjax.policy.file import Policy
@@ -174,7 +173,7 @@ def _write(converted: Converted, request: Request, report: dict[str, object]) ->
         if source.resolve() != (folder / file).resolve():
             with whole_file(folder / file) as temporary:
                 shutil.copyfile(source, temporary)
-    write_text(folder / CONFIG_FILE, to_yaml(self_contained(config, folder)))
+    write_text(folder / CONFIG_FILE, config.to_yaml())
     rollouts = converted.rollouts
     arrays = {name: getattr(rollouts, name) for name in ROLLOUTS_ARRAYS}
     write_npz(folder / ROLLOUTS_FILE, arrays, {"format": ROLLOUTS_FORMAT})

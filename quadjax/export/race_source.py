@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from quadjax.config.loading import load_config, to_yaml
+from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
@@ -64,21 +64,21 @@ def own_race(
     found, origin = _configuration(policy, file, config)
     overrides = [*_limits(policy), *_observation(policy)]
     if track is not None:
-        overrides.append(f"track.file={track}")
+        overrides.append(f"track={track}")
     with _as_file(found) as path:
         if origin == "default":
-            overrides.append(f"vehicle.kind={policy.vehicle}")
+            overrides.append(f"vehicle.model={policy.vehicle}")
             named = policy.source.get("residual")
             if isinstance(named, str) and policy.vehicle == "motor" and located(named).is_file():
                 overrides.append(f"vehicle.residual={named}")
+        elif (found_model := load_config(path).vehicle.model) != policy.vehicle:
+            raise InputError(
+                f"{origin}: vehicle.model is {found_model}, but the policy commands the "
+                f"{policy.vehicle} vehicle"
+            )
         loaded = load_config(path, overrides)
         if residual is not None and loaded.vehicle.residual:
             loaded = load_config(path, [*overrides, f"vehicle.residual={residual}"])
-    if loaded.vehicle.kind != policy.vehicle:
-        raise InputError(
-            f"{origin}: vehicle.kind is {loaded.vehicle.kind}, but the policy commands the "
-            f"{policy.vehicle} vehicle"
-        )
     return OwnRace(build.choices_of(loaded), build.build_params(loaded), loaded, origin)
 
 
@@ -101,7 +101,7 @@ def _as_file(config: Path | Config | dict[str, Any]) -> Iterator[Path]:
         yield config
         return
     with tempfile.TemporaryDirectory() as folder:
-        text = json.dumps(config) if isinstance(config, dict) else to_yaml(config)  # JSON is YAML
+        text = json.dumps(config) if isinstance(config, dict) else config.to_yaml()  # JSON is YAML
         write_text(Path(folder) / CONFIG_FILE, text)
         yield Path(folder) / CONFIG_FILE
 
@@ -112,31 +112,22 @@ def _limits(policy: Policy) -> list[str]:
     if policy.vehicle == "motor":
         if len(set(low)) > 1 or len(set(high)) > 1:
             raise InputError(f"policy commands {low}..{high} rpm: expected the same for all motors")
-        return [f"vehicle.motor.rpm_min={low[0]!r}", f"vehicle.motor.rpm_max={high[0]!r}"]
+        return [f"vehicle.constants.rpm_min={low[0]!r}", f"vehicle.constants.rpm_max={high[0]!r}"]
     if low[:3] != [-x for x in high[:3]]:
         raise InputError(f"policy commands rates of {low[:3]}..{high[:3]} rad/s: expected +-")
-    rates = [f"vehicle.rate.{axis}_max={x!r}" for axis, x in zip("pqr", high, strict=False)]
-    return [*rates, f"vehicle.rate.thrust_min={low[3]!r}", f"vehicle.rate.thrust_max={high[3]!r}"]
+    names = ("p_max", "q_max", "r_max", "thrust_max", "thrust_min")
+    values = zip(names, [*high, low[3]], strict=True)
+    return [f"vehicle.constants.{name}={value!r}" for name, value in values]
 
 
 def _observation(policy: Policy) -> list[str]:
     """Overrides for the scaling that the policy was trained with."""
     spans = policy.observation.get("disturbance") or {}
     overrides = [f"disturbance.{name}={spans[name]}" for name in DISTURBANCES if name in spans]
-    for key in ("wrap_next_yaw", "disturbance_input"):
-        if key in policy.observation:
-            overrides.append(f"episode.{key}={json.dumps(policy.observation[key])}")
+    if "wrap_next_yaw" in policy.observation:
+        value = json.dumps(policy.observation["wrap_next_yaw"])
+        overrides.append(f"observation.wrap_next_yaw={value}")
+    source = policy.observation.get("disturbance_input", "true")
+    if source != "true":  # as in a file of format quadjax-policy/1
+        overrides.append(f"observation.disturbance={source}")
     return overrides
-
-
-def self_contained(config: Config, folder: Path) -> Config:
-    """The config with copies in ``folder`` of track or vehicle files from outside the package."""
-    for section in ("track", "vehicle"):
-        part = getattr(config, section)
-        source = Path(part.file)
-        if source.is_absolute():
-            if source.resolve() != (folder / source.name).resolve():
-                write_text(folder / source.name, source.read_text("utf-8"))
-            part = dataclasses.replace(part, file=source.name)
-            config = dataclasses.replace(config, **{section: part})
-    return config

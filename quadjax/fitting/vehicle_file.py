@@ -31,7 +31,7 @@ def read_vehicle(name: str, beside: Path) -> BaseVehicle:
     Raises:
         InputError: a missing file or key, or a value that is no number.
     """
-    path = find_file(name, "vehicles", beside)
+    path = find_file(name, beside, "vehicles")
     tree = read_yaml(path)
     for key in ("motor", "rate"):
         if not isinstance(tree.get(key), dict):

@@ -90,29 +90,29 @@ def make_ppo(config: Config, seed: int, device: str = "cpu") -> PPO:
     Raises:
         InputError: a config of another learner.
     """
-    if config.algorithm != "ppo":
-        raise InputError(f"algorithm is {config.algorithm}, expected ppo, which both sides have")
+    if config.learner.algorithm != "ppo":
+        raise InputError(f"learner.algorithm is {config.learner.algorithm}, allowed: ppo")
     import torch
 
-    ppo, hidden = config.ppo, list(config.network.hidden)
+    learner, hidden = config.learner, list(config.network.hidden)
     activation = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[config.network.activation]
     return PPO(
         "MlpPolicy",
-        RaceVecEnv(config.train.drones, config, seed),
-        learning_rate=ppo.learning_rate,
-        n_steps=ppo.steps_per_update,
-        batch_size=config.train.drones * ppo.steps_per_update // ppo.batches,
-        n_epochs=ppo.epochs,
-        gamma=ppo.discount,
-        gae_lambda=ppo.gae_lambda,
-        clip_range=ppo.clip,
-        ent_coef=ppo.entropy_coefficient,
-        vf_coef=ppo.value_coefficient,
-        max_grad_norm=ppo.gradient_norm,
+        RaceVecEnv(learner.num_envs, config, seed),
+        learning_rate=learner.learning_rate,
+        n_steps=learner.rollout_length,
+        batch_size=learner.num_envs * learner.rollout_length // learner.num_minibatches,
+        n_epochs=learner.num_epochs,
+        gamma=learner.discount,
+        gae_lambda=learner.gae_lambda,
+        clip_range=learner.clip_range,
+        ent_coef=learner.entropy_coefficient,
+        vf_coef=learner.value_coefficient,
+        max_grad_norm=learner.max_grad_norm,
         policy_kwargs={
             "net_arch": {"pi": hidden, "vf": hidden},
             "activation_fn": activation,
-            "log_std_init": config.network.log_std,
+            "log_std_init": learner.initial_log_std,
         },
         seed=seed,
         device=device,

@@ -108,21 +108,19 @@ def race_config(config: Config, policy: Policy) -> Config:
     On the plant the disturbance is estimated on board; the race adds none.
     """
     widths = policy.observation.get("disturbance") or {}
-    known = {key: value for key, value in widths.items() if key in vars(config.disturbance)}
-    return dataclasses.replace(
-        config,
-        vehicle=dataclasses.replace(config.vehicle, kind=policy.vehicle, actual={}),
-        disturbance=dataclasses.replace(config.disturbance, **known),
-        randomise=type(config.randomise)(),
-        episode=dataclasses.replace(config.episode, disturbance_input="true"),
+    known = {key: value for key, value in widths.items() if key in config.disturbance.half_widths}
+    return config.replace(
+        vehicle=config.vehicle.with_model(policy.vehicle).replace(mismatch={}),
+        disturbance=config.disturbance.replace(**known),
+        randomization=type(config.randomization)(),
+        observation=config.observation.replace(disturbance="ground_truth"),
     )
 
 
 def _onboard(config: Config, plant: PlantConfig) -> OnboardParams:
     """Sensors, filters and inner loop; the onboard model is the config's motor-level vehicle."""
     rate = plant.sample_rate
-    known = dataclasses.replace(config, vehicle=dataclasses.replace(config.vehicle, kind="motor"))
-    model = build_vehicle(known)
+    model = build_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
     gravity = float(model.constants.g)
     return OnboardParams(
         sensors=sensor_params(plant.sensors, rate),

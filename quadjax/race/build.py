@@ -1,45 +1,54 @@
 """From a config to the racing environment: its static choices and its traced parameters."""
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.schema import Config, DisturbanceConfig, TrackConfig
+from quadjax.config import schema
+from quadjax.config.base import Section
+from quadjax.config.schema import Config, Disturbance
 from quadjax.core.environment import Environment
+from quadjax.core.imports import load_object
 from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import make_layout
 from quadjax.race.rules import Limits, RewardWeights
 from quadjax.race.start import DisturbanceRange, RandomiseFractions, StartRange
-from quadjax.race.track import Track, make_track
+from quadjax.race.track import Track, inside_turn, make_track
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleParams
 from quadjax.vehicle.registry import model
+from quadjax.vehicle.residual import scale_residual
 from quadjax.vehicle.residual_file import read_residual
 
 
 def choices_of(config: Config) -> Choices:
     """The static part: what chooses code."""
-    fractions = vars(config.randomise).values()
-    vehicle = model(config.vehicle.kind)
-    source = config.episode.disturbance_input
+    vehicle = model(config.vehicle.model)
+    observed, start = config.observation, config.start
+    extra = _own("observation.extra", observed.extra)
     return Choices(
         model=vehicle,
-        layout=make_layout(
-            vehicle,
-            "ground_truth" if source == "true" else source,
-            config.episode.wrap_next_yaw,
-        ),
+        layout=make_layout(vehicle, observed.disturbance, observed.wrap_next_yaw, extra),
         integrator=config.vehicle.integrator,
-        gate_test=config.episode.gate_test,
-        random_gate=config.episode.random_gate,
-        stagger_clocks=config.episode.stagger_clocks,
-        randomise=any(fraction > 0 for fraction in fractions),
-        differs=bool(config.vehicle.actual),
+        gate_test=config.rules.gate_test,
+        random_gate=start.gate == "random",
+        stagger_clocks=start.stagger_clocks,
+        randomise=any(fraction > 0 for fraction in config.randomization.__dict__.values()),
+        differs=bool(config.vehicle.mismatch),
+        terms=_own("reward.terms", config.reward.terms),
+        rules=_own("rules.extra", config.rules.extra),
     )
+
+
+def _own(key: str, names: Iterable[str]) -> tuple[Any, ...]:
+    """A user's own objects, named as ``module:object``."""
+    return tuple(load_object(name, key) for name in names)
 
 
 def _traced(values: dict[str, float]) -> dict[str, jnp.ndarray]:
@@ -47,18 +56,22 @@ def _traced(values: dict[str, float]) -> dict[str, jnp.ndarray]:
 
 
 def build_vehicle(config: Config) -> VehicleParams:
-    """The vehicle's constants and its residual, if it has one.
+    """The vehicle's constants and its residual, if it has one, scaled by ``residual_gain``.
 
     Raises:
         InputError: a residual file that cannot be read.
     """
-    own = model(config.vehicle.kind)
-    path = config.vehicle.residual if own.has_residual else None
-    residual = read_residual(Path(path)) if path else None
-    return VehicleParams(own.constants(**_traced(getattr(config.vehicle, own.name))), residual)
+    vehicle = config.vehicle
+    constants = model(vehicle.model).constants(**_traced(vehicle.constants))
+    if vehicle.residual is None:
+        return VehicleParams(constants)
+    residual = read_residual(Path(vehicle.residual))
+    if vehicle.residual_gain != 1.0:
+        residual = scale_residual(residual, jnp.float32(vehicle.residual_gain))
+    return VehicleParams(constants, residual)
 
 
-def build_track(track: TrackConfig) -> Track:
+def build_track(track: schema.Track) -> Track:
     """The track's arrays."""
     return make_track(
         jnp.asarray(np.array([g.position for g in track.gates], np.float32)),
@@ -67,63 +80,83 @@ def build_track(track: TrackConfig) -> Track:
     )
 
 
-def disturbance_range(section: DisturbanceConfig) -> DisturbanceRange:
-    """The disturbances that are drawn, and the steady ones."""
-    steady = Vec3(*(jnp.float32(x) for x in section.steady_moment))
-    return DisturbanceRange(**_traced(section.half_widths), steady_moment=steady)
+def disturbance_range(section: Disturbance) -> DisturbanceRange:
+    """The disturbances that are drawn, and the moment that is always there."""
+    bias = Vec3(*(jnp.float32(x) for x in section.moment_bias))
+    return DisturbanceRange(**_traced(section.half_widths), moment_bias=bias)
 
 
-def _actual(config: Config, vehicle: VehicleParams) -> Constants | None:
-    """Factors on the constants of the drone that flies, one for all that are not named."""
-    if not config.vehicle.actual:
+def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:
+    """Factors on the constants of the simulated drone, one for all that are not named."""
+    if not config.vehicle.mismatch:
         return None
     ones = jax.tree.map(jnp.ones_like, vehicle.constants)
-    return ones.replace(**_traced(config.vehicle.actual))
+    return ones.replace(**_traced(config.vehicle.mismatch))
 
 
 def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None:
-    """The onboard estimator of the disturbance, where the observation is to have one."""
-    own = model(config.vehicle.kind)
-    if config.episode.disturbance_input != "estimated" or own.balance is None:
+    """The onboard estimator of the disturbance, where it is observed."""
+    own = model(config.vehicle.model)
+    if config.observation.disturbance != "estimated" or own.balance is None:
         return None
     euler = config.vehicle.integrator == "euler"
-    return estimator_params(own, vehicle, 1.0 / config.episode.dt, explicit_euler=euler)
+    return estimator_params(own, vehicle, 1.0 / config.rules.time_step, explicit_euler=euler)
 
 
 def build_params(config: Config) -> RaceParams:
     """Every number of the race as the config trains it."""
-    episode, begin = config.episode, config.start
-    limits = {
-        "dt": episode.dt,
-        "position": episode.position_limit,
-        "rate": episode.rate_limit,
-        "yaw_rate": episode.yaw_rate_limit if episode.yaw_rate_limit < 1000 else math.inf,
-        "pitch": math.radians(episode.pitch_limit_deg),
-        "roll": math.radians(episode.roll_limit_deg) if episode.roll_limit_deg < 180 else math.inf,
-        "gate_margin": episode.gate_margin,
-    }
-    ranges = {
-        "position": begin.position,
-        "velocity": begin.velocity,
-        "roll_pitch": math.radians(begin.roll_pitch_deg),
-        "yaw": math.radians(begin.yaw_deg),
-        "rates": begin.rates,
-        "thrust_low": begin.thrust[0],
-        "thrust_high": begin.thrust[1],
-    }
     vehicle = build_vehicle(config)
+    track = build_track(config.track)
+    inside = config.start.heading == "inside_turn"
     return RaceParams(
         vehicle=vehicle,
-        track=build_track(config.track),
-        limits=Limits(**_traced(limits), max_steps=jnp.asarray(episode.max_steps, jnp.int32)),
-        reward=RewardWeights(**_traced(vars(config.reward) | {"nose_up": 0.0})),
-        start=StartRange(**_traced(ranges)),
+        track=track,
+        limits=_limits(config),
+        reward=RewardWeights(**_traced(_without(config.reward, "terms"))),
+        start=_start_range(config.start).replace(facing=inside_turn(track) if inside else None),
         disturbance=disturbance_range(config.disturbance),
-        randomise=RandomiseFractions(**_traced(vars(config.randomise))),
-        early_nose_up=jnp.asarray(config.train.nose_up_price, jnp.float32),
-        actual=_actual(config, vehicle),
+        randomise=RandomiseFractions(**_traced(config.randomization.__dict__)),
+        actual=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),
+        term_weights=tuple(jnp.float32(weight) for weight in config.reward.terms.values()),
     )
+
+
+def _without(section: Section, *names: str) -> dict[str, float]:
+    return {key: value for key, value in section.__dict__.items() if key not in names}
+
+
+def _limits(config: Config) -> Limits:
+    rules, training = config.rules, config.training_limits
+    limits = {
+        "dt": rules.time_step,
+        "position": _or_none(rules.position_limit),
+        "rate": _or_none(rules.body_rate_limit),
+        "yaw_rate": _or_none(training.yaw_rate),
+        "pitch": math.radians(training.pitch_deg),
+        "roll": math.radians(_or_none(training.roll_deg)),
+        "gate_margin": -training.gate_inflation,
+    }
+    steps = jnp.asarray(training.episode_steps, jnp.int32)
+    return Limits(**_traced(limits), max_steps=steps)
+
+
+def _or_none(limit: float | None) -> float:
+    """A limit; infinity where there is none."""
+    return math.inf if limit is None else limit
+
+
+def _start_range(start: schema.Start) -> StartRange:
+    ranges = {
+        "position": start.position,
+        "velocity": start.velocity,
+        "roll_pitch": math.radians(start.roll_pitch_deg),
+        "yaw": math.radians(start.yaw_deg),
+        "rates": start.body_rates,
+        "thrust_low": start.thrust[0],
+        "thrust_high": start.thrust[1],
+    }
+    return StartRange(**_traced(ranges))
 
 
 def make_race(config: Config | Path | str) -> tuple[Environment, RaceParams]:

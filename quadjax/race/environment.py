@@ -57,7 +57,6 @@ class RaceParams:
     start: start.StartRange
     disturbance: start.DisturbanceRange
     randomise: start.RandomiseFractions
-    early_nose_up: jax.Array  # () reward.nose_up as a curriculum begins; the race charges none
     actual: Constants | None = None  # factors on the constants of the drone that flies
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
     term_weights: tuple[jax.Array, ...] = ()  # of Choices.terms, each ()

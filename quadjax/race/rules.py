@@ -31,11 +31,11 @@ class RewardWeights:
     gate_offset: jax.Array  # taken off per metre from the gate's centre
     collision: jax.Array  # taken off for a collision
     time: jax.Array  # taken off per second
-    rates: jax.Array  # taken off per second and rad/s of body rate
-    nose_up: jax.Array  # taken off per second and rad of pitch: a nose that is down is paid
-    onward: jax.Array  # per metre of the passing step: to the gate's centre, then to the next one
-    edge: jax.Array  # taken off per metre beyond the safe part of the opening, passed or hit
-    edge_margin: jax.Array  # m between the safe part and each edge of the opening
+    body_rates: jax.Array  # penalty per s and rad/s of body rate
+    pitch_up: jax.Array  # penalty per s and rad of pitch (nose up)
+    next_gate_progress: jax.Array  # per m of progress to the next gate in the step that passes one
+    gate_edge: jax.Array  # penalty per m of clearance violation on crossing a gate's plane
+    gate_edge_margin: jax.Array  # required clearance from each edge of the opening, m
 
 
 @struct.dataclass
@@ -100,23 +100,21 @@ def crossing(
     return crossed & inside, crossed & ~inside
 
 
-def onward_progress(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
-    """By how much () the way to the next gate's centre, by way of this one's, gets shorter, m.
+def next_gate_progress(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
+    """Progress () to the next gate's center, by way of this one's, m.
 
-    For the step that passes ``g``. With it, in the weight of ``progress``, the metres of a leg sum
-    to the same wherever its gates are passed; without it a leg that ends at a gate's edge is paid
-    fewer of them.
+    For the step that passes ``g``. With the weight of ``progress``, the rewards of a leg sum to the
+    same wherever its gates are passed; without it, a leg that ends at a gate's edge has less.
     """
     relative = to_gate_frame(g, after - g.position)
     ahead = safe_norm(relative - g.next_position)
     return safe_norm(before - g.position) + safe_norm(g.next_position) - ahead
 
 
-def beyond_safe(after: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
-    """How far () outside the safe part of the gate's opening, m in each axis, summed; at most 2 m.
+def clearance_violation(after: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
+    """Distance () beyond the required clearance from a gate's edges, m per axis, summed; at most 2.
 
-    The safe part ends ``margin`` inside each edge. Whether a gate is hit is a step without slope;
-    this says, at the crossing, which way the step is and how near.
+    Whether a gate is hit has no gradient; this has one at the crossing.
     """
     relative = to_gate_frame(g, after - g.position)
     width = jnp.clip(jnp.abs(relative.y) - (g.half_width - margin), 0.0, 1.0)
@@ -136,11 +134,13 @@ def reward(
 ) -> jax.Array:
     """The reward () of one step.
 
-    Passed: ``gate - gate_offset |p - p_gate|``, and ``onward`` times the metres of the step that
-    ``progress`` does not count; collision: ``-collision``; else ``progress`` times the decrease of
-    the distance to the target gate (Ferede et al., arXiv 2311.16948, with the sign that makes
-    progress positive). A gate passed or hit beyond the safe part of its opening costs ``edge`` per
-    metre on top.
+    - Passing a gate: ``gate - gate_offset |p - p_gate|``, and ``next_gate_progress`` times the
+      progress of the step to the next gate.
+    - A collision: ``-collision``.
+    - Any other step: ``progress`` times the decrease of the distance to the target gate (Ferede et
+      al., arXiv 2311.16948, with the sign that makes progress positive).
+
+    On crossing a gate's plane, ``gate_edge`` per m of clearance violation is subtracted.
 
     Args:
         weights: of each term.
@@ -155,10 +155,10 @@ def reward(
     distance = safe_norm(after - g.position)
     progress = weights.progress * (safe_norm(before - g.position) - distance)
     passed = weights.gate - weights.gate_offset * distance
-    passed = passed + weights.onward * onward_progress(before, after, g)
+    passed = passed + weights.next_gate_progress * next_gate_progress(before, after, g)
     value = jnp.where(outcome.passed, passed, progress)
     value = jnp.where(outcome.terminated, -weights.collision, value)
-    edge = weights.edge * beyond_safe(after, g, weights.edge_margin)
+    edge = weights.gate_edge * clearance_violation(after, g, weights.gate_edge_margin)
     value = value - jnp.where(outcome.passed | outcome.gate_collision, edge, 0.0)
-    turning = weights.rates * safe_norm(body_rates)
-    return value - dt * (weights.time + turning + weights.nose_up * pitch)
+    turning = weights.body_rates * safe_norm(body_rates)
+    return value - dt * (weights.time + turning + weights.pitch_up * pitch)

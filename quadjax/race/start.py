@@ -33,7 +33,7 @@ class DisturbanceRange:
     moment_y: jax.Array
     moment_z: jax.Array
     force_z: jax.Array  # m/s^2
-    steady_moment: Vec3  # N m, added to what is drawn
+    moment_bias: Vec3  # N m, added to what is drawn
 
 
 @struct.dataclass
@@ -109,7 +109,7 @@ def start(
         return state
     drawn = drawn[-DISTURBANCE_DRAWS:]
     moment = Vec3(disturbance.moment_x, disturbance.moment_y, disturbance.moment_z)
-    moment_ext = Vec3.of(drawn[:3]) * moment + disturbance.steady_moment
+    moment_ext = Vec3.of(drawn[:3]) * moment + disturbance.moment_bias
     force_ext = Vec3.zero().replace(z=drawn[3] * disturbance.force_z)
     return model.with_disturbance(state, moment_ext, force_ext)
 

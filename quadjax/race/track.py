@@ -87,7 +87,7 @@ def gate(track: Track, index: jax.Array) -> Gate:
 STRAIGHT = 0.2  # sines of the bends at a leg's two ends, summed: less is no bend
 
 
-def into_bend(track: Track) -> jax.Array:
+def inside_turn(track: Track) -> jax.Array:
     """For the leg to each gate, the yaw (gates,), rad, that looks across it, to where it bends.
 
     The side is the one to which the direction changes from the leg before to the leg after; where

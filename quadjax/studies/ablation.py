@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 
 RESIDUAL = "standin_residual.npz"
-STEPS = "train.steps=12000000"
+STEPS = "run.steps=12000000"
 _RANDOM = ("inertia", "thrust", "drag", "moment", "velocity_moment", "yaw", "lag")
 
 
@@ -42,7 +42,7 @@ class Variant:
 
 
 def _randomized(percent: int) -> Variant:
-    words = tuple(f"randomise.{group}={percent / 100}" for group in _RANDOM)
+    words = tuple(f"randomization.{group}={percent / 100}" for group in _RANDOM)
     training = ("configs/e2e_robust.yaml", STEPS, *words)
     return Variant("randomization", f"{percent}%", f"e2e_random_{percent}", training)
 

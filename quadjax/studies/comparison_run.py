@@ -105,7 +105,7 @@ def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
 
 def limit_shares(setting: Setting, own: Compared) -> tuple[float, float | None]:
     """Fraction of rpm commands at a limit: on the plant, and simulated (None without motors)."""
-    low, high = (setting.race.vehicle.motor[key] for key in ("rpm_min", "rpm_max"))
+    low, high = (setting.race.vehicle.constants[key] for key in ("rpm_min", "rpm_max"))
     motors = own.contender.policy.vehicle == "motor"
     simulated = simulated_saturation(own.trace, low, high) if motors else None
     return saturation(own.flown, low, high), simulated
@@ -135,7 +135,7 @@ def compared_progress(setting: Setting, e2e: Compared, indi: Compared) -> Figure
     centers, lines = gate_centers(setting.race), {}
     for own in (e2e, indi):
         name, best = own.contender.name, best_recorded(own.flown.laps)
-        dt = setting.race.episode.dt
+        dt = setting.race.rules.time_step
         lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centers)
         lines[f"{name} stand-in plant"] = figures.flown_progress(own.flown, best, centers)
     slowest = max(time[-1] / max(made[-1], 1e-3) for time, made in lines.values())
@@ -143,7 +143,7 @@ def compared_progress(setting: Setting, e2e: Compared, indi: Compared) -> Figure
 
 
 def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result: dict) -> None:
-    gates, dt = setting.race.track.gates, setting.race.episode.dt
+    gates, dt = setting.race.track.gates, setting.race.rules.time_step
     for own in (e2e, indi):
         name = own.contender.name
         stem = name.lower()

@@ -120,11 +120,11 @@ def stable_baselines(config: Config, seconds: float, started: float) -> Side:
     model = sb3.make_ppo(config, SEED)
     clock = Clock(started, seconds)
 
-    model.learn(config.train.steps, callback=_watch(clock))
+    model.learn(config.run.steps, callback=_watch(clock))
     like = policy_of(config, build_networks(config).init(jax.random.key(0)), {})
     total, flown = _judge(config, sb3.policy_of_ppo(model, config, like))
     threads = f"PyTorch {torch.get_num_threads()} threads, the race in JAX on one device"
-    steps = config.train.drones * config.ppo.steps_per_update
+    steps = config.learner.num_envs * config.learner.rollout_length
     steps *= model.num_timesteps // steps
     return Side(
         "Stable-Baselines3",

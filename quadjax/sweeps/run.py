@@ -42,7 +42,7 @@ def make_executor(
 
 def job_of(sweep: Sweep, params: Params, index: int, directory: Path) -> Job:
     """What a worker needs to run a trial; ``InputError`` if the parameters do not go together."""
-    own = [f"name=trial{index:04d}", "train.devices='1'"]
+    own = [f"name=trial{index:04d}", "run.devices=1"]
     seeds = range(sweep.file.objective.seeds)
     return Job(
         configs=tuple(sweep.config_of(params, *own, f"seed={seed}") for seed in seeds),

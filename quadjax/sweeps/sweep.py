@@ -20,8 +20,8 @@ from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
 Plain = bool | int | float | str | None  # a value as Optuna stores it: lists as JSON text
 Params = dict[str, Plain]
 
-OWN_KEYS = ("name", "seed", "train.devices", "train.tensorboard")  # set by the sweep
-RACE = ("vehicle", "track", "rules", "randomise", "disturbance", "start", "evaluate")
+OWN_KEYS = ("name", "seed", "run.devices", "run.tensorboard")  # set by the sweep
+RACE = ("vehicle", "track", "rules", "randomization", "disturbance", "start", "evaluate")
 COMBINATIONS = 64  # combinations of the space's ends that are all checked
 
 
@@ -200,7 +200,7 @@ class Sweep:
 
 def tree_of(config: Config) -> dict[str, Any]:
     """A config as plain nested mappings."""
-    return dataclasses.asdict(config)
+    return config.model_dump(mode="json", by_alias=True)
 
 
 def load_sweep(path: Path | str, overrides: Sequence[str] = ()) -> Sweep:
@@ -226,7 +226,7 @@ def _checked(file: SweepFile, base: Path) -> Sweep:
     config = load_config(base, fixed)
     dimensions = tuple(read_dimension(key, given, config) for key, given in file.space.items())
     race = {d.key: value_at(config, d.key) for d in dimensions if d.key.split(".")[0] in RACE}
-    race.pop("vehicle.kind", None)
+    race.pop("vehicle.model", None)
     conditions = tuple(override(k, v) for k, v in (race | file.conditions).items())
     load_config(base, (*fixed, *conditions))
     trials = file.budget.trials or 20

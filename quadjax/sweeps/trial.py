@@ -75,7 +75,7 @@ def _run_seed(job: Job, seed: int, before: list[float], tell: Tell) -> tuple[flo
         nonlocal reached
         best = row["best_lap_total"]
         value = best if math.isfinite(best) else missing * config.evaluate.laps
-        done = int(min(row["steps"] / config.train.steps, 1.0) * job.reports + 1e-9)
+        done = int(min(row["steps"] / config.run.steps, 1.0) * job.reports + 1e-9)
         step = seed * job.reports + done if done else -1
         reached = asked.measure == "seconds_to" and best <= asked.target
         return tell(step, statistics.median([*before, value])) or reached

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from quadjax.config.base import read_yaml
-from quadjax.config.loading import to_yaml
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
@@ -51,7 +50,7 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
                 "choose another name"
             )
         check_same(config, folder)
-    write_text(folder / "config.yaml", to_yaml(config))
+    write_text(folder / "config.yaml", config.to_yaml())
 
 
 def check_same(config: Config, folder: Path) -> None:
@@ -59,7 +58,7 @@ def check_same(config: Config, folder: Path) -> None:
     path = folder / "config.yaml"
     if not path.exists() or kind_of(folder) not in (None, KIND):
         return
-    before, now = flat(read_yaml(path)), flat(parse(to_yaml(config)))
+    before, now = flat(read_yaml(path)), flat(parse(config.to_yaml()))
     for key in [*now, *before]:
         if before.get(key) != now.get(key):
             raise InputError(

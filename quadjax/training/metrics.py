@@ -64,7 +64,7 @@ def check_tensorboard() -> None:
         import tensorboardX  # noqa: F401
     except ImportError:
         raise InputError(
-            "train.tensorboard is true, but tensorboardX is not installed: "
+            "run.tensorboard is true, but tensorboardX is not installed: "
             "pip install 'quadjax[tensorboard]'"
         ) from None
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
-from quadjax.core.resources import CONFIGS
 
 LAPS = 6
 
@@ -45,7 +44,7 @@ PRESETS = {"motor": "e2e_paper", "rate": "indi_paper"}
 
 @functools.cache
 def _reference(kind: str) -> Config:
-    return load_config(CONFIGS / f"{PRESETS[kind]}.yaml")
+    return load_config(PRESETS[kind])
 
 
 def is_paper_race(config: Config) -> bool:
@@ -54,9 +53,9 @@ def is_paper_race(config: Config) -> bool:
     Disturbances may be absent, or those with which the paper trained. Training limits, rewards and
     the learner do not matter: evaluation knows only the rules.
     """
-    if config.vehicle.kind not in PRESETS:
+    if config.vehicle.model not in PRESETS:
         return False
-    paper = _reference(config.vehicle.kind)
+    paper = _reference(config.vehicle.model)
     return _race_of(config) == _race_of(paper) and _disturbance_of(config) in (
         _disturbance_of(paper),
         _disturbance_of(_reference("rate")),  # none
@@ -65,17 +64,16 @@ def is_paper_race(config: Config) -> bool:
 
 def _race_of(config: Config) -> tuple[object, ...]:
     """What decides lap times, as values that can be compared."""
-    vehicle, episode = config.vehicle, config.episode
-    constants = vehicle.motor if vehicle.kind == "motor" else vehicle.rate
+    vehicle, own = config.vehicle, config.rules
     gates = [(*gate.position, gate.yaw_deg % 360.0, *gate.size) for gate in config.track.gates]
-    rules = (episode.dt, episode.gate_test, episode.position_limit, episode.rate_limit)
-    drawn = any(vars(config.randomise).values())
-    model = (vehicle.residual, vehicle.integrator, dict(vehicle.actual))
-    return (dict(constants), gates, rules, drawn, model)
+    rules = (own.time_step, own.gate_test, own.position_limit, own.body_rate_limit, own.extra)
+    drawn = any(dict(config.randomization).values())
+    model = (vehicle.residual, vehicle.integrator, dict(vehicle.mismatch))
+    return (vehicle.constants, gates, rules, drawn, model)
 
 
 def _disturbance_of(config: Config) -> dict[str, object]:
-    return dict(vars(config.disturbance))
+    return dict(config.disturbance)
 
 
 def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[Row, ...]:
@@ -86,5 +84,5 @@ def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[
 def published_total(config: Config) -> tuple[str, float] | None:
     """Label and time, s, of the published policy; None where the race is not the paper's."""
     if config.evaluate.laps == LAPS and is_paper_race(config):
-        return TOTALS[config.vehicle.kind]
+        return TOTALS[config.vehicle.model]
     return None

@@ -72,7 +72,7 @@ def train(
     started = time.monotonic() if started is None else started
     folder = Path("runs") / config.name if folder is None else Path(folder)
     enable_compilation_cache()
-    prepare_devices(config.train.devices)
+    prepare_devices(config.run.devices)
     job = _prepare(config)
     with _claimed(folder):
         if hosts.is_first():
@@ -123,7 +123,7 @@ class _Job:
         source = {
             "project": "quadjax",
             "config": config.name,
-            "algorithm": config.algorithm,
+            "algorithm": config.learner.algorithm,
             "seed": config.seed,
             "steps": steps,
             "residual": config.vehicle.residual,
@@ -176,11 +176,11 @@ def _prepare(config: Config) -> _Job:
     """Everything that can be refused before a run writes anything."""
     params = build_params(config)
     learner = build_learner(config)
-    mesh = parallel.make_mesh(choose_devices(config.train.devices, learner.num_shards))
+    mesh = parallel.make_mesh(choose_devices(config.run.devices, learner.num_shards))
     hosts.meet(mesh)
     updates, chunks = plan(config, learner.steps_per_update)
     initial = initial_policy(config)
-    if config.train.tensorboard:
+    if config.run.tensorboard:
         check_tensorboard()
     return _Job(config, params, learner, mesh, updates, chunks, initial)
 
@@ -198,7 +198,7 @@ def _run(job: _Job, folder: Path, resume: bool, started: float, watch: _Watch) -
         position.state = parallel.place(position.state, job.mesh)
         started = time.monotonic() - position.seconds
     done = position.chunks * job.steps_per_chunk
-    metrics = MetricsFile(folder, done, config.train.tensorboard)
+    metrics = MetricsFile(folder, done, config.run.tensorboard)
     position = run(
         chunk,
         params,
@@ -206,7 +206,7 @@ def _run(job: _Job, folder: Path, resume: bool, started: float, watch: _Watch) -
         watch.hooks(score, metrics, checkpoints),
         job.chunks,
         job.steps_per_chunk,
-        config.train.checkpoint_seconds,
+        config.run.checkpoint_seconds,
         started,
     )
     checkpoints.close()

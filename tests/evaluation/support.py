@@ -16,7 +16,7 @@ LOW = np.array([-3.0, -3.0, -3.0, 0.0])
 
 
 def rate_race(*words: str):
-    config = load_config(BLANK, ["vehicle.kind=rate", *words])
+    config = load_config(BLANK, ["vehicle.model=rate", *words])
     return config, choices_of(config), build_params(config)
 
 

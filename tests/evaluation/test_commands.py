@@ -38,8 +38,8 @@ def policy_file(tmp_path_factory) -> str:
         (["--policy", "POLICY", "--json", "/dev/null/a.json"], "/dev/null/a.json"),
         (["--policy", "POLICY", "--figure", "a.xyz"], "a.xyz"),
         (["--policy", "POLICY", "--animation", "a.mp4"], "a.mp4"),
-        (["--policy", "POLICY", "vehicle.kind=rate"], "vehicle.kind"),
-        (["--policy", "POLICY", "vehicle.motor.k_w=heavy"], "k_w"),
+        (["--policy", "POLICY", "vehicle.model=rate"], "vehicle.model"),
+        (["--policy", "POLICY", "vehicle.constants.k_w=heavy"], "k_w"),
         (["--policy", "POLICY", "vehicle.residual=missing.npz"], "missing.npz"),
         (["--policy", "POLICY", "nonsense"], "nonsense"),
         (["--policy", "POLICY", "--nonsense"], "nonsense"),
@@ -55,7 +55,7 @@ def test_bad_input_is_one_line_and_status_2(capsys, policy_file, arguments, name
 def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
     """A policy that crashes is a result, not an error."""
     outputs = {name: tmp_path / f"a.{name}" for name in ("json", "png", "gif")}
-    words = ["--laps", "1", "--runs", "2", "--policy", policy_file, "vehicle.motor.k_w=4.5e-8"]
+    words = ["--laps", "1", "--runs", "2", "--policy", policy_file, "vehicle.constants.k_w=4.5e-8"]
     files = ["--json", outputs["json"], "--figure", outputs["png"], "--animation", outputs["gif"]]
     done = subprocess.run(
         [sys.executable, EVALUATE, ROOT / "configs" / "e2e.yaml", *words, *files],

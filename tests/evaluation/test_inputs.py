@@ -1,18 +1,17 @@
-import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
-from quadjax.config.schema import GateConfig
+from quadjax.config.schema import Gate
 from quadjax.evaluation import inputs
 from quadjax.policy.pilot import Race
 from quadjax.race.laps import Laps
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
 
-GATES = [GateConfig([2.0, 0.0, -1.5], 0.0), GateConfig([0.0, 2.0, -1.5], 90.0)]
+GATES = [Gate(position=(2.0, 0.0, -1.5)), Gate(position=(0.0, 2.0, -1.5), yaw_deg=90.0)]
 
 
 def _trace(positions, targets):
@@ -36,8 +35,8 @@ def test_every_input_flies_the_same_race(monkeypatch):
 
     def fly(config, policy, race, deterministic, trace, name):
         assert trace and not deterministic
-        flown.append(dataclasses.replace(config, episode=None))
-        word = config.episode.disturbance_input
+        flown.append(config.at("observation.disturbance", "none"))
+        word = config.observation.disturbance
         times = np.array([[2.0, 3.0], [2.0, np.nan if word == "none" else 2.0]])
         positions = np.array([[1.9, 0.1, -1.5], [2.1, 0.1, -1.5]])
         return Laps(times, ("", ""), np.zeros(2), 48.0), _trace(positions, [0, 1])
@@ -45,7 +44,9 @@ def test_every_input_flies_the_same_race(monkeypatch):
     monkeypatch.setattr(inputs, "fly_policy", fly)
     config = load_config(BLANK, [])
     results = inputs.compare(config, random_policy(), Race(2, 2, False), "file.npz")
-    assert set(results) == {"true", "estimated", "none"} and flown[0] == flown[1] == flown[2]
+    assert (
+        set(results) == {"ground_truth", "estimated", "none"} and flown[0] == flown[1] == flown[2]
+    )
     assert results["estimated"].finished == 2 and results["none"].finished == 1
     assert results["estimated"].seconds == pytest.approx(4.5)
     assert results["none"].seconds == pytest.approx(5.0)

@@ -94,11 +94,11 @@ def test_the_table_sets_published_times_beside(flown):
     assert paper.published_rows(config, 6) == paper.PUBLISHED
     assert paper.published_rows(config, 5) == ()
     assert paper.published_rows(config, 6, from_hover=False) == ()
-    for words in (["episode.dt=0.005"], ["track.file=figure8.yaml"], [WIDE]):
+    for words in (["rules.time_step=0.005"], ["track.file=figure8.yaml"], [WIDE]):
         assert paper.published_rows(load_config(BLANK, words), 6) == ()
         assert paper.published_total(load_config(BLANK, words)) is None
     assert paper.published_total(load_config(BLANK))[1] == 15.70
-    assert paper.published_total(load_config(BLANK, ["vehicle.kind=rate"]))[1] == 17.04
+    assert paper.published_total(load_config(BLANK, ["vehicle.model=rate"]))[1] == 17.04
     assert paper.published_total(load_config(BLANK, ["evaluate.laps=1"])) is None
     for row in paper.PUBLISHED:
         assert sum(row.laps) == pytest.approx(row.total, abs=0.03)

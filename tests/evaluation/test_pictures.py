@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from quadjax.config.schema import GateConfig
+from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.evaluation import animation, scene
 from quadjax.evaluation.curves import training_figure
@@ -18,7 +18,10 @@ from quadjax.evaluation.figures import (
 from quadjax.evaluation.recording import Recording, opening
 from quadjax.training.metrics import read_metrics
 
-GATES = [GateConfig([2.0, 0.0, -1.5], 90.0), GateConfig([-2.0, 0.0, -1.5], 270.0, [2.0, 1.0])]
+GATES = [
+    Gate(position=(2.0, 0.0, -1.5), yaw_deg=90.0),
+    Gate(position=(-2.0, 0.0, -1.5), yaw_deg=270.0, size=(2.0, 1.0)),
+]
 
 
 def circle(motors: int = 4, seconds: float = 1.0, crash: str = "") -> Recording:

@@ -34,7 +34,7 @@ def test_equal_ranges_change_no_bit():
 
 def test_the_policy_commands_what_its_file_says():
     policy = random_policy(**WIDE)
-    choices, params, ready = make(policy, "vehicle.motor.rpm_max=11500.0")
+    choices, params, ready = make(policy, "vehicle.constants.rpm_max=11500.0")
     random = np.random.default_rng(1)
     noise = jnp.zeros(4)
     for _ in range(5):

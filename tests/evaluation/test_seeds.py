@@ -6,8 +6,10 @@ import pytest
 from quadjax.cli.seeds import configs_of, train_seed
 from quadjax.core.errors import InputError
 from quadjax.evaluation import seeds
-from tests.test_training import CONFIGS, TINY
+from tests.test_training import CONFIGS, TINY_LEARNER
+from tests.test_training import TINY as SMALL
 
+TINY = [*SMALL, *TINY_LEARNER["ppo"]]
 CONFIG = str(CONFIGS / "e2e_ppo.yaml")
 
 
@@ -18,7 +20,7 @@ def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
     assert train_seed(CONFIG, TINY, 3, tmp_path) == folder
     assert (folder / "summary.json").stat().st_mtime_ns == before
     with pytest.raises(InputError, match="discount"):
-        train_seed(CONFIG, [*TINY, "ppo.discount=0.9"], 3, tmp_path)
+        train_seed(CONFIG, [*TINY, "learner.discount=0.9"], 3, tmp_path)
     result = seeds.evaluate_seed(folder, 2)
     assert result.seed == 3 and result.steps == 512 and result.sampled_runs == 2
     table = seeds.format_seeds([result])
@@ -36,14 +38,14 @@ def test_the_table_names_the_published_time():
 
 def test_a_training_that_fails_is_one_line(tmp_path):
     with pytest.raises(InputError, match="seed 0 failed with status 2"):
-        train_seed(CONFIG, [*TINY, "train.init=none.npz"], 0, tmp_path)
+        train_seed(CONFIG, [*TINY, "run.initial_policy=none.npz"], 0, tmp_path)
 
 
 def test_configs_and_changes_are_told_apart():
     files = [str(CONFIGS / name) for name in ("e2e_ppo.yaml", "indi_ppo.yaml")]
-    configs, words = configs_of([files[0], "ppo.epochs=2", files[1]])
+    configs, words = configs_of([files[0], "learner.num_epochs=2", files[1]])
     assert configs == dict(zip(("e2e_ppo", "indi_ppo"), files, strict=True))
-    assert words == ["ppo.epochs=2"]
+    assert words == ["learner.num_epochs=2"]
     with pytest.raises(InputError, match="named mine"):
         configs_of([*files, "name=mine"])
     with pytest.raises(InputError, match="no config"):

@@ -66,8 +66,8 @@ def test_the_command_does_all_of_it(folder):
         REPOSITORY / "configs/e2e.yaml",
         [f"vehicle.file={results}/vehicle.yaml", f"vehicle.residual={results}/residual.npz"],
     )
-    assert config.vehicle.motor["rpm_max"] == 11000.0
-    assert abs(config.vehicle.motor["tau"] / 0.06 - 1.0) < 0.05
+    assert config.vehicle.constants["rpm_max"] == 11000.0
+    assert abs(config.vehicle.constants["tau"] / 0.06 - 1.0) < 0.05
     assert read_yaml(results / "config.yaml")["name"] == "all"
 
 

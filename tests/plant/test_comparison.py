@@ -111,7 +111,7 @@ def test_its_policies_can_be_trained(variant, monkeypatch):
     monkeypatch.chdir(ROOT)
     config, *words = variant.training
     read = load_config(ROOT / config, [f"name={variant.policy}", *words])
-    assert read.name == variant.policy and read.vehicle.kind == "motor"
+    assert read.name == variant.policy and read.vehicle.model == "motor"
     assert variant.policy in variant.command() and config in variant.command()
 
 

@@ -84,6 +84,6 @@ def test_the_race_is_the_policys_own(e2e):
     config, _ = e2e
     policy = Policy.load(PRETRAINED / "indi.npz")
     race = race_config(config, policy)
-    assert race.vehicle.kind == "rate" and race.episode.disturbance_input == "true"
+    assert race.vehicle.model == "rate" and race.observation.disturbance == "true"
     widths = random_policy(observation={"disturbance": {"moment_x": 0.03}})
     assert race_config(config, widths).disturbance.moment_x == 0.03

@@ -88,7 +88,7 @@ def close(found, wanted):
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_flight_follows_the_reference(kind, integrator):
-    choices, params = make_race(f"vehicle.kind={kind}", f"vehicle.integrator={integrator}")
+    choices, params = make_race(f"vehicle.model={kind}", f"vehicle.integrator={integrator}")
     c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
     rows, actions = gentle(kind)
     residual = None
@@ -107,7 +107,7 @@ def test_flight_follows_the_reference(kind, integrator):
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_actions_are_clipped_and_scaled_to_the_nominal_range(kind):
-    choices, params = make_race(f"vehicle.kind={kind}")
+    choices, params = make_race(f"vehicle.model={kind}")
     c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
     actions = np.random.default_rng(1).uniform(-2, 2, (200, 4)).astype(np.float32)
     found = jax.vmap(lambda a: environment.command(choices, params, a))(actions)
@@ -119,7 +119,7 @@ def test_actions_are_clipped_and_scaled_to_the_nominal_range(kind):
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_drawn_constants_are_flown_and_limit_the_command(kind):
-    choices, params = make_race(f"vehicle.kind={kind}", "randomise.limits=0.2")
+    choices, params = make_race(f"vehicle.model={kind}", "randomization.limits=0.2")
     c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
     own = {name: value * (1 + 0.1 * np.sin(i)) for i, (name, value) in enumerate(c.items())}
     rows, actions = gentle(kind)
@@ -139,7 +139,7 @@ def test_drawn_constants_are_flown_and_limit_the_command(kind):
 @pytest.mark.parametrize(("kind", "size"), [("motor", 24), ("rate", 17)])
 def test_the_seam(kind, size):
     """Three functions of one drone; the outcome's two ends stay apart."""
-    choices, params = make_race(f"vehicle.kind={kind}", "episode.max_steps=2")
+    choices, params = make_race(f"vehicle.model={kind}", "training_limits.episode_steps=2")
     env = make_environment(choices)
     assert (env.observation_size, env.action_size) == (size, 4)
     state = env.reset(params, jax.random.key(0))

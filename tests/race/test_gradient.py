@@ -18,8 +18,8 @@ from tests.race.test_flight import double
 STEPS = 12
 QUICK = {"xla_backend_optimization_level": 0}  # compiled soon rather than well
 TERMS = (
-    *("progress", "gate", "gate_offset", "onward", "edge", "collision"),
-    *("time", "rates", "nose_up"),
+    *("progress", "gate", "gate_offset", "next_gate_progress", "gate_edge", "collision"),
+    *("time", "body_rates", "pitch_up"),
 )
 
 
@@ -47,7 +47,7 @@ def approach(kind):
 @functools.cache
 def flights(kind, integrator, residual):
     """The flight's return, its gradient and many returns at once, each compiled once."""
-    choices, params = make_race(f"vehicle.kind={kind}", f"vehicle.integrator={integrator}")
+    choices, params = make_race(f"vehicle.model={kind}", f"vehicle.integrator={integrator}")
     params = double(params)
     if residual:
         net = residual_of(ref.random_residual(1.0))
@@ -93,10 +93,10 @@ def test_gradient_of_the_return(kind, integrator, residual, term):
     weight = dict.fromkeys(TERMS, 0.0) | {"gate": 10.0}
     if term == "all":
         weight = {"progress": 1.0, "gate": 10, "gate_offset": 10, "collision": 10, "time": 1}
-        weight |= {"rates": 0.05, "nose_up": 1.0, "onward": 1.0, "edge": 5.0}
+        weight |= {"body_rates": 0.05, "pitch_up": 1.0, "next_gate_progress": 1.0, "gate_edge": 5.0}
     elif term != "gate":
         weight |= {"gate": 0.0, term: 2.0}
-    weight |= {"edge_margin": 0.45}  # so that the flight passes beyond the safe part
+    weight |= {"gate_edge_margin": 0.45}  # so that the flight passes beyond the safe part
     weights = reward.replace(**{name: jnp.asarray(value, float) for name, value in weight.items()})
     (_, (passed, ended)), slope = both(jnp.zeros(size), weights)
     assert np.sum(passed) == 1 and not np.any(ended) and 3 < np.argmax(passed) < STEPS - 1
@@ -114,7 +114,7 @@ def test_gradient_of_the_return(kind, integrator, residual, term):
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_saturated_actions_can_come_back(kind):
     """Beyond the limit the gradient is the one at the limit, or nothing, by its direction."""
-    choices, params = make_race(f"vehicle.kind={kind}")
+    choices, params = make_race(f"vehicle.model={kind}")
     params, zero = double(params), jnp.zeros((), jnp.int32)
     state = RaceState(approach(kind), zero, zero, zero, None)
 
@@ -136,7 +136,7 @@ def test_saturated_actions_can_come_back(kind):
 
 def test_gradient_is_finite_where_a_flight_ends():
     """At the gate's very centre, with no rates, in a crash and at the last step."""
-    choices, params = make_race("reward.rates=0.1")
+    choices, params = make_race("reward.body_rates=0.1")
     params, zero = double(params), jnp.zeros((), jnp.int32)
     base = approach("motor")
     still = jax.tree.map(jnp.zeros_like, base.rates)

@@ -36,8 +36,8 @@ def circuit(gates):
 @pytest.mark.parametrize("gates", [1, 4, 6, 20])
 @pytest.mark.parametrize("wrap", [True, False])
 def test_against_an_independent_version(kind, gates, wrap):
-    wrapped = f"episode.wrap_next_yaw={str(wrap).lower()}"
-    choices, params = make_race(f"vehicle.kind={kind}", wrapped, *disturbed(kind))
+    wrapped = f"observation.wrap_next_yaw={str(wrap).lower()}"
+    choices, params = make_race(f"vehicle.model={kind}", wrapped, *disturbed(kind))
     centers, yaw = circuit(gates)
     params = params.replace(track=track_of(centers, yaw))
     rows = ref.random_states(kind, COUNT)
@@ -68,7 +68,7 @@ def test_next_yaw_of_the_square_track():
     """A quarter turn to each next gate, but for the plain difference where the list wraps."""
     quarter = np.pi / 2
     for word, name, last in (("true", "next_yaw", 1), ("false", "next_yaw_unwrapped", -3)):
-        choices, params = make_race(f"episode.wrap_next_yaw={word}")
+        choices, params = make_race(f"observation.wrap_next_yaw={word}")
         state = race_state("motor", np.zeros((4, 22)), np.arange(4))
         found = compiled_observe(choices)(params, state)[:, choices.layout.slice(name)]
         np.testing.assert_allclose(found[:, 0], [quarter] * 3 + [last * quarter], atol=1e-6)
@@ -76,7 +76,7 @@ def test_next_yaw_of_the_square_track():
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_unchanged_when_all_is_turned_and_moved(kind):
-    choices, params = make_race(f"vehicle.kind={kind}", *disturbed(kind))
+    choices, params = make_race(f"vehicle.model={kind}", *disturbed(kind))
     rows, target = ref.random_states(kind, COUNT), np.arange(COUNT) % 4
     turn, move = 2.2, np.array([3.0, -4.0, 0.7])
     matrix = ref.elementary(2, np.array(turn))
@@ -97,7 +97,7 @@ def test_unchanged_when_all_is_turned_and_moved(kind):
 def test_disturbances_that_are_not_told():
     rows = ref.random_states("motor", COUNT)
     state = race_state("motor", rows)
-    for words in ((*PAPER, "episode.disturbance_input=none"), ()):
+    for words in ((*PAPER, "observation.disturbance=none"), ()):
         choices, params = make_race(*words)
         found = compiled_observe(choices)(params, state)
         assert np.all(np.isfinite(found))
@@ -111,7 +111,7 @@ def test_disturbances_that_are_not_told():
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_actuators_are_scaled_by_the_nominal_range(kind):
     """A policy does not know the range of the drone that was drawn."""
-    choices, params = make_race(f"vehicle.kind={kind}", "randomise.limits=0.2")
+    choices, params = make_race(f"vehicle.model={kind}", "randomization.limits=0.2")
     rows = ref.random_states(kind, 3)
     state = race_state(kind, rows)
     own = params.vehicle.constants.replace(

@@ -212,7 +212,7 @@ def test_truncation_is_not_termination(race):
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_a_state_that_is_not_finite_is_a_crash_and_nothing_more(kind, bad):
-    race = make_race(f"vehicle.kind={kind}", "reward.rates=0.1", "reward.time=0.2")
+    race = make_race(f"vehicle.model={kind}", "reward.body_rates=0.1", "reward.time=0.2")
     rows = ref.random_states(kind, 4)
     rows[:, ref.P], rows[:, ref.RATES] = FAR, 0.5
     velocity = rows.copy()
@@ -248,13 +248,13 @@ def weights(**kept):
         ({"progress": 2.0}, (2 * 0.05, 0.0, 0.0)),
         ({"gate": 3.0}, (0.0, 3.0, 0.0)),
         ({"gate_offset": 4.0}, (0.0, -4 * np.hypot(0.03, 0.2), 0.0)),
-        ({"onward": 2.0}, (0.0, 2 * (np.hypot(0.02, 0.2) + 3 - ONE_TO_GO), 0.0)),
+        ({"next_gate_progress": 2.0}, (0.0, 2 * (np.hypot(0.02, 0.2) + 3 - ONE_TO_GO), 0.0)),
         ({"collision": 5.0}, (0.0, 0.0, -5.0)),
-        ({"edge": 4.0, "edge_margin": 0.4}, (0.0, -4 * 0.1, -4 * 0.5)),
-        ({"edge": 4.0, "edge_margin": 0.1}, (0.0, 0.0, -4 * 0.2)),
+        ({"gate_edge": 4.0, "gate_edge_margin": 0.4}, (0.0, -4 * 0.1, -4 * 0.5)),
+        ({"gate_edge": 4.0, "gate_edge_margin": 0.1}, (0.0, 0.0, -4 * 0.2)),
         ({"time": 6.0}, (-0.06, -0.06, -0.06)),
-        ({"rates": 7.0}, (-0.07 * 1.5, -0.07 * 1.5, -0.07 * 1.5)),
-        ({"nose_up": 8.0}, (0.0, -0.08 * 0.3, 0.08 * 0.3)),
+        ({"body_rates": 7.0}, (-0.07 * 1.5, -0.07 * 1.5, -0.07 * 1.5)),
+        ({"pitch_up": 8.0}, (0.0, -0.08 * 0.3, 0.08 * 0.3)),
     ],
 )
 def test_each_term_of_the_reward(race, kept, expected):
@@ -276,9 +276,9 @@ def test_each_term_of_the_reward(race, kept, expected):
 
 @pytest.mark.parametrize("target", range(4))
 @pytest.mark.parametrize(("right", "down"), [(0, 0), (0.45, 0), (-0.3, 0.4), (0.2, -0.45)])
-def test_onward_pays_a_leg_the_same_wherever_its_gate_is_passed(target, right, down):
+def test_next_gate_progress_rewards_a_leg_the_same_wherever_its_gate_is_passed(target, right, down):
     track = track_of(ref.GATES, ref.GATE_YAW)
-    following, kinds = (target + 1) % 4, weights(progress=1.0, onward=1.0)
+    following, kinds = (target + 1) % 4, weights(progress=1.0, next_gate_progress=1.0)
     points = [through(target, -0.7), through(target, -0.06, right, down)]
     points += [through(target, 0.02, right, down), through(following, -0.5)]
     flown = [vec3(np.atleast_2d(p).astype(np.float32)) for p in points]
@@ -300,13 +300,13 @@ def test_default_reward_is_the_published_one(race):
         "progress": 1.0,
         "gate": 10.0,
         "gate_offset": 10.0,
-        "onward": 0.0,
+        "next_gate_progress": 0.0,
         "collision": 10.0,
         "time": 0.0,
-        "rates": 0.0,
-        "nose_up": 0.0,
-        "edge": 0.0,
-        "edge_margin": pytest.approx(0.1),
+        "body_rates": 0.0,
+        "pitch_up": 0.0,
+        "gate_edge": 0.0,
+        "gate_edge_margin": pytest.approx(0.1),
     }
 
 
@@ -323,7 +323,7 @@ def test_a_roll_has_no_end():
 
 def test_spinning_ends_an_episode_in_training_alone():
     """A yaw rate beyond the limit of a config, either way round; by the exact rules it is none."""
-    choices, params = make_race("episode.yaw_rate_limit=5")
+    choices, params = make_race("training_limits.yaw_rate=5")
     rows = level(through(0, -2.0), 0.0)
     for rate, ends in ((4.5, False), (6.0, True), (-6.0, True)):
         rows[:, ref.RATES] = [0.0, 0.0, rate]
@@ -336,7 +336,7 @@ def test_default_limits_are_the_published_ones(race):
     assert limits["dt"] == pytest.approx(0.01) and limits["max_steps"] == 1200
     assert limits["position"] == 10 and limits["rate"] == 1000 and limits["gate_margin"] == 0
     exact = exact_rules(
-        MODEL, make_race("episode.gate_margin=0.1", "episode.pitch_limit_deg=60")[1]
+        MODEL, make_race("training_limits.gate_inflation=-0.1", "training_limits.pitch_deg=60")[1]
     )
     assert float(exact.limits.gate_margin) == 0
     assert float(exact.limits.pitch) == pytest.approx(np.radians(89))
@@ -345,16 +345,18 @@ def test_default_limits_are_the_published_ones(race):
 
 
 def test_gate_margin_of_the_config(race):
-    margin = make_race("episode.gate_margin=0.1")
+    margin = make_race("training_limits.gate_inflation=-0.1")
     rows = level(through(1, -0.02, 0.45), 5 * normal(1))
     assert step(race, rows, 1)[2].passed[0] and step(margin, rows, 1)[2].gate_collision[0]
-    box = make_race("episode.gate_test=world_box")
+    box = make_race("rules.gate_test=world_box")
     rows = level(through(1, -0.02, 0.6), 2.5 * normal(1))
     assert step(race, rows, 1)[2].gate_collision[0] and step(box, rows, 1)[2].passed[0]
 
 
 def test_gates_may_be_wider_in_training_at_a_price():
-    wide = make_race("episode.gate_margin=-0.3", "reward.edge=20", "reward.edge_margin=0.05")
+    wide = make_race(
+        "training_limits.gate_inflation=0.3", "reward.gate_edge=20", "reward.gate_edge_margin=0.05"
+    )
     beyond = np.array([0.4, 0.7, 0.85])
     points = np.stack([through(1, -0.02, right) for right in beyond])
     rows = level(points, np.tile(5 * normal(1), (3, 1)))
@@ -378,7 +380,9 @@ def test_yaw_stays_wrapped(race):
 def test_one_compilation_serves_every_set_of_numbers(race):
     compiled = compiled_transition(race[0])
     before = compiled._cache_size()
-    changed = make_race("vehicle.motor.k_w=5e-8", "reward.gate=1", "episode.max_steps=300")[1]
+    changed = make_race(
+        "vehicle.constants.k_w=5e-8", "reward.gate=1", "training_limits.episode_steps=300"
+    )[1]
     state = race_state("motor", level(FAR, np.zeros(3)))
     compiled(race[1], state, jnp.full((1, 4), HOVER, jnp.float32))
     after = compiled._cache_size()

@@ -10,14 +10,14 @@ import pytest
 
 from quadjax.race import environment
 from quadjax.race.start import RandomiseFractions, draw_constants
-from quadjax.race.track import into_bend
+from quadjax.race.track import inside_turn
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
 from tests.convert import rows_of
 from tests.race.support import compiled_reset, make_race, track_of
 
 COUNT = 4000
-AUTHORS = ("start.roll_pitch_deg=20", "start.rates=0.1")
+AUTHORS = ("start.roll_pitch_deg=20", "start.body_rates=0.1")
 
 
 def starts(*words):
@@ -46,7 +46,7 @@ def independent(rows, columns):
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 @pytest.mark.parametrize(("words", "tilt", "rates"), [((), 40.0, 1.0), (AUTHORS, 20.0, 0.1)])
 def test_ranges(kind, words, tilt, rates):
-    state, rows = starts(f"vehicle.kind={kind}", *words)
+    state, rows = starts(f"vehicle.model={kind}", *words)
     spans(rows[:, ref.P] - ref.GATES[3], -0.5, 0.5)
     spans(rows[:, ref.V], -0.5, 0.5)
     angle = np.radians([tilt, tilt, 180.0])
@@ -66,13 +66,16 @@ def test_ranges(kind, words, tilt, rates):
 
 def test_each_range_of_the_config():
     _, rows = starts(
-        "start.position=0.1", "start.velocity=2", "start.yaw_deg=30", "vehicle.motor.rpm_min=5000"
+        "start.position=0.1",
+        "start.velocity=2",
+        "start.yaw_deg=30",
+        "vehicle.constants.rpm_min=5000",
     )
     spans(rows[:, ref.P] - ref.GATES[3], -0.1, 0.1)
     spans(rows[:, ref.V], -2, 2)
     spans(rows[:, 8:9], -np.pi / 6, np.pi / 6)
     spans(rows[:, ref.RPM], 5000.0, 11000.0)
-    _, rows = starts("vehicle.kind=rate", "start.thrust=[2, 9]")
+    _, rows = starts("vehicle.model=rate", "start.thrust=[2, 9]")
     spans(rows[:, ref.THRUST], 2.0, 9.0)
 
 
@@ -87,7 +90,7 @@ def test_disturbances():
 
 @pytest.mark.parametrize("gates", [1, 4, 6, 20])
 def test_random_gate(gates):
-    choices, params = make_race("episode.random_gate=true")
+    choices, params = make_race("start.gate=random")
     turn = 2 * np.pi * np.arange(gates) / gates
     centres = np.stack([9 * np.cos(turn), 9 * np.sin(turn), np.full(gates, -2.0)], 1)
     params = params.replace(track=track_of(centres, turn))
@@ -101,10 +104,10 @@ def test_random_gate(gates):
     spans(offset, -0.5, 0.5)
 
 
-def way_into_bend(corners):
+def way_inside_turn(corners):
     """Unit vectors, (gates, 2), of a track of gates at the corners."""
     track = track_of(np.pad(corners, ((0, 0), (0, 1))), np.zeros(len(corners)))
-    yaw = np.asarray(into_bend(track))
+    yaw = np.asarray(inside_turn(track))
     return np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
 
 
@@ -112,8 +115,8 @@ def test_the_way_into_a_bend():
     """Across each leg of a rectangle, to the right where that is flown clockwise, as from above."""
     right = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # of the legs to the paper's gates
     corners, mirror = ref.GATES[:, :2], np.array([1.0, -1.0])
-    np.testing.assert_allclose(way_into_bend(corners), right, atol=1e-6)
-    np.testing.assert_allclose(way_into_bend(corners * mirror), right * mirror, atol=1e-6)
+    np.testing.assert_allclose(way_inside_turn(corners), right, atol=1e-6)
+    np.testing.assert_allclose(way_inside_turn(corners * mirror), right * mirror, atol=1e-6)
 
 
 def test_a_leg_without_a_bend():
@@ -122,18 +125,18 @@ def test_a_leg_without_a_bend():
     A bend by less than 0.1 rad at each end is none. One gate has a leg of no length.
     """
     corners = np.array([[0, 0], [1, 0], [2, 0], [3, 0], [3, 2], [0, 2]], float)
-    np.testing.assert_allclose(way_into_bend(corners)[2], [1, 0], atol=1e-6)
-    np.testing.assert_allclose(way_into_bend(corners[:2]), [[-1, 0], [1, 0]], atol=1e-6)
+    np.testing.assert_allclose(way_inside_turn(corners)[2], [1, 0], atol=1e-6)
+    np.testing.assert_allclose(way_inside_turn(corners[:2]), [[-1, 0], [1, 0]], atol=1e-6)
     slight = corners - np.array([[0, 0.1], [0, 0], [0, 0], [0, 0.1], [0, 0], [0, 0]])
-    np.testing.assert_allclose(way_into_bend(slight)[2], [1, 0], atol=1e-6)
+    np.testing.assert_allclose(way_inside_turn(slight)[2], [1, 0], atol=1e-6)
     np.testing.assert_allclose(
-        way_into_bend(slight - [[0, 0.2], *[[0, 0]] * 5])[2], [0, -1], atol=1e-6
+        way_inside_turn(slight - [[0, 0.2], *[[0, 0]] * 5])[2], [0, -1], atol=1e-6
     )
-    assert np.all(np.isfinite(way_into_bend(corners[:1])))
+    assert np.all(np.isfinite(way_inside_turn(corners[:1])))
 
 
 def test_staggered_clocks():
-    state, rows = starts("episode.stagger_clocks=true", "episode.random_gate=true")
+    state, rows = starts("start.stagger_clocks=true", "start.gate=random")
     clock = np.asarray(state.step)
     assert clock.min() >= 0 and clock.max() < 1200
     assert np.abs(np.histogram(clock, 10, (0, 1200))[0] / COUNT - 0.1).max() < 0.02
@@ -143,7 +146,7 @@ def test_staggered_clocks():
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_each_group_of_constants_is_drawn_by_itself(kind):
-    nominal = make_race(f"vehicle.kind={kind}")[1].vehicle.constants
+    nominal = make_race(f"vehicle.model={kind}")[1].vehicle.constants
     model = MODELS[kind]
     none = {field.name: jnp.float32(0) for field in dataclasses.fields(RandomiseFractions)}
     assert set(none) >= set(model.groups)
@@ -165,7 +168,7 @@ def test_each_group_of_constants_is_drawn_by_itself(kind):
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_randomisation_of_the_config_reaches_the_episode(kind):
     """The drawn constants are the episode's own, drawn apart from its start."""
-    words = (f"vehicle.kind={kind}", "randomise.lag=0.3", "randomise.limits=0.1")
+    words = (f"vehicle.model={kind}", "randomization.lag=0.3", "randomization.limits=0.1")
     state, rows = starts(*words)
     lags = {"motor": ("tau",), "rate": ("tau_rate", "tau_thrust")}[kind]
     nominal = make_race(*words)[1].vehicle.constants
@@ -183,7 +186,7 @@ def test_randomisation_of_the_config_reaches_the_episode(kind):
 
 def test_hover_start():
     for kind, actuators in (("motor", 7497.0), ("rate", 9.81)):
-        choices, params = make_race(f"vehicle.kind={kind}")
+        choices, params = make_race(f"vehicle.model={kind}")
         state = environment.hover_start(choices, params)
         row = rows_of(state.drone)
         np.testing.assert_allclose(row[ref.P], ref.GATES[3])

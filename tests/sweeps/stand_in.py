@@ -17,8 +17,8 @@ def run_trial(job: Job, tell) -> Outcome:
     with open(job.folder / "workers", "a") as stream:
         stream.write(f"{os.getpid()}\n")
     ticks = job.folder / "ticks"
-    ppo = job.configs[0].ppo
-    value = value_of(ppo.clip, ppo.learning_rate)
+    learner = job.configs[0].learner
+    value = value_of(learner.clip_range, learner.learning_rate)
     for tick in range(int(ticks.read_text()) if ticks.exists() else 0, 10):
         time.sleep(SECONDS / 10)
         ticks.write_text(str(tick + 1))

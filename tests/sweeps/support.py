@@ -10,12 +10,12 @@ from quadjax.sweeps.sweep import load_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = {
-    "train": {"drones": 16, "steps": 512, "evaluate_every": 128},
+    "run": {"steps": 512, "evaluate_every": 128},
     "network.hidden": [8],
-    "ppo": {"steps_per_update": 8, "batches": 2, "epochs": 1},
+    "learner": {"num_envs": 16, "rollout_length": 8, "num_minibatches": 2, "num_epochs": 1},
     "evaluate.laps": 1,
 }
-RATE, CLIP = "ppo.learning_rate", "ppo.clip"
+RATE, CLIP = "learner.learning_rate", "learner.clip_range"
 
 
 def sweep_file(folder: Path, **entries: object) -> Path:

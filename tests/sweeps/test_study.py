@@ -39,7 +39,7 @@ def test_tpe_gets_better_and_a_grid_has_every_point(tmp_path):
     values = [trial.value for trial in complete(study)]
     assert sum(values[-10:]) < sum(values[:10])
 
-    space = {CLIP: {"choices": [0.1, 0.2]}, "ppo.epochs": {"range": [1, 3]}}
+    space = {CLIP: {"choices": [0.1, 0.2]}, "learner.num_epochs": {"range": [1, 3]}}
     sweep, _, study = open_small(tmp_path / "g", search={"method": "grid"}, space=space, budget={})
     points = [tuple(finish(study, sweep, 1.0).params.values()) for _ in range(6)]
     assert sorted(points) == [(clip, epochs) for clip in (0.1, 0.2) for epochs in (1, 2, 3)]
@@ -124,10 +124,10 @@ def test_a_study_takes_only_its_own_sweep(tmp_path):
     open_small(tmp_path)
     with pytest.raises(InputError, match=r"objective.seeds was 1, is 2"):
         open_small(tmp_path, objective={"seeds": 2, "flights": 2})
-    with pytest.raises(InputError, match=r"space.ppo.clip was .*0.3.* is .*0.4"):
-        open_small(tmp_path, "space.ppo.clip.range=[0.1,0.4]")
+    with pytest.raises(InputError, match=r"space.learner.clip_range was .*0.3.* is .*0.4"):
+        open_small(tmp_path, "space.learner.clip_range.range=[0.1,0.4]")
     with pytest.raises(InputError, match=r"config.*discount was 0.99.*, is 0.9"):
-        open_small(tmp_path, "overrides.ppo.discount=0.9")
+        open_small(tmp_path, "overrides.learner.discount=0.9")
     assert count(open_small(tmp_path)[2]).waiting == 4
 
 

@@ -9,13 +9,13 @@ from quadjax.sweeps.sweep import load_sweep, read_dimension
 from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, ROOT, TINY, sweep_file
 
-EPOCHS, ACTIVATION, HIDDEN = "ppo.epochs", "network.activation", "network.hidden"
+EPOCHS, ACTIVATION, HIDDEN = "learner.num_epochs", "network.activation", "network.hidden"
 
 IMPOSSIBLE_SPACES = {
-    "unknown key": ({"ppo.rate": {"range": [0, 1]}}, ["space.ppo.rate", "learning_rate"]),
+    "unknown key": ({"learner.rate": {"range": [0, 1]}}, ["space.learner.rate", "learning_rate"]),
     "unknown section": ({"pppo.clip": {"range": [0, 1]}}, ["space.pppo.clip", "unknown key"]),
     "below a value": ({f"{CLIP}.low": {"range": [0, 1]}}, [f"space.{CLIP}.low", "unknown"]),
-    "a section": ({"ppo": {"range": [0, 1]}}, ["space.ppo", "section", "clip"]),
+    "a section": ({"learner": {"range": [0, 1]}}, ["space.learner", "section", "clip"]),
     "an empty range": ({CLIP: {"range": [0.3, 0.3]}}, [f"space.{CLIP}", "[0.3, 0.3]"]),
     "a reversed range": ({CLIP: {"range": [0.3, 0.1]}}, ["[0.3, 0.1]", "lowest < highest"]),
     "no choices": ({EPOCHS: {"choices": []}}, [f"space.{EPOCHS}", "choices"]),
@@ -46,13 +46,18 @@ def space(entries):
 
 
 IMPOSSIBLE_FILES = {
-    "beyond the schema": (space({"ppo.discount": {"range": [0.9, 1.2]}}), ["discount", "1.2"]),
+    "beyond the schema": (space({"learner.discount": {"range": [0.9, 1.2]}}), ["discount", "1.2"]),
     "a wrong choice": (space({ACTIVATION: {"choices": ["gelu"]}}), ["gelu", "relu"]),
     "a choice of a wrong type": (space({EPOCHS: {"choices": [2, "many"]}}), ["many"]),
     "a truth for a number": (space({CLIP: {"choices": [True]}}), [CLIP, "true"]),
     "what does not go together": (
-        space({"ppo.batches": {"choices": [2, 4]}, "train.drones": {"choices": [16, 10]}}),
-        ["ppo.batches=4", "train.drones=10"],
+        space(
+            {
+                "learner.num_minibatches": {"choices": [2, 4]},
+                "learner.num_envs": {"choices": [16, 10]},
+            }
+        ),
+        ["learner.num_minibatches=4", "learner.num_envs=10"],
     ),
     "an unknown entry": ({"serach": {}}, ["serach", "search"]),
     "an unknown method": ({"search": {"method": "magic"}}, ["search.method", "magic", "tpe"]),
@@ -67,7 +72,7 @@ IMPOSSIBLE_FILES = {
     "another store": ({"storage": "mysql://u:secret@host/d"}, ["storage", "postgresql://"]),
     "a name with a slash": ({"name": "a/b"}, ["name", "a/b"]),
     "an unknown override": ({"overrides": {"ppo.klip": 1}}, ["klip"]),
-    "unknown conditions": ({"conditions": {"randomise.mass": 1}}, ["mass"]),
+    "unknown conditions": ({"conditions": {"randomization.mass": 1}}, ["mass"]),
     "a grid of a line": (
         {"search": {"method": "grid"}},
         [RATE, "choices, step or points"],
@@ -118,11 +123,11 @@ def test_impossible_sweeps(tmp_path, case):
 
 
 def test_the_command_refuses_in_one_line_and_leaves_nothing(tmp_path, capsys):
-    path = sweep_file(tmp_path, **space({"ppo.rate": {"range": [0, 1]}}))
+    path = sweep_file(tmp_path, **space({"learner.rate": {"range": [0, 1]}}))
     assert run("sweep", path, "--output", tmp_path / "runs") == 2
     printed = capsys.readouterr()
     assert not printed.out and not (tmp_path / "runs").exists()
-    assert len(printed.err.splitlines()) == 1 and "space.ppo.rate" in printed.err
+    assert len(printed.err.splitlines()) == 1 and "space.learner.rate" in printed.err
     assert run("sweep", sweep_file(tmp_path), "--check", "--output", tmp_path / "runs") == 0
     assert "4 trials of 1 seeds" in capsys.readouterr().out and not (tmp_path / "runs").exists()
 
@@ -142,42 +147,50 @@ def test_a_grid_holds_every_point():
     assert dimensions[3].grid() == ["[8]", "[16, 16]"]
     last = [d.override(d.grid()[-1]) for d in dimensions]
     config = load_config(ROOT / "configs/e2e_ppo.yaml", last)
-    assert list(config.network.hidden) == [16, 16] and config.ppo.epochs == 6
-    assert config.ppo.clip == 0.3 and config.ppo.learning_rate == 1e-2
+    assert list(config.network.hidden) == [16, 16] and config.learner.num_epochs == 6
+    assert config.learner.clip_range == 0.3 and config.learner.learning_rate == 1e-2
 
 
 def test_overrides_change_a_sweep(tmp_path):
     path = sweep_file(tmp_path)
     changes = ["budget.trials=9", f"space.{CLIP}.range=[0.2,0.4]", "name=other"]
-    sweep = load_sweep(path, [*changes, "overrides.ppo.epochs=2"])
+    sweep = load_sweep(path, [*changes, "overrides.learner.num_epochs=2"])
     assert sweep.trials == 9 and sweep.file.name == "other"
     assert sweep.dimensions[1].ends() == [0.2, 0.4]
     config = sweep.config_of({CLIP: 0.25, RATE: 1e-3}, "name=t", "seed=4")
-    assert (config.ppo.clip, config.seed, config.name, config.ppo.epochs) == (0.25, 4, "t", 2)
-    assert config.train.drones == 16
+    assert (config.learner.clip_range, config.seed, config.name, config.learner.num_epochs) == (
+        0.25,
+        4,
+        "t",
+        2,
+    )
+    assert config.learner.num_envs == 16
 
 
 def test_every_trial_is_evaluated_in_the_same_race(tmp_path):
     """Where the space varies the race itself, policies fly in the base's."""
-    varied = {"randomise.thrust": {"range": [0.0, 0.3]}, "start.position": {"range": [0.1, 1.0]}}
+    varied = {
+        "randomization.thrust": {"range": [0.0, 0.3]},
+        "start.position": {"range": [0.1, 1.0]},
+    }
     sweep = load_sweep(sweep_file(tmp_path, **space(varied)))
     base = load_config(sweep.base)
-    race = sweep.config_of({"randomise.thrust": 0.3, "start.position": 1.0}, *sweep.conditions)
-    assert race.randomise.thrust == 0.0 and race.start.position == base.start.position
-    entries = space(varied) | {"conditions": {"randomise": {"thrust": 0.1}}}
+    race = sweep.config_of({"randomization.thrust": 0.3, "start.position": 1.0}, *sweep.conditions)
+    assert race.randomization.thrust == 0.0 and race.start.position == base.start.position
+    entries = space(varied) | {"conditions": {"randomization": {"thrust": 0.1}}}
     sweep = load_sweep(sweep_file(tmp_path, **entries))
-    race = sweep.config_of({"randomise.thrust": 0.3, "start.position": 1.0}, *sweep.conditions)
-    assert race.randomise.thrust == 0.1
+    race = sweep.config_of({"randomization.thrust": 0.3, "start.position": 1.0}, *sweep.conditions)
+    assert race.randomization.thrust == 0.1
 
 
 def test_the_base_config_is_found_by_the_name_of_a_preset(tmp_path):
     path = sweep_file(tmp_path, config="e2e_ppo")
-    assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).algorithm == "ppo"
+    assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).learner.algorithm == "ppo"
     base = str(ROOT / "configs/e2e_ppo.yaml")
-    (tmp_path / "own.yaml").write_text(to_yaml({"base": base, "ppo": {"epochs": 7}}))
-    own = {key: value for key, value in TINY.items() if key != "ppo"}
+    (tmp_path / "own.yaml").write_text(to_yaml({"base": base, "learner": {"num_epochs": 7}}))
+    own = {key: value for key, value in TINY.items() if key != "learner"}
     path = sweep_file(tmp_path, config="own.yaml", overrides=own)
-    assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).ppo.epochs == 7
+    assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).learner.num_epochs == 7
 
 
 @pytest.mark.parametrize(

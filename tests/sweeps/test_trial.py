@@ -44,7 +44,7 @@ def test_a_whole_sweep_by_its_command(tmp_path, capfd):
     assert "No policy finished a flight" in printed.out and "best" not in printed.out
     folder = tmp_path / "runs" / "small"
     own = load_config(folder / "trials/0001/seed0/config.yaml")
-    assert own.train.devices == "1" and own.train.drones == 16
+    assert own.run.devices == "1" and own.learner.num_envs == 16
     assert "No policy" in (folder / "report.md").read_text()
     assert not (folder / "best.yaml").exists()
     (folder / "notes.txt").write_text("mine")
@@ -92,8 +92,8 @@ def test_the_report_has_a_table_importances_figures_and_the_best_config(found):
         table = list(csv.DictReader(stream))
     assert len(table) == 30 and float(table[0]["median"]) == pytest.approx(values[0], abs=1e-3)
     config = load_config(directory / "best.yaml")
-    assert config.ppo.clip == results[0].params[CLIP] and config.name == "small_best"
-    assert config.train.devices == "auto"
+    assert config.learner.clip_range == results[0].params[CLIP] and config.name == "small_best"
+    assert config.run.devices == "auto"
     for name in ("parallel.png", "slices.png"):
         with Image.open(directory / name) as image:
             assert image.size[0] > 600 and len(set(image.convert("L").tobytes())) > 20

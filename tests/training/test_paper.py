@@ -18,17 +18,17 @@ def test_presets_of_the_papers_race(path):
 @pytest.mark.parametrize(
     "word",
     [
-        "episode.dt=0.005",
-        "episode.gate_test=world_box",
-        "episode.position_limit=20",
-        "episode.rate_limit=10",
+        "rules.time_step=0.005",
+        "rules.gate_test=world_box",
+        "rules.position_limit=20",
+        "rules.body_rate_limit=10",
         "track.file=figure8.yaml",
-        "vehicle.motor.k_w=2e-7",
-        "vehicle.motor.tau=0.05",
+        "vehicle.constants.k_w=2e-7",
+        "vehicle.constants.tau=0.05",
         "vehicle.integrator=rk4",
         "vehicle.residual=standin_residual.npz",
-        "vehicle.actual={k_w: 0.96}",
-        "randomise.inertia=0.1",
+        "vehicle.mismatch={k_w: 0.96}",
+        "randomization.inertia=0.1",
         "disturbance.force_z=0.1",
     ],
 )
@@ -38,8 +38,9 @@ def test_any_other_race_has_no_published_time(word):
 
 
 def test_command_limits_of_the_rate_model_count():
-    config = load_config(BLANK, ["vehicle.kind=rate"])
+    config = load_config(BLANK, ["vehicle.model=rate"])
     assert published_total(config)[1] == 17.04
     assert (
-        published_total(load_config(BLANK, ["vehicle.kind=rate", "vehicle.rate.r_max=2"])) is None
+        published_total(load_config(BLANK, ["vehicle.model=rate", "vehicle.constants.r_max=2"]))
+        is None
     )

@@ -1,0 +1,44 @@
+"""The reference of every config key, from the declarations: a page of the docs, and comments."""
+
+from quadjax.config.base import KeyInfo, Section, describe, to_yaml
+from quadjax.config.schema import Config, Gate, Schedule
+from quadjax.learners.ppo.hyperparameters import PPO
+from quadjax.learners.shac.hyperparameters import SHAC
+
+LEARNERS: tuple[type[Section], ...] = (PPO, SHAC)
+
+
+def commented_yaml(config: Config) -> str:
+    """A config as YAML with the description of each key on the line above it."""
+    keys = describe(Config) + describe(type(config.learner), "learner.")
+    comments = {info.key: f"{info.description} [{info.allowed}]" for info in keys}
+    return to_yaml(config.model_dump(by_alias=True), comments)
+
+
+def markdown() -> str:
+    """The reference of every key as Markdown: one table for each section."""
+    sections = [("The run", [info for info in describe(Config) if "." not in info.key])]
+    for name, field in Config.model_fields.items():
+        schema = field.annotation
+        if isinstance(schema, type) and issubclass(schema, Section) and name != "learner":
+            sections.append((f"`{name}`", describe(schema, f"{name}.")))
+            if name == "track":
+                sections.append(("Items of `track.gates`", describe(Gate)))
+        elif name == "learner":
+            for learner in LEARNERS:
+                default = learner.model_fields["algorithm"].default
+                title = f"`learner` with `learner.algorithm: {default}`"
+                sections.append((title, describe(learner, "learner.")))
+        elif name == "schedules":
+            sections.append(("Values of `schedules`", describe(Schedule)))
+    parts = [f"## {title}\n\n{_table(keys)}" for title, keys in sections]
+    return "# Config keys\n\n" + "\n".join(parts)
+
+
+def _table(keys: list[KeyInfo]) -> str:
+    lines = ["| key | default | values | description |", "|---|---|---|---|"]
+    for info in keys:
+        default = to_yaml({"": info.default}).strip().removeprefix('"": ')
+        cells = (f"`{info.key}`", f"`{default}`", info.allowed, info.description)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,321 @@
+"""Training configs: the presets, and every mistake as one line that names what is allowed."""
+
+import shutil
+from pathlib import Path
+
+import pydantic
+import pytest
+
+from quadjax.config.files import read_yaml
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Reward
+from quadjax.core.errors import InputError
+from quadjax.core.resources import CONFIGS, preset_names
+from tests import reference as ref
+
+BLANK = Path(__file__).parent.parent / "blank.yaml"
+
+
+def refusal(path, *overrides):
+    with pytest.raises(InputError) as caught:
+        load_config(path, overrides)
+    text = str(caught.value)
+    assert text and "\n" not in text
+    return text
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_preset_loads_and_its_dump_needs_no_other_file(name, tmp_path):
+    config = load_config(name)
+    assert config.name == name
+    (tmp_path / "config.yaml").write_text(config.to_yaml())
+    assert load_config(tmp_path / "config.yaml") == config
+    assert config.vehicle.file is None and config.track.file is None
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_no_preset_changes_what_it_inherits(path):
+    """Each key below the top level is set once along the bases of a preset."""
+
+    def leaves(tree, prefix=""):
+        for key, value in tree.items():
+            if isinstance(value, dict) and "linear" not in value:
+                yield from leaves(value, f"{prefix}{key}.")
+            else:
+                yield f"{prefix}{key}"
+
+    def files(path):
+        tree = read_yaml(path)
+        bases = tree.pop("base", [])
+        for base in [bases] if isinstance(bases, str) else bases:
+            near, preset = path.parent / f"{base}.yaml", CONFIGS / f"{base}.yaml"
+            yield from files(near if near.is_file() else preset)
+        yield tree
+
+    found = [key for tree in files(path) for key in leaves(tree) if key != "name"]
+    assert found and len(found) == len(set(found)), sorted(k for k in found if found.count(k) > 1)
+
+
+def test_presets_that_are_published_have_the_published_reward():
+    for name in ("e2e_paper", "indi_paper", "authors_code", "e2e_ppo", "indi_ppo"):
+        assert load_config(name).reward == Reward()
+
+
+def test_defaults_are_the_published_model():
+    config = load_config(BLANK)
+    assert config.vehicle.constants == ref.MOTOR and config.vehicle.models == {"rate": ref.RATE}
+    assert load_config(BLANK, ["vehicle.model=rate"]).vehicle.constants == ref.RATE
+    assert [list(gate.position) for gate in config.track.gates] == ref.GATES.tolist()
+    assert [gate.yaw_deg for gate in config.track.gates] == [45, 135, 225, 315]
+    assert all(gate.size == (1, 1) for gate in config.track.gates)
+    assert config.start.roll_pitch_deg == 40 and config.start.body_rates == 1
+    assert config.training_limits.episode_steps == 1200 and config.rules.time_step == 0.01
+    assert config.rules.gate_test == "square"
+    assert set(dict(config.randomization).values()) == {0.0}
+
+
+def test_overrides():
+    config = load_config(
+        BLANK,
+        [
+            "seed=7",
+            "learner.learning_rate=1e-3",
+            "network.hidden=[32, 16]",
+            "vehicle.model=rate",
+            "vehicle.constants.d_x=0.5",
+            "start.gate=random",
+            "run.devices=2",
+            "run.steps=2e6",
+            "rules.position_limit=null",
+            "name=other",
+            "track=figure8",
+        ],
+    )
+    assert config.seed == 7 and config.learner.learning_rate == 1e-3
+    assert config.network.hidden == (32, 16) and config.vehicle.model == "rate"
+    assert config.vehicle.constants == ref.RATE | {"d_x": 0.5}
+    assert config.start.gate == "random" and config.run.devices == 2
+    assert config.run.steps == 2_000_000 and config.rules.position_limit is None
+    assert config.name == "other" and config.track.name == "figure8"
+    with pytest.raises(pydantic.ValidationError):
+        config.seed = 3
+
+
+def test_another_algorithm_starts_from_its_own_defaults():
+    config = load_config("e2e_shac", ["learner.algorithm=ppo", "learner.num_epochs=2"])
+    assert (config.learner.algorithm, config.learner.num_epochs) == ("ppo", 2)
+    assert config.learner.learning_rate == 7e-4
+    assert set(config.schedules) == {"start.yaw_deg", "reward.pitch_up"}
+    assert load_config("e2e_shac", ["learner.algorithm=shac"]).learner.ema_rate == 0.03
+
+
+def test_schedules_are_merged_and_removed():
+    config = load_config("e2e_fastest", ["schedules.learner.std.linear=[0.4, 0.2, 0.1]"])
+    assert config.schedules["learner.std"].linear == (0.4, 0.2, 0.1)
+    assert config.schedules["learner.std"].until == 1.0
+    again = load_config("e2e_fastest", ["schedules={learner.std: null, reward.gate_edge: null}"])
+    assert set(again.schedules) == {"learner.learning_rate", "learner.critic_learning_rate"}
+
+
+def test_a_vehicle_and_a_track_next_to_the_config(tmp_path):
+    text = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(text.split("rate:")[0].replace("g: 9.81", "g: 9.7"))
+    (tmp_path / "hall.yaml").write_text("gates:\n  - {position: [1, 2, -3]}\n")
+    path = tmp_path / "c.yaml"
+    path.write_text("base: e2e_shac\nvehicle:\n  file: mine.yaml\ntrack: hall\n")
+    config = load_config(path)
+    assert config.vehicle.constants["g"] == 9.7 and config.vehicle.models == {}
+    assert config.track.name == "hall" and len(config.track.gates) == 1
+    (tmp_path / "runs").mkdir()
+    saved = tmp_path / "runs" / "config.yaml"
+    saved.write_text(config.to_yaml())
+    (tmp_path / "mine.yaml").unlink()
+    (tmp_path / "hall.yaml").unlink()
+    assert load_config(saved) == config
+    other = load_config(saved, ["track=figure8", "vehicle=bebop1"])
+    assert other.track.name == "figure8" and other.vehicle.constants["g"] == 9.81
+    assert "vehicle.constants.g is missing; Parrot Bebop 1 has constants of: motor" in refusal(
+        saved, "vehicle.model=rate"
+    )
+
+
+def test_the_other_model_of_a_saved_config(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text(load_config("e2e_ppo", ["vehicle.constants.tau=0.05"]).to_yaml())
+    config = load_config(path, ["vehicle.model=rate"])
+    assert config.vehicle.constants == ref.RATE
+    assert config.vehicle.models == {"motor": ref.MOTOR | {"tau": 0.05}}
+    assert config.vehicle.with_model("motor").constants["tau"] == 0.05
+    with pytest.raises(InputError, match="no constants for boat"):
+        config.vehicle.with_model("boat")
+
+
+def test_vehicle_files_are_checked(tmp_path):
+    text = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
+    path, config = tmp_path / "mine.yaml", tmp_path / "c.yaml"
+    config.write_text("vehicle: {file: mine.yaml}\n")
+    path.write_text("".join(x for x in text.splitlines(True) if not x.startswith("  k_w")))
+    assert "vehicle.constants.k_w is missing" in refusal(config)
+    path.write_text(text + "colour: red\n")
+    assert "mine.yaml: colour is 'red'" in refusal(config)
+    path.write_text("motor: 3\n")
+    assert "mine.yaml: motor is 3" in refusal(config)
+    shutil.rmtree(tmp_path / "tracks", ignore_errors=True)
+    config.write_text("track: {file: hall.yaml}\n")
+    assert "'hall.yaml': no such file" in refusal(config)
+    (tmp_path / "hall.yaml").write_text("gate: []\n")
+    assert "unknown key gate; did you mean gates?" in refusal(config)
+    (tmp_path / "hall.yaml").write_text("name: hall\n")
+    assert "track.gates is []" in refusal(config)
+
+
+def test_names_that_are_no_config(tmp_path):
+    assert "no such preset or file; did you mean e2e_shac?" in refusal("e2e_sac")
+    assert "no such file" in refusal("none.yaml")
+    (tmp_path / "c.yaml").write_text("# nothing\n")
+    assert "empty; write at least the preset to start from" in refusal(tmp_path / "c.yaml")
+
+
+REFUSED = [
+    ("sede=1", "unknown key sede; did you mean seed?"),
+    ("learner.rate=1", "unknown key learner.rate"),
+    ("learner.horizon=3", "unknown key learner.horizon"),
+    ("learner.algorithm=sac", "learner.algorithm is 'sac', allowed: ppo, shac or module:Class"),
+    ("learner=3", "learner is 3, allowed: a mapping"),
+    ("learner.clip_range=0", "learner.clip_range is 0, allowed: a number, above 0"),
+    ("learner.num_epochs=1e20", "learner.num_epochs is 100000000000000000000, allowed: a whole"),
+    ("learner.num_envs=10000000", "learner.num_envs is 10000000, allowed: a whole number"),
+    ("learner.num_minibatches=7", "num_minibatches is 7, allowed: a divisor"),
+    ("vehicle.constants.k_q2=1", "unknown key vehicle.constants.k_q2; did you mean k_q"),
+    ("vehicle.model=boat", "vehicle.model is 'boat', allowed: motor, rate"),
+    ("vehicle.integrator=heun", "vehicle.integrator is 'heun', allowed: one of euler, rk4"),
+    ("vehicle.file=none.yaml", "'none.yaml': no such file"),
+    ("vehicle.constants=3", "vehicle.constants is 3, allowed: a mapping"),
+    ("vehicle.constants.k_w=heavy", "vehicle.constants.k_w is 'heavy', allowed: a mapping of"),
+    ("vehicle.constants.k_w=0", "vehicle.constants.k_w is 0.0, allowed: a positive number"),
+    ("vehicle.constants.k_w=2e-8", "vehicle.constants give a thrust of"),
+    ("vehicle.constants.rpm_min=9000", "vehicle.constants give a thrust of"),
+    (
+        "vehicle.constants.rpm_min=12000",
+        "vehicle.constants.rpm_min is 12000.0, allowed: at least",
+    ),
+    ("vehicle.constants.tau=0.005", "vehicle.constants.tau is 0.005, allowed: above 0.005 s"),
+    ("vehicle.constants.k_x=1e39", "vehicle.constants.k_x is 1e+39, allowed: finite numbers"),
+    ("vehicle.mismatch.k_z2=1.1", "unknown key vehicle.mismatch.k_z2; did you mean k_z?"),
+    ("vehicle.mismatch.k_w=0", "vehicle.mismatch.k_w is 0, allowed: a mapping of names to numbers"),
+    ("vehicle.residual_gain=0.5", "vehicle.residual_gain is 0.5, allowed: 1.0 without vehicle.res"),
+    ("track=3", "track is 3, allowed: a mapping"),
+    ("track.file=3", "track.file is 3, allowed: name of a file"),
+    ("track.gates=[]", "track.gates is [], allowed: a list of mappings, at least 1, at most 100"),
+    ("track.gates=[1]", "track.gates[0] is 1, allowed: a list of mappings"),
+    ("track.gates=[{position: [0, 0]}]", "track.gates[0].position[2] is missing"),
+    ("track.gates=[{place: [0, 0, 0]}]", "unknown key track.gates[0].place"),
+    ("track.gates=[{position: [0, 0, -1], size: [0, 1]}]", "track.gates[0].size[0] is 0, allowed"),
+    (
+        "track.gates=[{position: [0, 0, 1]}]",
+        "track.gates[0].position is [0.0, 0.0, 1.0], allowed",
+    ),
+    ("track.gates=[{position: [10, 0, -1]}]", "allowed: |x| and |y| below rules.position_limit 10"),
+    ("rules.position_limit=2", "track.gates[0].position is [2.0, -1.5, -1.5], allowed: |x| and"),
+    ("training_limits.gate_inflation=-0.5", "track.gates[0].size is [1.0, 1.0], allowed: above 1"),
+    ("rules.time_step=5", "rules.time_step is 5, allowed: a number, at least 0.0001, at most 0.1"),
+    ("training_limits.pitch_deg=90", "training_limits.pitch_deg is 90, allowed: a number"),
+    ("training_limits.episode_steps=3e9", "training_limits.episode_steps is 3000000000, allowed"),
+    (
+        "observation.disturbance=true",
+        "observation.disturbance is True, allowed: one of ground",
+    ),
+    ("reward.time=.inf", "reward.time is inf, allowed: finite numbers"),
+    ("reward.gate_edge=-1", "reward.gate_edge is -1, allowed: a number, at least 0"),
+    ("reward.gate_edge_margin=0.2", "reward.gate_edge_margin is 0.2, allowed: 0.1 without reward."),
+    ("start.thrust=[8, 7]", "start.thrust is [8.0, 7.0], allowed: [lowest, highest]"),
+    (
+        "start.thrust=[7.4, 7.5]",
+        "start.thrust is [7.4, 7.5], allowed: [7.4, 7.6] with vehicle",
+    ),
+    ("randomization.drag=1", "randomization.drag is 1, allowed: a number, at least 0, at most 0.9"),
+    ("randomization.limits=0.9", "vehicle.constants.rpm_min is 3000.0, allowed: at least 0 and"),
+    ("network.hidden=[]", "network.hidden is [], allowed: a list of whole numbers"),
+    ("network.hidden=[1e8]", "network.hidden[0] is 100000000, allowed: a list of whole numbers"),
+    ("network.activation=gelu", "network.activation is 'gelu', allowed: one of relu, tanh"),
+    ("name=a/b", "name is 'a/b', allowed: text, matching"),
+    ("name=..", "name is '..', allowed: text"),
+    (f"name={'x' * 300}", "name is 'xxx"),
+    ("run.devices=none", "run.devices is 'none', allowed: one of auto, all or a whole number"),
+    ("run.devices=0", "run.devices is 0, allowed: auto, all, or a number from 1"),
+    ("run.shards=3", "run.shards is 3, allowed: a power of two"),
+    ("run.steps=2.5", "run.steps is 2.5, allowed: a whole number"),
+    ("evaluate.runs=1e6", "evaluate.runs is 1000000, allowed: a whole number, at least 1, at most"),
+    ("schedules.reward.gates.linear=[0, 1]", "schedules: reward.gates is None, allowed: the key"),
+    ("schedules.run.steps.linear=[0, 1]", "schedules: run.steps is 40000000, allowed: the key of"),
+    ("schedules.reward.gate.linear=[0]", "schedules.reward.gate.linear is [0], allowed: a list of"),
+    ("schedules.reward.gate={}", "schedules.reward.gate.linear is missing"),
+    ("schedules.learner.discount={linear: [0.9, 1.0]}", "discount is 1.0, allowed: a number"),
+    ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
+    ("learner.clip_range", "'learner.clip_range' is not of the form key=value"),
+    ("episode.dt=0.01", "overrides: episode.dt is now rules.time_step"),
+    ("train.drones=3", "train.drones is now learner.num_envs"),
+    ("train.steps=3", "train.steps is now run.steps"),
+    ("ppo.epochs=3", "ppo.epochs is now learner.num_epochs"),
+    ("shac.horizon=3", "shac.horizon is now learner.horizon"),
+    (
+        "shac.final_std=0.1",
+        "shac.final_std is now schedules: {learner.std: {linear: [value",
+    ),
+    ("vehicle.kind=rate", "vehicle.kind is now vehicle.model"),
+    ("vehicle.mass=1", "vehicle.mass no longer exists"),
+    ("randomise.drag=0.1", "randomise.drag is now randomization.drag"),
+    ("algorithm=ppo", "algorithm is now learner.algorithm"),
+]
+
+
+@pytest.mark.parametrize(("override", "message"), REFUSED, ids=[word for word, _ in REFUSED])
+def test_refused(override, message):
+    assert message in refusal(BLANK, override)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
+        (["training_limits.gate_inflation=0.97", "reward.gate_edge=1"], "gate_inflation is 0.97"),
+        (["reward.gate_edge_margin=0.5", "reward.gate_edge=1"], "gate_edge_margin is 0.5, allowed"),
+        (["vehicle.model=rate", "vehicle.residual=file.npz"], "vehicle.residual is 'file.npz'"),
+        (["vehicle.model=rate", "disturbance.moment_bias=[0.01,0,0]"], "disturbance.moment_bias"),
+        (["vehicle.model=rate", "disturbance.force_z=1"], "disturbance.force_z is 1.0"),
+        (["vehicle.model=rate", "randomization.thrust=0.1"], "randomization.thrust is 0.1"),
+        (["vehicle.model=rate", "observation.disturbance=estimated"], "observation.disturbance is"),
+        (["vehicle.model=rate", "vehicle.constants.thrust_max=9"], "give a thrust of 0 to 0.917"),
+        (["learner.std=0.2", "learner.algorithm=ppo"], "unknown key learner.std"),
+        (
+            ["run.steps=1000000", "schedules.reward.gate={linear: [0, value], until: 2e6}"],
+            "schedules.reward.gate.until is '2e+06 steps', allowed: at most run.steps 1000000; "
+            "write a fraction of the run (until: 0.5) or fewer steps",
+        ),
+        (
+            ["schedules.reward.gate={linear: [0, value], from: 0.5, until: 0.4}"],
+            "schedules.reward.gate.from is 0.5, allowed: before until 0.4",
+        ),
+        (
+            ["schedules.reward.gate={linear: [0, 5]}", "reward.gate=7"],
+            "reward.gate is 7.0, allowed: a value of its schedule [0.0, 5.0]",
+        ),
+    ],
+)
+def test_refused_together(overrides, message):
+    assert message in refusal(BLANK, *overrides)
+
+
+@pytest.mark.parametrize("override", ["vehicle.residual=null"])
+def test_a_schedule_without_effect_says_how_to_remove_it(override):
+    expected = "vehicle.residual_gain has no effect without vehicle.residual; write schedules."
+    assert expected in refusal("e2e", override)
+    assert load_config("e2e", [override, "schedules.vehicle.residual_gain=null"])
+
+
+def test_at_changes_one_key():
+    config = load_config(BLANK)
+    assert config.at("reward.gate", 3.0).reward.gate == 3.0
+    assert config.at("vehicle.constants.k_w", 5e-8).vehicle.constants["k_w"] == 5e-8
+    with pytest.raises(InputError, match="gates"):
+        config.at("reward.gates", 3.0)
