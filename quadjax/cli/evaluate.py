@@ -43,6 +43,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
         parser, "with --fixed-point: the ranges that the C was exported with, if not the default"
     )
     parser.add_argument("--json", metavar="FILE.json", help="write the laps")
+    parser.add_argument("--states", metavar="FILE.npz", help="write the trajectories of all runs")
     parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from two sides")
     parser.add_argument("--signals", metavar="FILE.png", help="draw actuators and rates over time")
     parser.add_argument("--animation", metavar="FILE.gif", help="animate the flight")
@@ -50,6 +51,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     if arguments.ranges and not arguments.fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
     check_writable(arguments.json)
+    check_writable(arguments.states, (".npz",))
     check_writable(arguments.figure, PICTURES)
     check_writable(arguments.signals, PICTURES)
     check_writable(arguments.animation, (".gif",))
@@ -117,6 +119,8 @@ def _write(flown: "Evaluation", words: argparse.Namespace, console: Console) -> 
 
     if words.json:
         write_json(words.json, flown.to_json())
+    if words.states:
+        flown.save_states(words.states)
     if words.figure:
         save_figure(flown.plot(), words.figure)
     if words.signals:
@@ -128,6 +132,6 @@ def _write(flown: "Evaluation", words: argparse.Namespace, console: Console) -> 
         with bar(console=console) as progress:
             task = progress.add_task("animation", total=frame_count(flown.flights))
             flown.animate(words.animation, lambda: progress.advance(task))
-    for path in (words.json, words.figure, words.signals, words.animation):
+    for path in (words.json, words.states, words.figure, words.signals, words.animation):
         if path:
             console.print(f"wrote {path}", highlight=False)

@@ -14,7 +14,7 @@ from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.evaluation import scene
-from quadjax.evaluation.figures import SPEED_COLOURS, speed_range
+from quadjax.evaluation.figures import SPEED_COLORS, speed_range
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import View
 
@@ -23,10 +23,10 @@ HOLD_SECONDS = 1.5  # the last frame
 TRAIL_SECONDS = 0.8
 WIDTH, HEIGHT = 960, 440  # px
 SMOOTH = 2
-COLOURS = 96
+COLORS = 96
 SHADES = 24  # of the trail
 CLOCK_ROW = 0.07  # of the height: where the clock, the lap times and the speeds stand
-LEGEND = (0.66, 0.78)  # of the width: the bar of the speeds' colours
+LEGEND = (0.66, 0.78)  # of the width: the bar of the speeds' colors
 NAME_OFFSET = 30  # px, before halving, of a drone's name from its middle
 
 
@@ -72,7 +72,7 @@ def _frames(
     names: Sequence[str],
     advance: Callable[[], object],
 ) -> Iterator[Image.Image]:
-    """Every frame, in the same few colours."""
+    """Every frame, in the same few colors."""
     film, count = Film(flights, gates, names), frame_count(flights)
     palette = film.palette(count)
     for index in range(count):
@@ -107,8 +107,8 @@ class Film:
         self._names = names or [""] * len(flights)
         self._laps = max(len(flight.lap_ends) for flight in flights)
         self._shown = speed_range(flights)
-        shades = SPEED_COLOURS(np.linspace(0.0, 1.0, SHADES))[:, :3]
-        self._shades = [tuple(int(255 * x) for x in colour) for colour in shades]
+        shades = SPEED_COLORS(np.linspace(0.0, 1.0, SHADES))[:, :3]
+        self._shades = [tuple(int(255 * x) for x in color) for color in shades]
         every = np.concatenate([flight.position for flight in flights])
         every = np.concatenate([every, *(scene.gate_corners(gate) for gate in gates)])
         self._lowest = np.floor(every.min(axis=0) - 0.2)
@@ -151,7 +151,7 @@ class Film:
         return image
 
     def _draw_legend(self, draw: ImageDraw.ImageDraw) -> None:
-        """Which colour of the trail is which speed; what is slower has the slowest's."""
+        """Which color of the trail is which speed; what is slower has the slowest's."""
         left, right = (x * WIDTH * SMOOTH for x in LEGEND)
         edges = np.linspace(left, right, SHADES + 1)
         y, half = CLOCK_ROW * HEIGHT * SMOOTH, 5 * SMOOTH
@@ -172,7 +172,7 @@ class Film:
         draw = ImageDraw.Draw(sample)
         for index, shade in enumerate(self._shades):
             draw.line([(0, HEIGHT + index), (WIDTH, HEIGHT + index)], fill=shade)
-        return sample.quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
+        return sample.quantize(COLORS, method=Image.Quantize.MEDIANCUT)
 
     def frame(self, index: int) -> Image.Image:
         """The frame at ``index``, (HEIGHT, WIDTH) RGB."""

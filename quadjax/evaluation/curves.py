@@ -19,7 +19,7 @@ Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)
 ACROSS = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}
 UPWARDS = {"reward": "reward per step", "lap_total": "all laps (s)", "crash_rate": "crash rate"}
 LAP_RANGE = 1.6  # the lap axis ends at this multiple of the best time
-COLOURS = (*SERIES, "#7b4fa3", "#5b6770", "#8c5a2b", "#c2569b")
+COLORS = (*SERIES, "#7b4fa3", "#5b6770", "#8c5a2b", "#c2569b")
 
 
 def training_figure(
@@ -71,9 +71,9 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Metrics], along: str, up: str) -> 
             continue
         x, y = columns[along] * ACROSS[along][1], columns[up]
         fine = np.isfinite(x) & np.isfinite(y)
-        colour = SERIES[index % len(SERIES)]
+        color = SERIES[index % len(SERIES)]
         mark = "o" if up == "lap_total" or np.count_nonzero(fine) == 1 else None
-        axes.plot(x[fine], y[fine], color=colour, lw=1.5, marker=mark, markersize=3, label=name)
+        axes.plot(x[fine], y[fine], color=color, lw=1.5, marker=mark, markersize=3, label=name)
 
 
 def lap_axis(axes: Axes, times: np.ndarray, references: Sequence[tuple[str, float]]) -> None:
@@ -127,8 +127,8 @@ def learning_figure(groups: Mapping[str, Sequence[Path]]) -> Figure:
         InputError: a folder without them, runs of different numbers of laps, no group, or more
             groups than colors.
     """
-    if not 0 < len(groups) <= len(COLOURS):
-        raise InputError(f"{len(groups)} groups of runs to draw, allowed: 1 to {len(COLOURS)}")
+    if not 0 < len(groups) <= len(COLORS):
+        raise InputError(f"{len(groups)} groups of runs to draw, allowed: 1 to {len(COLORS)}")
     drawn = [read_group(name, folders) for name, folders in groups.items()]
     check_laps({group.name: group.laps for group in drawn})
     figure = new_figure(9.8, 4.2)
@@ -137,8 +137,8 @@ def learning_figure(groups: Mapping[str, Sequence[Path]]) -> Figure:
     times = np.concatenate([run["lap_total"] for group in drawn for run in group.runs])
     for axes, (along, (label, unit)) in zip(panels, ACROSS.items(), strict=True):
         tidy(axes)
-        for group, colour in zip(drawn, COLOURS, strict=False):
-            _draw_group(axes, group, along, unit, colour)
+        for group, color in zip(drawn, COLORS, strict=False):
+            _draw_group(axes, group, along, unit, color)
         lap_axis(axes, times, references)
         axes.set_xlabel(label, color=INK)
         axes.set_xlim(left=0.0)
@@ -205,9 +205,9 @@ def _latest(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return padded[np.searchsorted(x, points, side="right")]
 
 
-def _draw_group(axes: Axes, group: Group, along: str, unit: float, colour: str) -> None:
+def _draw_group(axes: Axes, group: Group, along: str, unit: float, color: str) -> None:
     seeds = [(run[along] * unit, run["lap_total"]) for run in group.runs]
     points, median, lowest, highest = spread(*zip(*seeds, strict=True))
     label = f"{group.name} ({counted(len(seeds), 'seed')})"
-    axes.fill_between(points, lowest, highest, step="post", color=colour, alpha=0.18, lw=0)
-    axes.plot(points, median, drawstyle="steps-post", color=colour, lw=1.6, label=label)
+    axes.fill_between(points, lowest, highest, step="post", color=color, alpha=0.18, lw=0)
+    axes.plot(points, median, drawstyle="steps-post", color=color, lw=1.6, label=label)

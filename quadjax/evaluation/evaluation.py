@@ -13,8 +13,9 @@ from quadjax import __version__
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.core.files import write_npz
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
-from quadjax.evaluation.recording import Recording, choose, distinct, recordings
+from quadjax.evaluation.recording import SIGNALS, Recording, choose, distinct, recordings
 from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
@@ -102,6 +103,23 @@ class Evaluation:
         from quadjax.evaluation.animation import write_animation
 
         write_animation(distinct(self.flights), self.config.track.gates, path, advance)
+
+    def save_states(self, path: Path | str) -> None:
+        """Write the trajectories of all runs to an ``.npz`` file.
+
+        Arrays: ``time`` (steps,) s; ``position``, ``velocity`` (runs, steps, 3) m, m/s, world NED;
+        ``euler``, ``rates`` (runs, steps, 3) rad, rad/s; ``actuators`` (runs, steps, 4 or 1) rpm or
+        m/s^2; ``command`` (runs, steps, 4); NaN after the end of a run; ``lap_times`` (runs, laps)
+        s; ``meta``, the JSON of ``to_json``.
+        """
+        longest = max(self.flights, key=lambda flight: len(flight.time))
+        arrays = {"time": longest.time, "lap_times": self.lap_times}
+        for name in SIGNALS:
+            rows = [getattr(flight, name) for flight in self.flights]
+            arrays[name] = np.full((len(rows), len(longest.time), rows[0].shape[1]), np.nan)
+            for whole, row in zip(arrays[name], rows, strict=True):
+                whole[: len(row)] = row
+        write_npz(path, arrays, self.to_json())
 
     def to_json(self) -> dict[str, Any]:
         """Lap times in s, crashes, and what was evaluated."""

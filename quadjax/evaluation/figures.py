@@ -1,4 +1,4 @@
-"""Figures of flights and of training, as Matplotlib figures that nobody has to close."""
+"""Figures of flights, as Matplotlib figures that need not be closed."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ from quadjax.evaluation.tables import counted
 INK = "#1b2430"
 MUTED = "#7a8594"
 PAPER = "#ffffff"
-SPEED_COLOURS = LinearSegmentedColormap.from_list(
+SPEED_COLORS = LinearSegmentedColormap.from_list(
     "speed", ["#2a1a8a", "#1f6feb", "#17b3c1", "#f2b134", "#e4572e", "#b5123e"]
 )
 SERIES = ("#1f6feb", "#d1495b", "#2a9d8f", "#e9a23b")
@@ -33,7 +33,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save_figure(figure: Figure, path: Path | str, dpi: int = 150) -> None:
-    """Write a figure whole; the suffix says the format (png, svg, pdf).
+    """Write a figure; the suffix is the format (png, svg, pdf).
 
     Raises:
         InputError: a suffix that Matplotlib does not know, or a path that cannot be written.
@@ -50,94 +50,119 @@ def save_figure(figure: Figure, path: Path | str, dpi: int = 150) -> None:
 
 
 def tidy(axes: Axes) -> None:
-    """The look that every figure shares."""
+    """Apply the style of all figures to the axes."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(MUTED)
     axes.tick_params(colors=INK, labelsize=9)
     axes.grid(True, color="#e6e9ee", linewidth=0.8)
     axes.set_axisbelow(True)
+    axes.ticklabel_format(useOffset=False)
 
 
 def trajectory_figure(
     flights: Sequence[Recording], gates: Sequence[Gate], title: str = ""
 ) -> Figure:
-    """Flights seen from above, coloured by speed, with the gates to size and their direction.
+    """Flights seen from above and from the side, colored by speed, with the gates to size.
 
-    World NED seen from above: x (north) to the right, y (east) down, the same scale on both.
+    From above: x (north) to the right, y (east) down. From the side: x to the right, height up. The
+    scale is the same on all axes.
 
     Args:
         flights: one or more.
-        gates: of the track, in flying order.
-        title: over the picture.
+        gates: of the track, in order of passage.
+        title: of the figure.
+
+    Raises:
+        InputError: no flight.
     """
     if not flights:
         raise InputError("no flight to draw")
     lowest, highest = _extent(flights, gates)
-    width, height = highest - lowest
-    scale = min(8.0 / width, 5.6 / height)
-    figure = new_figure(scale * width + 1.9, scale * height + 1.0)
-    axes = figure.add_subplot()
-    tidy(axes)
-    shown = speed_range(flights)
+    size = highest - lowest
+    scale = min(8.0 / size[0], 7.0 / (size[1] + size[2]))
+    figure = new_figure(scale * size[0] + 1.9, scale * (size[1] + size[2]) + 1.6)
+    above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[size[1], size[2]])
+    shown, width = speed_range(flights), 2.2 if len(flights) == 1 else 1.3
     for flight in flights:
-        lines = _speed_line(axes, flight, shown, 2.2 if len(flights) == 1 else 1.3)
+        heights = flight.position * np.array([1.0, 1.0, -1.0])
+        lines = _speed_line(above, heights[:, :2], flight.speed, shown, width)
+        _speed_line(beside, heights[:, [0, 2]], flight.speed, shown, width)
     middle = np.mean([gate.position[:2] for gate in gates], axis=0)
     for index, gate in enumerate(gates):
-        _draw_gate(axes, gate, index, middle, 0.055 * float((highest - lowest).max()))
-    _draw_ends(axes, flights)
-    axes.set(xlim=(lowest[0], highest[0]), ylim=(highest[1], lowest[1]), aspect="equal")
-    axes.set_xlabel("x, north (m)", color=INK)
-    axes.set_ylabel("y, east (m)", color=INK)
-    axes.set_title(title, color=INK, fontsize=13, loc="left", pad=10)
-    bar = figure.colorbar(lines, ax=axes, pad=0.02, fraction=0.05, aspect=28, extend="min")
+        _draw_gate(above, gate, index, middle, 0.055 * float(size.max()))
+        _draw_gate_beside(beside, gate)
+    beside.axhline(0.0, color=MUTED, linewidth=1.5)
+    _draw_ends(above, flights)
+    above.set(xlim=(lowest[0], highest[0]), ylim=(highest[1], lowest[1]), aspect="equal")
+    beside.set(ylim=(lowest[2], highest[2]), aspect="equal")
+    for axes, label in ((above, "y, east (m)"), (beside, "height (m)")):
+        tidy(axes)
+        axes.set_ylabel(label, color=INK)
+    beside.set_xlabel("x, north (m)", color=INK)
+    above.set_title(title, color=INK, fontsize=13, loc="left", pad=10)
+    bar = figure.colorbar(lines, ax=[above, beside], pad=0.02, aspect=28, extend="min")
     bar.set_label("speed (m/s)", color=INK)
     bar.outline.set_visible(False)
     return figure
 
 
 def flight_title(flight: Recording) -> str:
-    """What was flown and how it ended, in a few words."""
+    """Laps, time and crash of a flight in a few words."""
     title = f"{counted(len(flight.lap_ends), 'lap')} in {flight.time[-1]:.2f} s"
     return f"{title}, then {flight.crash}" if flight.crash else title
 
 
-def _extent(flights: Sequence[Recording], gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest x, y of all there is to see, with a margin, m."""
-    points = [flight.position[:, :2] for flight in flights]
-    points += [
-        np.array([gate.position[:2]]) + s * gate.size[0] for gate in gates for s in (-0.5, 0.5)
-    ]
-    every = np.concatenate(points)
-    room = 0.3 + 0.1 * float(np.ptp(every, axis=0).max())  # for the gates' numbers outside
-    return every.min(axis=0) - room, every.max(axis=0) + room
+def _extent(
+    flights: Sequence[Recording], gates: Sequence[Gate]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest x, y and height of all that is drawn, with a margin, m."""
+    points = [flight.position for flight in flights]
+    for gate in gates:
+        reach = 0.5 * np.array([gate.size[0], gate.size[0], gate.size[1]])
+        points.append(np.array([gate.position]) + np.array([[-1.0], [1.0]]) * reach)
+    every = np.concatenate(points) * np.array([1.0, 1.0, -1.0])
+    room = 0.3 + 0.1 * float(np.ptp(every[:, :2], axis=0).max())  # for the gates' numbers
+    margin = np.array([room, room, 0.3])
+    lowest, highest = every.min(axis=0) - margin, every.max(axis=0) + margin
+    lowest[2] = min(lowest[2], -0.1)  # the ground
+    return lowest, highest
 
 
 def speed_range(flights: Sequence[Recording]) -> tuple[float, float]:
-    """Speeds between which colours tell flights apart, m/s; take-off may lie below."""
+    """Limits of the color scale, m/s; the take-off may be below."""
     speeds = np.concatenate([flight.speed for flight in flights])
     lowest, highest = float(np.quantile(speeds, 0.04)), float(speeds.max())
     return min(lowest, highest - 0.1), highest
 
 
 def _speed_line(
-    axes: Axes, flight: Recording, shown: tuple[float, float], width: float
+    axes: Axes, points: np.ndarray, speed: np.ndarray, shown: tuple[float, float], width: float
 ) -> LineCollection:
-    points = flight.position[:, :2]
+    """Draw points (n, 2) as a line whose color is the speed (n,), m/s."""
     lines = LineCollection(
-        np.stack([points[:-1], points[1:]], axis=1),
-        cmap=SPEED_COLOURS,
+        list(np.stack([points[:-1], points[1:]], axis=1)),
+        cmap=SPEED_COLORS,
         linewidths=width,
         capstyle="round",
         zorder=3,
     )
-    lines.set_array(0.5 * (flight.speed[:-1] + flight.speed[1:]))
+    lines.set_array(0.5 * (speed[:-1] + speed[1:]))
     lines.set_clim(*shown)
     axes.add_collection(lines)
     return lines
 
 
+def _draw_gate_beside(axes: Axes, gate: Gate) -> None:
+    """Draw the outline of a gate seen from the side."""
+    reach = 0.5 * gate.size[0] * abs(np.sin(np.radians(gate.yaw_deg)))
+    x, height, half = gate.position[0], -gate.position[2], 0.5 * gate.size[1]
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]
+    outline = np.array([(x + a * reach, height + b * half) for a, b in corners])
+    axes.plot(*outline.T, color=INK, linewidth=1.8, zorder=2, alpha=0.6)
+
+
 def _draw_gate(axes: Axes, gate: Gate, index: int, middle: np.ndarray, reach: float) -> None:
-    """A gate as its opening, two posts, an arrow the way through, and its number outside."""
+    """Draw a gate from above: its opening, two posts, an arrow in flight direction, its number."""
     centre, yaw = np.array(gate.position[:2]), np.radians(gate.yaw_deg)
     ahead, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     across = 0.5 * gate.size[0] * right
@@ -146,14 +171,16 @@ def _draw_gate(axes: Axes, gate: Gate, index: int, middle: np.ndarray, reach: fl
     axes.plot(*ends.T, "o", color=INK, markersize=7, zorder=5)
     axes.annotate(
         "",
-        xy=centre + reach * ahead,
-        xytext=centre,
+        xy=tuple(centre + reach * ahead),
+        xytext=tuple(centre),
         arrowprops={"arrowstyle": "-|>,head_width=0.28,head_length=0.5", "color": INK, "lw": 1.8},
         zorder=5,
     )
     outside = max(ends, key=lambda end: float(np.linalg.norm(end - middle)))
+    x, y = outside + 0.8 * reach * (outside - centre) / np.linalg.norm(outside - centre)
     axes.text(
-        *(outside + 0.8 * reach * (outside - centre) / np.linalg.norm(outside - centre)),
+        x,
+        y,
         str(index + 1),
         color=INK,
         fontsize=11,
@@ -197,13 +224,13 @@ def signals_figure(flight: Recording, title: str = "") -> Figure:
 
     Args:
         flight: one run.
-        title: over the picture.
+        title: of the figure.
     """
     figure = new_figure(9.0, 5.6)
     above, below = figure.subplots(2, 1, sharex=True)
     if flight.motor_level:
-        for motor, colour in enumerate(SERIES):
-            above.plot(flight.time, flight.actuators[:, motor], color=colour, lw=1.1)
+        for motor, color in enumerate(SERIES):
+            above.plot(flight.time, flight.actuators[:, motor], color=color, lw=1.1)
         labels = ["1 front left", "2 front right", "3 rear right", "4 rear left"]
         above.set_ylabel("propeller speed (rpm)", color=INK)
     else:
@@ -212,8 +239,8 @@ def signals_figure(flight: Recording, title: str = "") -> Figure:
         labels = ["thrust", "commanded"]
         above.set_ylabel("specific thrust (m/s²)", color=INK)
     above.legend(labels, ncols=4, **_legend_style())
-    for axis, colour in enumerate(SERIES[:3]):
-        below.plot(flight.time, flight.rates[:, axis], color=colour, lw=1.2)
+    for axis, color in enumerate(SERIES[:3]):
+        below.plot(flight.time, flight.rates[:, axis], color=color, lw=1.2)
     below.legend(["p, roll", "q, pitch", "r, yaw"], ncols=4, **_legend_style())
     below.set_ylabel("body rate (rad/s)", color=INK)
     below.set_xlabel("time (s); dashed: a lap's end", color=INK)

@@ -1,4 +1,4 @@
-"""One run of a race as plain NumPy arrays: what figures and animations are made of."""
+"""The trajectory of one run as NumPy arrays, for figures and animations."""
 
 import dataclasses
 
@@ -6,10 +6,12 @@ import numpy as np
 
 from quadjax.race.laps import Laps, Trace
 
+SIGNALS = ("position", "velocity", "euler", "rates", "actuators", "command")
+
 
 @dataclasses.dataclass(frozen=True)
 class Recording:
-    """What one drone flew, from the start to the end of its run. World NED, body FRD."""
+    """The trajectory of one run, from its start to its end. World NED, body FRD."""
 
     time: np.ndarray  # (n,) s
     position: np.ndarray  # (n, 3) m, world
@@ -18,7 +20,7 @@ class Recording:
     rates: np.ndarray  # (n, 3) rad/s, body
     actuators: np.ndarray  # (n, 4) propeller speeds, rpm, or (n, 1) specific thrust, m/s^2
     command: np.ndarray  # (n, 4) rpm, or rates, rad/s, and thrust, m/s^2
-    lap_ends: np.ndarray  # (laps flown,) s
+    lap_ends: np.ndarray  # (completed laps,) s
     crash: str  # why the run ended early; "" where it did not
 
     @property
@@ -28,22 +30,19 @@ class Recording:
 
     @property
     def motor_level(self) -> bool:
-        """Whether the drone was flown by its four motors rather than by rates and thrust."""
+        """Whether the actuators are four propeller speeds, rather than one thrust."""
         return self.actuators.shape[1] == 4
 
 
 def recordings(trace: Trace, laps: Laps, dt: float) -> list[Recording]:
-    """Every run of a trace, each cut where it ended.
+    """The runs of a trace, each cut at its end.
 
     Args:
-        trace: what was flown.
-        laps: the result of the same flights.
+        trace: the recorded states.
+        laps: the result of the same runs.
         dt: time step, s.
     """
-    arrays = {
-        name: np.asarray(getattr(trace, name), np.float64)
-        for name in ("position", "velocity", "euler", "rates", "actuators", "command")
-    }
+    arrays = {name: np.asarray(getattr(trace, name), np.float64) for name in SIGNALS}
     result = []
     for run, crash in enumerate(laps.crashes):
         steps = arrays["position"].shape[0]
@@ -56,22 +55,21 @@ def recordings(trace: Trace, laps: Laps, dt: float) -> list[Recording]:
 
 
 def opening(flight: Recording, seconds: float) -> Recording:
-    """The first seconds of a flight: all of it where it is shorter."""
+    """The first seconds of a flight, or all of a shorter one."""
     count = int(np.searchsorted(flight.time, seconds + 1e-9))
     if count >= len(flight.time):
         return flight
-    arrays = ("time", "position", "velocity", "euler", "rates", "actuators", "command")
-    own = {name: getattr(flight, name)[:count] for name in arrays}
+    own = {name: getattr(flight, name)[:count] for name in ("time", *SIGNALS)}
     return Recording(**own, lap_ends=flight.lap_ends[flight.lap_ends <= seconds], crash="")
 
 
 def choose(flights: list[Recording]) -> Recording:
-    """The one to show: the fastest of those with the most laps, or else the longest."""
+    """The fastest of the flights with the most laps, or else the longest."""
     return max(flights, key=lambda f: (len(f.lap_ends), -f.time[-1] if not f.crash else f.time[-1]))
 
 
 def distinct(flights: list[Recording]) -> list[Recording]:
-    """The flights without those that repeat an earlier one exactly."""
+    """The flights without exact repetitions."""
     kept: list[Recording] = []
     for flight in flights:
         if not any(np.array_equal(flight.position, other.position) for other in kept):

@@ -85,18 +85,18 @@ def gate_corners(gate: Gate) -> np.ndarray:
 
 
 def polyline(
-    draw: ImageDraw.ImageDraw, points: np.ndarray, colour: tuple[int, int, int], width: int
+    draw: ImageDraw.ImageDraw, points: np.ndarray, color: tuple[int, int, int], width: int
 ) -> None:
     """Join pixels (n, 2)."""
-    draw.line([tuple(p) for p in points], fill=colour, width=width, joint="curve")
+    draw.line([tuple(p) for p in points], fill=color, width=width, joint="curve")
 
 
 def dot(
-    draw: ImageDraw.ImageDraw, point: np.ndarray, radius: float, colour: tuple[int, int, int]
+    draw: ImageDraw.ImageDraw, point: np.ndarray, radius: float, color: tuple[int, int, int]
 ) -> None:
     """A disc at a pixel (2,)."""
     x, y = point
-    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=colour)
+    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=color)
 
 
 def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[Gate]) -> None:

@@ -6,7 +6,7 @@ import pytest
 from quadjax.config.loading import load_config, to_yaml
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
-from quadjax.evaluation.curves import COLOURS, learning_figure, spread
+from quadjax.evaluation.curves import COLORS, learning_figure, spread
 from quadjax.evaluation.figures import save_figure
 from tests.test_training import CONFIGS
 
@@ -82,4 +82,4 @@ def test_what_cannot_be_drawn_is_refused(tmp_path):
     with pytest.raises(InputError, match="no runs"):
         learning_figure({"none": []})
     with pytest.raises(InputError, match="allowed: 1 to"):
-        learning_figure({str(i): [six] for i in range(len(COLOURS) + 1)})
+        learning_figure({str(i): [six] for i in range(len(COLORS) + 1)})

@@ -10,7 +10,7 @@ from quadjax.core.errors import InputError
 from quadjax.evaluation import animation, scene
 from quadjax.evaluation.curves import training_figure
 from quadjax.evaluation.figures import (
-    SPEED_COLOURS,
+    SPEED_COLORS,
     save_figure,
     signals_figure,
     trajectory_figure,
@@ -48,7 +48,7 @@ def pixels(figure) -> np.ndarray:
     return np.asarray(Image.open(stream).convert("RGB"))
 
 
-def colours(image: np.ndarray) -> int:
+def colors(image: np.ndarray) -> int:
     return len(np.unique(image.reshape(-1, 3), axis=0))
 
 
@@ -58,21 +58,24 @@ def test_the_trajectory_is_drawn_to_scale(crash):
     axes = figure.axes[0]
     assert axes.get_aspect() == 1.0
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # east is down, or the track were mirrored
-    assert "north" in axes.get_xlabel() and "east" in axes.get_ylabel()
+    beside = figure.axes[1]
+    assert "east" in axes.get_ylabel() and "height" in beside.get_ylabel()
+    assert "north" in beside.get_xlabel() and beside.get_aspect() == 1.0
+    assert beside.get_ylim()[0] <= 0.0 < 1.5 < beside.get_ylim()[1]  # from the ground up
     widths = [np.ptp(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) == 2]
     assert max(widths) == pytest.approx(2.0) and 1.0 in np.round(widths, 6)
-    assert colours(pixels(figure)) > 100
+    assert colors(pixels(figure)) > 100
 
 
 def test_a_short_unmoving_flight_can_be_drawn():
     flight = circle(seconds=0.02)
     still = Recording(**(vars(flight) | {"velocity": 0 * flight.velocity}))
-    assert colours(pixels(trajectory_figure([still], GATES))) > 10
+    assert colors(pixels(trajectory_figure([still], GATES))) > 10
 
 
 @pytest.mark.parametrize("motors", [4, 1])
 def test_signals_are_drawn(motors):
-    assert colours(pixels(signals_figure(circle(motors)))) > 50
+    assert colors(pixels(signals_figure(circle(motors)))) > 50
 
 
 def test_training_curves_come_from_a_metrics_file(tmp_path):
@@ -83,7 +86,7 @@ def test_training_curves_come_from_a_metrics_file(tmp_path):
     assert metrics["steps"].tolist() == [1, 2, 3, 4, 5]
     figure = training_figure({"run": metrics}, reference=("published", 15.75))
     assert len(figure.axes) == 4
-    assert colours(pixels(figure)) > 30
+    assert colors(pixels(figure)) > 30
 
 
 def test_metrics_without_a_finished_lap_can_be_drawn():
@@ -123,19 +126,19 @@ def test_an_animation_is_a_gif_in_real_time(tmp_path):
         first = np.asarray(film.convert("RGB"))
         film.seek(10)
         later = np.asarray(film.convert("RGB"))
-    assert colours(first) > 20 and np.any(first != later)
+    assert colors(first) > 20 and np.any(first != later)
     with pytest.raises(InputError, match="gif"):
         animation.write_animation(flights, GATES, tmp_path / "flight.mp4")
 
 
-def test_an_animation_says_which_colour_is_which_speed():
+def test_an_animation_says_which_color_is_which_speed():
     film = animation.Film([circle()], GATES)
     row = np.asarray(film.frame(0))[round(animation.CLOCK_ROW * animation.HEIGHT)]
     left, right = (round(x * animation.WIDTH) for x in animation.LEGEND)
-    slow, fast = (255 * np.array(SPEED_COLOURS(x)[:3]) for x in (0.0, 1.0))
+    slow, fast = (255 * np.array(SPEED_COLORS(x)[:3]) for x in (0.0, 1.0))
     np.testing.assert_allclose(row[left + 2], slow, atol=1)
     np.testing.assert_allclose(row[right - 2], fast, atol=1)
-    assert colours(row[None, left:right]) >= animation.SHADES
+    assert colors(row[None, left:right]) >= animation.SHADES
 
 
 def test_drones_have_names_where_they_are_told(tmp_path):

@@ -1,0 +1,112 @@
+"""The public names of quadjax: lazy, complete, and used as the README uses them."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import quadjax
+from quadjax.core.resources import PRETRAINED
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def test_importing_quadjax_is_fast_and_imports_neither_jax_nor_numpy():
+    code = (
+        "import sys, time; t = time.perf_counter(); import quadjax; quadjax.presets();"
+        "print(time.perf_counter() - t, 'jax' in sys.modules, 'numpy' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    seconds, *heavy = done.stdout.split()
+    assert float(seconds) < 0.3 and heavy == ["False", "False"]
+
+
+@pytest.mark.parametrize("name", sorted(quadjax.__all__))
+def test_every_public_name_exists_and_is_documented(name):
+    assert name in dir(quadjax)
+    value = getattr(quadjax, name)
+    assert isinstance(value, str) or value.__doc__
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'fly'"):
+        quadjax.fly  # noqa: B018
+
+
+def test_presets_can_be_loaded_by_name():
+    assert {"e2e", "e2e_shac", "indi"} <= set(quadjax.presets())
+    config = quadjax.load("e2e_shac", ["seed=3"])
+    assert isinstance(config, quadjax.Config) and (config.name, config.seed) == ("e2e_shac", 3)
+    with pytest.raises(quadjax.InputError, match="e2e_shak"):
+        quadjax.load("e2e_shak")
+
+
+def test_a_race_is_three_pure_functions_and_its_numbers():
+    environment, params = quadjax.make_race("e2e_shac")
+    assert isinstance(environment, quadjax.Environment)
+    state = environment.reset(params, jax.random.key(0))
+    observation = environment.observe(params, state)
+    assert observation.shape == (environment.observation_size,)
+    state, reward, terminated, truncated = environment.step(params, state, jnp.zeros(4))
+    assert np.isfinite(float(reward)) and not bool(truncated)
+    assert bool(terminated) in (False, True)
+
+
+def test_a_shipped_policy_is_evaluated(tmp_path):
+    config = quadjax.load("e2e_shac", ["evaluate.laps=1"])
+    laps = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3)
+    assert laps.lap_times.shape == (3, 1) and laps.finished == 3
+    assert "sampled, 3 runs" in laps.table() and "3/3" in laps.table()
+    assert np.all((laps.totals > 2.0) & (laps.totals < 4.0))
+    again = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3)
+    np.testing.assert_array_equal(again.totals, laps.totals)
+    other = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3, seed=1)
+    assert not np.array_equal(other.totals, laps.totals)
+    flown = laps.to_json()
+    assert flown["runs"] == 3 and flown["config"] == "e2e_shac" and flown["seed"] == 0
+    assert flown["policy"].endswith("e2e_nominal.npz") and flown["version"] == quadjax.__version__
+    flight = laps.best
+    assert flight.lap_ends[-1] == pytest.approx(np.nanmin(laps.totals), abs=0.011)
+    laps.save_states(tmp_path / "states.npz")
+    with np.load(tmp_path / "states.npz", allow_pickle=False) as states:
+        assert states["position"].shape == (3, len(states["time"]), 3)
+        assert np.isfinite(states["velocity"][0, 0]).all() and states["actuators"].shape[2] == 4
+        np.testing.assert_array_equal(states["lap_times"], laps.lap_times)
+    laps.plot().savefig(tmp_path / "lap.png")
+    laps.show().savefig(tmp_path / "lap.svg")
+    assert (tmp_path / "lap.png").stat().st_size > 10_000
+
+
+def test_a_wrong_start_or_policy_is_one_line():
+    config = quadjax.load("e2e_shac")
+    with pytest.raises(quadjax.InputError, match="start is 'moon'"):
+        quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, start="moon")
+    with pytest.raises(quadjax.InputError, match=r"indi\.npz: a policy for the rate"):
+        quadjax.evaluate(PRETRAINED / "indi.npz", config)
+
+
+@pytest.mark.slow
+def test_a_training_is_evaluated_and_exported(tmp_path):
+    short = [
+        "run.steps=2048",
+        "run.evaluate_every=1024",
+        "learner.num_envs=16",
+        "learner.horizon=8",
+    ]
+    short += ["network.hidden=[8]", "evaluate.laps=1", "learner.critic_minibatches=2"]
+    config = quadjax.load("e2e_shac", short)
+    run = quadjax.train(config, tmp_path / "run", progress=False)
+    assert run.finished and run.folder == tmp_path / "run"
+    assert run.metrics["steps"].tolist() == [1024, 2048]
+    again = quadjax.Run.load(run.folder)
+    assert again.config == config and again.summary == run.summary
+    laps = quadjax.evaluate(run.policy, config, runs=2)
+    assert laps.lap_times.shape == (2, 1)
+    quadjax.export_c(run.policy, tmp_path / "c", config, allow_unfinished=True)
+    assert list((tmp_path / "c").glob("*.c"))
