@@ -43,6 +43,9 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
         parser, "with --fixed-point: the ranges that the C was exported with, if not the default"
     )
     parser.add_argument("--json", metavar="FILE.json", help="write the laps")
+    parser.add_argument(
+        "--offsets", action="store_true", help="print the distances from the gates' centers"
+    )
     parser.add_argument("--states", metavar="FILE.npz", help="write the trajectories of all runs")
     parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from two sides")
     parser.add_argument("--signals", metavar="FILE.png", help="draw actuators and rates over time")
@@ -114,9 +117,14 @@ def _fly_all(
 
 def _write(flown: "Evaluation", words: argparse.Namespace, console: Console) -> None:
     """Write the JSON file, the figures and the animation that were asked for."""
+    import numpy as np
+
     from quadjax.core.files import write_json
     from quadjax.evaluation.figures import save_figure
 
+    if words.offsets and flown.gate_offsets.size:
+        mean, wide = flown.gate_offsets.mean(), np.percentile(flown.gate_offsets, 95.0)
+        print(f"distance from the gates' centers: mean {mean:.3f} m, 95% within {wide:.3f} m")
     if words.json:
         write_json(words.json, flown.to_json())
     if words.states:

@@ -15,7 +15,14 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_npz
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
-from quadjax.evaluation.recording import SIGNALS, Recording, choose, distinct, recordings
+from quadjax.evaluation.recording import (
+    SIGNALS,
+    Recording,
+    choose,
+    distinct,
+    gate_offsets,
+    recordings,
+)
 from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
@@ -70,6 +77,12 @@ class Evaluation:
     def best(self) -> Recording:
         """The fastest of the recorded runs, or the longest if none finished."""
         return choose(self.flights)
+
+    @property
+    def gate_offsets(self) -> np.ndarray:
+        """Distance from the gate's center of every passage of all runs (n,), m."""
+        gates = self.config.track.gates
+        return np.concatenate([gate_offsets(flight, gates) for flight in self.flights])
 
     def label(self) -> str:
         """How the actions were chosen, and the number of runs."""

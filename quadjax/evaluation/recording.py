@@ -1,9 +1,11 @@
 """The trajectory of one run as NumPy arrays, for figures and animations."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
+from quadjax.config.schema import GateConfig
 from quadjax.race.laps import Laps, Trace
 
 SIGNALS = ("position", "velocity", "euler", "rates", "actuators", "command")
@@ -20,6 +22,7 @@ class Recording:
     rates: np.ndarray  # (n, 3) rad/s, body
     actuators: np.ndarray  # (n, 4) propeller speeds, rpm, or (n, 1) specific thrust, m/s^2
     command: np.ndarray  # (n, 4) rpm, or rates, rad/s, and thrust, m/s^2
+    target: np.ndarray  # (n,) index of the gate to pass next
     lap_ends: np.ndarray  # (completed laps,) s
     crash: str  # why the run ended early; "" where it did not
 
@@ -49,6 +52,7 @@ def recordings(trace: Trace, laps: Laps, dt: float) -> list[Recording]:
         end = min(int(round(laps.seconds[run] / dt)) + 1, steps)
         times = laps.lap_times[run]
         own = {name: array[:end, :, run] for name, array in arrays.items()}
+        own["target"] = np.asarray(trace.target)[:end, run]
         ends = np.cumsum(times[np.isfinite(times)])
         result.append(Recording(dt * np.arange(end), **own, lap_ends=ends, crash=crash))
     return result
@@ -59,7 +63,7 @@ def opening(flight: Recording, seconds: float) -> Recording:
     count = int(np.searchsorted(flight.time, seconds + 1e-9))
     if count >= len(flight.time):
         return flight
-    own = {name: getattr(flight, name)[:count] for name in ("time", *SIGNALS)}
+    own = {name: getattr(flight, name)[:count] for name in ("time", "target", *SIGNALS)}
     return Recording(**own, lap_ends=flight.lap_ends[flight.lap_ends <= seconds], crash="")
 
 
@@ -75,3 +79,26 @@ def distinct(flights: list[Recording]) -> list[Recording]:
         if not any(np.array_equal(flight.position, other.position) for other in kept):
             kept.append(flight)
     return kept
+
+
+def gate_offsets(flight: Recording, gates: Sequence[GateConfig]) -> np.ndarray:
+    """Distance from the center of its gate of each passage of a flight (n,), m.
+
+    The larger of the lateral and the vertical distance, where the straight line between two samples
+    crosses the gate's plane.
+
+    Args:
+        flight: the trajectory.
+        gates: of the track, in order of passage.
+    """
+    (time,) = np.nonzero(flight.target[1:] != flight.target[:-1])
+    passed = [gates[index] for index in flight.target[time]]
+    center = np.array([gate.position for gate in passed], np.float64).reshape(-1, 3)
+    yaw = np.radians([gate.yaw_deg for gate in passed])
+    before, after = flight.position[time] - center, flight.position[time + 1] - center
+    through = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
+    behind, ahead = (before * through).sum(axis=1), (after * through).sum(axis=1)
+    share = -behind / np.maximum(ahead - behind, 1e-12)
+    crossing = before + share[:, None] * (after - before)
+    lateral = -np.sin(yaw) * crossing[:, 0] + np.cos(yaw) * crossing[:, 1]
+    return np.maximum(np.abs(lateral), np.abs(crossing[:, 2]))
