@@ -22,7 +22,6 @@ from quadjax.cli import STARTED
 from quadjax.cli.arguments import Parser, check_writable, count, parse
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import find_config
 
 NUM_ENVS = tuple(4**power for power in range(9))  # 1 to 65,536
 QUICK_NUM_ENVS = (1, 64, 4096, 65_536)
@@ -139,7 +138,7 @@ def _run_job(job: Job) -> dict[str, Any]:
 
     if job.kind in ("quadjax", "sb3"):
         return _run_side(job)
-    config = load_config(find_config(job.config), [f"run.devices={job.devices}"])
+    config = load_config(job.config, [f"run.devices={job.devices}"])
     prepare_devices("auto")
     with loading():
         from quadjax.evaluation import benchmark
@@ -160,9 +159,9 @@ def _run_side(job: Job) -> dict[str, Any]:
     from quadjax.config.loading import load_config
     from quadjax.learners.devices import prepare_devices
 
-    config = load_config(find_config(job.config))
+    config = load_config(job.config)
     per_update = config.learner.num_envs * config.learner.rollout_length
-    config = load_config(find_config(job.config), [f"run.evaluate_every={per_update}"])
+    config = load_config(job.config, [f"run.evaluate_every={per_update}"])
     prepare_devices("auto" if job.kind == "quadjax" else "1")
     with loading():
         from quadjax.evaluation.benchmark import machine

@@ -23,7 +23,7 @@ from quadjax.cli.arguments import (
 )
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import PRETRAINED
+from quadjax.core.resources import PRETRAINED, find_config
 
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -51,7 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from rich.console import Console
 
         from quadjax.config.loading import load_config
-        from quadjax.core.resources import find_config
         from quadjax.plant.config import load_plant_config
         from quadjax.studies.comparison import Setting, contender
         from quadjax.studies.comparison_run import PARTS, Wanted, run_comparison
@@ -62,8 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if part not in PARTS:
             raise InputError(f"--parts: {part!r}, allowed: {', '.join(PARTS)}")
     setting = Setting(
-        load_config(find_config(words.race)),
-        load_plant_config(words.config, words.overrides),
+        load_config(words.race),
+        load_plant_config(find_config(words.config, "plant"), words.overrides),
         words.laps,
         words.runs,
         words.seed,

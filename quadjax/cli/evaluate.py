@@ -66,13 +66,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words, console = _arguments(arguments), Console(stderr=True)
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.core.resources import find_config
         from quadjax.evaluation.evaluation import lap_table
         from quadjax.policy import pilot
         from quadjax.policy.file import Policy
         from quadjax.training.compilation_cache import enable_compilation_cache
 
-    config = load_config(find_config(words.config), words.overrides)
+    config = load_config(words.config, words.overrides)
     policy = Policy.load(words.policy)
     pilot.check_fits(config, policy, words.policy)
     enable_compilation_cache()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from quadjax.cli.arguments import Parser, add_config, check_writable, parse
 from quadjax.core.interruptions import loading
+from quadjax.core.resources import find_config
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -26,7 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.fitting.pipeline import load_fit_config, run_fit
         from quadjax.fitting.report import tables, write_results
 
-    config = load_fit_config(words.config, words.overrides)
+    path = find_config(words.config, "fit")
+    config = load_fit_config(path, words.overrides)
     folder = Path(config.runs) / config.name
     check_writable(folder / "vehicle.yaml")
     columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())
@@ -38,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         def report(line: str) -> None:
             progress.update(task, description=line, advance=1)
 
-        result = run_fit(config, Path(words.config).parent, report)
+        result = run_fit(config, path.parent, report)
         report("writing")
         written = write_results(result, folder)
         if config.figures:

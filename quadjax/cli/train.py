@@ -22,7 +22,6 @@ from quadjax.cli.arguments import (
 )
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import find_config
 
 if TYPE_CHECKING:
     from quadjax.training.result import Run
@@ -62,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.learners import hosts
         from quadjax.learners.devices import prepare_devices
 
-    config = load_config(find_config(words.config), overrides_of(words))
+    config = load_config(words.config, overrides_of(words))
     prepare_devices(config.run.devices)
     hosts.connect(words.coordinator, words.processes, words.process)
     with loading():

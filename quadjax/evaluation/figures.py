@@ -112,9 +112,7 @@ def flight_title(flight: Recording) -> str:
     return f"{title}, then {flight.crash}" if flight.crash else title
 
 
-def _extent(
-    flights: Sequence[Recording], gates: Sequence[Gate]
-) -> tuple[np.ndarray, np.ndarray]:
+def _extent(flights: Sequence[Recording], gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x, y and height of all that is drawn, with a margin, m."""
     points = [flight.position for flight in flights]
     for gate in gates:

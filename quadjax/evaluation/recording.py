@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quadjax.config.schema import GateConfig
+from quadjax.config.schema import Gate
 from quadjax.race.laps import Laps, Trace
 
 SIGNALS = ("position", "velocity", "euler", "rates", "actuators", "command")
@@ -81,7 +81,7 @@ def distinct(flights: list[Recording]) -> list[Recording]:
     return kept
 
 
-def gate_offsets(flight: Recording, gates: Sequence[GateConfig]) -> np.ndarray:
+def gate_offsets(flight: Recording, gates: Sequence[Gate]) -> np.ndarray:
     """Distance from the center of its gate of each passage of a flight (n,), m.
 
     The larger of the lateral and the vertical distance, where the straight line between two samples

@@ -195,6 +195,7 @@ def recordings(flights: Flights) -> list[Recording]:
             Recording(
                 flights.step * np.arange(int((~frames.over[:, run]).sum())),
                 *(rows(flights, vector, run) for vector in vectors),
+                np.asarray(frames.target)[~frames.over[:, run], run],
                 np.cumsum(times[np.isfinite(times)]),
                 flights.laps.crashes[run],
             )

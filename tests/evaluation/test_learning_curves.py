@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadjax.config.loading import load_config, to_yaml
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.evaluation.curves import COLORS, learning_figure, spread
@@ -13,7 +13,7 @@ from tests.test_training import CONFIGS
 
 def make_run(folder, times, seconds_each=10.0, config="e2e_ppo.yaml", words=()):
     """A run's folder with a row of metrics for each lap time, s."""
-    write_text(folder / "config.yaml", to_yaml(load_config(CONFIGS / config, words)))
+    write_text(folder / "config.yaml", load_config(CONFIGS / config, words).to_yaml())
     rows = [f"{500_000 * i},{seconds_each * i},{time}" for i, time in enumerate(times, 1)]
     write_text(folder / "metrics.csv", "\n".join(["steps,seconds,lap_total", *rows, ""]))
     return folder

@@ -37,6 +37,7 @@ def circle(motors: int = 4, seconds: float = 1.0, crash: str = "") -> Recording:
         rates=np.stack([zero, zero + 1, turn], axis=1),
         actuators=np.full((len(time), motors), 9000.0),
         command=np.full((len(time), 4), 9000.0),
+        target=np.zeros(len(time), int),
         lap_ends=np.array([seconds]),
         crash=crash,
     )

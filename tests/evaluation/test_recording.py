@@ -2,10 +2,13 @@
 
 import numpy as np
 
-from quadjax.config.schema import GateConfig
+from quadjax.config.schema import Gate
 from quadjax.evaluation.recording import Recording, gate_offsets
 
-GATES = [GateConfig([2.0, 0.0, -1.5], 0.0), GateConfig([0.0, 2.0, -1.5], 90.0)]
+GATES = [
+    Gate(position=(2.0, 0.0, -1.5), yaw_deg=0.0),
+    Gate(position=(0.0, 2.0, -1.5), yaw_deg=90.0),
+]
 
 
 def flight(positions, targets):
