@@ -26,6 +26,8 @@ COMMANDS = {  # name: (module, one line of help)
     "export": ("quadjax.cli.export", "convert a policy to fixed-point C"),
     "verify": ("quadjax.cli.verify", "build, run and check exported C"),
     "compare": ("quadjax.cli.compare", "compare E2E with INDI, in simulation and on the plant"),
+    "simulate-logs": ("quadjax.fitting.simulate", "write flight logs of a known model"),
+    "recovery": ("quadjax.studies.recovery", "compare a fit with that known model"),
     "plant-logs": ("quadjax.plant.logs", "write flight logs of the stand-in plant"),
     "identify": ("quadjax.studies.identify", "identify the inner loop's time constants"),
     "consistency": ("quadjax.studies.consistency", "check the navigation filter's covariance"),
@@ -65,7 +67,7 @@ def _run(words: list[str]) -> int | None:
 
 def usage() -> str:
     """The text of ``quadjax --help``."""
-    lines = [f"  {name:<12} {text}" for name, (_, text) in COMMANDS.items()]
+    lines = [f"  {name:<14} {text}" for name, (_, text) in COMMANDS.items()]
     return "\n".join(
         [
             "usage: quadjax SUBCOMMAND ...",

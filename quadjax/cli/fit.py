@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, check_writable, parse
+from quadjax.cli.arguments import Parser, add_config, parse
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
@@ -23,18 +23,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+        from quadjax.core.folders import claim
+        from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.figures import write_figures
-        from quadjax.fitting.pipeline import load_fit_config, run_fit
+        from quadjax.fitting.flight_log import find_logs
+        from quadjax.fitting.pipeline import run_fit
         from quadjax.fitting.report import tables, write_results
 
     path = find_config(words.config, "fit")
     config = load_fit_config(path, words.overrides)
     folder = Path(config.runs) / config.name
-    check_writable(folder / "vehicle.yaml")
+    find_logs(config.logs, Path(words.config).parent)  # before the folder is created
     columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     quiet = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
+    bar = Progress(*columns, console=console, transient=True, disable=quiet)
+    with claim(folder, "fit"), bar as progress:
         task = progress.add_task("starting", total=8 if config.residual.fit else 4)
 
         def report(line: str) -> None:

@@ -1,15 +1,16 @@
-"""What the columns of a flight log are called, and in which units they come.
+"""Column names and units of flight logs.
 
-A *quantity* is what the fit needs; each is one to four columns. Motors are listed in the order
-front-left, front-right, rear-right, rear-left, whatever the autopilot numbers them.
+A *quantity* has one to four columns. Motors are in the order front-left, front-right, rear-right,
+rear-left, independent of the autopilot's numbering.
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quadjax.core.errors import InputError
-from quadjax.fitting.config import LogsConfig, UnitsConfig
+if TYPE_CHECKING:
+    from quadjax.fitting.config import LogsConfig, UnitsConfig
 
 WIDTHS = {
     "time": 1,
@@ -25,7 +26,7 @@ WIDTHS = {
     "mode": 1,
 }
 REQUIRED = ("time", "rpm", "gyro", "acceleration")
-# Read where the log has them and a preset, not the user, asks for them.
+# Columns of a format that a log may lack.
 OPTIONAL = ("rpm_command", "euler", "mode")
 
 
@@ -84,37 +85,17 @@ UNIT_OF = {
 }
 
 
-def scale_of(quantity: str, units: UnitsConfig) -> float:
-    """What a quantity's numbers are multiplied by on reading."""
+def scale_of(quantity: str, units: "UnitsConfig") -> float:
+    """Factor from a quantity's unit to SI or rpm."""
     kind = UNIT_OF.get(quantity)
     return UNITS[kind][getattr(units, kind)] if kind else 1.0
 
 
-def check_logs_config(config: LogsConfig) -> None:
-    """Raise an ``InputError`` for an impossible value of the ``logs`` section."""
-    allowed: list[tuple[str, str, tuple[str, ...]]] = [
-        ("logs.format", config.format, tuple(PRESETS)),
-        ("logs.body_frame", config.body_frame, ("FRD", "FLU")),
-        ("logs.world_frame", config.world_frame, ("NED", "ENU")),
-    ]
-    allowed += [(f"logs.units.{k}", getattr(config.units, k), tuple(UNITS[k])) for k in UNITS]
-    for key, value, choices in allowed:
-        if value not in choices:
-            raise InputError(f"{key} is {value!r}, allowed: {list(choices)}")
-    for quantity, names in config.columns.items():
-        if quantity not in WIDTHS:
-            raise InputError(f"logs.columns.{quantity} is unknown, allowed: {list(WIDTHS)}")
-        if names and len(names) != WIDTHS[quantity]:
-            raise InputError(
-                f"logs.columns.{quantity} names {len(names)} columns, expected {WIDTHS[quantity]}"
-            )
+def wanted_columns(config: "LogsConfig", header: list[str]) -> dict[str, list[str]]:
+    """Columns of a log to read, by quantity, without those that are optional and absent.
 
-
-def wanted_columns(config: LogsConfig, header: list[str]) -> dict[str, list[str]]:
-    """Which columns of a log to read, by quantity; what is optional and absent is left out.
-
-    A quantity mapped to an empty list is not read. Naming one way to give a quantity (world
-    velocity, quaternion) switches off the preset's other way.
+    A quantity with an empty list is not read. ``logs.columns`` for one form of a quantity (world
+    velocity, quaternion) replaces the format's other form.
     """
     preset = dict(PRESETS[config.format])
     for given, other in (

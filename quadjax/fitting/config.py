@@ -1,105 +1,158 @@
-"""The schema of ``configs/fit/*.yaml``: what to read, how to fit, what to write."""
+"""Config of a fit, ``configs/fit/*.yaml``: logs, drone, method and output."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal, Self
 
+from quadjax.config.base import (
+    Field,
+    Section,
+    build,
+    merge_trees,
+    model_validator,
+    parse_overrides,
+    read_tree_with_bases,
+)
+from quadjax.fitting.columns import WIDTHS
 
-@dataclass(frozen=True)
-class UnitsConfig:
-    """Units of a log's columns; they are converted to SI and rpm on reading."""
-
-    time: str = "s"  # s, ms, us
-    rpm: str = "rpm"  # rpm, krpm, rad/s
-    gyro: str = "rad/s"  # rad/s, deg/s
-    acceleration: str = "m/s^2"  # m/s^2, g
-    velocity: str = "m/s"  # m/s, cm/s
-    angle: str = "rad"  # rad, deg
-
-
-@dataclass(frozen=True)
-class LogsConfig:
-    """Which flight logs, and what their columns are called."""
-
-    files: list[str] = field(default_factory=list)  # paths or glob patterns, one flight each
-    format: str = "plain"  # plain, paparazzi: column names to start from
-    columns: dict[str, list[str]] = field(default_factory=dict)  # quantity: columns, overriding
-    units: UnitsConfig = field(default_factory=UnitsConfig)
-    body_frame: str = "FRD"  # FRD, FLU
-    world_frame: str = "NED"  # NED, ENU
-    max_gap: float = 0.05  # s without a sample that is refused
-    min_seconds: float = 2.0  # a shorter flight is refused
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
 
 
-@dataclass(frozen=True)
-class BodyConfig:
-    """What the logs cannot tell about the drone."""
+class UnitsConfig(Section):
+    """Units of a log's columns, which are converted to SI and rpm."""
+
+    time: Literal["s", "ms", "us"] = "s"
+    rpm: Literal["rpm", "krpm", "rad/s"] = "rpm"
+    gyro: Literal["rad/s", "deg/s"] = "rad/s"
+    acceleration: Literal["m/s^2", "g"] = "m/s^2"
+    velocity: Literal["m/s", "cm/s"] = "m/s"
+    angle: Literal["rad", "deg"] = "rad"
+
+
+class LogsConfig(Section):
+    """Flight logs and their columns."""
+
+    files: tuple[str, ...] = Field((), description="paths or glob patterns, one flight each")
+    format: Literal["plain", "paparazzi"] = Field("plain", description="default column names")
+    columns: dict[str, list[str]] = Field({}, description="columns by quantity, overriding")
+    units: UnitsConfig = UnitsConfig()
+    body_frame: Literal["FRD", "FLU"] = "FRD"
+    world_frame: Literal["NED", "ENU"] = "NED"
+    max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
+    min_seconds: Positive = Field(2.0, description="s, shortest allowed flight")
+
+    @model_validator(mode="after")
+    def _widths(self) -> Self:
+        for quantity, names in self.columns.items():
+            if quantity not in WIDTHS:
+                raise ValueError(f"unknown key logs.columns.{quantity}; allowed: {list(WIDTHS)}")
+            if names and len(names) != WIDTHS[quantity]:
+                raise ValueError(
+                    f"logs.columns.{quantity} has {len(names)} columns, allowed: {WIDTHS[quantity]}"
+                )
+        return self
+
+
+class BodyConfig(Section):
+    """Properties of the drone that logs do not contain; null takes the base vehicle's."""
 
     name: str = "fitted drone"
-    mass: float | None = None  # kg; the base vehicle's where missing
-    inertia: list[float] | None = None  # kg m^2, (xx, yy, zz); the base vehicle's where missing
-    rpm_range: list[float] | None = None  # lowest, highest rpm; the logs' where missing
+    mass: Positive | None = Field(None, description="kg")
+    inertia: tuple[Positive, Positive, Positive] | None = Field(
+        None, description="kg m^2: xx, yy, zz"
+    )
+    rpm_range: tuple[Positive, Positive] | None = Field(
+        None, description="lowest, highest rpm; null takes the logs'"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.rpm_range is not None and self.rpm_range[0] >= self.rpm_range[1]:
+            raise ValueError(
+                f"body.rpm_range is {list(self.rpm_range)}, allowed: [lowest, highest]"
+            )
+        return self
 
 
-@dataclass(frozen=True)
-class PrepareConfig:
-    """From a log to model inputs and targets."""
+class PrepareConfig(Section):
+    """Filtering and trimming of the logs."""
 
-    cutoff: float = 16.0  # Hz, zero-phase second-order Butterworth
-    airborne_fraction: float = 0.5  # of the flight's median rpm, below which it is on the ground
-    airborne_pause: float = 1.0  # s below it within a flight that count as a landing
+    cutoff: Positive = Field(16.0, description="Hz, zero-phase second-order Butterworth")
+    airborne_fraction: NonNegative = Field(
+        0.5, description="fraction of the flight's median rpm, below which it is on the ground"
+    )
+    airborne_pause: NonNegative = Field(1.0, description="s below it that count as a landing")
 
 
-@dataclass(frozen=True)
-class NominalConfig:
+class NominalConfig(Section):
     """The nominal model."""
 
-    fit: bool = True  # false: keep the base vehicle's constants and fit only what they leave
+    fit: bool = Field(True, description="false keeps the base vehicle's constants")
 
 
-@dataclass(frozen=True)
-class SplitConfig:
-    """What is held out: whole flights, or a part of each flight's time."""
+class SplitConfig(Section):
+    """Held-out data: whole flights, or a part of each flight's time."""
 
-    by: str = "auto"  # flight, time, auto (flight where there are two or more)
-    test_flights: list[str] = field(default_factory=list)  # never used for any choice
-    test_fraction: float = 0.3  # by time: the last part of each flight
-    folds: int = 5  # at most so many groups of flights; by time, so many blocks at most
-    leave_one_out: bool = True  # the whole procedure again for each flight left out
+    by: Literal["auto", "flight", "time"] = Field(
+        "auto", description="auto is flight for two or more flights"
+    )
+    test_flights: tuple[str, ...] = Field((), description="flights used for no choice")
+    test_fraction: float = Field(
+        0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight"
+    )
+    folds: int = Field(5, ge=2, le=1000, description="largest number of groups or blocks")
+    leave_one_out: bool = Field(True, description="repeat the fit without each flight")
 
 
-@dataclass(frozen=True)
-class ResidualConfig:
+class ResidualConfig(Section):
     """Training of the residual networks."""
 
     fit: bool = True
-    hidden_thrust: int = 32
-    hidden_moment: int = 32
-    seeds: int = 5
-    epochs: int = 60
-    batch: int = 128
-    learning_rate: float = 3e-3
-    average: float = 0.99  # decay of the average of the weights that is kept
-    decay: float = 1e-3  # L2 on the last layer: towards no residual
-    noise: float = 0.1  # on the mirrored candidate's inputs, in their standard deviations
-    mirror: str = "auto"  # auto, on, off: also learn from each flight's mirror image
-    sample_rate: float = 50.0  # Hz, to which the filtered signals are thinned
-    caution: float = 1.0  # weight of the worst held-out flight's harm in choosing the shrinkage
-    min_gain: float = 0.01  # a smaller relative gain on held-out flights is refused
-    teach_epochs: int = 120  # of the exported network on the ensemble
-    margin: float = 0.5  # how far beyond the logs the exported network is taught to stay level
+    hidden_thrust: int = Field(32, ge=1, le=4096, description="units of the thrust network")
+    hidden_moment: int = Field(32, ge=1, le=4096, description="units of the moment network")
+    seeds: int = Field(5, ge=1, le=100, description="networks of an ensemble")
+    epochs: int = Field(60, ge=1, le=10**5)
+    batch: int = Field(128, ge=1, le=10**6)
+    learning_rate: float = Field(3e-3, ge=1e-6, le=1.0)
+    average: float = Field(0.99, ge=0.0, le=0.99999, description="decay of averaged weights")
+    decay: NonNegative = Field(1e-3, description="L2 penalty on the last layer")
+    noise: float = Field(
+        0.1, ge=0.0, le=10.0, description="input noise with mirroring, in standard deviations"
+    )
+    mirror: Literal["auto", "on", "off"] = Field("auto", description="learn from mirror images")
+    sample_rate: float = Field(50.0, ge=1.0, description="Hz, after thinning")
+    caution: NonNegative = Field(1.0, description="weight of the worst fold when shrinking")
+    min_gain: float = Field(
+        0.01, ge=0.0, le=1.0, description="least relative gain on held-out data"
+    )
+    distill_epochs: int = Field(120, ge=1, le=10**5, description="of the exported network")
+    margin: float = Field(
+        0.5, ge=0.0, le=10.0, description="range beyond the logs where the output stays constant"
+    )
 
 
-@dataclass(frozen=True)
-class FitConfig:
+class FitConfig(Section):
     """One fit."""
 
-    name: str = "fit"
-    runs: str = "runs"  # the results go to runs/NAME
-    vehicle: str = "bebop1.yaml"  # in configs/vehicles; base: rate model, and what is not fitted
-    seed: int = 0
+    name: str = Field("fit", pattern=r"^[\w-][\w.-]*$", description="folder of results")
+    runs: str = Field("runs", description="folder of that folder")
+    vehicle: str = Field("bebop1.yaml", description="base vehicle, a file in configs/vehicles")
+    seed: int = Field(0, ge=0)
     figures: bool = True
-    logs: LogsConfig = field(default_factory=LogsConfig)
-    body: BodyConfig = field(default_factory=BodyConfig)
-    prepare: PrepareConfig = field(default_factory=PrepareConfig)
-    nominal: NominalConfig = field(default_factory=NominalConfig)
-    split: SplitConfig = field(default_factory=SplitConfig)
-    residual: ResidualConfig = field(default_factory=ResidualConfig)
+    logs: LogsConfig = LogsConfig()
+    body: BodyConfig = BodyConfig()
+    prepare: PrepareConfig = PrepareConfig()
+    nominal: NominalConfig = NominalConfig()
+    split: SplitConfig = SplitConfig()
+    residual: ResidualConfig = ResidualConfig()
+
+
+def load_fit_config(path: Path | str, overrides: Sequence[str] = ()) -> FitConfig:
+    """The config of a YAML file and ``key=value`` overrides.
+
+    Raises:
+        InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
+    """
+    tree = merge_trees(read_tree_with_bases(path), parse_overrides(overrides))
+    return build(FitConfig, tree, str(path))

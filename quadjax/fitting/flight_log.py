@@ -1,19 +1,27 @@
-"""Flight logs: read, checked, and brought to one set of arrays, units and frames.
+"""Flight logs: reading, checking, and conversion to one set of units and frames.
 
-Rows are numbered as an editor or a spreadsheet shows them: the header is row 1.
+Rows are numbered as in an editor or a spreadsheet: the header is row 1.
 """
 
 import csv
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
-from quadjax.fitting.columns import REQUIRED, check_logs_config, scale_of, wanted_columns
+from quadjax.core.files import whole_file
+from quadjax.fitting.columns import REQUIRED, scale_of, wanted_columns
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.log_checks import check_angles, check_time, check_units
+
+Quantities = dict[str, np.ndarray]
+FLIP = np.array([1.0, -1.0, -1.0])  # FLU <-> FRD
+HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # the same as a rotation
+ENU_TO_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
@@ -28,7 +36,7 @@ class FlightLog:
     body_velocity: np.ndarray  # (n, 3) m/s
     rates: np.ndarray  # (n, 3) rad/s
     specific_force: np.ndarray  # (n, 3) m/s^2, accelerometer less its bias
-    flying: np.ndarray  # (n,) bool: the log's own word for it, all true where it has none
+    flying: np.ndarray  # (n,) bool, from the log's mode; all true without one
 
     @property
     def sample_rate(self) -> float:
@@ -36,20 +44,19 @@ class FlightLog:
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
 
 
-def read_logs(config: LogsConfig, base: Path) -> list[FlightLog]:
-    """Read every flight that the config names.
+def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
+    """Paths of the logs that a config names.
 
     Args:
-        config: files, columns, units and frames.
-        base: the folder that relative paths start from.
+        config: with paths or glob patterns.
+        folder: relative paths start from the working directory, or else from here.
 
     Raises:
-        InputError: no such file, or whatever ``read_log`` finds; nothing is returned then.
+        InputError: no such file, no file at all, or two flights of one name.
     """
-    check_logs_config(config)
     paths: list[Path] = []
     for pattern in config.files:
-        found = _expand(base, pattern)
+        found = _expand(Path(), pattern) or _expand(folder, pattern)
         if not found:
             raise InputError(f"{pattern}: no such file (logs.files)")
         paths += [path for path in found if path not in paths]
@@ -59,31 +66,56 @@ def read_logs(config: LogsConfig, base: Path) -> list[FlightLog]:
     doubles = sorted({name for name in names if names.count(name) > 1})
     if doubles:
         raise InputError(f"logs.files: two flights are called {doubles[0]!r}")
-    return [read_log(path, config) for path in paths]
+    return paths
 
 
-def _expand(base: Path, pattern: str) -> list[Path]:
-    whole = base / Path(pattern).expanduser()
-    if whole.is_file():
-        return [whole]
-    if not any(letter in pattern for letter in "*?["):
-        return []
-    anchor = Path(whole.anchor) if whole.is_absolute() else Path()
-    relative = whole.relative_to(whole.anchor) if whole.is_absolute() else whole
-    return sorted(path for path in anchor.glob(str(relative)) if path.is_file())
+def _expand(folder: Path, pattern: str) -> list[Path]:
+    whole = folder / Path(pattern).expanduser()
+    if whole.is_file() or not pattern:
+        return [whole] if pattern else []
+    anchor = Path(whole.anchor)
+    return sorted(path for path in anchor.glob(str(whole.relative_to(anchor))) if path.is_file())
+
+
+def read_logs(config: LogsConfig, folder: Path) -> list[FlightLog]:
+    """Read every flight of a config; arguments and errors as ``find_logs`` and ``read_log``."""
+    return [read_log(path, config) for path in find_logs(config, folder)]
 
 
 def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
     """Read one CSV flight log.
 
     Raises:
-        InputError: a missing column, text or NaN where a number belongs, a time that stands
-            still, runs backwards or has a gap, a unit or a sign that cannot be right, a file that
-            is empty or too short; one line with the file, the column and the row.
+        InputError: a missing column, a cell that is no finite number, a time that stands still,
+            runs backwards or has a gap, an implausible unit or sign, a file that is empty or too
+            short; one line with the file, the column and the row.
     """
-    check_logs_config(config)
     header = _header(path)
     wanted = wanted_columns(config, header)
+    _check_wanted(path, wanted, header)
+    table = _table(path, header, [name for group in wanted.values() for name in group])
+    quantities: Quantities = {}
+    for quantity, group in wanted.items():
+        values, table = table[:, : len(group)], table[:, len(group) :]
+        values = values * scale_of(quantity, config.units)
+        quantities[quantity] = values[:, 0] if len(group) == 1 else values
+    check_time(path, wanted["time"][0], quantities["time"], config)
+    if "euler" in wanted:
+        check_angles(path, wanted["euler"], quantities["euler"])
+    quantities = _to_standard_frames(path, quantities, config)
+    check_units(path, wanted, quantities)
+    return _assemble(path, quantities)
+
+
+def write_log(path: Path | str, columns: Quantities) -> None:
+    """Write columns (n,) as a CSV flight log."""
+    with whole_file(path) as temporary:
+        table = np.stack(list(columns.values()), axis=1)
+        header = ",".join(columns)
+        np.savetxt(temporary, table, fmt="%.8g", delimiter=",", header=header, comments="")
+
+
+def _check_wanted(path: Path | str, wanted: dict[str, list[str]], header: list[str]) -> None:
     for quantity in REQUIRED:
         if quantity not in wanted:
             raise InputError(f"{path}: no columns for {quantity} (logs.columns.{quantity})")
@@ -91,29 +123,21 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
         raise InputError(f"{path}: no columns for body_velocity or world_velocity (logs.columns)")
     if "body_velocity" not in wanted and not {"euler", "quaternion"} & set(wanted):
         raise InputError(f"{path}: world_velocity needs euler or quaternion columns (logs.columns)")
-    names = [name for group in wanted.values() for name in group]
-    for name in names:
+    for name in (name for group in wanted.values() for name in group):
         if header.count(name) != 1:
             problem = "is missing" if name not in header else "is there twice"
             raise InputError(f"{path}: row 1, column {name!r} {problem}")
-    table = _table(path, header, names)
-    quantities, start = {}, 0
-    for quantity, group in wanted.items():
-        values = table[:, start : start + len(group)] * scale_of(quantity, config.units)
-        quantities[quantity] = values[:, 0] if len(group) == 1 else values
-        start += len(group)
-    check_time(path, wanted["time"][0], quantities["time"], config)
-    if "euler" in wanted:
-        check_angles(path, wanted["euler"], quantities["euler"])
-    quantities = _to_standard_frames(quantities, config)
-    check_units(path, wanted, quantities)
-    return _assemble(path, quantities)
+
+
+def _rows(path: Path | str, **options: str) -> Iterator[tuple[int, list[str]]]:
+    """Numbered rows of a CSV file, from 1."""
+    with open(path, newline="", encoding="utf-8-sig", **options) as stream:
+        yield from enumerate(csv.reader(stream), start=1)
 
 
 def _header(path: Path | str) -> list[str]:
     try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            header = next(csv.reader(stream), [])
+        _, header = next(_rows(path), (1, []))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -129,9 +153,8 @@ def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
     _check_rows(path, header)
     columns = [header.index(name) for name in names]
     try:
-        # Most files are sound: read them fast, and look for the culprit only where that fails.
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # no rows: said below, in a line
+            warnings.simplefilter("ignore", UserWarning)  # no rows: ``check_time`` reports it
             table = np.loadtxt(
                 path,
                 delimiter=",",
@@ -143,119 +166,92 @@ def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
                 encoding="utf-8-sig",
             )
     except (ValueError, UnicodeDecodeError):
-        raise _culprit(path, header, names) from None
+        raise _bad_cell(path, header, names) from None
     if not np.isfinite(table).all():
-        raise _culprit(path, header, names)
+        raise _bad_cell(path, header, names)
     return table
 
 
 def _check_rows(path: Path | str, header: list[str]) -> None:
-    """No row may be empty, but at the end, or have more cells than there are columns."""
+    """Refuse empty rows before the end, and rows with more cells than there are columns."""
     empty = None
-    with open(path, newline="", encoding="utf-8-sig", errors="replace") as stream:
-        for row, cells in enumerate(csv.reader(stream), start=1):
-            if not any(cells):
-                empty = empty or row
-                continue
-            if empty:
-                raise InputError(f"{path}: row {empty}, column {header[0]!r} and on is empty")
-            beyond = [cell for cell in cells[len(header) :] if cell.strip()]
-            if beyond:
-                raise InputError(
-                    f"{path}: row {row} goes on after the last column, {header[-1]!r}, with "
-                    f"{beyond[0]!r}"
-                )
+    for row, cells in _rows(path, errors="replace"):
+        if not any(cells):
+            empty = empty or row
+            continue
+        if empty:
+            raise InputError(f"{path}: row {empty}, column {header[0]!r} and on is empty")
+        beyond = [cell for cell in cells[len(header) :] if cell.strip()]
+        if beyond:
+            raise InputError(
+                f"{path}: row {row} continues after the last column, {header[-1]!r}, with "
+                f"{beyond[0]!r}"
+            )
 
 
-def _culprit(path: Path | str, header: list[str], names: list[str]) -> InputError:
-    """An error that names the first cell that is no finite number."""
-    with open(path, newline="", encoding="utf-8-sig", errors="replace") as stream:
-        for row, cells in enumerate(csv.reader(stream), start=1):
-            if row == 1 or not cells:
-                continue
-            for name in names:
-                index = header.index(name)
-                where = f"{path}: row {row}, column {name!r}"
-                if index >= len(cells):
-                    return InputError(f"{where} is missing: the row has {len(cells)} cells")
-                try:
-                    number = float(cells[index])
-                except ValueError:
-                    return InputError(f"{where} is {cells[index]!r}, expected a number")
-                if not np.isfinite(number):
-                    return InputError(f"{where} is {number}, expected a finite number")
+def _bad_cell(path: Path | str, header: list[str], names: list[str]) -> InputError:
+    """An error that names the first cell that is not a finite number."""
+    for row, cells in _rows(path, errors="replace"):
+        if row == 1 or not cells:
+            continue
+        for name in names:
+            index = header.index(name)
+            where = f"{path}: row {row}, column {name!r}"
+            if index >= len(cells):
+                return InputError(f"{where} is missing: the row has {len(cells)} cells")
+            try:
+                number = float(cells[index])
+            except ValueError:
+                return InputError(f"{where} is {cells[index]!r}, expected a number")
+            if not np.isfinite(number):
+                return InputError(f"{where} is {number}, expected a finite number")
     return InputError(f"{path}: row 2 and after cannot be read as numbers")
 
 
-def _to_standard_frames(
-    quantities: dict[str, np.ndarray], config: LogsConfig
-) -> dict[str, np.ndarray]:
-    """Bring vectors to body FRD and world NED, and add body velocity and Euler angles."""
-    result = dict(quantities)
-    flip = np.array([1.0, -1.0, -1.0])  # FLU <-> FRD, and the same turn of quaternion and angles
-    if config.body_frame == "FLU":
+def _to_standard_frames(path: Path | str, given: Quantities, config: LogsConfig) -> Quantities:
+    """Vectors in body FRD and world NED, with body velocity and Euler angles."""
+    result, flu = dict(given), config.body_frame == "FLU"
+    if flu:
         for name in ("gyro", "acceleration", "acceleration_bias", "body_velocity"):
             if name in result:
-                result[name] = result[name] * flip
+                result[name] = result[name] * FLIP
     if "quaternion" in result:
-        rotation = _rotation_of_quaternion(result["quaternion"])
+        try:
+            rotation = Rotation.from_quat(result["quaternion"][:, [1, 2, 3, 0]])
+        except ValueError:
+            raise InputError(f"{path}: a quaternion of length zero") from None
     elif "euler" in result:
         rotation = rotation_of_euler(result["euler"])
     else:
         return result
-    if config.body_frame == "FLU":
-        rotation = rotation * flip
+    if flu:
+        rotation = rotation * HALF_TURN
     if config.world_frame == "ENU":
-        rotation = rotation[:, [1, 0, 2], :] * np.array([1.0, 1.0, -1.0])[:, None]
+        rotation = ENU_TO_NED * rotation
         if "world_velocity" in result:
-            result["world_velocity"] = result["world_velocity"][:, [1, 0, 2]] * [1.0, 1.0, -1.0]
-    result["euler"] = _euler_of_rotation(rotation)
+            result["world_velocity"] = ENU_TO_NED.apply(result["world_velocity"])
+    result["euler"] = rotation.as_euler("ZYX")[:, ::-1]
     if "body_velocity" not in result:
-        result["body_velocity"] = np.einsum("nij,ni->nj", rotation, result["world_velocity"])
+        result["body_velocity"] = rotation.inv().apply(result["world_velocity"])
     return result
 
 
-def rotation_of_euler(euler: np.ndarray) -> np.ndarray:
-    """``Rz(psi) Ry(theta) Rx(phi)``, (n, 3, 3), of angles (n, 3), rad."""
-    (sx, sy, sz), (cx, cy, cz) = np.sin(euler).T, np.cos(euler).T
-    rows = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+def rotation_of_euler(euler: np.ndarray) -> Rotation:
+    """Body-to-world rotations ``Rz(psi) Ry(theta) Rx(phi)`` of angles (n, 3), rad."""
+    return Rotation.from_euler("ZYX", euler[:, ::-1])
 
 
-def _rotation_of_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """Body-to-world rotation (n, 3, 3) of quaternions (n, 4), scalar first."""
-    length = np.linalg.norm(quaternion, axis=1, keepdims=True)
-    w, x, y, z = (quaternion / np.maximum(length, 1e-9)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
-
-
-def _euler_of_rotation(rotation: np.ndarray) -> np.ndarray:
-    pitch = np.arcsin(np.clip(-rotation[:, 2, 0], -1.0, 1.0))
-    roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
-    return np.stack([roll, pitch, np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])], axis=1)
-
-
-def _assemble(path: Path | str, quantities: dict[str, np.ndarray]) -> FlightLog:
+def _assemble(path: Path | str, quantities: Quantities) -> FlightLog:
     """Resample to even spacing and build the log."""
     time = quantities["time"]
     steps = np.diff(time)
-    even = np.linspace(time[0], time[-1], len(time))
-    if steps.max() - steps.min() > 0.01 * np.median(steps):
+    count = len(time)
+    if np.ptp(steps) > 0.01 * np.median(steps):
         count = int(round((time[-1] - time[0]) / np.median(steps))) + 1
-        even = np.linspace(time[0], time[-1], count)
+    even = np.linspace(time[0], time[-1], count)
 
     def resample(values: np.ndarray) -> np.ndarray:
-        columns = values.reshape(len(time), -1).T
-        return np.stack([np.interp(even, time, column) for column in columns], axis=1)
+        return np.stack([np.interp(even, time, column) for column in values.T], axis=1)
 
     bias = quantities.get("acceleration_bias", 0.0)
     command, mode = quantities.get("rpm_command"), quantities.get("mode")

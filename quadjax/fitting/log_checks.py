@@ -1,4 +1,4 @@
-"""Checks of a flight log that has been read: its time, its units and its signs.
+"""Checks of a flight log's time, units and signs.
 
 Each check raises an ``InputError`` of one line with the file, the column and the row.
 """
@@ -6,6 +6,7 @@ Each check raises an ``InputError`` of one line with the file, the column and th
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig
@@ -14,45 +15,45 @@ GRAVITY = 9.81
 
 
 def check_time(path: Path | str, column: str, time: np.ndarray, config: LogsConfig) -> None:
-    """Time must run forwards without gaps, for long enough, at a plausible rate."""
+    """Time must increase without gaps, for long enough, at a plausible rate."""
+
+    def refuse(row: int, problem: str) -> InputError:
+        return InputError(f"{path}: row {row}, column {column!r}: {problem}")
+
     if len(time) < 2:
-        raise InputError(
-            f"{path}: row {len(time) + 1}, column {column!r}: the file ends here, after "
-            f"{len(time)} rows of data, expected at least {config.min_seconds:g} s of flight"
+        raise refuse(
+            len(time) + 1,
+            f"the file ends after {len(time)} rows of data, expected at least "
+            f"{config.min_seconds:g} s of flight",
         )
     steps = np.diff(time)
-    backwards = np.flatnonzero(steps <= 0.0)
-    if backwards.size:
-        row = int(backwards[0])
+    row = int((steps <= 0.0).argmax())
+    if steps[row] <= 0.0:
         word = "runs backwards" if steps[row] < 0.0 else "stands still"
-        raise InputError(
-            f"{path}: row {row + 3}, column {column!r}: time {word}, "
-            f"from {time[row]:.6g} to {time[row + 1]:.6g} s"
-        )
+        raise refuse(row + 3, f"time {word}, from {time[row]:.6g} to {time[row + 1]:.6g} s")
     usual = float(np.median(steps))
     if not 2e-4 < usual < 0.051:
-        raise InputError(
-            f"{path}: row 3, column {column!r}: samples are {usual:.3g} s apart, expected 0.0002 "
-            "to 0.05 s; is logs.units.time right?"
+        raise refuse(
+            3,
+            f"samples are {usual:.3g} s apart, expected 0.0002 to 0.05 s; is logs.units.time "
+            "right?",
         )
-    gaps = np.flatnonzero(steps > max(config.max_gap, 2.5 * usual))
-    if gaps.size:
-        row = int(gaps[0])
-        raise InputError(
-            f"{path}: row {row + 3}, column {column!r}: a gap of {steps[row]:.3g} s, "
-            f"allowed: {max(config.max_gap, 2.5 * usual):.3g} s (logs.max_gap)"
-        )
-    if time[-1] - time[0] < config.min_seconds:
-        raise InputError(
-            f"{path}: row {len(time) + 1}, column {column!r}: the file ends after "
-            f"{time[-1] - time[0]:.3g} s, expected at least {config.min_seconds:g} s"
+    most = max(config.max_gap, 2.5 * usual)
+    row = int((steps > most).argmax())
+    if steps[row] > most:
+        raise refuse(row + 3, f"a gap of {steps[row]:.3g} s, allowed: {most:.3g} s (logs.max_gap)")
+    seconds = time[-1] - time[0]
+    if seconds < config.min_seconds:
+        raise refuse(
+            len(time) + 1,
+            f"the file ends after {seconds:.3g} s, expected at least {config.min_seconds:g} s",
         )
 
 
 def check_units(
     path: Path | str, columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
 ) -> None:
-    """Magnitudes that no flying quadcopter shows betray a wrong unit, sign or frame."""
+    """Magnitudes must be those of a flying quadcopter; others indicate a wrong unit or frame."""
     _check_rpm(path, columns, quantities, "rpm")
     if "rpm_command" in quantities:
         _check_rpm(path, columns, quantities, "rpm_command")
@@ -74,7 +75,7 @@ def check_units(
 
 
 def _flying(quantities: dict[str, np.ndarray]) -> np.ndarray:
-    """Rows that look like flight: by the log's own mode, else by the propellers."""
+    """Rows in flight: by the log's mode, or else by propeller speed."""
     mode = quantities.get("mode")
     if mode is not None and (mode > 0).any():
         return mode > 0
@@ -92,16 +93,13 @@ def _check_rpm(
     for name, values in zip(columns[quantity], quantities[quantity].T, strict=True):
         where = f"{path}: row {int(rows[0]) + 2}, column {name!r} and on"
         middle = float(np.median(values[rows]))
+        hint = None
         if middle < 2000.0:
-            raise InputError(
-                f"{where}: {middle:.4g} rpm in the middle of a flight; is this rad/s "
-                "(logs.units.rpm)?"
-            )
-        if middle > 60_000.0:
-            raise InputError(
-                f"{where}: {middle:.4g} rpm in the middle of a flight; is this electrical speed "
-                "(pole pairs times the propeller's)?"
-            )
+            hint = "is this rad/s (logs.units.rpm)?"
+        elif middle > 60_000.0:
+            hint = "is this electrical speed (pole pairs times the propeller's)?"
+        if hint:
+            raise InputError(f"{where}: a median of {middle:.4g} rpm in flight; {hint}")
         bad = np.flatnonzero((values < -100.0) | (values > 100_000.0))
         if bad.size:
             raise InputError(
@@ -117,15 +115,11 @@ def _check_acceleration(
     flown = quantities["acceleration"][rows]
     size = float(np.median(np.linalg.norm(flown, axis=1)))
     where = f"{path}: row {int(rows[0]) + 2}, column {columns[2]!r} and on"
-    if size < 0.4 * GRAVITY:
+    if not 0.4 * GRAVITY < size < 5.0 * GRAVITY:
+        hint = "is this in g (logs" if size < GRAVITY else "is the unit right (logs"
         raise InputError(
-            f"{where}: {size:.3g} m/s^2 in the middle of a flight, expected about {GRAVITY}; is "
-            "this in g (logs.units.acceleration)?"
-        )
-    if size > 5.0 * GRAVITY:
-        raise InputError(
-            f"{where}: {size:.3g} m/s^2 in the middle of a flight, expected about {GRAVITY}; is "
-            "logs.units.acceleration right?"
+            f"{where}: a median of {size:.3g} m/s^2 in flight, expected about {GRAVITY}; "
+            f"{hint}.units.acceleration)?"
         )
     if np.median(flown[:, 2]) > 0.0:
         raise InputError(
@@ -135,7 +129,7 @@ def _check_acceleration(
 
 
 def check_angles(path: Path | str, names: list[str], angles: np.ndarray) -> None:
-    """Roll, pitch and yaw (n, 3) as the log has them must look like radians."""
+    """Roll, pitch and yaw (n, 3) of the log must be radians."""
     for axis, limit in ((0, 3.2), (1, 1.6), (2, 1000.0)):
         row = int(np.abs(angles[:, axis]).argmax())
         if abs(angles[row, axis]) > limit:
@@ -148,39 +142,41 @@ def check_angles(path: Path | str, names: list[str], angles: np.ndarray) -> None
 def _check_gyro(
     path: Path | str, columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
 ) -> None:
-    """The gyro must be what the angles' derivative says."""
-    slope, likeness = _gyro_against_angles(quantities)
-    if likeness > 0.5 and not 0.2 < slope < 5.0:
+    """The gyro must agree with the derivatives of the angles."""
+    slope, correlation = _gyro_against_angles(quantities)
+    if correlation > 0.5 and not 0.2 < slope < 5.0:
         row = int(np.abs(quantities["gyro"][:, 0]).argmax())
         raise InputError(
             f"{path}: row {row + 2}, column {columns['gyro'][0]!r} and on: the gyro is "
-            f"{slope:.3g} times what the angles do; is this in deg/s (logs.units.gyro)?"
+            f"{slope:.3g} times the derivatives of the angles; is this in deg/s (logs.units.gyro)?"
         )
-    if likeness < -0.7:
+    if correlation < -0.7:
         raise InputError(
-            f"{path}: row 2, column {columns['gyro'][0]!r} and on: the gyro turns against the "
-            "angles; are logs.body_frame and logs.world_frame right?"
+            f"{path}: row 2, column {columns['gyro'][0]!r} and on: the gyro has the sign "
+            "opposite to the angles; are logs.body_frame and logs.world_frame right?"
         )
 
 
 def _gyro_against_angles(quantities: dict[str, np.ndarray]) -> tuple[float, float]:
-    """Slope and correlation of the measured with the angles' roll and pitch rates."""
-    span = max(1, int(round(0.04 / np.median(np.diff(quantities["time"])))))
+    """Slope and correlation of measured roll and pitch rates with those of the angles."""
     time, gyro = quantities["time"], quantities["gyro"]
-    roll, pitch, yaw = (np.unwrap(angle) for angle in quantities["euler"].T)
-    width = (time[2 * span :] - time[: -2 * span])[:, None]
-    angles = np.stack([roll, pitch, yaw], axis=1)
-    turn = (angles[2 * span :] - angles[: -2 * span]) / width
-    sums = np.cumsum(np.concatenate([np.zeros((1, 3)), gyro]), axis=0)
-    mean = (sums[2 * span + 1 :] - sums[: -2 * span - 1]) / (2 * span + 1)
+    span = max(1, int(round(0.04 / np.median(np.diff(time)))))
+    angles = np.unwrap(quantities["euler"], axis=0)
+    turn = (angles[2 * span :] - angles[: -2 * span]) / (time[2 * span :] - time[: -2 * span])[
+        :, None
+    ]
     middle = slice(span, len(time) - span)
-    sx, cx, sy, cy = (f(a[middle]) for a in (roll, pitch) for f in (np.sin, np.cos))
+    mean = uniform_filter1d(gyro, 2 * span + 1, axis=0)[middle]
+    roll, pitch, _ = angles[middle].T
     expected = np.concatenate(
-        [turn[:, 0] - sy * turn[:, 2], cx * turn[:, 1] + sx * cy * turn[:, 2]]
+        [
+            turn[:, 0] - np.sin(pitch) * turn[:, 2],
+            np.cos(roll) * turn[:, 1] + np.sin(roll) * np.cos(pitch) * turn[:, 2],
+        ]
     )
     measured = np.concatenate([mean[:, 0], mean[:, 1]])
     energy = float(expected @ expected)
-    if energy < 1e-4 * len(expected):  # too still to tell
+    if energy < 1e-4 * len(expected):  # too little motion
         return 1.0, 0.0
     product = float(expected @ measured)
     return product / energy, product / np.sqrt(energy * float(measured @ measured) + 1e-12)

@@ -1,8 +1,8 @@
-"""The motors' time constant, from commanded and measured propeller speeds.
+"""Time constant of the motors, from commanded and measured propeller speeds.
 
-The model ``omega' = (u - omega) / tau`` is run from the commands alone and its output is held
-against the measurement: noise in the measured speed then does not pull the answer down, as it does
-when the derivative is regressed on ``u - omega``.
+The model ``omega' = (u - omega) / tau`` is simulated from the commands and compared with the
+measurement, so noise in the measured speed does not bias the result, as it does when the derivative
+is regressed on ``u - omega``.
 """
 
 from collections.abc import Callable
@@ -13,10 +13,10 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.least_squares import BLOCK, HARDLY
+from quadjax.fitting.least_squares import BLOCK, UNCERTAIN
 
 SHORTEST, LONGEST = 0.002, 0.5  # s
-LIVELY = 20.0  # rpm; commands that change by less say nothing
+LEAST_CHANGE = 20.0  # rpm, of the commands
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class LagFit:
     """The time constant of the motors."""
 
     tau: float  # s
-    standard_error: float  # s, infinite where the log says nothing
+    standard_error: float  # s, infinite where not excited
     r_squared: float  # of the simulated speeds
     warning: str | None
 
@@ -35,7 +35,7 @@ def fit_motor_lag(logs: list[FlightLog], flying: list[np.ndarray], base_tau: flo
     Args:
         logs: the flights.
         flying: rows of each in flight, (n,) bool.
-        base_tau: what is kept where the logs say nothing, s.
+        base_tau: value without information in the logs, s.
     """
     usable = [
         (log.rpm[rows], log.rpm_command[rows], log.sample_rate, _starts(rows))
@@ -44,13 +44,13 @@ def fit_motor_lag(logs: list[FlightLog], flying: list[np.ndarray], base_tau: flo
     ]
     if not usable:
         return _unknown(base_tau, "the logs have no commanded propeller speeds")
-    if all(np.ptp(command, axis=0).max() < LIVELY for _, command, _, _ in usable):
+    if all(np.ptp(command, axis=0).max() < LEAST_CHANGE for _, command, _, _ in usable):
         return _unknown(base_tau, "the commanded propeller speeds never change")
 
     def errors(tau: float) -> np.ndarray:
         return np.concatenate([rpm - _follow(tau, rpm, u, f, s) for rpm, u, f, s in usable])
 
-    tau, at_the_edge = _minimise(lambda t: float((errors(t) ** 2).sum()))
+    tau, at_the_edge = _minimize(lambda t: float((errors(t) ** 2).sum()))
     error = errors(tau)
     step = 1e-3 * tau
     slope = (errors(tau + step) - errors(tau - step)) / (2.0 * step)
@@ -59,14 +59,14 @@ def fit_motor_lag(logs: list[FlightLog], flying: list[np.ndarray], base_tau: flo
     spread = ((measured - measured.mean(axis=0)) ** 2).sum()
     warning = None
     if at_the_edge:
-        warning = f"tau: the best value, {tau:.3g} s, is at the edge of what was tried"
-    elif standard_error > HARDLY * tau:
-        warning = f"tau: the logs hardly excite it: {tau:.3g} +- {standard_error:.2g} s"
+        warning = f"tau: the best value, {tau:.3g} s, is at the edge of the search range"
+    elif standard_error > UNCERTAIN * tau:
+        warning = f"tau: little excited by the logs: {tau:.3g} +- {standard_error:.2g} s"
     return LagFit(tau, standard_error, float(1.0 - (error**2).sum() / spread), warning)
 
 
-def _minimise(cost: Callable[[float], float]) -> tuple[float, bool]:
-    """The time constant of least cost, and whether it is at the edge of what was tried."""
+def _minimize(cost: Callable[[float], float]) -> tuple[float, bool]:
+    """The time constant of least cost, and whether it is at the edge of the search range."""
     grid = np.geomspace(SHORTEST, LONGEST, 25)
     best = int(np.argmin([cost(tau) for tau in grid]))
     bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
@@ -81,7 +81,7 @@ def _unknown(base_tau: float, reason: str) -> LagFit:
 
 
 def _starts(rows: np.ndarray) -> np.ndarray:
-    """Where, among the rows in flight, a stretch of flight begins."""
+    """Indices, among the rows in flight, at which a contiguous part begins."""
     index = np.flatnonzero(rows)
     return np.flatnonzero(np.concatenate([[True], np.diff(index) > 1]))
 
@@ -89,7 +89,7 @@ def _starts(rows: np.ndarray) -> np.ndarray:
 def _follow(
     tau: float, rpm: np.ndarray, command: np.ndarray, rate: float, starts: np.ndarray
 ) -> np.ndarray:
-    """Speeds (n, 4) of the model, each command held until the next sample."""
+    """Simulated speeds (n, 4), each command held until the next sample."""
     keep = np.exp(-1.0 / (rate * tau))
     parts = []
     for start, stop in zip(starts, [*starts[1:], len(rpm)], strict=True):
@@ -106,7 +106,7 @@ def _standard_error(
     slope: np.ndarray,
     usable: list[tuple[np.ndarray, np.ndarray, float, np.ndarray]],
 ) -> float:
-    """Of tau, from the disagreement of blocks of half a second."""
+    """Cluster-robust standard error of tau, from blocks of half a second."""
     scores, start = [], 0
     for rpm, _, rate, _ in usable:
         product = (error * slope)[start : start + len(rpm)].sum(axis=1)

@@ -1,20 +1,21 @@
-"""The nominal force and moment model as a matrix of regressors, in float64 NumPy.
+"""Force and moment model over whole logs, in float64: nominal part, residual and regressors.
 
-The model of ``quadjax.vehicle.motor`` is linear in its constants, axis by axis: each axis of
-``AXES`` is a sum of ``constant * regressor``.
+The nominal model (``quadjax.vehicle.motor``) is linear in its constants: each axis of ``AXES`` is a
+sum of ``constant * regressor``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.motor import nominal_force, nominal_moment
+from quadjax.vehicle.residual import Layers, Residual
 
 AXES = ("ax", "ay", "az", "Mx", "My", "Mz")
-FORCE_AXES, MOMENT_AXES = AXES[:3], AXES[3:]
-UNITS = {axis: "m/s^2" for axis in FORCE_AXES} | {axis: "N m" for axis in MOMENT_AXES}
+UNITS = dict.fromkeys(AXES[:3], "m/s^2") | dict.fromkeys(AXES[3:], "N m")
 CONSTANTS: dict[str, tuple[str, ...]] = {
     "ax": ("k_x",),
     "ay": ("k_y",),
@@ -27,44 +28,56 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Motion:
-    """What the model is computed from, n samples of it."""
+    """Inputs of the model, n samples."""
 
     rpm: np.ndarray  # (n, 4) rpm
     rpm_rate: np.ndarray  # (n, 4) rpm/s
     body_velocity: np.ndarray  # (n, 3) m/s
     rates: np.ndarray  # (n, 3) rad/s
 
-    def __getitem__(self, rows: slice | np.ndarray) -> "Motion":
+    def __getitem__(self, rows: slice | np.ndarray) -> Self:
         """Some of the samples."""
-        return Motion(
-            self.rpm[rows], self.rpm_rate[rows], self.body_velocity[rows], self.rates[rows]
-        )
-
-
-def regressors(motion: Motion) -> dict[str, np.ndarray]:
-    """For each axis, a column (n,) per constant of ``CONSTANTS``, stacked to (n, k).
-
-    A column is what the vehicle's equations give with that constant one and all others zero.
-    """
-    return {
-        axis: np.stack([_evaluate({name: 1.0}, motion)[:, index] for name in CONSTANTS[axis]], 1)
-        for index, axis in enumerate(AXES)
-    }
+        return type(self)(*(values[rows] for values in vars(self).values()))
 
 
 def nominal(constants: MotorConstants, motion: Motion) -> np.ndarray:
-    """Specific forces, m/s^2, and moments, N m, of the nominal model: (n, 6), ordered as AXES."""
-    return _evaluate({name: float(value) for name, value in vars(constants).items()}, motion)
-
-
-def _evaluate(values: dict[str, float], motion: Motion) -> np.ndarray:
-    """The equations of ``quadjax.vehicle.motor`` in float64, (n, 6); other constants are zero."""
-    c = MotorConstants(**dict.fromkeys(constant_names(MotorConstants), 0.0) | values)
-    rpm, rpm_rate = Rotors(*motion.rpm.T), Rotors(*motion.rpm_rate.T)
-    velocity, rates = Vec3(*motion.body_velocity.T), Vec3(*motion.rates.T)
+    """Specific forces, m/s^2, and moments, N m, of the nominal model: (n, 6), as ``AXES``."""
+    numbers = {item.name: float(getattr(constants, item.name)) for item in fields(constants)}
+    c = MotorConstants(**numbers)
+    rpm, rpm_rate = Rotors.of(motion.rpm), Rotors.of(motion.rpm_rate)
+    velocity, rates = Vec3.of(motion.body_velocity), Vec3.of(motion.rates)
     force = nominal_force(c, rpm, velocity)
     moment = nominal_moment(c, rpm, rpm_rate, velocity, rates)
     return np.stack([*force.components(), *moment.components()], axis=1)
+
+
+def regressors(motion: Motion) -> dict[str, np.ndarray]:
+    """For each axis a column per constant of ``CONSTANTS``: (n, k)."""
+    zero = MotorConstants(**dict.fromkeys((item.name for item in fields(MotorConstants)), 0.0))
+    return {
+        axis: np.stack(
+            [nominal(zero.replace(**{name: 1.0}), motion)[:, AXES.index(axis)] for name in names],
+            axis=1,
+        )
+        for axis, names in CONSTANTS.items()
+    }
+
+
+def residual_output(residual: Residual, motion: Motion) -> np.ndarray:
+    """Output (n, 4) of the residual networks: az, m/s^2, and moments, N m."""
+    low, high = float(residual.rpm_min), float(residual.rpm_max)
+    rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0
+    inputs = np.concatenate([rpm, motion.body_velocity, motion.rates], axis=1)
+    force = float(residual.thrust_sign) * evaluate(residual.thrust, inputs[:, :7])
+    return np.concatenate([force, evaluate(residual.moment, inputs)], axis=1)
+
+
+def evaluate(layers: Layers, inputs: np.ndarray) -> np.ndarray:
+    """``quadjax.core.mlp.apply`` of a ReLU network in float64."""
+    for kernel, bias in layers[:-1]:
+        inputs = np.maximum(inputs @ np.float64(kernel) + np.float64(bias), 0.0)
+    kernel, bias = layers[-1]
+    return inputs @ np.float64(kernel) + np.float64(bias)
 
 
 def angular_moment(
@@ -73,7 +86,7 @@ def angular_moment(
     """Total moment ``I Omega' + Omega x I Omega`` (n, 3), N m.
 
     Args:
-        constants: for the inertia, kg m^2.
+        constants: with the inertia, kg m^2.
         rates: body rates (n, 3), rad/s.
         rate_derivative: their derivatives (n, 3), rad/s^2.
     """

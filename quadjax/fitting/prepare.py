@@ -1,15 +1,13 @@
-"""From flight logs to model inputs and targets: filtering, derivatives, moments, trimming.
+"""Model inputs and targets from flight logs: filtering, derivatives, moments, trimming.
 
 Every signal goes through the same zero-phase second-order Butterworth low-pass (Ferede et al.,
-arXiv 2311.16948: 16 Hz). The nominal model's regressors are formed from the measured signals and
-then filtered like the targets, so that the least squares stay exact for a model that is not linear
-in the propeller speeds; the residual networks, which will see whatever the simulation gives them,
-take the filtered signals themselves.
+arXiv 2311.16948: 16 Hz). The regressors of the nominal model are formed from the measured signals
+and then filtered like the targets, so that least squares stay exact for a model that is nonlinear
+in the propeller speeds. The inputs of the residual networks are the filtered signals.
 
-White noise that the filter leaves in a regressor pulls its constant towards zero. How much there
-is can be read off the part of the spectrum where a quadcopter does not move; the same amount is
-added once more, and what that changes in the regressors (``Samples.disturbed``) is what the least
-squares take off again.
+White noise left in a regressor biases its constant towards zero. Its level is estimated from the
+part of the spectrum above the motion of a quadcopter; noise of that level is added to the signals
+once more, and the change of the regressors (``Samples.noise``) corrects the least squares.
 """
 
 from dataclasses import dataclass, replace
@@ -26,11 +24,11 @@ from quadjax.vehicle.constants import MotorConstants
 
 @dataclass(frozen=True)
 class Samples:
-    """Rows of one or more flights, ready to fit."""
+    """Rows of one or more flights."""
 
     motion: Motion  # filtered inputs of the model
     regressors: dict[str, np.ndarray]  # axis: (n, k), filtered
-    disturbed: dict[str, np.ndarray]  # axis: (n, k), what as much noise again adds to regressors
+    noise: dict[str, np.ndarray]  # axis: (n, k), change of the regressors by added noise
     measured: np.ndarray  # (n, 6) specific force, m/s^2, and moment, N m, filtered; as AXES
     flight: np.ndarray  # (n,) index of the flight
     time: np.ndarray  # (n,) s, in the flight
@@ -41,7 +39,7 @@ class Samples:
         return Samples(
             self.motion[rows],
             {axis: columns[rows] for axis, columns in self.regressors.items()},
-            {axis: columns[rows] for axis, columns in self.disturbed.items()},
+            {axis: columns[rows] for axis, columns in self.noise.items()},
             self.measured[rows],
             self.flight[rows],
             self.time[rows],
@@ -72,14 +70,14 @@ def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarra
 
 
 def airborne(log: FlightLog, config: PrepareConfig) -> np.ndarray:
-    """Rows (n,) in flight: the log says so, and the propellers are not idling.
+    """Rows (n,) in flight: by the log's mode and the propeller speeds.
 
-    Propellers below a fraction of the flight's median count as on the ground before take-off,
-    after landing, and wherever that lasts; a dive is short.
+    Speeds below a fraction of the flight's median count as on the ground at both ends of the log,
+    and elsewhere if they last; a dive is short.
     """
     mean = log.rpm.mean(axis=1)
     if not log.flying.any():
-        raise InputError(f"{log.path}: the log's mode never says that the drone flies")
+        raise InputError(f"{log.path}: the log's mode is never above 0: no flight")
     spinning = mean >= config.airborne_fraction * np.median(mean[log.flying])
     edges = np.flatnonzero(np.diff(np.concatenate([[True], spinning, [True]])))
     mask = log.flying.copy()
@@ -96,10 +94,10 @@ def prepare(
     """Inputs, regressors and targets of every flight's airborne part.
 
     Args:
-        logs: flights, of the same drone; they may differ in sample rate.
-        constants: for the inertia.
-        config: the filter and what counts as flight.
-        min_seconds: flight time that every log must have, s.
+        logs: flights of one drone, of any sample rates.
+        constants: with the inertia.
+        config: of filtering and trimming.
+        min_seconds: shortest allowed flight time of a log, s.
 
     Raises:
         InputError: a flight with too little airborne time, or a cut-off too high for its rate.
@@ -111,20 +109,20 @@ def prepare(
 
 
 def join(parts: list[Samples]) -> Samples:
-    """Rows of several parts after one another."""
-    motions = [part.motion for part in parts]
+    """Concatenated rows of several parts."""
+    motions = zip(*(vars(part.motion).values() for part in parts), strict=True)
+
+    def joined(name: str) -> dict[str, np.ndarray]:
+        return {axis: np.concatenate([getattr(p, name)[axis] for p in parts]) for axis in AXES}
+
     return Samples(
-        Motion(
-            *(
-                np.concatenate([getattr(motion, name) for motion in motions])
-                for name in ("rpm", "rpm_rate", "body_velocity", "rates")
-            )
+        Motion(*map(np.concatenate, motions)),
+        joined("regressors"),
+        joined("noise"),
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("measured", "flight", "time")
         ),
-        {axis: np.concatenate([part.regressors[axis] for part in parts]) for axis in AXES},
-        {axis: np.concatenate([part.disturbed[axis] for part in parts]) for axis in AXES},
-        np.concatenate([part.measured for part in parts]),
-        np.concatenate([part.flight for part in parts]),
-        np.concatenate([part.time for part in parts]),
         float(np.median([part.sample_rate for part in parts])),
     )
 
@@ -139,7 +137,7 @@ def _prepare_one(
     rows = airborne(log, config)
     if rows.sum() < min_seconds * log.sample_rate:
         raise InputError(
-            f"{log.path}: {rows.sum() / log.sample_rate:.3g} s in the air, expected at least "
+            f"{log.path}: {rows.sum() / log.sample_rate:.3g} s of flight, expected at least "
             f"{min_seconds:g} s (logs.min_seconds)"
         )
     rate = log.sample_rate
@@ -173,7 +171,7 @@ def _raw_motion(log: FlightLog) -> Motion:
 
 
 def derivative(signal: np.ndarray, sample_rate: float) -> np.ndarray:
-    """Time derivative along the first axis, by central differences of fourth order."""
+    """Time derivative along the first axis, by fourth-order central differences."""
     slope = np.gradient(signal, 1.0 / sample_rate, axis=0)
     if len(signal) > 4:
         near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
@@ -182,10 +180,10 @@ def derivative(signal: np.ndarray, sample_rate: float) -> np.ndarray:
 
 
 def noise_level(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
-    """Standard deviation (k,) of the white noise on signals (n, k).
+    """Standard deviation (k,) of the white noise in signals (n, k).
 
-    From the median of the spectrum between 0.3 and 0.48 of the sample rate, which no motion of the
-    drone reaches and peaks of vibration do not sway; zero where the filter leaves no such band.
+    From the median of the spectrum between 0.3 and 0.48 of the sample rate, above the drone's
+    motion and robust against vibration peaks; zero where the cutoff is too close to that band.
     """
     if 0.3 * sample_rate < 2.0 * cutoff:
         return np.zeros(signal.shape[1])
@@ -210,5 +208,5 @@ def _with_noise_again(log: FlightLog, cutoff: float, seed: int) -> FlightLog:
 
 
 def thin(samples: Samples, sample_rate: float) -> Samples:
-    """Every k-th row, so that about ``sample_rate`` Hz are left of what the filter has smoothed."""
+    """Every k-th row, so that the sample rate is about ``sample_rate`` Hz."""
     return samples[:: max(1, int(round(samples.sample_rate / sample_rate)))]

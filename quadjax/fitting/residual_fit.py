@@ -1,10 +1,10 @@
-"""Fitting the residual networks: tasks, training, choice, teaching.
+"""Fit of the residual networks: tasks, training, selection, distillation.
 
-With folds ``0 .. K-1``, one network is trained without each fold (to choose on it) and one on all
-of them (to use). To judge the whole procedure, choices included, on a flight that had no say in it,
-everything is done again without that flight: training without every *pair* of folds serves both
-members of the pair. So for four flights eleven trainings per candidate and seed cover the fit and
-its leave-one-flight-out test, and all of them run as one compiled program.
+With folds ``0 .. K-1``, one network is trained without each fold, to validate on it, and one on all
+of them, to use. To evaluate the whole procedure, selection included, on a flight that it has not
+seen, everything is repeated without that flight: a training without a *pair* of folds serves both
+members of the pair. For four flights, eleven trainings per candidate and seed cover the fit and its
+leave-one-flight-out test; all run as one compiled program.
 """
 
 from collections.abc import Callable
@@ -15,11 +15,13 @@ from itertools import combinations
 import jax
 import numpy as np
 
-from quadjax.core.errors import InputError
-from quadjax.fitting.choose import Choice, Score, choose, refuse_all, score_fold
+from quadjax.core.mlp import Layers
 from quadjax.fitting.config import ResidualConfig
+from quadjax.fitting.distill import Ensemble, distill
 from quadjax.fitting.prepare import Samples, thin
-from quadjax.fitting.problem import (
+from quadjax.fitting.selection import Choice, Score, reject_all, score_fold, select
+from quadjax.fitting.split import Split
+from quadjax.fitting.tasks import (
     NETWORKS,
     Network,
     Task,
@@ -28,14 +30,12 @@ from quadjax.fitting.problem import (
     nominal_error,
     nominal_without,
 )
-from quadjax.fitting.split import Split
-from quadjax.fitting.teach import Teacher, teach
-from quadjax.fitting.train import Params, train_tasks
+from quadjax.fitting.train import train_tasks
 from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.residual import Layers, Residual
+from quadjax.vehicle.residual import Residual
 
 LeftOut = frozenset[int]
-Part = tuple[list[Choice], Layers, np.ndarray]  # one network: choices, file layers, grades
+Part = tuple[list[Choice], Layers, np.ndarray]  # one network: choices, layers, R^2 of distillation
 ALL: LeftOut = frozenset()
 
 
@@ -46,7 +46,7 @@ class ResidualFit:
     constants: MotorConstants  # nominal model of the same rows
     residual: Residual
     choices: dict[str, Choice]  # by axis
-    taught: dict[str, float]  # by axis: share of the ensemble's variance that the file keeps
+    distilled: dict[str, float]  # by axis: R^2 of the file's network to the ensemble
 
 
 def fit_residuals(
@@ -59,79 +59,62 @@ def fit_residuals(
     fit_constants: bool = True,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[LeftOut, ResidualFit]:
-    """Fit both networks on all folds and, if asked, once more without each fold.
+    """Fit both networks on all folds and, if wanted, once more without each fold.
 
     Args:
         samples: every row, at the logs' rate.
         split: its folds.
-        base: for the inertia, the rpm range and what the nominal model keeps.
-        config: the training.
-        seed: decides everything random.
-        leave_one_out: also fit without each fold, all choices included.
-        fit_constants: fit the nominal model as well, to the same rows each time.
-        report: told what is being done.
+        base: with inertia, rpm range and constants that are not fitted.
+        config: of the training.
+        seed: of everything random.
+        leave_one_out: repeat the fit, selection included, without each fold.
+        fit_constants: fit the nominal model to the same rows each time.
+        report: called with the progress.
 
     Returns:
         The fit on everything under ``frozenset()``, those without fold k under ``frozenset({k})``.
     """
-    check_residual_config(config)
     every = max(1, int(round(samples.sample_rate / config.sample_rate)))
     thinned, fold = thin(samples, config.sample_rate), split.fold[::every]
-    outer = [ALL] + [frozenset({k}) for k in range(split.folds) if leave_one_out]
-    left_outs = _left_outs(split.folds, outer)
+    outer = outer_sets(split, leave_one_out)
+    left_outs = [ALL] + [frozenset({k}) for k in range(split.folds)]
+    if len(outer) > 1 and split.folds > 2:
+        left_outs += [frozenset(pair) for pair in combinations(range(split.folds), 2)]
     constants = {s: nominal_without(samples, split.fold, s, base, fit_constants) for s in left_outs}
 
     def fit_network(network: Network) -> list[Part]:
         report(f"training the {network.name} network, {len(left_outs)} times {config.seeds} seeds")
-        bench = _Bench(network, thinned, fold, base, constants, config, seed)
-        teachers = [bench.teacher(s, split.folds) for s in outer]
-        report(f"teaching the {network.name} network that the file will hold")
-        return _taught(teachers, config, seed)
+        trained = _Trained(network, thinned, fold, base, constants, config, seed)
+        ensembles = [trained.select(s, split.folds) for s in outer]
+        report(f"distilling the {network.name} network")
+        distilled = distill(ensembles, config, seed)
+        return [(e.choices, *parts) for e, parts in zip(ensembles, distilled, strict=True)]
 
-    # Networks this small leave all but one core idle; the two have nothing to do with each other.
+    # Networks this small use one core; the two are independent.
     with ThreadPoolExecutor(max_workers=2) as pool:
         thrust, moment = pool.map(fit_network, NETWORKS.values())
     return {s: _assemble(constants[s], base, thrust[i], moment[i]) for i, s in enumerate(outer)}
 
 
-def check_residual_config(config: ResidualConfig) -> None:
-    """Raise an ``InputError`` for an impossible value of the ``residual`` section."""
-    whole = ("hidden_thrust", "hidden_moment", "seeds", "epochs", "batch", "teach_epochs")
-    limits = {name: (1.0, np.inf) for name in whole}
-    limits |= {"learning_rate": (1e-6, 1.0), "average": (0.0, 0.99999), "decay": (0.0, np.inf)}
-    limits |= {"noise": (0.0, 10.0), "sample_rate": (1.0, np.inf), "caution": (0.0, np.inf)}
-    limits |= {"min_gain": (0.0, 1.0), "margin": (0.0, 10.0)}
-    for name, (low, high) in limits.items():
-        if not low <= getattr(config, name) <= high:
-            raise InputError(
-                f"residual.{name} is {getattr(config, name)}, allowed: {low:g} to {high:g}"
-            )
-    if config.mirror not in ("auto", "on", "off"):
-        raise InputError(f"residual.mirror is {config.mirror!r}, allowed: ['auto', 'on', 'off']")
+def outer_sets(split: Split, leave_one_out: bool) -> list[LeftOut]:
+    """Folds left out of each complete fit."""
+    return [ALL] + [frozenset({fold}) for fold in range(split.folds) if leave_one_out]
 
 
 def zero_residual(base: MotorConstants) -> Residual:
-    """A residual that adds nothing."""
-    zeros = {
-        network.name: (
+    """A residual with output zero."""
+    thrust, moment = (
+        (
             (np.zeros((network.inputs, 1)), np.zeros(1)),
             (np.zeros((1, len(network.axes))), np.zeros(len(network.axes))),
         )
         for network in NETWORKS.values()
-    }
-    return _residual(base, zeros["thrust"], zeros["moment"])
+    )
+    return _residual(base, thrust, moment)
 
 
-def _left_outs(folds: int, outer: list[LeftOut]) -> list[LeftOut]:
-    """Every set of folds that some training does without."""
-    sets = [ALL] + [frozenset({k}) for k in range(folds)]
-    if len(outer) > 1 and folds > 2:
-        sets += [frozenset(pair) for pair in combinations(range(folds), 2)]
-    return sets
-
-
-class _Bench:
-    """All trainings of one network, and what they are good for."""
+class _Trained:
+    """All trainings of one network."""
 
     def __init__(
         self,
@@ -155,61 +138,53 @@ class _Bench:
         self.history = train_tasks(network, list(self.tasks.values()), config, seed)
         self.longest = int(np.bincount(fold[fold >= 0]).max())
 
-    def params(self, key: tuple[LeftOut, bool]) -> Params:
-        """Weights of one task, every leaf (seed, epoch, ..)."""
+    def layers(self, key: tuple[LeftOut, bool]) -> Layers:
+        """Layers of one task, every leaf (seed, epoch, ..)."""
         index = list(self.tasks).index(key)
         return jax.tree.map(lambda leaf: leaf[index], self.history)
 
     def score(self, left_out: LeftOut, mirror: bool, held_out: int) -> Score:
-        """How one task's ensemble does on a fold that it was trained without."""
+        """Score of one task's ensemble on a fold that it was trained without."""
         task, rows = self.tasks[left_out, mirror], self.fold == held_out
         inputs = file_inputs(self.network, self.samples.motion[rows], self.rpm_range)
         errors = nominal_error(self.samples[rows], self.constants[left_out])
         return score_fold(
-            self.params((left_out, mirror)),
-            (inputs - task.centre) / task.scale,
+            self.layers((left_out, mirror)),
+            (inputs - task.center) / task.scale,
             errors[:, self.network.columns] / task.error_scale,
             self.longest,
         )
 
-    def teacher(self, left_out: LeftOut, folds: int) -> Teacher:
-        """Choose on the folds that are left, and gather the ensemble that was chosen."""
+    def select(self, left_out: LeftOut, folds: int) -> Ensemble:
+        """The ensemble that is best on the remaining folds."""
         inner = [k for k in range(folds) if k not in left_out]
         if len(inner) > 1:
             candidates = {
                 mirror: [self.score(left_out | {k}, mirror, k) for k in inner]
                 for mirror in self.mirrors
             }
-            choices = choose(self.network.axes, candidates, self.config)
+            choices = select(self.network.axes, candidates, self.config)
         else:
-            choices = refuse_all(self.network.axes, "no second flight is left to validate on")
+            choices = reject_all(self.network.axes, "no second flight to validate on")
         keys = [
-            (left_out, choice.mirror or len(self.mirrors) == 1 and self.mirrors[0])
+            (left_out, choice.mirror if choice.mirror in self.mirrors else self.mirrors[0])
             for choice in choices
         ]
-        params = [
-            jax.tree.map(lambda leaf, e=choice.epoch: leaf[:, e], self.params(key))
+        layers = [
+            jax.tree.map(lambda leaf, e=choice.epoch: leaf[:, e], self.layers(key))
             for key, choice in zip(keys, choices, strict=True)
         ]
-        return Teacher(self.network, choices, [self.tasks[key] for key in keys], params)
-
-
-def _taught(teachers: list[Teacher], config: ResidualConfig, seed: int) -> list[Part]:
-    taught = teach(teachers, config, seed)
-    return [
-        (teacher.choices, layers, grade)
-        for teacher, (layers, grade) in zip(teachers, taught, strict=True)
-    ]
+        return Ensemble(self.network, choices, [self.tasks[key] for key in keys], layers)
 
 
 def _assemble(
     constants: MotorConstants, base: MotorConstants, thrust: Part, moment: Part
 ) -> ResidualFit:
-    choices, taught = {}, {}
-    for chosen, _, grade in (thrust, moment):
-        for choice, share in zip(chosen, grade, strict=True):
-            choices[choice.axis], taught[choice.axis] = choice, float(share)
-    return ResidualFit(constants, _residual(base, thrust[1], moment[1]), choices, taught)
+    choices, distilled = {}, {}
+    for selected, _, grade in (thrust, moment):
+        for choice, share in zip(selected, grade, strict=True):
+            choices[choice.axis], distilled[choice.axis] = choice, float(share)
+    return ResidualFit(constants, _residual(base, thrust[1], moment[1]), choices, distilled)
 
 
 def _residual(base: MotorConstants, thrust: Layers, moment: Layers) -> Residual:

@@ -1,104 +1,89 @@
-"""The vehicle file: read as the base of a fit, and written with what was fitted.
+"""The vehicle file as base and result of a fit.
 
-The keys are those of ``configs/vehicles/*.yaml``: ``name``, ``mass``, ``motor`` (every constant of
-the motor-level model) and ``rate`` (the rate-level model, which a fit takes over from its base).
+Keys as in ``configs/vehicles/*.yaml``: ``name``, ``mass`` (optional), ``motor`` (constants of the
+motor-level model), and constants of other models, which a fit copies.
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from quadjax.config.loading import find_file, read_yaml
+from quadjax.config.base import find_file, read_yaml
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.fitting.config import BodyConfig
-from quadjax.vehicle.constants import MotorConstants, RateConstants, constant_names
+from quadjax.vehicle.constants import MotorConstants, constant_names
 
 
 @dataclass(frozen=True)
 class BaseVehicle:
-    """A vehicle file's content."""
+    """Content of a vehicle file."""
 
     name: str
-    mass: float  # kg
+    mass: float | None  # kg
     motor: MotorConstants
-    rate: dict[str, float]
+    others: dict[str, dict[str, float]]  # constants of other models
 
 
-def read_vehicle(name: str, beside: Path) -> BaseVehicle:
-    """Read and check a vehicle file; its place is looked for as ``find_file`` does.
+def read_vehicle(name: str, folder: Path = Path()) -> BaseVehicle:
+    """Read a vehicle file, found relative to ``folder`` or in ``configs/vehicles``.
 
     Raises:
-        InputError: a missing file or key, or a value that is no number.
+        InputError: a missing file or key, or a value that is not a finite number.
     """
-    path = find_file(name, beside, "vehicles")
+    path = find_file(name, folder, "vehicles")
     tree = read_yaml(path)
-    for key in ("motor", "rate"):
-        if not isinstance(tree.get(key), dict):
-            raise InputError(f"{path}: {key} is missing, expected a mapping of constants")
-    motor = _numbers(path, "motor", tree["motor"], constant_names(MotorConstants))
-    rate = _numbers(path, "rate", tree["rate"], constant_names(RateConstants))
-    mass = _numbers(path, "", tree, ("mass",))["mass"]
-    return BaseVehicle(str(tree.get("name", path.stem)), mass, MotorConstants(**motor), rate)
+    if not isinstance(tree.get("motor"), dict):
+        raise InputError(f"{path}: motor is missing, expected a mapping of constants")
+    motor = {key: _number(path, "motor", tree, key) for key in constant_names(MotorConstants)}
+    others = {
+        model: {key: _number(path, model, tree, key) for key in constants}
+        for model, constants in tree.items()
+        if isinstance(constants, dict) and model != "motor"
+    }
+    mass = _number(path, "", {"": tree}, "mass") if tree.get("mass") is not None else None
+    return BaseVehicle(str(tree.get("name", path.stem)), mass, MotorConstants(**motor), others)
 
 
 def with_body(base: BaseVehicle, body: BodyConfig) -> BaseVehicle:
-    """The base vehicle with the config's mass, inertia and rpm range in place of its own.
-
-    Raises:
-        InputError: a value that is not positive, or not as many as expected.
-    """
-    motor, mass = base.motor, base.mass
-    if body.mass is not None:
-        mass = _positive("body.mass", [body.mass], 1)[0]
+    """The base vehicle with the config's name, mass, inertia and rpm range."""
+    motor = base.motor
     if body.inertia is not None:
-        i_xx, i_yy, i_zz = _positive("body.inertia", body.inertia, 3)
-        motor = motor.replace(i_xx=i_xx, i_yy=i_yy, i_zz=i_zz)
+        motor = motor.replace(**dict(zip(("i_xx", "i_yy", "i_zz"), body.inertia, strict=True)))
     if body.rpm_range is not None:
-        low, high = _positive("body.rpm_range", body.rpm_range, 2)
-        if low >= high:
-            raise InputError(f"body.rpm_range is [{low:g}, {high:g}], expected the lowest first")
-        motor = motor.replace(rpm_min=low, rpm_max=high)
-    return BaseVehicle(body.name, mass, motor, base.rate)
+        motor = motor.replace(rpm_min=body.rpm_range[0], rpm_max=body.rpm_range[1])
+    mass = base.mass if body.mass is None else body.mass
+    return dataclasses.replace(base, name=body.name, mass=mass, motor=motor)
 
 
 def write_vehicle(path: Path, vehicle: BaseVehicle, notes: dict[str, str], source: str) -> None:
-    """Write a vehicle file, whole, with a note behind each constant that has one.
+    """Write a vehicle file, with a comment after each constant that has a note.
 
     Args:
-        path: where to.
-        vehicle: what to write.
+        path: of the file.
+        vehicle: its content.
         notes: by name of a motor constant, such as its standard error.
-        source: what it was fitted on, for the head of the file.
+        source: comment at the head of the file.
     """
     quoted = vehicle.name.replace("'", "''")
-    lines = [f"# {line}" for line in source.splitlines()]
-    lines += [f"name: '{quoted}'", f"mass: {vehicle.mass!r}", "motor:"]
+    lines = [f"# {line}" for line in source.splitlines()] + [f"name: '{quoted}'"]
+    lines += [f"mass: {vehicle.mass!r}"] if vehicle.mass is not None else []
+    lines.append("motor:")
     for name in constant_names(MotorConstants):
         note = f"  # {notes[name]}" if name in notes else ""
         lines.append(f"  {name}: {float(getattr(vehicle.motor, name))!r}{note}")
-    lines += ["rate:  # not fitted: the base vehicle's"]
-    lines += [f"  {name}: {value!r}" for name, value in vehicle.rate.items()]
+    for model, constants in vehicle.others.items():
+        lines.append(f"{model}:  # not fitted: the base vehicle's")
+        lines += [f"  {name}: {value!r}" for name, value in constants.items()]
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _numbers(path: Path, section: str, tree: dict, names: tuple[str, ...]) -> dict[str, float]:
-    prefix = f"{section}." if section else ""
-    values = {}
-    for name in names:
-        value = tree.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{path}: {prefix}{name} is {value!r}, expected a number")
-        if not math.isfinite(value):
-            raise InputError(f"{path}: {prefix}{name} is {value}, expected a finite number")
-        values[name] = float(value)
-    return values
-
-
-def _positive(key: str, values: list[float], count: int) -> list[float]:
-    if len(values) != count:
-        raise InputError(f"{key} has {len(values)} values, expected {count}")
-    for value in values:
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"{key} is {value}, expected a positive number")
-    return [float(value) for value in values]
+def _number(path: Path, section: str, tree: dict, name: str) -> float:
+    value = tree[section].get(name)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not math.isfinite(value):
+        raise InputError(
+            f"{path}: {f'{section}.{name}'.lstrip('.')} is {value!r}, expected a finite number"
+        )
+    return float(value)

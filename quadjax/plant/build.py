@@ -1,7 +1,5 @@
 """Numbers of the stand-in plant from its config."""
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +25,7 @@ def nominal_vehicle(config: PlantConfig) -> BaseVehicle:
     Raises:
         InputError: a vehicle file that cannot be read.
     """
-    return read_vehicle(config.vehicle, Path())
+    return read_vehicle(config.vehicle)
 
 
 def build_plant(config: PlantConfig, residual: Residual | None = None) -> PlantParams:

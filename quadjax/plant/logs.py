@@ -18,7 +18,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import find_config
 from quadjax.fitting.columns import paparazzi_columns
-from quadjax.fitting.synthetic_log import write_log
+from quadjax.fitting.flight_log import write_log
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.plant.flights import Flights, fly_plan, plan_flights, rows
 from quadjax.policy.file import Policy

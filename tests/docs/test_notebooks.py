@@ -19,7 +19,7 @@ SMALL = {
     "fixed_point": ['POLICY, FLIGHTS, LAPS, VECTORS = "e2e.npz", 4, 1, 200'],
     "residual_fit": [
         "FLIGHTS, LAPS, SEED, LEAST_SECONDS = 2, 1, 0, 2.5",
-        'WORDS = ["residual={seeds: 1, epochs: 3, teach_epochs: 5, mirror: off, batch: 512}"]',
+        'WORDS = ["residual={seeds: 1, epochs: 3, distill_epochs: 5, mirror: off, batch: 512}"]',
     ],
     "train_and_tune": [
         "STEPS, SEED, RUNS = 25_000, 0, 2",

@@ -2,8 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from quadjax.config.loading import read_yaml
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.fitting.vehicle_file import read_vehicle
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FLIGHTS = REPOSITORY.parent / "shared" / "flight_data"
@@ -11,7 +10,7 @@ FLIGHTS = REPOSITORY.parent / "shared" / "flight_data"
 
 @pytest.fixture(scope="session")
 def bebop():
-    return MotorConstants(**read_yaml(REPOSITORY / "configs/vehicles/bebop1.yaml")["motor"])
+    return read_vehicle("bebop1.yaml").motor
 
 
 @pytest.fixture(scope="session")

@@ -8,11 +8,11 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.integrators import euler_step, rk4_step
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.estimator_reference import estimate
-from quadjax.fitting.synthetic import make_residual
+from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle import estimator, motor
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.protocol import Measurement, VehicleParams
+from tests.estimator_reference import estimate
 
 BEBOP = MotorConstants(
     g=9.81,
@@ -119,7 +119,7 @@ CASES = {
 @pytest.fixture(scope="module", params=CASES, ids=list(CASES))
 def flight(request):
     rate, integrator, substeps, euler = CASES[request.param]
-    vehicle = VehicleParams(BEBOP, make_residual(1, 0.5, 0.005))
+    vehicle = VehicleParams(BEBOP, random_residual(1, 0.5, 0.005))
     measured, on = _fly(vehicle, rate, integrator, substeps)
     params = estimator.estimator_params(motor.MODEL, vehicle, rate, explicit_euler=euler)
     return request.param, vehicle, measured, on, params

@@ -1,85 +1,88 @@
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
-from quadjax.config.loading import load_config, read_yaml
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.fitting.pipeline import load_fit_config
-from quadjax.fitting.synthetic import make_residual
-from quadjax.fitting.synthetic_log import simulate_flight, write_log
+from quadjax.core.folders import claim
+from quadjax.fitting.config import load_fit_config
+from quadjax.fitting.flight_log import write_log
+from quadjax.fitting.pipeline import run_fit
+from quadjax.fitting.simulate import random_residual, simulate_flight
+from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual_file import read_residual
+from tests.commands import run
 
 from .conftest import REPOSITORY
 
 CONFIG = REPOSITORY / "configs/fit/paparazzi.yaml"
 
 
-def _fit(*words):
-    command = [sys.executable, str(REPOSITORY / "scripts/fit.py"), *map(str, words)]
-    return subprocess.run(
-        command, cwd=REPOSITORY, env=_environment(), capture_output=True, text=True, check=False
-    )
-
-
-def _environment():
-    import os
-
-    return os.environ | {"PYTHONPATH": str(REPOSITORY)}
-
-
 @pytest.fixture(scope="module")
 def folder(bebop, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit")
-    vehicle = VehicleParams(bebop, make_residual(5, 1.0, (0.008, 0.008, 0.003)))
+    vehicle = VehicleParams(bebop, random_residual(5, 1.0, (0.008, 0.008, 0.003)))
     for seed in range(3):
-        columns = simulate_flight(vehicle, seed, seconds=20.0)
+        columns = simulate_flight(vehicle, seed, seconds=12.0)
         write_log(folder / f"flight_{seed}.csv", columns)
     return folder
 
 
-@pytest.mark.slow
-def test_the_command_does_all_of_it(folder):
-    done = _fit(
-        CONFIG,
+@pytest.fixture(scope="module")
+def fitted(folder):
+    words = [
         f"logs.files=[{folder}/*.csv]",
         f"runs={folder}/runs",
         "name=all",
-        "residual={seeds: 2, epochs: 10, teach_epochs: 20, batch: 256}",
-    )
-    assert done.returncode == 0, done.stderr
+        "body.inertia=null",
+        "residual={seeds: 2, epochs: 10, distill_epochs: 20, batch: 256}",
+    ]
+    assert run("fit", CONFIG, *words) == 0
+    return folder / "runs/all"
+
+
+@pytest.mark.slow
+def test_the_command_writes_report_vehicle_residual_and_figures(fitted):
+    text = (fitted / "report.txt").read_text()
     for word in ("nominal model", "training:", "held out:", "az", "Mz", "per fold"):
-        assert word in done.stdout
-    results = folder / "runs/all"
-    report = json.loads((results / "report.json").read_text())
+        assert word in text
+    assert "warning: body.inertia is not set: the inertia of bebop1.yaml is used" in text
+    report = json.loads((fitted / "report.json").read_text())
     assert set(report["held_out"]) == {"flight_0", "flight_1", "flight_2"}
-    for judged in report["held_out"].values():
-        assert judged["az"]["change"] < -0.2
-    assert (results / "errors.png").stat().st_size > 1000
-    assert len(list(results.glob("held_out_*.png"))) == 3
-    read_residual(results / "residual.npz")
-    # The training command takes the vehicle file as it is.
-    config = load_config(
-        REPOSITORY / "configs/e2e.yaml",
-        [f"vehicle.file={results}/vehicle.yaml", f"vehicle.residual={results}/residual.npz"],
-    )
-    assert config.vehicle.constants["rpm_max"] == 11000.0
-    assert abs(config.vehicle.constants["tau"] / 0.06 - 1.0) < 0.05
-    assert read_yaml(results / "config.yaml")["name"] == "all"
+    for evaluation in report["held_out"].values():
+        assert evaluation["az"]["change"] < -0.2
+    assert (fitted / "errors.png").stat().st_size > 1000
+    assert len(list(fitted.glob("held_out_*.png"))) == 3
+    read_residual(fitted / "residual.npz")
+    vehicle = read_vehicle(str(fitted / "vehicle.yaml"))
+    assert vehicle.motor.rpm_max == 11000.0 and abs(vehicle.motor.tau / 0.06 - 1.0) < 0.05
+    assert vehicle.others == read_vehicle("bebop1.yaml").others
+    assert load_fit_config(fitted / "config.yaml").name == "all"
+
+
+@pytest.mark.slow
+def test_training_takes_the_vehicle_file(fitted):
+    words = [f"vehicle.file={fitted}/vehicle.yaml", f"vehicle.residual={fitted}/residual.npz"]
+    load_config(REPOSITORY / "configs/e2e.yaml", words)
+
+
+def test_a_folder_of_a_training_is_refused(folder, capsys):
+    with claim(folder / "runs/training", "training"):
+        pass
+    words = [f"logs.files=[{folder}/*.csv]", f"runs={folder}/runs", "name=training"]
+    assert run("fit", CONFIG, *words) == 2
+    assert "holds a training, not a fit" in capsys.readouterr().err
 
 
 def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
-    from quadjax.fitting.pipeline import changes, run_fit
-
     words = [f"logs.files=[{folder}/*.csv]", "residual.fit=false"]
     result = run_fit(load_fit_config(CONFIG, words), folder)
-    assert [judged.name for judged in result.held_out] == ["flight_0", "flight_1", "flight_2"]
-    for judged in result.held_out:
-        assert not changes(judged).any()
-        assert (judged.rmse(judged.nominal) > 0.0).all()
+    assert [part.name for part in result.held_out] == ["flight_0", "flight_1", "flight_2"]
+    for part in result.held_out:
+        assert not part.change.any()
+        assert (part.rmse(part.nominal) > 0.0).all()
 
 
 @pytest.mark.parametrize(
@@ -93,28 +96,33 @@ def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
         ["vehicle=nowhere.yaml"],
         ["body.inertia=[1, 2]"],
         ["body.rpm_range=[5000, 3000]"],
+        ["body.inertia=[1, 2, -3]"],
+        ["split.folds=1"],
+        ["split.test_fraction=1"],
+        ["logs.format=betaflight"],
+        ["logs.columns.rpms=[a]"],
+        ["logs.columns.rpm=[a]"],
+        ["logs.units.rpm=Hz"],
+        ["residual.mirror=maybe"],
         ["prepare.cutoff=400"],
         ["logs.min_seconds=100"],
         ["name=a/b"],
         ["nonsense"],
     ],
 )
-def test_bad_words_are_one_line(folder, words):
-    from pathlib import Path
-
-    from quadjax.fitting.pipeline import run_fit
-
+def test_bad_overrides_are_one_line(folder, words):
     words = words if words[0].startswith("logs.files") else [f"logs.files=[{folder}/*.csv]", *words]
     with pytest.raises(InputError) as caught:
-        run_fit(load_fit_config(CONFIG, words), Path(CONFIG).parent)
+        run_fit(load_fit_config(CONFIG, words), CONFIG.parent)
     assert "\n" not in str(caught.value)
 
 
-def test_bad_input_ends_the_command_with_status_2_and_one_line(folder):
-    done = _fit(CONFIG, "logs.files=[nowhere.csv]")
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("error: nowhere.csv") and done.stderr.count("\n") == 1
-    assert _fit("--help").returncode == 0
+def test_missing_logs_are_one_line_and_no_folder_is_made(tmp_path, capsys):
+    assert run("fit", CONFIG, "logs.files=[nowhere.csv]", f"runs={tmp_path}/runs") == 2
+    output = capsys.readouterr()
+    assert output.out == "" and output.err.startswith("error: nowhere.csv")
+    assert output.err.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
 
 
 def test_every_config_of_the_folder_is_sound():
@@ -124,16 +132,13 @@ def test_every_config_of_the_folder_is_sound():
 
 @pytest.mark.slow
 def test_real_flights_left_out_are_not_harmed(real_flights, tmp_path):
-    """A shorter training than the default's: the harm is prevented by then."""
+    """A shorter training than the default's."""
     words = [
         f"logs.files=[{real_flights[0].parent}/*.csv]",
-        "residual={seeds: 3, epochs: 15, teach_epochs: 40}",
+        "residual={seeds: 3, epochs: 15, distill_epochs: 40}",
     ]
     config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", words)
-    from quadjax.fitting.pipeline import changes, run_fit
-
-    result = run_fit(config, tmp_path)
-    change = np.array([changes(judged)[2:] for judged in result.held_out])
+    change = np.array([part.change[2:] for part in run_fit(config, tmp_path).held_out])
     print(change)
     assert change[:, 0].mean() < -0.08
     assert change.max() < 0.05

@@ -3,14 +3,14 @@ import pytest
 
 from quadjax.fitting.nominal import nominal
 from quadjax.fitting.residual_fit import zero_residual
-from quadjax.fitting.synthetic import make_residual
+from quadjax.fitting.simulate import random_residual
 from quadjax.studies.recovery import constant_errors, exact_motion, residual_recovered
 from quadjax.vehicle.protocol import VehicleParams
 
 
 @pytest.fixture(scope="module")
 def flown(bebop):
-    vehicle = VehicleParams(bebop, make_residual(5, 1.0, 0.005))
+    vehicle = VehicleParams(bebop, random_residual(5, 1.0, 0.005))
     return vehicle, exact_motion(vehicle, 1000, 4.0)
 
 

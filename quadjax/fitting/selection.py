@@ -1,27 +1,28 @@
-"""How much of a residual to believe: chosen on flights that took no part in its training.
+"""Model selection of the residual on held-out folds.
 
-For each axis the held-out folds decide four things: whether to learn from mirror images as well,
-when to stop, how far to shrink the ensemble's output towards zero, and whether to refuse it.
+For each axis the folds choose mirroring, the number of epochs and the shrinkage of the ensemble's
+output towards zero, and whether the axis is rejected.
 
 With ``ratio_u(s)`` the root mean square error on held-out fold ``u`` of nominal plus ``s`` times
 the ensemble's mean, relative to nominal alone, the scale ``s`` in [0, 1] minimises::
 
     mean_u ratio_u(s) + caution * max(0, max_u ratio_u(s) - 1)
 
-so a gain on average counts, and the worst harm counts once more. The gain ``1 - mean_u ratio_u`` of
-what is chosen must exceed a minimum, and must exceed its own spread over the seeds: a gain that one
-seed has and the next has not is luck. Else the axis is refused and its output is zero.
+so the worst fold counts twice where the residual increases its error. The gain ``1 - mean_u
+ratio_u`` of the choice must exceed a minimum and its standard deviation over the seeds; a smaller
+gain is not significant. Otherwise the axis is rejected and its output is zero.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core import mlp
+from quadjax.core.mlp import Layers
 from quadjax.fitting.config import ResidualConfig
-from quadjax.fitting.train import Params, predict
 
 SCALES = np.linspace(0.0, 1.0, 21)
 
@@ -38,27 +39,27 @@ class Score:
 
 @dataclass(frozen=True)
 class Choice:
-    """What the held-out folds say about one axis."""
+    """The selected residual of one axis."""
 
     axis: str
     mirror: bool
     epoch: int  # index into the training's history
-    scale: float  # zero where it is refused
-    gains: tuple[float, ...]  # per held-out fold, at the chosen scale before any refusal
+    scale: float  # zero if rejected
+    gains: tuple[float, ...]  # per held-out fold, before any rejection
     gain: float  # their mean
-    seed_spread: float  # standard deviation over seeds of a single network's mean gain
-    agreement: float  # share of the members' mean square output that they have in common
-    refused: str | None  # why
+    seed_spread: float  # standard deviation of the mean gain over seeds
+    agreement: float  # mean square of the mean output over mean square output
+    rejected: str | None  # reason
 
 
-def score_fold(history: Params, inputs: np.ndarray, errors: np.ndarray, length: int) -> Score:
-    """Score one task's ensemble after every epoch on rows that it was not trained on.
+def score_fold(history: Layers, inputs: np.ndarray, errors: np.ndarray, length: int) -> Score:
+    """Score one task's ensemble after every epoch on held-out rows.
 
     Args:
-        history: weights, every leaf (seed, epoch, ..).
-        inputs: (n, i) held-out rows, standardised as the task's.
-        errors: (n, o) what the nominal model leaves of them.
-        length: rows are padded to this many, so that one program serves every fold.
+        history: layers, every leaf (seed, epoch, ..).
+        inputs: (n, i) held-out rows, standardized as the task's.
+        errors: (n, o) of the nominal model.
+        length: number of rows after padding, the same for every fold.
     """
     padding = ((0, length - len(inputs)), (0, 0))
     size = np.sqrt((errors**2).mean(axis=0))
@@ -76,10 +77,10 @@ def score_fold(history: Params, inputs: np.ndarray, errors: np.ndarray, length: 
 
 @jax.jit
 def _moments(
-    history: Params, inputs: jax.Array, errors: jax.Array, share: jax.Array
+    history: Layers, inputs: jax.Array, errors: jax.Array, share: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    def of_epoch(params: Params) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        outputs = jax.vmap(partial(predict, inputs=inputs))(params)  # (seed, n, o)
+    def of_epoch(layers: Layers) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        outputs = jax.vmap(partial(mlp.apply, inputs=inputs))(layers)  # (seed, n, o)
         mean = outputs.mean(axis=0)
         seeds = ((share * errors)[None] * outputs).sum(1), (share[None] * outputs**2).sum(1)
         return (share * errors * mean).sum(0), (share * mean**2).sum(0), *seeds
@@ -89,15 +90,15 @@ def _moments(
     return cross, square, jnp.swapaxes(seed_cross, 0, 1), jnp.swapaxes(seed_square, 0, 1)
 
 
-def choose(
+def select(
     axes: tuple[str, ...], candidates: dict[bool, list[Score]], config: ResidualConfig
 ) -> list[Choice]:
-    """Choose for every axis of a network.
+    """Select the residual of every axis of a network.
 
     Args:
         axes: the network's.
-        candidates: scores of every held-out fold, with mirror images and without.
-        config: caution and the least gain.
+        candidates: scores of every held-out fold, with and without mirroring.
+        config: with caution and least gain.
     """
     choices = []
     for column, axis in enumerate(axes):
@@ -108,8 +109,8 @@ def choose(
     return choices
 
 
-def refuse_all(axes: tuple[str, ...], reason: str) -> list[Choice]:
-    """Every axis refused, where nothing is left to validate on."""
+def reject_all(axes: tuple[str, ...], reason: str) -> list[Choice]:
+    """Every axis rejected, without validation data."""
     return [Choice(axis, False, 0, 0.0, (), 0.0, 0.0, 0.0, reason) for axis in axes]
 
 
@@ -126,7 +127,7 @@ def _best(
     ratios = _ratio(cross[..., None], square[..., None], SCALES)  # (fold, epoch, scale)
     harm = np.maximum(ratios.max(axis=0) - 1.0, 0.0)
     objective = ratios.mean(axis=0) + config.caution * harm
-    # When to stop is smoothed over neighbouring epochs: the minimum of a noisy curve flatters.
+    # Smoothed over neighboring epochs: the minimum of a noisy curve is biased.
     smooth = np.stack(
         [np.convolve(np.pad(o, 2, "edge"), np.ones(5) / 5, "valid") for o in objective.T], axis=1
     )
@@ -145,23 +146,23 @@ def _best(
         gain=float(gains.mean()),
         seed_spread=float(seed_gains.std(ddof=1)) if len(seed_gains) > 1 else 0.0,
         agreement=float((square[:, epoch] / np.maximum(seed_square.mean(1), 1e-30)).mean()),
-        refused=None,
+        rejected=None,
     )
-    return float(smooth[epoch, place]), _refuse(choice, config)
+    return float(smooth[epoch, place]), _reject(choice, config)
 
 
-def _refuse(choice: Choice, config: ResidualConfig) -> Choice:
-    """The choice with scale zero and a reason, if it does not clearly beat the nominal model."""
+def _reject(choice: Choice, config: ResidualConfig) -> Choice:
+    """The choice, rejected if it is not significantly better than the nominal model."""
     reason = None
     if choice.scale == 0.0 or choice.gain <= 0.0:
         reason = "no better than the nominal model on held-out data"
     elif choice.gain < config.min_gain:
-        reason = f"a gain of {100 * choice.gain:.1f}% on held-out data is too small to trust"
+        reason = f"a gain of {100 * choice.gain:.1f}% on held-out data is below residual.min_gain"
     elif choice.gain < choice.seed_spread:
         reason = (
-            f"a gain of {100 * choice.gain:.1f}% on held-out data is within the spread of "
-            f"{100 * choice.seed_spread:.1f}% between seeds"
+            f"a gain of {100 * choice.gain:.1f}% on held-out data is not significant: "
+            f"+- {100 * choice.seed_spread:.1f}% between seeds"
         )
     if reason is None:
         return choice
-    return Choice(**{**choice.__dict__, "scale": 0.0, "refused": reason})
+    return replace(choice, scale=0.0, rejected=reason)

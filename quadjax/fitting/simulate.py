@@ -1,12 +1,12 @@
-"""Flight logs of a simulated drone, with sensor noise, in the columns of a Paparazzi log.
+"""Simulated flight logs and random residual networks, to test a fit against a known model.
 
-To try the fit on a drone whose every constant is known. The drone follows wandering attitudes and
-climbs under a simple controller; commands are held between samples and the motion between them is
-integrated by Runge-Kutta, so the logs are those of a continuous flight. As a command::
-
-    python -m quadjax.fitting.synthetic_log --flights 4 --out logs
+The drone follows wandering attitudes and climbs under a simple controller. Commands are held
+between samples and the motion in between is integrated by Runge-Kutta steps, so the logs are those
+of a continuous flight.
 """
 
+import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,25 +16,29 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.cli.arguments import Parser, check_writable, count, parse, seed
-from quadjax.core.errors import InputError, command_line
-from quadjax.core.files import whole_file
+from quadjax.core.errors import InputError
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.columns import paparazzi_columns
+from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.protocol import VehicleParams
-from quadjax.vehicle.residual import residual_force_moment
-from quadjax.vehicle.residual_file import read_residual
+from quadjax.vehicle.residual import Layers, Residual, residual_force_moment
+from quadjax.vehicle.residual_file import read_residual, write_residual
 
 SUBSTEPS = 2
+# The flight envelope of the Bebop 1 for random residuals.
+RPM_RANGE = (3000.0, 11000.0)
+ENVELOPE = np.array([1.0] * 4 + [8.0] * 3 + [6.0] * 3)  # scaled rpm, m/s, rad/s, both signs
+SAMPLES = 20_000
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviations of white noise at the log's rate."""
+    """Standard deviations of white noise at the sample rate of the log."""
 
     rpm: float = 20.0  # rpm
     gyro: float = 0.01  # rad/s
@@ -54,7 +58,7 @@ def simulate_flight(
 
     Args:
         vehicle: constants, and residual if any.
-        seed: decides the flight and the noise.
+        seed: of the flight and the noise.
         seconds: length, s.
         sample_rate: of the log, Hz.
         noise: of the sensors.
@@ -86,14 +90,6 @@ def simulate_flight(
     )
 
 
-def write_log(path: Path | str, columns: dict[str, np.ndarray]) -> None:
-    """Write columns as a CSV flight log, whole."""
-    with whole_file(path) as temporary:
-        table = np.stack(list(columns.values()), axis=1)
-        header = ",".join(columns)
-        np.savetxt(temporary, table, fmt="%.8g", delimiter=",", header=header, comments="")
-
-
 def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> np.ndarray:
     """Targets (n, 4) for roll, pitch, yaw, rad, and climb, m/s: a few sines each."""
     time = np.arange(count)[:, None] / sample_rate
@@ -103,7 +99,7 @@ def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> n
         frequency = random.uniform(low, high, 4)
         phase = random.uniform(0.0, 2.0 * np.pi, 4)
         targets += share * size * np.sin(2.0 * np.pi * frequency * time + phase)
-    # Long turns to either side: yaw damping shows in them alone.
+    # Long turns to either side, which alone excite yaw damping.
     swing = random.uniform(0.03, 0.06)
     targets[:, 2] += 4.0 / swing / 10.0 * np.sin(2.0 * np.pi * swing * time[:, 0])
     return targets
@@ -113,7 +109,7 @@ def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> n
 def _fly(
     vehicle: VehicleParams, targets: jax.Array, sample_rate: float
 ) -> tuple[MotorState, Rotors, Vec3]:
-    """States, rpm commands and specific forces, n of each, of a flight after the targets."""
+    """States, rpm commands and specific forces, n of each, of a flight that follows targets."""
     dt = 1.0 / (sample_rate * SUBSTEPS)
 
     def step(
@@ -123,14 +119,14 @@ def _fly(
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
         steady = Rotors.same(jnp.zeros(()))
         force, _ = motor.force_moment(vehicle, state.rpm, steady, body_velocity, state.rates)
-        seen = (state, command, force)
+        record = (state, command, force)
         state = jax.lax.fori_loop(
             0,
             SUBSTEPS,
             lambda _, s: rk4_step(lambda x: motor.derivative(vehicle, x, command), s, dt),
             state,
         )
-        return state, seen
+        return state, record
 
     rpm = Rotors.same(motor.hover_rpm(vehicle.constants))
     start = MotorState(*(Vec3.zero() for _ in range(4)), rpm, Vec3.zero(), Vec3.zero())
@@ -138,14 +134,14 @@ def _fly(
 
 
 def _control(vehicle: VehicleParams, state: MotorState, target: jax.Array) -> Rotors:
-    """Rpm commands that turn towards target angles and hold a target climb rate."""
+    """Rpm commands that follow target angles and a target climb rate."""
     c = vehicle.constants
     hover = motor.hover_rpm(c)
     # Angular acceleration per rpm of difference, about hover, from the nominal model.
     effect = Vec3(8.0 * c.k_p * hover / c.i_xx, 8.0 * c.k_q * hover / c.i_yy, 4.0 * c.k_r1 / c.i_zz)
     angle = Vec3.of(target[:3]) - state.euler
     wanted = angle * Vec3(60.0, 60.0, 6.0) - state.rates * Vec3(12.0, 12.0, 4.0)
-    if vehicle.residual is not None:  # an ideal pilot: it knows what it has to work against
+    if vehicle.residual is not None:  # compensated exactly
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
         _, extra = residual_force_moment(vehicle.residual, state.rpm, body_velocity, state.rates)
         wanted = wanted - extra / Vec3(c.i_xx, c.i_yy, c.i_zz)
@@ -157,32 +153,95 @@ def _control(vehicle: VehicleParams, state: MotorState, target: jax.Array) -> Ro
     return Rotors(*(jnp.clip(lift + part, c.rpm_min, c.rpm_max) for part in mix))
 
 
-def main() -> None:
-    """Write flight logs of a simulated drone."""
-    parser = Parser(description=main.__doc__)
+def random_residual(
+    seed: int,
+    thrust_std: float = 1.0,
+    moment_std: float | tuple[float, float, float] = 0.015,
+    width: int = 32,
+) -> Residual:
+    """A random residual of a given size.
+
+    Args:
+        seed: of the weights.
+        thrust_std: standard deviation of the body-z specific force over the envelope, m/s^2.
+        moment_std: standard deviation of the moments over the envelope, N m; one number for all
+            axes or one for each.
+        width: hidden units of each network.
+
+    Returns:
+        The residual; the mean of each output over the envelope is zero.
+
+    Raises:
+        InputError: a standard deviation that is negative or not finite, or a width below one.
+    """
+    moments = np.broadcast_to(np.asarray(moment_std, np.float64), 3)
+    for name, value in (("thrust_std", thrust_std), *(("moment_std", m) for m in moments)):
+        if not (np.isfinite(value) and value >= 0.0):
+            raise InputError(f"{name} is {value}, expected a finite number that is not negative")
+    if width < 1:
+        raise InputError(f"width is {width}, expected at least 1")
+    random = np.random.default_rng(seed)
+    return Residual(
+        thrust=_random_network(random, ENVELOPE[:7], width, np.array([thrust_std])),
+        moment=_random_network(random, ENVELOPE, width, moments),
+        rpm_min=jnp.float32(RPM_RANGE[0]),
+        rpm_max=jnp.float32(RPM_RANGE[1]),
+        thrust_sign=jnp.float32(1.0),
+    )
+
+
+def _random_network(
+    random: np.random.Generator, spans: np.ndarray, width: int, spread: np.ndarray
+) -> Layers:
+    """A one-hidden-layer network on inputs within +-spans, its outputs scaled to ``spread``."""
+    kernel = random.normal(size=(len(spans), width)) / np.sqrt(len(spans))
+    bias = random.uniform(-1.0, 1.0, size=width)
+    inputs = random.uniform(-1.0, 1.0, size=(SAMPLES, len(spans)))
+    hidden = np.maximum(inputs @ kernel + bias, 0.0)
+    last = random.normal(size=(width, len(spread)))
+    last = last * spread / np.maximum((hidden @ last).std(axis=0), 1e-12)
+    layers = ((kernel / spans[:, None], bias), (last, -(hidden @ last).mean(axis=0)))
+    return jax.tree.map(lambda values: jnp.asarray(values, jnp.float32), layers)
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("simulate-logs", description=main.__doc__)
     parser.add_argument("--vehicle", default="bebop1.yaml", help="a file of configs/vehicles")
-    parser.add_argument("--residual", type=Path, help="a residual file (.npz)")
-    parser.add_argument("--flights", type=count, default=4)
-    parser.add_argument("--seconds", type=float, default=30.0, help="of each flight")
-    parser.add_argument("--seed", type=seed, default=0, help="of the first flight")
-    parser.add_argument("--out", type=Path, required=True, help="the folder to write to")
-    words = parse(parser)
-    if not 1.0 <= words.seconds <= 3600.0:
-        raise InputError(f"--seconds is {words.seconds}, expected 1 to 3600")
-    check_writable(words.out / "flight_0.csv")
+    parser.add_argument("--residual", type=Path, help="a residual file (.npz) of the drone")
+    parser.add_argument(
+        "--random-residual", type=seed, metavar="SEED", help="write and use DIR/residual.npz"
+    )
+    parser.add_argument("--thrust-std", type=float, default=1.0, help="of that, m/s^2 (1.0)")
+    parser.add_argument("--moment-std", type=float, default=0.015, help="of that, N m (0.015)")
+    parser.add_argument("--flights", type=count, default=4, help="number of logs (4)")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of each flight (30)")
+    parser.add_argument("--seed", type=seed, default=0, help="of the first flight (0)")
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
+    arguments = parse(parser, words)
+    if not 1.0 <= arguments.seconds <= 3600.0:
+        raise InputError(f"--seconds is {arguments.seconds}, expected 1 to 3600")
+    if arguments.residual and arguments.random_residual is not None:
+        raise InputError("--residual and --random-residual exclude each other")
+    check_writable(arguments.output / "flight_0.csv")
+    return arguments
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write flight logs of a simulated drone with known constants."""
+    words = _arguments(arguments)
     residual = read_residual(words.residual) if words.residual else None
-    vehicle = VehicleParams(read_vehicle(words.vehicle, Path()).motor, residual)
+    if words.random_residual is not None:
+        residual = random_residual(words.random_residual, words.thrust_std, words.moment_std)
+        source = {"random": True, "seed": words.random_residual}
+        write_residual(words.output / "residual.npz", residual, source)
+    vehicle = VehicleParams(read_vehicle(words.vehicle).motor, residual)
     for index in range(words.flights):
         columns = simulate_flight(vehicle, words.seed + index, words.seconds)
         if not all(np.isfinite(values).all() for values in columns.values()):
             raise InputError(
-                f"flight {index} with seed {words.seed + index} got out of control; is the "
-                "residual stronger than the motors?"
+                f"flight {index} with seed {words.seed + index} is not finite; is the residual "
+                "stronger than the motors?"
             )
-        path = words.out / f"flight_{index}.csv"
+        path = words.output / f"flight_{index}.csv"
         write_log(path, columns)
         print(f"wrote {path}")
-
-
-if __name__ == "__main__":
-    command_line(main)()

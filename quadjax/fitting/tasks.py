@@ -1,13 +1,14 @@
-"""What a residual network learns: inputs, what the nominal model leaves, and weights.
+"""Training data of the residual networks: inputs, errors of the nominal model, and weights.
 
-A network is trained many times over, each time without some folds; every such *task* has its own
-nominal model and its own scaling, so that nothing of what is left out leaks in.
+A network is trained many times, each time without some folds. Every such *task* has its own nominal
+model and scaling, so that it contains no information of the folds left out.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from quadjax.fitting.config import ResidualConfig
 from quadjax.fitting.least_squares import fit_nominal, with_fit
 from quadjax.fitting.nominal import AXES, CONSTANTS, Motion
 from quadjax.fitting.prepare import Samples
@@ -16,7 +17,7 @@ from quadjax.vehicle.constants import MotorConstants
 
 @dataclass(frozen=True)
 class Network:
-    """One of the two residual networks: its axes and how a mirror image changes it."""
+    """One of the two residual networks: its axes and its mirror symmetry."""
 
     name: str
     axes: tuple[str, ...]
@@ -28,8 +29,12 @@ class Network:
 
     @property
     def columns(self) -> list[int]:
-        """Where its axes are among ``AXES``."""
+        """Indices of its axes in ``AXES``."""
         return [AXES.index(axis) for axis in self.axes]
+
+    def hidden(self, config: ResidualConfig) -> int:
+        """Number of hidden units."""
+        return getattr(config, f"hidden_{self.name}")
 
 
 _ORDER = (1, 0, 3, 2, 4, 5, 6)
@@ -49,15 +54,15 @@ NETWORKS = {
 
 @dataclass(frozen=True)
 class Task:
-    """One training: some folds left out, with or without mirror images."""
+    """One training: some folds left out, with or without mirroring."""
 
     left_out: frozenset[int]
     mirror: bool
     constants: MotorConstants  # nominal model of the rows that are not left out
-    inputs: np.ndarray  # (n, i) standardised
-    errors: np.ndarray  # (n, o) standardised
-    weights: np.ndarray  # (n, o) each fold counts the same
-    centre: np.ndarray  # (i,) of the inputs, file units
+    inputs: np.ndarray  # (n, i) standardized
+    errors: np.ndarray  # (n, o) standardized
+    weights: np.ndarray  # (n, o) the same total per fold
+    center: np.ndarray  # (i,) of the inputs, file units
     scale: np.ndarray  # (i,)
     low: np.ndarray  # (i,) range of the inputs, file units
     high: np.ndarray  # (i,)
@@ -65,7 +70,7 @@ class Task:
 
 
 def file_inputs(network: Network, motion: Motion, rpm_range: tuple[float, float]) -> np.ndarray:
-    """Inputs (n, 7 or 10) as the residual file takes them: rpm in [-1, 1], the rest in SI."""
+    """Inputs (n, 7 or 10) in the units of a residual file: rpm in [-1, 1], the rest in SI."""
     low, high = rpm_range
     rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0
     parts = [rpm, motion.body_velocity, motion.rates]
@@ -73,7 +78,7 @@ def file_inputs(network: Network, motion: Motion, rpm_range: tuple[float, float]
 
 
 def mirrored(network: Network, inputs: np.ndarray) -> np.ndarray:
-    """The same flight seen in a mirror: inputs (n, i)."""
+    """Inputs (n, i) of the mirrored flight."""
     return inputs[:, list(network.mirror_order)] * np.array(network.mirror_sign)
 
 
@@ -84,19 +89,19 @@ def nominal_without(
     base: MotorConstants,
     fit: bool = True,
 ) -> MotorConstants:
-    """The nominal model of the rows of all folds but some, or the base's own if not to be fit."""
+    """The nominal model fitted without some folds, or the base's if ``fit`` is false."""
     if not fit:
         return base
     return with_fit(base, fit_nominal(samples[learned_rows(fold, left_out)], base))
 
 
 def learned_rows(fold: np.ndarray, left_out: frozenset[int]) -> np.ndarray:
-    """Rows (n,) bool of all folds but some; never a test row."""
+    """Rows (n,) bool of all folds but some, without test rows."""
     return (fold >= 0) & ~np.isin(fold, list(left_out))
 
 
 def nominal_error(samples: Samples, constants: MotorConstants) -> np.ndarray:
-    """Measured less nominal (n, 6), as ``AXES``."""
+    """Measured minus nominal (n, 6), as ``AXES``."""
     modelled = [
         samples.regressors[axis]
         @ np.array([float(getattr(constants, name)) for name in CONSTANTS[axis]])
@@ -114,12 +119,12 @@ def make_task(
     constants: MotorConstants,
     rpm_range: tuple[float, float],
 ) -> Task:
-    """The rows of one training, standardised by themselves alone."""
+    """The rows of one training, standardized by themselves."""
     rows = learned_rows(fold, left_out)
     inputs = file_inputs(network, samples.motion[rows], rpm_range)
     errors = nominal_error(samples[rows], constants)[:, network.columns]
     seen = np.concatenate([inputs, mirrored(network, inputs)]) if mirror else inputs
-    centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-6)
+    center, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-6)
     error_scale = np.maximum(np.sqrt((errors**2).mean(axis=0)), 1e-12)
     weights = np.ones_like(errors)
     for number in np.unique(fold[rows]):
@@ -129,10 +134,10 @@ def make_task(
         left_out=left_out,
         mirror=mirror,
         constants=constants,
-        inputs=(inputs - centre) / scale,
+        inputs=(inputs - center) / scale,
         errors=errors / error_scale,
         weights=weights / weights.mean(axis=0),
-        centre=centre,
+        center=center,
         scale=scale,
         low=seen.min(axis=0),
         high=seen.max(axis=0),

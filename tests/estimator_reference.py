@@ -1,15 +1,14 @@
-"""The estimator of ``estimator.py`` once more, over a whole log in float64 NumPy and SciPy.
+"""The disturbance estimator over a whole log in float64 NumPy and SciPy.
 
-Written apart from it, signal by signal as the method is described, as a reference for the one that
-runs in a simulation and for the C that runs on board.
+Written independently of ``quadjax.vehicle.estimator``, as the reference of that and of the exported
+C.
 """
 
 import numpy as np
 from scipy.signal import butter, lfilter
 
-from quadjax.fitting.nominal import Motion, angular_moment, nominal
+from quadjax.fitting.nominal import Motion, angular_moment, nominal, residual_output
 from quadjax.vehicle.protocol import VehicleParams
-from quadjax.vehicle.residual import Layers, Residual
 
 
 def estimate(
@@ -19,7 +18,7 @@ def estimate(
     cutoff: float = 8.0,
     explicit_euler: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """External moment and specific force over a log that begins with no disturbance.
+    """External moment and specific force over a log that starts without disturbance.
 
     Args:
         vehicle: constants, and residual if any.
@@ -56,27 +55,7 @@ def estimate(
 
 def _model(vehicle: VehicleParams, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """Specific force and moment (n, 3) of the nominal model and the residual."""
-    force, moment = np.split(nominal(vehicle.constants, motion), 2, axis=1)
+    total = nominal(vehicle.constants, motion)
     if vehicle.residual is not None:
-        extra_force, extra_moment = residual_output(vehicle.residual, motion)
-        force[:, 2] += extra_force
-        moment += extra_moment
-    return force, moment
-
-
-def residual_output(residual: Residual, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """What the networks add: body-z specific force (n,), m/s^2, and moments (n, 3), N m."""
-    low, high = float(residual.rpm_min), float(residual.rpm_max)
-    rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0
-    inputs = np.concatenate([rpm, motion.body_velocity], axis=1)
-    force = float(residual.thrust_sign) * _network(residual.thrust, inputs)[:, 0]
-    return force, _network(residual.moment, np.concatenate([inputs, motion.rates], axis=1))
-
-
-def _network(layers: Layers, inputs: np.ndarray) -> np.ndarray:
-    hidden = inputs
-    for index, (kernel, bias) in enumerate(layers):
-        hidden = hidden @ np.asarray(kernel, np.float64) + np.asarray(bias, np.float64)
-        if index < len(layers) - 1:
-            hidden = np.maximum(hidden, 0.0)
-    return hidden
+        total[:, 2:] += residual_output(vehicle.residual, motion)
+    return total[:, :3], total[:, 3:]

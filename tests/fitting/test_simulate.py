@@ -1,0 +1,81 @@
+import jax
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.fitting.simulate import random_residual
+from quadjax.vehicle.residual import residual_force_moment
+from quadjax.vehicle.residual_file import read_residual, write_residual
+from tests.commands import run
+
+from .conftest import REPOSITORY
+
+
+def _outputs(residual, count=4000):
+    random = np.random.default_rng(7)
+    rpm = random.uniform(3000.0, 11000.0, (count, 4)).astype(np.float32)
+    velocity = random.uniform(-8.0, 8.0, (count, 3)).astype(np.float32)
+    rates = random.uniform(-6.0, 6.0, (count, 3)).astype(np.float32)
+    force, moment = jax.vmap(residual_force_moment, in_axes=(None, 0, 0, 0))(
+        residual, Rotors.of(rpm), Vec3.of(velocity), Vec3.of(rates)
+    )
+    return np.asarray(force), np.asarray(moment.array())
+
+
+def test_outputs_have_the_asked_spread_over_the_envelope():
+    force, moment = _outputs(random_residual(3, 1.0, 0.015))
+    assert abs(np.std(force) - 1.0) < 0.05 and abs(np.mean(force)) < 0.05
+    np.testing.assert_allclose(np.std(moment, axis=0), 0.015, rtol=0.05)
+
+
+def test_same_seed_same_residual_other_seed_another():
+    first, again, other = (_outputs(random_residual(seed), 10)[0] for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.01
+
+
+def test_survives_the_file(tmp_path):
+    residual = random_residual(0)
+    write_residual(tmp_path / "r.npz", residual, {})
+    read = _outputs(read_residual(tmp_path / "r.npz"), 10)
+    for a, b in zip(_outputs(residual, 10), read, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("arguments", [(0, -1.0), (0, 1.0, float("nan")), (0, 1.0, 0.1, 0)])
+def test_impossible_sizes_are_refused(arguments):
+    with pytest.raises(InputError):
+        random_residual(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (["simulate-logs"], "--output"),
+        (["simulate-logs", "--output", "logs", "--random-residual", "-1"], "--random-residual"),
+        (["simulate-logs", "--output", "logs", "--seconds", "0"], "--seconds"),
+        (["simulate-logs", "--output", "/dev/null/logs"], "/dev/null/logs"),
+        (["recovery", "--fit", "none", "--flights", "none"], "--flights"),
+        (["recovery", "--fit", "none"], "none/vehicle.yaml"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(capsys, words, names):
+    assert run(*words) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and names in lines[0]
+
+
+@pytest.mark.slow
+def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, capsys):
+    logs = tmp_path / "logs"
+    words = ["--random-residual", 5, "--moment-std", 0.005, "--flights", 2, "--seconds", 5]
+    assert run("simulate-logs", "--output", logs, *words) == 0
+    words = [f"logs.files=[{logs}/*.csv]", f"runs={tmp_path}", "name=known", "figures=false"]
+    fast = "residual={seeds: 1, epochs: 2, distill_epochs: 2}"
+    assert run("fit", REPOSITORY / "configs/fit/paparazzi.yaml", *words, fast) == 0
+    capsys.readouterr()
+    words = ["--fit", tmp_path / "known", "--residual", logs / "residual.npz", "--flights", 1]
+    assert run("recovery", *words) == 0
+    output = capsys.readouterr().out
+    assert "k_w" in output and "R^2 of residual" in output
