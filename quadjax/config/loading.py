@@ -5,7 +5,6 @@ from pathlib import Path
 
 from quadjax.config.base import build
 from quadjax.config.checks import check, vehicle_model
-from quadjax.config.dataclass_config import fill, read_yaml_with_base  # noqa: F401
 from quadjax.config.files import (
     Tree,
     close_match,
@@ -13,10 +12,8 @@ from quadjax.config.files import (
     merge_trees,
     parse_overrides,
     read_tree_with_bases,
-    read_yaml,  # noqa: F401
     short,
 )
-from quadjax.config.files import parse_overrides as parse_words  # noqa: F401
 from quadjax.config.renamed import check_renamed
 from quadjax.config.schema import Config, Schedule
 from quadjax.core.errors import InputError

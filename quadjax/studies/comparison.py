@@ -123,27 +123,25 @@ def without_each(
 def fly_variant(setting: Setting, variant: Variant, folder: Path, report: Report) -> Laps:
     """One line of the ablation."""
     report(f"ablation: {variant.group} {variant.label}")
-    vehicle = dataclasses.replace(
-        setting.race.vehicle, residual=RESIDUAL if variant.residual else None
-    )
-    own = dataclasses.replace(setting, race=dataclasses.replace(setting.race, vehicle=vehicle))
+    vehicle = setting.race.vehicle.replace(residual=RESIDUAL if variant.residual else None)
+    own = dataclasses.replace(setting, race=setting.race.replace(vehicle=vehicle))
     plant = setting.plant.replace(disturbance=variant.disturbance)
     return fly(own, plant, contender("E2E", str(variant.path(folder)))).laps
 
 
-def saturation(flights: Flights, low: float, high: float) -> float:
-    """Fraction of the rpm commands of the recorded runs at a limit of the motors."""
-    commands = np.stack([np.asarray(x) for x in flights.frames.rpm_command.components()])
-    going = ~flights.frames.over
-    at_limit = (commands <= low + 1.0) | (commands >= high - 1.0)
-    return float(at_limit[:, going].mean())
+def limit_shares(setting: Setting, own: Compared) -> tuple[float, float | None]:
+    """Fraction of rpm commands at a limit: on the plant, and simulated (None without motors)."""
+    constants = setting.race.vehicle.with_model("motor").constants
 
+    def share(command: np.ndarray, over: np.ndarray) -> float:
+        limited = (command <= constants["rpm_min"] + 1.0) | (command >= constants["rpm_max"] - 1.0)
+        return float(limited[:, ~np.asarray(over)].mean())
 
-def simulated_saturation(trace: Trace, low: float, high: float) -> float:
-    """The same of a trace of the simulator, for the motor-level vehicle."""
-    command = np.moveaxis(np.asarray(trace.command), 1, 0)
-    at_limit = (command <= low + 1.0) | (command >= high - 1.0)
-    return float(at_limit[:, ~np.asarray(trace.over)].mean())
+    frames = own.flown.frames
+    flown = share(np.stack(frames.rpm_command.components()), frames.over)
+    if own.contender.policy.vehicle != "motor":
+        return flown, None
+    return flown, share(np.moveaxis(np.asarray(own.trace.command), 1, 0), own.trace.over)
 
 
 def lead(e2e: Compared, indi: Compared) -> str:

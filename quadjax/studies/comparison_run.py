@@ -26,9 +26,8 @@ from quadjax.studies.comparison import (
     compare_one,
     fly_variant,
     lead,
+    limit_shares,
     rows,
-    saturation,
-    simulated_saturation,
     without_each,
 )
 from quadjax.training.paper import LAPS, PUBLISHED, Row
@@ -71,7 +70,7 @@ def run_comparison(
         e2e, indi = (compare_one(setting, own, report) for own in contenders)
         report("drawing")
         texts.append(table_text(setting, e2e, indi))
-        result |= _numbers(setting, e2e, indi)
+        result |= {own.contender.name: _numbers(setting, own) for own in (e2e, indi)}
         _draw(setting, e2e, indi, wanted.folder, result)
     if "effects" in wanted.parts:
         texts.append(_effects(setting, contenders, result, report))
@@ -103,28 +102,16 @@ def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
     return table + "\n" + "\n".join(notes)
 
 
-def limit_shares(setting: Setting, own: Compared) -> tuple[float, float | None]:
-    """Fraction of rpm commands at a limit: on the plant, and simulated (None without motors)."""
-    low, high = (setting.race.vehicle.constants[key] for key in ("rpm_min", "rpm_max"))
-    motors = own.contender.policy.vehicle == "motor"
-    simulated = simulated_saturation(own.trace, low, high) if motors else None
-    return saturation(own.flown, low, high), simulated
-
-
-def _numbers(setting: Setting, e2e: Compared, indi: Compared) -> dict[str, object]:
-    """The table as JSON takes it."""
-    result = {}
-    for own in (e2e, indi):
-        flown, simulated = limit_shares(setting, own)
-        result[own.contender.name] = {
-            "policy": Path(own.contender.file).name,
-            "simulated": own.simulated.to_json(),
-            "stand-in plant": own.flown.laps.to_json(),
-            "commands at a limit": flown,
-        }
-        if simulated is not None:
-            result[own.contender.name]["commands at a limit, simulated"] = simulated
-    return result
+def _numbers(setting: Setting, own: Compared) -> dict[str, object]:
+    """Numbers of the table for one contender."""
+    flown, simulated = limit_shares(setting, own)
+    return {
+        "policy": Path(own.contender.file).name,
+        "simulated": own.simulated.to_json(),
+        "stand-in plant": own.flown.laps.to_json(),
+        "commands at a limit": flown,
+        "commands at a limit, simulated": simulated,
+    }
 
 
 def compared_progress(setting: Setting, e2e: Compared, indi: Compared) -> Figure:
@@ -154,10 +141,10 @@ def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result:
         flown = recordings(own.flown)
         save_figure(trajectory_figure(flown, gates, title), folder / f"{stem}_plant.png")
     save_figure(compared_progress(setting, e2e, indi), folder / "progress.png")
-    constants = setting.race.vehicle
-    figure, deviation = figures.rpm_figure(e2e.flown, constants.motor["tau"])
+    motor, rate = (setting.race.vehicle.with_model(m).constants for m in ("motor", "rate"))
+    figure, deviation = figures.rpm_figure(e2e.flown, motor["tau"])
     save_figure(figure, folder / "rpm.png")
-    taus = [constants.rate["tau_rate"]] * 3 + [constants.rate["tau_thrust"]]
+    taus = [rate["tau_rate"]] * 3 + [rate["tau_thrust"]]
     other, of_rates = figures.rates_figure(indi.flown, taus)
     save_figure(other, folder / "rates.png")
     result["rms deviation from first order"] = {

@@ -1,32 +1,36 @@
-"""The same task and hyperparameters by quadjax's PPO and by Stable-Baselines3's, for equal time."""
+"""PPO of quadjax and of Stable-Baselines3 on the same task for the same wall time."""
 
 import dataclasses
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from quadjax.config.schema import Config
 from quadjax.learners.devices import core_count
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 
+if TYPE_CHECKING:
+    from stable_baselines3.common.callbacks import BaseCallback
+
 SEED = 0
 
 
 @dataclasses.dataclass(frozen=True)
 class Side:
-    """What one of the two came to."""
+    """Result of one library."""
 
     name: str
     threads: str
-    seconds: float  # of wall time, set-up and compilation included
+    seconds: float  # of wall time, with set-up and compilation
     steps: int
-    steps_per_second: float  # of training, from the end of the first update on
-    lap_total: float | None  # s, all laps, deterministic from hover; None where not finished
+    steps_per_second: float  # of training, after the first update
+    lap_total: float | None  # s, all laps, deterministic from hover; None if not finished
     laps_flown: int
     laps: int
 
 
-def _judge(config: Config, policy: Policy) -> tuple[float | None, int]:
+def _evaluate(config: Config, policy: Policy) -> tuple[float | None, int]:
     race = pilot.Race(config.evaluate.laps, 1, True, 0)
     laps, _ = pilot.fly_policy(config, policy, race, True)
     total = float(laps.totals[0])
@@ -34,7 +38,7 @@ def _judge(config: Config, policy: Policy) -> tuple[float | None, int]:
 
 
 class Clock:
-    """Steps over time, and when to stop."""
+    """Steps over time, and a time limit."""
 
     def __init__(self, started: float, seconds: float) -> None:
         """Start at ``started``, by ``time.monotonic()``, for ``seconds``."""
@@ -42,28 +46,28 @@ class Clock:
         self._marks: list[tuple[float, int]] = []
 
     def over(self, steps: int) -> bool:
-        """Whether the time is over; asked after an update."""
+        """Whether the time is over; called after an update."""
         now = time.monotonic()
         self._marks.append((now, steps))
         return now - self._started >= self._seconds
 
     @property
     def seconds(self) -> float:
-        """Until the last update."""
+        """Seconds until the last update."""
         return self._marks[-1][0] - self._started
 
     @property
     def speed(self) -> float:
-        """Steps a second between the first update's end and the last's."""
+        """Steps per second from the end of the first update to that of the last."""
         (first, before), (last, after) = self._marks[0], self._marks[-1]
         return (after - before) / max(last - first, 1e-9)
 
 
 def ours(config: Config, seconds: float, started: float, directory: Path) -> Side:
-    """Quadjax's PPO; the last policy is judged.
+    """Train with quadjax and evaluate the last policy.
 
     Args:
-        config: with one update a chunk, so that time is looked at after each.
+        config: with one update per chunk, so that the time is checked after each.
         seconds: of wall time since ``started``.
         started: by ``time.monotonic()``.
         directory: of the run.
@@ -73,7 +77,7 @@ def ours(config: Config, seconds: float, started: float, directory: Path) -> Sid
 
     clock = Clock(started, seconds)
     result = train(config, directory, started=started, enough=lambda row: clock.over(row["steps"]))
-    total, flown = _judge(config, Policy.load(directory / "policy_last.npz"))
+    total, flown = _evaluate(config, Policy.load(directory / "policy_last.npz"))
     threads = f"{result.summary['devices']} host devices of one thread"
     steps = int(result.summary["steps"])
     return Side(
@@ -81,12 +85,12 @@ def ours(config: Config, seconds: float, started: float, directory: Path) -> Sid
     )
 
 
-def _watch(clock: Clock) -> object:
-    """A callback of Stable-Baselines3 that looks at the clock after each update."""
+def _stop_after(clock: Clock) -> "BaseCallback":
+    """A callback of Stable-Baselines3 that stops when the time is over."""
     from stable_baselines3.common.callbacks import BaseCallback
 
-    class Watch(BaseCallback):
-        """Looks at the clock after each update."""
+    class Stop(BaseCallback):
+        """Checks the clock after each update."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -99,11 +103,11 @@ def _watch(clock: Clock) -> object:
         def _on_step(self) -> bool:
             return not self.done
 
-    return Watch()
+    return Stop()
 
 
 def stable_baselines(config: Config, seconds: float, started: float) -> Side:
-    """Stable-Baselines3's PPO on the same race, PyTorch on all cores; the last policy is judged.
+    """Train with Stable-Baselines3, PyTorch on all cores, and evaluate the last policy.
 
     Args:
         config: the race and the hyperparameters.
@@ -120,9 +124,9 @@ def stable_baselines(config: Config, seconds: float, started: float) -> Side:
     model = sb3.make_ppo(config, SEED)
     clock = Clock(started, seconds)
 
-    model.learn(config.run.steps, callback=_watch(clock))
+    model.learn(config.run.steps, callback=_stop_after(clock))
     like = policy_of(config, build_networks(config).init(jax.random.key(0)), {})
-    total, flown = _judge(config, sb3.policy_of_ppo(model, config, like))
+    total, flown = _evaluate(config, sb3.policy_of_ppo(model, config, like))
     threads = f"PyTorch {torch.get_num_threads()} threads, the race in JAX on one device"
     steps = config.learner.num_envs * config.learner.rollout_length
     steps *= model.num_timesteps // steps
@@ -139,7 +143,7 @@ def stable_baselines(config: Config, seconds: float, started: float) -> Side:
 
 
 def format_sides(sides: list[Side], run: str) -> str:
-    """A table of both, with what was run above it."""
+    """A table of both, below the description ``run``."""
     lines = [run, f"{'':>18} {'steps/s':>10} {'M steps':>8} {'wall s':>7} {'laps':>8}  threads"]
     for side in sides:
         flown = (

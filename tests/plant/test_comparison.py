@@ -1,5 +1,6 @@
 """The comparison's numbers: progress, first-order models, and the ablation's list."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,9 +13,17 @@ from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights
 from quadjax.race.laps import Laps
 from quadjax.studies.ablation import VARIANTS, present
-from quadjax.studies.comparison import EFFECTS, Compared, Setting, changed_plants, contender, lead
+from quadjax.studies.comparison import (
+    EFFECTS,
+    Compared,
+    Setting,
+    changed_plants,
+    contender,
+    lead,
+    limit_shares,
+)
 from quadjax.studies.comparison_figures import first_order, progress
-from quadjax.studies.comparison_run import best_recorded, limit_shares, table_text
+from quadjax.studies.comparison_run import best_recorded, table_text
 from tests import reference as ref
 from tests.commands import run
 
@@ -138,3 +147,20 @@ def test_bad_input_is_one_line_and_status_2(capsys, arguments, names):
     assert run("compare", ROOT / "configs" / "plant" / "standin.yaml", *given) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("error: ") and names in lines[0]
+
+
+@pytest.mark.slow
+def test_the_command_flies_draws_and_writes(tmp_path, capsys):
+    folder = tmp_path / "ablation"
+    folder.mkdir()
+    policy = ROOT / "quadjax" / "pretrained" / "ablation" / "e2e_residual.npz"
+    (folder / policy.name).write_bytes(policy.read_bytes())
+    words = ["--runs", 2, "--laps", 1, "--parts", "table", "ablation", "--ablation", folder]
+    plant = ROOT / "configs" / "plant" / "standin.yaml"
+    assert run("compare", plant, *words, "--output", tmp_path) == 0
+    assert "residual: with" in capsys.readouterr().out
+    written = json.loads((tmp_path / "compare" / "compare.json").read_text())
+    assert written["INDI"]["stand-in plant"]["finished"] == 2
+    assert written["ablation"]["residual: with"]["finished"] == 2
+    names = {path.stem for path in (tmp_path / "compare").glob("*.png")}
+    assert {"progress", "rpm", "rates", "e2e_plant", "indi_simulator"} <= names
