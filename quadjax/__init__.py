@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from quadjax.evaluation.evaluation import Evaluation, evaluate
     from quadjax.export.convert import export_c
     from quadjax.learners.ppo.hyperparameters import PPO
+    from quadjax.learners.section import Network
     from quadjax.learners.shac.hyperparameters import SHAC
+    from quadjax.learners.train import TrainResult
     from quadjax.policy.file import Policy
     from quadjax.race.build import make_race
     from quadjax.race.layout import Field, Layout
@@ -40,6 +42,8 @@ _PUBLIC = {  # name: "module:object"
     "export_c": "quadjax.export.convert:export_c",
     "PPO": "quadjax.learners.ppo.hyperparameters:PPO",
     "SHAC": "quadjax.learners.shac.hyperparameters:SHAC",
+    "Network": "quadjax.learners.section:Network",
+    "TrainResult": "quadjax.learners.train:TrainResult",
     "Environment": "quadjax.core.environment:Environment",
     "VehicleModel": "quadjax.vehicle.protocol:VehicleModel",
     "Field": "quadjax.race.layout:Field",
@@ -57,9 +61,11 @@ __all__ = [
     "Field",
     "InputError",
     "Layout",
+    "Network",
     "Policy",
     "Run",
     "Section",
+    "TrainResult",
     "VehicleModel",
     "__version__",
     "evaluate",

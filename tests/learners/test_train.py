@@ -1,0 +1,112 @@
+"""Training on any environment in memory: by PPO, by SHAC and by own learners."""
+
+import contextlib
+import io
+import runpy
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.learners.section import LearnerSection, Network
+from quadjax.learners.state import Learner, TrainState
+from quadjax.learners.train import train
+from tests.learners.probes import ENVIRONMENT, observations, probe
+from tests.learners.support import DEFAULTS
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+NETWORK = Network(hidden=(16, 16), activation="tanh")
+
+
+@pytest.mark.parametrize("name", ["ppo", "shac"])
+def test_training_finds_the_best_action(name):
+    rows = []
+    result = DEFAULTS[name].train(
+        ENVIRONMENT,
+        probe(best=1.0),
+        steps=40_000,
+        network=NETWORK,
+        schedules={"learning_rate": [1e-2, 1e-3]},
+        progress=rows.append,
+    )
+    batch = jnp.stack([observations(1.0), observations(-1.0)])
+    np.testing.assert_allclose(result.policy(batch), 0.5, atol=0.1)
+    per_update = DEFAULTS[name].num_envs * (8 if name == "ppo" else 4)
+    updates = result.steps // per_update
+    assert result.steps % per_update == 0 and abs(result.steps - 40_000) <= 20 * per_update
+    assert {value.shape for value in result.metrics.values()} == {(updates,)}
+    rates = result.metrics["learning_rate"]
+    np.testing.assert_allclose(rates[0], 1e-2, rtol=1e-5)
+    assert np.all(np.diff(rates) < 0) and rates[-1] == pytest.approx(1e-3, rel=0.2)
+    assert rows[-1]["steps"] == result.steps and len(rows) <= 21
+    assert np.mean(result.metrics["reward"][-5:]) > np.mean(result.metrics["reward"][:5])
+    assert result.parameters.policy["Dense_0"]["kernel"].shape == (3, 16)
+
+
+def test_the_same_seed_is_the_same_run():
+    def rewards(seed):
+        learner = DEFAULTS["shac"]
+        result = learner.train(ENVIRONMENT, probe(shown=1.0), 2000, seed=seed, network=NETWORK)
+        return result.metrics["reward"]
+
+    np.testing.assert_array_equal(rewards(1), rewards(1))
+    assert np.any(rewards(1) != rewards(2))
+
+
+@pytest.mark.parametrize(
+    ("schedules", "message"),
+    [
+        ({"learning_rat": [1.0, 0.0]}, "learning_rat is"),
+        ({"learning_rate": [1e-2]}, "two or more values"),
+        ({"learning_rate": [1e-2, 1e-2]}, "learning_rate has no effect"),
+        ({"num_epochs": [2, 3]}, "num_epochs cannot be scheduled"),
+    ],
+)
+def test_a_schedule_without_effect_is_one_line(schedules, message):
+    with pytest.raises(InputError, match=message):
+        DEFAULTS["ppo"].train(ENVIRONMENT, probe(), 1000, network=NETWORK, schedules=schedules)
+
+
+class Ascent(LearnerSection):
+    """Moves the last bias of the policy along the gradient of one step's reward."""
+
+    num_envs: int = 8
+
+    def make(self, environment, networks, num_updates, max_shards):
+        def init(hyper, params, key):
+            return TrainState(networks.init(key), (), None, (), key[None], jnp.int32(0))
+
+        def reward(weights, params, key):
+            state = environment.reset(params, key)
+            action = networks.mean(weights, environment.observe(params, state))
+            return environment.step(params, state, action)[1]
+
+        def update(hyper, params, state):
+            keys = jax.random.split(state.keys[0], self.num_envs)
+            slope = jax.vmap(jax.grad(reward), in_axes=(None, None, 0))(state.params, params, keys)
+            weights = jax.tree.map(lambda w, g: w + 0.1 * g.mean(axis=0), state.params, slope)
+            new = state.replace(params=weights, keys=keys[:1], update=state.update + 1)
+            return new, {"reward": reward(weights, params, keys[0])}
+
+        return Learner(init, update, {}, self.num_envs, 1)
+
+
+def test_an_own_learner():
+    result = train(Ascent(), ENVIRONMENT, probe(best=1.0), 800, network=NETWORK)
+    assert result.policy(observations())[0] == pytest.approx(0.5, abs=0.05)
+    assert Ascent(num_envs=4).train(ENVIRONMENT, probe(best=1.0), 40).steps == 40
+
+
+@pytest.mark.slow
+def test_the_pendulum_learns_to_stand():
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        runpy.run_path(str(EXAMPLES / "pendulum.py"))
+    lines = output.getvalue().splitlines()
+    assert len(lines) == 2
+    for line in lines:
+        first, last = (float(word) for word in line.split() if word.lstrip("-")[0].isdigit())
+        assert first < 0.0 and last > 0.5
