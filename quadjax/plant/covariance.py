@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.materialize import Keep, call
+from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.vectors import Vec3, dot
 from quadjax.plant.matrix import (
     Mat3,
@@ -89,7 +89,7 @@ def diagonal_covariance(standard_deviations: tuple[jax.Array, ...]) -> Covarianc
 
 
 def predict(
-    covariance: Covariance, transition: Transition, growth: Growth, keep: Keep = call
+    covariance: Covariance, transition: Transition, growth: Growth, call: Caller = call_directly
 ) -> Covariance:
     """``F P F^T + Q`` by blocks.
 
@@ -97,10 +97,10 @@ def predict(
         covariance: before the step.
         transition: ``F``.
         growth: ``Q``; the velocity's noise also moves the position by half a step of it.
-        keep: calls a function; see ``quadjax.core.materialize``.
+        call: calls a function; see ``quadjax.core.materialize``.
     """
-    half = keep(_rows, covariance, transition)
-    return keep(_columns, covariance, half, transition, growth)
+    half = call(_rows, covariance, transition)
+    return call(_columns, covariance, half, transition, growth)
 
 
 @struct.dataclass

@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.materialize import Keep, call, staged_values
+from quadjax.core.materialize import Caller, call_directly, call_materialized_forward
 from quadjax.core.vectors import Vec3
 from quadjax.plant import covariance as cov
 from quadjax.plant import quaternion
@@ -100,7 +100,7 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
         state: from ``init`` or the last ``update``.
         measured: the sample; its pose is used if it is ``fresh``.
     """
-    keep = keeper(params)
+    call = caller(params)
     newest = Sample(measured.gyro, measured.accelerometer, params.step)
     aligned = Sample(
         newest.gyro + (state.newest.gyro - newest.gyro) * params.gyro_shift,
@@ -108,16 +108,16 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
         params.step,
     )
     taken, *waiting = (*state.waiting, aligned)
-    motion, covariance = predict(params, state.motion, state.covariance, state.last, taken, keep)
-    motion, covariance = correct(params, motion, covariance, taken, measured.fix, keep)
+    motion, covariance = predict(params, state.motion, state.covariance, state.last, taken, call)
+    motion, covariance = correct(params, motion, covariance, taken, measured.fix, call)
     roughness = _roughness(params, state, newest)
     return EkfState(motion, covariance, taken, tuple(waiting), newest, state.newest, roughness)
 
 
-def keeper(params: EkfParams) -> Keep:
-    """A ``Keep`` that materializes values; see ``quadjax.core.materialize``."""
-    always = params.step > 0
-    return lambda function, *arguments: staged_values(function, always, *arguments)
+def caller(params: EkfParams) -> Caller:
+    """A ``Caller`` that materializes values; see ``quadjax.core.materialize``."""
+    opaque_true = params.step > 0
+    return lambda function, *arguments: call_materialized_forward(function, opaque_true, *arguments)
 
 
 def predict(
@@ -126,7 +126,7 @@ def predict(
     covariance: Covariance,
     before: Sample,
     after: Sample,
-    keep: Keep = call,
+    call: Caller = call_directly,
 ) -> tuple[Motion, Covariance]:
     """Predict estimate and covariance from one inertial sample to the next.
 
@@ -136,12 +136,12 @@ def predict(
         covariance: of its errors.
         before: the sample processed last.
         after: the sample to process.
-        keep: calls a function; see ``quadjax.core.materialize``.
+        call: calls a function; see ``quadjax.core.materialize``.
     """
-    moved, transition = keep(advance, params.gravity, motion, before, after)
+    moved, transition = call(advance, params.gravity, motion, before, after)
     densities = (params.force_density, params.gyro_density, params.gyro_walk, params.force_walk)
     growth = Growth(*(density * after.step for density in densities))
-    return moved, cov.predict(covariance, transition, growth, keep)
+    return moved, cov.predict(covariance, transition, growth, call)
 
 
 def advance(
@@ -170,7 +170,7 @@ def correct(
     covariance: Covariance,
     at: Sample,
     fix: Fix,
-    keep: Keep = call,
+    call: Caller = call_directly,
 ) -> tuple[Motion, Covariance]:
     """Correct with a pose: its position first, then its attitude.
 
@@ -180,10 +180,10 @@ def correct(
         covariance: of its errors.
         at: the sample processed last; its rates and force bridge the offset to the pose.
         fix: the pose; without effect unless it is ``fresh``.
-        keep: calls a function; see ``quadjax.core.materialize``.
+        call: calls a function; see ``quadjax.core.materialize``.
     """
-    motion, covariance = keep(_correct_position, params, motion, covariance, at, fix)
-    return keep(_correct_attitude, params, motion, covariance, at, fix)
+    motion, covariance = call(_correct_position, params, motion, covariance, at, fix)
+    return call(_correct_attitude, params, motion, covariance, at, fix)
 
 
 def _correct_position(

@@ -9,7 +9,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.plant import covariance as cov
 from quadjax.plant import quaternion
 from quadjax.plant.covariance import Growth, Transition
-from quadjax.plant.ekf import EkfState, Motion, Sample, advance, keeper
+from quadjax.plant.ekf import EkfState, Motion, Sample, advance, caller
 from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.matrix import Sym3, apply
 
@@ -63,13 +63,13 @@ def estimate(params: EkfParams, state: EkfState) -> Estimate:
 
 
 def _present(params: EkfParams, state: EkfState, rates: Vec3, force: Vec3) -> Motion:
-    keep, motion, last = keeper(params), state.motion, state.last
+    call, motion, last = caller(params), state.motion, state.last
     for sample in state.waiting:
-        motion = keep(_advanced, params.gravity, motion, last, sample)
+        motion = call(_advanced, params.gravity, motion, last, sample)
         last = sample
     # The rest has no measurement: extrapolated rates and force.
     now = Sample(rates + motion.gyro_bias, force + motion.force_bias, params.late)
-    return keep(_advanced, params.gravity, motion, last, now)
+    return call(_advanced, params.gravity, motion, last, now)
 
 
 def _advanced(gravity: jax.Array, motion: Motion, before: Sample, after: Sample) -> Motion:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.materialize import staged_values
+from quadjax.core.materialize import call_materialized_forward
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, onboard, plant, sensors
 from quadjax.plant.onboard import OnboardChoices, OnboardParams, OnboardState
@@ -108,14 +108,14 @@ def sample(
 
     ``drawn`` holds (onboard.DRAWS,) standard normal numbers. Returns the rpm commands too.
     """
-    always = params.plant.step > 0.0
+    opaque_true = params.plant.step > 0.0
 
-    def keep(function: object, *arguments: object) -> object:
-        return staged_values(function, always, *arguments)
+    def call(function: object, *arguments: object) -> object:
+        return call_materialized_forward(function, opaque_true, *arguments)
 
     computers, rotors = onboard.command_rotors(params.onboard, flight.onboard, command)
     first, rest = drawn[: gusts.DRAWS], drawn[gusts.DRAWS :]
-    state = plant.update(params.plant, flight.plant, rotors, first, keep)
+    state = plant.update(params.plant, flight.plant, rotors, first, call)
     computers = onboard.sense(choices.onboard, params.onboard, params.plant, state, computers, rest)
     before, body = flight.race.state, state.physics.body
     g = gate(params.race.track, before.target)

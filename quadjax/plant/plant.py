@@ -16,7 +16,7 @@ from quadjax.core.frames import (
     wrap_angle,
 )
 from quadjax.core.integrators import INTEGRATORS
-from quadjax.core.materialize import Keep, call
+from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, power
 from quadjax.plant.effects import FlexParams, RotorParams
@@ -101,17 +101,17 @@ def forces(
 
 
 def derivative(
-    params: PlantParams, physics: Physics, command: Rotors, wind: Vec3, keep: Keep = call
+    params: PlantParams, physics: Physics, command: Rotors, wind: Vec3, call: Caller = call_directly
 ) -> Physics:
     """Time derivative under four rpm commands in a wind, m/s, world; as a ``Physics``."""
     body, c = physics.body, params.vehicle.constants
-    a = keep(attitude, body.euler)
-    air_velocity = keep(world_to_body, a, body.velocity - wind)
+    a = call(attitude, body.euler)
+    air_velocity = call(world_to_body, a, body.velocity - wind)
     top = power.reachable(params.power, body.rpm, physics.charge)
     rpm_rate, rpm_bend = power.rotor_rates(
         params.power, c.tau, body.rpm, physics.rpm_rate, command, top
     )
-    force, moment = keep(forces, params, physics, rpm_rate, air_velocity)
+    force, moment = call(forces, params, physics, rpm_rate, air_velocity)
     acceleration = body_to_world(a, force + body.force_ext)
     turning = motor.angular_acceleration(c, moment + body.moment_ext, body.rates)
     bend = effects.flex_acceleration(params.flex, physics.flex, physics.flex_rate, turning)
@@ -133,7 +133,11 @@ def derivative(
 
 
 def update(
-    params: PlantParams, state: PlantState, command: Rotors, drawn: jax.Array, keep: Keep = call
+    params: PlantParams,
+    state: PlantState,
+    command: Rotors,
+    drawn: jax.Array,
+    call: Caller = call_directly,
 ) -> PlantState:
     """One drone one sample later.
 
@@ -142,7 +146,7 @@ def update(
         state: from ``begin`` or the last ``update``.
         command: rpm, clipped to the range of the motors.
         drawn: (gusts.DRAWS,) standard normal numbers.
-        keep: calls a function; see ``quadjax.core.materialize``.
+        call: calls a function; see ``quadjax.core.materialize``.
     """
     low, high = motor.command_range(params.vehicle.constants)
     held = jax.tree.map(jnp.clip, command, low, high)
@@ -152,7 +156,7 @@ def update(
 
     def advance(_: int, now: Physics) -> Physics:
         return integrate(
-            lambda at: keep(derivative, params, at, applied, wind),
+            lambda at: call(derivative, params, at, applied, wind),
             now,
             params.step / params.substeps,
         )

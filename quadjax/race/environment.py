@@ -15,7 +15,12 @@ from flax import struct
 from quadjax.core.environment import Environment
 from quadjax.core.gradients import clip_inward
 from quadjax.core.integrators import INTEGRATORS
-from quadjax.core.materialize import stage, stage_backwards, staged, staged_values
+from quadjax.core.materialize import (
+    call_materialized,
+    call_materialized_forward,
+    materialize,
+    materialize_cotangent,
+)
 from quadjax.core.vectors import Vec3
 from quadjax.race import rules, start
 from quadjax.race.context import StepContext
@@ -91,7 +96,7 @@ class RaceState:
     estimate: Estimate | None = None  # where the observation is estimated; else None
 
 
-def _always(params: RaceParams) -> jax.Array:
+def _opaque_true(params: RaceParams) -> jax.Array:
     """True, in a way that a compiler cannot know; see ``quadjax.core.materialize``."""
     return params.limits.max_steps > 0
 
@@ -154,9 +159,11 @@ def hover_start(
 
 def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
     """The observation (layout.size,); see ``quadjax.race.layout``."""
-    always = _always(params)
-    g = staged(gate, always, params.track, state.target)
-    return jnp.stack(staged(functools.partial(_numbers, choices), always, params, state, g))
+    opaque_true = _opaque_true(params)
+    g = call_materialized(gate, opaque_true, params.track, state.target)
+    return jnp.stack(
+        call_materialized(functools.partial(_numbers, choices), opaque_true, params, state, g)
+    )
 
 
 def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) -> list[jax.Array]:
@@ -177,20 +184,20 @@ def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Arr
     vehicle, model = _vehicle_params(params, state), choices.model
     low, high = model.command_range(vehicle.constants)
     held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
-    always = _always(params)
+    opaque_true = _opaque_true(params)
     # One step of Euler's method starts from the carry of a loop, which is kept anyway.
-    begin = stage_backwards if choices.integrator == "euler" else stage
-    keep = functools.partial(_keep, always)
+    begin = materialize_cotangent if choices.integrator == "euler" else materialize
+    call = functools.partial(_call, opaque_true)
     flown = INTEGRATORS[choices.integrator](
-        lambda drone: model.derivative(vehicle, begin(drone, always), held, keep),
+        lambda drone: model.derivative(vehicle, begin(drone, opaque_true), held, call),
         state.drone,
         params.limits.dt,
     )
     return model.wrap(flown)
 
 
-def _keep(always: jax.Array, function: Callable[..., Kept], *arguments: object) -> Kept:
-    return staged_values(function, always, *arguments)
+def _call(opaque_true: jax.Array, function: Callable[..., Kept], *arguments: object) -> Kept:
+    return call_materialized_forward(function, opaque_true, *arguments)
 
 
 def _finite(drone: State) -> jax.Array:
@@ -247,10 +254,12 @@ def transition(
         The next state, the reward () and the outcome. A state that is not finite is replaced by
         the one before it, so that nothing downstream meets a NaN; the outcome says so.
     """
-    always = _always(params)
-    flown = staged(functools.partial(_fly, choices), always, params, state, action)
-    g = staged(gate, always, params.track, state.target)
-    outcome = staged(functools.partial(evaluate_rules, choices), always, params, state, flown, g)
+    opaque_true = _opaque_true(params)
+    flown = call_materialized(functools.partial(_fly, choices), opaque_true, params, state, action)
+    g = call_materialized(gate, opaque_true, params.track, state.target)
+    outcome = call_materialized(
+        functools.partial(evaluate_rules, choices), opaque_true, params, state, flown, g
+    )
     drone = jax.tree.map(
         lambda new, old: jnp.where(outcome.non_finite, old, new), flown, state.drone
     )

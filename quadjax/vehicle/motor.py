@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
-from quadjax.core.materialize import Keep, call
+from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.vectors import Rotors, Vec3, between
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.protocol import Measurement, Motion, Signal, VehicleModel, VehicleParams
@@ -94,15 +94,15 @@ def angular_acceleration(c: MotorConstants, moment: Vec3, rates: Vec3) -> Vec3:
 
 
 def derivative(
-    params: VehicleParams, state: MotorState, rpm_command: Rotors, keep: Keep = call
+    params: VehicleParams, state: MotorState, rpm_command: Rotors, call: Caller = call_directly
 ) -> MotorState:
     """Time derivative of the state under four rpm commands, as a ``MotorState``.
 
-    ``keep`` calls a function in a way that its values are computed once.
+    ``call`` calls a function in a way that its values are computed once.
     """
     c = params.constants
-    a = keep(attitude, state.euler)
-    body_velocity = keep(world_to_body, a, state.velocity)
+    a = call(attitude, state.euler)
+    body_velocity = call(world_to_body, a, state.velocity)
     rpm_rate = (rpm_command - state.rpm) / c.tau
     force, moment = force_moment(params, state.rpm, rpm_rate, body_velocity, state.rates)
     acceleration = body_to_world(a, force + state.force_ext)

@@ -88,7 +88,7 @@ class VehicleModel:
         constants: flax dataclass of scalars; each field is a number of the vehicle file.
         commands: the command's numbers in order; an action has as many.
         actuators: the actuators' measured state, one group of the observation.
-        derivative: ``(params, state, command, keep) -> state``, the time derivative; ``keep(f,
+        derivative: ``(params, state, command, call) -> state``, the time derivative; ``call(f,
             *arguments)`` is ``f(*arguments)`` with its values computed once, and may be ignored.
         command_range: ``(constants) -> (lowest, highest)`` command.
         actuator_range: ``(constants) -> (lowest, highest)`` actuator state, observed as -1 and 1.

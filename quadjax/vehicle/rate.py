@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
-from quadjax.core.materialize import Keep, call
+from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.vectors import Vec3, between
 from quadjax.vehicle.constants import RateConstants
 from quadjax.vehicle.protocol import Motion, Signal, VehicleModel, VehicleParams
@@ -39,15 +39,15 @@ def nominal_force(c: RateConstants, body_velocity: Vec3, thrust: jax.Array) -> V
 
 
 def derivative(
-    params: VehicleParams, state: RateState, command: RateCommand, keep: Keep = call
+    params: VehicleParams, state: RateState, command: RateCommand, call: Caller = call_directly
 ) -> RateState:
     """Time derivative of the state under a command, as a ``RateState``.
 
-    ``keep`` calls a function in a way that its values are computed once.
+    ``call`` calls a function in a way that its values are computed once.
     """
     c = params.constants
-    a = keep(attitude, state.euler)
-    body_velocity = keep(world_to_body, a, state.velocity)
+    a = call(attitude, state.euler)
+    body_velocity = call(world_to_body, a, state.velocity)
     acceleration = body_to_world(a, nominal_force(c, body_velocity, state.thrust))
     return RateState(
         position=state.velocity,
