@@ -1,4 +1,4 @@
-"""Proof that no input can overflow: exact integer intervals, and an a-priori error bound.
+"""Proof that no input can overflow: exact integer intervals.
 
 Intervals are computed in Python's own integers from the box of inputs on. For every row
 ``|bias| + sum_j |w_ij| max|x_j| < 2**63``, so any order of summation is safe, and for every hidden
@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from quadjax.core.errors import InputError
+from quadjax.export.error_bound import error_bound
 from quadjax.export.fixed import LARGEST_HIDDEN, FixedLayer, FixedNetwork
 from quadjax.export.integers import ONE, WORD
 from quadjax.policy.file import Policy
@@ -29,7 +30,7 @@ class RowRange:
 
 @dataclasses.dataclass(frozen=True)
 class Proof:
-    """What was proven of a network."""
+    """Proven properties of a network."""
 
     rows: tuple[tuple[RowRange, ...], ...]  # per layer
     error_bound: np.ndarray  # (outputs,) |command - real arithmetic|, in the command's unit
@@ -50,7 +51,7 @@ def prove(network: FixedNetwork, policy: Policy) -> Proof:
     """
     low = [-ONE] * network.inputs
     high = [ONE] * network.inputs
-    layers, inactive = [], []
+    layers, inactive, outputs = [], [], []
     for index, layer in enumerate(network.layers):
         hidden = index < len(network.hidden)
         rows = prove_layer(index, layer, low, high, hidden)
@@ -59,8 +60,9 @@ def prove(network: FixedNetwork, policy: Policy) -> Proof:
             low = [max(0, row.low >> WORD) for row in rows]
             high = [max(0, row.high >> WORD) for row in rows]
             inactive.append(sum(value == 0 for value in high))
+            outputs.append((np.array(low, np.float64), np.array(high, np.float64)))
     _prove_output(network, layers[-1])
-    return Proof(tuple(layers), error_bound(network, policy, layers), tuple(inactive))
+    return Proof(tuple(layers), error_bound(network, policy, outputs), tuple(inactive))
 
 
 def prove_layer(
@@ -112,66 +114,3 @@ def _prove_output(network: FixedNetwork, rows: tuple[RowRange, ...]) -> None:
         limit = max(abs(int(network.command_low[number])), abs(int(network.command_high[number])))
         if limit << network.output_shift >= ACCUMULATOR or limit >= 2**31:
             raise InputError(f"layer {index}, row {number}: its clamp does not fit in 63 bits")
-
-
-def error_bound(
-    network: FixedNetwork, policy: Policy, rows: list[tuple[RowRange, ...]]
-) -> np.ndarray:
-    """Bound of |fixed point - real arithmetic| of each command, for every input in the box.
-
-    ``e_i <= sum_j |W_ij| e_j + sum_j |w_ij s_i' - W_ij s_j| y_j + |b_i s_i' - B_i| + s_i / 2``
-    with ``s_i'`` the real value of one unit of the accumulator; ReLU and the clamp enlarge no
-    error. Rounded up at every step by more than float64 can lose.
-    """
-    largest = np.full(network.inputs, float(ONE))
-    scale_in = network.box.ranges / ONE
-    error = scale_in.copy()  # truncation to the input's grid
-    for index, layer in enumerate(network.hidden):
-        kernel, bias = (np.asarray(x, np.float32).astype(np.float64) for x in policy.layers[index])
-        real = layer.bias - 2.0 ** (WORD - 1)
-        unit = layer.scale / 2.0**WORD
-        error = _layer_error(layer, kernel.T, bias, real, unit, scale_in, largest, error)
-        error = _up(error + 0.5 * layer.scale)
-        high = np.array([max(0, row.high >> WORD) for row in rows[index]], np.float64)
-        error = np.where(high == 0, 0.0, error)  # provably inactive in reals as in integers
-        largest, scale_in = high, layer.scale
-    return _output_error(network, policy, scale_in, largest, error)
-
-
-def _output_error(
-    network: FixedNetwork,
-    policy: Policy,
-    scale_in: np.ndarray,
-    largest: np.ndarray,
-    error: np.ndarray,
-) -> np.ndarray:
-    kernel, bias = (np.asarray(x, np.float32).astype(np.float64) for x in policy.layers[-1])
-    half = 0.5 * (policy.command_high - policy.command_low)
-    middle = 0.5 * (policy.command_high + policy.command_low)
-    kernel, bias = kernel * half, bias * half + middle
-    unit = np.full(network.outputs, 2.0 ** -(network.fraction_bits + network.output_shift))
-    real = network.output.bias - 2.0 ** (network.output_shift - 1)
-    total = _layer_error(network.output, kernel.T, bias, real, unit, scale_in, largest, error)
-    return _up(total + 1.5 * 2.0**-network.fraction_bits)
-
-
-def _layer_error(
-    layer: FixedLayer,
-    kernel: np.ndarray,
-    bias: np.ndarray,
-    integer_bias: np.ndarray,
-    unit: np.ndarray,
-    scale_in: np.ndarray,
-    largest: np.ndarray,
-    error: np.ndarray,
-) -> np.ndarray:
-    """The bound before rounding to the output's grid (rows,); kernel is (rows, columns)."""
-    rounding = np.abs(layer.weights * unit[:, None] - kernel * scale_in)
-    rounding = rounding + 2.0**-50 * np.abs(kernel * scale_in)
-    bias_error = np.abs(integer_bias * unit - bias) + 2.0**-50 * np.abs(bias)
-    return _up(np.abs(kernel) @ error + rounding @ largest + bias_error)
-
-
-def _up(values: np.ndarray) -> np.ndarray:
-    """Rounded up by more than the arithmetic that made it can have lost."""
-    return values * (1.0 + 2.0**-40)

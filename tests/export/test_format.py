@@ -34,6 +34,11 @@ def test_error_is_within_the_proven_bound(name):
     assert np.all(error <= 0.5 if policy.vehicle == "motor" else error <= 6e-4)
 
 
+def test_the_bound_of_a_wide_policy_is_below_one_motor_step():
+    policy = made_policy(120)
+    assert prove(convert(policy), policy).error_bound.max() < 0.5
+
+
 def test_proof_bounds_hold_at_the_worst_corner_of_every_first_row():
     policy, network = named_network("motor 64")
     proof = prove(network, policy)
