@@ -20,6 +20,7 @@ from quadjax.vehicle.residual_file import located
 
 DEFAULT_CONFIG = CONFIGS / "e2e_shac.yaml"
 DISTURBANCES = ("moment_x", "moment_y", "moment_z", "force_z")
+STARTS = "start.heading=north"  # with any yaw: the same flights, and self-tests, for every preset
 CONFIG_FILE = "config.yaml"  # of a training run or an exported folder
 
 
@@ -62,7 +63,7 @@ def own_race(
             no sense, or limits that no vehicle of the policy's kind has.
     """
     found, origin = _configuration(policy, file, config)
-    overrides = [*_limits(policy), *_observation(policy)]
+    overrides = [*_limits(policy), *_observation(policy), STARTS]
     if track is not None:
         overrides.append(f"track={track}")
     with _as_file(found) as path:
