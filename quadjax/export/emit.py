@@ -16,7 +16,6 @@ from quadjax.export.estimator_tables import (
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
 from quadjax.export.integers import INPUT_BITS
 from quadjax.export.race_tables import TURNS_PER_UNIT, TWO_PI, YAW_EXPONENT, RaceTables
-from quadjax.export.ranges import UNITS
 from quadjax.export.render import render
 from quadjax.export.selftest import estimator_test, network_test, padded_layers, race_test
 
@@ -141,7 +140,6 @@ def _network_values(
         "network": network,
         "layers": layers,
         "test": network_test(network, layers, observations),
-        "units": UNITS,
         "format_version": FORMAT_VERSION,
         "limits": [_limits(x / 2.0**network.fraction_bits) for x in ends],
     }

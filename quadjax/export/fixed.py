@@ -23,6 +23,7 @@ from quadjax.export.ranges import InputBox, declare
 from quadjax.policy.file import Policy
 
 FORMAT_VERSION = 1
+VEHICLES = ("motor", "rate")  # models whose state and commands the C knows
 LARGEST_HIDDEN = 2**INPUT_BITS - 1
 LARGEST_WEIGHT = 2**31 - 1
 # Scales leave this many units of headroom, and one per column, for the rounding of weights.
@@ -72,9 +73,11 @@ def check_policy(policy: Policy) -> None:
     """Check that the format can represent a policy.
 
     Raises:
-        InputError: an activation other than ReLU, a weight or bias that is not finite, or a motor
-            command that no ``uint16_t`` rpm can hold.
+        InputError: a vehicle model without C, an activation other than ReLU, a weight or bias that
+            is not finite, or a motor command that no ``uint16_t`` rpm can hold.
     """
+    if policy.vehicle not in VEHICLES:
+        raise InputError(f"vehicle model {policy.vehicle!r} has no C, supported: {VEHICLES}")
     if policy.activation != "relu" and len(policy.layers) > 1:
         raise InputError(
             f"layer 0, row 0 and every hidden row: activation {policy.activation!r} is "

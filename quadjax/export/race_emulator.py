@@ -50,6 +50,7 @@ def _inputs(tables: RaceTables, q: np.ndarray, target: np.ndarray) -> list[np.nd
         "rates": lambda: state["rates"],
         "next_position": lambda: tables.next_gate[target, :3],
         "next_yaw": lambda: tables.next_gate[target, 3:],
+        "next_yaw_unwrapped": lambda: tables.next_gate[target, 3:],
     }
     return [
         np.stack([_rescaled(s.rescale, q[:, s.number]) for s in tables.scaled[name]], axis=1)

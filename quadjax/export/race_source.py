@@ -16,6 +16,7 @@ from quadjax.core.resources import CONFIGS
 from quadjax.policy.file import Policy
 from quadjax.race import build
 from quadjax.race.environment import Choices, RaceParams
+from quadjax.race.layout import arranged
 from quadjax.vehicle.residual_file import located
 
 DEFAULT_CONFIG = CONFIGS / "e2e_shac.yaml"
@@ -80,7 +81,10 @@ def own_race(
         loaded = load_config(path, overrides)
         if residual is not None and loaded.vehicle.residual:
             loaded = load_config(path, [*overrides, f"vehicle.residual={residual}"])
-    return OwnRace(build.choices_of(loaded), build.build_params(loaded), loaded, origin)
+    choices = build.choices_of(loaded)
+    layout = arranged(choices.layout, policy.layout, file.name if file else "the policy")
+    choices = dataclasses.replace(choices, layout=layout)
+    return OwnRace(choices, build.build_params(loaded), loaded, origin)
 
 
 def _configuration(

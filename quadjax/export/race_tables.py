@@ -16,6 +16,7 @@ from quadjax.export.fixed import FixedNetwork
 from quadjax.export.integers import ONE
 from quadjax.export.ranges import InputBox
 from quadjax.policy.file import Policy
+from quadjax.race.layout import NONE
 from quadjax.race.track import Track
 
 YAW_EXPONENT = 6  # of the state's yaw: +-64 rad, because an autopilot may not wrap it
@@ -23,14 +24,14 @@ WIND_EXPONENT = 2  # the state's velocity has four times the range of the networ
 TURN_BITS = 56  # one turn is 2^56 of (yaw * TURNS_PER_UNIT)
 TURNS_PER_UNIT = round(2.0**32 / (2.0 * math.pi))  # turns of a yaw in Q24 are its product in Q56
 TWO_PI = round(2.0 * math.pi * ONE)  # Q30
-# Scaled inputs: the state's numbers that each takes (of the external force only z), by field.
-SCALED = {
+# The numbers of the state of scaled fields; of the external force only z is observed.
+SOURCES = {
     "rpm": ("rpm[0]", "rpm[1]", "rpm[2]", "rpm[3]"),
     "thrust": ("thrust",),
     "moment_ext": ("moment_ext[0]", "moment_ext[1]", "moment_ext[2]"),
     "force_ext": ("force_ext[2]",),
 }
-EXTERNAL = ("moment_x", "moment_y", "moment_z", "force_z")
+LARGEST_SPAN = 1e6
 FARTHEST = 15  # exponent of the largest distance of a gate
 
 
@@ -144,7 +145,7 @@ def make_tables(
         scaled={
             field: tuple(
                 Scaled(names.index(name), rescale)
-                for name, rescale in zip(SCALED[field], rescales[field], strict=True)
+                for name, rescale in zip(SOURCES[field], rescales[field], strict=True)
             )
             for field in rescales
         },
@@ -153,27 +154,29 @@ def make_tables(
         gate_sin=np.rint(np.sin(yaw) * ONE).astype(np.int64),
         gate_yaw=np.rint(yaw * ONE).astype(np.int64),
         half_size=np.rint(half.astype(np.float64) * unit).astype(np.int64),
-        next_gate=_next_gates(box, policy, track),
+        next_gate=_next_gates(box, track),
         world_box=world_box,
     )
 
 
-def _next_gates(box: InputBox, policy: Policy, track: Track) -> np.ndarray:
-    """The inputs that a gate alone determines, (gates, 4)."""
-    next_yaw = track.next_yaw
-    if policy.observation.get("wrap_next_yaw") is False:
-        next_yaw = np.roll(track.yaw, -1) - np.asarray(track.yaw)
-    columns = [*track.next_position.components(), next_yaw]
-    values = np.stack([np.asarray(c, np.float64) for c in columns], axis=1)
-    start = box.index("next_position")
-    ranges = box.ranges[start : start + values.shape[1]]
-    for gate, column in np.argwhere(np.abs(values) > ranges):
-        name, value, limit = box.names[start + column], values[gate, column], ranges[column]
-        raise InputError(
-            f"gate {gate}: {name} is {value:.4g}, declared +-{limit:g}; "
-            f"declare more with --range {name.split('[')[0]}={2 * limit:g}"
-        )
-    return np.trunc(values * (ONE / ranges)).astype(np.int64)
+def _next_gates(box: InputBox, track: Track) -> np.ndarray:
+    """The inputs that a gate alone determines: the next gate's position and yaw, (gates, 4)."""
+    plain = np.roll(track.yaw, -1) - np.asarray(track.yaw)
+    values = {
+        "next_position": np.stack([np.asarray(c) for c in track.next_position.components()], 1),
+        "next_yaw": np.asarray(track.next_yaw)[:, None],
+        "next_yaw_unwrapped": plain[:, None],
+    }
+    columns = []
+    for name in [name for name in values if name in box.groups]:
+        numbers, limit = values[name].astype(np.float64), box.limit(name)
+        for gate, column in np.argwhere(np.abs(numbers) > limit):
+            raise InputError(
+                f"gate {gate}: {name} is {numbers[gate, column]:.4g}, declared +-{limit:g}; "
+                f"declare more with --range {name}={2 * limit:g}"
+            )
+        columns.append(np.trunc(numbers * (ONE / limit)).astype(np.int64))
+    return np.concatenate(columns, axis=1)
 
 
 def _state_fields(
@@ -191,32 +194,35 @@ def _state_fields(
         ),
         StateField("rates", "p, q, r, rad/s, body", (box.exponent("rates"),) * 3),
     ]
-    low, high = policy.command_low.tolist(), policy.command_high.tolist()
-    if policy.vehicle == "rate":
-        exponent, thrust = _span(low[3], high[3], box.exponent("thrust"))
+    if "thrust" in policy.layout:
+        [(exponent, thrust)] = _spans(policy, box, "thrust")
         note = "specific thrust along body -z, m/s^2"
         fields.append(StateField("thrust", note, (exponent,)))
         return tuple(fields), {"thrust": [thrust]}
-    spans = [_span(a, b, box.exponent("rpm")) for a, b in zip(low, high, strict=True)]
-    external = _external(policy, [box.exponent("moment_ext")] * 3 + [box.exponent("force_ext")])
+    rpm = _spans(policy, box, "rpm")
+    moment, force = (_external(policy, box, name) for name in ("moment_ext", "force_ext"))
     fields += [
         StateField(
             "rpm",
             "1 front-left, 2 front-right, 3 rear-right, 4 rear-left",
-            tuple(exponent for exponent, _ in spans),
+            tuple(exponent for exponent, _ in rpm),
         ),
-        StateField("moment_ext", "external moment, N m, body", tuple(e for e, _ in external[:3])),
-        StateField("force_ext", "external specific force, m/s^2, body", (external[3][0],) * 3),
+        StateField("moment_ext", "external moment, N m, body", tuple(e for e, _ in moment)),
+        StateField("force_ext", "external specific force, m/s^2, body", (force[0][0],) * 3),
     ]
-    rescales = [rescale for _, rescale in external]
-    return tuple(fields), {
-        "rpm": [rescale for _, rescale in spans],
-        "moment_ext": rescales[:3],
-        "force_ext": rescales[3:],
-    }
+    parts = {"rpm": rpm, "moment_ext": moment, "force_ext": force}
+    return tuple(fields), {name: [rescale for _, rescale in part] for name, part in parts.items()}
 
 
-def _span(low: float, high: float, network: int) -> tuple[int, Rescale]:
+def _spans(policy: Policy, box: InputBox, name: str) -> list[tuple[int, Rescale | None]]:
+    """Exponent and integers of each actuator, over its span or that of its command."""
+    size = policy.layout[name].size
+    commands = zip(policy.command_low.tolist(), policy.command_high.tolist(), strict=True)
+    spans = policy.layout[name].span or tuple(commands)[-size:]
+    return [_span(low, high, box.exponent(name)) for low, high in spans]
+
+
+def _span(low: float, high: float, network: int) -> tuple[int, Rescale | None]:
     """[low, high] to [-1, 1]: the exponent of the state's number, and the integers."""
     reach = max(abs(0.5 * (low + high) + s * 0.5 * (high - low) * 2.0**network) for s in (-1, 1))
     exponent = math.ceil(math.log2(reach))
@@ -226,16 +232,15 @@ def _span(low: float, high: float, network: int) -> tuple[int, Rescale]:
     )
 
 
-def _external(policy: Policy, network: list[int]) -> list[tuple[int, Rescale | None]]:
+def _external(policy: Policy, box: InputBox, name: str) -> list[tuple[int, Rescale | None]]:
     """Exponent and integers of each disturbance; ``None`` where the policy sees zero."""
-    spans = policy.observation.get("disturbance") or {}
-    blind = policy.observation.get("disturbance_input") == "none"
+    field, exponent = policy.layout[name], box.exponent(name)
+    halves = [high for _, high in field.span or ((0.0, 0.0),) * field.size]
     result: list[tuple[int, Rescale | None]] = []
-    for name, exponent in zip(EXTERNAL, network, strict=True):
-        half = spans.get(name, 0.0)
-        if isinstance(half, bool) or not isinstance(half, (int, float)) or not 0 <= half < 1e6:
-            raise InputError(f"meta 'observation': disturbance.{name} is {half!r}, not a range")
-        if blind or half == 0:
+    for half in halves:
+        if not 0 <= half < LARGEST_SPAN:
+            raise InputError(f"the policy's layout: {name} has a span of {half:g}, allowed: 0..1e6")
+        if field.source == NONE or half == 0:
             result.append((0, None))
             continue
         state = math.ceil(math.log2(half * 2.0**exponent))

@@ -8,53 +8,19 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
 
-# What the inputs of a policy are, in order: name and how many numbers.
-LAYOUT = {
-    "motor": (
-        ("position", 3),
-        ("velocity", 3),
-        ("attitude", 3),
-        ("rates", 3),
-        ("rpm", 4),
-        ("next_position", 3),
-        ("next_yaw", 1),
-        ("moment_ext", 3),
-        ("force_ext", 1),
-    ),
-    "rate": (
-        ("position", 3),
-        ("velocity", 3),
-        ("attitude", 3),
-        ("rates", 3),
-        ("thrust", 1),
-        ("next_position", 3),
-        ("next_yaw", 1),
-    ),
+# Numbers of each field that the exported C can compute.
+PLAIN = {
+    "position": 3,
+    "velocity": 3,
+    "attitude": 3,
+    "rates": 3,
+    "next_position": 3,
+    "next_yaw": 1,
+    "next_yaw_unwrapped": 1,
 }
-UNITS = {
-    "position": "m",
-    "velocity": "m/s",
-    "attitude": "rad",
-    "rates": "rad/s",
-    "rpm": "of its range",
-    "thrust": "of its range",
-    "next_position": "m",
-    "next_yaw": "rad",
-    "moment_ext": "of its range",
-    "force_ext": "of its range",
-}
-DEFAULTS = {
-    "position": 8.0,
-    "velocity": 16.0,
-    "attitude": 4.0,
-    "rates": 16.0,
-    "rpm": 2.0,
-    "thrust": 2.0,
-    "next_position": 8.0,
-    "next_yaw": 4.0,
-    "moment_ext": 2.0,
-    "force_ext": 2.0,
-}
+SCALED = {"rpm": 4, "thrust": 1, "moment_ext": 3, "force_ext": 1}  # to [-1, 1] over their spans
+POSE = ("position", "velocity", "attitude", "rates", "next_position")
+NEEDED = {"motor": (*POSE, "rpm", "moment_ext", "force_ext"), "rate": (*POSE, "thrust")}
 SMALLEST, LARGEST = 2.0**-20, 2.0**20
 
 
@@ -64,6 +30,7 @@ class InputBox:
 
     names: tuple[str, ...]
     exponents: tuple[int, ...]
+    units: tuple[str, ...]
 
     @property
     def ranges(self) -> np.ndarray:
@@ -79,7 +46,7 @@ class InputBox:
                 group = name.split("[")[0]
                 groups[group] = max(groups.get(group, 0.0), float(value))
         return [
-            f"{group} reaches {value:.4g} {UNITS[group]}, declared "
+            f"{group} reaches {value:.4g} {self.units[self.index(group)]}, declared "
             f"+-{self.ranges[self.index(group)]:g}"
             for group, value in groups.items()
         ]
@@ -121,28 +88,34 @@ def power_of_two(name: str, value: float) -> int:
 
 
 def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputBox:
-    """The box of a policy: the defaults, and what overrides them by the name of the inputs.
-
-    Where the policy was trained on a next-gate yaw that is not wrapped (its observation says
-    ``wrap_next_yaw: false``), that input's default is 8 rad.
+    """The box of a policy: the ranges of its layout, and what overrides them by field.
 
     Raises:
-        InputError: an override of an unknown name or that is not a power of two.
+        InputError: a field that the C cannot compute or lacks, an override of an unknown name, or a range
+            that is not a power of two.
     """
-    layout = LAYOUT[policy.vehicle]
-    ranges = {name: DEFAULTS[name] for name, _ in layout}
-    if policy.observation.get("wrap_next_yaw") is False:
-        ranges["next_yaw"] = 8.0
+    fields = policy.layout.fields
+    for field in fields:
+        if (PLAIN | SCALED).get(field.name) != field.size:
+            raise InputError(
+                f"the policy observes {field.name!r} ({field.size} numbers), which has no C; "
+                f"supported: {', '.join(f'{n} ({k})' for n, k in (PLAIN | SCALED).items())}"
+            )
+    missing = [name for name in NEEDED[policy.vehicle] if name not in policy.layout]
+    if missing:
+        raise InputError(f"the policy does not observe {missing[0]!r}, which the exported C needs")
+    ranges = {field.name: float(field.range) for field in fields}
     for name, value in (overrides or {}).items():
         if name not in ranges:
             raise InputError(f"range {name}={value:g}: unknown name, allowed: {list(ranges)}")
         ranges[name] = value
-    names, exponents = [], []
-    for name, count in layout:
-        exponent = power_of_two(name, ranges[name])
-        names += [f"{name}[{i}]" if count > 1 else name for i in range(count)]
-        exponents += [exponent] * count
-    return InputBox(tuple(names), tuple(exponents))
+    exponents = {name: power_of_two(name, value) for name, value in ranges.items()}
+    sizes = [field for field in fields for _ in range(field.size)]
+    return InputBox(
+        names=policy.layout.labels,
+        exponents=tuple(exponents[field.name] for field in sizes),
+        units=tuple("of its range" if f.name in SCALED else f.unit for f in sizes),
+    )
 
 
 def parse_overrides(words: list[str]) -> dict[str, float]:

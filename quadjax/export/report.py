@@ -8,7 +8,6 @@ from quadjax.export import emulator
 from quadjax.export.conversion import Converted, Request
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
 from quadjax.export.integers import WORD, enable_x64
-from quadjax.export.ranges import UNITS
 from quadjax.export.render import render
 from quadjax.policy.file import Policy
 
@@ -40,8 +39,8 @@ def make_report(converted: Converted, request: Request) -> Json:
         "format_version": FORMAT_VERSION,
         "vehicle": network.vehicle,
         "inputs": [
-            {"name": name, "range": float(limit), "unit": UNITS[name.split("[")[0]]}
-            for name, limit in zip(box.names, box.ranges, strict=True)
+            {"name": name, "range": float(limit), "unit": unit}
+            for name, limit, unit in zip(box.names, box.ranges, box.units, strict=True)
         ],
         "fraction_bits": network.fraction_bits,
         "command_low": (network.command_low / unit).tolist(),

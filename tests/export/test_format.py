@@ -13,7 +13,7 @@ from quadjax.export.integers import ONE
 from quadjax.export.proof import prove
 from quadjax.export.ranges import declare, parse_overrides
 from quadjax.export.report import float64_commands
-from quadjax.race.layout import make_layout
+from quadjax.race.layout import Field, Layout, make_layout
 from quadjax.vehicle.motor import MODEL
 from tests.export.support import POLICIES, made_policy, named_network
 
@@ -115,6 +115,18 @@ def test_ranges_are_powers_of_two_of_known_names():
         parse_overrides(["velocity"])
     unwrapped = dataclasses.replace(policy, layout=make_layout(MODEL, wrap_next_yaw=False))
     assert declare(unwrapped).ranges[19] == 8.0
+
+
+def test_refuses_observations_without_c():
+    policy = made_policy(8)
+    fields = policy.layout.fields
+    extra = dataclasses.replace(policy, layout=Layout((*fields, Field("wind", 2, "m/s", "body"))))
+    with pytest.raises(InputError, match="observes 'wind' .2 numbers., which has no C"):
+        declare(extra)
+    with pytest.raises(InputError, match="does not observe 'position'"):
+        declare(dataclasses.replace(policy, layout=Layout(fields[1:])))
+    with pytest.raises(InputError, match="vehicle model 'own' has no C"):
+        convert(dataclasses.replace(policy, vehicle="own"))
 
 
 def test_refuses_a_range_that_flights_leave():

@@ -32,8 +32,8 @@ extern "C" {
 
 /*
  * Inputs, in this order, each within its declared range:
-{% for name, limit in zip(network.box.names, network.box.ranges) %}
- * ${"%3d  %-17s" % (loop.index0, name)} +-${limit | number} ${units[name.split("[")[0]]}
+{% for name, limit, unit in zip(network.box.names, network.box.ranges, network.box.units) %}
+ * ${"%3d  %-17s" % (loop.index0, name)} +-${limit | number} ${unit}
 {% endfor %}
  */
 

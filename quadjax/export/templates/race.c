@@ -156,7 +156,7 @@ ${name}_race_status ${name}_observe(const ${name}_state *state, uint32_t target,
 {% for k in range(3) %}
   q[${i + k}] = g->next[${k}];
 {% endfor %}
-{% elif field == "next_yaw" %}
+{% elif field in ("next_yaw", "next_yaw_unwrapped") %}
   q[${i}] = g->next[3];
 {% endif %}
 {% endfor %}
