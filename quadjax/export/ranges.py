@@ -91,8 +91,8 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     """The box of a policy: the ranges of its layout, and what overrides them by field.
 
     Raises:
-        InputError: a field that the C cannot compute or lacks, an override of an unknown name, or a range
-            that is not a power of two.
+        InputError: a field that the C cannot compute or lacks, an override of an unknown name, or
+            a range that is not a power of two.
     """
     fields = policy.layout.fields
     for field in fields:

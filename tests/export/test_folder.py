@@ -55,8 +55,8 @@ def export(folder, vehicle="motor"):
     config, track = folder / "config.yaml", folder / "triangle.yaml"
     track.write_text(TRACK)
     config.write_text(
-        f"base: {CONFIGS / 'e2e.yaml'}\nepisode: {{gate_test: world_box}}\nvehicle:\n"
-        f"  residual: {folder / 'made_up.npz'}\n  motor: {{k_h: 0.0, k_r2: 0.0}}\n"
+        f"base: {CONFIGS / 'e2e.yaml'}\nrules: {{gate_test: world_box}}\nvehicle:\n"
+        f"  residual: {folder / 'made_up.npz'}\n  constants: {{k_h: 0.0, k_r2: 0.0}}\n"
     )
     export_c(policy, out, config, WIDE, "made", track=str(track), allow_unfinished=True)
     for path in (config, track, folder / "made_up.npz", policy):
