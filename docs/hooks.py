@@ -18,10 +18,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def config_page() -> str:
     """Every key of a training config, by section."""
-    try:
-        from quadjax.config.reference import markdown
-    except ImportError:
-        return "# Config keys\n"
+    from quadjax.config.reference import markdown
+
     return markdown()
 
 

@@ -157,8 +157,8 @@ def _build(tree: Tree, source: str) -> Config:
         raise InputError(f"{source}: vehicle is {short(vehicle)}, allowed: a mapping")
     if not isinstance(learner, dict):
         raise InputError(f"{source}: learner is {short(learner)}, allowed: a mapping")
-    schedules = tree.get("schedules", {})
-    if isinstance(schedules, dict):  # null removes a schedule
+    schedules = {} if tree.get("schedules") is None else tree["schedules"]
+    if isinstance(schedules, dict):  # null removes a schedule; schedules=null removes all
         schedules = {key: value for key, value in schedules.items() if value is not None}
     tree = {
         **tree,

@@ -115,6 +115,7 @@ def test_schedules_are_merged_and_removed():
     assert config.schedules["learner.std"].until == 1.0
     again = load_config("e2e_fastest", ["schedules={learner.std: null, reward.gate_edge: null}"])
     assert set(again.schedules) == {"learner.learning_rate", "learner.critic_learning_rate"}
+    assert load_config("e2e_fastest", ["schedules=null"]).schedules == {}
 
 
 def test_a_vehicle_and_a_track_next_to_the_config(tmp_path):

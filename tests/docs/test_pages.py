@@ -39,7 +39,7 @@ def test_links_lead_somewhere(page):
         if file.is_relative_to(ROOT) and file.relative_to(ROOT).as_posix() in GENERATED:
             continue
         assert file.exists(), f"{name_of(page)}: {target}"
-        if anchor and file.suffix == ".md":
+        if anchor and file.suffix == ".md" and not anchor.startswith("quadjax."):
             assert anchor in anchors_of(file.read_text(encoding="utf-8")), target
 
 

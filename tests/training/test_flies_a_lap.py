@@ -1,0 +1,32 @@
+"""A short training ends with a policy that flies laps."""
+
+import numpy as np
+
+import quadjax
+
+TRACK = """
+name: wide
+gates:
+  - {position: [2.0, -1.5, -2.0], yaw_deg: 45.0, size: [3.0, 3.0]}
+  - {position: [2.0, 1.5, -2.0], yaw_deg: 135.0, size: [3.0, 3.0]}
+  - {position: [-2.0, 1.5, -2.0], yaw_deg: 225.0, size: [3.0, 3.0]}
+  - {position: [-2.0, -1.5, -2.0], yaw_deg: 315.0, size: [3.0, 3.0]}
+"""
+
+
+def test_a_policy_flies_after_two_million_steps(tmp_path):
+    (tmp_path / "wide.yaml").write_text(TRACK, encoding="utf-8")
+    overrides = [
+        f"track={tmp_path / 'wide.yaml'}",
+        "start.heading=north",
+        "training_limits.gate_inflation=0",
+        "schedules=null",
+        "run.steps=2000000",
+        "run.evaluate_every=500000",
+        "run.devices=1",
+    ]
+    config = quadjax.load("e2e_shac", overrides)
+    run = quadjax.train(config, folder=tmp_path / "run")
+    laps = quadjax.evaluate(run.policy, config, laps=2, runs=3, deterministic=True)
+    assert np.all(np.isfinite(laps.totals))
+    assert np.max(laps.lap_times) < 5.0  # s; it flies 3 s
