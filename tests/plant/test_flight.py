@@ -18,7 +18,7 @@ EXACT = PLANT.replace(navigation="ground_truth")
 
 
 def flown(name: str, plant: PlantConfig):
-    config = load_config(CONFIGS / "e2e.yaml")
+    config = load_config("e2e")
     policy = Policy.load(PRETRAINED / name)
     return config, fly_plan(plan_flights(config, plant, policy, name, 1, 2, 2), seed=3)
 
@@ -33,8 +33,10 @@ def indi():
     return flown("indi_shac.npz", EXACT)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["e2e", "indi"])
+E2E = pytest.param("e2e", marks=pytest.mark.slow)  # compiles the Kalman filter
+
+
+@pytest.mark.parametrize("name", [E2E, "indi"])
 def test_a_policy_flies_a_lap(name, request):
     _, flights = request.getfixturevalue(name)
     assert flights.laps.lap_times.shape == (2, 1)
@@ -46,17 +48,17 @@ def test_a_policy_flies_a_lap(name, request):
         assert np.linalg.norm(flight.position[-1] - last_gate) < 1.0
 
 
-@pytest.mark.parametrize(("name", "low", "high"), [("e2e", 1e-5, 0.05), ("indi", 0.0, 0.05)])
-def test_policies_observe_estimates(name, low, high, request):
-    """Close to the true position and not equal; of the ground truth one sample late."""
+@pytest.mark.parametrize("name", [E2E, "indi"])
+def test_policies_observe_estimates(name, request):
+    """Close to the true position and not equal: of the ground truth, one sample late."""
     _, flights = request.getfixturevalue(name)
     estimated, true = flights.frames.estimated.position, flights.frames.true.position
     error = np.abs(rows(flights, estimated, 0) - rows(flights, true, 0))
-    assert low < error.mean() < high and error.max() < 0.1
+    assert 1e-5 < error.mean() < 0.05 and error.max() < 0.1
 
 
-def test_logs_are_written_by_policy_and_the_fit_reads_them(e2e, tmp_path):
-    race, _ = e2e
+def test_logs_are_written_by_policy_and_the_fit_reads_them(indi, tmp_path):
+    race, _ = indi
     written = write_logs(
         race, EXACT, [PRETRAINED / "indi_shac.npz"], tmp_path, flights=2, laps=1, seed=3
     )
@@ -70,8 +72,8 @@ def test_logs_are_written_by_policy_and_the_fit_reads_them(e2e, tmp_path):
     assert np.abs(log.specific_force[:, 2].mean()) > 5.0
 
 
-def test_logged_positions_are_the_estimated_ones(e2e):
-    race, flights = e2e
+def test_logged_positions_are_the_estimated_ones(indi):
+    race, flights = indi
     log = log_quantities(flights, 0, gate_centers(race))
     np.testing.assert_array_equal(
         log["position"], rows(flights, flights.frames.estimated.position, 0)
@@ -79,11 +81,10 @@ def test_logged_positions_are_the_estimated_ones(e2e):
     np.testing.assert_allclose(log["target_gate"][0], gate_centers(race)[0])
 
 
-@pytest.mark.slow
-def test_the_race_is_the_policys_own(e2e):
-    config, _ = e2e
+def test_the_race_is_the_policys_own():
+    config = load_config("e2e")
     policy = Policy.load(PRETRAINED / "indi.npz")
     race = race_config(config, policy)
-    assert race.vehicle.model == "rate" and race.observation.disturbance == "true"
+    assert race.vehicle.model == "rate" and race.observation.disturbance == "ground_truth"
     widths = random_policy(observation={"disturbance": {"moment_x": 0.03}})
     assert race_config(config, widths).disturbance.moment_x == 0.03
