@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from quadjax.cli.arguments import Parser, add_config, add_output, count, parse
-from quadjax.core.errors import INTERRUPTED, InputError
+from quadjax.core.errors import INTERRUPTED
+from quadjax.core.folders import claim
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
@@ -54,11 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         study = studies.open_study(sweep, directory, run=False)
         print(write_report(study, sweep, directory))
         return 0
-    if (directory / "checkpoints").exists():
-        raise InputError(f"{directory} holds a training run; choose another name=NAME")
     from quadjax.sweeps.run import make_executor, run_sweep
 
-    with studies.locked(directory):
+    with claim(directory, "sweep"):
         if words.overwrite:
             studies.delete_study(sweep, directory)
             _remove(directory)

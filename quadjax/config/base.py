@@ -68,6 +68,7 @@ __all__ = [
     "read_yaml",
     "short",
     "to_yaml",
+    "value_at",
 ]
 
 _UNION_TAG = re.compile(r"int|float|str|bool|(literal|tuple|constrained|function)\b.*")
@@ -273,6 +274,23 @@ def _number(bound: float) -> str:
         if abs(bound) in {1e5, 1e6, 1e7, 1e8, 1e9, 1e12}
         else str(bound)
     )
+
+
+def value_at(section: Section, key: str) -> object:
+    """A section's value of a dotted key; 1.0 for a factor that a mapping does not list.
+
+    Raises:
+        InputError: no such key, or a section.
+    """
+    node: object = section
+    for part in key.split("."):
+        known = node if isinstance(node, Mapping) else getattr(node, "__dict__", {})
+        if part not in known and not isinstance(node, Mapping):
+            raise InputError(f"{key}: unknown key; allowed there: {', '.join(known)}")
+        node = known.get(part, 1.0)
+    if isinstance(node, Section):
+        raise InputError(f"{key}: is a section of the keys {', '.join(vars(node))}")
+    return node
 
 
 class KeyInfo(NamedTuple):

@@ -163,6 +163,22 @@ def merge_trees(under: Tree, over: Tree) -> Tree:
     return merged
 
 
+def flatten(tree: Mapping[str, object], leaf: Sequence[str] = ()) -> Tree:
+    """The values of nested mappings by dotted key; lists and empty mappings are values.
+
+    Args:
+        tree: the mapping.
+        leaf: a mapping with any of these keys is a value too.
+    """
+    flat: Tree = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping) and value and not any(name in value for name in leaf):
+            flat |= {f"{key}.{name}": item for name, item in flatten(value, leaf).items()}
+        else:
+            flat[key] = value
+    return flat
+
+
 def parse_overrides(overrides: Sequence[str]) -> Tree:
     """``key=value`` overrides with dotted keys, as a tree; each value is read as YAML.
 

@@ -47,6 +47,15 @@ class Laps:
             return math.inf
         return float(np.nan_to_num(self.totals, nan=self.time_limit).mean())
 
+    @property
+    def penalized(self) -> float:
+        """Mean time of all laps, s; each lap not flown counts its share of the time limit.
+
+        Finite where no run finishes, and lower for runs that crash later.
+        """
+        penalty = self.time_limit / self.lap_times.shape[1]
+        return float(np.nan_to_num(self.lap_times, nan=penalty).sum(axis=1).mean())
+
     def laps_flown(self) -> np.ndarray:
         """How many laps each run flew, (runs,)."""
         return np.isfinite(self.lap_times).sum(axis=1)

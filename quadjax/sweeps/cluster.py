@@ -1,5 +1,6 @@
 """Trials as Ray tasks on a running cluster, with the CPUs and GPUs that each asks for."""
 
+import os
 import uuid
 from typing import Any, Self
 
@@ -18,14 +19,14 @@ POLL_SECONDS = 0.5
 
 
 class Mailbox:
-    """Reports of running trials on their way to the sweep, and its answers; a Ray actor."""
+    """Reports of running trials and the answer whether to stop; a Ray actor."""
 
     def __init__(self) -> None:
         self._reports: dict[str, list[tuple[int, float]]] = {}
         self._stopped: set[str] = set()
 
     def tell(self, trial: str, step: int, value: float) -> bool:
-        """Keep a report; returns whether the trial is to stop."""
+        """Store a report; returns whether the trial is to stop."""
         self._reports.setdefault(trial, []).append((step, value))
         return trial in self._stopped
 
@@ -34,12 +35,13 @@ class Mailbox:
         return self._reports.pop(trial, [])
 
     def stop(self, trial: str) -> None:
-        """Answer that a trial is to stop."""
+        """Answer from now on that a trial is to stop."""
         self._stopped.add(trial)
 
 
-def _task(function: Function, job: Job, trial: str, mailbox: Any) -> Outcome:
-    """A trial in a Ray worker."""
+def _task(function: Function, job: Job, trial: str, mailbox: Any, gpus: float) -> Outcome:
+    if gpus < 1:  # JAX takes three quarters of a GPU's memory unless told otherwise
+        os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", f"{0.9 * gpus:.3f}")
 
     def tell(step: int, value: float) -> bool:
         return ray.get(mailbox.tell.remote(trial, step, value))
@@ -51,11 +53,7 @@ class RayExecutor:
     """Tasks on a Ray cluster. The output folder must be on a file system that all nodes share."""
 
     def __init__(self, asked: Executor, function: Function) -> None:
-        """Connect to the cluster.
-
-        Raises:
-            InputError: Ray is not installed, no cluster answers, or no node has room for a trial.
-        """
+        """Connect to the cluster; ``InputError`` where none answers or has room for a trial."""
         if ray is None:
             raise InputError("executor.kind is ray: pip install 'quadjax[ray]'")
         if not ray.is_initialized():
@@ -68,21 +66,16 @@ class RayExecutor:
         room = sum(_room(node["Resources"], each) for node in ray.nodes() if node["Alive"])
         if not room:
             raise InputError(f"executor: no node has {asked.cpus:g} CPUs and {asked.gpus:g} GPUs")
-        self.workers, self._function = asked.workers or room, function
+        self.workers, self._function, self._gpus = asked.workers or room, function, asked.gpus
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
         self._mailbox = ray.remote(Mailbox).options(num_cpus=0, scheduling_strategy=here).remote()
-        # No retries by Ray: a trial whose node died goes back to the study's queue.
-        task = ray.remote(_task)
-        self._task = task.options(num_cpus=asked.cpus, num_gpus=asked.gpus, max_retries=0)
+        needs = {"num_cpus": asked.cpus, "num_gpus": asked.gpus}
+        self._task = ray.remote(_task).options(**needs, max_retries=0)  # the study retries
 
     def run(self, job: Job, tell: Tell) -> Outcome:
-        """Run a trial where the cluster has room; called by several threads.
-
-        Raises:
-            WorkerDied: the task's process or node is gone.
-        """
+        """Run a trial where the cluster has room; ``WorkerDied`` if its process or node dies."""
         trial = uuid.uuid4().hex
-        task = self._task.remote(self._function, job, trial, self._mailbox)
+        task = self._task.remote(self._function, job, trial, self._mailbox, self._gpus)
         try:
             while not ray.wait([task], timeout=POLL_SECONDS)[0]:
                 reports = ray.get(self._mailbox.take.remote(trial))

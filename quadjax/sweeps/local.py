@@ -15,6 +15,7 @@ from quadjax.core.errors import InputError
 from quadjax.sweeps.schema import Executor
 from quadjax.sweeps.trial import Job, Outcome, Tell
 
+CONTEXT = get_context("spawn")  # JAX does not survive a fork
 Function = Callable[[Job, Tell], Outcome]
 
 
@@ -23,7 +24,7 @@ class WorkerDied(RuntimeError):
 
 
 class LocalExecutor:
-    """A worker process for each core; with GPUs, a worker for each GPU or share of one."""
+    """A worker process for each core, on the CPU; GPUs are Ray's."""
 
     def __init__(self, asked: Executor, function: Function, logs: Path) -> None:
         """Processes start with their first trial; ``InputError`` for more than there are cores."""
@@ -38,14 +39,10 @@ class LocalExecutor:
         self._function = function
         self._free: queue.Queue[Worker] = queue.Queue()
         for i, core in enumerate(cores[: self.workers]):
-            self._free.put(Worker(core, gpu_environment(asked.gpus, i), logs / f"worker{i}.log"))
+            self._free.put(Worker(core, logs / f"worker{i}.log"))
 
     def run(self, job: Job, tell: Tell) -> Outcome:
-        """Run a trial on a free worker; called by as many threads as there are workers.
-
-        Raises:
-            WorkerDied: the worker's process ended before the trial.
-        """
+        """Run a trial on a free worker; ``WorkerDied`` if its process ends before the trial."""
         worker = self._free.get()
         try:
             return worker.run(self._function, job, tell)
@@ -57,45 +54,39 @@ class LocalExecutor:
 
     def __exit__(self, *error: object) -> None:
         while not self._free.empty():
-            self._free.get().close()
+            self._free.get().pipe.close()  # its process ends
 
 
 class Worker:
     """A process that runs one trial after another."""
 
-    def __init__(self, core: int, environment: dict[str, str], log: Path) -> None:
-        self._arguments, self._log = (core, environment, str(log)), log
-        self._process = None
+    def __init__(self, core: int, log: Path) -> None:
+        self._arguments, self._process = (core, str(log)), None
+        self.pipe = CONTEXT.Pipe()[0]
 
     def run(self, function: Function, job: Job, tell: Tell) -> Outcome:
         """Run a trial, in a new process where the last one has ended."""
         if self._process is None or not self._process.is_alive():
-            context = get_context("spawn")  # JAX does not survive a fork
-            self._pipe, other = context.Pipe()
-            self._process = context.Process(target=_serve, args=(other, *self._arguments))
-            self._process.daemon = True
+            self.pipe, other = CONTEXT.Pipe()
+            arguments = (other, *self._arguments)
+            self._process = CONTEXT.Process(target=_serve, args=arguments, daemon=True)
             self._process.start()
             other.close()
         try:
-            self._pipe.send((function, job))
-            while not isinstance(message := self._pipe.recv(), Outcome):
-                self._pipe.send(tell(*message))
+            self.pipe.send((function, job))
+            while not isinstance(message := self.pipe.recv(), Outcome):
+                self.pipe.send(tell(*message))
         except (EOFError, OSError):
             self._process.join()
-            code = self._process.exitcode
-            raise WorkerDied(f"worker died (exit code {code}; see {self._log})") from None
+            reason = f"exit code {self._process.exitcode}; see {self._arguments[-1]}"
+            raise WorkerDied(f"worker died ({reason})") from None
         return message
 
-    def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._pipe.close()
 
-
-def _serve(pipe: Connection, core: int, environment: dict[str, str], log: str) -> None:
+def _serve(pipe: Connection, core: int, log: str) -> None:
     """The main function of a worker: runs trials until the other end of the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C, the parent says when to stop
-    os.environ.update(environment)
+    os.environ["JAX_PLATFORMS"] = "cpu"
     if hasattr(process := psutil.Process(), "cpu_affinity"):
         process.cpu_affinity([core])
     stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
@@ -115,16 +106,3 @@ def _serve(pipe: Connection, core: int, environment: dict[str, str], log: str) -
             pipe.send(function(job, tell))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
-
-
-def gpu_environment(gpus: float, index: int) -> dict[str, str]:
-    """Environment variables that give a worker its GPUs, or its share of one; none: the CPU."""
-    if not gpus:
-        return {"JAX_PLATFORMS": "cpu"}
-    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
-    names = visible.split(",") if visible else [str(i) for i in range(1024)]
-    first = int(index * gpus + 1e-9)
-    environment = {"CUDA_VISIBLE_DEVICES": ",".join(names[first : first + max(1, int(gpus))])}
-    if gpus < 1:
-        environment["XLA_PYTHON_CLIENT_MEM_FRACTION"] = f"{0.9 * gpus:.3f}"
-    return environment

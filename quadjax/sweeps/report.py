@@ -3,7 +3,6 @@
 import csv
 import io
 import math
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from quadjax.sweeps.sweep import Sweep, tree_of
 FrozenTrial = optuna.trial.FrozenTrial
 
 SHOWN = 10  # trials of the printed table
-ORDER = (State.COMPLETE, State.PRUNED, State.FAIL)
+STATES = {State.COMPLETE: "complete", State.PRUNED: "pruned", State.FAIL: "failed"}
 TITLES = ("trial", "state", "median", "seeds", "finished", "wall s", "host")
 
 
@@ -24,39 +23,35 @@ def results_of(study: optuna.Study) -> list[FrozenTrial]:
     """The trials that are over: complete ones by value, then pruned ones, then failed ones."""
     trials = latest_trials(study).values()
     over = [t for t in trials if t.state in OVER or "error" in t.user_attrs]
-    return sorted(
-        over, key=lambda t: (ORDER.index(t.state), math.inf if t.value is None else t.value)
-    )
+    value = {t.number: math.inf if t.value is None else t.value for t in over}
+    return sorted(over, key=lambda t: ([*STATES].index(t.state), value[t.number]))
 
 
 def importances(study: optuna.Study) -> dict[str, float]:
-    """The share of the value that each key explains; empty where there are too few trials.
+    """The share of the value that each key explains, by PED-ANOVA (Watanabe et al., 2023).
 
-    By Optuna's PED-ANOVA (Watanabe et al., 2023), over complete trials.
+    Over complete trials; empty where there are too few.
     """
     if len({t.value for t in study.get_trials(False, (State.COMPLETE,))}) < 3:
         return {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-            return optuna.importance.get_param_importances(study, evaluator=evaluator)
-        except (RuntimeError, ValueError):
-            return {}
+    try:
+        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
+        return optuna.importance.get_param_importances(study, evaluator=evaluator)
+    except (RuntimeError, ValueError):
+        return {}
 
 
 def rows_of(results: Sequence[FrozenTrial], keys: Sequence[str]) -> list[list[str]]:
     """A table with a line of titles and a line for each trial; times in s."""
     rows = [[*TITLES, *keys, "error"]]
     for t in results:
-        own, state = t.user_attrs, {State.FAIL: "failed"}.get(t.state, t.state.name.lower())
+        own = {"values": (), "finished": 0.0, "seconds": "", "host": "", "error": ""} | t.user_attrs
         value = "" if t.value is None else f"{t.value:.3f}"
-        seeds = " ".join(f"{value:.3f}" for value in own.get("values", ()))
-        measured = [value, seeds, f"{own.get('finished', 0.0):.2f}", str(own.get("seconds", ""))]
+        seeds = " ".join(f"{value:.3f}" for value in own["values"])
+        measured = [value, seeds, f"{own['finished']:.2f}", str(own["seconds"]), own["host"]]
         params = [t.params.get(key, "") for key in keys]
         texts = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in params]
-        host, error = own.get("host", ""), own.get("error", "")
-        rows.append([str(own["index"]), state, *measured, host, *texts, error])
+        rows.append([str(own["index"]), STATES[t.state], *measured, *texts, own["error"]])
     return rows
 
 
@@ -67,11 +62,7 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
 
 
 def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
-    """Write the report into the sweep's folder; returns what to print.
-
-    ``trials.csv`` and ``report.md``; and, if a flight finished, ``best.yaml``, ``parallel.png`` and
-    ``slices.png``.
-    """
+    """Write the report into the sweep's folder; returns what to print."""
     results = results_of(study)
     rows = rows_of(results, sweep.keys)
     stream = io.StringIO()
@@ -80,21 +71,19 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     found = sorted(importances(study).items(), key=lambda item: -item[1])
     explained = "Importances need three complete trials of different values."
     if found:
-        table = [("key", "importance"), *((key, f"{share:.2f}") for key, share in found)]
-        explained = markdown(table)
-    asked = sweep.file.objective
-    head = (
-        f"# {sweep.file.name}\n\n{len(results)} trials of {sweep.trials}; "
-        f"{sweep.file.search.method}; median over {asked.seeds} seeds of {asked.measure}, s. "
-        f"Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
-    )
+        explained = markdown([("key", "importance"), *((key, f"{x:.2f}") for key, x in found)])
+    name, asked = sweep.file.name, sweep.file.objective
+    head = f"# {name}\n\n{len(results)} trials of {sweep.trials}; {sweep.file.search.method}; "
+    head += f"median over {asked.seeds} seeds of {asked.measure}, s. "
+    head += f"Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
     flown = [t for t in results if t.state == State.COMPLETE and t.user_attrs["finished"]]
     last = "No policy finished a flight: every value is the penalty. Train for more steps."
     if flown:
         best = flown[0]
-        config = sweep.config_of(best.params, f"name={sweep.file.name}_best")
-        values = f"{asked.measure} {best.value:.3f} s (seeds: {best.user_attrs['values']})"
-        title = f"# The best trial of {sweep.file.name}: {best.user_attrs['index']}, {values}.\n"
+        config = sweep.config_of(best.params, f"name={name}_best")
+        title = (
+            f"# Trial {best.user_attrs['index']} of {name}: {asked.measure} {best.value:.3f} s\n"
+        )
         write_text(directory / "best.yaml", title + to_yaml(tree_of(config)))
         draw(study, directory)
         last = f"best config: quadjax train {directory / 'best.yaml'}"
@@ -104,10 +93,9 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
 
 
 def draw(study: optuna.Study, directory: Path) -> None:
-    """Optuna's figures of the complete trials in which every flight finished.
+    """Optuna's figures of the trials in which every flight finished, or any if there is none.
 
-    Where there is none, of those in which a flight finished. The penalty of a crash is far from
-    every lap time and would set the scale.
+    The penalty of a crash is far from every lap time and would set the scale.
     """
     from quadjax.evaluation.figures import save_figure
 
@@ -117,9 +105,7 @@ def draw(study: optuna.Study, directory: Path) -> None:
     shown.add_trials(every or complete)
     plots = optuna.visualization.matplotlib
     for name, plot in (("parallel", plots.plot_parallel_coordinate), ("slices", plots.plot_slice)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            axes = plot(shown, target=lambda t: t.value, target_name="median (s)")
+        axes = plot(shown, target=lambda t: t.value, target_name="median (s)")
         axes = axes if hasattr(axes, "figure") else axes[0]
         axes.figure.set_size_inches(max(8.0, 3.0 * len(study.trials[0].params)), 4.5)
         save_figure(axes.figure, directory / f"{name}.png")

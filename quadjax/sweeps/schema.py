@@ -55,9 +55,6 @@ class Objective(Section):
     flights: int = Field(16, ge=1, le=100_000, description="timed flights from hover, per seed")
     deterministic: bool = Field(False, description="fly the mean action instead of samples")
     policy: Literal["best", "last"] = Field("best", description="which policy of a run flies")
-    missing_lap: float | None = Field(
-        None, gt=0, le=1e6, description="s for each lap not flown; null: the track's time limit"
-    )
     target: float = Field(15.70, gt=0, le=1e6, description="s for all laps, for seconds_to")
 
 
@@ -104,6 +101,6 @@ class SweepFile(Section):
             raise ValueError(f"search.pruner is {search.pruner}, allowed: none ({reason})")
         if search.method == "grid" and search.base_first:
             raise ValueError("search.base_first is true, allowed: false for a grid")
-        if executor.kind == "local" and executor.gpus and not executor.workers:
-            raise ValueError("executor.workers is null, allowed: a number with executor.gpus")
+        if executor.kind == "local" and executor.gpus:
+            raise ValueError("executor.gpus is not 0, allowed: only with executor.kind=ray")
         return self

@@ -7,10 +7,10 @@ the same parameters and index. A failed trial with the user attribute ``error`` 
 
 import contextlib
 import copy
-import dataclasses
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import parse_qsl, urlsplit
 
 import filelock
@@ -23,37 +23,21 @@ JOURNAL = "study.journal"
 GRACE = 4  # heartbeats without a sign of life after which a trial of another machine is retried
 State = optuna.trial.TrialState
 OVER = (State.COMPLETE, State.PRUNED)
-Trials = dict[int, optuna.trial.FrozenTrial]
 
 retry = optuna.storages.RetryHeartbeatStaleTrialCallback()  # queues a failed trial again
 
 
-@contextlib.contextmanager
-def locked(directory: Path) -> Iterator[None]:
-    """A lock on a sweep's folder, which the system releases with its process."""
-    directory.mkdir(parents=True, exist_ok=True)
-    lock = filelock.FileLock(directory / ".lock", timeout=0)
-    try:
-        lock.acquire()
-    except filelock.Timeout:
-        reason = "several machines need a database (storage)"
-        raise InputError(f"{directory}: another command runs this sweep; {reason}") from None
-    with lock:
-        yield
-
-
 def open_study(sweep: Sweep, directory: Path, run: bool = True) -> optuna.Study:
-    """The study of a sweep; to run its trials, with a full queue, inside ``locked``.
+    """The study of a sweep; with a full queue to run its trials, in a claimed folder.
 
     Raises:
         InputError: the study is of another sweep, or the storage cannot be used.
     """
-    with storage_errors(sweep, directory):
-        storage = _open_storage(sweep, directory)
-        with _exclusive(sweep):
-            study = _create(sweep, storage)
-            if run:
-                _fill(study, sweep)
+    directory.mkdir(parents=True, exist_ok=True)
+    with storage_errors(sweep, directory), _exclusive(sweep):
+        study = _create(sweep, _open_storage(sweep, directory))
+        if run:
+            _fill(study, sweep)
     return study
 
 
@@ -74,14 +58,13 @@ def _open_storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
         with lock, open(path, "rb+") as stream:  # a power failure leaves a line without an end
             stream.truncate(stream.read().rfind(b"\n") + 1)
         return optuna.storages.JournalStorage(backend)
-    with _exclusive(sweep):
-        return optuna.storages.RDBStorage(
-            _driver_url(sweep),
-            engine_kwargs={"pool_pre_ping": True},
-            heartbeat_interval=sweep.file.heartbeat_seconds,
-            grace_period=GRACE * sweep.file.heartbeat_seconds,
-            heartbeat_stale_trial_callback=retry,
-        )
+    return optuna.storages.RDBStorage(
+        _driver_url(sweep),
+        engine_kwargs={"pool_pre_ping": True},
+        heartbeat_interval=sweep.file.heartbeat_seconds,
+        grace_period=GRACE * sweep.file.heartbeat_seconds,
+        heartbeat_stale_trial_callback=retry,
+    )
 
 
 def _driver_url(sweep: Sweep) -> str:
@@ -90,11 +73,7 @@ def _driver_url(sweep: Sweep) -> str:
 
 @contextlib.contextmanager
 def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
-    """Turn errors of the storage into one line, without the password of a database.
-
-    Raises:
-        InputError: the file is damaged, or the database cannot be used.
-    """
+    """Turn errors of the storage into one ``InputError``, without the password of a database."""
     kinds: tuple[type[Exception], ...] = (ValueError, LookupError, TypeError, AttributeError)
     where, secrets = f"{directory / JOURNAL} is damaged, start over with --overwrite", []
     if sweep.file.storage != "journal":
@@ -174,9 +153,9 @@ def _fill(study: optuna.Study, sweep: Sweep) -> None:
             retry(study, copy.deepcopy(latest[index]))
 
 
-def latest_trials(study: optuna.Study) -> Trials:
+def latest_trials(study: optuna.Study) -> dict[int, optuna.trial.FrozenTrial]:
     """The trial of each index: the one with a value, else the last one."""
-    latest: Trials = {}
+    latest: dict[int, optuna.trial.FrozenTrial] = {}
     for trial in study.get_trials(deepcopy=False):
         index = trial.user_attrs.get("index")
         if index is not None and (index not in latest or latest[index].state not in OVER):
@@ -184,8 +163,7 @@ def latest_trials(study: optuna.Study) -> Trials:
     return latest
 
 
-@dataclasses.dataclass(frozen=True)
-class Counts:
+class Counts(NamedTuple):
     """The number of trials in each state."""
 
     done: int  # complete or pruned

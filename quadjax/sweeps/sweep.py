@@ -4,13 +4,14 @@ import dataclasses
 import itertools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadjax.config.base import build, find_file, merge_trees, parse_overrides, read_yaml
+from quadjax.config.base import build, find_file, merge_trees, parse_overrides, read_yaml, value_at
+from quadjax.config.files import flatten
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
@@ -31,38 +32,32 @@ class Dimension:
 
     key: str  # dotted
     given: Range
-    distribution: optuna.distributions.BaseDistribution
-
-    @property
-    def integer(self) -> bool:
-        """Whether it is a range of whole numbers."""
-        return isinstance(self.distribution, optuna.distributions.IntDistribution)
+    known: optuna.distributions.BaseDistribution
+    integer: bool = False  # a range of whole numbers
 
     def suggest(self, trial: optuna.Trial) -> Plain:
         """The value of a trial."""
-        x = self.distribution
+        x = self.known
         if self.given.choices is not None:
             return trial.suggest_categorical(self.key, x.choices)
         pick = trial.suggest_int if self.integer else trial.suggest_float
         return pick(self.key, x.low, x.high, step=x.step, log=x.log)
 
-    def override(self, plain: Plain) -> str:
+    def override(self, value: Plain) -> str:
         """The ``key=value`` override of a stored value."""
-        if self.given.choices is not None:
-            return override(self.key, self.given.choices[self.distribution.choices.index(plain)])
-        return override(self.key, plain)
+        choices = self.given.choices
+        return override(self.key, choices[self.known.choices.index(value)] if choices else value)
 
     def ends(self) -> list[Plain]:
         """All choices, or both ends of a range."""
-        x = self.distribution
-        return list(x.choices) if self.given.choices is not None else [x.low, x.high]
+        return [*self.known.choices] if self.given.choices else [self.known.low, self.known.high]
 
     def grid(self) -> list[Plain]:
         """Every value of a grid; an ``InputError`` for a range without ``step`` or ``points``."""
         given, ends = self.given, self.ends()
-        if given.choices is not None:
+        if given.choices:
             return ends
-        if given.points is not None:
+        if given.points:
             spaced = np.geomspace if given.log else np.linspace
             values = [ends[0], *spaced(*ends, given.points)[1:-1].tolist(), ends[1]]
         elif given.step or (self.integer and not given.log):
@@ -83,67 +78,39 @@ def plain(value: object) -> Plain:
     return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
 
 
-def flatten(tree: Mapping[str, Any], leaf: Sequence[str] = (), prefix: str = "") -> dict[str, Any]:
-    """The values of a nested mapping by dotted key; a mapping with a key in ``leaf`` is a value."""
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        name = f"{prefix}{key}"
-        branch = isinstance(value, dict) and value and not any(entry in value for entry in leaf)
-        flat |= flatten(value, leaf, f"{name}.") if branch else {name: value}
-    return flat
-
-
-def value_at(config: object, key: str) -> Any:
-    """A config's value of a dotted key; 1.0 for a factor that a mapping does not list."""
-    node = config
-    for part in key.split("."):
-        known = node if isinstance(node, Mapping) else getattr(node, "__dict__", {})
-        if part not in known and not isinstance(node, Mapping):
-            raise InputError(f"space.{key}: unknown key; allowed there: {', '.join(known)}")
-        node = known.get(part, 1.0)
-    if hasattr(node, "__dict__"):
-        raise InputError(f"space.{key}: is a section of the keys {', '.join(vars(node))}")
-    return node
-
-
 def read_dimension(key: str, given: object, config: object) -> Dimension:
-    """A dimension of a sweep file's ``space``.
-
-    Args:
-        key: of the config.
-        given: the entries of ``Range``.
-        config: the base config, whose value tells the type of the key.
+    """A dimension of a sweep file's ``space``; the base config tells the type of its key.
 
     Raises:
         InputError: an unknown key, an empty range or a wrong type.
     """
     if key in OWN_KEYS:
-        raise InputError(f"space.{key}: {key} is set by the sweep")
+        raise InputError(f"{key}: {key} is set by the sweep")
     base, kinds = value_at(config, key), optuna.distributions
     if not isinstance(given, dict):
-        raise InputError(f"space.{key} is {given!r}, allowed: a mapping with choices, range or log")
-    known = build(Range, given, f"space.{key}")
+        raise InputError(f"{key} is {given!r}, allowed: a mapping with choices, range or log")
+    known = build(Range, given, f"{key}")
     if known.choices is not None:
         return Dimension(key, known, kinds.CategoricalDistribution([*map(plain, known.choices)]))
     if isinstance(base, bool) or not isinstance(base, (int, float, type(None))):
-        raise InputError(f"space.{key}: is not a number, allowed: choices")
-    numbers, log = [*(known.range or known.log), known.step or 1.0], known.log is not None
-    whole = all(number.is_integer() for number in numbers)
+        raise InputError(f"{key}: is not a number, allowed: choices")
+    (low, high), step, log = known.range or known.log, known.step, known.log is not None
+    whole = all(number.is_integer() for number in (low, high, step or 1.0))
     if isinstance(base, int) and not whole:
-        raise InputError(f"space.{key}: expected whole numbers, found {given}")
+        raise InputError(f"{key}: expected whole numbers, found {given}")
     try:
-        if whole and not isinstance(base, float):
-            low, high, step = map(int, numbers)
-            return Dimension(key, known, kinds.IntDistribution(low, high, log, step))
-        return Dimension(key, known, kinds.FloatDistribution(*numbers[:2], log, known.step))
+        if isinstance(base, float) or not whole:
+            return Dimension(key, known, kinds.FloatDistribution(low, high, log, step))
+        integers = kinds.IntDistribution(int(low), int(high), log, int(step or 1))
+        return Dimension(key, known, integers, True)
     except ValueError as error:
-        raise InputError(f"space.{key}: {error}") from error
+        raise InputError(f"{key}: {error}") from error
 
 
 def draws(dimensions: Sequence[Dimension], count: int, seed: int) -> list[Params]:
     """Random parameters; the first ones of a longer list are the same."""
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
-    space = {d.key: d.distribution for d in dimensions}
+    space = {d.key: d.known for d in dimensions}
     return [study.ask(space).params for _ in range(count)]
 
 
@@ -164,18 +131,13 @@ class Sweep:
         return load_config(self.base, [*self.overrides, *own, *more])
 
     def queue(self) -> list[Params]:
-        """Parameters of all trials in order; empty where the sampler chooses them.
-
-        A grid, random trials and the random start of TPE do not depend on the order in which
-        trials end.
-        """
+        """Parameters of all trials, whatever order they end in; empty where TPE chooses them."""
         search = self.file.search
         if search.method == "grid":
             points = itertools.product(*(d.grid() for d in self.dimensions))
             return [dict(zip(self.keys, point, strict=True)) for point in points]
         count = self.trials if search.method == "random" else min(search.startup, self.trials)
-        queue = draws(self.dimensions, count, search.seed)
-        queue += [{} for _ in range(self.trials - count)]
+        queue = draws(self.dimensions, count, search.seed) + [{}] * (self.trials - count)
         if search.base_first:
             config = load_config(self.base, self.overrides)
             queue[0] = {d.key: plain(value_at(config, d.key)) for d in self.dimensions}
@@ -224,7 +186,10 @@ def load_sweep(path: Path | str, overrides: Sequence[str] = ()) -> Sweep:
 def _checked(file: SweepFile, base: Path) -> Sweep:
     fixed = tuple(override(key, value) for key, value in file.overrides.items())
     config = load_config(base, fixed)
-    dimensions = tuple(read_dimension(key, given, config) for key, given in file.space.items())
+    try:
+        dimensions = tuple(read_dimension(key, given, config) for key, given in file.space.items())
+    except InputError as error:
+        raise InputError(f"space.{error}") from error
     race = {d.key: value_at(config, d.key) for d in dimensions if d.key.split(".")[0] in RACE}
     race.pop("vehicle.model", None)
     conditions = tuple(override(k, v) for k, v in (race | file.conditions).items())

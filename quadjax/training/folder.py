@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from quadjax.config.base import read_yaml
+from quadjax.config.files import flatten
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
@@ -58,7 +59,7 @@ def check_same(config: Config, folder: Path) -> None:
     path = folder / "config.yaml"
     if not path.exists() or kind_of(folder) not in (None, KIND):
         return
-    before, now = flat(read_yaml(path)), flat(parse(config.to_yaml()))
+    before, now = flatten(read_yaml(path)), flatten(parse(config.to_yaml()))
     for key in [*now, *before]:
         if before.get(key) != now.get(key):
             raise InputError(
@@ -72,12 +73,3 @@ def parse(text: str) -> Mapping[str, Any]:
     from quadjax.config.base import parse_yaml
 
     return parse_yaml(text, "config")
-
-
-def flat(tree: object, prefix: str = "") -> dict[str, object]:
-    """The leaves of nested mappings by dotted key; a list is a leaf."""
-    if not isinstance(tree, Mapping) or not tree:
-        return {prefix.rstrip("."): tree}
-    return {
-        k: v for name, child in tree.items() for k, v in flat(child, f"{prefix}{name}.").items()
-    }

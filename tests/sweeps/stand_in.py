@@ -32,14 +32,15 @@ def run_trial(job: Job, tell) -> Outcome:
 def sweep(path: str, runs: str, *overrides: str) -> int:
     """A whole sweep without its report."""
     from quadjax.core.errors import run_command
+    from quadjax.core.folders import claim
     from quadjax.sweeps.run import make_executor, run_sweep
-    from quadjax.sweeps.study import count, locked, open_study
+    from quadjax.sweeps.study import count, open_study
     from quadjax.sweeps.sweep import load_sweep
 
     def run() -> int:
         loaded = load_sweep(path, overrides)
         directory = Path(runs) / loaded.file.name
-        with locked(directory), make_executor(loaded, directory, run_trial) as executor:
+        with claim(directory, "sweep"), make_executor(loaded, directory, run_trial) as executor:
             study = open_study(loaded, directory)
             if not run_sweep(study, loaded, directory, executor):
                 return 130

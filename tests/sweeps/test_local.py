@@ -10,7 +10,6 @@ import psutil
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.local import gpu_environment
 from quadjax.sweeps.run import make_executor, progress, run_sweep
 from quadjax.sweeps.study import Counts, State, count, open_study
 from quadjax.sweeps.sweep import load_sweep
@@ -124,10 +123,12 @@ def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
     best = min(complete(study), key=lambda t: t.value)
     assert best.value <= min(t.value for t in pruned)
 
-    sweep, directory, study = open_small(tmp_path, "budget.seconds=1e-3", name="other")
+    sweep, directory, study = open_small(
+        tmp_path, "budget.seconds=1e-3", name="other", executor={"workers": 1}
+    )
     with make_executor(sweep, directory, stand_in.run_trial) as executor:
         assert run_sweep(study, sweep, directory, executor)
-    assert count(study).done == 0 and count(study).waiting == 4
+    assert count(study).done <= 1 and count(study).waiting >= 3
 
 
 def test_a_trial_that_cannot_run_is_given_up_with_its_reason(tmp_path):
@@ -146,16 +147,6 @@ def test_more_workers_than_cores_are_refused(tmp_path):
     sweep = load_sweep(sweep_file(tmp_path), ["executor.workers=4000"])
     with pytest.raises(InputError, match=r"executor.workers is 4000, allowed: up to \d+"):
         make_executor(sweep, tmp_path)
-
-
-def test_workers_share_gpus(monkeypatch):
-    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
-    assert gpu_environment(0.0, 3) == {"JAX_PLATFORMS": "cpu"}
-    assert [gpu_environment(0.5, i)["CUDA_VISIBLE_DEVICES"] for i in range(4)] == list("0011")
-    assert gpu_environment(0.5, 0)["XLA_PYTHON_CLIENT_MEM_FRACTION"] == "0.450"
-    assert gpu_environment(2.0, 1) == {"CUDA_VISIBLE_DEVICES": "2,3"}
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "5,7")
-    assert gpu_environment(1.0, 1) == {"CUDA_VISIBLE_DEVICES": "7"}
 
 
 def test_progress_tells_the_time_left_and_whether_a_flight_finished():

@@ -1,16 +1,11 @@
 """The queue of trials in Optuna's study: every trial once, nothing lost."""
 
-import os
-import subprocess
-import sys
-
-import filelock
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.study import JOURNAL, OVER, State, count, locked, open_study, retry
+from quadjax.sweeps.study import JOURNAL, OVER, State, count, open_study, retry
 from quadjax.sweeps.sweep import load_sweep
-from tests.sweeps.support import CLIP, RATE, ROOT, complete, finish, open_small, sweep_file
+from tests.sweeps.support import CLIP, RATE, complete, finish, open_small, sweep_file
 
 
 def states(study) -> list[State]:
@@ -136,25 +131,6 @@ def test_a_budget_can_grow_and_not_shrink(tmp_path):
     assert count(open_small(tmp_path, "budget.trials=6")[2]).waiting == 6
     with pytest.raises(InputError, match="holds 6 trials, budget.trials is 4"):
         open_small(tmp_path)
-
-
-def test_a_second_command_is_refused_until_the_first_one_has_died(tmp_path):
-    hold = (
-        "import pathlib, sys, time; from quadjax.sweeps.study import locked\n"
-        "with locked(pathlib.Path(sys.argv[1])): print('locked', flush=True); time.sleep(60)"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", hold, str(tmp_path)],
-        stdout=subprocess.PIPE,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert process.stdout.readline() == b"locked\n"
-    with pytest.raises(InputError, match="another command runs this sweep"), locked(tmp_path):
-        pass
-    process.kill()
-    process.wait()
-    with locked(tmp_path), pytest.raises(filelock.Timeout):
-        filelock.FileLock(tmp_path / ".lock", timeout=0).acquire()
 
 
 def test_a_password_is_never_shown(tmp_path):

@@ -66,7 +66,7 @@ IMPOSSIBLE_FILES = {
     "too many trials": ({"budget": {"trials": 10**9}}, ["budget.trials", "10000"]),
     "no seeds": ({"objective": {"seeds": 0}}, ["objective.seeds", "0"]),
     "too many flights": ({"objective": {"flights": 10**9}}, ["objective.flights"]),
-    "no penalty": ({"objective": {"missing_lap": -1}}, ["missing_lap", "-1"]),
+    "no target": ({"objective": {"target": -1}}, ["objective.target", "-1"]),
     "no such config": ({"config": "none.yaml"}, ["config", "none.yaml", "no such file"]),
     "an empty config": ({"config": ""}, ["no such file"]),
     "another store": ({"storage": "mysql://u:secret@host/d"}, ["storage", "postgresql://"]),
@@ -105,7 +105,7 @@ IMPOSSIBLE_FILES = {
         {"search": {"pruner": "median"}, "objective": {"measure": "seconds_to"}},
         ["search.pruner", "seconds_to"],
     ),
-    "GPUs for an unknown number of workers": ({"executor": {"gpus": 0.5}}, ["executor.workers"]),
+    "GPUs without Ray": ({"executor": {"gpus": 0.5}}, ["executor.gpus", "ray"]),
     "an unknown executor": ({"executor": {"kind": "slurm"}}, ["executor.kind", "local, ray"]),
 }
 IMPOSSIBLE = {name: (space(entries), says) for name, (entries, says) in IMPOSSIBLE_SPACES.items()}

@@ -7,11 +7,12 @@ import pytest
 from PIL import Image
 
 from quadjax.config.loading import load_config
+from quadjax.race.result import Laps
 from quadjax.sweeps import trial
 from quadjax.sweeps.report import importances, results_of, rows_of, write_report
 from quadjax.sweeps.run import job_of
-from quadjax.sweeps.schema import Objective
 from quadjax.sweeps.study import State
+from quadjax.training.result import Run
 from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, finish, open_small, sweep_file
 
@@ -31,8 +32,7 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
     outcome = trial.run_trial(job, tell)
     assert outcome.complete and len(outcome.values) == 2 and outcome.finished == 0.0
     assert [step for step, _ in told] == [1, 2, 3, 4, 5, 6, 7, 8]
-    missing = trial.missing_lap(job.configs[0], job.objective)
-    assert missing == pytest.approx(8.0) and all(value == missing for value in outcome.values)
+    assert outcome.values == (8.0, 8.0)  # the time limit of the one lap
 
 
 def test_a_whole_sweep_by_its_command(tmp_path, capfd):
@@ -44,7 +44,7 @@ def test_a_whole_sweep_by_its_command(tmp_path, capfd):
     assert "No policy finished a flight" in printed.out and "best" not in printed.out
     folder = tmp_path / "runs" / "small"
     own = load_config(folder / "trials/0001/seed0/config.yaml")
-    assert own.run.devices == "1" and own.learner.num_envs == 16
+    assert own.run.devices == 1 and own.learner.num_envs == 16
     assert "No policy" in (folder / "report.md").read_text()
     assert not (folder / "best.yaml").exists()
     (folder / "notes.txt").write_text("mine")
@@ -111,26 +111,20 @@ def test_the_key_that_matters_is_the_most_important(tmp_path):
     assert sum(shares.values()) == pytest.approx(1.0) and shares[CLIP] > 0.6
 
 
-def test_a_lap_that_is_not_flown_counts_the_penalty():
+def test_seconds_to_a_target_end_a_training_and_count_its_training_time(tmp_path):
+    objective = {"seeds": 1, "measure": "seconds_to"}
+    sweep, directory, _ = open_small(tmp_path, objective=objective)
+    job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)
+    outcome = trial.run_trial(job, lambda step, value: False)
+    seconds = Run.load(job.folder / "seed0").seconds_to(15.0)
+    assert outcome.values == (pytest.approx(4.0 * seconds),) and outcome.finished == 0.0
+
+
+def test_a_lap_that_is_not_flown_counts_its_share_of_the_time_limit():
+    def value(lap_times, limit):
+        return Laps(np.array(lap_times), ("",), np.zeros(1), limit).penalized
+
     nan = np.nan
-    assert trial.total_time(np.array([[2.0, 3.0]]), 8.0) == 5.0
-    assert trial.total_time(np.array([[2.0, 3.0], [2.0, nan]]), 8.0) == 7.5
-    assert trial.total_time(np.array([[nan, nan]]), 8.0) == 16.0
-
-
-def test_the_penalty_is_longer_than_any_lap_of_a_long_track(tmp_path):
-    sweep, _, _ = open_small(tmp_path)
-    gates = [{"position": [x, y, -1.5], "yaw_deg": 0.0} for x in (-9, 9) for y in (-9, 9)]
-    config = sweep.config_of({CLIP: 0.2, RATE: 1e-3}, f"track.gates={gates}")
-    assert trial.missing_lap(config, Objective()) > 30.0
-    assert trial.missing_lap(config, Objective(missing_lap=5.0)) == 5.0
-
-
-def test_seconds_to_a_target_are_of_training_alone(tmp_path):
-    metrics = tmp_path / "metrics.csv"
-    metrics.write_text("steps,steps_per_second,lap_total\n100,10,inf\n200,20,16\n300,10,15\n")
-    assert trial.seconds_to(tmp_path, 15.7) == (pytest.approx(25.0), 1.0)
-    assert trial.seconds_to(tmp_path, 16.5) == (pytest.approx(15.0), 1.0)
-    assert trial.seconds_to(tmp_path, 10.0) == (pytest.approx(25.0 * 2.5), 1.0)
-    metrics.write_text("steps,steps_per_second,lap_total\n100,10,inf\n")
-    assert trial.seconds_to(tmp_path, 15.7) == (pytest.approx(40.0), 0.0)
+    assert value([[2.0, 3.0]], 16.0) == 5.0
+    assert value([[2.0, 3.0], [2.0, nan]], 16.0) == 7.5
+    assert value([[nan, nan]], 40.0) == 40.0
