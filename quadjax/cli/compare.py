@@ -23,7 +23,7 @@ from quadjax.cli.arguments import (
 )
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import PRETRAINED, find_config
+from quadjax.core.resources import PRETRAINED
 
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InputError(f"--parts: {part!r}, allowed: {', '.join(PARTS)}")
     setting = Setting(
         load_config(words.race),
-        load_plant_config(find_config(words.config, "plant"), words.overrides),
+        load_plant_config(words.config, words.overrides),
         words.laps,
         words.runs,
         words.seed,

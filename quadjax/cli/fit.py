@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     path = find_config(words.config, "fit")
     config = load_fit_config(path, words.overrides)
     folder = Path(config.runs) / config.name
-    find_logs(config.logs, Path(words.config).parent)  # before the folder is created
+    find_logs(config.logs, path.parent)  # before the folder is created
     columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     quiet = not console.is_terminal

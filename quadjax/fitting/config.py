@@ -13,6 +13,7 @@ from quadjax.config.base import (
     parse_overrides,
     read_tree_with_bases,
 )
+from quadjax.core.resources import find_config
 from quadjax.fitting.columns import WIDTHS
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -149,10 +150,11 @@ class FitConfig(Section):
 
 
 def load_fit_config(path: Path | str, overrides: Sequence[str] = ()) -> FitConfig:
-    """The config of a YAML file and ``key=value`` overrides.
+    """The config of a YAML file, or of a name in ``configs/fit``, and ``key=value`` overrides.
 
     Raises:
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
+    path = find_config(path, "fit")
     tree = merge_trees(read_tree_with_bases(path), parse_overrides(overrides))
     return build(FitConfig, tree, str(path))

@@ -18,6 +18,7 @@ from quadjax.config.base import (
     parse_overrides,
     read_tree_with_bases,
 )
+from quadjax.core.resources import find_config
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -285,11 +286,12 @@ NO_ERRORS = SensorsConfig(
 
 
 def load_plant_config(path: Path | str, overrides: Sequence[str] = ()) -> PlantConfig:
-    """The config of a YAML file of ``configs/plant`` and ``key=value`` overrides.
+    """The config of a YAML file, or of a name in ``configs/plant``, and ``key=value`` overrides.
 
     Raises:
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
+    path = find_config(path, "plant")
     tree = merge_trees(read_tree_with_bases(path), parse_overrides(overrides))
     return build(PlantConfig, tree, str(path))
 

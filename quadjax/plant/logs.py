@@ -16,7 +16,6 @@ from quadjax.cli.arguments import Parser, add_config, count, parse, seed
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.resources import find_config
 from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.flight_log import write_log
 from quadjax.plant.config import PlantConfig, load_plant_config
@@ -124,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     words = _arguments(arguments)
     plant = load_plant_config(words.config, words.overrides)
-    race = load_config(find_config(words.race))
+    race = load_config(words.race)
     with Console(stderr=True).status("compiling") as status:
         written = write_logs(
             race,

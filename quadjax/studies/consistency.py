@@ -20,7 +20,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.files import write_json
 from quadjax.core.frames import wrap_angle
-from quadjax.core.resources import PRETRAINED, find_config
+from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import plant as physics
 from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
@@ -170,7 +170,7 @@ def table(name: str, result: Consistency) -> str:
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("consistency", description=__doc__)
-    add_config(parser, "a YAML file of configs/plant")
+    add_config(parser, "a YAML file of configs/plant, or its name")
     parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
     parser.add_argument(
         "--policy", action="append", metavar="FILE.npz", help="(e2e.npz and indi.npz)"
@@ -190,7 +190,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     words = _arguments(arguments)
     plant = without_effects(load_plant_config(words.config, words.overrides))
-    race, results = load_config(find_config(words.race)), {}
+    race, results = load_config(words.race), {}
     with Console(stderr=True).status("compiling") as status:
         for policy in map(Path, words.policy or [PRETRAINED / name for name in POLICIES]):
             results[policy.name] = evaluate_filter(
