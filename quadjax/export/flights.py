@@ -122,7 +122,7 @@ def check_box(box: InputBox, observations: np.ndarray) -> None:
         words.append(f"{group}={2.0 ** np.ceil(np.log2(size)):g}")
     raise InputError(
         f"the policy's own flights leave the declared range: {'; '.join(problems)}; "
-        f"declare --range {' '.join(words)}"
+        f"declare {' '.join(f'--range {word}' for word in words)}"
     )
 
 

@@ -19,7 +19,7 @@ from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.layout import arranged
 from quadjax.vehicle.residual_file import located
 
-DEFAULT_CONFIG = CONFIGS / "e2e_shac.yaml"
+DEFAULT_CONFIG, DEFAULT = CONFIGS / "e2e_shac.yaml", "default"
 DISTURBANCES = ("moment_x", "moment_y", "moment_z", "force_z")
 STARTS = "start.heading=north"  # with any yaw: the same flights, and self-tests, for every preset
 CONFIG_FILE = "config.yaml"  # of a training run or an exported folder
@@ -68,16 +68,10 @@ def own_race(
     if track is not None:
         overrides.append(f"track={track}")
     with _as_file(found) as path:
-        if origin == "default":
-            overrides.append(f"vehicle.model={policy.vehicle}")
-            named = policy.source.get("residual")
-            if isinstance(named, str) and policy.vehicle == "motor" and located(named).is_file():
-                overrides.append(f"vehicle.residual={named}")
-        elif (found_model := load_config(path).vehicle.model) != policy.vehicle:
-            raise InputError(
-                f"{origin}: vehicle.model is {found_model}, but the policy commands the "
-                f"{policy.vehicle} vehicle"
-            )
+        if origin == DEFAULT:
+            overrides += _default_vehicle(policy)
+        else:
+            _check_vehicle(policy, load_config(path), origin)
         loaded = load_config(path, overrides)
         if residual is not None and loaded.vehicle.residual:
             loaded = load_config(path, [*overrides, f"vehicle.residual={residual}"])
@@ -97,7 +91,7 @@ def _configuration(
         return policy.config, "the policy file's config"
     if file is not None and (file.parent / CONFIG_FILE).is_file():
         return file.parent / CONFIG_FILE, str(file.parent / CONFIG_FILE)
-    return DEFAULT_CONFIG, "default"
+    return DEFAULT_CONFIG, DEFAULT
 
 
 @contextlib.contextmanager
@@ -109,6 +103,22 @@ def _as_file(config: Path | Config | dict[str, Any]) -> Iterator[Path]:
         text = json.dumps(config) if isinstance(config, dict) else config.to_yaml()  # JSON is YAML
         write_text(Path(folder) / CONFIG_FILE, text)
         yield Path(folder) / CONFIG_FILE
+
+
+def _default_vehicle(policy: Policy) -> list[str]:
+    """Overrides for the policy's vehicle, with the residual that its file names."""
+    overrides, named = [f"vehicle.model={policy.vehicle}"], policy.source.get("residual")
+    if isinstance(named, str) and policy.vehicle == "motor" and located(named).is_file():
+        overrides.append(f"vehicle.residual={named}")
+    return overrides
+
+
+def _check_vehicle(policy: Policy, config: Config, origin: str) -> None:
+    if config.vehicle.model != policy.vehicle:
+        raise InputError(
+            f"{origin}: vehicle.model is {config.vehicle.model}, but the policy commands the "
+            f"{policy.vehicle} vehicle"
+        )
 
 
 def _limits(policy: Policy) -> list[str]:

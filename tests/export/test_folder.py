@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import json
 import os
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from quadjax.cli import export as export_command
+from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
@@ -334,3 +336,15 @@ def test_a_config_of_another_vehicle_is_refused(tmp_path):
     policy = shipped(tmp_path, "indi.npz")
     with pytest.raises(InputError, match="e2e.yaml: vehicle.* is motor, but the policy.* rate"):
         export_c(policy, tmp_path / "c", CONFIGS / "e2e.yaml")
+
+
+def test_the_race_is_the_one_in_the_policy_file(tmp_path):
+    (tmp_path / "triangle.yaml").write_text(TRACK)
+    config = load_config(CONFIGS / "e2e.yaml", [f"track={tmp_path / 'triangle.yaml'}"])
+    tree = json.loads(json.dumps(config.model_dump(mode="json", by_alias=True)))
+    policy = dataclasses.replace(Policy.load(PRETRAINED / "e2e_nominal.npz"), config=tree)
+    (tmp_path / "triangle.yaml").unlink()
+    own = own_race(policy)
+    assert own.origin == "the policy file's config"
+    assert own.params.track.yaw.shape == (3,)
+    assert own.params.vehicle.residual is not None
