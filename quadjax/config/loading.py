@@ -96,7 +96,7 @@ def _merge(under: Tree, over: Tree, path: Path) -> Tree:
         lower = under.get("learner", {})
         if isinstance(lower, dict) and lower.get("algorithm") != learner["algorithm"]:
             under["learner"] = {}
-            schedules = under.get("schedules", {})
+            schedules = under.get("schedules") or {}
             under["schedules"] = {k: v for k, v in schedules.items() if "learner." not in k}
     return merge_trees(under, over)
 

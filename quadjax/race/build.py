@@ -39,7 +39,8 @@ def choices_of(config: Config) -> Choices:
         gate_test=config.rules.gate_test,
         random_gate=start.gate == "random",
         stagger_clocks=start.stagger_clocks,
-        randomise=any(fraction > 0 for fraction in config.randomization.__dict__.values()),
+        randomise=any(dict(config.randomization).values())
+        or any(key.startswith("randomization.") for key in config.schedules),
         differs=bool(config.vehicle.mismatch),
         terms=_own("reward.terms", config.reward.terms),
         rules=_own("rules.extra", config.rules.extra),

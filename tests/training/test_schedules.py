@@ -1,0 +1,109 @@
+"""Schedules of a config: which numbers of a run they change, and when."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.learners.schedules import apply_schedules
+from quadjax.race.build import build_params, choices_of
+from quadjax.training.build import build_learner
+
+TINY = [
+    "learner.num_envs=16",
+    "learner.horizon=4",
+    "learner.critic_minibatches=2",
+    "network.hidden=[8]",
+    "run.steps=640",
+    "run.evaluate_every=64",
+]
+
+
+def at(config, update):
+    """Hyperparameters and race after a number of updates, of 64 steps each."""
+    learner = build_learner(config)
+    assert learner.steps_per_update == 64
+    tree = (learner.hyper.hyper, build_params(config))
+    return apply_schedules(tree, learner.hyper.schedules, jnp.int32(update))
+
+
+def tiny(name, *overrides):
+    return load_config(name, [*TINY, *overrides])
+
+
+def test_the_default_preset_from_start_to_end():
+    """Of 10 updates, yaw and pitch change from 1.25 to 3.125, the residual to 5.625."""
+    config = tiny("e2e", "observation.disturbance=estimated")
+    whole = build_params(config)
+    kernel = np.asarray(whole.vehicle.residual.moment[-1][0])
+    shares = {0: (0, 0), 1: (0, 0), 2: (0.4, 0), 4: (1, 0.35), 5: (1, 0.75), 6: (1, 1), 10: (1, 1)}
+    for update, (turned, residual) in shares.items():
+        hyper, params = at(config, update)
+        assert float(params.start.yaw) == pytest.approx(turned * np.pi, abs=1e-6)
+        assert float(params.reward.pitch_up) == pytest.approx(2 * (1 - turned), abs=1e-6)
+        for vehicle in (params.vehicle, params.estimator.vehicle):
+            found = vehicle.residual.moment[-1][0]
+            np.testing.assert_allclose(found, residual * kernel, atol=1e-6)
+        rate = 4e-3 + 0.1 * update * (1.5e-4 - 4e-3)
+        assert float(hyper.learning_rate) == pytest.approx(rate, rel=1e-5)
+        assert float(params.reward.gate) == 10.0
+    inside = np.radians([90.0, 180.0, -90.0, 0.0])  # of the legs to the paper's four gates
+    np.testing.assert_allclose(np.exp(1j * np.asarray(params.start.facing)), np.exp(1j * inside))
+
+
+def test_the_word_value_is_the_keys_own_value():
+    config = tiny("e2e_fastest", "reward.gate_edge=40", "learner.std=0.4")
+    for update, edge, std in ((0, 0.0, 0.4), (2, 16.0, 0.33), (5, 40.0, 0.225), (10, 40.0, 0.05)):
+        hyper, params = at(config, update)
+        assert float(params.reward.gate_edge) == pytest.approx(edge, abs=1e-5)
+        assert float(hyper.std) == pytest.approx(std, rel=1e-5)
+    assert float(build_params(config).reward.gate_edge) == 40.0
+
+
+def test_steps_and_several_values():
+    schedule = "schedules.reward.gate={linear: [1, 3, 2], from: 64, until: 320}"
+    config = tiny("e2e_shac", schedule)
+    found = [float(at(config, update)[1].reward.gate) for update in range(7)]
+    np.testing.assert_allclose(found, [1, 1, 2, 3, 2.5, 2, 2], rtol=1e-6)
+
+
+def test_constants_and_randomization_can_be_scheduled():
+    config = tiny("e2e_shac", "schedules.vehicle.constants.tau={linear: [0.1, value]}")
+    assert float(at(config, 5)[1].vehicle.constants.tau) == pytest.approx(0.08)
+    config = tiny("e2e_shac", "schedules.randomization.drag={linear: [0, 0.2]}")
+    assert choices_of(config).randomise
+    assert float(at(config, 5)[1].randomise.drag) == pytest.approx(0.1)
+
+
+def test_another_schedule_compiles_nothing():
+    first = build_learner(tiny("e2e_shac"))
+    words = [
+        "schedules.start.yaw_deg={linear: [10, value], from: 0.0, until: 0.9}",
+        "learner.std=0.2",
+    ]
+    second = build_learner(tiny("e2e_shac", *words, "schedules.reward.pitch_up.until=0.6"))
+    program = jax.jit(first.init)
+    params, key = build_params(tiny("e2e_shac")), jax.random.key(0)
+    yaws = []
+    for learner in (first, second):
+        yaw = program(learner.hyper, params, key).environment.drone.euler.z
+        off = np.asarray(yaw)[:, None] - np.radians([90.0, 180.0, -90.0, 0.0])
+        yaws.append(np.abs(np.angle(np.exp(1j * off))).min(axis=1).max())
+    assert program._cache_size() == 1
+    assert yaws[0] < 1e-5 < 0.05 < yaws[1] <= np.radians(10.1)
+
+
+@pytest.mark.parametrize(
+    ("schedule", "message"),
+    [
+        ("evaluate.laps={linear: [1, 2]}", "evaluate.laps is 6, allowed: the key of a number"),
+        ("run.checkpoint_seconds={linear: [value, 2]}", "has no effect"),
+        ("reward.gate={linear: [3, 3]}", "has no effect"),
+    ],
+)
+def test_only_numbers_of_training_can_be_scheduled(schedule, message):
+    own = "reward.gate=3"
+    with pytest.raises(InputError, match=message):
+        build_learner(tiny("e2e_shac", f"schedules.{schedule}", own))
