@@ -136,7 +136,7 @@ def test_it_is_the_race_that_is_trained():
 def test_stable_baselines_learns_on_it():
     """Its own view: one key for both ends of an episode, the last observation beside it."""
     pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
-    from quadjax.integrations.sb3 import RaceVecEnv, make_ppo
+    from quadjax.integrations.sb3 import RaceVecEnv, make_ppo, policy_of_ppo
 
     env = RaceVecEnv(N, short(), seed=0)
     env.reset()
@@ -146,13 +146,20 @@ def test_stable_baselines_learns_on_it():
     for flag, info in zip(done, infos, strict=True):
         assert flag == ("terminal_observation" in info)
     assert any(info.get("TimeLimit.truncated") for info in infos)
-    words = [
+    overrides = [
         "learner.algorithm=ppo",
         "learner.num_envs=8",
         "learner.rollout_length=16",
         "learner.num_epochs=1",
+        "learner.num_minibatches=2",
+        "network.hidden=[8]",
     ]
-    model = make_ppo(short(*words, "learner.num_minibatches=2", "network.hidden=[8]"), seed=0)
+    config = short(*overrides)
+    model = make_ppo(config, seed=0)
     before = [p.detach().clone() for p in model.policy.parameters()]
     model.learn(128)
     assert any((p != q).any() for p, q in zip(model.policy.parameters(), before, strict=True))
+    policy = policy_of_ppo(model, config)
+    observation = np.linspace(-1.0, 1.0, 24, dtype=np.float32)
+    expected, _ = model.predict(observation, deterministic=True)
+    np.testing.assert_allclose(policy.mean(observation), expected, atol=1e-5)

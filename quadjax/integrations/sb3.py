@@ -4,6 +4,7 @@ Stable-Baselines3 tells a truncation from a crash by ``infos[i]["TimeLimit.trunc
 bootstraps from ``infos[i]["terminal_observation"]``, the observation before the reset.
 """
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -119,17 +120,17 @@ def make_ppo(config: Config, seed: int, device: str = "cpu") -> PPO:
     )
 
 
-def policy_of_ppo(model: PPO, config: Config, like: Policy) -> Policy:
-    """Stable-Baselines3's policy as a policy file's content.
+def policy_of_ppo(model: PPO, config: Config) -> Policy:
+    """The policy of Stable-Baselines3 as one that quadjax saves, evaluates and exports.
 
     Args:
-        model: with an MLP policy of the config's shape.
+        model: with an MLP policy of the config's shape, such as ``make_ppo`` returns.
         config: of the race.
-        like: a policy of the same config, for all but the numbers.
     """
-    import dataclasses
-
+    import jax
     import torch
+
+    from quadjax.training.build import build_networks, policy_of
 
     network = model.policy
     linear = [m for m in network.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
@@ -137,6 +138,7 @@ def policy_of_ppo(model: PPO, config: Config, like: Policy) -> Policy:
         (m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy())
         for m in [*linear, network.action_net]
     )
-    return dataclasses.replace(
-        like, layers=layers, log_std=network.log_std.detach().cpu().numpy(), source={}
-    )
+    source = {"trained_by": "Stable-Baselines3"}
+    untrained = policy_of(config, build_networks(config).init(jax.random.key(0)), source)
+    log_std = network.log_std.detach().cpu().numpy()
+    return dataclasses.replace(untrained, layers=layers, log_std=log_std, value=None)

@@ -122,13 +122,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from rich.console import Console
 
     words = _arguments(arguments)
-<<<<<<< HEAD
     plant = load_plant_config(words.config, words.overrides)
     race = load_config(words.race)
-=======
-    plant = load_plant_config(find_config(words.config, "plant"), words.overrides)
-    race = load_config(find_config(words.race))
->>>>>>> 3459dda (Plant commands take the plant by name)
     with Console(stderr=True).status("compiling") as status:
         written = write_logs(
             race,

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from quadjax.cli.arguments import Parser, add_config, parse
-from quadjax.core.resources import find_config
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, indi, plant
 from quadjax.plant.build import build_plant, nominal_vehicle
@@ -170,5 +169,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_config(parser, "a YAML file of configs/plant")
     parser.add_argument("--effects", action="store_true", help="with the plant's effects, delays")
     words = parse(parser, arguments)
-    config = load_plant_config(find_config(words.config, "plant"), words.overrides)
+    config = load_plant_config(words.config, words.overrides)
     print(table(identify(config if words.effects else without_effects(config))))

@@ -114,19 +114,16 @@ def stable_baselines(config: Config, seconds: float, started: float) -> Side:
         seconds: of wall time since ``started``.
         started: by ``time.monotonic()``.
     """
-    import jax
     import torch
 
     from quadjax.integrations import sb3
-    from quadjax.training.build import build_networks, policy_of
 
     torch.set_num_threads(core_count())
     model = sb3.make_ppo(config, SEED)
     clock = Clock(started, seconds)
 
     model.learn(config.run.steps, callback=_stop_after(clock))
-    like = policy_of(config, build_networks(config).init(jax.random.key(0)), {})
-    total, flown = _evaluate(config, sb3.policy_of_ppo(model, config, like))
+    total, flown = _evaluate(config, sb3.policy_of_ppo(model, config))
     threads = f"PyTorch {torch.get_num_threads()} threads, the race in JAX on one device"
     steps = config.learner.num_envs * config.learner.rollout_length
     steps *= model.num_timesteps // steps

@@ -19,12 +19,13 @@ SMALL = {
     "fixed_point": ['POLICY, FLIGHTS, LAPS, VECTORS = "e2e.npz", 4, 1, 200'],
     "residual_fit": [
         "FLIGHTS, LAPS, SEED, LEAST_SECONDS = 2, 1, 0, 2.5",
-        'WORDS = ["residual={seeds: 1, epochs: 3, distill_epochs: 5, mirror: off, batch: 512}"]',
+        'SMALL = "seeds: 1, epochs: 3, distill_epochs: 5, mirror: off, batch: 512"',
+        'OVERRIDES = ["residual={" + SMALL + "}"]',
     ],
     "train_and_tune": [
         "STEPS, SEED, RUNS = 25_000, 0, 2",
         'CHANGE = ("narrow", ["network.hidden=[32,32]"])',
-        'WORDS = ["run.evaluate_every=12500", "run.devices=1"]',
+        'OVERRIDES = WORDS = ["run.evaluate_every=12500", "run.devices=1"]',
     ],
 }
 by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
