@@ -74,7 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     config = load_config(words.config, words.overrides)
     policy = Policy.load(words.policy)
     pilot.check_fits(config, policy, words.policy)
-    enable_compilation_cache()
+    if config.run.compilation_cache:
+        enable_compilation_cache()
     with console.status("compiling and flying"):
         flown = _fly_all(config, policy, words)
     print(lap_table(flown))

@@ -251,6 +251,11 @@ class Run(Section):
         20.0, ge=0, le=1e6, description="least time between two checkpoints, s"
     )
     tensorboard: bool = Field(False, description="write TensorBoard events")
+    compilation_cache: bool = Field(
+        True,
+        description="keep compiled programs in the user's cache folder, so that the next start "
+        "compiles nothing; JAX_COMPILATION_CACHE_DIR sets another folder",
+    )
 
 
 class Evaluate(Section):

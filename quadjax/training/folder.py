@@ -1,10 +1,8 @@
 """The folder of a training run: which run it holds, and the files that training writes."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from quadjax.config.base import read_yaml
+from quadjax.config.base import parse_yaml, read_yaml
 from quadjax.config.files import flatten
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
@@ -12,6 +10,7 @@ from quadjax.core.files import write_text
 from quadjax.core.folders import MARKER, check_kind, kind_of, remove_files
 
 KIND = "training"
+FREE = ("run.devices", "run.checkpoint_seconds", "run.tensorboard", "run.compilation_cache")
 FILES = (
     "config.yaml",
     "metrics.csv",
@@ -55,21 +54,17 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
 
 
 def check_same(config: Config, folder: Path) -> None:
-    """Raise an ``InputError`` that names the key in which the folder's run differs."""
+    """Raise an ``InputError`` that names the key in which the folder's run differs.
+
+    Keys that change no number (``FREE``) may differ.
+    """
     path = folder / "config.yaml"
     if not path.exists() or kind_of(folder) not in (None, KIND):
         return
-    before, now = flatten(read_yaml(path)), flatten(parse(config.to_yaml()))
+    before, now = flatten(read_yaml(path)), flatten(parse_yaml(config.to_yaml(), "config"))
     for key in [*now, *before]:
-        if before.get(key) != now.get(key):
+        if key not in FREE and before.get(key) != now.get(key):
             raise InputError(
                 f"{path} has {key}: {before.get(key)}, the new config {key}: {now.get(key)}: use "
                 "the same config, replace the run (--overwrite) or choose another name"
             )
-
-
-def parse(text: str) -> Mapping[str, Any]:
-    """The mapping of a YAML text."""
-    from quadjax.config.base import parse_yaml
-
-    return parse_yaml(text, "config")

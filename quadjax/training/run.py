@@ -71,7 +71,8 @@ def train(
         raise InputError("resume and overwrite exclude each other")
     started = time.monotonic() if started is None else started
     folder = Path("runs") / config.name if folder is None else Path(folder)
-    enable_compilation_cache()
+    if config.run.compilation_cache:
+        enable_compilation_cache()
     prepare_devices(config.run.devices)
     job = _prepare(config)
     with _claimed(folder):

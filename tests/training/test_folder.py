@@ -88,6 +88,7 @@ def test_a_run_of_another_config_names_the_key(tmp_path):
     config = load_config(BLANK)
     prepare_folder(config, tmp_path, resume=False, overwrite=False)
     check_same(config, tmp_path)
+    check_same(load_config(BLANK, ["run.devices=1", "run.compilation_cache=false"]), tmp_path)
     with pytest.raises(InputError, match="seed: 0, the new config seed: 3"):
         check_same(load_config(BLANK, ["seed=3"]), tmp_path)
 
