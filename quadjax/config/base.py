@@ -31,7 +31,7 @@ import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, Self, TypeVar
+from typing import Any, Literal, NamedTuple, Self, TypeGuard, TypeVar
 
 import pydantic
 from pydantic import ConfigDict, Field, model_validator
@@ -203,7 +203,8 @@ def _keys(schema: type[Section]) -> list[str]:
 
 def _at(schema: type[Section], location: Sequence) -> tuple[object, FieldInfo | None]:
     """The type at an error's location, and the field of the last key on the way."""
-    hint, field = schema, None
+    hint: Any = schema
+    field: FieldInfo | None = None
     for part in location:
         section = _section_of(hint)
         if section is not None and isinstance(part, str):
@@ -220,7 +221,7 @@ def _section_of(hint: object) -> type[Section] | None:
     return next((option for option in _options(hint) if _is_section(option)), None)
 
 
-def _is_section(hint: object) -> bool:
+def _is_section(hint: object) -> TypeGuard[type[Section]]:
     return isinstance(hint, type) and issubclass(hint, Section)
 
 
@@ -242,7 +243,7 @@ def _words(hint: object, plural: bool = False) -> str:
         return f"a list of {count}{_words(inner[0], plural=True)}"
     if typing.get_origin(hint) is dict:
         return f"a mapping of names to {_words(inner[-1], plural=True)}"
-    names = {
+    names: dict[Any, tuple[str, str]] = {
         bool: ("true or false", "true or false"),
         int: ("a whole number", "whole numbers"),
         float: ("a number", "numbers"),

@@ -109,7 +109,7 @@ def _check_schedules(config: Config) -> None:
 
 
 def _defaults(config: Config) -> Config:
-    return Config.model_construct(learner=type(config.learner)())
+    return Config.model_construct(track=config.track, learner=type(config.learner)())
 
 
 def value_at(config: Config, key: str) -> object:

@@ -7,6 +7,7 @@ import re
 import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -14,7 +15,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS
 
-Tree = dict[str, object]
+Tree = dict[str, Any]
 
 MAX_BYTES = 2**20  # of one file
 MAX_VALUES = 100_000  # of one file, aliases counted each time they are used
@@ -158,8 +159,9 @@ def merge_trees(under: Tree, over: Tree) -> Tree:
     merged = dict(under)
     for key, value in over.items():
         below = merged.get(key)
-        both = isinstance(value, dict) and isinstance(below, dict)
-        merged[key] = merge_trees(below, value) if both else value
+        if isinstance(value, dict) and isinstance(below, dict):
+            value = merge_trees(below, value)
+        merged[key] = value
     return merged
 
 
@@ -191,7 +193,7 @@ def parse_overrides(overrides: Sequence[str]) -> Tree:
         parts = key.split(".")
         if not equals or not all(parts) or len(parts) > MAX_DEPTH:
             raise InputError(f"{short(override)} is not of the form key=value")
-        value = parse_yaml(text, key)
+        value: Any = parse_yaml(text, key)
         for part in reversed(parts):
             value = {part: value}
         tree = merge_trees(tree, value)

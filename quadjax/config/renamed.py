@@ -1,9 +1,11 @@
 """Keys of configs written for version 0.1, with their present names."""
 
+from typing import Any
+
 from quadjax.config.files import Tree
 from quadjax.core.errors import InputError
 
-_SECTIONS = {
+_SECTIONS: dict[str, dict[str, Any]] = {
     "vehicle": {
         "kind": "vehicle.model",
         "motor": "vehicle.constants (those of the chosen model)",

@@ -342,7 +342,7 @@ class Config(Section):
         return to_yaml(self.model_dump(by_alias=True))
 
 
-def _at(node: Section | dict, parts: list[str], value: Any) -> Section | dict:
+def _at(node: Section | dict[str, Any], parts: list[str], value: Any) -> Any:
     head, rest = parts[0], parts[1:]
     if isinstance(node, dict):
         return {**node, ".".join(parts): value}

@@ -196,7 +196,8 @@ def spread(
     low, high = latest[(count - 1) // 2], latest[count // 2]
     median = np.where(np.isfinite(high), 0.5 * (low + high), low)
     highest = np.where(np.isfinite(latest), latest, -np.inf).max(axis=0)
-    return points, *(np.where(np.isfinite(x), x, np.nan) for x in (median, latest[0], highest))
+    middle, low, high = (np.where(np.isfinite(x), x, np.nan) for x in (median, latest[0], highest))
+    return points, middle, low, high
 
 
 def _latest(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

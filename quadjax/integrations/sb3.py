@@ -51,6 +51,7 @@ class RaceVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
         """Fly one step of every drone."""
+        assert self._action is not None, "step_async comes before step_wait"
         observation, reward, terminated, truncated, race = self._race.step(self._action)
         done = terminated | truncated
         infos: list[dict] = [{} for _ in range(self.num_envs)]

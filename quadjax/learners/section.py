@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from quadjax.config.base import Field, Section
 
@@ -33,6 +33,11 @@ class LearnerSection(Section):
     Fields annotated ``float`` are traced: other values compile nothing anew, and schedules can
     change them. All others fix shapes or code.
     """
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """A hyperparameter of the learner's own class."""
 
     noise_on: ClassVar[Literal["mean", "clipped_mean"]] = "mean"  # what action noise is added to
 

@@ -80,7 +80,7 @@ def observation_of_release_1(layout: Layout) -> dict[str, Any]:
     return seen
 
 
-def _widths(path: Path | str, widths: object) -> dict[str, float] | None:
+def _widths(path: Path | str, widths: Any) -> dict[str, float] | None:
     if widths is None:
         return None
     known = {name for names in WIDTHS.values() for name in names}
