@@ -87,7 +87,9 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
     report("fitting the nominal model")
     axes = fit_nominal(samples[learned_rows(split.fold, ALL)], base.motor)
     known = [log for log in logs if log.name not in config.split.test_flights]
-    lag = fit_motor_lag(known, [airborne(log, config.prepare) for log in known], base.motor.tau)
+    lag = fit_motor_lag(
+        known, [airborne(log, config.prepare) for log in known], float(base.motor.tau)
+    )
     if config.nominal.fit:
         fitted = with_fit(base.motor, axes).replace(tau=lag.tau)
         vehicle = dataclasses.replace(base, motor=fitted)

@@ -140,9 +140,9 @@ def _augment(
     of_flip, of_noise = jax.random.split(key)
     inputs, errors = part["inputs"], part["errors"]
     flip = jax.random.uniform(of_flip, (len(inputs), 1)) < 0.5 * mirror
-    image = inputs[:, np.array(network.mirror_order)] * np.float32(network.mirror_sign)
+    image = inputs[:, np.array(network.mirror_order)] * np.array(network.mirror_sign, np.float32)
     inputs = jnp.where(flip, image, inputs)
-    errors = jnp.where(flip, errors * np.float32(network.mirror_output), errors)
+    errors = jnp.where(flip, errors * np.array(network.mirror_output, np.float32), errors)
     noise = config.noise * mirror * jax.random.normal(of_noise, inputs.shape)
     return part | {"inputs": inputs + noise, "errors": errors}
 

@@ -6,6 +6,7 @@ Rules, gates and laps are those of ``quadjax.race``, applied to the true motion 
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -71,7 +72,8 @@ class Frame:
 
 
 # (params, flight before the step, command, rpm command of its last sample) -> record, of one drone
-Recorder = Callable[[FlightParams, Flight, Rotors | RateCommand, Rotors], jax.Array | Frame]
+Record = Any  # a pytree of arrays, such as Frame
+Recorder = Callable[[FlightParams, Flight, Rotors | RateCommand, Rotors], Record]
 
 
 def begin(
@@ -145,7 +147,7 @@ def fly_on(
     key: jax.Array,
     recorded: int,
     record: Recorder,
-) -> tuple[Flight, jax.Array | Frame]:
+) -> tuple[Flight, Record]:
     """Advance all drones by some control steps.
 
     Args:
@@ -170,7 +172,7 @@ def fly_on(
     advance = jax.vmap(functools.partial(sample, choices), (None, -1, -1, -1), -1)
     note = jax.vmap(record, (None, -1, -1, -1), -1)
 
-    def control(flight: Flight, key: jax.Array) -> tuple[Flight, jax.Array | Frame]:
+    def control(flight: Flight, key: jax.Array) -> tuple[Flight, Record]:
         of_policy, of_plant = jax.random.split(key)
         noise = jax.random.normal(of_policy, (runs, 4))
         action = act(pilot, see(params, flight), noise)

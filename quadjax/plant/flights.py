@@ -14,7 +14,7 @@ from quadjax.plant import flight
 from quadjax.plant.build import build_plant, nominal_vehicle
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.ekf_params import ekf_params
-from quadjax.plant.flight import Flight, FlightChoices, FlightParams, Frame, Recorder
+from quadjax.plant.flight import Flight, FlightChoices, FlightParams, Frame, Record, Recorder
 from quadjax.plant.indi import indi_params
 from quadjax.plant.onboard import OnboardChoices, OnboardParams
 from quadjax.plant.sensors import sensor_params
@@ -132,7 +132,7 @@ def _onboard(config: Config, plant: PlantConfig) -> OnboardParams:
 
 def fly_chunks(
     plan: Plan, seed: int = 0, record: Recorder = flight.record_frame
-) -> Iterator[tuple[Flight, jax.Array | Frame]]:
+) -> Iterator[tuple[Flight, Record]]:
     """Fly until every drone has finished or crashed, a second at a time.
 
     Args:

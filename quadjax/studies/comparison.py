@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from quadjax.config.schema import Config
@@ -133,7 +134,7 @@ def limit_shares(setting: Setting, own: Compared) -> tuple[float, float | None]:
     """Fraction of rpm commands at a limit: on the plant, and simulated (None without motors)."""
     constants = setting.race.vehicle.with_model("motor").constants
 
-    def share(command: np.ndarray, over: np.ndarray) -> float:
+    def share(command: np.ndarray, over: jax.Array) -> float:
         limited = (command <= constants["rpm_min"] + 1.0) | (command >= constants["rpm_max"] - 1.0)
         return float(limited[:, ~np.asarray(over)].mean())
 
