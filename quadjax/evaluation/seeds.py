@@ -20,13 +20,13 @@ class SeedResult:
     seconds: float  # of training, imports and compilation included
     steps: int
     reference: float | None  # s for all laps, of the published policy of this race
-    first_seconds: float | None  # of training until the first flight under the reference
+    first_seconds: float | None  # of training until the first run under the reference
     first_steps: int | None
     last: float | None  # all laps, deterministic from hover, the last policy
     best: float | None  # the same, the best policy
-    flying_lap: float | None  # fastest lap of the best policy's flight
-    sampled: float | None  # all laps, mean of the sampled flights from hover
-    sampled_finished: int  # of the sampled flights from random starts
+    flying_lap: float | None  # fastest lap of the best policy
+    sampled: float | None  # all laps, mean of the sampled runs from hover
+    sampled_finished: int  # of the sampled runs from random starts
     sampled_runs: int
     memory_mib: float | None  # None where the system does not report it
 
@@ -89,9 +89,10 @@ def _cell(value: float | None, digits: int) -> str:
 
 
 def format_seeds(results: Sequence[SeedResult]) -> str:
-    """A Markdown table, one line per seed."""
-    reference = _cell(results[0].reference, 2)
-    head = "| " + " | ".join(title.format(reference=reference) for title, _ in COLUMNS) + " |"
-    rule = "|" + "---|" * len(COLUMNS)
-    lines = ["| " + " | ".join(show(r) for _, show in COLUMNS) + " |" for r in results]
-    return "\n".join([head, rule, *lines])
+    """A Markdown table, one line per seed; the published time only where there is one."""
+    reference = results[0].reference
+    columns = [c for c in COLUMNS if reference is not None or not c[0].startswith(("<", "at"))]
+    titles = [title.format(reference=_cell(reference, 2)) for title, _ in columns]
+    lines = [[show(result) for _, show in columns] for result in results]
+    rows = ["| " + " | ".join(line) + " |" for line in (titles, *lines)]
+    return "\n".join([rows[0], "|" + "---|" * len(columns), *rows[1:]])

@@ -1,8 +1,10 @@
 """The checkpoint of a training run, by Orbax: complete or absent."""
 
 import dataclasses
+import errno
 import logging
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,8 @@ from quadjax.learners.loop import Position
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.state import TrainState
 
-logging.getLogger("absl").setLevel(logging.ERROR)
+# Orbax logs a traceback in every thread for an error that it also raises.
+logging.getLogger("absl").setLevel(logging.CRITICAL)
 
 
 class Checkpoints:
@@ -129,7 +132,10 @@ def _read(
 
 
 def _reason(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+    """One line: the system's own words for a full disk, or the start of the message."""
+    text = str(error).strip() or type(error).__name__
+    full = os.strerror(errno.ENOSPC)
+    return full if full in text else text.splitlines()[0][:200]
 
 
 def _is_key(leaf: object) -> bool:

@@ -1,6 +1,7 @@
 """The folder of a training run: which run it holds, and the files that training writes."""
 
 from pathlib import Path
+from typing import Any
 
 from quadjax.config.base import parse_yaml, read_yaml
 from quadjax.config.files import flatten
@@ -61,7 +62,8 @@ def check_same(config: Config, folder: Path) -> None:
     path = folder / "config.yaml"
     if not path.exists() or kind_of(folder) not in (None, KIND):
         return
-    before, now = flatten(read_yaml(path)), flatten(parse_yaml(config.to_yaml(), "config"))
+    own: Any = parse_yaml(config.to_yaml(), "config")
+    before, now = flatten(read_yaml(path)), flatten(own)
     for key in [*now, *before]:
         if key not in FREE and before.get(key) != now.get(key):
             raise InputError(

@@ -19,6 +19,20 @@ from quadjax.policy.file import Policy
 from quadjax.training.metrics import read_metrics
 from quadjax.training.paper import published_total
 
+SUMMARY = (  # keys of summary.json
+    "name",
+    "seed",
+    "finished",
+    "steps",
+    "devices",
+    "seconds",
+    "best_lap_total",
+    "best_steps",
+    "last_lap_total",
+    "first_under",
+    "peak_memory_mib",
+)
+
 
 @dataclasses.dataclass(frozen=True)
 class Run:
@@ -79,8 +93,10 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / "summary.json"
     summary = read_json(path)
-    if not isinstance(summary.get("finished"), bool):
-        raise InputError(f"{path}: damaged, no 'finished': remove it and resume the run")
+    missing = [key for key in SUMMARY if key not in summary]
+    if missing or not isinstance(summary["finished"], bool):
+        what = ", ".join(missing) or "finished"
+        raise InputError(f"{path}: damaged ({what}); remove it and resume the run")
     return summary
 
 

@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.folders import claim, kind_of, remove_files
 from quadjax.training.folder import FILES, check_same, prepare_folder
 from quadjax.training.metrics import MetricsFile, read_metrics, saved_rows
-from quadjax.training.result import is_finished, read_summary
+from quadjax.training.result import SUMMARY, is_finished, read_summary
 from tests.race.support import BLANK
 
 
@@ -103,8 +103,9 @@ def test_a_damaged_summary_is_one_line(tmp_path, text):
 
 def test_a_summary_says_whether_the_run_has_finished(tmp_path):
     assert not is_finished(tmp_path)
-    (tmp_path / "summary.json").write_text(json.dumps({"finished": True}))
-    assert is_finished(tmp_path) and read_summary(tmp_path) == {"finished": True}
+    whole = dict.fromkeys(SUMMARY, 1) | {"finished": True}
+    (tmp_path / "summary.json").write_text(json.dumps(whole))
+    assert is_finished(tmp_path) and read_summary(tmp_path) == whole
 
 
 @pytest.mark.parametrize("text", ["", "\n", "steps,seconds\n", "steps,seconds\r\n12"])
