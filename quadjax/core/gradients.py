@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 
 Tree = TypeVar("Tree")
+Scalar = jax.Array | float  # a number (): an array under a trace, or a Python float
 
 
 @jax.custom_vjp
-def clip_inward(value: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+def clip_inward(value: jax.Array, low: Scalar, high: Scalar) -> jax.Array:
     """Clip to [low, high]; cotangents pass unless gradient descent would move further outside.
 
     The derivative of ``jnp.clip`` is zero outside [low, high], so that a saturated command gets no
@@ -19,7 +20,7 @@ def clip_inward(value: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     return jnp.clip(value, low, high)
 
 
-def _clip_forward(value: jax.Array, low: jax.Array, high: jax.Array) -> tuple:
+def _clip_forward(value: jax.Array, low: Scalar, high: Scalar) -> tuple:
     return jnp.clip(value, low, high), (value, jnp.asarray(low), jnp.asarray(high))
 
 
@@ -33,7 +34,7 @@ clip_inward.defvjp(_clip_forward, _clip_backward)
 
 
 @jax.custom_vjp
-def scale_and_clip_cotangent(tree: Tree, decay: jax.Array, limit: jax.Array) -> Tree:
+def scale_and_clip_cotangent(tree: Tree, decay: Scalar, limit: Scalar) -> Tree:
     """The identity; in the backward pass every cotangent is scaled, clipped and made finite.
 
     ``g -> clip(decay g, -limit, limit)``, and 0 where ``g`` is not finite.
@@ -46,7 +47,7 @@ def scale_and_clip_cotangent(tree: Tree, decay: jax.Array, limit: jax.Array) -> 
     return tree
 
 
-def _scale_forward(tree: Tree, decay: jax.Array, limit: jax.Array) -> tuple:
+def _scale_forward(tree: Tree, decay: Scalar, limit: Scalar) -> tuple:
     return tree, (decay, limit)
 
 

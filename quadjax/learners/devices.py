@@ -1,4 +1,4 @@
-"""How many devices a run uses: on a CPU, one for each core."""
+"""The number of devices that a run uses: on a CPU, one for each core."""
 
 import os
 
@@ -9,16 +9,16 @@ from quadjax.learners.sharding import device_count
 
 
 def core_count() -> int:
-    """Cores that this process may use."""
+    """The number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def prepare_devices(wanted: str | int) -> None:
-    """Give the CPU as many devices as the run may want; call it before anything is computed.
+    """Split the CPU into the number of devices that a run may use.
 
-    Does nothing where JAX's backend is up already, as in a notebook's second run.
+    Call it before JAX computes anything; later it has no effect.
 
     Args:
         wanted: ``run.devices``: auto, all, or a number.
@@ -30,36 +30,36 @@ def prepare_devices(wanted: str | int) -> None:
         return
 
 
-def choose_devices(wanted: str | int, lanes: int) -> int:
-    """How many devices of each process to train on.
+def choose_devices(wanted: str | int, shards: int) -> int:
+    """The number of devices of each process to train on.
 
-    Two devices of one core each train faster than one of two cores: XLA's own threads get in each
-    other's way in matrices this small.
+    Two devices of one core each train faster than one of two cores: XLA's own threads slow down
+    matrix products this small.
 
     Args:
-        wanted: ``run.devices``: auto (as many as divide the work), all, or a number.
-        lanes: into how many shares the drones divide.
+        wanted: ``run.devices``: auto (the most that divide the shards), all, or a number.
+        shards: number of equal parts of the environments.
 
     Raises:
-        InputError: a number of devices that is not there or does not divide the drones.
+        InputError: more devices than there are, or a number that does not divide the shards.
     """
-    there, processes = jax.local_device_count(), jax.process_count()
-    if lanes % processes:
+    available, processes = jax.local_device_count(), jax.process_count()
+    if shards % processes:
         raise InputError(
-            f"--processes is {processes}, expected a divisor of the {lanes} shares into which "
-            "learner.num_envs divides; run.shards says how many there may be"
+            f"--processes is {processes}, allowed: a divisor of the {shards} shards of "
+            "learner.num_envs (at most run.shards)"
         )
-    lanes //= processes
+    shards //= processes
     if wanted == "auto":
-        return device_count(lanes, there)
-    count = there if wanted == "all" else int(wanted)
-    if count > there:
-        raise InputError(f"run.devices is {wanted}, but this process has {there}")
+        return device_count(shards, available)
+    count = available if wanted == "all" else int(wanted)
+    if count > available:
+        raise InputError(f"run.devices is {wanted}, allowed: at most {available} (devices)")
     if count > core_count() and jax.default_backend() == "cpu":
         raise InputError(f"run.devices is {wanted}, allowed: at most {core_count()} (cores)")
-    if lanes % count:
+    if shards % count:
         raise InputError(
-            f"run.devices is {wanted} ({count}), expected a divisor of the {lanes} shares into "
-            "which learner.num_envs divides"
+            f"run.devices is {wanted} ({count}), allowed: a divisor of the {shards} shards of "
+            "learner.num_envs (at most run.shards)"
         )
     return count

@@ -1,9 +1,11 @@
-"""Training over several processes, on one machine or many, by ``jax.distributed``.
+"""Training in several processes, on one machine or many, by ``jax.distributed``.
 
-Every process runs the same program on its share of the drones; the first one writes the files. What
-is done between chunks has to be agreed on, because all processes must enter the next chunk, or the
-gathering of a checkpoint, together.
+Every process runs the same program on its part of the environments; the first one writes the files.
+All processes must enter the next chunk, or gather a checkpoint, together: what happens between
+chunks is decided by all of them.
 """
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,18 +17,18 @@ from quadjax.core.errors import InputError
 
 
 def connect(coordinator: str | None, processes: int | None, process: int | None) -> None:
-    """Join the processes of a run; does nothing where no coordinator is named.
+    """Join the processes of a run; does nothing if no coordinator is named.
 
-    Call it after ``quadjax.learners.devices.prepare_devices`` and before anything is computed.
+    Call it after ``quadjax.learners.devices.prepare_devices`` and before JAX computes anything.
 
     Args:
         coordinator: HOST:PORT at which the first process listens; "auto" on a cluster that JAX
-            knows (Slurm, Open MPI, Kubernetes, TPU pods).
-        processes: how many there are.
-        process: which of them this is, from 0.
+            detects (Slurm, Open MPI, Kubernetes, TPU pods).
+        processes: number of processes.
+        process: index of this process, from 0.
 
     Raises:
-        InputError: numbers that do not fit, or a coordinator that does not answer.
+        InputError: an impossible number, or a coordinator that does not answer.
     """
     if coordinator is None:
         if processes is not None or process is not None:
@@ -59,15 +61,15 @@ def is_first() -> bool:
 
 
 def alone() -> bool:
-    """Whether there is no other process."""
+    """Whether this is the only process."""
     return jax.process_count() == 1
 
 
 def meet(mesh: Mesh) -> None:
-    """Let all processes find each other, while they are at the same place.
+    """Connect all processes; all have to call it.
 
-    Where they first meet they wait half a minute at most, and compiling may take one of them
-    longer than that.
+    A first collective operation waits at most half a minute for the others. Called before
+    compilation, which can take one process longer than that.
     """
     if alone():
         return
@@ -84,22 +86,22 @@ def meet(mesh: Mesh) -> None:
 
 
 def agree(flag: bool) -> bool:
-    """Whether any process says so; all have to ask."""
+    """Whether the flag is true in any process; all have to call it."""
     if alone():
         return flag
     return bool(np.any(multihost_utils.process_allgather(np.asarray(flag))))
 
 
-def _is_key(leaf: object) -> bool:
+def _is_key(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def spread(tree: object, shardings: object) -> object:
-    """A tree that every process holds whole, laid out over the devices of all.
+def spread(tree: Any, shardings: Any) -> Any:
+    """A tree that every process holds completely, laid out over the devices of all.
 
     Args:
-        tree: of arrays, the same in every process.
-        shardings: a tree of them, or one for all leaves.
+        tree: arrays, the same in every process.
+        shardings: a tree of shardings, or one for all leaves.
     """
     if alone():
         return jax.device_put(tree, shardings)
@@ -118,10 +120,10 @@ def _spread_leaf(leaf: jax.Array, sharding: NamedSharding) -> jax.Array:
     return jax.jit(jax.random.wrap_key_data, out_shardings=sharding)(numbers)
 
 
-def gather(tree: object) -> object:
-    """A tree on the host, whole in every process, keys as their integers; all have to call it."""
+def gather(tree: Any) -> Any:
+    """A tree on the host, complete in every process; keys as integers. All have to call it."""
 
-    def plain(tree: object) -> object:
+    def plain(tree: Any) -> Any:
         return jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, tree)
 
     if alone():
@@ -134,7 +136,7 @@ def gather(tree: object) -> object:
     return jax.device_get(jax.jit(plain, out_shardings=everywhere)(tree))
 
 
-def share(tree: object) -> object:
+def share(tree: Any) -> Any:
     """The first process's tree of NumPy arrays, in every process; all have to call it."""
     if alone():
         return tree

@@ -1,6 +1,6 @@
 """Hyperparameter sections as pytrees: floats are leaves, everything else is static."""
 
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ def register(section: type[SectionType]) -> type[SectionType]:
 
     def unflatten(fixed: tuple, children: list) -> SectionType:
         named = dict(zip(static, fixed, strict=True)) | dict(zip(leaves, children, strict=True))
-        return section.model_construct(**named)
+        return cast(SectionType, section.model_construct(**named))
 
     jax.tree_util.register_pytree_node(section, flatten, unflatten)
     return section
@@ -33,4 +33,4 @@ def register(section: type[SectionType]) -> type[SectionType]:
 
 def as_leaves(section: SectionType) -> SectionType:
     """The section with its floats as single-precision arrays ()."""
-    return jax.tree.map(jnp.float32, section)
+    return cast(SectionType, jax.tree.map(jnp.float32, section))

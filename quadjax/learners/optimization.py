@@ -6,8 +6,10 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from quadjax.core.gradients import Scalar
 
-def clip_by_norm(tree: Any, limit: jax.Array) -> tuple[Any, jax.Array]:
+
+def clip_by_norm(tree: Any, limit: Scalar) -> tuple[Any, jax.Array]:
     """Scale a gradient to a global norm of at most ``limit``.
 
     ``g min(1, limit / |g|)``, as ``optax.clip_by_global_norm``, which does not return the norm.
@@ -29,6 +31,6 @@ def select(condition: jax.Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
 
-def descend(params: Any, direction: Any, rate: jax.Array) -> Any:
+def descend(params: Any, direction: Any, rate: Scalar) -> Any:
     """``params - rate * direction``, leaf by leaf."""
     return jax.tree.map(lambda p, d: p - rate * d, params, direction)

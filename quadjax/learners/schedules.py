@@ -10,6 +10,7 @@ before the first knot it has the first value, after the last one the last. Knots
 traced: other numbers for the same leaves compile nothing anew.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -59,9 +60,10 @@ def make_schedule(
             the structure does.
     """
     first, *others = trees
-    structure = jax.tree.structure(first)
+    structure: Any = jax.tree.structure(first)
     for other in others:
-        if jax.tree.structure(other) != structure or _shapes(other) != _shapes(first):
+        found: Any = jax.tree.structure(other)
+        if found != structure or _shapes(other) != _shapes(first):
             raise InputError(
                 f"schedules: {key} cannot be scheduled: it changes the program, not only numbers"
             )
@@ -138,14 +140,15 @@ def with_schedules(learner: Learner, schedules: dict[str, Schedule]) -> Learner:
 
     def init(hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
         start = jnp.zeros((), jnp.int32)
-        return learner.init(*apply_schedules((hyper.hyper, params), hyper.schedules, start), key)
+        own, params = apply_schedules((hyper.hyper, params), hyper.schedules, start)
+        return learner.init(own, params, key)
 
     def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
-        now = apply_schedules((hyper.hyper, params), hyper.schedules, state.update)
-        return learner.update(*now, state)
+        own, params = apply_schedules((hyper.hyper, params), hyper.schedules, state.update)
+        return learner.update(own, params, state)
 
     hyper = Scheduled(learner.hyper, tuple(schedules.values()))
-    return Learner(init, update, hyper, learner.steps_per_update, learner.num_shards)
+    return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
 
 
 def _check_disjoint(schedules: dict[str, Schedule]) -> None:

@@ -21,11 +21,13 @@ class TrainState:
 
     params: ActorCritic
     optimizer: optax.OptState
-    target: ActorCritic | None  # slowly moving copy, for learners with a target network
+    target: Any  # ActorCritic or None: slowly moving copy, for learners with a target network
     environment: Any  # states of all environments, batched along the last axis
     keys: jax.Array  # (shards,) PRNG keys
     update: jax.Array  # () int32, number of updates done
-    ema: ActorCritic | None = None  # exponential moving average of ``params``, if there is one
+    ema: Any = (
+        None  # ActorCritic or None: exponential moving average of ``params``, if there is one
+    )
 
     @property
     def evaluated(self) -> ActorCritic:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 
+from quadjax.config.base import Section
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.learners.devices import choose_devices
@@ -132,11 +133,11 @@ def _make(
     learner = make(algorithm, updates * chunks)
     built = {}
     for name, values in schedules.items():
-        if not hasattr(algorithm, name) or len(values) < 2:
+        if not (isinstance(algorithm, Section) and hasattr(algorithm, name) and len(values) > 1):
             raise InputError(
                 f"schedules: {name} is {values}, allowed: two or more values of a hyperparameter"
             )
         trees = [(make(algorithm.replace(**{name: value}), 1).hyper, None) for value in values]
-        knots = np.linspace(0.0, updates * chunks * per_update, len(values))
+        knots = np.linspace(0.0, updates * chunks * per_update, len(values)).tolist()
         built[name] = make_schedule(name, knots, trees, per_update)
     return with_schedules(learner, built)

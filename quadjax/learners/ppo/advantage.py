@@ -3,6 +3,8 @@
 import jax
 import jax.numpy as jnp
 
+from quadjax.core.gradients import Scalar
+
 
 def advantages(
     reward: jax.Array,
@@ -10,8 +12,8 @@ def advantages(
     next_value: jax.Array,
     terminated: jax.Array,
     truncated: jax.Array,
-    discount: jax.Array,
-    gae_lambda: jax.Array,
+    discount: Scalar,
+    gae_lambda: Scalar,
 ) -> jax.Array:
     """Advantage of each step.
 
@@ -42,5 +44,7 @@ def advantages(
         advantage = delta_t + discount * gae_lambda * not_done_t * following
         return advantage, advantage
 
-    _, result = jax.lax.scan(backward, jnp.zeros_like(value[0]), (delta, not_done), reverse=True)
+    start = jnp.zeros_like(value[0])
+    result: jax.Array
+    _, result = jax.lax.scan(backward, start, (delta, not_done), reverse=True)
     return result

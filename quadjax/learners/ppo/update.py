@@ -1,5 +1,6 @@
 """One PPO update: collect a rollout, estimate advantages, take gradient steps on minibatches."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -54,7 +55,9 @@ def _init(
 ) -> TrainState:
     network_key, reset_key, shard_key = jax.random.split(key, 3)
     params = networks.init(network_key)
-    params = params.replace(log_std=jnp.full_like(params.log_std, hyper.initial_log_std))
+    params = dataclasses.replace(
+        params, log_std=jnp.full_like(params.log_std, hyper.initial_log_std)
+    )
     resets = jax.random.split(reset_key, shards)
     count = hyper.num_envs // shards
     return TrainState(
@@ -87,7 +90,8 @@ def _update(
     batch = _make_batch(rollout, hyper)
     params, optimizer, metrics = _optimize(networks, hyper, state, batch, shuffle_keys)
     metrics |= _rollout_metrics(rollout, batch, state.params)
-    following = state.replace(
+    following = dataclasses.replace(
+        state,
         params=params,
         optimizer=optimizer,
         environment=environment_state,

@@ -1,5 +1,6 @@
 """The policy's step: gradient ascent on the return of a short rollout."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from quadjax.core.environment import Environment
+from quadjax.core.gradients import Scalar
 from quadjax.learners.networks import Networks, Tree
 from quadjax.learners.optimization import clip_by_norm, descend, select
 from quadjax.learners.shac.hyperparameters import SHAC
@@ -37,7 +39,7 @@ def collect_gradient(
             networks,
             hyper,
             environment_params,
-            state.params.replace(policy=policy),
+            dataclasses.replace(state.params, policy=policy),
             state.target,
             state.environment,
             fresh,
@@ -75,7 +77,7 @@ def policy_step(
 
 
 def adam_step(
-    hyper: SHAC, rate: jax.Array, gradient: Tree, params: Tree, optimizer: optax.OptState
+    hyper: SHAC, rate: Scalar, gradient: Tree, params: Tree, optimizer: optax.OptState
 ) -> tuple[Tree, optax.OptState]:
     """One step of Adam against a gradient; the new parameters and Adam's state."""
     adam = optax.scale_by_adam(b1=hyper.adam_b1, b2=hyper.adam_b2)

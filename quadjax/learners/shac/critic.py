@@ -1,5 +1,7 @@
 """The critic's steps: regression to TD(lambda) targets."""
 
+import dataclasses
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -70,7 +72,7 @@ def _critic_step(
     chex.assert_equal_shape_prefix((observation, target), 1)
 
     def loss(value: Tree) -> jax.Array:
-        predicted = networks.value(params.replace(value=value), observation)
+        predicted = networks.value(dataclasses.replace(params, value=value), observation)
         return jnp.mean((predicted - target) ** 2)
 
     error, gradient = jax.lax.pmean(jax.value_and_grad(loss)(value), AXIS)

@@ -3,12 +3,11 @@
 import jax
 import jax.numpy as jnp
 
+from quadjax.core.gradients import Scalar
 from quadjax.learners.shac.rollout import Trajectory
 
 
-def td_lambda_targets(
-    trajectory: Trajectory, discount: jax.Array, td_lambda: jax.Array
-) -> jax.Array:
+def td_lambda_targets(trajectory: Trajectory, discount: Scalar, td_lambda: Scalar) -> jax.Array:
     """TD(lambda) targets (time, n) of the value of each observation (Xu et al., 2022, eq. 7).
 
     ``G_t = r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``. At the horizon and where an

@@ -1,5 +1,6 @@
 """One SHAC update: a policy gradient through the simulator, then the critic."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import optax
 
 from quadjax.core.environment import Environment
+from quadjax.core.gradients import Scalar
 from quadjax.learners.hyper import as_leaves, register
 from quadjax.learners.metrics import episode_metrics
 from quadjax.learners.networks import ActorCritic, Networks
@@ -54,7 +56,7 @@ def _init(
 ) -> TrainState:
     network_key, reset_key, shard_key = jax.random.split(key, 3)
     params = networks.init(network_key)
-    params = params.replace(log_std=jnp.full_like(params.log_std, jnp.log(hyper.std)))
+    params = dataclasses.replace(params, log_std=jnp.full_like(params.log_std, jnp.log(hyper.std)))
     resets = jax.random.split(reset_key, shards)
     count = hyper.num_envs // shards
     adam = optax.scale_by_adam()
@@ -103,7 +105,7 @@ def _update(
     return following, metrics | _rollout_metrics(trajectory, hyper)
 
 
-def _move(old: ActorCritic, new: ActorCritic, rate: jax.Array) -> ActorCritic:
+def _move(old: ActorCritic, new: ActorCritic, rate: Scalar) -> ActorCritic:
     """``old + rate (new - old)``: the target critic follows the critic."""
     return jax.tree.map(lambda a, b: a + rate * (b - a), old, new)
 
@@ -117,7 +119,7 @@ def _moving_average(hyper: SHAC, state: TrainState, params: ActorCritic) -> Acto
     """
     rate = jnp.maximum(hyper.ema_rate, EMA_SHARE / (EMA_SHARE + state.update))
     ema = jax.tree.map(lambda old, new: (1.0 - rate) * old + rate * new, state.ema, params)
-    return ema.replace(log_std=params.log_std)
+    return dataclasses.replace(ema, log_std=params.log_std)
 
 
 def _rollout_metrics(trajectory: Trajectory, hyper: SHAC) -> Metrics:
