@@ -14,7 +14,7 @@ class GradientAscent(LearnerSection):
     horizon: int = 40
     learning_rate: float = 3e-3
 
-    def make(self, environment, networks, num_updates, max_shards):
+    def make(self, environment, networks, num_updates, max_shards=8):
         adam = optax.adam(self.learning_rate)
 
         def init(hyper, params, key):

@@ -41,6 +41,8 @@ class LearnerSection(Section):
 
     noise_on: ClassVar[Literal["mean", "clipped_mean"]] = "mean"  # what action noise is added to
 
+    algorithm: str = Field("", description="ppo, shac, or module:Class of a learner of your own")
+
     def make(
         self,
         environment: Environment,

@@ -27,7 +27,7 @@ class MakesLearner(Protocol):
     """What can be trained: ``PPO``, ``SHAC``, or any object with this method."""
 
     def make(
-        self, environment: Environment, networks: Networks, num_updates: int, max_shards: int
+        self, environment: Environment, networks: Networks, num_updates: int, max_shards: int = 8
     ) -> Learner:
         """The learner on an environment; see ``LearnerSection.make``."""
         ...

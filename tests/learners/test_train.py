@@ -76,7 +76,7 @@ class Ascent(LearnerSection):
 
     num_envs: int = 8
 
-    def make(self, environment, networks, num_updates, max_shards):
+    def make(self, environment, networks, num_updates, max_shards=8):
         def init(hyper, params, key):
             return TrainState(networks.init(key), (), None, (), key[None], jnp.int32(0))
 
