@@ -25,7 +25,7 @@ SMALL = {
     "train_and_tune": [
         "STEPS, SEED, RUNS = 25_000, 0, 2",
         'CHANGE = ("narrow", ["network.hidden=[32,32]"])',
-        'OVERRIDES = WORDS = ["run.evaluate_every=12500", "run.devices=1"]',
+        'OVERRIDES = ["run.evaluate_every=12500", "run.devices=1"]',
     ],
 }
 by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
