@@ -11,6 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = ["run.steps=20000", "run.evaluate_every=10000", "evaluate.laps=1", "network.hidden=[8]"]
+SHORT += ["learner.num_envs=64", "learner.horizon=8", "run.devices=1"]
 
 
 @pytest.fixture(scope="module")

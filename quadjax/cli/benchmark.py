@@ -43,14 +43,14 @@ class Job:
 
     kind: str  # a key of TITLES, or "quadjax" | "sb3" for one side of --sb3
     config: str
-    drones: int
+    num_envs: int
     repeats: int
     seconds: float = 0.0  # of one side of --sb3
     devices: str = "auto"  # of a preset's training
 
     def describe(self) -> str:
         """The job in a few words."""
-        return f"{Path(self.config).stem} {self.kind} {self.drones or ''}".strip()
+        return f"{Path(self.config).stem} {self.kind} {self.num_envs or ''}".strip()
 
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -92,9 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _jobs(quick: bool, repeats: int) -> list[Job]:
     jobs = [
-        Job(kind, ENVIRONMENT, drones, repeats)
+        Job(kind, ENVIRONMENT, num_envs, repeats)
         for kind in ("environment", "residual")
-        for drones in (QUICK_NUM_ENVS if quick else NUM_ENVS)
+        for num_envs in (QUICK_NUM_ENVS if quick else NUM_ENVS)
     ]
     jobs.append(Job("observed", ENVIRONMENT, OBSERVED, repeats))
     few = max(2, repeats // 2)
@@ -148,7 +148,7 @@ def _run_job(job: Job) -> dict[str, Any]:
         speed = benchmark.measure_training(config, job.repeats)
     else:
         residual, observed = job.kind == "residual", job.kind == "observed"
-        speed = benchmark.measure_environment(config, job.drones, residual, observed, job.repeats)
+        speed = benchmark.measure_environment(config, job.num_envs, residual, observed, job.repeats)
     result = dataclasses.asdict(job) | dataclasses.asdict(speed)
     memory = {"peak_memory_mib": peak_memory_mib()}
     return result | memory | {"config": Path(job.config).stem, "machine": benchmark.machine()}
@@ -211,7 +211,7 @@ def _print_results(results: list[dict[str, Any]]) -> None:
         for row in (row for row in results if row["kind"] == kind):
             name = row["config"] if kind == "training" else ""
             print(
-                f"{name:>10} {row['drones']:>8,} {row['devices']:>7} "
+                f"{name:>10} {row['num_envs']:>8,} {row['devices']:>7} "
                 f"{row['steps_per_second']:>12,.0f} {row['slowest']:>12,.0f} "
                 f"{row['compile_seconds']:>6.1f} s {row['peak_memory_mib'] or 0:>5.0f} MiB"
             )

@@ -31,7 +31,7 @@ NAME_OFFSET = 30  # px, before halving, of a drone's name from its middle
 
 
 def frame_count(flights: Sequence[Recording]) -> int:
-    """How many frames the flights take."""
+    """Number of frames of the flights."""
     longest = max(float(flight.time[-1]) for flight in flights)
     return int(np.ceil(longest * FRAMES_PER_SECOND)) + 1
 
@@ -43,14 +43,14 @@ def write_animation(
     advance: Callable[[], object] = lambda: None,
     names: Sequence[str] = (),
 ) -> None:
-    """Write flights as an animated GIF, in real time, whole.
+    """Write flights as an animated GIF in real time.
 
     Args:
-        flights: one or more, all at once.
-        gates: of the track, in flying order.
+        flights: one or more, shown together.
+        gates: of the track, in order of passage.
         path: ``.gif``.
         advance: called after every frame.
-        names: to write beside the drones, one for each flight, or none.
+        names: shown next to the drones, one for each flight, or none.
 
     Raises:
         InputError: another suffix, no flight, or a path that cannot be written.
@@ -72,7 +72,7 @@ def _frames(
     names: Sequence[str],
     advance: Callable[[], object],
 ) -> Iterator[Image.Image]:
-    """Every frame, in the same few colors."""
+    """The frames, in one palette."""
     film, count = Film(flights, gates, names), frame_count(flights)
     palette = film.palette(count)
     for index in range(count):
@@ -89,12 +89,12 @@ def _save(path: Path, frames: Iterator[Image.Image], count: int) -> None:
         duration=[1000 // FRAMES_PER_SECOND] * (count - 1) + [int(1000 * HOLD_SECONDS)],
         loop=0,
         disposal=1,
-        optimize=True,  # what stands still is not written again
+        optimize=True,  # only changed pixels are written
     )
 
 
 class Film:
-    """Frames of some flights: what stands still is drawn once."""
+    """The frames of flights; the background is drawn once."""
 
     def __init__(
         self,
@@ -102,7 +102,7 @@ class Film:
         gates: Sequence[Gate],
         names: Sequence[str] = (),
     ) -> None:
-        """Choose the views and draw the track."""
+        """Choose the views and draw the background."""
         self._flights = flights
         self._names = names or [""] * len(flights)
         self._laps = max(len(flight.lap_ends) for flight in flights)
@@ -151,7 +151,7 @@ class Film:
         return image
 
     def _draw_legend(self, draw: ImageDraw.ImageDraw) -> None:
-        """Which color of the trail is which speed; what is slower has the slowest's."""
+        """Draw the color scale of the speed; lower speeds have the lowest color."""
         left, right = (x * WIDTH * SMOOTH for x in LEGEND)
         edges = np.linspace(left, right, SHADES + 1)
         y, half = CLOCK_ROW * HEIGHT * SMOOTH, 5 * SMOOTH
@@ -211,7 +211,7 @@ class Film:
             scene.draw_cross(draw, view.project(position))
 
     def _draw_clock(self, draw: ImageDraw.ImageDraw, now: float) -> None:
-        """Time, lap, lap times and speed of the drone that is ahead."""
+        """Draw time, lap, lap times and speed of the leading drone."""
         lead = max(self._flights, key=lambda f: (np.sum(f.lap_ends <= now), -f.time[-1]))
         now = min(now, float(lead.time[-1]))
         done = int(np.sum(lead.lap_ends <= now + 1e-6))

@@ -32,7 +32,7 @@ STEPS_PER_CALL = 4_000_000  # environment steps in one timed call, about
 class Speed:
     """One measurement."""
 
-    drones: int
+    num_envs: int
     devices: int
     compile_seconds: float
     steps_per_second: float  # median over the repeats
@@ -59,7 +59,7 @@ def random_residual(seed: int = 0, width: int = 32) -> Residual:
 
 
 def _loop(environment: Environment, steps: int, observed: bool) -> Callable[..., tuple]:
-    """Steps of all drones from a state, with a fresh one where an episode ends."""
+    """Steps of all environments from a state, with a fresh one where an episode ends."""
     step = jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0))
     observe = jax.vmap(environment.observe, in_axes=(None, -1))
 
@@ -79,24 +79,24 @@ def _loop(environment: Environment, steps: int, observed: bool) -> Callable[...,
 
 
 def environment_loop(
-    config: Config, params: RaceParams, drones: int, steps: int, devices: int, observed: bool
+    config: Config, params: RaceParams, num_envs: int, steps: int, devices: int, observed: bool
 ) -> tuple[Callable, tuple]:
     """A compiled loop of steps with automatic resets, split over devices, and its arguments.
 
     Args:
         config: of the race.
         params: its numbers; they are arguments of the loop, as in training.
-        drones: in all.
+        num_envs: number of environments.
         steps: of each drone in a call.
-        devices: over which the drones are split.
+        devices: over which the environments are split.
         observed: whether every step makes the observation too.
     """
     environment = make_environment(choices_of(config))
     loop = _loop(environment, steps, observed)
     mesh = parallel.make_mesh(devices)
     reset = jax.jit(jax.vmap(environment.reset, in_axes=(None, 0), out_axes=-1))
-    state = reset(params, jax.random.split(jax.random.key(0), drones))
-    action = jax.random.uniform(jax.random.key(1), (drones, 4), minval=-1.0, maxval=1.0)
+    state = reset(params, jax.random.split(jax.random.key(0), num_envs))
+    action = jax.random.uniform(jax.random.key(1), (num_envs, 4), minval=-1.0, maxval=1.0)
     shared = PartitionSpec()
     split = jax.tree.map(lambda x: PartitionSpec(*(None,) * (x.ndim - 1), AXIS), state)
     specs = (shared, split, split, PartitionSpec(AXIS))
@@ -113,13 +113,13 @@ def environment_loop(
 
 
 def measure_environment(
-    config: Config, drones: int, residual: bool, observed: bool, repeats: int
+    config: Config, num_envs: int, residual: bool, observed: bool, repeats: int
 ) -> Speed:
     """Environment steps a second: step, reset where an episode ended, and maybe the observation.
 
     Args:
         config: of the race.
-        drones: in all; split over as many devices as divide them.
+        num_envs: number of environments; split over as many devices as divide them.
         residual: fly with random residual networks.
         observed: make the observation too.
         repeats: to take the median of.
@@ -128,9 +128,9 @@ def measure_environment(
     if residual:
         vehicle = params.vehicle.replace(residual=random_residual())
         params = params.replace(vehicle=vehicle)
-    devices = choose_devices("auto", drones)
-    steps = min(20_000, max(50, STEPS_PER_CALL // drones))
-    loop, arguments = environment_loop(config, params, drones, steps, devices, observed)
+    devices = choose_devices("auto", num_envs)
+    steps = min(20_000, max(50, STEPS_PER_CALL // num_envs))
+    loop, arguments = environment_loop(config, params, num_envs, steps, devices, observed)
     began = time.perf_counter()
     compiled = loop.lower(*arguments).compile()
     compile_seconds = time.perf_counter() - began
@@ -138,7 +138,7 @@ def measure_environment(
     def call() -> None:
         jax.block_until_ready(compiled(*arguments))
 
-    return _speed(call, drones * steps, repeats, drones, devices, compile_seconds)
+    return _speed(call, num_envs * steps, repeats, num_envs, devices, compile_seconds)
 
 
 def measure_training(config: Config, repeats: int) -> Speed:
@@ -164,7 +164,7 @@ def _speed(
     call: Callable[[], None],
     steps: int,
     repeats: int,
-    drones: int,
+    num_envs: int,
     devices: int,
     compile_seconds: float,
 ) -> Speed:
@@ -175,7 +175,7 @@ def _speed(
         call()
         speeds.append(steps / (time.perf_counter() - began))
     middle = statistics.median(speeds)
-    return Speed(drones, devices, compile_seconds, middle, min(speeds), max(speeds))
+    return Speed(num_envs, devices, compile_seconds, middle, min(speeds), max(speeds))
 
 
 def machine() -> dict[str, str | int | float | None]:

@@ -1,4 +1,4 @@
-"""What an animation draws with: views onto the world, gates and drones as strokes."""
+"""Drawing for animations: views of the world, gates, drones."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ ROTOR = 0.11  # m, radius drawn
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """A camera: where points of the world appear on the canvas."""
+    """A camera, which maps points of the world to the canvas."""
 
     axes: np.ndarray  # (3, 3): rows right, down and away from the viewer, world NED
     origin: np.ndarray  # (3,) m, the point looked at
@@ -76,7 +76,7 @@ def body_axes(euler: np.ndarray) -> np.ndarray:
 
 
 def gate_corners(gate: Gate) -> np.ndarray:
-    """Corners (4, 3) of a gate's opening, m, world, round it."""
+    """Corners (4, 3) of a gate's opening in order, m, world."""
     yaw = np.radians(gate.yaw_deg)
     right = 0.5 * gate.size[0] * np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     down = np.array([0.0, 0.0, 0.5 * gate.size[1]])
@@ -87,7 +87,7 @@ def gate_corners(gate: Gate) -> np.ndarray:
 def polyline(
     draw: ImageDraw.ImageDraw, points: np.ndarray, color: tuple[int, int, int], width: int
 ) -> None:
-    """Join pixels (n, 2)."""
+    """Draw a line through pixels (n, 2)."""
     draw.line([tuple(p) for p in points], fill=color, width=width, joint="curve")
 
 
@@ -100,7 +100,7 @@ def dot(
 
 
 def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[Gate]) -> None:
-    """Gates as frames with an arrow the way through."""
+    """Draw gates as frames with an arrow in the direction of passage."""
     for gate in gates:
         corners = view.project(gate_corners(gate))
         polyline(draw, np.concatenate([corners, corners[:2]]), GATE, 8)

@@ -73,7 +73,7 @@ def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
 
 
 def test_the_benchmark_measures_in_a_process(monkeypatch, capsys):
-    job = {"kind": "residual", "config": "e2e", "drones": 2}
+    job = {"kind": "residual", "config": "e2e", "num_envs": 2}
     text = json.dumps(job | {"repeats": 1})
     monkeypatch.setattr("quadjax.evaluation.benchmark.STEPS_PER_CALL", 100)
     assert run("benchmark", "--job", text) == 0
