@@ -1,8 +1,9 @@
 """Trials as Ray tasks on a running cluster, with the CPUs and GPUs that each asks for."""
 
+import contextlib
 import os
 import uuid
-from typing import Any, Self
+from typing import Any
 
 from quadjax.core.errors import InputError
 from quadjax.sweeps.local import Function, WorkerDied
@@ -49,7 +50,7 @@ def _task(function: Function, job: Job, trial: str, mailbox: Any, gpus: float) -
     return Outcome((), 0.0, False) if tell(-1, 0.0) else function(job, tell)
 
 
-class RayExecutor:
+class RayExecutor(contextlib.AbstractContextManager):
     """Tasks on a Ray cluster. The output folder must be on a file system that all nodes share."""
 
     def __init__(self, asked: Executor, function: Function) -> None:
@@ -85,9 +86,6 @@ class RayExecutor:
         except ray.exceptions.RayError as error:
             reason = str(error).strip().splitlines() or [""]
             raise WorkerDied(f"{type(error).__name__}: {reason[-1]}") from error
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         """The cluster is left as it was."""

@@ -7,11 +7,7 @@ from quadjax.core.errors import InputError
 try:
     import optuna
 except ImportError:
-    raise InputError(
-        "sweeps need Optuna, which is not installed: pip install 'quadjax[sweep]'"
-    ) from None
+    raise InputError("sweeps need Optuna: pip install 'quadjax[sweep]'") from None
 
 warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
 optuna.logging.set_verbosity(optuna.logging.ERROR)
-
-__all__ = ["optuna"]

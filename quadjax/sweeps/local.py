@@ -1,5 +1,6 @@
 """Trials in processes of this machine, each pinned to one core."""
 
+import contextlib
 import os
 import queue
 import signal
@@ -7,7 +8,6 @@ from collections.abc import Callable
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Self
 
 import psutil
 
@@ -23,7 +23,7 @@ class WorkerDied(RuntimeError):
     """The process or node that ran a trial is gone."""
 
 
-class LocalExecutor:
+class LocalExecutor(contextlib.AbstractContextManager):
     """A worker process for each core, on the CPU; GPUs are Ray's."""
 
     def __init__(self, asked: Executor, function: Function, logs: Path) -> None:
@@ -48,9 +48,6 @@ class LocalExecutor:
             return worker.run(self._function, job, tell)
         finally:
             self._free.put(worker)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         while not self._free.empty():

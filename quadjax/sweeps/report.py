@@ -6,11 +6,10 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.config.base import to_yaml
 from quadjax.core.files import write_text
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.study import OVER, State, latest_trials
-from quadjax.sweeps.sweep import Sweep, tree_of
+from quadjax.sweeps.sweep import Sweep
 
 FrozenTrial = optuna.trial.FrozenTrial
 
@@ -23,8 +22,8 @@ def results_of(study: optuna.Study) -> list[FrozenTrial]:
     """The trials that are over: complete ones by value, then pruned ones, then failed ones."""
     trials = latest_trials(study).values()
     over = [t for t in trials if t.state in OVER or "error" in t.user_attrs]
-    value = {t.number: math.inf if t.value is None else t.value for t in over}
-    return sorted(over, key=lambda t: ([*STATES].index(t.state), value[t.number]))
+    order = {state: place for place, state in enumerate(STATES)}
+    return sorted(over, key=lambda t: (order[t.state], math.inf if t.value is None else t.value))
 
 
 def importances(study: optuna.Study) -> dict[str, float]:
@@ -84,7 +83,7 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
         title = (
             f"# Trial {best.user_attrs['index']} of {name}: {asked.measure} {best.value:.3f} s\n"
         )
-        write_text(directory / "best.yaml", title + to_yaml(tree_of(config)))
+        write_text(directory / "best.yaml", title + config.to_yaml())
         draw(study, directory)
         last = f"best config: quadjax train {directory / 'best.yaml'}"
     write_text(directory / "report.md", f"{head}\n\n{markdown(rows)}\n\n{explained}\n\n{last}\n")

@@ -1,8 +1,7 @@
 """A sweep's Optuna study: its storage, the queue of its trials, and how they stand.
 
-Every trial of the budget is in the study's queue from the start, with its ``index`` as a user
-attribute. A trial whose process died is failed and queued again by Optuna's retry callback, with
-the same parameters and index. A failed trial with the user attribute ``error`` is not retried.
+Every trial of the budget is queued from the start, with a user attribute ``index``. A trial whose
+process died is failed and queued again with its parameters and index, unless it has an ``error``.
 """
 
 import contextlib
@@ -19,7 +18,7 @@ from quadjax.core.errors import InputError
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.sweep import Sweep
 
-JOURNAL = "study.journal"
+JOURNAL, DRIVER = "study.journal", "postgresql+psycopg://"
 GRACE = 4  # heartbeats without a sign of life after which a trial of another machine is retried
 State = optuna.trial.TrialState
 OVER = (State.COMPLETE, State.PRUNED)
@@ -28,11 +27,7 @@ retry = optuna.storages.RetryHeartbeatStaleTrialCallback()  # queues a failed tr
 
 
 def open_study(sweep: Sweep, directory: Path, run: bool = True) -> optuna.Study:
-    """The study of a sweep; with a full queue to run its trials, in a claimed folder.
-
-    Raises:
-        InputError: the study is of another sweep, or the storage cannot be used.
-    """
+    """The study of a sweep; with a full queue to run its trials, in a claimed folder."""
     directory.mkdir(parents=True, exist_ok=True)
     with storage_errors(sweep, directory), _exclusive(sweep):
         study = _create(sweep, _open_storage(sweep, directory))
@@ -59,16 +54,12 @@ def _open_storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
             stream.truncate(stream.read().rfind(b"\n") + 1)
         return optuna.storages.JournalStorage(backend)
     return optuna.storages.RDBStorage(
-        _driver_url(sweep),
+        sweep.file.storage.replace("postgresql://", DRIVER, 1),
         engine_kwargs={"pool_pre_ping": True},
         heartbeat_interval=sweep.file.heartbeat_seconds,
         grace_period=GRACE * sweep.file.heartbeat_seconds,
         heartbeat_stale_trial_callback=retry,
     )
-
-
-def _driver_url(sweep: Sweep) -> str:
-    return sweep.file.storage.replace("postgresql://", "postgresql+psycopg://", 1)
 
 
 @contextlib.contextmanager
@@ -105,7 +96,8 @@ def _exclusive(sweep: Sweep) -> Iterator[None]:
         return
     import sqlalchemy
 
-    engine = sqlalchemy.create_engine(_driver_url(sweep), poolclass=sqlalchemy.pool.NullPool)
+    url = sweep.file.storage.replace("postgresql://", DRIVER, 1)
+    engine = sqlalchemy.create_engine(url, poolclass=sqlalchemy.pool.NullPool)
     key = {"key": zlib.crc32(b"quadjax sweeps")}
     with engine.connect() as connection:
         connection.execute(sqlalchemy.text("select pg_advisory_lock(:key)"), key)

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -79,11 +78,7 @@ def plain(value: object) -> Plain:
 
 
 def read_dimension(key: str, given: object, config: object) -> Dimension:
-    """A dimension of a sweep file's ``space``; the base config tells the type of its key.
-
-    Raises:
-        InputError: an unknown key, an empty range or a wrong type.
-    """
+    """A dimension of a sweep file's ``space``; the base config tells the type of its key."""
     if key in OWN_KEYS:
         raise InputError(f"{key}: {key} is set by the sweep")
     base, kinds = value_at(config, key), optuna.distributions
@@ -155,22 +150,13 @@ class Sweep:
             "objective": self.file.objective.model_dump(),
             "conditions": list(self.conditions),
             "space": {d.key: d.given.model_dump(exclude_none=True) for d in self.dimensions},
-            "config": tree_of(load_config(self.base, self.overrides)),
+            "config": load_config(self.base, self.overrides).model_dump(mode="json", by_alias=True),
         }
         return {key: json.dumps(value) for key, value in flatten(parts, ENTRIES).items()}
 
 
-def tree_of(config: Config) -> dict[str, Any]:
-    """A config as plain nested mappings."""
-    return config.model_dump(mode="json", by_alias=True)
-
-
 def load_sweep(path: Path | str, overrides: Sequence[str] = ()) -> Sweep:
-    """The sweep of a YAML file and ``key=value`` overrides, checked before anything is trained.
-
-    Raises:
-        InputError: an unknown key, an impossible value or an impossible search space.
-    """
+    """The sweep of a YAML file and ``key=value`` overrides, checked before anything is trained."""
     path = Path(path)
     trees = [read_yaml(path), parse_overrides(overrides)]
     for tree in trees:
