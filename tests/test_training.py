@@ -117,7 +117,7 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
             training.train(config_of("e2e_ppo.yaml", word), tmp_path / "run")
     narrow = training.train(config_of("e2e_ppo.yaml", "network.hidden=[4]"), tmp_path / "narrow")
     policy = f"run.initial_policy={narrow.folder / 'policy.npz'}"
-    with pytest.raises(InputError, match=r"hidden widths \[4\], the config \[8\]"):
+    with pytest.raises(InputError, match=r"hidden widths \[4\], the config has \[8\]"):
         training.train(config_of("e2e_ppo.yaml", policy), tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run").exists()
 
