@@ -35,9 +35,8 @@ quadjax.load = short
 
 def test_there_is_an_example_for_each_thing_that_a_user_brings():
     names = {path.stem for path in EXAMPLES}
-    own = {"own_track", "own_drone", "own_schedule", "own_learner"}
-    assert own | {"hello_world", "pendulum"} <= names
-    assert {"own_learner", "pendulum"} <= names
+    own = {"track", "drone", "schedule", "learner", "vehicle", "reward_term", "observation", "rule"}
+    assert {f"own_{name}" for name in own} | {"hello_world", "pendulum"} <= names
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -52,7 +52,7 @@ def layout_of_release_1(
     actuators = tuple(zip(low.tolist(), high.tolist(), strict=True))[-model.actuators.size :]
 
     def with_span(field: Field) -> Field:
-        field = dataclasses.replace(field, value=None, scale=None)
+        field = dataclasses.replace(field, value=None)
         if field.name == model.actuators.name:
             return dataclasses.replace(field, span=actuators)
         if field.name in WIDTHS and widths is not None:

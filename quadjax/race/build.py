@@ -13,10 +13,11 @@ from quadjax.config import schema
 from quadjax.config.base import Section
 from quadjax.config.schema import Config, Disturbance
 from quadjax.core.environment import Environment
+from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams, make_environment
-from quadjax.race.layout import make_layout
+from quadjax.race.layout import Field, make_layout
 from quadjax.race.rules import Limits, RewardWeights
 from quadjax.race.start import DisturbanceRange, RandomiseFractions, StartRange
 from quadjax.race.track import Track, inside_turn, make_track
@@ -31,7 +32,7 @@ def choices_of(config: Config) -> Choices:
     """The static part: what chooses code."""
     vehicle = model(config.vehicle.model)
     observed, start = config.observation, config.start
-    extra = _own("observation.extra", observed.extra)
+    extra = _own("observation.extra", observed.extra, Field)
     return Choices(
         model=vehicle,
         layout=make_layout(vehicle, observed.disturbance, observed.wrap_next_yaw, extra),
@@ -47,9 +48,14 @@ def choices_of(config: Config) -> Choices:
     )
 
 
-def _own(key: str, names: Iterable[str]) -> tuple[Any, ...]:
-    """A user's own objects, named as ``module:object``."""
-    return tuple(load_object(name, key) for name in names)
+def _own(key: str, names: Iterable[str], kind: type | None = None) -> tuple[Any, ...]:
+    """A user's own functions, or objects of a kind, named as ``module:object``."""
+    found = tuple(load_object(name, key) for name in names)
+    for name, each in zip(names, found, strict=True):
+        if not (callable(each) if kind is None else isinstance(each, kind)):
+            wanted = "a function" if kind is None else f"a {kind.__name__}"
+            raise InputError(f"{key}: {name} is {each!r:.80}, expected {wanted}")
+    return found
 
 
 def _traced(values: dict[str, float]) -> dict[str, jnp.ndarray]:

@@ -89,6 +89,25 @@ def test_an_own_field_of_another_size_is_refused():
         make_layout(MODEL, extra=(HEIGHT, HEIGHT))
 
 
+def test_own_objects_are_named_in_the_config():
+    own = "tests.race.test_extensions"
+    choices, params = make_race(
+        f"reward.terms={{{own}:speed: 0.5}}",
+        f"rules.extra=[{own}:ceiling]",
+        f"observation.extra=[{own}:HEIGHT]",
+    )
+    assert (choices.terms, choices.rules, choices.layout.fields[-1]) == (
+        (speed,),
+        (ceiling,),
+        HEIGHT,
+    )
+    assert [float(weight) for weight in params.term_weights] == [0.5]
+    with pytest.raises(InputError, match=r"observation.extra: .*:height is .*expected a Field"):
+        make_race(f"observation.extra=[{own}:height]")
+    with pytest.raises(InputError, match=r"rules.extra: .*:HEIGHT is .*expected a function"):
+        make_race(f"rules.extra=[{own}:HEIGHT]")
+
+
 def test_a_layout_survives_its_file():
     choices, params = make_race("disturbance.moment_x=0.03")
     layout = choices.layout.with_spans(choices.model, params)
