@@ -16,11 +16,10 @@ from quadjax.core.resources import CONFIGS
 from quadjax.policy.file import Policy
 from quadjax.race import build
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.layout import arranged
+from quadjax.race.layout import NEXT_YAW, arranged
 from quadjax.vehicle.residual_file import located
 
 DEFAULT_CONFIG, DEFAULT = CONFIGS / "e2e_shac.yaml", "default"
-DISTURBANCES = ("moment_x", "moment_y", "moment_z", "force_z")
 STARTS = "start.heading=north"  # with any yaw: the same flights, and self-tests, for every preset
 CONFIG_FILE = "config.yaml"  # of a training run or an exported folder
 
@@ -137,12 +136,9 @@ def _limits(policy: Policy) -> list[str]:
 
 def _observation(policy: Policy) -> list[str]:
     """Overrides for the scaling that the policy was trained with."""
-    spans = policy.observation.get("disturbance") or {}
-    overrides = [f"disturbance.{name}={spans[name]}" for name in DISTURBANCES if name in spans]
-    if "wrap_next_yaw" in policy.observation:
-        value = json.dumps(policy.observation["wrap_next_yaw"])
-        overrides.append(f"observation.wrap_next_yaw={value}")
-    source = policy.observation.get("disturbance_input", "true")
-    if source != "true":  # as in a file of format quadjax-policy/1
+    overrides = [f"disturbance.{name}={x!r}" for name, x in policy.disturbance_widths.items()]
+    overrides.append(f"observation.wrap_next_yaw={str(NEXT_YAW.name in policy.layout).lower()}")
+    source = "moment_ext" in policy.layout and policy.layout["moment_ext"].source
+    if source:
         overrides.append(f"observation.disturbance={source}")
     return overrides

@@ -107,11 +107,9 @@ def race_config(config: Config, policy: Policy) -> Config:
 
     On the plant the disturbance is estimated on board; the race adds none.
     """
-    widths = policy.observation.get("disturbance") or {}
-    known = {key: value for key, value in widths.items() if key in config.disturbance.half_widths}
     return config.replace(
         vehicle=config.vehicle.with_model(policy.vehicle).replace(mismatch={}),
-        disturbance=config.disturbance.replace(**known),
+        disturbance=config.disturbance.replace(**policy.disturbance_widths),
         randomization=type(config.randomization)(),
         observation=config.observation.replace(disturbance="ground_truth"),
     )

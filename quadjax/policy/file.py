@@ -18,8 +18,8 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
 from quadjax.policy import inference
-from quadjax.policy.release1 import layout_of_release_1, observation_of_release_1
-from quadjax.race.layout import Layout
+from quadjax.policy.release1 import layout_of_release_1
+from quadjax.race.layout import DISTURBANCES, Layout
 
 FORMAT, RELEASE_1 = FORMATS = ("quadjax-policy/2", "quadjax-policy/1")
 VALUE = "value_"  # prefix of the critic's arrays
@@ -124,14 +124,14 @@ class Policy:
         }
 
     @property
-    def output(self) -> str:
-        """What limits the network's output: it is clipped to [-1, 1]."""
-        return "clip"
-
-    @property
-    def observation(self) -> dict[str, Any]:
-        """The scaling of the observation as files of the first release say it."""
-        return observation_of_release_1(self.layout)
+    def disturbance_widths(self) -> dict[str, float]:
+        """Half-widths that scale the observed disturbances, by their names in the config."""
+        return {
+            name: high
+            for field, names in DISTURBANCES.items()
+            if field in self.layout
+            for name, (_, high) in zip(names, self.layout[field].span or (), strict=False)
+        }
 
     def mean(self, observation: jax.Array) -> jax.Array:
         """The mean action (.., actions) of observations (.., layout.size), clipped to [-1, 1]."""

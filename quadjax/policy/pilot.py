@@ -21,10 +21,9 @@ from quadjax.policy.inference import Flying, act_sampled, flying
 from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.layout import Layout, arranged
+from quadjax.race.layout import DISTURBANCES, Layout, arranged
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
-DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
 
 
 @struct.dataclass
@@ -87,12 +86,8 @@ def fit_race(
             f"{choices.model.action_size}"
         )
     layout = arranged(choices.layout, policy.layout, name)
-    scale = params.observed_disturbance
-    for field, names in DISTURBANCES.items():
-        span = policy.layout[field].span if field in policy.layout else None
-        if span is not None:
-            widths = {key: jnp.float32(high) for key, (_, high) in zip(names, span, strict=True)}
-            scale = scale.replace(**widths)
+    widths = {name: jnp.float32(value) for name, value in policy.disturbance_widths.items()}
+    scale = params.observed_disturbance.replace(**widths)
     return dataclasses.replace(choices, layout=layout), params.replace(disturbance_scale=scale)
 
 

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.race.layout import NEXT_YAW, Field, Layout, make_layout
+from quadjax.race.layout import DISTURBANCES, Field, Layout, make_layout
 from quadjax.vehicle.registry import MODELS
 
 SOURCES = {"true": "ground_truth", "estimated": "estimated", "none": "none"}
-WIDTHS = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
 
 
 def layout_of_release_1(
@@ -55,8 +54,8 @@ def layout_of_release_1(
         field = dataclasses.replace(field, value=None)
         if field.name == model.actuators.name:
             return dataclasses.replace(field, span=actuators)
-        if field.name in WIDTHS and widths is not None:
-            half = [widths.get(name, 0.0) for name in WIDTHS[field.name]]
+        if field.name in DISTURBANCES and widths is not None:
+            half = [widths.get(name, 0.0) for name in DISTURBANCES[field.name]]
             return dataclasses.replace(field, span=tuple((-width, width) for width in half))
         return field
 
@@ -64,26 +63,10 @@ def layout_of_release_1(
     return Layout(tuple(with_span(field) for field in layout.fields))
 
 
-def observation_of_release_1(layout: Layout) -> dict[str, Any]:
-    """The ``observation`` of a file of the first release with a layout."""
-    seen: dict[str, Any] = {"wrap_next_yaw": NEXT_YAW.name in layout}
-    fields = [layout[name] for name in WIDTHS if name in layout]
-    if fields:
-        names = {source: name for name, source in SOURCES.items()}
-        seen["disturbance_input"] = names[fields[0].source]
-    if fields and all(field.span is not None for field in fields):
-        seen["disturbance"] = {
-            name: high
-            for field in fields
-            for name, (_, high) in zip(WIDTHS[field.name], field.span or (), strict=True)
-        }
-    return seen
-
-
 def _widths(path: Path | str, widths: Any) -> dict[str, float] | None:
     if widths is None:
         return None
-    known = {name for names in WIDTHS.values() for name in names}
+    known = {name for names in DISTURBANCES.values() for name in names}
     fine = isinstance(widths, dict) and set(widths) <= known
     for value in widths.values() if fine else ():
         number = isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -286,6 +286,8 @@ _SOURCES = {
     ESTIMATED: (_estimated_moment, _estimated_force),
     NONE: (_no_moment, _no_force),
 }
+# The observed disturbances by field, as the section ``disturbance`` of a config names them.
+DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
 NEXT_YAW = Field("next_yaw", 1, "rad", "gate", 4.0, _next_yaw)
 NEXT_YAW_UNWRAPPED = Field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped)
 
