@@ -36,7 +36,7 @@ class OwnRace:
     @property
     def time_step(self) -> float:
         """Time step of the simulation, s."""
-        return float(self.params.limits.dt)
+        return float(self.params.limits.time_step)
 
 
 def own_race(

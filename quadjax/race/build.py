@@ -19,7 +19,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout
 from quadjax.race.rules import Limits, RewardWeights
-from quadjax.race.start import DisturbanceRange, RandomiseFractions, StartRange
+from quadjax.race.start import DisturbanceRange, RandomizationFractions, StartRange
 from quadjax.race.track import Track, inside_turn, make_track
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleParams
@@ -40,9 +40,9 @@ def choices_of(config: Config) -> Choices:
         gate_test=config.rules.gate_test,
         random_gate=start.gate == "random",
         stagger_clocks=start.stagger_clocks,
-        randomise=any(dict(config.randomization).values())
+        randomize=any(dict(config.randomization).values())
         or any(key.startswith("randomization.") for key in config.schedules),
-        differs=bool(config.vehicle.mismatch),
+        mismatch=bool(config.vehicle.mismatch),
         terms=_own("reward.terms", config.reward.terms),
         rules=_own("rules.extra", config.rules.extra),
     )
@@ -120,10 +120,10 @@ def build_params(config: Config) -> RaceParams:
         track=track,
         limits=_limits(config),
         reward=RewardWeights(**_traced(_without(config.reward, "terms"))),
-        start=_start_range(config.start).replace(facing=inside_turn(track) if inside else None),
+        start=_start_range(config.start).replace(heading=inside_turn(track) if inside else None),
         disturbance=disturbance_range(config.disturbance),
-        randomise=RandomiseFractions(**_traced(config.randomization.__dict__)),
-        actual=_mismatch(config, vehicle),
+        randomization=RandomizationFractions(**_traced(config.randomization.__dict__)),
+        mismatch=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),
         term_weights=tuple(jnp.float32(weight) for weight in config.reward.terms.values()),
     )
@@ -136,16 +136,16 @@ def _without(section: Section, *names: str) -> dict[str, float]:
 def _limits(config: Config) -> Limits:
     rules, training = config.rules, config.training_limits
     limits = {
-        "dt": rules.time_step,
+        "time_step": rules.time_step,
         "position": _or_none(rules.position_limit),
-        "rate": _or_none(rules.body_rate_limit),
+        "body_rate": _or_none(rules.body_rate_limit),
         "yaw_rate": _or_none(training.yaw_rate),
         "pitch": math.radians(training.pitch_deg),
         "roll": math.radians(_or_none(training.roll_deg)),
-        "gate_margin": -training.gate_inflation,
+        "gate_inflation": training.gate_inflation,
     }
     steps = jnp.asarray(training.episode_steps, jnp.int32)
-    return Limits(**_traced(limits), max_steps=steps)
+    return Limits(**_traced(limits), episode_steps=steps)
 
 
 def _or_none(limit: float | None) -> float:

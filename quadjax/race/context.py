@@ -69,4 +69,4 @@ class StepContext:
     @property
     def time_step(self) -> jax.Array:
         """Duration of the step (), s."""
-        return self.params.limits.dt
+        return self.params.limits.time_step

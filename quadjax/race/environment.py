@@ -45,8 +45,8 @@ class Choices:
     gate_test: str = "square"  # "square" | "world_box"
     random_gate: bool = False  # start at any gate rather than the last
     stagger_clocks: bool = False  # episodes start at a random step of their clock
-    randomise: bool = False  # draw the constants anew for every episode
-    differs: bool = False  # the drone that flies has constants of its own
+    randomize: bool = False  # draw the constants anew for every episode
+    mismatch: bool = False  # the simulated drone has other constants than the policy's model
     terms: tuple[Term, ...] = ()  # reward terms besides those of RewardWeights
     rules: tuple[Rule, ...] = ()  # rules besides those of Limits
 
@@ -61,8 +61,8 @@ class RaceParams:
     reward: rules.RewardWeights
     start: start.StartRange
     disturbance: start.DisturbanceRange
-    randomise: start.RandomiseFractions
-    actual: Constants | None = None  # factors on the constants of the drone that flies
+    randomization: start.RandomizationFractions
+    mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
     term_weights: tuple[jax.Array, ...] = ()  # of Choices.terms, each ()
     # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
@@ -98,7 +98,7 @@ class RaceState:
 
 def _opaque_true(params: RaceParams) -> jax.Array:
     """True, in a way that a compiler cannot know; see ``quadjax.core.materialize``."""
-    return params.limits.max_steps > 0
+    return params.limits.episode_steps > 0
 
 
 def _vehicle_params(params: RaceParams, state: RaceState) -> VehicleParams:
@@ -110,21 +110,21 @@ def _vehicle_params(params: RaceParams, state: RaceState) -> VehicleParams:
 def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     """A random start."""
     constants = params.vehicle.constants
-    extra = len(dataclasses.fields(constants)) if choices.randomise else 0
+    extra = len(dataclasses.fields(constants)) if choices.randomize else 0
     own_draws = 2 + start.draw_count(choices.model)
     drawn = start.draw(key, own_draws + extra)
     target = clock = jnp.zeros((), jnp.int32)
     if choices.random_gate:
         target = start.start_gate(params.track, drawn[0])
     if choices.stagger_clocks:
-        most = params.limits.max_steps.astype(drawn.dtype)
+        most = params.limits.episode_steps.astype(drawn.dtype)
         clock = (0.5 * (drawn[1] + 1.0) * most).astype(jnp.int32)
     own = None
-    if choices.differs:
-        own = constants = jax.tree.map(jnp.multiply, constants, params.actual)
-    if choices.randomise:
+    if choices.mismatch:
+        own = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
+    if choices.randomization:
         own = constants = start.draw_constants(
-            choices.model, constants, params.randomise, drawn[own_draws:]
+            choices.model, constants, params.randomization, drawn[own_draws:]
         )
     drone = start.start(
         choices.model,
@@ -179,7 +179,7 @@ def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
     return jax.tree.map(lambda u, lo, hi: lo + 0.5 * (hi - lo) * (u + 1.0), unit, low, high)
 
 
-def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> State:
+def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> State:
     """The drone a step later, commands kept within what it can do."""
     vehicle, model = _vehicle_params(params, state), choices.model
     low, high = model.command_range(vehicle.constants)
@@ -191,7 +191,7 @@ def _fly(choices: Choices, params: RaceParams, state: RaceState, action: jax.Arr
     flown = INTEGRATORS[choices.integrator](
         lambda drone: model.derivative(vehicle, begin(drone, opaque_true), held, call),
         state.drone,
-        params.limits.dt,
+        params.limits.time_step,
     )
     return model.wrap(flown)
 
@@ -215,7 +215,7 @@ def evaluate_rules(
         model.position(state.drone),
         position,
         g,
-        limits.gate_margin,
+        limits.gate_inflation,
         choices.gate_test == "world_box",
     )
     outside = (jnp.abs(position.x) > limits.position) | (jnp.abs(position.y) > limits.position)
@@ -224,12 +224,12 @@ def evaluate_rules(
         passed=passed,
         gate_collision=hit,
         ground=position.z > 0,
-        out_of_bounds=outside | (fastest > limits.rate),
+        out_of_bounds=outside | (fastest > limits.body_rate),
         attitude=(jnp.abs(euler.y) > limits.pitch)
         | (jnp.abs(euler.x) > limits.roll)
         | (jnp.abs(rates.z) > limits.yaw_rate),
         non_finite=~_finite(flown),
-        truncated=state.step + 1 >= limits.max_steps,
+        truncated=state.step + 1 >= limits.episode_steps,
         extra_rule=_extra_rule(choices, params, state, flown, g),
     )
     ended = outcome.terminated
@@ -255,7 +255,9 @@ def transition(
         the one before it, so that nothing downstream meets a NaN; the outcome says so.
     """
     opaque_true = _opaque_true(params)
-    flown = call_materialized(functools.partial(_fly, choices), opaque_true, params, state, action)
+    flown = call_materialized(
+        functools.partial(_simulate, choices), opaque_true, params, state, action
+    )
     g = call_materialized(gate, opaque_true, params.track, state.target)
     outcome = call_materialized(
         functools.partial(evaluate_rules, choices), opaque_true, params, state, flown, g
@@ -271,7 +273,7 @@ def transition(
         choices.model.euler(drone).y,
         choices.model.rates(drone),
         g,
-        params.limits.dt,
+        params.limits.time_step,
     )
     context = StepContext(choices.model, params, state, drone, g, outcome, action)
     for weight, term in zip(params.term_weights, choices.terms, strict=True):
@@ -305,7 +307,7 @@ def _estimate(
 def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
     """The same race by its exact rules: no margin, any roll, any pitch that the model takes."""
     limits = params.limits.replace(
-        gate_margin=jnp.zeros(()),
+        gate_inflation=jnp.zeros(()),
         pitch=jnp.asarray(model.pitch_limit, jnp.float32),
         roll=jnp.asarray(jnp.inf, jnp.float32),
         yaw_rate=jnp.asarray(jnp.inf, jnp.float32),

@@ -91,7 +91,7 @@ def _step_one(
 ) -> Race:
     """One step of one drone; a race that is over stands still."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
-    return score(race, following, outcome, params.limits.dt, gates)
+    return score(race, following, outcome, params.limits.time_step, gates)
 
 
 def score(race: Race, following: RaceState, outcome: Outcome, dt: jax.Array, gates: int) -> Race:
@@ -236,7 +236,7 @@ def fly_laps(
     states = starting_states(choices, params, start_key, runs, from_hover)
     steps = step_limit(params, laps)
     race, kept = fly_race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
-    return laps_of(race, float(params.limits.dt), time_limit(params.track, laps)), kept
+    return laps_of(race, float(params.limits.time_step), time_limit(params.track, laps)), kept
 
 
 def time_limit(track: Track, laps: int) -> float:
@@ -246,7 +246,7 @@ def time_limit(track: Track, laps: int) -> float:
 
 def step_limit(params: RaceParams, laps: int) -> int:
     """Steps after which a race is out of time."""
-    return round(time_limit(params.track, laps) / float(params.limits.dt))
+    return round(time_limit(params.track, laps) / float(params.limits.time_step))
 
 
 def laps_of(race: Race, dt: float, limit: float) -> Laps:

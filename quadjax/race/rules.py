@@ -10,16 +10,16 @@ from quadjax.race.track import Gate, to_gate_frame
 
 @struct.dataclass
 class Limits:
-    """When an episode ends."""
+    """Where an episode ends."""
 
-    dt: jax.Array  # s
-    max_steps: jax.Array  # steps, a truncation
+    time_step: jax.Array  # s
+    episode_steps: jax.Array  # int32, a truncation
     position: jax.Array  # m, largest |x| and |y|
-    rate: jax.Array  # rad/s, largest body rate
+    body_rate: jax.Array  # rad/s, largest about any axis
     pitch: jax.Array  # rad; below pi/2, where the Euler angles are singular
     roll: jax.Array  # rad
     yaw_rate: jax.Array  # rad/s
-    gate_margin: jax.Array  # m taken off each side of every gate's opening; added if negative
+    gate_inflation: jax.Array  # m added to each side of every gate's opening
 
 
 @struct.dataclass
@@ -60,24 +60,24 @@ class Outcome:
         return ended if self.extra_rule is None else ended | self.extra_rule
 
 
-def inside_square(relative: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
+def inside_square(relative: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
     """Whether a position in the gate's frame is within the opening; the paper's test."""
-    return (jnp.abs(relative.y) <= g.half_width - margin) & (
-        jnp.abs(relative.z) <= g.half_height - margin
+    return (jnp.abs(relative.y) <= g.half_width + inflation) & (
+        jnp.abs(relative.z) <= g.half_height + inflation
     )
 
 
-def inside_world_box(offset: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
+def inside_world_box(offset: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
     """The test of the authors' code: |dx|, |dy|, |dz| below half a gate in world axes."""
     return (
-        (jnp.abs(offset.x) < g.half_width - margin)
-        & (jnp.abs(offset.y) < g.half_width - margin)
-        & (jnp.abs(offset.z) < g.half_height - margin)
+        (jnp.abs(offset.x) < g.half_width + inflation)
+        & (jnp.abs(offset.y) < g.half_width + inflation)
+        & (jnp.abs(offset.z) < g.half_height + inflation)
     )
 
 
 def crossing(
-    before: Vec3, after: Vec3, g: Gate, margin: jax.Array, world_box: bool
+    before: Vec3, after: Vec3, g: Gate, inflation: jax.Array, world_box: bool
 ) -> tuple[jax.Array, jax.Array]:
     """Whether a step passed the gate, and whether it hit it: two () bools.
 
@@ -88,15 +88,15 @@ def crossing(
         before: position before the step, m, world.
         after: position after it.
         g: the target gate.
-        margin: () m taken off each side of the opening; added if negative.
+        inflation: () m added to each side of the opening; negative narrows it.
         world_box: take the authors' code's test instead of the paper's.
     """
     relative = to_gate_frame(g, after - g.position)
     crossed = (to_gate_frame(g, before - g.position).x < 0) & (relative.x >= 0)
     if world_box:
-        inside = inside_world_box(after - g.position, g, margin)
+        inside = inside_world_box(after - g.position, g, inflation)
     else:
-        inside = inside_square(relative, g, margin)
+        inside = inside_square(relative, g, inflation)
     return crossed & inside, crossed & ~inside
 
 
@@ -130,7 +130,7 @@ def reward(
     pitch: jax.Array,
     body_rates: Vec3,
     g: Gate,
-    dt: jax.Array,
+    time_step: jax.Array,
 ) -> jax.Array:
     """The reward () of one step.
 
@@ -150,7 +150,7 @@ def reward(
         pitch: after it, (), rad.
         body_rates: after it, rad/s.
         g: the target gate of the step.
-        dt: () s.
+        time_step: () s.
     """
     distance = safe_norm(after - g.position)
     progress = weights.progress * (safe_norm(before - g.position) - distance)
@@ -161,4 +161,4 @@ def reward(
     edge = weights.gate_edge * clearance_violation(after, g, weights.gate_edge_margin)
     value = value - jnp.where(outcome.passed | outcome.gate_collision, edge, 0.0)
     turning = weights.body_rates * safe_norm(body_rates)
-    return value - dt * (weights.time + turning + weights.pitch_up * pitch)
+    return value - time_step * (weights.time + turning + weights.pitch_up * pitch)

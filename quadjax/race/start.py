@@ -22,7 +22,7 @@ class StartRange:
     thrust_low: jax.Array  # m/s^2, rate-level vehicle
     thrust_high: jax.Array
     # (gates,) rad, the yaw around which that of a start is drawn, by its target gate; None: north.
-    facing: jax.Array | None = None
+    heading: jax.Array | None = None
 
 
 @struct.dataclass
@@ -37,7 +37,7 @@ class DisturbanceRange:
 
 
 @struct.dataclass
-class RandomiseFractions:
+class RandomizationFractions:
     """How far each constant of a group is drawn from its nominal value: +-fraction of it."""
 
     gravity: jax.Array
@@ -78,8 +78,8 @@ def _pose(
     before = gate(track, (target + count - 1) % count)
     angle = Vec3(span.roll_pitch, span.roll_pitch, span.yaw)
     euler = Vec3.of(drawn[6:9]) * angle
-    if span.facing is not None:
-        euler = euler.replace(z=wrap_angle(euler.z + pick(span.facing, target)))
+    if span.heading is not None:
+        euler = euler.replace(z=wrap_angle(euler.z + pick(span.heading, target)))
     return (
         before.position + Vec3.of(drawn[0:3]) * span.position,
         Vec3.of(drawn[3:6]) * span.velocity,
@@ -123,7 +123,7 @@ def hover(model: VehicleModel, c: Constants, track: Track) -> State:
 
 
 def draw_constants(
-    model: VehicleModel, nominal: Constants, spread: RandomiseFractions, drawn: jax.Array
+    model: VehicleModel, nominal: Constants, spread: RandomizationFractions, drawn: jax.Array
 ) -> Constants:
     """Constants of one episode: each scaled by its own draw from 1 +- its group's fraction.
 

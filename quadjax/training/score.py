@@ -41,4 +41,4 @@ class Score:
 def score_runs(config: Config) -> int:
     """Number of runs that a score is the mean of."""
     drawn = any(value > 0 for value in config.disturbance.half_widths.values())
-    return 16 if drawn or choices_of(config).randomise else 1
+    return 16 if drawn or choices_of(config).randomize else 1

@@ -95,7 +95,7 @@ def test_flight_follows_the_reference(kind, integrator):
     with jax.enable_x64(True):
         exact = type(params.vehicle.constants)(**{k: jnp.asarray(v, float) for k, v in c.items()})
         params = params.replace(vehicle=params.vehicle.replace(constants=exact))
-        params = params.replace(limits=double(params.limits).replace(dt=jnp.asarray(0.01)))
+        params = params.replace(limits=double(params.limits).replace(time_step=jnp.asarray(0.01)))
         if kind == "motor":
             residual = ref.random_residual(-1.0)
             vehicle = params.vehicle.replace(residual=residual_of(residual))
@@ -128,7 +128,7 @@ def test_drawn_constants_are_flown_and_limit_the_command(kind):
         exact = type(params.vehicle.constants)(**{k: jnp.asarray(v, float) for k, v in c.items()})
         params = params.replace(
             vehicle=params.vehicle.replace(constants=exact),
-            limits=double(params.limits).replace(dt=jnp.asarray(0.01)),
+            limits=double(params.limits).replace(time_step=jnp.asarray(0.01)),
         )
         drawn = type(exact)(**{k: jnp.full(COUNT, v) for k, v in own.items()})
         found = flight(choices, params, kind, rows, actions, drawn)

@@ -333,12 +333,14 @@ def test_spinning_ends_an_episode_in_training_alone():
 
 def test_default_limits_are_the_published_ones(race):
     limits = {name: float(x) for name, x in vars(race[1].limits).items()}
-    assert limits["dt"] == pytest.approx(0.01) and limits["max_steps"] == 1200
-    assert limits["position"] == 10 and limits["rate"] == 1000 and limits["gate_margin"] == 0
+    assert limits["time_step"] == pytest.approx(0.01) and limits["episode_steps"] == 1200
+    assert (
+        limits["position"] == 10 and limits["body_rate"] == 1000 and limits["gate_inflation"] == 0
+    )
     exact = exact_rules(
         MODEL, make_race("training_limits.gate_inflation=-0.1", "training_limits.pitch_deg=60")[1]
     )
-    assert float(exact.limits.gate_margin) == 0
+    assert float(exact.limits.gate_inflation) == 0
     assert float(exact.limits.pitch) == pytest.approx(np.radians(89))
     assert float(exact.limits.roll) > np.pi
     assert np.isinf(float(exact.limits.yaw_rate)) and np.isinf(limits["yaw_rate"])

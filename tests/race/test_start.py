@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from quadjax.race import environment
-from quadjax.race.start import RandomiseFractions, draw_constants
+from quadjax.race.start import RandomizationFractions, draw_constants
 from quadjax.race.track import inside_turn
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
@@ -148,7 +148,7 @@ def test_staggered_clocks():
 def test_each_group_of_constants_is_drawn_by_itself(kind):
     nominal = make_race(f"vehicle.model={kind}")[1].vehicle.constants
     model = MODELS[kind]
-    none = {field.name: jnp.float32(0) for field in dataclasses.fields(RandomiseFractions)}
+    none = {field.name: jnp.float32(0) for field in dataclasses.fields(RandomizationFractions)}
     assert set(none) >= set(model.groups)
     drawn = jax.random.uniform(
         jax.random.key(0), (COUNT, len(vars(nominal))), minval=-1.0, maxval=1.0
@@ -156,7 +156,7 @@ def test_each_group_of_constants_is_drawn_by_itself(kind):
     draw = jax.jit(jax.vmap(functools.partial(draw_constants, model), in_axes=(None, None, 0)))
     for group in none:
         names = model.groups.get(group, ())
-        found = draw(nominal, RandomiseFractions(**none | {group: jnp.float32(0.2)}), drawn)
+        found = draw(nominal, RandomizationFractions(**none | {group: jnp.float32(0.2)}), drawn)
         for name, values in vars(found).items():
             value = float(getattr(nominal, name))
             if name in names and value != 0:
