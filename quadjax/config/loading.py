@@ -183,8 +183,10 @@ def _with_constants(vehicle: Tree, source: str) -> Tree:
         raise InputError(f"{source}: vehicle.model is {short(name)}, allowed: motor, rate or text")
     if not isinstance(own, dict):
         raise InputError(f"{source}: vehicle.constants is {short(own)}, allowed: a mapping")
-    names = vehicle_model(name).constant_names
-    constants = {**models.get(name, {}), **own}
+    model = vehicle_model(name)
+    names = model.constant_names
+    # A vehicle file names an own model by its name, not by its module.
+    constants = {**models.get(model.name, {}), **models.get(name, {}), **own}
     for key in constants:
         if key not in names:
             raise InputError(
@@ -198,7 +200,7 @@ def _with_constants(vehicle: Tree, source: str) -> Tree:
     return {
         **vehicle,
         "constants": {key: constants[key] for key in names},
-        "models": {other: values for other, values in models.items() if other != name},
+        "models": {k: values for k, values in models.items() if k not in (name, model.name)},
     }
 
 
