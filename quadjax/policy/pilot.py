@@ -4,7 +4,7 @@ The environment scales actions and observations by its own vehicle's ranges; a p
 with those of its file. Both are converted here, so that a policy commands the rpm (or rates and
 thrust) that its file says, whatever the vehicle's own limits are, and observes in the scaling that
 it was trained with. The environment itself scales the disturbances as the file says, because it may
-draw none and yet have some: a moment bias, or less thrust than modelled.
+draw none and yet have some: a moment bias, or less thrust than modeled.
 """
 
 import dataclasses
@@ -42,11 +42,11 @@ class Pilot:
 
 @dataclasses.dataclass(frozen=True)
 class Race:
-    """What is flown and how.
+    """Timed laps of a policy.
 
     Attributes:
-        laps: how many.
-        runs: how many drones, each by itself.
+        laps: number of laps.
+        runs: number of independent drones.
         from_hover: start at hover in the last gate, else from the training's random starts.
         seed: of the noise, the disturbances and the starts.
     """
@@ -149,7 +149,7 @@ def _between(source: Ranges, target: Ranges) -> Ranges:
 
 
 def see(pilot: Pilot, observation: jax.Array) -> jax.Array:
-    """The environment's observation (k,) in the scaling that the policy was trained with."""
+    """An environment's observation (k,) in the scaling of the policy's training."""
     return observation * pilot.see_scale + pilot.see_offset
 
 
@@ -174,7 +174,7 @@ def fly_policy(
         policy: the policy.
         race: laps, runs and starts.
         deterministic: fly the mean rather than samples.
-        trace: whether to keep what was flown.
+        trace: whether to record states and commands.
         name: the policy's file, for messages.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What reward terms and rules of one's own are functions of."""
+"""The argument of own reward terms and rules."""
 
 import dataclasses
 from typing import TYPE_CHECKING
@@ -29,7 +29,7 @@ class StepContext:
         state: the race before the step: target, clock, gates passed.
         after: the vehicle's state after the step.
         gate: the target gate of the step.
-        outcome: what the step led to, for a reward term; None for a rule.
+        outcome: events of the step, for a reward term; None for a rule.
         action: (action_size,) as the policy gave it, for a reward term; None for a rule.
     """
 

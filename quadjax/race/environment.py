@@ -77,7 +77,7 @@ class RaceParams:
 
 @struct.dataclass
 class Estimate:
-    """What is believed on board of the external disturbance."""
+    """The onboard estimate of the external disturbance."""
 
     filter: onboard.EstimatorState
     moment: Vec3  # N m, body
@@ -122,7 +122,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     own = None
     if choices.mismatch:
         own = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
-    if choices.randomization:
+    if choices.randomize:
         own = constants = start.draw_constants(
             choices.model, constants, params.randomization, drawn[own_draws:]
         )
@@ -207,7 +207,7 @@ def _finite(drone: State) -> jax.Array:
 def evaluate_rules(
     choices: Choices, params: RaceParams, state: RaceState, flown: State, g: Gate
 ) -> rules.Outcome:
-    """What a step from ``state`` to ``flown`` led to, before anything is reset."""
+    """The events of a step from ``state`` to ``flown``, before any reset."""
     limits = params.limits
     model = choices.model
     position, rates, euler = model.position(flown), model.rates(flown), model.euler(flown)
@@ -248,7 +248,7 @@ def _extra_rule(
 def transition(
     choices: Choices, params: RaceParams, state: RaceState, action: jax.Array
 ) -> tuple[RaceState, jax.Array, rules.Outcome]:
-    """One step with all that it led to.
+    """One step with its events.
 
     Returns:
         The next state, the reward () and the outcome. A state that is not finite is replaced by

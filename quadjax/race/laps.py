@@ -22,7 +22,7 @@ SLOWEST_LAP, ITS_LENGTH = 8.0, 14.0  # s and m; longer laps have proportionally 
 
 @struct.dataclass
 class Race:
-    """Drones in a timed race, batched along the last axis."""
+    """Drones in timed laps, batched along the last axis."""
 
     state: RaceState
     lap_end: jax.Array  # (laps, runs) s since the start; 0 where not flown
@@ -35,7 +35,7 @@ Carry = tuple[Race, jax.Array]  # drones and the key of the noise to come
 
 @struct.dataclass
 class Trace:
-    """What was flown: time first, then runs."""
+    """Recorded states: time first, then runs."""
 
     position: jax.Array  # (time, 3, runs) m, world
     velocity: jax.Array  # (time, 3, runs) m/s, world
@@ -89,7 +89,7 @@ def _crash_code(outcome: Outcome) -> jax.Array:
 def _step_one(
     choices: Choices, params: RaceParams, race: Race, action: jax.Array, gates: int
 ) -> Race:
-    """One step of one drone; a race that is over stands still."""
+    """One step of one drone; a race that is over does not change."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
     return score(race, following, outcome, params.limits.time_step, gates)
 
@@ -98,9 +98,9 @@ def score(race: Race, following: RaceState, outcome: Outcome, dt: jax.Array, gat
     """One drone's race after a step: its laps, whether it is over, and why.
 
     Args:
-        race: before the step; one that is over stands still.
+        race: before the step; one that is over does not change.
         following: the state after it.
-        outcome: what the step led to.
+        outcome: events of the step.
         dt: () s, of a step.
         gates: of the track.
     """
@@ -218,14 +218,14 @@ def fly_laps(
 
     Args:
         choices: static settings of the race.
-        params: its numbers; margins and training limits are taken off.
+        params: its numbers; gate inflation and training limits are removed.
         actor: ``(policy, observation (k,), noise (4,)) -> action (4,)`` of one drone; static.
-        policy: what the actor is given.
-        key: for starts and noise.
-        laps: to fly.
-        runs: at once.
+        policy: the first argument of the actor, a pytree.
+        key: PRNG key of starts and noise.
+        laps: number of laps.
+        runs: number of independent drones.
         from_hover: from hover at the last gate, else from the training's random starts.
-        trace: whether to keep what was flown.
+        trace: whether to record states and commands.
 
     Returns:
         The result, and the trace if asked for.
@@ -263,5 +263,5 @@ def laps_of(race: Race, dt: float, limit: float) -> Laps:
 
 def lap_length(track: Track) -> float:
     """Length of a lap along straight lines from gate to gate, m."""
-    centres = np.stack([np.asarray(x, np.float64) for x in track.position.components()], axis=-1)
-    return float(np.linalg.norm(np.roll(centres, -1, axis=0) - centres, axis=1).sum())
+    centers = np.stack([np.asarray(x, np.float64) for x in track.position.components()], axis=-1)
+    return float(np.linalg.norm(np.roll(centers, -1, axis=0) - centers, axis=1).sum())

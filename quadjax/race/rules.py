@@ -26,11 +26,11 @@ class Limits:
 class RewardWeights:
     """The published reward, and further terms that are zero by default."""
 
-    progress: jax.Array  # per metre by which the target gate comes nearer
-    gate: jax.Array  # per gate passed
-    gate_offset: jax.Array  # taken off per metre from the gate's centre
-    collision: jax.Array  # taken off for a collision
-    time: jax.Array  # taken off per second
+    progress: jax.Array  # reward per m of progress to the target gate
+    gate: jax.Array  # reward per gate passed
+    gate_offset: jax.Array  # penalty per m from the gate's center, on passing it
+    collision: jax.Array  # penalty for a collision
+    time: jax.Array  # penalty per s
     body_rates: jax.Array  # penalty per s and rad/s of body rate
     pitch_up: jax.Array  # penalty per s and rad of pitch (nose up)
     next_gate_progress: jax.Array  # per m of progress to the next gate in the step that passes one
@@ -40,7 +40,7 @@ class RewardWeights:
 
 @struct.dataclass
 class Outcome:
-    """What one step led to; every flag is a () bool."""
+    """The events of one step; every flag is a () bool."""
 
     passed: jax.Array
     gate_collision: jax.Array
@@ -144,7 +144,7 @@ def reward(
 
     Args:
         weights: of each term.
-        outcome: what the step led to.
+        outcome: events of the step.
         before: position before the step, m, world.
         after: position after it.
         pitch: after it, (), rad.

@@ -21,7 +21,7 @@ class StartRange:
     rates: jax.Array  # rad/s
     thrust_low: jax.Array  # m/s^2, rate-level vehicle
     thrust_high: jax.Array
-    # (gates,) rad, the yaw around which that of a start is drawn, by its target gate; None: north.
+    # (gates,) rad, center of the drawn yaw by target gate; None: north.
     heading: jax.Array | None = None
 
 
@@ -38,7 +38,7 @@ class DisturbanceRange:
 
 @struct.dataclass
 class RandomizationFractions:
-    """How far each constant of a group is drawn from its nominal value: +-fraction of it."""
+    """Largest relative error of each constant of a group."""
 
     gravity: jax.Array
     inertia: jax.Array

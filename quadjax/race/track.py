@@ -1,4 +1,4 @@
-"""Tracks: gates in a fixed order, flown round and round. World NED, metres, radians."""
+"""Tracks: gates in a fixed cyclic order. World NED, m, rad."""
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +12,13 @@ from quadjax.core.vectors import Vec3
 class Track:
     """Gates as arrays over the gates, with what the observation needs of the one after each."""
 
-    position: Vec3  # of (gates,): centres, m, world
+    position: Vec3  # of (gates,): centers, m, world
     yaw: jax.Array  # (gates,) heading of the way through, rad
     cos_yaw: jax.Array  # (gates,)
     sin_yaw: jax.Array  # (gates,)
     half_width: jax.Array  # (gates,) m
     half_height: jax.Array  # (gates,) m
-    next_position: Vec3  # of (gates,): the next gate's centre in this gate's frame, m
+    next_position: Vec3  # of (gates,): the next gate's center in this gate's frame, m
     next_yaw: jax.Array  # (gates,) the next gate's yaw relative to this gate's, in [-pi, pi], rad
 
 
@@ -40,7 +40,7 @@ def make_track(position: jax.Array, yaw: jax.Array, size: jax.Array) -> Track:
     """A track of gates in flying order.
 
     Args:
-        position: (gates, 3) centres, m, world NED.
+        position: (gates, 3) centers, m, world NED.
         yaw: (gates,) heading of the way through, rad.
         size: (gates, 2) width and height of the opening, m.
     """
@@ -64,14 +64,14 @@ def make_track(position: jax.Array, yaw: jax.Array, size: jax.Array) -> Track:
 
 
 def gate_count(track: Track) -> int:
-    """How many gates a track has: a shape, so it is known when compiling."""
+    """The number of gates of a track: static."""
     return track.yaw.shape[0]
 
 
 def pick(table: jax.Array, index: jax.Array) -> jax.Array:
     """The entry () of a table (gates,) at ``index`` (), by selects rather than a gather.
 
-    A gather is a scalar loop on a CPU; selects over a handful of gates vectorise over the drones.
+    A gather is a scalar loop on a CPU; selects over a handful of gates vectorize over the drones.
     """
     value = table[0]
     for other in range(1, table.shape[0]):

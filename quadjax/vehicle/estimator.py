@@ -1,4 +1,4 @@
-"""Onboard estimate of the external moment and force: what is measured minus what is modelled.
+"""Onboard estimate of the external moment and force: measured minus modeled.
 
 Every signal goes through the same causal second-order Butterworth low-pass ``H`` (Ferede et al.,
 arXiv 2311.16948: 8 Hz; ``quadjax.core.filters``), so that all of them share its delay::

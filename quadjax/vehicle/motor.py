@@ -136,11 +136,11 @@ def specific_force(params: VehicleParams, state: MotorState) -> Vec3:
 
 
 def balance(params: VehicleParams, measured: Measurement) -> tuple[Vec3, Vec3, Vec3]:
-    """What the disturbance estimator compares; see ``VehicleModel.balance``.
+    """The terms that the disturbance estimator compares; see ``VehicleModel.balance``.
 
     Returns:
         Angular momentum minus the part that rotor acceleration exchanges with the body, N m s;
-        gyroscopic minus modelled moment, N m; measured minus modelled specific force, m/s^2.
+        gyroscopic minus modeled moment, N m; measured minus modeled specific force, m/s^2.
     """
     c, rpm, rates = params.constants, measured.rpm, measured.gyro
     rotors = c.k_r2 * (-rpm.w1 + rpm.w2 - rpm.w3 + rpm.w4)

@@ -113,8 +113,8 @@ class VehicleModel:
             m/s^2, body; None where the model has none.
         with_disturbance: ``(state, moment, force) -> state``.
         balance: ``(params, measurement) -> (momentum, moment, force)`` for the disturbance
-            estimator: what is differentiated, N m s; gyroscopic minus modelled moment, N m;
-            measured minus modelled specific force, m/s^2. None where there is no estimator.
+            estimator: what is differentiated, N m s; gyroscopic minus modeled moment, N m;
+            measured minus modeled specific force, m/s^2. None where there is no estimator.
     """
 
     name: str
