@@ -35,11 +35,11 @@ def race():
     return make_race()
 
 
-def cross(track, target, before, after, margin=0.0, world_box=False):
+def cross(track, target, before, after, inflation=0.0, world_box=False):
     """(passed, hit) of moves between rows of positions."""
     g = gate(track, jnp.int32(target))
     before, after = (np.atleast_2d(np.asarray(x, np.float32)) for x in (before, after))
-    decide = jax.vmap(lambda b, a: rules.crossing(b, a, g, jnp.float32(margin), world_box))
+    decide = jax.vmap(lambda b, a: rules.crossing(b, a, g, jnp.float32(inflation), world_box))
     passed, hit = decide(vec3(before), vec3(after))
     return np.asarray(passed), np.asarray(hit)
 
@@ -56,14 +56,14 @@ def test_each_gate_is_passed_forwards_only(target, world_box):
 
 
 @pytest.mark.parametrize("target", range(4))
-@pytest.mark.parametrize("margin", [0.0, 0.1])
-def test_inside_the_square_passes_and_outside_collides(target, margin):
-    track, edge = track_of(ref.GATES, ref.GATE_YAW), 0.5 - margin
+@pytest.mark.parametrize("inflation", [0.0, -0.1, 0.3])
+def test_inside_the_square_passes_and_outside_collides(target, inflation):
+    track, edge = track_of(ref.GATES, ref.GATE_YAW), 0.5 + inflation
     for right, down in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]:
         for offset, passes in [(edge - 0.01, True), (edge + 0.01, False)]:
             before = through(target, -0.05, offset * right, offset * down)
             after = through(target, 0.05, offset * right, offset * down)
-            assert cross(track, target, before, after, margin) == (passes, not passes)
+            assert cross(track, target, before, after, inflation) == (passes, not passes)
 
 
 def test_gates_have_their_own_width_and_height():
@@ -346,10 +346,10 @@ def test_default_limits_are_the_published_ones(race):
     assert np.isinf(float(exact.limits.yaw_rate)) and np.isinf(limits["yaw_rate"])
 
 
-def test_gate_margin_of_the_config(race):
-    margin = make_race("training_limits.gate_inflation=-0.1")
+def test_gate_inflation_of_the_config(race):
+    narrow = make_race("training_limits.gate_inflation=-0.1")
     rows = level(through(1, -0.02, 0.45), 5 * normal(1))
-    assert step(race, rows, 1)[2].passed[0] and step(margin, rows, 1)[2].gate_collision[0]
+    assert step(race, rows, 1)[2].passed[0] and step(narrow, rows, 1)[2].gate_collision[0]
     box = make_race("rules.gate_test=world_box")
     rows = level(through(1, -0.02, 0.6), 2.5 * normal(1))
     assert step(race, rows, 1)[2].gate_collision[0] and step(box, rows, 1)[2].passed[0]
