@@ -13,13 +13,14 @@ from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.actor import fixed_point_action
 from quadjax.export.fixed import FixedNetwork
-from quadjax.export.race_source import DISTURBANCES, OwnRace
+from quadjax.export.race_source import OwnRace
 from quadjax.export.ranges import InputBox
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import act_deterministic, flying
 from quadjax.race import environment, rules
 from quadjax.race.environment import RaceState
 from quadjax.race.laps import Laps, Trace, fly_laps
+from quadjax.race.layout import DISTURBANCES
 from quadjax.race.track import gate
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.rate import RateState
@@ -84,7 +85,9 @@ def _states(
         # Disturbances are constant in a flight; they are drawn again from their ranges.
         rng = np.random.default_rng(seed)
         span = own.params.disturbance
-        half = np.array([float(getattr(span, name)) for name in DISTURBANCES])
+        half = np.array(
+            [float(getattr(span, name)) for names in DISTURBANCES.values() for name in names]
+        )
         drawn = rng.uniform(-half, half, (len(counted), 4))[np.nonzero(going)[1]]
         rows += [drawn[:, :3], np.zeros((len(drawn), 2)), drawn[:, 3:]]
     return np.concatenate(rows, axis=1).astype(np.float32), np.asarray(trace.target)[going]
