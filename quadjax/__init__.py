@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from quadjax.config.base import Section
     from quadjax.config.loading import load_config as load
+    from quadjax.config.race import make_race
     from quadjax.config.schema import Config
     from quadjax.core.environment import Environment
     from quadjax.core.errors import InputError
     from quadjax.core.resources import preset_names as presets
+    from quadjax.core.sections import Section
     from quadjax.evaluation.evaluation import Evaluation, evaluate
     from quadjax.export.convert import export_c
     from quadjax.learners.ppo.hyperparameters import PPO
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from quadjax.learners.shac.hyperparameters import SHAC
     from quadjax.learners.train import TrainResult
     from quadjax.policy.file import Policy
-    from quadjax.race.build import make_race
     from quadjax.race.layout import Field, Layout
     from quadjax.training.result import Run
     from quadjax.training.run import train
@@ -33,7 +33,7 @@ _PUBLIC = {  # name: "module:object"
     "load": "quadjax.config.loading:load_config",
     "presets": "quadjax.core.resources:preset_names",
     "Config": "quadjax.config.schema:Config",
-    "make_race": "quadjax.race.build:make_race",
+    "make_race": "quadjax.config.race:make_race",
     "train": "quadjax.training.run:train",
     "Run": "quadjax.training.result:Run",
     "evaluate": "quadjax.evaluation.evaluation:evaluate",
@@ -48,7 +48,7 @@ _PUBLIC = {  # name: "module:object"
     "VehicleModel": "quadjax.vehicle.protocol:VehicleModel",
     "Field": "quadjax.race.layout:Field",
     "Layout": "quadjax.race.layout:Layout",
-    "Section": "quadjax.config.base:Section",
+    "Section": "quadjax.core.sections:Section",
     "InputError": "quadjax.core.errors:InputError",
 }
 

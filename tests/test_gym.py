@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
-from quadjax.race.build import build_params, choices_of
+from quadjax.config.race import build_params, choices_of
 from quadjax.race.environment import make_environment
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")

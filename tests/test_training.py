@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
 from quadjax.learners import loop
 from quadjax.learners.networks import layers_of
 from quadjax.policy.file import Policy
-from quadjax.race.build import build_params
 from quadjax.training import run as training
 from quadjax.training.build import build_learner, initial_policy, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints

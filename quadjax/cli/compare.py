@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import (
+from quadjax.core.arguments import (
     MAX_LAPS,
     MAX_RUNS,
     Parser,

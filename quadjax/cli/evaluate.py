@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from quadjax.cli.arguments import (
+from quadjax.core.arguments import (
     Parser,
     add_config,
     add_races,
@@ -120,7 +120,7 @@ def _write(flown: "Evaluation", words: argparse.Namespace, console: Console) -> 
     import numpy as np
 
     from quadjax.core.files import write_json
-    from quadjax.evaluation.figures import save_figure
+    from quadjax.core.plotting import save_figure
 
     if words.offsets and flown.gate_offsets.size:
         mean, wide = flown.gate_offsets.mean(), np.percentile(flown.gate_offsets, 95.0)

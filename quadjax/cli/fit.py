@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, parse
+from quadjax.core.arguments import Parser, add_config, parse
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 

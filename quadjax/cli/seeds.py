@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import (
+from quadjax.core.arguments import (
     MAX_RUNS,
     Parser,
     add_name,
@@ -55,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = _arguments(arguments)
     with loading():
         from quadjax.core.files import write_json
+        from quadjax.core.plotting import save_figure
         from quadjax.evaluation.curves import learning_figure
-        from quadjax.evaluation.figures import save_figure
         from quadjax.evaluation.seeds import evaluate_seed, format_seeds
 
     named = [f"name={words.name}"] if words.name else []

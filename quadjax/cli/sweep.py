@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, add_output, count, parse
+from quadjax.core.arguments import Parser, add_config, add_output, count, parse
 from quadjax.core.errors import INTERRUPTED
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import loading

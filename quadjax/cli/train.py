@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from quadjax.cli import STARTED
-from quadjax.cli.arguments import (
+from quadjax.core.arguments import (
     Parser,
     add_config,
     add_name,
@@ -103,9 +103,9 @@ def _present(run: "Run") -> None:
         from rich.console import Console
 
         from quadjax.core.files import write_json
+        from quadjax.core.plotting import save_figure
         from quadjax.evaluation.curves import training_figure
         from quadjax.evaluation.evaluation import evaluate, lap_table
-        from quadjax.evaluation.figures import save_figure
         from quadjax.training.paper import published_total
 
     config, folder, name = run.config, run.folder, str(run.folder / "policy.npz")

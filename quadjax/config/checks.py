@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from quadjax.config.files import close_match, short
 from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError
+from quadjax.core.yaml_files import close_match, short
 from quadjax.vehicle.registry import model as vehicle_model
 
 

@@ -3,9 +3,14 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.config.base import build
 from quadjax.config.checks import check, vehicle_model
-from quadjax.config.files import (
+from quadjax.config.renamed import check_renamed
+from quadjax.config.schema import Config, Schedule
+from quadjax.core.errors import InputError
+from quadjax.core.imports import load_object
+from quadjax.core.resources import CONFIGS, find_config, preset_names
+from quadjax.core.sections import build
+from quadjax.core.yaml_files import (
     Tree,
     close_match,
     find_file,
@@ -14,11 +19,6 @@ from quadjax.config.files import (
     read_tree_with_bases,
     short,
 )
-from quadjax.config.renamed import check_renamed
-from quadjax.config.schema import Config, Schedule
-from quadjax.core.errors import InputError
-from quadjax.core.imports import load_object
-from quadjax.core.resources import CONFIGS, find_config, preset_names
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac.hyperparameters import SHAC

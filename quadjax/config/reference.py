@@ -1,7 +1,7 @@
 """The reference of every config key, from the declarations: a page of the docs, and comments."""
 
-from quadjax.config.base import KeyInfo, Section, describe, to_yaml
 from quadjax.config.schema import Config, Gate, Schedule
+from quadjax.core.sections import KeyInfo, Section, describe, to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.shac.hyperparameters import SHAC
 

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from quadjax.config.files import Tree
 from quadjax.core.errors import InputError
+from quadjax.core.yaml_files import Tree
 
 _SECTIONS: dict[str, dict[str, Any]] = {
     "vehicle": {

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import SerializeAsAny
 
-from quadjax.config.base import Field, Section, to_yaml
 from quadjax.core.errors import InputError
+from quadjax.core.sections import Field, Section, to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection, Network
 

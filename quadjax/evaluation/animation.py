@@ -13,8 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
+from quadjax.core.plotting import SPEED_COLORS
 from quadjax.evaluation import scene
-from quadjax.evaluation.figures import SPEED_COLORS, speed_range
+from quadjax.evaluation.figures import speed_range
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import View
 

@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
+from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.learners import sharding as parallel
 from quadjax.learners.devices import choose_devices, core_count
 from quadjax.learners.shards import where_done
 from quadjax.learners.state import AXIS
-from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import RaceParams, make_environment
 from quadjax.training.build import build_learner, start_state
 from quadjax.vehicle.residual import Residual

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.evaluation.figures import INK, MUTED, SERIES, new_figure, tidy
+from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, tidy
 from quadjax.evaluation.tables import counted
 from quadjax.training.metrics import read_metrics
 from quadjax.training.paper import published_total

@@ -1,62 +1,17 @@
 """Figures of flights, as Matplotlib figures that need not be closed."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
-from quadjax.core.files import whole_file
+from quadjax.core.plotting import INK, MUTED, PAPER, SERIES, SPEED_COLORS, new_figure, tidy
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.tables import counted
-
-INK = "#1b2430"
-MUTED = "#7a8594"
-PAPER = "#ffffff"
-SPEED_COLORS = LinearSegmentedColormap.from_list(
-    "speed", ["#2a1a8a", "#1f6feb", "#17b3c1", "#f2b134", "#e4572e", "#b5123e"]
-)
-SERIES = ("#1f6feb", "#d1495b", "#2a9d8f", "#e9a23b")
-
-
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches, on a canvas of its own."""
-    figure = Figure(figsize=(width, height), layout="constrained", facecolor=PAPER)
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def save_figure(figure: Figure, path: Path | str, dpi: int = 150) -> None:
-    """Write a figure; the suffix is the format (png, svg, pdf).
-
-    Raises:
-        InputError: a suffix that Matplotlib does not know, or a path that cannot be written.
-    """
-    kinds = figure.canvas.get_supported_filetypes()
-    kind = Path(path).suffix.lstrip(".").lower()
-    if kind not in kinds:
-        raise InputError(f"{path}: suffix is {kind!r}, allowed: {', '.join(sorted(kinds))}")
-    try:
-        with whole_file(path) as temporary:
-            figure.savefig(temporary, dpi=dpi, format=kind)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
-
-
-def tidy(axes: Axes) -> None:
-    """Apply the style of all figures to the axes."""
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(MUTED)
-    axes.tick_params(colors=INK, labelsize=9)
-    axes.grid(True, color="#e6e9ee", linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.ticklabel_format(useOffset=False)
 
 
 def trajectory_figure(

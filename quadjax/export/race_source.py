@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from quadjax.config import race as build
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.resources import CONFIGS
 from quadjax.policy.file import Policy
-from quadjax.race import build
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.layout import NEXT_YAW, arranged
 from quadjax.vehicle.residual_file import located

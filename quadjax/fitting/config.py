@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from quadjax.config.base import (
+from quadjax.core.resources import find_config
+from quadjax.core.sections import (
     Field,
     Section,
     build,
@@ -13,7 +14,6 @@ from quadjax.config.base import (
     parse_overrides,
     read_tree_with_bases,
 )
-from quadjax.core.resources import find_config
 from quadjax.fitting.columns import WIDTHS
 
 Positive = Annotated[float, Field(gt=0.0)]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.evaluation.figures import INK, MUTED, SERIES, new_figure, save_figure, tidy
+from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, save_figure, tidy
 from quadjax.fitting.nominal import AXES, UNITS
 from quadjax.fitting.pipeline import Evaluation, FitResult, pooled
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.base import to_yaml
 from quadjax.core.files import write_json, write_text
+from quadjax.core.sections import to_yaml
 from quadjax.fitting.least_squares import r_squared
 from quadjax.fitting.nominal import AXES, UNITS
 from quadjax.fitting.pipeline import Evaluation, FitResult, pooled

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.cli.arguments import Parser, check_writable, count, parse, seed
+from quadjax.core.arguments import Parser, check_writable, count, parse, seed
 from quadjax.core.errors import InputError
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.integrators import rk4_step

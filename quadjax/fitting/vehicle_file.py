@@ -9,9 +9,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from quadjax.config.base import find_file, read_yaml
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
+from quadjax.core.sections import find_file, read_yaml
 from quadjax.fitting.config import BodyConfig
 from quadjax.vehicle.constants import MotorConstants, constant_names
 

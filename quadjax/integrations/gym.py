@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from quadjax.config.race import make_race
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.learners.shards import where_done
-from quadjax.race.build import make_race
 from quadjax.race.environment import RaceParams, RaceState
 
 try:

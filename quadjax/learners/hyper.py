@@ -5,7 +5,7 @@ from typing import TypeVar, cast
 import jax
 import jax.numpy as jnp
 
-from quadjax.config.base import Section
+from quadjax.core.sections import Section
 
 SectionType = TypeVar("SectionType", bound=Section)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from quadjax.config.base import Field, Section
+from quadjax.core.sections import Field, Section
 
 if TYPE_CHECKING:  # JAX is imported when it is used
     from quadjax.core.environment import Environment

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 
-from quadjax.config.base import Section
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
+from quadjax.core.sections import Section
 from quadjax.learners.devices import choose_devices
 from quadjax.learners.loop import Row, check_finite, plan_chunks
 from quadjax.learners.networks import ActorCritic, Networks

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from quadjax.config.base import (
+from quadjax.core.resources import find_config
+from quadjax.core.sections import (
     Field,
     Section,
     build,
@@ -18,7 +19,6 @@ from quadjax.config.base import (
     parse_overrides,
     read_tree_with_bases,
 )
-from quadjax.core.resources import find_config
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.config.race import build_vehicle
 from quadjax.config.schema import Config
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation.recording import Recording
@@ -21,7 +22,6 @@ from quadjax.plant.sensors import sensor_params
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, make_pilot, race_of
 from quadjax.race import laps
-from quadjax.race.build import build_vehicle
 from quadjax.race.environment import exact_rules
 from quadjax.race.laps import Laps
 from quadjax.vehicle import motor

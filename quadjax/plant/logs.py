@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.cli.arguments import Parser, add_config, count, parse, seed
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
+from quadjax.core.arguments import Parser, add_config, count, parse, seed
 from quadjax.core.errors import InputError
 from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.flight_log import write_log

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import Flying, act_sampled, flying
-from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import DISTURBANCES, Layout, arranged

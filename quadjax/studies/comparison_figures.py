@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.signal import lfilter
 
-from quadjax.evaluation.figures import INK, MUTED, SERIES, new_figure, tidy
+from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, tidy
 from quadjax.plant.flights import Flights, rows
 from quadjax.race.laps import Trace
 

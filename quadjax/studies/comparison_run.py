@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.config.base import to_yaml
 from quadjax.core.files import write_json, write_text
-from quadjax.evaluation.figures import save_figure, trajectory_figure
+from quadjax.core.plotting import save_figure
+from quadjax.core.sections import to_yaml
+from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.recording import recordings as simulated_recordings
 from quadjax.evaluation.tables import format_table, lap_row
 from quadjax.plant.flights import recordings

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.cli.arguments import Parser, add_config, check_writable, count, parse, seed
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
+from quadjax.core.arguments import Parser, add_config, check_writable, count, parse, seed
 from quadjax.core.files import write_json
 from quadjax.core.frames import wrap_angle
 from quadjax.core.resources import PRETRAINED

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from quadjax.cli.arguments import Parser, add_config, parse
+from quadjax.core.arguments import Parser, add_config, parse
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, indi, plant
 from quadjax.plant.build import build_plant, nominal_vehicle

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.cli.arguments import Parser, count, parse
+from quadjax.core.arguments import Parser, count, parse
 from quadjax.core.errors import InputError
 from quadjax.fitting.flight_log import rotation_of_euler
 from quadjax.fitting.least_squares import r_squared

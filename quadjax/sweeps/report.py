@@ -96,7 +96,7 @@ def draw(study: optuna.Study, directory: Path) -> None:
 
     The penalty of a crash is far from every lap time and would set the scale.
     """
-    from quadjax.evaluation.figures import save_figure
+    from quadjax.core.plotting import save_figure
 
     complete = [t for t in study.get_trials(True, (State.COMPLETE,)) if t.user_attrs["finished"]]
     every = [t for t in complete if t.user_attrs["finished"] >= 1.0]

@@ -3,7 +3,7 @@
 import json
 from typing import Any, Literal
 
-from quadjax.config.base import Field, Section, model_validator
+from quadjax.core.sections import Field, Section, model_validator
 
 ENTRIES = ("choices", "range", "log", "step", "points")  # of a key of the search space
 MAX_TRIALS = 10_000

@@ -9,11 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.base import build, find_file, merge_trees, parse_overrides, read_yaml, value_at
-from quadjax.config.files import flatten
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.core.sections import (
+    build,
+    find_file,
+    merge_trees,
+    parse_overrides,
+    read_yaml,
+    value_at,
+)
+from quadjax.core.yaml_files import flatten
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
 

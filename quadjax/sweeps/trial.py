@@ -58,9 +58,9 @@ def run_trial(job: Job, tell: Tell) -> Outcome:
 
 def _run_seed(job: Job, seed: int, before: list[float], tell: Tell) -> tuple[float, float] | None:
     """Value and share of finished flights of one seed; None where the training was stopped."""
+    from quadjax.config.race import build_params
     from quadjax.evaluation.evaluation import evaluate
     from quadjax.learners.loop import NonFiniteError
-    from quadjax.race.build import build_params
     from quadjax.race.laps import time_limit
     from quadjax.training.run import train
 

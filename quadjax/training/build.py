@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import plan_chunks
@@ -16,7 +17,6 @@ from quadjax.learners.schedules import make_schedule, with_schedules
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import Flying
-from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import RaceParams, make_environment
 
 

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from quadjax.config.base import parse_yaml, read_yaml
-from quadjax.config.files import flatten
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.folders import MARKER, check_kind, kind_of, remove_files
+from quadjax.core.sections import parse_yaml, read_yaml
+from quadjax.core.yaml_files import flatten
 
 KIND = "training"
 FREE = ("run.devices", "run.checkpoint_seconds", "run.tensorboard", "run.compilation_cache")

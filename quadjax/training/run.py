@@ -13,6 +13,7 @@ from pathlib import Path
 import jax
 from jax.sharding import Mesh
 
+from quadjax.config.race import build_params
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
@@ -25,7 +26,6 @@ from quadjax.learners.networks import ActorCritic
 from quadjax.learners.sharding import Chunk
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
-from quadjax.race.build import build_params
 from quadjax.race.environment import RaceParams
 from quadjax.training.build import build_learner, initial_policy, plan, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints

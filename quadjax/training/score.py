@@ -2,10 +2,10 @@
 
 import jax
 
+from quadjax.config.race import choices_of
 from quadjax.config.schema import Config
 from quadjax.learners.networks import ActorCritic
 from quadjax.policy.inference import act_deterministic
-from quadjax.race.build import choices_of
 from quadjax.race.environment import RaceParams
 from quadjax.race.laps import fly_laps
 from quadjax.training.build import flying_of

@@ -6,11 +6,11 @@ from pathlib import Path
 import pydantic
 import pytest
 
-from quadjax.config.files import read_yaml
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
+from quadjax.core.yaml_files import read_yaml
 from tests import reference as ref
 
 BLANK = Path(__file__).parent.parent / "blank.yaml"

@@ -6,8 +6,8 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
+from quadjax.core.plotting import save_figure
 from quadjax.evaluation.curves import COLORS, learning_figure, spread
-from quadjax.evaluation.figures import save_figure
 from tests.test_training import CONFIGS
 
 

@@ -7,14 +7,10 @@ from PIL import Image
 
 from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
+from quadjax.core.plotting import SPEED_COLORS, save_figure
 from quadjax.evaluation import animation, scene
 from quadjax.evaluation.curves import training_figure
-from quadjax.evaluation.figures import (
-    SPEED_COLORS,
-    save_figure,
-    signals_figure,
-    trajectory_figure,
-)
+from quadjax.evaluation.figures import signals_figure, trajectory_figure
 from quadjax.evaluation.recording import Recording, opening
 from quadjax.training.metrics import read_metrics
 

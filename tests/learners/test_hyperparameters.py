@@ -2,8 +2,8 @@
 
 import pytest
 
-from quadjax.config.base import build
 from quadjax.core.errors import InputError
+from quadjax.core.sections import build
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.shac.hyperparameters import SHAC
 

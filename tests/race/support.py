@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.loading import load_config
+from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.race import environment
-from quadjax.race.build import build_params, choices_of
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.track import make_track
 from tests import reference as ref

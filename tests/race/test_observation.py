@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.race.build import build_params, choices_of
+from quadjax.config.race import build_params, choices_of
 from quadjax.race.track import make_track
 from tests import reference as ref
 from tests.race.support import compiled_observe, make_config, make_race, race_state, track_of

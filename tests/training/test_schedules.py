@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.config.race import build_params, choices_of
 from quadjax.core.errors import InputError
 from quadjax.learners.schedules import apply_schedules
-from quadjax.race.build import build_params, choices_of
 from quadjax.training.build import build_learner
 
 TINY = [

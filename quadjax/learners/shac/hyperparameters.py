@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
-from quadjax.config.base import Field, model_validator
+from quadjax.core.sections import Field, model_validator
 from quadjax.learners.section import LearnerSection
 
 if TYPE_CHECKING:

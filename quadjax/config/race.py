@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config import schema
-from quadjax.config.base import Section
 from quadjax.config.schema import Config, Disturbance
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
+from quadjax.core.sections import Section
 from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout

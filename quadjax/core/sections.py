@@ -37,7 +37,8 @@ import pydantic
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.fields import FieldInfo
 
-from quadjax.config.files import (
+from quadjax.core.errors import InputError
+from quadjax.core.yaml_files import (
     Tree,
     close_match,
     find_file,
@@ -49,7 +50,6 @@ from quadjax.config.files import (
     short,
     to_yaml,
 )
-from quadjax.core.errors import InputError
 
 __all__ = [
     "Field",

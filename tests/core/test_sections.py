@@ -7,7 +7,8 @@ from typing import Literal
 
 import pytest
 
-from quadjax.config.base import (
+from quadjax.core.errors import InputError
+from quadjax.core.sections import (
     Field,
     Section,
     build,
@@ -20,7 +21,6 @@ from quadjax.config.base import (
     read_yaml,
     to_yaml,
 )
-from quadjax.core.errors import InputError
 
 
 class Span(Section):
@@ -230,5 +230,5 @@ def test_describe_lists_every_key():
 
 
 def test_config_imports_no_jax():
-    code = "import sys, quadjax.config.base; sys.exit('jax' in sys.modules)"
+    code = "import sys, quadjax.core.sections; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -1,0 +1,56 @@
+"""Packages depend on each other in one direction."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1] / "quadjax"
+# Each package, and what it may import. The command line may import everything.
+CONFIG = {"core", "vehicle", "race", "learners"}
+ALLOWED = {
+    "core": set(),
+    "vehicle": {"core"},
+    "race": {"core", "vehicle"},
+    "learners": {"core"},
+    "config": CONFIG,
+    "policy": CONFIG - {"learners"} | {"config"},
+    "training": CONFIG | {"config", "policy"},
+    "evaluation": CONFIG | {"config", "policy", "training"},
+    "export": CONFIG - {"learners"} | {"config", "policy"},
+    "fitting": {"core", "vehicle"},
+    "integrations": CONFIG | {"config", "policy", "training"},
+    "plant": CONFIG | {"config", "policy", "evaluation", "fitting"},
+    "sweeps": CONFIG | {"config", "policy", "training", "evaluation"},
+    "studies": CONFIG
+    | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations"},
+}
+
+
+def _imported(path):
+    """Packages of quadjax that a module imports."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module]
+            if node.module == "quadjax":
+                names = [f"quadjax.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        for name in names:
+            parts = name.split(".")
+            if parts[0] == "quadjax" and len(parts) > 1 and parts[1] != "__version__":
+                yield parts[1]
+
+
+def test_packages_depend_on_each_other_in_one_direction():
+    found = {package: set() for package in ALLOWED}
+    for package in ALLOWED:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            found[package] |= set(_imported(path)) - {package}
+    assert all(found[package] for package in ALLOWED if package != "core")
+    wrong = {package: found[package] - ALLOWED[package] for package in ALLOWED}
+    assert not {package: names for package, names in wrong.items() if names}
+
+
+def test_every_package_is_in_the_table():
+    packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    assert packages - {"cli"} == set(ALLOWED)
