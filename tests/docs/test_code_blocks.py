@@ -36,6 +36,17 @@ SMALLER = [  # in Python blocks
     (r"\bhorizon=\d+", "horizon=4"),
     (r"\.export_c\((.*)\)", r".export_c(\1, allow_unfinished=True)"),
 ]
+SHORT_FILE = [  # in the YAML file of a sweep
+    (
+        r"^overrides:.*$",
+        "overrides:\n  learner.num_envs: 16\n  learner.horizon: 4\n"
+        "  learner.critic_minibatches: 2\n  run.evaluate_every: 512\n  evaluate.laps: 1",
+    ),
+    (r"\brun\.steps: \d+", "run.steps: 1024"),
+    (r"\btrials: \d+", "trials: 2"),
+    (r"\bseeds: \d+", "seeds: 1"),
+    (r"\bflights: \d+", "flights: 1"),
+]
 RUN = {"python", "sh"}
 LIMIT = 600  # s, a command
 
@@ -50,7 +61,7 @@ def test_blocks_run(page, tmp_path, monkeypatch):
         if block.setup:
             exec(compile(block.setup, f"{page}:{block.line} setup", "exec"), namespace)
         if block.title:
-            Path(block.title).write_text(block.code, encoding="utf-8")
+            Path(block.title).write_text(smaller(block.code, SHORT_FILE), encoding="utf-8")
         if block.skipped:
             continue
         if block.language == "python" and not block.title:
@@ -75,12 +86,17 @@ def test_blocks_can_be_run(page):
 
 
 def run_python(block: Block, namespace: dict[str, object]) -> None:
-    code = block.code
-    for pattern, value in SMALLER:
-        code = re.sub(pattern, value, code)
+    code = smaller(block.code, SMALLER)
     code = re.sub(r"quadjax\.load\(", "_load(", code)
     namespace["_load"] = load_short
     exec(compile(code, f"{block.page}:{block.line}", "exec"), namespace)
+
+
+def smaller(text: str, changes: list[tuple[str, str]]) -> str:
+    """A text with less to do."""
+    for pattern, value in changes:
+        text = re.sub(pattern, value, text, flags=re.MULTILINE)
+    return text
 
 
 def load_short(name: str, overrides: list[str] | tuple[str, ...] = ()) -> object:
