@@ -45,13 +45,15 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
         names = preset_names()
         hint = close_match(str(config), names)
         raise InputError(f"{config}: no such preset or file{hint}; presets: {', '.join(names)}")
-    tree = read_tree_with_bases(path, _merge)
+    tree = read_tree_with_bases(
+        path, lambda under, over, file: _merge(under, over, file.parent, str(file))
+    )
     if not tree:
         raise InputError(f"{path}: empty; write at least the preset to start from, as base: e2e")
     tree = merge_trees(_defaults(tree), tree)
     over = parse_overrides(overrides)
     here = Path() if _exists(over, Path()) else path.parent
-    return _build(_merge(tree, over, here / "overrides"), str(path))
+    return _build(_merge(tree, over, here, "overrides"), str(path))
 
 
 def _defaults(tree: Tree) -> Tree:
@@ -61,7 +63,7 @@ def _defaults(tree: Tree) -> Tree:
         for section, value in DEFAULTS.items()
         if not {"models", "gates"} & set(tree.get(section) or ())
     }
-    return _merge({}, absent, CONFIGS / "defaults")
+    return _merge({}, absent, CONFIGS, "defaults")
 
 
 def _exists(over: Tree, folder: Path) -> bool:
@@ -71,13 +73,13 @@ def _exists(over: Tree, folder: Path) -> bool:
     return any(isinstance(name, str) and (folder / name).is_file() for name in names)
 
 
-def _merge(under: Tree, over: Tree, path: Path) -> Tree:
-    """The config ``over``, of a file, on ``under``, with the vehicle and track files it names.
+def _merge(under: Tree, over: Tree, folder: Path, source: str) -> Tree:
+    """The config ``over`` on ``under``, with the vehicle and track files that ``over`` names.
 
     A file replaces what lower configs say of name, constants or gates; another algorithm replaces
     the hyperparameters of the one below.
     """
-    check_renamed(over, str(path))
+    check_renamed(over, source)
     over, under = _nested_schedules(over), dict(under)
     for section, keys in FROM_FILE.items():
         own = over.get(section)
@@ -86,7 +88,7 @@ def _merge(under: Tree, over: Tree, path: Path) -> Tree:
             continue
         if not isinstance(own["file"], str):
             raise InputError(f"{section}.file is {short(own['file'])}, allowed: name of a file")
-        values = _file_values(section, find_file(own["file"], path.parent, f"{section}s"))
+        values = _file_values(section, find_file(own["file"], folder, f"{section}s"))
         lower = under.get(section, {})
         under[section] = {k: v for k, v in lower.items() if k not in keys}
         over = {**over, section: merge_trees(values, {**own, "file": None})}
