@@ -21,11 +21,13 @@ SHORT += ["evaluate.laps=1", "run.devices=1"]
 SHORT_PPO = ["learner.rollout_length=8", "learner.num_minibatches=2", "learner.num_epochs=1"]
 SHORT_SHAC = ["learner.horizon=4", "learner.critic_minibatches=2", "learner.critic_epochs=1"]
 TRAINS = ("train", "seeds")
+# Untrained policies fly anywhere.
+WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 16.0}
 OPTIONS = {  # added to a command, unless it has them
     "seeds": ["--seeds", "0", "1", "--runs", "2"],
     "evaluate": ["--runs", "2", "--laps", "1"],
     "compare": ["--runs", "2", "--laps", "1", "--parts", "table"],
-    "export": ["--allow-unfinished"],
+    "export": ["--allow-unfinished", *(f"--range={name}={size:g}" for name, size in WIDE.items())],
     "verify": ["--allow-unfinished", "--vectors", "100"],
     "benchmark": ["--quick", "--repeats", "1"],
 }
@@ -34,7 +36,7 @@ SMALLER = [  # in Python blocks
     (r"\bruns=\d+", "runs=2"),
     (r"\bnum_envs=\d+", "num_envs=16"),
     (r"\bhorizon=\d+", "horizon=4"),
-    (r"\.export_c\((.*)\)", r".export_c(\1, allow_unfinished=True)"),
+    (r"\.export_c\((.*)\)", rf".export_c(\1, allow_unfinished=True, ranges={WIDE})"),
 ]
 SHORT_FILE = [  # in the YAML file of a sweep
     (
