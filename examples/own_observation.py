@@ -1,4 +1,4 @@
-"""Observe one number more: a field with a function of the drone in its race."""
+"""Add a field to the observation: a function of the drone in its race."""
 
 import quadjax
 from quadjax.core.vectors import safe_norm

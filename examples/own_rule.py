@@ -12,7 +12,7 @@ def ceiling(step):
 
 
 def steps_of_a_climb(config):
-    """Steps that a drone at full thrust survives, of 60."""
+    """Steps until the rule ends the episode of a drone at full thrust, of 60."""
     environment, params = quadjax.make_race(config)
 
     def step(state, _):

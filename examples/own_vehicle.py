@@ -1,4 +1,4 @@
-"""Fly your own vehicle model: the rate-level drone with quadratic drag."""
+"""Train your own vehicle model: the rate-level drone with quadratic drag."""
 
 import dataclasses
 
@@ -13,7 +13,7 @@ from quadjax.vehicle.constants import RateConstants
 
 @struct.dataclass
 class Constants(RateConstants):
-    """Those of the rate-level model, and one more."""
+    """The constants of the rate-level model, and one more."""
 
     d_2: jax.Array  # quadratic drag, 1/m
 

@@ -8,7 +8,7 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core import mlp
 from quadjax.learners.networks import layers_of
-from quadjax.policy.inference import act_deterministic, act_sampled, flying
+from quadjax.policy.inference import act_deterministic, act_sampled, policy_params
 from quadjax.training.build import build_networks, policy_of
 from tests.race.support import BLANK
 
@@ -26,7 +26,7 @@ def test_training_and_flight_share_one_head(algorithm):
     assert (raw > 1.5).any() and (raw < -1.5).any() and (np.abs(raw) < 0.9).any()
     trained = np.asarray(networks.mean(params, seen))
     np.testing.assert_array_equal(trained, np.clip(raw, -1, 1) if algorithm == "shac" else raw)
-    policy = flying(policy_of(config, params, {}))
+    policy = policy_params(policy_of(config, params, {}))
     noise = jnp.full((64, 4), -0.3)
     flown = jax.vmap(act_deterministic, in_axes=(None, 0, 0))(policy, seen, noise)
     np.testing.assert_allclose(flown, trained, atol=1e-5)

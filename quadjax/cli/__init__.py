@@ -1,7 +1,7 @@
 """The command ``quadjax``: one module of this package for each subcommand.
 
-A subcommand is a module with a function ``main(arguments)``, which takes the words after the
-subcommand's name and returns the exit status (None is 0). Modules are imported when they are
+A subcommand is a module with a function ``main(arguments)``, which takes the arguments after
+the subcommand's name and returns the exit status (None is 0). Modules are imported when they are
 needed. Exit status: 0 for success, 1 for a failed check or training, 2 for bad input or a system
 error, 130 for Ctrl-C.
 """
@@ -42,27 +42,27 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
 
     Args:
         command: the subcommand; the first argument if not given.
-        arguments: the words after it; those of ``sys.argv`` if not given.
+        arguments: the arguments after it; those of ``sys.argv`` if not given.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    sys.exit(run_command(lambda: _run(words if command is None else [command, *words])))
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    sys.exit(run_command(lambda: _run(argv if command is None else [command, *argv])))
 
 
-def _run(words: list[str]) -> int | None:
+def _run(argv: list[str]) -> int | None:
     """Import and run the subcommand of a command line."""
-    if not words or words[0] in ("-h", "--help", "help"):
+    if not argv or argv[0] in ("-h", "--help", "help"):
         print(usage())
-        return 0 if words else 2
-    if words[0] in ("-V", "--version"):
+        return 0 if argv else 2
+    if argv[0] in ("-V", "--version"):
         from quadjax import __version__
 
         print(f"quadjax {__version__}")
         return 0
-    if words[0] not in COMMANDS:
-        raise InputError(f"{words[0]!r} is no subcommand, allowed: {', '.join(COMMANDS)}")
+    if argv[0] not in COMMANDS:
+        raise InputError(f"{argv[0]!r} is no subcommand, allowed: {', '.join(COMMANDS)}")
     with loading():
-        module = importlib.import_module(COMMANDS[words[0]][0])
-    return module.main(words[1:])
+        module = importlib.import_module(COMMANDS[argv[0]][0])
+    return module.main(argv[1:])
 
 
 def usage() -> str:

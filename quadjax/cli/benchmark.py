@@ -1,4 +1,4 @@
-"""Measure the speed of the environment and of training on this machine, compile time apart.
+"""Measure the speed of the environment and of training, without compilation.
 
 Environment steps a second (a step and the reset of finished episodes) against the number of
 environments, with and without residual networks; training steps a second of the presets; and the
@@ -49,11 +49,11 @@ class Job:
     devices: str = "auto"  # of a preset's training
 
     def describe(self) -> str:
-        """The job in a few words."""
+        """A short description of the job."""
         return f"{Path(self.config).stem} {self.kind} {self.num_envs or ''}".strip()
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("benchmark", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer sizes and repeats")
     parser.add_argument("--repeats", type=count, help="of each measurement (7, or 3 with --quick)")
@@ -65,28 +65,28 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
     parser.add_argument("--job", help=argparse.SUPPRESS)
-    arguments = parse(parser, words)
+    arguments = parse(parser, argv)
     check_writable(arguments.json)
     return arguments
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print, and write the numbers if asked."""
-    words = _arguments(arguments)
-    if words.job:
-        print(json.dumps(_run_job(Job(**json.loads(words.job)))))
+    options = _arguments(arguments)
+    if options.job:
+        print(json.dumps(_run_job(Job(**json.loads(options.job)))))
         return 0
-    if words.sb3:
-        return _side_by_side(words.sb3, words.json)
-    results = _measure_all(_jobs(words.quick, words.repeats or (3 if words.quick else 7)))
+    if options.sb3:
+        return _side_by_side(options.sb3, options.json)
+    results = _measure_all(_jobs(options.quick, options.repeats or (3 if options.quick else 7)))
     machine = results[0]["machine"]
     _print_machine(machine)
     _print_results(results)
-    if words.json:
+    if options.json:
         from quadjax.core.files import write_json
 
         plain = [{k: v for k, v in row.items() if k != "machine"} for row in results]
-        write_json(words.json, {"machine": machine, "results": plain})
+        write_json(options.json, {"machine": machine, "results": plain})
     return 0
 
 

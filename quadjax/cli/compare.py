@@ -26,7 +26,7 @@ from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("compare", description=__doc__)
     add_config(parser, "a YAML file of configs/plant")
     parser.add_argument("--e2e", default=str(PRETRAINED / "e2e.npz"), metavar="FILE.npz")
@@ -41,12 +41,12 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--parts", nargs="+", metavar="PART", help="some of the parts (all)")
     parser.add_argument("--name", type=name, default="compare", help="of the folder (compare)")
     add_output(parser)
-    return parse(parser, words)
+    return parse(parser, argv)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare."""
-    words, started = _arguments(arguments), time.monotonic()
+    options, started = _arguments(arguments), time.monotonic()
     with loading():
         from rich.console import Console
 
@@ -56,22 +56,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.studies.comparison_run import PARTS, Wanted, run_comparison
         from quadjax.training.progress import bar
 
-    parts = tuple(words.parts or PARTS)
+    parts = tuple(options.parts or PARTS)
     for part in parts:
         if part not in PARTS:
             raise InputError(f"--parts: {part!r}, allowed: {', '.join(PARTS)}")
     setting = Setting(
-        load_config(words.race),
-        load_plant_config(words.config, words.overrides),
-        words.laps,
-        words.runs,
-        words.seed,
+        load_config(options.race),
+        load_plant_config(options.config, options.overrides),
+        options.laps,
+        options.runs,
+        options.seed,
     )
-    contenders = (contender("E2E", words.e2e), contender("INDI", words.indi))
+    contenders = (contender("E2E", options.e2e), contender("INDI", options.indi))
     for own, kind in zip(contenders, ("motor", "rate"), strict=True):
         if own.policy.vehicle != kind:
             raise InputError(f"{own.file}: a policy for the {own.policy.vehicle}, expected {kind}")
-    wanted = Wanted(parts, words.ablation, words.output / words.name)
+    wanted = Wanted(parts, options.ablation, options.output / options.name)
     console = Console(stderr=True)
     with bar(counted=True, console=console) as progress:
         task = progress.add_task("compiling", total=wanted.steps())

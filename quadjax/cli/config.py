@@ -10,9 +10,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Load, check and print a config."""
     parser = Parser("config", description=__doc__)
     add_config(parser)
-    words = parse(parser, arguments)
+    options = parse(parser, arguments)
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.config.reference import commented_yaml
 
-    print(commented_yaml(load_config(words.config, words.overrides)), end="")
+    print(commented_yaml(load_config(options.config, options.overrides)), end="")

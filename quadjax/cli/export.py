@@ -1,7 +1,7 @@
 """Convert a policy file to fixed-point C.
 
 DIR gets the network, the observation, the disturbance estimator and a Paparazzi module as C, with
-self-tests, and a report of what was proven. ``quadjax verify DIR`` builds and runs all of it.
+self-tests, and a report of proofs and measurements. ``quadjax verify DIR`` builds and runs it.
 """
 
 import argparse
@@ -12,7 +12,7 @@ from quadjax.core.arguments import Parser, add_ranges, parse
 from quadjax.core.interruptions import loading
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("export", description=__doc__)
     parser.add_argument("policy", type=Path, metavar="POLICY.npz", help="policy file")
     parser.add_argument(
@@ -36,26 +36,26 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
         action="store_true",
         help="export a policy of which less than 90%% of the simulated flights finish",
     )
-    return parse(parser, words)
+    return parse(parser, argv)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Convert, write, and print the report."""
-    words = _arguments(arguments)
+    options = _arguments(arguments)
     with loading():
         from quadjax.export.convert import export_c
         from quadjax.export.ranges import parse_overrides
 
     export = export_c(
-        words.policy,
-        words.output,
-        words.config,
-        parse_overrides(words.ranges),
-        words.name,
-        track=words.track,
-        sample_rate=words.sample_rate,
-        cutoff=words.cutoff,
-        allow_unfinished=words.allow_unfinished,
+        options.policy,
+        options.output,
+        options.config,
+        parse_overrides(options.ranges),
+        options.name,
+        track=options.track,
+        sample_rate=options.sample_rate,
+        cutoff=options.cutoff,
+        allow_unfinished=options.allow_unfinished,
     )
     print(export.text)
-    print(f"Written to {words.output}. Next: quadjax verify {words.output}")
+    print(f"Written to {options.output}. Next: quadjax verify {options.output}")

@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     started = time.monotonic()
     parser = Parser("fit", description=__doc__)
     add_config(parser, "a YAML file of configs/fit")
-    words = parse(parser, arguments)
+    options = parse(parser, arguments)
     with loading():
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -30,8 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.fitting.pipeline import run_fit
         from quadjax.fitting.report import tables, write_results
 
-    path = find_config(words.config, "fit")
-    config = load_fit_config(path, words.overrides)
+    path = find_config(options.config, "fit")
+    config = load_fit_config(path, options.overrides)
     folder = Path(config.runs) / config.name
     find_logs(config.logs, path.parent)  # before the folder is created
     columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())

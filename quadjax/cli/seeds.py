@@ -27,7 +27,7 @@ from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("seeds", description=__doc__)
     parser.add_argument(
         "configs",
@@ -47,31 +47,31 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--overwrite", action="store_true", help="remove earlier runs of the same names first"
     )
-    return parse(parser, words)
+    return parse(parser, argv)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Train, draw, evaluate and tabulate."""
-    words = _arguments(arguments)
+    options = _arguments(arguments)
     with loading():
         from quadjax.core.files import write_json
         from quadjax.core.plotting import save_figure
         from quadjax.evaluation.curves import learning_figure
         from quadjax.evaluation.seeds import evaluate_seed, format_seeds
 
-    named = [f"name={words.name}"] if words.name else []
-    configs, overrides = configs_of([*words.configs, *named])
-    runs, seeds = words.output, list(dict.fromkeys(words.seeds))
-    figure = Path(words.figure or runs / f"{'_and_'.join(configs)}_seeds.png")
+    named = [f"name={options.name}"] if options.name else []
+    configs, overrides = configs_of([*options.configs, *named])
+    runs, seeds = options.output, list(dict.fromkeys(options.seeds))
+    figure = Path(options.figure or runs / f"{'_and_'.join(configs)}_seeds.png")
     check_writable(figure, (".png", ".svg", ".pdf"))
     groups = {
-        name: [train_seed(file, overrides, seed, runs, words.overwrite) for seed in seeds]
+        name: [train_seed(file, overrides, seed, runs, options.overwrite) for seed in seeds]
         for name, file in configs.items()
     }
     save_figure(learning_figure(groups), figure)
     print(f"wrote {figure}")
     for name, folders in groups.items():
-        results = [evaluate_seed(folder, words.runs) for folder in folders]
+        results = [evaluate_seed(folder, options.runs) for folder in folders]
         print(f"\n{name}\n\n{format_seeds(results)}\n")
         path = runs / f"{name}_seeds.json"
         write_json(path, [dataclasses.asdict(result) for result in results])
@@ -79,8 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
-    """Config files by the name of their config, and the overrides among the words.
+def configs_of(argv: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Config files by the name of their config, and the overrides among the arguments.
 
     Raises:
         InputError: a config that cannot be used, none, two of one name, or lap times that cannot
@@ -89,8 +89,8 @@ def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
     from quadjax.config.loading import load_config
     from quadjax.evaluation.curves import check_laps
 
-    overrides = [word for word in words if "=" in word and "/" not in word.partition("=")[0]]
-    files = [str(find_config(word)) for word in words if word not in overrides]
+    overrides = [word for word in argv if "=" in word and "/" not in word.partition("=")[0]]
+    files = [str(find_config(word)) for word in argv if word not in overrides]
     configs = [load_config(path, overrides) for path in files]
     names = [config.name for config in configs]
     if not names:

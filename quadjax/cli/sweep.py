@@ -21,7 +21,7 @@ OWN_FILES = ("study.journal", "trials.csv", "report.md", "best.yaml", "parallel.
 OWN_FOLDERS = ("trials", "logs")
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         "sweep",
         description=__doc__,
@@ -33,32 +33,32 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--report", action="store_true", help="only report the finished trials")
     parser.add_argument("--overwrite", action="store_true", help="remove the trials first")
     add_output(parser)
-    return parse(parser, words)
+    return parse(parser, argv)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the remaining trials of a sweep, then report."""
-    words = _arguments(arguments)
+    options = _arguments(arguments)
     with loading():
         from quadjax.sweeps import study as studies
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.sweep import load_sweep
 
-    workers = [f"executor.workers={words.workers}"] if words.workers else []
-    sweep = load_sweep(find_config(words.config, "sweeps"), [*words.overrides, *workers])
-    directory = words.output / sweep.file.name
-    if words.check:
+    workers = [f"executor.workers={options.workers}"] if options.workers else []
+    sweep = load_sweep(find_config(options.config, "sweeps"), [*options.overrides, *workers])
+    directory = options.output / sweep.file.name
+    if options.check:
         seeds = sweep.file.objective.seeds
-        print(f"{words.config}: {sweep.trials} trials of {seeds} seeds can run")
+        print(f"{options.config}: {sweep.trials} trials of {seeds} seeds can run")
         return 0
-    if words.report:
+    if options.report:
         study = studies.open_study(sweep, directory, run=False)
         print(write_report(study, sweep, directory))
         return 0
     from quadjax.sweeps.run import make_executor, run_sweep
 
     with claim(directory, "sweep"):
-        if words.overwrite:
+        if options.overwrite:
             studies.delete_study(sweep, directory)
             _remove(directory)
         with make_executor(sweep, directory) as executor:
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _remove(directory: Path) -> None:
-    """Delete what a sweep wrote, and nothing else."""
+    """Delete the files that a sweep wrote; other files stay."""
     for name in OWN_FOLDERS:
         shutil.rmtree(directory / name, ignore_errors=True)
     for name in OWN_FILES:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from quadjax.training.result import Run
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         "train",
         description=__doc__,
@@ -47,7 +47,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--processes", type=count, help="number of processes")
     parser.add_argument("--process", type=int, help="index of this process, from 0")
-    arguments = parse(parser, words)
+    arguments = parse(parser, argv)
     if arguments.overwrite and arguments.resume:
         raise InputError("--overwrite and --resume exclude each other")
     return arguments
@@ -55,26 +55,26 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Train, then print and save the results."""
-    words = _arguments(arguments)
+    options = _arguments(arguments)
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.learners import hosts
         from quadjax.learners.devices import prepare_devices
 
-    config = load_config(words.config, overrides_of(words))
+    config = load_config(options.config, overrides_of(options))
     prepare_devices(config.run.devices)
-    hosts.connect(words.coordinator, words.processes, words.process)
+    hosts.connect(options.coordinator, options.processes, options.process)
     with loading():
         from quadjax.learners.loop import NonFiniteError
         from quadjax.training.run import train
 
-    folder = words.output / config.name
+    folder = options.output / config.name
     try:
         run = train(
             config,
             folder,
-            resume=words.resume,
-            overwrite=words.overwrite,
+            resume=options.resume,
+            overwrite=options.overwrite,
             started=STARTED,
         )
     except NonFiniteError as error:
@@ -82,18 +82,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     if not run.finished:
         if hosts.is_first():
-            print(f"Stopped and saved. Continue with: {_again(words)}")
+            print(f"Stopped and saved. Continue with: {_again(options)}")
         return INTERRUPTED
     if hosts.is_first():
         _present(run)
     return 0
 
 
-def _again(words: argparse.Namespace) -> str:
+def _again(options: argparse.Namespace) -> str:
     """The command that resumes a stopped run."""
-    command = ["quadjax", "train", words.config, *overrides_of(words), "--resume"]
-    if str(words.output) != "runs":
-        command += ["--output", str(words.output)]
+    command = ["quadjax", "train", options.config, *overrides_of(options), "--resume"]
+    if str(options.output) != "runs":
+        command += ["--output", str(options.output)]
     return shlex.join(command)
 
 

@@ -1,4 +1,4 @@
-"""Build and run an exported folder with the compilers of this machine and print what held.
+"""Build and run an exported folder with the compilers of this machine and print the results.
 
 A C compiler of the host, or the one that pip installs, and an emulated Cortex-A9 (pip install
 'quadjax[verify]') are enough. With arm-linux-gnueabi-gcc, arm-linux-gnueabihf-gcc, qemu-arm,
@@ -17,7 +17,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("verify", description=__doc__)
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of quadjax export")
     parser.add_argument(
@@ -30,7 +30,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
         help="accept a policy that was exported with --allow-unfinished",
     )
     parser.add_argument("--json", type=Path, metavar="FILE.json", help="write the table")
-    arguments = parse(parser, words)
+    arguments = parse(parser, argv)
     if arguments.vectors < 100:
         raise InputError(f"--vectors {arguments.vectors}: expected at least 100")
     check_writable(arguments.json, (".json",))
@@ -39,7 +39,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Verify, and print the table."""
-    words = _arguments(arguments)
+    options = _arguments(arguments)
     with loading():
         from quadjax.core.files import write_json
         from quadjax.export.verify.result import FAILED, table_text
@@ -50,15 +50,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"\r\033[K{name} ..", end="", file=sys.stderr, flush=True)
 
     results = verify(
-        words.folder,
-        words.vectors,
-        words.flights,
+        options.folder,
+        options.vectors,
+        options.flights,
         announce,
-        allow_unfinished=words.allow_unfinished,
+        allow_unfinished=options.allow_unfinished,
     )
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr)
     print(table_text(results))
-    if words.json:
-        write_json(words.json, [dataclasses.asdict(result) for result in results])
+    if options.json:
+        write_json(options.json, [dataclasses.asdict(result) for result in results])
     return int(any(result.verdict == FAILED for result in results))

@@ -1,4 +1,4 @@
-"""Checks of several keys of a config together: what no single key's bounds can say."""
+"""Checks that involve several keys of a config."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ def refuse(key: str, value: object, allowed: str) -> None:
 
 
 def check(config: Config) -> None:
-    """Refuse combinations of values that are impossible or have no effect.
+    """Reject combinations of values that are impossible or have no effect.
 
     Raises:
         InputError: one line that names the key, its value and what is allowed.
@@ -47,7 +47,7 @@ def _check_run(config: Config) -> None:
 
 
 def _check_constants(config: Config) -> None:
-    """Constants with which the drone can hover and the integration is stable."""
+    """Check that the drone can hover and that the integration is stable."""
     vehicle, spread = config.vehicle, config.randomization
     model, constants = vehicle_model(vehicle.model), vehicle.constants
     for name in model.positive:
@@ -121,7 +121,7 @@ def value_at(config: Config, key: str) -> object:
 
 
 def _check_times(config: Config, key: str, schedule: Schedule) -> None:
-    """A schedule begins before it ends, and ends within the run."""
+    """Check that a schedule begins before it ends, and ends within the run."""
     steps = config.run.steps
     for name, time in (("from", schedule.start), ("until", schedule.until)):
         if time > 1 and time > steps:
@@ -137,7 +137,7 @@ def _check_times(config: Config, key: str, schedule: Schedule) -> None:
 
 
 def _check_gates(config: Config) -> None:
-    """Gates that can be reached and passed, and widened ones whose edges have a penalty."""
+    """Check that gates can be reached and passed, and that widened gates have an edge penalty."""
     limit, inflation = config.rules.position_limit, config.training_limits.gate_inflation
     for index, gate in enumerate(config.track.gates):
         key = f"track.gates[{index}]"
@@ -172,7 +172,7 @@ def _check_gates(config: Config) -> None:
 
 
 def _check_used(config: Config) -> None:
-    """Refuse values that change nothing."""
+    """Reject values that have no effect."""
     model, defaults = vehicle_model(config.vehicle.model), _defaults(config)
     with_model = f"with vehicle.model={config.vehicle.model}"
     unused: dict[str, str] = {}

@@ -76,8 +76,8 @@ def _exists(over: Tree, folder: Path) -> bool:
 def _merge(under: Tree, over: Tree, folder: Path, source: str) -> Tree:
     """The config ``over`` on ``under``, with the vehicle and track files that ``over`` names.
 
-    A file replaces what lower configs say of name, constants or gates; another algorithm replaces
-    the hyperparameters of the one below.
+    A file replaces the name, constants or gates of lower configs; another algorithm replaces the
+    hyperparameters of the lower config.
     """
     check_renamed(over, source)
     over, under = _nested_schedules(over), dict(under)

@@ -29,7 +29,7 @@ from quadjax.vehicle.residual_file import read_residual
 
 
 def choices_of(config: Config) -> Choices:
-    """The static part: what chooses code."""
+    """The static part, which selects code."""
     vehicle = model(config.vehicle.model)
     observed, start = config.observation, config.start
     extra = _own("observation.extra", observed.extra, Field)
@@ -88,7 +88,7 @@ def build_track(track: schema.Track) -> Track:
 
 
 def disturbance_range(section: Disturbance) -> DisturbanceRange:
-    """The disturbances that are drawn, and the moment that is always there."""
+    """The half-widths of the drawn disturbances, and the constant moment."""
     bias = Vec3(*(jnp.float32(x) for x in section.moment_bias))
     return DisturbanceRange(**_traced(section.half_widths), moment_bias=bias)
 
@@ -111,7 +111,7 @@ def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None
 
 
 def build_params(config: Config) -> RaceParams:
-    """Every number of the race as the config trains it."""
+    """Every number of the race in training."""
     vehicle = build_vehicle(config)
     track = build_track(config.track)
     inside = config.start.heading == "inside_turn"

@@ -83,7 +83,7 @@ _RENAMED_SECTIONS = {
 
 
 def check_renamed(tree: Tree, source: str) -> None:
-    """Refuse a key of an earlier version with its present name.
+    """Reject a key of an earlier version, with its present name.
 
     Raises:
         InputError: the first such key.

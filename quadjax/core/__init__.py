@@ -1,1 +1,1 @@
-"""What every package shares: errors, files, vectors, frames and gradients. Knows no drones."""
+"""Code that all packages use: errors, files, vectors, frames and gradients."""

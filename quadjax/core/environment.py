@@ -5,9 +5,8 @@
 ``step(params, state, action) -> (state, reward, terminated, truncated)``
 
 Everything numeric is in the traced ``params``; a learner batches the functions with one ``vmap``.
-An episode that is *terminated* has no future. One that is *truncated* has a future that is not
-simulated: learners bootstrap from the observation after the step, before any reset. ``step`` does
-not reset.
+The return of a *terminated* episode ends with the step. For a *truncated* episode learners
+bootstrap from the observation after the step, before any reset. ``step`` does not reset.
 """
 
 import dataclasses
@@ -24,9 +23,9 @@ State = TypeVar("State")
 class Environment(Generic[Params, State]):
     """Three pure functions of one agent, and the sizes that a network needs.
 
-    ``State`` is a pytree of arrays. Actions are unbounded; policies aim at [-1, 1], and ``step``
-    clips what it cannot execute. Rewards, flags and observations are single-precision, bool and
-    single-precision. For SHAC, ``step`` must be differentiable.
+    ``State`` is a pytree of arrays. Actions are unbounded; policies output about [-1, 1], and
+    ``step`` clips them to its range. Rewards, flags and observations are single-precision, bool
+    and single-precision. For SHAC, ``step`` must be differentiable.
     """
 
     reset: Callable[[Params, jax.Array], State]

@@ -1,4 +1,4 @@
-"""The exception for bad input, and how a command reports what ended it."""
+"""The exception for bad input, and the reporting of errors by commands."""
 
 import contextlib
 import functools

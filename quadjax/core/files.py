@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written to a temporary file, then renamed."""
+"""Atomic file writes: to a temporary file, which is then renamed."""
 
 import contextlib
 import json

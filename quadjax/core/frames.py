@@ -68,7 +68,7 @@ def wrap_angle(angle: jax.Array) -> jax.Array:
 
 @struct.dataclass
 class Attitude:
-    """Sines and cosines of the Euler angles, computed once and shared by all that need them."""
+    """Sines and cosines of the Euler angles, computed once for all uses."""
 
     sin_roll: jax.Array
     cos_roll: jax.Array

@@ -1,4 +1,4 @@
-"""Functions whose derivative is not that of their values."""
+"""Functions with custom derivatives."""
 
 from typing import TypeVar
 

@@ -1,7 +1,7 @@
 """Small vectors as separate scalars.
 
 A batch of drones then is a set of contiguous (drones,) arrays, over which XLA's CPU backend
-vectorises; stacked into (drones, 3) arrays the same simulator ran five times slower, because a
+vectorizes; stacked into (drones, 3) arrays the same simulator ran five times slower, because a
 concatenation inside a fused loop is a branch per element.
 """
 

@@ -1,6 +1,6 @@
 """Flights as an animated GIF: from above and in perspective, with a lap clock.
 
-Needs Pillow alone. Frames are drawn at twice their size and halved, which smooths every stroke.
+Needs only Pillow. Frames are drawn at twice their size and halved, which smooths lines.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -131,11 +131,11 @@ class Film:
         )
         middle = 0.5 * (low + high) * np.array([1.0, 1.0, 0.5])
         spread = float(np.linalg.norm((high - low)[:2]))
-        above, beside = scene.from_above(), scene.from_the_side(middle, 1.3 * spread)
+        above, side = scene.from_above(), scene.from_the_side(middle, 1.3 * spread)
         w, h = WIDTH * SMOOTH, HEIGHT * SMOOTH
         return (
             scene.fit_view(above, corners, (0.02 * w, 0.14 * h, 0.47 * w, 0.94 * h)),
-            scene.fit_view(beside, corners, (0.50 * w, 0.16 * h, 0.985 * w, 0.97 * h)),
+            scene.fit_view(side, corners, (0.50 * w, 0.16 * h, 0.985 * w, 0.97 * h)),
         )
 
     def _draw_still(self, gates: Sequence[Gate]) -> Image.Image:
@@ -166,7 +166,7 @@ class Film:
             draw.text((x, y), text, font=self._fonts[13], fill=scene.FAINT, anchor=anchor)
 
     def palette(self, count: int) -> Image.Image:
-        """Colours that serve every frame."""
+        """The color palette of all frames."""
         last = self.frame(count - 1)
         sample = Image.new("RGB", (WIDTH, HEIGHT + SHADES), scene.BACKGROUND)
         sample.paste(last, (0, 0))

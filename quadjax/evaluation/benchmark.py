@@ -1,4 +1,4 @@
-"""Speed of the environment and of training, compile time apart."""
+"""Speed of the environment and of training, without compilation."""
 
 import contextlib
 import dataclasses
@@ -120,7 +120,7 @@ def measure_environment(
     Args:
         config: of the race.
         num_envs: number of environments; split over as many devices as divide them.
-        residual: fly with random residual networks.
+        residual: use random residual networks.
         observed: make the observation too.
         repeats: to take the median of.
     """

@@ -1,4 +1,4 @@
-"""Figures of flights, as Matplotlib figures that need not be closed."""
+"""Matplotlib figures of flights; they need not be closed."""
 
 from collections.abc import Sequence
 
@@ -36,33 +36,33 @@ def trajectory_figure(
     size = highest - lowest
     scale = min(8.0 / size[0], 7.0 / (size[1] + size[2]))
     figure = new_figure(scale * size[0] + 1.9, scale * (size[1] + size[2]) + 1.6)
-    above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[size[1], size[2]])
+    above, side = figure.subplots(2, 1, sharex=True, height_ratios=[size[1], size[2]])
     shown, width = speed_range(flights), 2.2 if len(flights) == 1 else 1.3
     for flight in flights:
         heights = flight.position * np.array([1.0, 1.0, -1.0])
         lines = _speed_line(above, heights[:, :2], flight.speed, shown, width)
-        _speed_line(beside, heights[:, [0, 2]], flight.speed, shown, width)
+        _speed_line(side, heights[:, [0, 2]], flight.speed, shown, width)
     middle = np.mean([gate.position[:2] for gate in gates], axis=0)
     for index, gate in enumerate(gates):
         _draw_gate(above, gate, index, middle, 0.055 * float(size.max()))
-        _draw_gate_beside(beside, gate)
-    beside.axhline(0.0, color=MUTED, linewidth=1.5)
+        _draw_gate_from_side(side, gate)
+    side.axhline(0.0, color=MUTED, linewidth=1.5)
     _draw_ends(above, flights)
     above.set(xlim=(lowest[0], highest[0]), ylim=(highest[1], lowest[1]), aspect="equal")
-    beside.set(ylim=(lowest[2], highest[2]), aspect="equal")
-    for axes, label in ((above, "y, east (m)"), (beside, "height (m)")):
+    side.set(ylim=(lowest[2], highest[2]), aspect="equal")
+    for axes, label in ((above, "y, east (m)"), (side, "height (m)")):
         tidy(axes)
         axes.set_ylabel(label, color=INK)
-    beside.set_xlabel("x, north (m)", color=INK)
+    side.set_xlabel("x, north (m)", color=INK)
     above.set_title(title, color=INK, fontsize=13, loc="left", pad=10)
-    bar = figure.colorbar(lines, ax=[above, beside], pad=0.02, aspect=28, extend="min")
+    bar = figure.colorbar(lines, ax=[above, side], pad=0.02, aspect=28, extend="min")
     bar.set_label("speed (m/s)", color=INK)
     bar.outline.set_visible(False)
     return figure
 
 
 def flight_title(flight: Recording) -> str:
-    """Laps, time and crash of a flight in a few words."""
+    """Laps, time and crash of a flight as a short text."""
     title = f"{counted(len(flight.lap_ends), 'lap')} in {flight.time[-1]:.2f} s"
     return f"{title}, then {flight.crash}" if flight.crash else title
 
@@ -105,7 +105,7 @@ def _speed_line(
     return lines
 
 
-def _draw_gate_beside(axes: Axes, gate: Gate) -> None:
+def _draw_gate_from_side(axes: Axes, gate: Gate) -> None:
     """Draw the outline of a gate seen from the side."""
     reach = 0.5 * gate.size[0] * abs(np.sin(np.radians(gate.yaw_deg)))
     x, height, half = gate.position[0], -gate.position[2], 0.5 * gate.size[1]
@@ -116,21 +116,21 @@ def _draw_gate_beside(axes: Axes, gate: Gate) -> None:
 
 def _draw_gate(axes: Axes, gate: Gate, index: int, middle: np.ndarray, reach: float) -> None:
     """Draw a gate from above: its opening, two posts, an arrow in flight direction, its number."""
-    centre, yaw = np.array(gate.position[:2]), np.radians(gate.yaw_deg)
+    center, yaw = np.array(gate.position[:2]), np.radians(gate.yaw_deg)
     ahead, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     across = 0.5 * gate.size[0] * right
-    ends = np.array([centre - across, centre + across])
+    ends = np.array([center - across, center + across])
     axes.plot(*ends.T, color=INK, linewidth=4.0, solid_capstyle="butt", zorder=4, alpha=0.85)
     axes.plot(*ends.T, "o", color=INK, markersize=7, zorder=5)
     axes.annotate(
         "",
-        xy=tuple(centre + reach * ahead),
-        xytext=tuple(centre),
+        xy=tuple(center + reach * ahead),
+        xytext=tuple(center),
         arrowprops={"arrowstyle": "-|>,head_width=0.28,head_length=0.5", "color": INK, "lw": 1.8},
         zorder=5,
     )
     outside = max(ends, key=lambda end: float(np.linalg.norm(end - middle)))
-    x, y = outside + 0.8 * reach * (outside - centre) / np.linalg.norm(outside - centre)
+    x, y = outside + 0.8 * reach * (outside - center) / np.linalg.norm(outside - center)
     axes.text(
         x,
         y,

@@ -17,7 +17,7 @@ FRONT = (255, 255, 255)
 REAR = (255, 138, 76)
 CRASH = (255, 82, 104)
 SHADOW = (84, 98, 120)
-ARM = 0.24  # m from the drone's centre to a rotor: twice the Bebop's, to be seen
+ARM = 0.24  # m from the drone's center to a rotor: twice the Bebop's, for visibility
 ROTOR = 0.11  # m, radius drawn
 
 
@@ -27,7 +27,7 @@ class View:
 
     axes: np.ndarray  # (3, 3): rows right, down and away from the viewer, world NED
     origin: np.ndarray  # (3,) m, the point looked at
-    centre: np.ndarray  # (2,) px, where it appears
+    center: np.ndarray  # (2,) px, where it appears
     scale: float  # px/m there
     distance: float  # m from the viewer to the origin; infinite: parallel
 
@@ -35,17 +35,17 @@ class View:
         """Pixels (.., 2) of points (.., 3), m, world."""
         local = (points - self.origin) @ self.axes.T
         nearness = 1.0 / (1.0 + local[..., 2:] / self.distance)
-        return self.centre + self.scale * nearness * local[..., :2]
+        return self.center + self.scale * nearness * local[..., :2]
 
 
 def fit_view(view: View, points: np.ndarray, box: tuple[float, float, float, float]) -> View:
     """The same view, moved and scaled to fit points (n, 3) in (left, top, right, bottom)."""
-    plain = dataclasses.replace(view, centre=np.zeros(2), scale=1.0).project(points)
+    plain = dataclasses.replace(view, center=np.zeros(2), scale=1.0).project(points)
     lowest, highest = plain.min(axis=0), plain.max(axis=0)
     corner, size = np.array(box[:2]), np.array(box[2:]) - np.array(box[:2])
     scale = float((size / (highest - lowest)).min())
-    centre = corner + 0.5 * size - 0.5 * scale * (lowest + highest)
-    return dataclasses.replace(view, centre=centre, scale=scale)
+    center = corner + 0.5 * size - 0.5 * scale * (lowest + highest)
+    return dataclasses.replace(view, center=center, scale=scale)
 
 
 def from_above() -> View:
@@ -109,17 +109,17 @@ def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[Gate]) -> 
         yaw = np.radians(gate.yaw_deg)
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
-        centre = np.array(gate.position)
-        tip = centre + 0.3 * ahead
+        center = np.array(gate.position)
+        tip = center + 0.3 * ahead
         barbs = [tip - 0.12 * ahead + side * 0.07 * right for side in (-1, 1)]
-        polyline(draw, view.project(np.array([centre, tip])), FAINT, 4)
+        polyline(draw, view.project(np.array([center, tip])), FAINT, 4)
         draw.polygon([tuple(p) for p in view.project(np.array([tip, *barbs]))], fill=FAINT)
 
 
 def draw_floor(
     draw: ImageDraw.ImageDraw, view: View, lowest: np.ndarray, highest: np.ndarray
 ) -> None:
-    """A grid of metres on the ground between two corners (2,), whole metres."""
+    """A grid of 1 m on the ground between two corners (2,), whole meters."""
     low, high = lowest, highest
     for axis in (0, 1):
         for value in np.arange(low[axis], high[axis] + 0.5):

@@ -65,8 +65,8 @@ def evaluate_seed(run: Path, runs: int) -> SeedResult:
 
 
 def _lowest(times: np.ndarray) -> float | None:
-    flown = times[np.isfinite(times)]
-    return round(float(flown.min()), 3) if flown.size else None
+    finished = times[np.isfinite(times)]
+    return round(float(finished.min()), 3) if finished.size else None
 
 
 COLUMNS = (

@@ -82,11 +82,11 @@ def counted(number: int, noun: str) -> str:
 
 def describe_crashes(laps: Laps) -> str:
     """One line for every way in which runs ended early, with their numbers from 1; or nothing."""
-    flown = laps.laps_flown()
+    completed = laps.laps_completed()
     ways: dict[str, list[str]] = {}
     for run, reason in enumerate(laps.crashes):
         if reason:
-            how = f"{reason} in lap {flown[run] + 1} after {laps.seconds[run]:.2f} s"
+            how = f"{reason} in lap {completed[run] + 1} after {laps.seconds[run]:.2f} s"
             ways.setdefault(how, []).append(str(run + 1))
     return "\n".join(
         f"{'run' if len(runs) == 1 else 'runs'} {', '.join(runs)}: {how}"

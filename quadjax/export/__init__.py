@@ -1,1 +1,1 @@
-"""From a policy to fixed-point C: ranges, format, proof, bit-exact emulators, emitter, checks."""
+"""Fixed-point C of a policy: ranges, format, proof, bit-exact emulators, emitter, checks."""

@@ -1,4 +1,4 @@
-"""The fixed-point policy as a pure JAX function, for simulations of what the C does on board."""
+"""The fixed-point policy as a pure JAX function, for simulations of the exported C."""
 
 from collections.abc import Callable
 

@@ -154,7 +154,7 @@ def _check_folder(request: Request) -> None:
 
 
 def _write(converted: Converted, request: Request, report: dict[str, object]) -> None:
-    """The C, the report, and what the verification repeats the conversion from."""
+    """The C, the report, and the inputs from which the verification repeats the conversion."""
     name, folder = converted.origin.name, request.folder
     files = sources(converted)
     for file, text in files.items():

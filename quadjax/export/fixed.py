@@ -7,7 +7,7 @@ scale ``s_i`` (the real value of one unit of its output) has::
     b_i  = round(B_i 2**32 / s_i) + 2**31       int64, the rounding half folded in
     y_i  = max(0, b_i + sum_j w_ij y_j >> 32)   int32, at most 2**30 - 1
 
-so that ReLU, rounding and requantisation are one shift by a whole word. The output layer has the
+so that ReLU, rounding and requantization are one shift by a whole word. The output layer has the
 map from action to command folded in and one power-of-two scale for all rows.
 """
 

@@ -1,4 +1,4 @@
-"""Flights of a policy in its own race: the data of its tests, and checks of what they show."""
+"""Simulated flights of a policy in its own race: data for its tests, and checks of them."""
 
 import dataclasses
 import functools
@@ -16,7 +16,7 @@ from quadjax.export.fixed import FixedNetwork
 from quadjax.export.race_source import OwnRace
 from quadjax.export.ranges import InputBox
 from quadjax.policy.file import Policy
-from quadjax.policy.inference import act_deterministic, flying
+from quadjax.policy.inference import act_deterministic, policy_params
 from quadjax.race import environment, rules
 from quadjax.race.environment import RaceState
 from quadjax.race.laps import Laps, Trace, fly_laps
@@ -45,7 +45,7 @@ class Rollouts:
 def simulate(
     own: OwnRace, policy: Policy, runs: int = RUNS, laps: int = LAPS, seed: int = 0
 ) -> Rollouts:
-    """Fly the float policy's mean actions from the training's random starts.
+    """Simulate the float policy's mean actions from the random starts of training.
 
     The rows are those of all flights but the ones that lost control, or of all if every one did.
     """
@@ -63,7 +63,7 @@ def _traced(
         own.choices,
         own.params,
         act_deterministic,
-        flying(policy),
+        policy_params(policy),
         jax.random.key(seed),
         laps=laps,
         runs=runs,
@@ -148,7 +148,7 @@ def fly_float_and_fixed(
     key = jax.random.key(seed)
     common = {"laps": laps, "runs": runs, "from_hover": False}
     as_float, _ = fly_laps(
-        own.choices, own.params, act_deterministic, flying(policy), key, **common
+        own.choices, own.params, act_deterministic, policy_params(policy), key, **common
     )
     act = fixed_point_action(network)
     as_fixed, _ = fly_laps(own.choices, own.params, act, None, key, **common)
@@ -171,14 +171,14 @@ def paths(trace: Trace) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A path that reaches every gate in turn, now through its opening and now beside it.
+    """A path to every gate in turn, partly through the openings and partly outside them.
 
     Returns:
         Positions (steps, 3) float32, and the target (steps,) after each by the simulator's rules.
     """
     rng = np.random.default_rng(seed)
     track = own.params.track
-    centre = np.stack([np.asarray(x) for x in track.position.components()], axis=1)
+    centers = np.stack([np.asarray(x) for x in track.position.components()], axis=1)
     ahead = np.stack([np.asarray(track.cos_yaw), np.asarray(track.sin_yaw)], axis=1)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
 
@@ -188,16 +188,16 @@ def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndar
         before, target = carry
         ends = (Vec3.of(before), Vec3.of(after))
         passed, _ = rules.crossing(*ends, gate(track, target), jnp.zeros(()), world_box)
-        following = (target + passed.astype(jnp.int32)) % len(centre)
+        following = (target + passed.astype(jnp.int32)) % len(centers)
         return (after, following), following
 
     follow = jax.jit(functools.partial(jax.lax.scan, follow))
-    target, position = 0, np.float32(centre[-1])
+    target, position = 0, np.float32(centers[-1])
     positions, targets = [], []
     while len(targets) < steps:
         aside, above = rng.uniform(-1.6, 1.6, 2) * half[target]
         way = np.array([*ahead[target], 0.0])
-        goal = centre[target] + np.array([-way[1] * aside, way[0] * aside, above])
+        goal = centers[target] + np.array([-way[1] * aside, way[0] * aside, above])
         ends = np.array([position, goal - 0.5 * way, goal + 0.5 * way])
         part = np.linspace(0.04, 1.0, 25)[:, None]
         leg = np.float32(np.concatenate([a + part * (b - a) for a, b in itertools.pairwise(ends)]))

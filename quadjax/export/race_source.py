@@ -83,7 +83,7 @@ def own_race(
 def _configuration(
     policy: Policy, file: Path | None, config: Path | str | Config | None
 ) -> tuple[Path | Config | dict[str, Any], str]:
-    """The configuration of a policy's race, and a word on where it came from."""
+    """The configuration of a policy's race, and its origin."""
     if config is not None:
         return (config, "config") if isinstance(config, Config) else (Path(config), str(config))
     if policy.config is not None:

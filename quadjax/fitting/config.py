@@ -98,7 +98,7 @@ class SplitConfig(Section):
     by: Literal["auto", "flight", "time"] = Field(
         "auto", description="auto is flight for two or more flights"
     )
-    test_flights: tuple[str, ...] = Field((), description="flights used for no choice")
+    test_flights: tuple[str, ...] = Field((), description="test flights, used for no choice")
     test_fraction: float = Field(
         0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight"
     )
@@ -121,7 +121,7 @@ class ResidualConfig(Section):
     noise: float = Field(
         0.1, ge=0.0, le=10.0, description="input noise with mirroring, in standard deviations"
     )
-    mirror: Literal["auto", "on", "off"] = Field("auto", description="learn from mirror images")
+    mirror: Literal["auto", "on", "off"] = Field("auto", description="train on mirror images")
     sample_rate: float = Field(50.0, ge=1.0, description="Hz, after thinning")
     caution: NonNegative = Field(1.0, description="weight of the worst fold when shrinking")
     min_gain: float = Field(

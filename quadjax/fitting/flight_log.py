@@ -86,8 +86,8 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
     """Read one CSV flight log.
 
     Raises:
-        InputError: a missing column, a cell that is no finite number, a time that stands still,
-            runs backwards or has a gap, an implausible unit or sign, a file that is empty or too
+        InputError: a missing column, a cell that is no finite number, a time that does not increase
+            or has a gap, an implausible unit or sign, a file that is empty or too
             short; one line with the file, the column and the row.
     """
     header = _header(path)
@@ -173,7 +173,7 @@ def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
 
 
 def _check_rows(path: Path | str, header: list[str]) -> None:
-    """Refuse empty rows before the end, and rows with more cells than there are columns."""
+    """Reject empty rows before the end, and rows with more cells than there are columns."""
     empty = None
     for row, cells in _rows(path, errors="replace"):
         if not any(cells):

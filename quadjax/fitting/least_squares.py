@@ -86,10 +86,10 @@ def fit_axis(axis: str, samples: Samples, blocks: np.ndarray, base: MotorConstan
     )
 
 
-def r_squared(measured: np.ndarray, modelled: np.ndarray) -> np.ndarray:
+def r_squared(measured: np.ndarray, modeled: np.ndarray) -> np.ndarray:
     """``1 - sum(error^2) / sum((measured - mean)^2)`` of each column."""
     spread = ((measured - measured.mean(axis=0)) ** 2).sum(axis=0)
-    return 1.0 - ((measured - modelled) ** 2).sum(axis=0) / np.maximum(spread, 1e-300)
+    return 1.0 - ((measured - modeled) ** 2).sum(axis=0) / np.maximum(spread, 1e-300)
 
 
 def _blocks(samples: Samples) -> np.ndarray:

@@ -112,8 +112,8 @@ def _check_acceleration(
     path: Path | str, columns: list[str], quantities: dict[str, np.ndarray]
 ) -> None:
     rows = np.flatnonzero(_flying(quantities))
-    flown = quantities["acceleration"][rows]
-    size = float(np.median(np.linalg.norm(flown, axis=1)))
+    airborne = quantities["acceleration"][rows]
+    size = float(np.median(np.linalg.norm(airborne, axis=1)))
     where = f"{path}: row {int(rows[0]) + 2}, column {columns[2]!r} and on"
     if not 0.4 * GRAVITY < size < 5.0 * GRAVITY:
         hint = "is this in g (logs" if size < GRAVITY else "is the unit right (logs"
@@ -121,9 +121,9 @@ def _check_acceleration(
             f"{where}: a median of {size:.3g} m/s^2 in flight, expected about {GRAVITY}; "
             f"{hint}.units.acceleration)?"
         )
-    if np.median(flown[:, 2]) > 0.0:
+    if np.median(airborne[:, 2]) > 0.0:
         raise InputError(
-            f"{where}: the specific force points down ({np.median(flown[:, 2]):+.3g} m/s^2), "
+            f"{where}: the specific force points down ({np.median(airborne[:, 2]):+.3g} m/s^2), "
             "expected negative with z down; is this a z-up frame (logs.body_frame FLU)?"
         )
 

@@ -4,7 +4,7 @@ For each axis the folds choose mirroring, the number of epochs and the shrinkage
 output towards zero, and whether the axis is rejected.
 
 With ``ratio_u(s)`` the root mean square error on held-out fold ``u`` of nominal plus ``s`` times
-the ensemble's mean, relative to nominal alone, the scale ``s`` in [0, 1] minimises::
+the ensemble's mean, relative to nominal alone, the scale ``s`` in [0, 1] minimizes::
 
     mean_u ratio_u(s) + caution * max(0, max_u ratio_u(s) - 1)
 

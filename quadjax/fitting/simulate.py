@@ -204,7 +204,7 @@ def _random_network(
     return jax.tree.map(lambda values: jnp.asarray(values, jnp.float32), layers)
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("simulate-logs", description=main.__doc__)
     parser.add_argument("--vehicle", default="bebop1.yaml", help="a file of configs/vehicles")
     parser.add_argument("--residual", type=Path, help="a residual file (.npz) of the drone")
@@ -217,7 +217,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=30.0, help="of each flight (30)")
     parser.add_argument("--seed", type=seed, default=0, help="of the first flight (0)")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
-    arguments = parse(parser, words)
+    arguments = parse(parser, argv)
     if not 1.0 <= arguments.seconds <= 3600.0:
         raise InputError(f"--seconds is {arguments.seconds}, expected 1 to 3600")
     if arguments.residual and arguments.random_residual is not None:
@@ -228,20 +228,20 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write flight logs of a simulated drone with known constants."""
-    words = _arguments(arguments)
-    residual = read_residual(words.residual) if words.residual else None
-    if words.random_residual is not None:
-        residual = random_residual(words.random_residual, words.thrust_std, words.moment_std)
-        source = {"random": True, "seed": words.random_residual}
-        write_residual(words.output / "residual.npz", residual, source)
-    vehicle = VehicleParams(read_vehicle(words.vehicle).motor, residual)
-    for index in range(words.flights):
-        columns = simulate_flight(vehicle, words.seed + index, words.seconds)
+    options = _arguments(arguments)
+    residual = read_residual(options.residual) if options.residual else None
+    if options.random_residual is not None:
+        residual = random_residual(options.random_residual, options.thrust_std, options.moment_std)
+        source = {"random": True, "seed": options.random_residual}
+        write_residual(options.output / "residual.npz", residual, source)
+    vehicle = VehicleParams(read_vehicle(options.vehicle).motor, residual)
+    for index in range(options.flights):
+        columns = simulate_flight(vehicle, options.seed + index, options.seconds)
         if not all(np.isfinite(values).all() for values in columns.values()):
             raise InputError(
-                f"flight {index} with seed {words.seed + index} is not finite; is the residual "
+                f"flight {index} with seed {options.seed + index} is not finite; is the residual "
                 "stronger than the motors?"
             )
-        path = words.output / f"flight_{index}.csv"
+        path = options.output / f"flight_{index}.csv"
         write_log(path, columns)
         print(f"wrote {path}")

@@ -102,12 +102,12 @@ def learned_rows(fold: np.ndarray, left_out: frozenset[int]) -> np.ndarray:
 
 def nominal_error(samples: Samples, constants: MotorConstants) -> np.ndarray:
     """Measured minus nominal (n, 6), as ``AXES``."""
-    modelled = [
+    modeled = [
         samples.regressors[axis]
         @ np.array([float(getattr(constants, name)) for name in CONSTANTS[axis]])
         for axis in AXES
     ]
-    return samples.measured - np.stack(modelled, axis=1)
+    return samples.measured - np.stack(modeled, axis=1)
 
 
 def make_task(

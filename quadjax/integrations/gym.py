@@ -154,7 +154,7 @@ class RaceVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
-        """Begin all episodes, or those of ``options["reset_mask"]``, (num_envs,) bool."""
+        """Reset all environments, or those of ``options["reset_mask"]``, (num_envs,) bool."""
         super().reset(seed=seed, options=options)
         if seed is not None:
             self._key = jax.random.key(seed)
@@ -222,7 +222,7 @@ class RaceEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
-        """Begin an episode."""
+        """Reset the environment."""
         super().reset(seed=seed, options=options)
         observation, _ = self._one.reset(seed=seed)
         return observation[0], {}

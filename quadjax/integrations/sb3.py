@@ -1,6 +1,6 @@
-"""The race for Stable-Baselines3: its own kind of vector environment over ``RaceVectorEnv``.
+"""The race for Stable-Baselines3: its vector environment interface around ``RaceVectorEnv``.
 
-Stable-Baselines3 tells a truncation from a crash by ``infos[i]["TimeLimit.truncated"]`` and
+Stable-Baselines3 distinguishes a truncation from a crash by ``infos[i]["TimeLimit.truncated"]`` and
 bootstraps from ``infos[i]["terminal_observation"]``, the observation before the reset.
 """
 
@@ -39,18 +39,18 @@ class RaceVecEnv(VecEnv):
         )
 
     def reset(self) -> np.ndarray:
-        """Begin all episodes anew."""
+        """Reset all environments."""
         seed = self._seeds[0]
         self._reset_seeds()
         observation, _ = self._race.reset(seed=seed)
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions for ``step_wait``."""
+        """Store the actions for ``step_wait``."""
         self._action = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
-        """Fly one step of every drone."""
+        """Simulate one step of every drone."""
         assert self._action is not None, "step_async comes before step_wait"
         observation, reward, terminated, truncated, race = self._race.step(self._action)
         done = terminated | truncated
@@ -63,7 +63,7 @@ class RaceVecEnv(VecEnv):
         return observation, reward.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """No resources to release."""
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[object]:
         """An attribute, the same for every drone."""
@@ -122,7 +122,7 @@ def make_ppo(config: Config, seed: int, device: str = "cpu") -> PPO:
 
 
 def policy_of_ppo(model: PPO, config: Config) -> Policy:
-    """The policy of Stable-Baselines3 as one that quadjax saves, evaluates and exports.
+    """The policy of Stable-Baselines3 as a quadjax policy.
 
     Args:
         model: with an MLP policy of the config's shape, such as ``make_ppo`` returns.

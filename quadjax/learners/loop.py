@@ -47,7 +47,7 @@ def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> tupl
 
 @dataclasses.dataclass(frozen=True)
 class Hooks:
-    """What happens between chunks."""
+    """The functions that are called between chunks."""
 
     score: Callable[[ActorCritic], float]  # lower is better; infinite where it does not finish
     report: Callable[[Row], None]

@@ -28,8 +28,8 @@ def episode_metrics(reward: jax.Array, terminated: jax.Array, truncated: jax.Arr
     """Metrics of all steps (time, n) of an update.
 
     Returns:
-        ``reward``: mean per step; ``terminated``: share of steps that terminate an episode;
-        ``crash_rate``: share of ended episodes that were terminated rather than truncated.
+        ``reward``: mean per step; ``terminated``: fraction of steps that terminate an episode;
+        ``crash_rate``: fraction of ended episodes that were terminated rather than truncated.
     """
     chex.assert_equal_shape((reward, terminated, truncated))
     terminated, truncated = global_mean(terminated), global_mean(truncated)

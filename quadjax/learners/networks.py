@@ -1,4 +1,4 @@
-"""Policy and value networks: separate perceptrons and a standard deviation that is no function."""
+"""Policy and value networks, separate perceptrons, and a state-independent standard deviation."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Gradient steps that change nothing where a gradient is not finite."""
+"""Clipping by the global norm, and gradient steps that skip non-finite gradients."""
 
 from typing import Any
 

@@ -7,7 +7,7 @@ two knots a leaf is interpolated linearly in environment steps,
     ``leaf = A + share (B - A)``,  ``share = clip((steps - t_A) / (t_B - t_A), 0, 1)``,
 
 before the first knot it has the first value, after the last one the last. Knots and values are
-traced: other numbers for the same leaves compile nothing anew.
+traced: other numbers for the same leaves do not trigger recompilation.
 """
 
 import dataclasses

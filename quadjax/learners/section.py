@@ -1,4 +1,4 @@
-"""What every learner's section of hyperparameters has in common, and the networks' section."""
+"""The base class of the learners' hyperparameters, and the section of the networks."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Network(Section):
 class LearnerSection(Section):
     """Hyperparameters of a learner, which make the learner and train it.
 
-    Fields annotated ``float`` are traced: other values compile nothing anew, and schedules can
-    change them. All others fix shapes or code.
+    Fields annotated ``float`` are traced: other values do not trigger recompilation, and
+    schedules can change them. All others fix shapes or code.
     """
 
     if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""The stand-in plant: what the training model leaves out, sensors, estimator, inner loop."""
+"""The stand-in plant: unmodeled physics, sensors, estimator, inner loop."""

@@ -17,7 +17,7 @@ REFERENCE_RATE = 500.0  # Hz, at which the config gives the noise between two sa
 
 @struct.dataclass
 class EkfParams:
-    """Numbers of the filter; traced, except for the number of samples that it lags."""
+    """Parameters of the filter; traced, except for its lag in samples."""
 
     step: jax.Array  # s between samples
     gravity: jax.Array  # m/s^2

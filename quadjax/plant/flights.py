@@ -80,7 +80,7 @@ def plan_flights(
         lap_count: laps to fly, from hover.
         runs: number of independent drones.
         recorded: runs whose frames are kept.
-        deterministic: fly the mean action rather than samples.
+        deterministic: apply the mean action rather than samples.
 
     Raises:
         InputError: a policy that does not fit, or files that cannot be read.
@@ -164,7 +164,7 @@ def fly_plan(
     Args:
         plan: the flights.
         seed: of batteries, gusts, sensors and the policy's noise.
-        report: called with the number of seconds flown.
+        report: called with the simulated seconds.
     """
     kept: list[Frame] = []
     for flying, frames in fly_chunks(plan, seed):

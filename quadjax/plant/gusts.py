@@ -20,7 +20,7 @@ from flax import struct
 from quadjax.core.vectors import Vec3, safe_norm
 
 SQRT3 = float(np.sqrt(3.0))
-METRES_PER_FOOT = 0.3048
+METERS_PER_FOOT = 0.3048
 DRAWS = 3  # standard normal numbers per step
 START_DRAWS = 6
 
@@ -47,11 +47,11 @@ def gust_params(
     wind: float, altitude: float, least_airspeed: float, step: float, strength: float = 1.0
 ) -> GustParams:
     """The turbulence of a wind at 20 ft, m/s, and an altitude, m."""
-    feet = altitude / METRES_PER_FOOT
+    feet = altitude / METERS_PER_FOOT
     shape = 0.177 + 0.000823 * feet
     vertical = 0.1 * wind * strength
     along = vertical / shape**0.4
-    scale = feet / shape**1.2 * METRES_PER_FOOT
+    scale = feet / shape**1.2 * METERS_PER_FOOT
     numbers = ((along, along, vertical), (scale, scale, altitude))
     deviation, length = (Vec3(*(jnp.float32(x) for x in triple)) for triple in numbers)
     return GustParams(deviation, length, jnp.float32(least_airspeed), jnp.float32(step))

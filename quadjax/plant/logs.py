@@ -72,7 +72,7 @@ def write_logs(
     seed: int = 0,
     report: Callable[[str], None] = lambda line: None,
 ) -> list[Logged]:
-    """Fly policies on the plant and write each flight's log to ``folder/POLICY_RUN.csv``.
+    """Simulate policies on the plant and write each flight's log to ``folder/POLICY_RUN.csv``.
 
     Args:
         race: config of the race.
@@ -93,19 +93,21 @@ def write_logs(
     for name in policies:
         report(f"{name}: compiling")
         plan = plan_flights(race, plant, Policy.load(name), str(name), laps, flights, flights)
-        flown = fly_plan(plan, seed, lambda seconds, n=name: report(f"{n}: {seconds:.0f} s flown"))
-        logs = [log_quantities(flown, run, gate_centers(race)) for run in range(flights)]
+        ended = fly_plan(
+            plan, seed, lambda seconds, n=name: report(f"{n}: {seconds:.0f} s simulated")
+        )
+        logs = [log_quantities(ended, run, gate_centers(race)) for run in range(flights)]
         for run, log in enumerate(logs):
             if not all(np.isfinite(values).all() for values in log.values()):
                 raise InputError(f"{name}: flight {run} is not finite")
         for run, log in enumerate(logs):
             path = folder / f"{Path(name).stem}_{run}.csv"
             write_log(path, paparazzi_columns(log))
-            written.append(Logged(path, len(log["time"]), flown.laps.crashes[run]))
+            written.append(Logged(path, len(log["time"]), ended.laps.crashes[run]))
     return written
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("plant-logs", description="Write flight logs of the stand-in plant.")
     add_config(parser, "a YAML file of configs/plant")
     parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
@@ -114,25 +116,25 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--laps", type=count, default=6, help="of each flight (6)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
-    return parse(parser, words)
+    return parse(parser, argv)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Fly policies on the plant and write their logs."""
+    """Simulate policies on the plant and write their logs."""
     from rich.console import Console
 
-    words = _arguments(arguments)
-    plant = load_plant_config(words.config, words.overrides)
-    race = load_config(words.race)
+    options = _arguments(arguments)
+    plant = load_plant_config(options.config, options.overrides)
+    race = load_config(options.race)
     with Console(stderr=True).status("compiling") as status:
         written = write_logs(
             race,
             plant,
-            words.policy,
-            words.output,
-            words.flights,
-            words.laps,
-            words.seed,
+            options.policy,
+            options.output,
+            options.flights,
+            options.laps,
+            options.seed,
             status.update,
         )
     for log in written:

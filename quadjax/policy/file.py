@@ -109,7 +109,7 @@ class Policy:
 
     @property
     def meta(self) -> dict[str, Any]:
-        """What the file says besides its arrays."""
+        """The metadata of the file."""
         return {
             "format": FORMAT,
             "vehicle": self.vehicle,
@@ -135,11 +135,13 @@ class Policy:
 
     def mean(self, observation: jax.Array) -> jax.Array:
         """The mean action (.., actions) of observations (.., layout.size), clipped to [-1, 1]."""
-        return jax.numpy.clip(inference.mean_action(inference.flying(self), observation), -1, 1)
+        return jax.numpy.clip(
+            inference.mean_action(inference.policy_params(self), observation), -1, 1
+        )
 
     def sample(self, observation: jax.Array, key: jax.Array) -> jax.Array:
         """Actions (.., actions) in [-1, 1], drawn with a PRNG key."""
-        own = inference.flying(self)
+        own = inference.policy_params(self)
         shape = (*jax.numpy.shape(observation)[:-1], len(self.log_std))
         noise = jax.random.normal(key, shape)
         return jax.numpy.clip(inference.act_sampled(own, observation, noise), -1, 1)

@@ -1,4 +1,4 @@
-"""Inference: a policy, or networks in training, as a function of the observation."""
+"""Inference: the actions of a policy, or of networks in training."""
 
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @struct.dataclass
-class Flying:
+class PolicyParams:
     """A policy's numbers on the device."""
 
     layers: tuple[tuple[jax.Array, jax.Array], ...]
@@ -22,28 +22,28 @@ class Flying:
     noise_on: str = struct.field(pytree_node=False, default="mean")
 
 
-def flying(policy: "Policy") -> Flying:
+def policy_params(policy: "Policy") -> PolicyParams:
     """A policy's numbers on the device."""
     layers = tuple(
         (jnp.asarray(kernel, jnp.float32), jnp.asarray(bias, jnp.float32))
         for kernel, bias in policy.layers
     )
     log_std = jnp.asarray(policy.log_std, jnp.float32)
-    return Flying(layers, log_std, policy.activation, policy.noise_on)
+    return PolicyParams(layers, log_std, policy.activation, policy.noise_on)
 
 
-def mean_action(policy: Flying, observation: jax.Array) -> jax.Array:
+def mean_action(policy: PolicyParams, observation: jax.Array) -> jax.Array:
     """Mean action (.., actions); the last clip to [-1, 1] is left to the environment."""
     mean = mlp.apply(policy.layers, observation, policy.activation)
     return jnp.clip(mean, -1.0, 1.0) if policy.noise_on == "clipped_mean" else mean
 
 
-def act_deterministic(policy: Flying, observation: jax.Array, noise: jax.Array) -> jax.Array:
+def act_deterministic(policy: PolicyParams, observation: jax.Array, noise: jax.Array) -> jax.Array:
     """The mean action (.., actions)."""
     return mean_action(policy, observation)
 
 
-def act_sampled(policy: Flying, observation: jax.Array, noise: jax.Array) -> jax.Array:
+def act_sampled(policy: PolicyParams, observation: jax.Array, noise: jax.Array) -> jax.Array:
     """The mean action (.., actions) plus the policy's noise, of standard normal numbers.
 
     As in training, the noise is added to the mean or to the clipped mean; the environment clips the

@@ -1,10 +1,10 @@
-"""A policy in a race: fitted to the environment that it flies in, then timed.
+"""A policy in a race: conversions between its scaling and the environment's, and timed laps.
 
 The environment scales actions and observations by its own vehicle's ranges; a policy was trained
 with those of its file. Both are converted here, so that a policy commands the rpm (or rates and
-thrust) that its file says, whatever the vehicle's own limits are, and observes in the scaling that
-it was trained with. The environment itself scales the disturbances as the file says, because it may
-draw none and yet have some: a moment bias, or less thrust than modeled.
+thrust) of its file for any limits of the vehicle, and observes in the scaling that it was trained
+with. The environment scales the disturbances by the ranges of the file, because its own ranges may
+be zero while disturbances are not: a moment bias, or less thrust than modeled.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
-from quadjax.policy.inference import Flying, act_sampled, flying
+from quadjax.policy.inference import PolicyParams, act_sampled, policy_params
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import DISTURBANCES, Layout, arranged
@@ -30,14 +30,14 @@ Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
 class Pilot:
     """A policy and the conversions between its scaling and the environment's."""
 
-    policy: Flying
+    policy: PolicyParams
     see_scale: jax.Array  # (observations,)
     see_offset: jax.Array  # (observations,)
     act_scale: jax.Array  # (actions,)
     act_offset: jax.Array  # (actions,)
     low: jax.Array  # (actions,) lowest command of the environment's vehicle
     high: jax.Array  # (actions,)
-    noise: jax.Array  # () 1 to fly samples, 0 to fly the mean: one compilation for both
+    noise: jax.Array  # () 1 for sampled actions, 0 for the mean: one compilation for both
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,9 +62,9 @@ def fit_race(
 ) -> tuple[Choices, RaceParams]:
     """The race with the observation that a policy was trained with.
 
-    It has the policy's fields in the policy's order, and scales the disturbances as its file says:
-    also where the race draws none, or others. The source of the disturbance (ground truth,
-    estimated or none) is the race's choice: it is what a drone can measure.
+    It has the policy's fields in the policy's order, and scales the disturbances by the ranges
+    of its file, also where the race draws none, or others. The source of the disturbance
+    (ground truth, estimated or none) is that of the race.
 
     Args:
         choices: of the race.
@@ -73,7 +73,7 @@ def fit_race(
         name: its file, for messages.
 
     Raises:
-        InputError: the policy is for another vehicle, or observes what the race does not show.
+        InputError: the policy is for another vehicle, or observes a field that the race lacks.
     """
     if policy.vehicle != choices.model.name:
         raise InputError(
@@ -125,7 +125,7 @@ def make_pilot(choices: Choices, params: RaceParams, policy: Policy, determinist
         choices.layout.with_spans(choices.model, params), policy.layout
     )
     numbers = (see_scale, see_offset, act_scale, act_offset, *vehicle, float(not deterministic))
-    return Pilot(flying(policy), *(jnp.asarray(x, jnp.float32) for x in numbers))
+    return Pilot(policy_params(policy), *(jnp.asarray(x, jnp.float32) for x in numbers))
 
 
 def _observation_scale(shown: Layout, own: Layout) -> Ranges:

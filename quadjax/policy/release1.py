@@ -30,7 +30,7 @@ def layout_of_release_1(
         high: (4,)
 
     Raises:
-        InputError: an unknown vehicle or an observation that makes no sense.
+        InputError: an unknown vehicle or an invalid observation.
     """
     if meta["vehicle"] not in MODELS:
         raise InputError(f"{path}: meta 'vehicle' is {meta['vehicle']!r}, allowed: {list(MODELS)}")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class StepContext:
     """One step of one drone in its race. World NED, body FRD, SI units, rad.
 
-    A reward term is a function of it that returns a () float, added to the step's reward in its
+    A reward term is a function of it that returns a () float, added to the step's reward with its
     weight (multiply by ``time_step`` for a reward per second). A rule is a function of it that
     returns a () bool; true ends the episode, in training and in timed laps, as a collision does.
     Both must be pure and written with ``jax.numpy``.

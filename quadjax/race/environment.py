@@ -45,7 +45,7 @@ class Choices:
     gate_test: str = "square"  # "square" | "world_box"
     random_gate: bool = False  # start at any gate rather than the last
     stagger_clocks: bool = False  # episodes start at a random step of their clock
-    randomize: bool = False  # draw the constants anew for every episode
+    randomize: bool = False  # draw new constants for every episode
     mismatch: bool = False  # the simulated drone has other constants than the policy's model
     terms: tuple[Term, ...] = ()  # reward terms besides those of RewardWeights
     rules: tuple[Rule, ...] = ()  # rules besides those of Limits
@@ -97,7 +97,7 @@ class RaceState:
 
 
 def _opaque_true(params: RaceParams) -> jax.Array:
-    """True, in a way that a compiler cannot know; see ``quadjax.core.materialize``."""
+    """A flag that is true but unknown to the compiler; see ``quadjax.core.materialize``."""
     return params.limits.episode_steps > 0
 
 
@@ -180,20 +180,20 @@ def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
 
 
 def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: jax.Array) -> State:
-    """The drone a step later, commands kept within what it can do."""
+    """The vehicle's state one step later; commands are clipped to its range."""
     vehicle, model = _vehicle_params(params, state), choices.model
     low, high = model.command_range(vehicle.constants)
     held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
     opaque_true = _opaque_true(params)
-    # One step of Euler's method starts from the carry of a loop, which is kept anyway.
+    # A step of Euler's method starts from the carry of a loop, which is in memory already.
     begin = materialize_cotangent if choices.integrator == "euler" else materialize
     call = functools.partial(_call, opaque_true)
-    flown = INTEGRATORS[choices.integrator](
+    after = INTEGRATORS[choices.integrator](
         lambda drone: model.derivative(vehicle, begin(drone, opaque_true), held, call),
         state.drone,
         params.limits.time_step,
     )
-    return model.wrap(flown)
+    return model.wrap(after)
 
 
 def _call(opaque_true: jax.Array, function: Callable[..., Kept], *arguments: object) -> Kept:
@@ -205,12 +205,12 @@ def _finite(drone: State) -> jax.Array:
 
 
 def evaluate_rules(
-    choices: Choices, params: RaceParams, state: RaceState, flown: State, g: Gate
+    choices: Choices, params: RaceParams, state: RaceState, after: State, g: Gate
 ) -> rules.Outcome:
-    """The events of a step from ``state`` to ``flown``, before any reset."""
+    """The events of a step from ``state`` to the vehicle state ``after``, before any reset."""
     limits = params.limits
     model = choices.model
-    position, rates, euler = model.position(flown), model.rates(flown), model.euler(flown)
+    position, rates, euler = model.position(after), model.rates(after), model.euler(after)
     passed, hit = rules.crossing(
         model.position(state.drone),
         position,
@@ -228,9 +228,9 @@ def evaluate_rules(
         attitude=(jnp.abs(euler.y) > limits.pitch)
         | (jnp.abs(euler.x) > limits.roll)
         | (jnp.abs(rates.z) > limits.yaw_rate),
-        non_finite=~_finite(flown),
+        non_finite=~_finite(after),
         truncated=state.step + 1 >= limits.episode_steps,
-        extra_rule=_extra_rule(choices, params, state, flown, g),
+        extra_rule=_extra_rule(choices, params, state, after, g),
     )
     ended = outcome.terminated
     outcome = outcome.replace(passed=passed & ~ended, truncated=outcome.truncated & ~ended)
@@ -238,9 +238,9 @@ def evaluate_rules(
 
 
 def _extra_rule(
-    choices: Choices, params: RaceParams, state: RaceState, flown: State, g: Gate
+    choices: Choices, params: RaceParams, state: RaceState, after: State, g: Gate
 ) -> jax.Array | None:
-    context = StepContext(choices.model, params, state, flown, g)
+    context = StepContext(choices.model, params, state, after, g)
     ended = [jnp.asarray(rule(context), bool) for rule in choices.rules]
     return functools.reduce(jnp.logical_or, ended) if ended else None
 
@@ -252,18 +252,18 @@ def transition(
 
     Returns:
         The next state, the reward () and the outcome. A state that is not finite is replaced by
-        the one before it, so that nothing downstream meets a NaN; the outcome says so.
+        the state before it, so that no NaN propagates; the outcome reports it.
     """
     opaque_true = _opaque_true(params)
-    flown = call_materialized(
+    after = call_materialized(
         functools.partial(_simulate, choices), opaque_true, params, state, action
     )
     g = call_materialized(gate, opaque_true, params.track, state.target)
     outcome = call_materialized(
-        functools.partial(evaluate_rules, choices), opaque_true, params, state, flown, g
+        functools.partial(evaluate_rules, choices), opaque_true, params, state, after, g
     )
     drone = jax.tree.map(
-        lambda new, old: jnp.where(outcome.non_finite, old, new), flown, state.drone
+        lambda new, old: jnp.where(outcome.non_finite, old, new), after, state.drone
     )
     value = rules.reward(
         params.reward,
@@ -285,7 +285,7 @@ def transition(
 def progressed(
     params: RaceParams, state: RaceState, drone: State, outcome: rules.Outcome
 ) -> RaceState:
-    """The race one step on: the drone, its next target, its clock and its gates."""
+    """The race one step later: vehicle state, target, step count and gates passed."""
     one = outcome.passed.astype(jnp.int32)
     advanced = state.target + one
     target = jnp.where(advanced == gate_count(params.track), 0, advanced)
@@ -305,7 +305,7 @@ def _estimate(
 
 
 def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
-    """The same race by its exact rules: no margin, any roll, any pitch that the model takes."""
+    """The race without training limits: no gate inflation, any roll, any valid pitch."""
     limits = params.limits.replace(
         gate_inflation=jnp.zeros(()),
         pitch=jnp.asarray(model.pitch_limit, jnp.float32),
@@ -316,7 +316,7 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
 
 
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
-    """The environment of ``choices`` behind the learners' seam."""
+    """The environment of ``choices`` with the interface that learners use."""
 
     def step(
         params: RaceParams, state: RaceState, action: jax.Array

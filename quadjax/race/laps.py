@@ -25,12 +25,12 @@ class Race:
     """Drones in timed laps, batched along the last axis."""
 
     state: RaceState
-    lap_end: jax.Array  # (laps, runs) s since the start; 0 where not flown
+    lap_end: jax.Array  # (laps, runs) s since the start; 0 where not completed
     over: jax.Array  # (runs,) bool
     crash: jax.Array  # (runs,) index into CRASHES
 
 
-Carry = tuple[Race, jax.Array]  # drones and the key of the noise to come
+Carry = tuple[Race, jax.Array]  # drones and the key of the next noise
 
 
 @struct.dataclass
@@ -240,22 +240,22 @@ def fly_laps(
 
 
 def time_limit(track: Track, laps: int) -> float:
-    """Seconds after which a race of some laps is out of time."""
+    """The time limit of a race of some laps, s."""
     return laps * SLOWEST_LAP * max(1.0, lap_length(track) / ITS_LENGTH)
 
 
 def step_limit(params: RaceParams, laps: int) -> int:
-    """Steps after which a race is out of time."""
+    """The time limit of a race, steps."""
     return round(time_limit(params.track, laps) / float(params.limits.time_step))
 
 
 def laps_of(race: Race, dt: float, limit: float) -> Laps:
     """The result of a race that is over, ``dt`` s a step, with its time limit in s."""
     ends = np.asarray(race.lap_end, np.float64).T
-    flown = np.where(ends > 0, ends, np.nan)
-    times = np.diff(flown, axis=1, prepend=0.0)
+    completed = np.where(ends > 0, ends, np.nan)
+    times = np.diff(completed, axis=1, prepend=0.0)
     codes = np.asarray(race.crash)
-    unfinished = ~np.isfinite(flown[:, -1]) & (codes == 0)
+    unfinished = ~np.isfinite(completed[:, -1]) & (codes == 0)
     codes = np.where(unfinished, CRASHES.index("out of time"), codes)
     seconds = np.asarray(race.state.step, np.float64) * dt
     return Laps(times, tuple(CRASHES[code] for code in codes), seconds, limit)

@@ -47,10 +47,10 @@ class Field:
 
     Attributes:
         name: unique in a layout.
-        size: how many numbers.
+        size: number of scalars.
         unit: of the numbers before they are scaled.
         frame: "gate" (x through the target gate, y to its right, z down), "body" or "".
-        range: largest magnitude that the network sees, a power of two: the default of the export.
+        range: largest magnitude of a network input, a power of two: the default of the export.
         value: ``(view) -> numbers``, each (), pure; None in the layout of a file.
         scale: ``(model, params) -> (lowest, highest)`` that are scaled to -1 and 1; a lowest of
             None is minus the highest, and a highest of zero gives zero. None: not scaled.
@@ -77,11 +77,11 @@ class Field:
 
     @property
     def observed_unit(self) -> str:
-        """The unit of the numbers as the network sees them."""
+        """The unit of the network inputs."""
         return self.unit if self.scale is None and self.span is None else "of its range"
 
     def numbers(self, view: View) -> list[jax.Array]:
-        """The field's numbers as the network sees them."""
+        """The field's network inputs, after scaling."""
         assert self.value is not None, self.name
         values = list(self.value(view))
         if len(values) != self.size:
@@ -113,7 +113,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """How many numbers."""
+        """Total size of the fields."""
         return sum(field.size for field in self.fields)
 
     @property
@@ -342,7 +342,7 @@ def make_layout(
 
 
 def arranged(layout: Layout, wanted: Layout, name: str) -> Layout:
-    """The layout that shows the fields of another one, in its order.
+    """The layout with the fields of another one, in its order.
 
     Args:
         layout: of a race.
@@ -356,7 +356,7 @@ def arranged(layout: Layout, wanted: Layout, name: str) -> Layout:
     for field in wanted.fields:
         if field.name not in known or known[field.name].size != field.size:
             raise InputError(
-                f"{name}: observes {field.name!r} ({field.size}), which the race does not show; "
-                f"it shows {', '.join(f'{f.name} ({f.size})' for f in layout.fields)}"
+                f"{name}: observes {field.name!r} ({field.size}), which the race lacks; "
+                f"it has {', '.join(f'{f.name} ({f.size})' for f in layout.fields)}"
             )
     return Layout(tuple(known[field.name] for field in wanted.fields))

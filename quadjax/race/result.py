@@ -21,7 +21,7 @@ CRASHES = (
 class Laps:
     """The result of timed laps, as NumPy arrays."""
 
-    lap_times: np.ndarray  # (runs, laps) s; NaN where not flown
+    lap_times: np.ndarray  # (runs, laps) s; NaN where not completed
     crashes: tuple[str, ...]  # why each run ended early; "" where it did not
     seconds: np.ndarray  # (runs,) s from the start to the run's end, however it ended
     time_limit: float  # s; no run lasts longer
@@ -33,7 +33,7 @@ class Laps:
 
     @property
     def finished(self) -> int:
-        """How many runs flew all laps."""
+        """Number of runs that completed all laps."""
         return int(np.isfinite(self.totals).sum())
 
     @property
@@ -49,19 +49,19 @@ class Laps:
 
     @property
     def penalized(self) -> float:
-        """Mean time of all laps, s; each lap not flown counts its share of the time limit.
+        """Time of all laps, averaged over the runs, s; a missing lap counts as time_limit / laps.
 
         Finite where no run finishes, and lower for runs that crash later.
         """
         penalty = self.time_limit / self.lap_times.shape[1]
         return float(np.nan_to_num(self.lap_times, nan=penalty).sum(axis=1).mean())
 
-    def laps_flown(self) -> np.ndarray:
-        """How many laps each run flew, (runs,)."""
+    def laps_completed(self) -> np.ndarray:
+        """Number of laps that each run completed, (runs,)."""
         return np.isfinite(self.lap_times).sum(axis=1)
 
     def to_json(self) -> dict[str, object]:
-        """The result as JSON takes it: ``null`` for laps that were not flown.
+        """The result as JSON takes it: ``null`` for laps that were not completed.
 
         Of the runs that ended early, ``crashes`` says which (from 0), in which lap (from 1), after
         how many seconds and why.
@@ -70,7 +70,7 @@ class Laps:
         def number(x: float) -> float | None:
             return round(float(x), 4) if np.isfinite(x) else None
 
-        flown = self.laps_flown()
+        completed = self.laps_completed()
         return {
             "laps": [[number(x) for x in run] for run in self.lap_times],
             "totals": [number(x) for x in self.totals],
@@ -79,7 +79,7 @@ class Laps:
             "crashes": [
                 {
                     "run": run,
-                    "lap": int(flown[run]) + 1,
+                    "lap": int(completed[run]) + 1,
                     "seconds": number(self.seconds[run]),
                     "reason": reason,
                 }

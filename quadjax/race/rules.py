@@ -49,7 +49,7 @@ class Outcome:
     attitude: jax.Array  # pitch, roll or yaw rate beyond its limit
     non_finite: jax.Array
     truncated: jax.Array
-    extra_rule: jax.Array | None = None  # ended by a rule of one's own; None where there is none
+    extra_rule: jax.Array | None = None  # ended by a user's rule; None where there is none
 
     @property
     def terminated(self) -> jax.Array:

@@ -1,4 +1,4 @@
-"""Starts: where an episode begins, with which disturbance and which constants."""
+"""Starts of episodes: states, disturbances and constants."""
 
 import jax
 import jax.numpy as jnp
@@ -55,7 +55,7 @@ DISTURBANCE_DRAWS = 4
 
 
 def draw_count(model: VehicleModel) -> int:
-    """How many numbers a start is made of: motion, actuators (at least four), disturbances."""
+    """The number of random numbers of a start: motion, actuators (at least 4), disturbances."""
     return 12 + max(4, model.actuators.size) + DISTURBANCE_DRAWS
 
 
@@ -89,7 +89,7 @@ def _pose(
 
 
 def _heading(begin: Vec3, end: Vec3) -> jax.Array:
-    """The yaw (), rad, that looks from one point to another."""
+    """The heading (), rad, from one point to another."""
     return jnp.arctan2(end.y - begin.y, end.x - begin.x)
 
 

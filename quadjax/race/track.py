@@ -84,14 +84,14 @@ def gate(track: Track, index: jax.Array) -> Gate:
     return Gate(**vars(jax.tree.map(lambda table: pick(table, index), track)))
 
 
-STRAIGHT = 0.2  # sines of the bends at a leg's two ends, summed: less is no bend
+STRAIGHT = 0.2  # below this sum of the sines of the turns at a leg's ends, the leg is straight
 
 
 def inside_turn(track: Track) -> jax.Array:
-    """For the leg to each gate, the yaw (gates,), rad, that looks across it, to where it bends.
+    """The yaw (gates,), rad, across the leg to each gate, towards the inside of its turn.
 
     The side is the one to which the direction changes from the leg before to the leg after; where
-    it hardly does, the yaw looks along the leg.
+    it hardly changes, the yaw is along the leg.
     """
     position = jnp.stack([track.position.x, track.position.y], axis=-1)
     leg = position - jnp.roll(position, 1, axis=0)

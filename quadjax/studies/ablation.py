@@ -33,8 +33,8 @@ class Variant:
 
     def command(self, runs: str = "runs") -> str:
         """The command that trains its policy into ``RUNS/POLICY/policy.npz``."""
-        words = " ".join(self.training)
-        return f"quadjax train {words} seed=0 --name {self.policy} --output {runs}"
+        arguments = " ".join(self.training)
+        return f"quadjax train {arguments} seed=0 --name {self.policy} --output {runs}"
 
     def path(self, folder: Path) -> Path:
         """Its policy file in the ablation's folder."""
@@ -42,8 +42,8 @@ class Variant:
 
 
 def _randomized(percent: int) -> Variant:
-    words = tuple(f"randomization.{group}={percent / 100}" for group in _RANDOM)
-    training = ("configs/e2e_robust.yaml", STEPS, *words)
+    overrides = tuple(f"randomization.{group}={percent / 100}" for group in _RANDOM)
+    training = ("configs/e2e_robust.yaml", STEPS, *overrides)
     return Variant("randomization", f"{percent}%", f"e2e_random_{percent}", training)
 
 
@@ -58,9 +58,9 @@ VARIANTS = (
         ("configs/e2e_shac.yaml", STEPS, f"vehicle.residual={RESIDUAL}"),
         True,
     ),
-    Variant("disturbance", "ground_truth", "e2e_told", _DISTURBED, True, "ground_truth"),
-    Variant("disturbance", "estimated", "e2e_told", _DISTURBED, True, "estimated"),
-    Variant("disturbance", "none", "e2e_told", _DISTURBED, True, "none"),
+    Variant("disturbance", "ground_truth", "e2e_ground_truth", _DISTURBED, True, "ground_truth"),
+    Variant("disturbance", "estimated", "e2e_ground_truth", _DISTURBED, True, "estimated"),
+    Variant("disturbance", "none", "e2e_ground_truth", _DISTURBED, True, "none"),
     *(_randomized(percent) for percent in (0, 10, 20, 30)),
 )
 

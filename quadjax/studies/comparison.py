@@ -38,7 +38,7 @@ class Compared:
     contender: Contender
     simulated: Laps
     trace: Trace
-    flown: Flights
+    on_plant: Flights
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,7 @@ def contender(name: str, file: str) -> Contender:
 
 
 def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
-    """Fly one contender in the simulator and on the plant."""
+    """Evaluate one contender in the simulator and on the plant."""
     report(f"{own.name}: simulator")
     race = pilot.Race(setting.laps, setting.runs, seed=setting.seed)
     config = race_config(setting.race, own.policy)
@@ -90,9 +90,9 @@ def rows(compared: Compared) -> list[Row]:
     ``finished`` counts all runs.
     """
     name = compared.contender.name
-    flown = compared.flown.laps
-    five = lap_row(f"{name} stand-in plant, mean of {FLIGHTS}", first(flown))
-    five = dataclasses.replace(five, finished=flown.finished, runs=len(flown.crashes))
+    on_plant = compared.on_plant.laps
+    five = lap_row(f"{name} stand-in plant, mean of {FLIGHTS}", first(on_plant))
+    five = dataclasses.replace(five, finished=on_plant.finished, runs=len(on_plant.crashes))
     return [lap_row(f"{name} simulated", compared.simulated), five]
 
 
@@ -130,26 +130,26 @@ def fly_variant(setting: Setting, variant: Variant, folder: Path, report: Report
     return fly(own, plant, contender("E2E", str(variant.path(folder)))).laps
 
 
-def limit_shares(setting: Setting, own: Compared) -> tuple[float, float | None]:
+def limit_fractions(setting: Setting, own: Compared) -> tuple[float, float | None]:
     """Fraction of rpm commands at a limit: on the plant, and simulated (None without motors)."""
     constants = setting.race.vehicle.with_model("motor").constants
 
-    def share(command: np.ndarray, over: jax.Array) -> float:
+    def fraction(command: np.ndarray, over: jax.Array) -> float:
         limited = (command <= constants["rpm_min"] + 1.0) | (command >= constants["rpm_max"] - 1.0)
         return float(limited[:, ~np.asarray(over)].mean())
 
-    frames = own.flown.frames
-    flown = share(np.stack(frames.rpm_command.components()), frames.over)
+    frames = own.on_plant.frames
+    on_plant = fraction(np.stack(frames.rpm_command.components()), frames.over)
     if own.contender.policy.vehicle != "motor":
-        return flown, None
-    return flown, share(np.moveaxis(np.asarray(own.trace.command), 1, 0), own.trace.over)
+        return on_plant, None
+    return on_plant, fraction(np.moveaxis(np.asarray(own.trace.command), 1, 0), own.trace.over)
 
 
 def lead(e2e: Compared, indi: Compared) -> str:
-    """E2E's lead over INDI in the simulator and on the plant as a line of text; + if E2E leads."""
+    """E2E's lead over INDI in the simulator and on the plant as text; positive if E2E is faster."""
     worlds = {
         "simulated": (e2e.simulated, indi.simulated),
-        "on the stand-in plant": (e2e.flown.laps, indi.flown.laps),
+        "on the stand-in plant": (e2e.on_plant.laps, indi.on_plant.laps),
     }
     totals, firsts, later = [], [], []
     for world, both in worlds.items():

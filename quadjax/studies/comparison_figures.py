@@ -27,7 +27,7 @@ def progress(position: np.ndarray, target: np.ndarray, gates: np.ndarray) -> np.
     return (passed + np.clip(1.0 - left, 0.0, 1.0)) / len(gates)
 
 
-def flown_progress(flights: Flights, run: int, gates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def plant_progress(flights: Flights, run: int, gates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times, s, and progress, laps, of a recorded run on the plant."""
     frames = flights.frames
     target = np.asarray(frames.target)[~frames.over[:, run], run]
@@ -134,7 +134,7 @@ def _panels(
         tidy(axes)
         axes.plot(time, command[:count, index], color=MUTED, lw=0.7, label="commanded")
         axes.plot(time, model[:count, index], color=SERIES[1], lw=1.2, label="first-order model")
-        axes.plot(time, true[:count, index], color=SERIES[0], lw=1.2, label="flown")
+        axes.plot(time, true[:count, index], color=SERIES[0], lw=1.2, label="plant")
         axes.set_ylabel(f"{name} {unit}".strip(), color=INK, fontsize=9)
     panels[0].legend(ncols=3, frameon=False, labelcolor=INK, fontsize=9, loc="upper right")
     panels[0].set_title(title, color=INK, fontsize=13, loc="left", pad=10)

@@ -27,7 +27,7 @@ from quadjax.studies.comparison import (
     compare_one,
     fly_variant,
     lead,
-    limit_shares,
+    limit_fractions,
     rows,
     without_each,
 )
@@ -54,7 +54,7 @@ class Wanted:
 def run_comparison(
     setting: Setting, contenders: tuple[Contender, Contender], wanted: Wanted, report: Report
 ) -> str:
-    """Fly the wanted parts, write the results, and return the tables as text.
+    """Run the selected parts, write the results, and return the tables as text.
 
     Args:
         setting: race and plant.
@@ -85,17 +85,17 @@ def run_comparison(
 
 
 def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
-    """The paper's table of both contenders, E2E's lead, and the reasons of early ends."""
+    """The paper's table of both contenders, E2E's lead, and the reasons for early ends."""
     table = format_table([*rows(e2e), *rows(indi)], PUBLISHED if setting.laps == LAPS else ())
-    flown, held = limit_shares(setting, e2e)
+    on_plant, held = limit_fractions(setting, e2e)
     notes = [
         f"mean and best of {FLIGHTS} flights on the stand-in plant; finished: of all runs",
         lead(e2e, indi),
         f"E2E's rpm commands at a limit: {100.0 * held:.0f}% simulated, "
-        f"{100.0 * flown:.0f}% on the stand-in plant",
+        f"{100.0 * on_plant:.0f}% on the stand-in plant",
     ]
     for own in (e2e, indi):
-        crashes = [crash for crash in own.flown.laps.crashes if crash]
+        crashes = [crash for crash in own.on_plant.laps.crashes if crash]
         if crashes:
             kinds = {kind: crashes.count(kind) for kind in dict.fromkeys(crashes)}
             counts = ", ".join(f"{kind} {number}" for kind, number in kinds.items())
@@ -105,12 +105,12 @@ def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
 
 def _numbers(setting: Setting, own: Compared) -> dict[str, object]:
     """Numbers of the table for one contender."""
-    flown, simulated = limit_shares(setting, own)
+    on_plant, simulated = limit_fractions(setting, own)
     return {
         "policy": Path(own.contender.file).name,
         "simulated": own.simulated.to_json(),
-        "stand-in plant": own.flown.laps.to_json(),
-        "commands at a limit": flown,
+        "stand-in plant": own.on_plant.laps.to_json(),
+        "commands at a limit": on_plant,
         "commands at a limit, simulated": simulated,
     }
 
@@ -122,10 +122,10 @@ def compared_progress(setting: Setting, e2e: Compared, indi: Compared) -> Figure
     """
     centers, lines = gate_centers(setting.race), {}
     for own in (e2e, indi):
-        name, best = own.contender.name, best_recorded(own.flown.laps)
+        name, best = own.contender.name, best_recorded(own.on_plant.laps)
         dt = setting.race.rules.time_step
         lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centers)
-        lines[f"{name} stand-in plant"] = figures.flown_progress(own.flown, best, centers)
+        lines[f"{name} stand-in plant"] = figures.plant_progress(own.on_plant, best, centers)
     slowest = max(time[-1] / max(made[-1], 1e-3) for time, made in lines.values())
     return figures.progress_figure(lines, 1.0 / slowest, "relative progress")
 
@@ -139,14 +139,14 @@ def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result:
         title = f"{name} in the simulator, {FLIGHTS} flights"
         save_figure(trajectory_figure(few, gates, title), folder / f"{stem}_simulator.png")
         title = f"{name} on the stand-in plant, {FLIGHTS} flights"
-        flown = recordings(own.flown)
-        save_figure(trajectory_figure(flown, gates, title), folder / f"{stem}_plant.png")
+        on_plant = recordings(own.on_plant)
+        save_figure(trajectory_figure(on_plant, gates, title), folder / f"{stem}_plant.png")
     save_figure(compared_progress(setting, e2e, indi), folder / "progress.png")
     motor, rate = (setting.race.vehicle.with_model(m).constants for m in ("motor", "rate"))
-    figure, deviation = figures.rpm_figure(e2e.flown, motor["tau"])
+    figure, deviation = figures.rpm_figure(e2e.on_plant, motor["tau"])
     save_figure(figure, folder / "rpm.png")
     taus = [rate["tau_rate"]] * 3 + [rate["tau_thrust"]]
-    other, of_rates = figures.rates_figure(indi.flown, taus)
+    other, of_rates = figures.rates_figure(indi.on_plant, taus)
     save_figure(other, folder / "rates.png")
     result["rms deviation from first order"] = {
         "rpm": [round(float(x), 1) for x in deviation],
@@ -156,9 +156,9 @@ def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result:
 
 def best_recorded(laps: Laps) -> int:
     """The recorded run with the most laps, and the fastest of those."""
-    flown = laps.laps_flown()[:FLIGHTS]
+    completed = laps.laps_completed()[:FLIGHTS]
     totals = np.nan_to_num(laps.totals[:FLIGHTS], nan=np.inf)
-    return int(np.lexsort((totals, -flown))[0])
+    return int(np.lexsort((totals, -completed))[0])
 
 
 def _effects(
@@ -167,9 +167,9 @@ def _effects(
     lines: list[Row] = []
     result["effects"] = {}
     for own in contenders:
-        flown = without_each(setting, own, report)
-        result["effects"][own.name] = {key: _summary(laps) for key, laps in flown.items()}
-        lines += [lap_row(f"{own.name} {key}", laps) for key, laps in flown.items()]
+        by_effect = without_each(setting, own, report)
+        result["effects"][own.name] = {key: _summary(laps) for key, laps in by_effect.items()}
+        lines += [lap_row(f"{own.name} {key}", laps) for key, laps in by_effect.items()]
     return "stand-in plant without one effect, all runs\n" + format_table(lines)
 
 

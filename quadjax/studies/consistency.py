@@ -100,7 +100,7 @@ def evaluate_filter(
     seed: int = 0,
     report: Callable[[float], None] = lambda seconds: None,
 ) -> Consistency:
-    """Fly a policy and compare every estimate with the truth.
+    """Simulate a policy and compare every estimate with the true state.
 
     Args:
         race: config of the race.
@@ -109,7 +109,7 @@ def evaluate_filter(
         flights: number of drones.
         seconds: of each flight.
         seed: of batteries, gusts, sensors and the policy's noise.
-        report: called with the seconds flown.
+        report: called with the simulated seconds.
     """
     plant = plant.replace(control_rate=plant.sample_rate, navigation="ekf")
     plan = plan_flights(
@@ -117,7 +117,7 @@ def evaluate_filter(
     )
     plan = dataclasses.replace(plan, limit=round(seconds * plant.sample_rate))
     total, worst, diverged = np.zeros((3, 7, 3)), np.zeros((7, 3)), np.zeros(flights, bool)
-    samples, flown = 0, 0.0
+    samples, seconds_simulated = 0, 0.0
     for drones, (numbers, over) in fly_chunks(plan, seed, _record):
         numbers = np.where(over[:, None, None, None], 0.0, numbers)  # (time, 2, 7, 3, flights)
         error, ratio = np.abs(numbers[:, 0]), tally_ratio(numbers)
@@ -126,9 +126,9 @@ def evaluate_filter(
         worst = np.maximum(worst, ratio.max(axis=(0, -1)))
         diverged |= diverged_flights(error)
         samples += int((~over).sum())
-        flown += len(over) / plant.sample_rate
+        seconds_simulated += len(over) / plant.sample_rate
         crashed = np.asarray(drones.race.crash) > 0
-        report(flown)
+        report(seconds_simulated)
     return Consistency(
         flights=flights,
         completed=int((~crashed).sum()),
@@ -168,7 +168,7 @@ def table(name: str, result: Consistency) -> str:
     return "\n".join([*lines, f"{verdict}: 99% inside, none diverged"])
 
 
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("consistency", description=__doc__)
     add_config(parser, "a YAML file of configs/plant, or its name")
     parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
@@ -179,7 +179,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seconds", type=count, default=20, help="of each flight (20)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
-    arguments = parse(parser, words)
+    arguments = parse(parser, argv)
     check_writable(arguments.json)
     return arguments
 
@@ -188,23 +188,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Evaluate the filter on flights of some policies, print, and write if asked."""
     from rich.console import Console
 
-    words = _arguments(arguments)
-    plant = without_effects(load_plant_config(words.config, words.overrides))
-    race, results = load_config(words.race), {}
+    options = _arguments(arguments)
+    plant = without_effects(load_plant_config(options.config, options.overrides))
+    race, results = load_config(options.race), {}
     with Console(stderr=True).status("compiling") as status:
-        for policy in map(Path, words.policy or [PRETRAINED / name for name in POLICIES]):
+        for policy in map(Path, options.policy or [PRETRAINED / name for name in POLICIES]):
             results[policy.name] = evaluate_filter(
                 race,
                 plant,
                 policy,
-                words.flights,
-                words.seconds,
-                words.seed,
-                lambda seconds, n=policy.name: status.update(f"{n}: {seconds:.0f} s flown"),
+                options.flights,
+                options.seconds,
+                options.seed,
+                lambda seconds, n=policy.name: status.update(f"{n}: {seconds:.0f} s simulated"),
             )
             print(table(policy.name, results[policy.name]) + "\n")
-    if words.json:
+    if options.json:
         numbers = {name: result.to_json() for name, result in results.items()}
-        write_json(words.json, {"config": plant.model_dump(), "results": numbers})
-        print(f"wrote {words.json}")
+        write_json(options.json, {"config": plant.model_dump(), "results": numbers})
+        print(f"wrote {options.json}")
     return int(not all(result.passed for result in results.values()))

@@ -75,10 +75,12 @@ def identify(config: PlantConfig, steps: dict[str, tuple[float, ...]] = STEPS) -
     for row, (axis, value) in enumerate(asked):
         commands[row, AXES.index(axis)] = value
     count = round(SECONDS * config.sample_rate)
-    flown = np.asarray(_fly(count, params, loop, jnp.asarray(commands, jnp.float32)), np.float64)
+    responses = np.asarray(
+        _fly(count, params, loop, jnp.asarray(commands, jnp.float32)), np.float64
+    )
     time = np.arange(count) / config.sample_rate
     return [
-        fit_step(axis, value, time, flown[:, AXES.index(axis), row], flown[:, 4, row])
+        fit_step(axis, value, time, responses[:, AXES.index(axis), row], responses[:, 4, row])
         for row, (axis, value) in enumerate(asked)
     ]
 
@@ -168,6 +170,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = Parser("identify", description=__doc__)
     add_config(parser, "a YAML file of configs/plant")
     parser.add_argument("--effects", action="store_true", help="with the plant's effects, delays")
-    words = parse(parser, arguments)
-    config = load_plant_config(words.config, words.overrides)
-    print(table(identify(config if words.effects else without_effects(config))))
+    options = parse(parser, arguments)
+    config = load_plant_config(options.config, options.overrides)
+    print(table(identify(config if options.effects else without_effects(config))))

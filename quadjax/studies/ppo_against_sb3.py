@@ -26,7 +26,7 @@ class Side:
     steps: int
     steps_per_second: float  # of training, after the first update
     lap_total: float | None  # s, all laps, deterministic from hover; None if not finished
-    laps_flown: int
+    laps_completed: int
     laps: int
 
 
@@ -34,7 +34,7 @@ def _evaluate(config: Config, policy: Policy) -> tuple[float | None, int]:
     race = pilot.Race(config.evaluate.laps, 1, True, 0)
     laps, _ = pilot.fly_policy(config, policy, race, True)
     total = float(laps.totals[0])
-    return (total if laps.finished else None), int(laps.laps_flown()[0])
+    return (total if laps.finished else None), int(laps.laps_completed()[0])
 
 
 class Clock:
@@ -77,11 +77,18 @@ def ours(config: Config, seconds: float, started: float, directory: Path) -> Sid
 
     clock = Clock(started, seconds)
     result = train(config, directory, started=started, enough=lambda row: clock.over(row["steps"]))
-    total, flown = _evaluate(config, Policy.load(directory / "policy_last.npz"))
+    total, completed = _evaluate(config, Policy.load(directory / "policy_last.npz"))
     threads = f"{result.summary['devices']} host devices of one thread"
     steps = int(result.summary["steps"])
     return Side(
-        "quadjax", threads, clock.seconds, steps, clock.speed, total, flown, config.evaluate.laps
+        "quadjax",
+        threads,
+        clock.seconds,
+        steps,
+        clock.speed,
+        total,
+        completed,
+        config.evaluate.laps,
     )
 
 
@@ -123,7 +130,7 @@ def stable_baselines(config: Config, seconds: float, started: float) -> Side:
     clock = Clock(started, seconds)
 
     model.learn(config.run.steps, callback=_stop_after(clock))
-    total, flown = _evaluate(config, sb3.policy_of_ppo(model, config))
+    total, completed = _evaluate(config, sb3.policy_of_ppo(model, config))
     threads = f"PyTorch {torch.get_num_threads()} threads, the race in JAX on one device"
     steps = config.learner.num_envs * config.learner.rollout_length
     steps *= model.num_timesteps // steps
@@ -134,7 +141,7 @@ def stable_baselines(config: Config, seconds: float, started: float) -> Side:
         steps,
         clock.speed,
         total,
-        flown,
+        completed,
         config.evaluate.laps,
     )
 
@@ -143,13 +150,13 @@ def format_sides(sides: list[Side], run: str) -> str:
     """A table of both, below the description ``run``."""
     lines = [run, f"{'':>18} {'steps/s':>10} {'M steps':>8} {'wall s':>7} {'laps':>8}  threads"]
     for side in sides:
-        flown = (
+        completed = (
             f"{side.lap_total:.2f} s"
             if side.lap_total is not None
-            else f"{side.laps_flown} of {side.laps}"
+            else f"{side.laps_completed} of {side.laps}"
         )
         lines.append(
             f"{side.name:>18} {side.steps_per_second:>10,.0f} {side.steps / 1e6:>8.1f} "
-            f"{side.seconds:>7.0f} {flown:>8}  {side.threads}"
+            f"{side.seconds:>7.0f} {completed:>8}  {side.threads}"
         )
     return "\n".join(lines)

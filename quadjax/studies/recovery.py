@@ -64,32 +64,32 @@ def residual_recovered(
 
 def _standard_errors(path: Path) -> dict[str, float]:
     try:
-        told = json.loads(path.read_text("utf-8"))["constants"]
+        reported = json.loads(path.read_text("utf-8"))["constants"]
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: not the report of a fit ({error})") from None
     # Constants that the logs do not excite have none.
-    return {name: c["standard_error"] or np.inf for name, c in told.items()}
+    return {name: c["standard_error"] or np.inf for name, c in reported.items()}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compare a fit of simulated logs with the model that made them."""
+    """Compare a fit of simulated logs with the model that generated them."""
     parser = Parser("recovery", description=main.__doc__)
     parser.add_argument("--fit", type=Path, required=True, help="folder of the fit, runs/NAME")
     parser.add_argument("--vehicle", default="bebop1.yaml", help="vehicle of the logs")
     parser.add_argument("--residual", type=Path, help="residual file of the logs")
     parser.add_argument("--flights", type=count, default=3, help="new flights to evaluate on (3)")
-    words = parse(parser, arguments)
-    truth = read_vehicle(words.vehicle).motor
-    found = read_vehicle(str(words.fit / "vehicle.yaml")).motor
-    errors = constant_errors(truth, found, _standard_errors(words.fit / "report.json"))
+    options = parse(parser, arguments)
+    truth = read_vehicle(options.vehicle).motor
+    found = read_vehicle(str(options.fit / "vehicle.yaml")).motor
+    errors = constant_errors(truth, found, _standard_errors(options.fit / "report.json"))
     print(f"{'constant':10}{'error':>8}{'in standard errors':>20}")
     for name, (relative, normal) in errors.items():
         print(f"{name:10}{100 * relative:+7.2f}%{normal:+20.1f}")
-    if words.residual is None:
+    if options.residual is None:
         return
-    vehicle = VehicleParams(truth, read_residual(words.residual))
-    residual = read_residual(words.fit / "residual.npz")
+    vehicle = VehicleParams(truth, read_residual(options.residual))
+    residual = read_residual(options.fit / "residual.npz")
     print(f"\n{'new flight':10}" + "".join(f"{axis:>8}" for axis in AXES[2:]) + "  R^2 of residual")
-    for seed in range(NEW, NEW + words.flights):
+    for seed in range(NEW, NEW + options.flights):
         share = residual_recovered(vehicle, found, residual, exact_motion(vehicle, seed))
         print(f"{seed:<10}" + "".join(f"{value:8.3f}" for value in share))

@@ -1,4 +1,4 @@
-"""Trials as Ray tasks on a running cluster, with the CPUs and GPUs that each asks for."""
+"""Trials as Ray tasks on a running cluster, with the CPUs and GPUs that each requests."""
 
 import contextlib
 import os
@@ -41,7 +41,7 @@ class Mailbox:
 
 
 def _task(function: Function, job: Job, trial: str, mailbox: Any, gpus: float) -> Outcome:
-    if gpus < 1:  # JAX takes three quarters of a GPU's memory unless told otherwise
+    if gpus < 1:  # JAX allocates three quarters of a GPU's memory by default
         os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", f"{0.9 * gpus:.3f}")
 
     def tell(step: int, value: float) -> bool:
@@ -88,7 +88,7 @@ class RayExecutor(contextlib.AbstractContextManager):
             raise WorkerDied(f"{type(error).__name__}: {reason[-1]}") from error
 
     def __exit__(self, *error: object) -> None:
-        """The cluster is left as it was."""
+        """Do nothing: the cluster keeps running."""
 
 
 def _room(resources: dict[str, float], each: dict[str, float]) -> int:

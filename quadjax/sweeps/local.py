@@ -15,12 +15,12 @@ from quadjax.core.errors import InputError
 from quadjax.sweeps.schema import Executor
 from quadjax.sweeps.trial import Job, Outcome, Tell
 
-CONTEXT = get_context("spawn")  # JAX does not survive a fork
+CONTEXT = get_context("spawn")  # JAX does not support fork
 Function = Callable[[Job, Tell], Outcome]
 
 
 class WorkerDied(RuntimeError):
-    """The process or node that ran a trial is gone."""
+    """The process or node of a trial has died."""
 
 
 class LocalExecutor(contextlib.AbstractContextManager):
@@ -82,7 +82,7 @@ class Worker:
 
 def _serve(pipe: Connection, core: int, log: str) -> None:
     """The main function of a worker: runs trials until the other end of the pipe is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C, the parent says when to stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent
     os.environ["JAX_PLATFORMS"] = "cpu"
     if hasattr(process := psutil.Process(), "cpu_affinity"):
         process.cpu_affinity([core])
@@ -94,7 +94,7 @@ def _serve(pipe: Connection, core: int, log: str) -> None:
         try:
             pipe.send((step, value))
             return pipe.recv()
-        except (EOFError, OSError):  # the parent is gone: save and stop
+        except (EOFError, OSError):  # the parent has died: save and stop
             return True
 
     try:

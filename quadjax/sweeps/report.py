@@ -1,4 +1,4 @@
-"""What a sweep found: a table of its trials, importances, figures and the best config."""
+"""The report of a sweep: a table of its trials, importances, figures and the best config."""
 
 import csv
 import io
@@ -27,7 +27,7 @@ def results_of(study: optuna.Study) -> list[FrozenTrial]:
 
 
 def importances(study: optuna.Study) -> dict[str, float]:
-    """The share of the value that each key explains, by PED-ANOVA (Watanabe et al., 2023).
+    """The fraction of the variance that each key explains, by PED-ANOVA (Watanabe et al., 2023).
 
     Over complete trials; empty where there are too few.
     """
@@ -75,10 +75,10 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     head = f"# {name}\n\n{len(results)} trials of {sweep.trials}; {sweep.file.search.method}; "
     head += f"median over {asked.seeds} seeds of {asked.measure}, s. "
     head += f"Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
-    flown = [t for t in results if t.state == State.COMPLETE and t.user_attrs["finished"]]
+    finished = [t for t in results if t.state == State.COMPLETE and t.user_attrs["finished"]]
     last = "No policy finished a flight: every value is the penalty. Train for more steps."
-    if flown:
-        best = flown[0]
+    if finished:
+        best = finished[0]
         config = sweep.config_of(best.params, f"name={name}_best")
         title = (
             f"# Trial {best.user_attrs['index']} of {name}: {asked.measure} {best.value:.3f} s\n"
@@ -94,7 +94,7 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
 def draw(study: optuna.Study, directory: Path) -> None:
     """Optuna's figures of the trials in which every flight finished, or any if there is none.
 
-    The penalty of a crash is far from every lap time and would set the scale.
+    The penalty of a crash is far from every lap time and would determine the scale.
     """
     from quadjax.core.plotting import save_figure
 

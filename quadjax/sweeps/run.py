@@ -21,7 +21,7 @@ from quadjax.sweeps.trial import Job, Outcome, run_trial
 if TYPE_CHECKING:
     from quadjax.sweeps.cluster import RayExecutor
 
-WAIT_SECONDS = 1.0  # between looks at trials that other machines run
+WAIT_SECONDS = 1.0  # between checks of trials that other machines run
 
 
 class TrialFailed(Exception):

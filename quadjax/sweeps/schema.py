@@ -53,8 +53,10 @@ class Objective(Section):
     measure: Literal["lap_time", "seconds_to"] = Field("lap_time", description="what is measured")
     seeds: int = Field(3, ge=1, le=1000, description="trainings of a trial, from seed 0")
     flights: int = Field(16, ge=1, le=100_000, description="timed flights from hover, per seed")
-    deterministic: bool = Field(False, description="fly the mean action instead of samples")
-    policy: Literal["best", "last"] = Field("best", description="which policy of a run flies")
+    deterministic: bool = Field(False, description="evaluate the mean action instead of samples")
+    policy: Literal["best", "last"] = Field(
+        "best", description="which policy of a run is evaluated"
+    )
     target: float = Field(15.70, gt=0, le=1e6, description="s for all laps, for seconds_to")
 
 

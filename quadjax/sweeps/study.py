@@ -1,4 +1,4 @@
-"""A sweep's Optuna study: its storage, the queue of its trials, and how they stand.
+"""A sweep's Optuna study: its storage, the queue of its trials, and their states.
 
 Every trial of the budget is queued from the start, with a user attribute ``index``. A trial whose
 process died is failed and queued again with its parameters and index, unless it has an ``error``.
@@ -19,7 +19,7 @@ from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.sweep import Sweep
 
 JOURNAL, DRIVER = "study.journal", "postgresql+psycopg://"
-GRACE = 4  # heartbeats without a sign of life after which a trial of another machine is retried
+GRACE = 4  # missed heartbeats after which a trial of another machine is retried
 State = optuna.trial.TrialState
 OVER = (State.COMPLETE, State.PRUNED)
 
@@ -166,7 +166,7 @@ class Counts(NamedTuple):
 
 
 def count(study: optuna.Study) -> Counts:
-    """How the trials stand."""
+    """The number of trials by state."""
     trials = latest_trials(study).values()
     states = [trial.state for trial in trials]
     failed = sum(t.state == State.FAIL and "error" in t.user_attrs for t in trials)

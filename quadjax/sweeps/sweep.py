@@ -151,7 +151,7 @@ class Sweep:
         return [d.key for d in self.dimensions]
 
     def definition(self) -> dict[str, str]:
-        """What makes trials comparable, by dotted key: a study takes only the same."""
+        """The settings that trials of one study must share, by dotted key."""
         parts = {
             "search": self.file.search.model_dump(),
             "objective": self.file.objective.model_dump(),

@@ -33,7 +33,7 @@ class Outcome:
     """What a worker returns."""
 
     values: tuple[float, ...]  # of the finished seeds, s
-    finished: float  # share of the flights that finished, 0 to 1
+    finished: float  # fraction of the flights that finished
     complete: bool  # False: stopped before the end
     error: str = ""  # why the trial cannot run
     host: str = dataclasses.field(default_factory=socket.gethostname)
@@ -57,7 +57,7 @@ def run_trial(job: Job, tell: Tell) -> Outcome:
 
 
 def _run_seed(job: Job, seed: int, before: list[float], tell: Tell) -> tuple[float, float] | None:
-    """Value and share of finished flights of one seed; None where the training was stopped."""
+    """Value and fraction of finished flights of one seed; None where the training was stopped."""
     from quadjax.config.race import build_params
     from quadjax.evaluation.evaluation import evaluate
     from quadjax.learners.loop import NonFiniteError
@@ -89,5 +89,5 @@ def _run_seed(job: Job, seed: int, before: list[float], tell: Tell) -> tuple[flo
         return factor * run.seconds_to(asked.target), float(best is not None)
     policy = folder / ("policy.npz" if asked.policy == "best" else "policy_last.npz")
     exact = asked.deterministic
-    flown = evaluate(policy, job.race, runs=asked.flights, deterministic=exact, seed=FLIGHT_SEED)
-    return flown.laps.penalized, flown.finished / asked.flights
+    result = evaluate(policy, job.race, runs=asked.flights, deterministic=exact, seed=FLIGHT_SEED)
+    return result.laps.penalized, result.finished / asked.flights

@@ -16,7 +16,7 @@ from quadjax.learners.networks import ActorCritic, Networks, layers_of, tree_of
 from quadjax.learners.schedules import make_schedule, with_schedules
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
-from quadjax.policy.inference import Flying
+from quadjax.policy.inference import PolicyParams
 from quadjax.race.environment import RaceParams, make_environment
 
 
@@ -33,12 +33,11 @@ def build_networks(config: Config) -> Networks:
 
 
 def noise_on(config: Config) -> str:
-    """Where a learner's noise goes, as a policy file says it: ``mean`` or ``clipped_mean``.
+    """What a learner's noise is added to, as in a policy file: ``mean`` or ``clipped_mean``.
 
-    PPO's goes on the network's own output, which may be far beyond the limits: there the noise has
-    no effect, which lets a policy become deterministic. SHAC's noise is set, not learned: it goes
-    on the clipped mean, so that exploration never ends at a limit. Each learns much worse the other
-    way round.
+    PPO adds noise to the network's output. Far beyond the limits the noise has no effect, so a
+    policy can become deterministic. SHAC, whose noise is not learned, adds it to the clipped mean,
+    so that exploration continues at a limit. Both learners are much worse with the other choice.
     """
     return config.learner.noise_on
 
@@ -85,7 +84,7 @@ def start_state(
 
 
 def with_params(state: TrainState, params: ActorCritic) -> TrainState:
-    """The state with other networks, which its target and its moving average start from."""
+    """The state with other networks; its target and its moving average start from them."""
     copies = {
         name: jax.tree.map(jnp.copy, params)
         for name in ("target", "ema")
@@ -95,7 +94,7 @@ def with_params(state: TrainState, params: ActorCritic) -> TrainState:
 
 
 def reward_scale(config: Config) -> float:
-    """What the learner multiplies the reward by: the unit of its values."""
+    """The learner's factor on the reward, which is the unit of its values."""
     return getattr(config.learner, "reward_scale", 1.0)
 
 
@@ -110,11 +109,13 @@ def initial_policy(config: Config) -> Policy | None:
     policy = Policy.load(config.run.initial_policy)
     widths = [int(kernel.shape[1]) for kernel, _ in policy.layers[:-1]]
     wanted = list(config.network.hidden)
-    judge = wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
+    critic_widths = (
+        wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
+    )
     for name, found, allowed in (
         ("vehicle", policy.vehicle, config.vehicle.model),
         ("hidden widths", widths, wanted),
-        ("hidden widths of the value", judge, wanted),
+        ("hidden widths of the value", critic_widths, wanted),
         ("activation", policy.activation, config.network.activation),
     ):
         if found != allowed:
@@ -146,9 +147,9 @@ def _scaled(layers: Sequence[tuple], factor: float) -> list[tuple]:
     return [*layers[:-1], (factor * kernel, factor * bias)]
 
 
-def flying_of(params: ActorCritic, activation: str) -> Flying:
-    """Networks in training as a policy in flight."""
-    return Flying(tuple(layers_of(params.policy)), params.log_std, activation)
+def network_policy(params: ActorCritic, activation: str) -> PolicyParams:
+    """Networks in training as parameters for inference."""
+    return PolicyParams(tuple(layers_of(params.policy)), params.log_std, activation)
 
 
 def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Policy:

@@ -1,4 +1,4 @@
-"""The folder of a training run: which run it holds, and the files that training writes."""
+"""The folder of a training run: checks of the run in it, and the files of training."""
 
 from pathlib import Path
 from typing import Any

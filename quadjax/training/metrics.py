@@ -51,8 +51,11 @@ class MetricsFile:
 
 
 def _write_rows(path: Path, names: Sequence[str], rows: Sequence[Row]) -> None:
-    """Header and rows, whole or not at all."""
-    with whole_file(path) as beside, open(beside, "w", newline="", encoding="utf-8") as stream:
+    """Write header and rows atomically."""
+    with (
+        whole_file(path) as temporary,
+        open(temporary, "w", newline="", encoding="utf-8") as stream,
+    ):
         writer = csv.DictWriter(stream, names)
         writer.writeheader()
         writer.writerows(rows)

@@ -63,7 +63,7 @@ def is_paper_race(config: Config) -> bool:
 
 
 def _race_of(config: Config) -> tuple[object, ...]:
-    """What decides lap times, as values that can be compared."""
+    """The settings that determine lap times, as comparable values."""
     vehicle, own = config.vehicle, config.rules
     gates = [(*gate.position, gate.yaw_deg % 360.0, *gate.size) for gate in config.track.gates]
     rules = (own.time_step, own.gate_test, own.position_limit, own.body_rate_limit, own.extra)

@@ -1,4 +1,4 @@
-"""Progress of long work: a bar on a terminal, a line every ten seconds in a log."""
+"""Progress of long operations: a bar on a terminal, a line every ten seconds in a log."""
 
 import math
 import sys

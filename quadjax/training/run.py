@@ -83,8 +83,8 @@ def train(
             return Run(config, folder, policy, True, read_summary(folder))
         shown = TrainingProgress(job.steps, config.name) if progress else None
         with interruptions() as stop, shown or contextlib.nullcontext():
-            watch = _Watch(job, folder, shown, stop, enough)
-            position = _run(job, folder, resume, started, watch)
+            callbacks = _Callbacks(job, folder, shown, stop, enough)
+            position = _run(job, folder, resume, started, callbacks)
         return _finish(job, folder, position)
 
 
@@ -95,7 +95,7 @@ def _claimed(folder: Path) -> AbstractContextManager[None]:
 
 @dataclasses.dataclass(frozen=True)
 class _Job:
-    """What is trained, settled before anything is written or compiled."""
+    """The learner, environment and sizes of a run, prepared before anything is written."""
 
     config: Config
     params: RaceParams
@@ -138,8 +138,8 @@ class _Job:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Watch:
-    """What a run reports to between its chunks, and what ends it early."""
+class _Callbacks:
+    """The functions that a run calls between its chunks."""
 
     job: _Job
     folder: Path
@@ -174,7 +174,7 @@ class _Watch:
 
 
 def _prepare(config: Config) -> _Job:
-    """Everything that can be refused before a run writes anything."""
+    """Prepare a run; bad input is rejected here, before anything is written."""
     params = build_params(config)
     learner = build_learner(config)
     mesh = parallel.make_mesh(choose_devices(config.run.devices, learner.num_shards))
@@ -186,7 +186,7 @@ def _prepare(config: Config) -> _Job:
     return _Job(config, params, learner, mesh, updates, chunks, initial)
 
 
-def _run(job: _Job, folder: Path, resume: bool, started: float, watch: _Watch) -> Position:
+def _run(job: _Job, folder: Path, resume: bool, started: float, callbacks: _Callbacks) -> Position:
     """Compile, start or resume, and train; returns the final position, which is saved."""
     config, params = job.config, job.params
     checkpoints = Checkpoints(folder / "checkpoints")
@@ -204,7 +204,7 @@ def _run(job: _Job, folder: Path, resume: bool, started: float, watch: _Watch) -
         chunk,
         params,
         position,
-        watch.hooks(score, metrics, checkpoints),
+        callbacks.hooks(score, metrics, checkpoints),
         job.chunks,
         job.steps_per_chunk,
         config.run.checkpoint_seconds,
@@ -226,12 +226,12 @@ def _compile(
     """The compiled chunk and the first state; the evaluation is compiled at the same time."""
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(lambda: parallel.place(begin(), mesh))
-        flown = pool.submit(lambda: score(first.result().evaluated))
+        warm_up = pool.submit(lambda: score(first.result().evaluated))
         shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
         chunk = parallel.compile_chunk(
             learner, mesh, updates, params, parallel.abstract(shapes, mesh)
         )
-        flown.result()
+        warm_up.result()
         return chunk, first.result()
 
 

@@ -8,7 +8,7 @@ from quadjax.learners.networks import ActorCritic
 from quadjax.policy.inference import act_deterministic
 from quadjax.race.environment import RaceParams
 from quadjax.race.laps import fly_laps
-from quadjax.training.build import flying_of
+from quadjax.training.build import network_policy
 
 
 class Score:
@@ -18,19 +18,19 @@ class Score:
     """
 
     def __init__(self, config: Config, params: RaceParams) -> None:
-        """Nothing is flown yet."""
+        """Prepare the timed laps; nothing is simulated."""
         self._choices, self._params = choices_of(config), params
         self._activation, self._laps = config.network.activation, config.evaluate.laps
         self._runs = score_runs(config)
 
     def __call__(self, params: ActorCritic) -> float:
-        """Fly the policy."""
+        """The score of a policy, s."""
         local = jax.device_put(jax.device_get(params), jax.local_devices()[0])
         laps, _ = fly_laps(
             self._choices,
             self._params,
             act_deterministic,
-            flying_of(local, self._activation),
+            network_policy(local, self._activation),
             jax.random.key(0),
             self._laps,
             self._runs,

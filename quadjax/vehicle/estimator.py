@@ -91,8 +91,8 @@ def estimator_params(
 def init(params: EstimatorParams, measurement: Measurement) -> EstimatorState:
     """The state before the first sample: no disturbance, rates and propeller speeds constant.
 
-    Starting from the first measurement keeps a drone that already turns from looking like one that
-    a moment acts on. Pass the same measurement to the first ``update``.
+    Without this start, the initial rotation of a drone would appear as an external moment.
+    Pass the same measurement to the first ``update``.
     """
     momentum, _, force = params.balance(params.vehicle, measurement)
     zero = jax.tree.map(jnp.zeros_like, force)
@@ -111,7 +111,7 @@ def update(
 
     Returns:
         The new state, the external moment, N m, and the external specific force, m/s^2, both in
-        the body frame and both as late as the filter is (about ``sqrt(2) / (2 pi f_c)``: 28 ms
+        the body frame and with the delay of the filter (about ``sqrt(2) / (2 pi f_c)``: 28 ms
         at 8 Hz).
     """
     momentum, moment, force = params.balance(params.vehicle, measurement)

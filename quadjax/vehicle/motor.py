@@ -98,7 +98,7 @@ def derivative(
 ) -> MotorState:
     """Time derivative of the state under four rpm commands, as a ``MotorState``.
 
-    ``call`` calls a function in a way that its values are computed once.
+    ``call`` calls a function and materializes its values.
     """
     c = params.constants
     a = call(attitude, state.euler)
@@ -164,7 +164,7 @@ def start(
 
 
 def hover(c: MotorConstants, motion: Motion) -> MotorState:
-    """A start with the propeller speeds of a hover, as far as the motors reach them."""
+    """A start with the propeller speeds of a hover, clipped to the range of the motors."""
     rpm = Rotors.same(jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max))
     return MotorState(*vars(motion).values(), rpm, Vec3.zero(), Vec3.zero())
 

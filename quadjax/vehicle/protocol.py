@@ -2,8 +2,8 @@
 
 A vehicle model is a ``VehicleModel``: its constants, commands and actuators by name and unit, and
 pure functions of one drone (batch with ``jax.vmap``). World NED, body FRD, SI units, rad. The race,
-the learners, the evaluation and the plant use nothing else of a vehicle, so that a model of one's
-own needs no change to them.
+the learners, the evaluation and the plant use only this interface, so a user's own model needs no
+change to them.
 """
 
 import dataclasses
@@ -152,7 +152,7 @@ class VehicleModel:
 
     @property
     def action_size(self) -> int:
-        """How many numbers a command has."""
+        """Number of scalars of a command."""
         return sum(signal.size for signal in self.commands)
 
     def measure(self, params: VehicleParams, state: State) -> Measurement:

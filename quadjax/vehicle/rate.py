@@ -27,7 +27,7 @@ class RateState:
 
 @struct.dataclass
 class RateCommand:
-    """What the inner loop is asked for."""
+    """A command to the inner loop."""
 
     rates: Vec3  # p, q, r, rad/s, body
     thrust: jax.Array  # () specific thrust, m/s^2
@@ -43,7 +43,7 @@ def derivative(
 ) -> RateState:
     """Time derivative of the state under a command, as a ``RateState``.
 
-    ``call`` calls a function in a way that its values are computed once.
+    ``call`` calls a function and materializes its values.
     """
     c = params.constants
     a = call(attitude, state.euler)
@@ -80,7 +80,7 @@ def start(
 
 
 def hover(c: RateConstants, motion: Motion) -> RateState:
-    """A start with the thrust of a hover, as far as it goes."""
+    """A start with the thrust of a hover, clipped to the thrust range."""
     return RateState(*vars(motion).values(), jnp.clip(c.g, c.thrust_min, c.thrust_max))
 
 

@@ -35,7 +35,7 @@ def relu_network(layers: Layers, inputs: jax.Array) -> jax.Array:
 
 
 def scale_residual(residual: Residual, share: jax.Array) -> Residual:
-    """The residual whose outputs are ``share`` () times as large."""
+    """The residual with its outputs multiplied by ``share`` ()."""
 
     def scale(layers: Layers) -> Layers:
         kernel, bias = layers[-1]

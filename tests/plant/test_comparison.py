@@ -20,7 +20,7 @@ from quadjax.studies.comparison import (
     changed_plants,
     contender,
     lead,
-    limit_shares,
+    limit_fractions,
 )
 from quadjax.studies.comparison_figures import first_order, progress
 from quadjax.studies.comparison_run import best_recorded, table_text
@@ -58,8 +58,8 @@ def test_the_table_stands_beside_the_published_one():
         "E2E on the stand-in plant, early ends: hit a gate 1",
     ):
         assert line in text, text
-    assert limit_shares(setting, e2e) == (1.0, 0.0)
-    assert limit_shares(setting, indi) == (1.0, None)
+    assert limit_fractions(setting, e2e) == (1.0, 0.0)
+    assert limit_fractions(setting, indi) == (1.0, None)
 
 
 def test_no_lead_where_nobody_finished():
@@ -125,9 +125,9 @@ def test_its_policies_can_be_trained(variant, monkeypatch):
 
 
 def test_what_is_missing_is_known(tmp_path):
-    (tmp_path / "e2e_told.npz").write_bytes(b"")
+    (tmp_path / "e2e_ground_truth.npz").write_bytes(b"")
     have, missing = present(tmp_path)
-    assert {variant.policy for variant in have} == {"e2e_told"} and len(have) == 3
+    assert {variant.policy for variant in have} == {"e2e_ground_truth"} and len(have) == 3
     assert len(have) + len(missing) == len(VARIANTS)
 
 

@@ -166,7 +166,7 @@ def test_each_group_of_constants_is_drawn_by_itself(kind):
 
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
-def test_randomisation_of_the_config_reaches_the_episode(kind):
+def test_randomization_of_the_config_reaches_the_episode(kind):
     """The drawn constants are the episode's own, drawn apart from its start."""
     words = (f"vehicle.model={kind}", "randomization.lag=0.3", "randomization.limits=0.1")
     state, rows = starts(*words)

@@ -73,8 +73,8 @@ def test_constants_and_randomization_can_be_scheduled():
     config = tiny("e2e_shac", "schedules.vehicle.constants.tau={linear: [0.1, value]}")
     assert float(at(config, 5)[1].vehicle.constants.tau) == pytest.approx(0.08)
     config = tiny("e2e_shac", "schedules.randomization.drag={linear: [0, 0.2]}")
-    assert choices_of(config).randomise
-    assert float(at(config, 5)[1].randomise.drag) == pytest.approx(0.1)
+    assert choices_of(config).randomize
+    assert float(at(config, 5)[1].randomization.drag) == pytest.approx(0.1)
 
 
 def test_another_schedule_compiles_nothing():

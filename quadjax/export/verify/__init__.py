@@ -1,1 +1,1 @@
-"""Verification of an exported folder: build and run it with whatever this machine has."""
+"""Verification of an exported folder: build and run it with the tools of this machine."""

@@ -152,7 +152,7 @@ def _compilers() -> list[tuple[str, Compiler, str, int]]:
 
 
 def check_against_float(c: Context) -> str:
-    """Instructions beside float C by the same compiler and flags."""
+    """Instructions, and those of float C with the same compiler and flags."""
     _need_emulator()
     parts = []
     for name, compiler, tag, kernel in _compilers():

@@ -18,7 +18,7 @@ EVA = "-machdep gcc_x86_32 -eva -eva-slevel 40000 -warn-special-float none".spli
 
 
 def check_sanitizers(c: Context) -> str:
-    """Address and undefined-behaviour sanitizers over ordinary and hostile vectors."""
+    """Address and undefined-behavior sanitizers over ordinary and hostile vectors."""
     compiler = host()
     if compiler.name == "zig cc":
         raise Skipped("needs gcc or clang on this machine")

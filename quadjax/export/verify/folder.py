@@ -1,4 +1,4 @@
-"""An exported folder, read back: the integers made anew from the inputs that lie in it."""
+"""An exported folder, read back: the conversion repeated from the inputs in it."""
 
 import dataclasses
 import json

@@ -75,7 +75,7 @@ class Machine:
         return address
 
     def release(self) -> None:
-        """Forget everything that was placed or reserved."""
+        """Free everything that was placed or reserved."""
         self._free = HEAP
 
     def read(self, address: int, dtype: type, shape: tuple[int, ...]) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""Proximal policy optimisation (Schulman et al., 2017), wholly inside ``lax.scan``."""
+"""Proximal policy optimization (Schulman et al., 2017), compiled as one ``lax.scan``."""

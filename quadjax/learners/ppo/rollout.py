@@ -1,4 +1,4 @@
-"""Rollouts of the current policy: what a PPO update learns from."""
+"""Rollouts of the current policy, the data of a PPO update."""
 
 from typing import Any
 

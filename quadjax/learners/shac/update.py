@@ -27,7 +27,7 @@ from quadjax.learners.shards import (
 )
 from quadjax.learners.state import Learner, Metrics, TrainState
 
-EMA_SHARE = 20.0  # the moving average covers about one part in 20 of the updates so far
+EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far
 
 register(SHAC)
 
@@ -117,7 +117,7 @@ def _moving_average(hyper: SHAC, state: TrainState, params: ActorCritic) -> Acto
     covers about a twentieth of the updates so far, or less, so that early parameters fade.
     (``optax.incremental_update`` adds in the other order, which rounds differently.)
     """
-    rate = jnp.maximum(hyper.ema_rate, EMA_SHARE / (EMA_SHARE + state.update))
+    rate = jnp.maximum(hyper.ema_rate, EMA_FRACTION / (EMA_FRACTION + state.update))
     ema = jax.tree.map(lambda old, new: (1.0 - rate) * old + rate * new, state.ema, params)
     return dataclasses.replace(ema, log_std=params.log_std)
 
