@@ -17,5 +17,5 @@ if __name__ == "__main__":
     run = quadjax.train(config)
     print(quadjax.evaluate(run.policy, config).table())
 
-    policy = quadjax.Policy.load(run.folder / "policy.npz")  # the file says what it observes
+    policy = quadjax.Policy.load(run.folder / "policy.npz")  # the file contains the layout
     assert policy.layout.size == 25 and policy.layout.names[-1] == "speed"

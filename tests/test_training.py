@@ -61,7 +61,7 @@ def rows(path):
 
 @contextmanager
 def after(reports):
-    """Interruptions that come once ``stop`` has been asked so many times."""
+    """Interruptions that come after a number of calls of ``stop``."""
 
     class Stop:
         asked = 0

@@ -71,7 +71,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print, and write the numbers if asked."""
+    """Measure, print, and write the numbers if --json is given."""
     options = _arguments(arguments)
     if options.job:
         print(json.dumps(_run_job(Job(**json.loads(options.job)))))

@@ -52,13 +52,13 @@ def _umask() -> int:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write a text file whole."""
+    """Write a text file atomically."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path | str, value: object) -> None:
-    """Write a JSON file whole.
+    """Write a JSON file atomically.
 
     Raises:
         ValueError: a number that is not finite; JSON has none.
@@ -83,7 +83,7 @@ def read_json(path: Path | str) -> dict[str, Any]:
 
 
 def write_npz(path: Path | str, arrays: dict[str, np.ndarray], meta: dict[str, object]) -> None:
-    """Write arrays and a JSON string ``meta`` to an ``.npz`` file, whole and without pickles."""
+    """Write arrays and a JSON string ``meta`` to an ``.npz`` file, atomically, without pickles."""
     with whole_file(path) as temporary, open(temporary, "wb") as stream:
         np.savez(stream, allow_pickle=False, **{**arrays, "meta": np.array(json.dumps(meta))})
 

@@ -27,7 +27,7 @@ EVIDENCE = {  # of folders without a marker, which earlier versions wrote
 def claim(folder: Path | str, kind: str) -> Iterator[None]:
     """Create a folder, or take one of the same kind, and lock it for the duration of the block.
 
-    The operating system releases the lock when the process ends, however it ends. Temporary files
+    The operating system releases the lock when the process ends. Temporary files
     that a killed process left are removed.
 
     Args:

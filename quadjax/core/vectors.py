@@ -63,7 +63,7 @@ class _Components:
 
 @struct.dataclass
 class Vec3(_Components):
-    """Three components of a vector, in the frame that its field says."""
+    """Three components of a vector, in the frame that the field's comment gives."""
 
     x: jax.Array
     y: jax.Array

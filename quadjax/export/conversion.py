@@ -137,7 +137,7 @@ def _complete(
 
 
 def symbol_name(request: Request, file: str) -> str:
-    """The prefix of every C symbol: as asked for, or the policy file's name."""
+    """The prefix of every C symbol: the requested one, or the policy file's name."""
     name = request.name if request.name is not None else identifier(Path(file).stem)
     if is_reserved(name):
         raise InputError(f"--name {name}: is a C keyword or a name of the C library; take another")

@@ -141,7 +141,7 @@ def verify(
 
 
 def _check_folder(request: Request) -> None:
-    """Refuse an output that is not a folder, or that holds the export of another name."""
+    """Reject an output that is not a folder, or that contains the export of another name."""
     name, folder = symbol_name(request, request.policy.name), request.folder
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is not a folder")

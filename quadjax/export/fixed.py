@@ -23,7 +23,7 @@ from quadjax.export.ranges import InputBox, declare
 from quadjax.policy.file import Policy
 
 FORMAT_VERSION = 1
-VEHICLES = ("motor", "rate")  # models whose state and commands the C knows
+VEHICLES = ("motor", "rate")  # models that the exported C supports
 LARGEST_HIDDEN = 2**INPUT_BITS - 1
 LARGEST_WEIGHT = 2**31 - 1
 # Scales leave this many units of headroom, and one per column, for the rounding of weights.

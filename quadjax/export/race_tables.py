@@ -160,7 +160,7 @@ def make_tables(
 
 
 def _next_gates(box: InputBox, track: Track) -> np.ndarray:
-    """The inputs that a gate alone determines: the next gate's position and yaw, (gates, 4)."""
+    """The inputs that depend only on the gate: the next gate's position and yaw, (gates, 4)."""
     plain = np.roll(track.yaw, -1) - np.asarray(track.yaw)
     values = {
         "next_position": np.stack([np.asarray(c) for c in track.next_position.components()], 1),

@@ -99,7 +99,7 @@ def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> n
         frequency = random.uniform(low, high, 4)
         phase = random.uniform(0.0, 2.0 * np.pi, 4)
         targets += share * size * np.sin(2.0 * np.pi * frequency * time + phase)
-    # Long turns to either side, which alone excite yaw damping.
+    # Long turns to either side; only these excite yaw damping.
     swing = random.uniform(0.03, 0.06)
     targets[:, 2] += 4.0 / swing / 10.0 * np.sin(2.0 * np.pi * swing * time[:, 0])
     return targets

@@ -187,7 +187,7 @@ class SensorsConfig(Section):
 
 
 class EkfConfig(Section):
-    """Assumptions of the navigation filter beyond the sensors' own noise, which it knows."""
+    """Assumptions of the navigation filter in addition to the sensors' noise."""
 
     gyro_noise: NonNegative = Field(
         2.0e-4, description="rad/s/sqrt(Hz) at 500 samples/s, for motion between two samples"
@@ -213,8 +213,8 @@ class IndiConfig(Section):
     roll_gain: NonNegative = Field(34.0, description="1/s, from rate error to angular acceleration")
     pitch_gain: NonNegative = Field(39.0, description="1/s; larger: pitch saturates earlier")
     yaw_gain: NonNegative = Field(33.0, description="1/s")
-    moment_lag: Positive = Field(0.007, description="s, wanted of roll and pitch acceleration")
-    thrust_lag: Positive = Field(0.0305, description="s, wanted of the thrust")
+    moment_lag: Positive = Field(0.007, description="s, desired lag of roll and pitch acceleration")
+    thrust_lag: Positive = Field(0.0305, description="s, desired lag of the thrust")
     least_rpm: Positive = Field(2000.0, description="rpm below which the effectiveness is constant")
 
 

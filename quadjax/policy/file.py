@@ -99,7 +99,7 @@ class Policy:
         )
 
     def save(self, path: Path | str) -> None:
-        """Write a policy file, whole."""
+        """Write a policy file atomically."""
         arrays: dict[str, np.ndarray] = {"log_std": np.asarray(self.log_std, np.float32)}
         for prefix, layers in (("", self.layers), (VALUE, self.value or ())):
             for index, (kernel, bias) in enumerate(layers):

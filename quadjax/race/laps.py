@@ -228,7 +228,7 @@ def fly_laps(
         trace: whether to record states and commands.
 
     Returns:
-        The result, and the trace if asked for.
+        The result, and the trace if ``trace`` is true.
     """
     params = environment.exact_rules(choices.model, params)
     choices = dataclasses.replace(choices, stagger_clocks=False)

@@ -23,7 +23,7 @@ class Laps:
 
     lap_times: np.ndarray  # (runs, laps) s; NaN where not completed
     crashes: tuple[str, ...]  # why each run ended early; "" where it did not
-    seconds: np.ndarray  # (runs,) s from the start to the run's end, however it ended
+    seconds: np.ndarray  # (runs,) s from the start to the end of the run
     time_limit: float  # s; no run lasts longer
 
     @property

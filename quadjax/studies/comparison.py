@@ -80,7 +80,7 @@ def fly(setting: Setting, plant: PlantConfig, own: Contender) -> Flights:
 
 
 def first(laps: Laps, count: int = FLIGHTS) -> Laps:
-    """The first runs alone."""
+    """The first runs only."""
     return Laps(laps.lap_times[:count], laps.crashes[:count], laps.seconds[:count], laps.time_limit)
 
 

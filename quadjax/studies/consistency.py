@@ -185,7 +185,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Evaluate the filter on flights of some policies, print, and write if asked."""
+    """Evaluate the filter on flights of some policies, print, and write if --json is given."""
     from rich.console import Console
 
     options = _arguments(arguments)

@@ -31,7 +31,7 @@ class TrialFailed(Exception):
 def make_executor(
     sweep: Sweep, directory: Path, function: Function = run_trial
 ) -> "LocalExecutor | RayExecutor":
-    """The executor that the sweep file asks for; ``function`` runs a trial there."""
+    """The executor that the sweep file selects; ``function`` runs a trial there."""
     if sweep.file.executor.kind == "local":
         return LocalExecutor(sweep.file.executor, function, directory / "logs")
     from quadjax.sweeps.cluster import RayExecutor

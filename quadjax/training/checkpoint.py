@@ -102,7 +102,7 @@ class Checkpoints:
 
 
 def _make_manager(path: Path) -> ocp.CheckpointManager:
-    """A manager of one checkpoint, in this process alone."""
+    """A manager of one checkpoint, in this process only."""
     path.mkdir(parents=True, exist_ok=True)
     several: dict[str, Any] = {}
     if not hosts.alone():

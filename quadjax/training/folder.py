@@ -47,8 +47,8 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
     if (folder / "config.yaml").exists() and latest.exists() and any(latest.iterdir()):
         if not resume:
             raise InputError(
-                f"{folder} holds a run already: resume it (--resume), replace it (--overwrite) or "
-                "choose another name"
+                f"{folder} already contains a run: resume it (--resume), replace it (--overwrite) "
+                "or choose another name"
             )
         check_same(config, folder)
     write_text(folder / "config.yaml", config.to_yaml())

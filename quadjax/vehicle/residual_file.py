@@ -20,7 +20,7 @@ SHAPES = {"thrust": (7, 1), "moment": (10, 3)}
 
 
 def write_residual(path: Path | str, residual: Residual, source: dict) -> None:
-    """Write a residual file, whole; ``source`` says what it was fitted on."""
+    """Write a residual file atomically; ``source`` describes the data of the fit."""
     arrays: dict[str, np.ndarray] = {}
     for name in SHAPES:
         for index, (kernel, bias) in enumerate(getattr(residual, name)):
@@ -44,7 +44,7 @@ def located(path: Path | str) -> Path:
 
 
 def read_residual(path: Path | str) -> Residual:
-    """Read and check a residual file, or a shipped one by its name alone.
+    """Read and check a residual file, or a shipped one by its name.
 
     Raises:
         InputError: a missing, damaged or inconsistent file, in one line.

@@ -89,7 +89,7 @@ def test_json_has_the_promised_keys(flown):
     assert result["totals"][0] == pytest.approx(sum(result["laps"][0]), abs=1e-3)
 
 
-def test_the_table_sets_published_times_beside(flown):
+def test_the_table_has_published_times(flown):
     config, laps, _ = flown
     assert paper.published_rows(config, 6) == paper.PUBLISHED
     assert paper.published_rows(config, 5) == ()

@@ -138,7 +138,7 @@ def test_an_animation_says_which_color_is_which_speed():
     assert colors(row[None, left:right]) >= animation.SHADES
 
 
-def test_drones_have_names_where_they_are_told(tmp_path):
+def test_drones_have_names_where_given(tmp_path):
     flights = [circle(), circle(seconds=0.7)]
     plain, named = (animation.Film(flights, GATES, names) for names in ((), ("E2E", "INDI")))
     assert np.any(np.asarray(plain.frame(5)) != np.asarray(named.frame(5)))

@@ -41,7 +41,7 @@ def test_a_training_that_fails_is_one_line(tmp_path):
         train_seed(CONFIG, [*TINY, "run.initial_policy=none.npz"], 0, tmp_path)
 
 
-def test_configs_and_changes_are_told_apart():
+def test_configs_and_overrides_are_separated():
     files = [str(CONFIGS / name) for name in ("e2e_ppo.yaml", "indi_ppo.yaml")]
     configs, words = configs_of([files[0], "learner.num_epochs=2", files[1]])
     assert configs == dict(zip(("e2e_ppo", "indi_ppo"), files, strict=True))

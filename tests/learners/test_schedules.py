@@ -64,7 +64,7 @@ def test_several_knots_and_several_schedules():
     assert (float(begin["rate"]), begin["gain"].tolist()) == (8, [0, 0])
 
 
-def test_other_numbers_of_a_schedule_compile_nothing_anew(caplog):
+def test_other_numbers_of_a_schedule_compile_nothing(caplog):
     def scheduled(first, last, until):
         trees = [tree(rate=first), tree(rate=last)]
         return with_schedules(

@@ -94,7 +94,7 @@ def test_unchanged_when_all_is_turned_and_moved(kind):
     assert np.abs(other[:, :2] - before[:, :2]).max() > 1
 
 
-def test_disturbances_that_are_not_told():
+def test_disturbances_that_are_not_observed():
     rows = ref.random_states("motor", COUNT)
     state = race_state("motor", rows)
     for words in ((*PAPER, "observation.disturbance=none"), ()):
@@ -143,6 +143,6 @@ def test_shipped_tracks():
         assert 2 * float(track.half_height[index]) == pytest.approx(gate.size[1], rel=1e-6)
 
 
-def test_width_and_height_are_told_apart():
+def test_width_and_height_are_not_swapped():
     track = make_track(jnp.zeros((1, 3)), jnp.zeros(1), jnp.array([[3.0, 1.0]]))
     assert track.half_width[0] == 1.5 and track.half_height[0] == 0.5

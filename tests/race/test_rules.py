@@ -98,7 +98,7 @@ def test_world_box_is_measured_in_world_axes():
     assert cross(straight, 0, [-0.2, 0, -2], [0.49, 0, -2], world_box=True) == (True, False)
     assert cross(straight, 0, [-0.2, 0, -2], [0.51, 0, -2], world_box=True) == (False, True)
     assert cross(straight, 0, [-0.2, 0, -2], [0.51, 0, -2]) == (True, False)
-    assert cross(straight, 0, [-0.2, 0, -2], [0.3, 0, -2], 0.3, True) == (False, True)
+    assert cross(straight, 0, [-0.2, 0, -2], [0.3, 0, -2], -0.3, True) == (False, True)
 
 
 @pytest.mark.parametrize("target", range(4))
@@ -355,7 +355,7 @@ def test_gate_inflation_of_the_config(race):
     assert step(race, rows, 1)[2].gate_collision[0] and step(box, rows, 1)[2].passed[0]
 
 
-def test_gates_may_be_wider_in_training_at_a_price():
+def test_gates_may_be_wider_in_training_with_a_penalty():
     wide = make_race(
         "training_limits.gate_inflation=0.3", "reward.gate_edge=20", "reward.gate_edge_margin=0.05"
     )

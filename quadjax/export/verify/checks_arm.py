@@ -23,7 +23,7 @@ from quadjax.export.verify.toolchain import (
 )
 
 SCALAR, NEON = 0, 1
-LARGEST_STACK, WIDE = 2048, 120  # bytes, for networks of up to so many neurons a layer
+LARGEST_STACK, WIDE = 2048, 120  # bytes, for networks of at most WIDE neurons per layer
 COUNTED = 12  # vectors whose instructions are counted
 
 

@@ -22,7 +22,7 @@ class Skipped(Exception):
 
 
 class Failed(Exception):
-    """A check that failed; the message says how."""
+    """A check that failed; the message gives the reason."""
 
 
 def run_check(name: str, check: Callable[[], str]) -> Result:

@@ -1,4 +1,4 @@
-"""Compilers that this machine may have, and how each is asked."""
+"""Compilers of this machine, and their flags."""
 
 import dataclasses
 import importlib.util
@@ -39,7 +39,7 @@ class Compiler:
         """Compile and link.
 
         Raises:
-            Failed: with the first line of what the compiler says.
+            Failed: with the first line of the compiler's output.
         """
         words = [*self.command, *self.flags, *extra, *map(str, sources), "-o", str(output)]
         done = subprocess.run(words, capture_output=True, text=True)
