@@ -18,9 +18,9 @@ class Constants(RateConstants):
     d_2: jax.Array  # quadratic drag, 1/m
 
 
-def derivative(params, state, command, *materialize):
+def derivative(params, state, command, *call):
     """Time derivative of the state."""
-    slope = rate.derivative(params, state, command, *materialize)
+    slope = rate.derivative(params, state, command, *call)
     drag = state.velocity * (params.constants.d_2 * safe_norm(state.velocity))
     return slope.replace(velocity=slope.velocity - drag)
 

@@ -59,7 +59,7 @@ def _run(argv: list[str]) -> int | None:
         print(f"quadjax {__version__}")
         return 0
     if argv[0] not in COMMANDS:
-        raise InputError(f"{argv[0]!r} is no subcommand, allowed: {', '.join(COMMANDS)}")
+        raise InputError(f"{argv[0]!r} is not a subcommand, allowed: {', '.join(COMMANDS)}")
     with loading():
         module = importlib.import_module(COMMANDS[argv[0]][0])
     return module.main(argv[1:])

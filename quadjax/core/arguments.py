@@ -1,4 +1,4 @@
-"""Options and checks that the subcommands share."""
+"""Common options and checks of the subcommands."""
 
 import argparse
 import re

@@ -98,7 +98,7 @@ def gate_offsets(flight: Recording, gates: Sequence[Gate]) -> np.ndarray:
     before, after = flight.position[time] - center, flight.position[time + 1] - center
     through = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
     behind, ahead = (before * through).sum(axis=1), (after * through).sum(axis=1)
-    share = -behind / np.maximum(ahead - behind, 1e-12)
-    crossing = before + share[:, None] * (after - before)
+    fraction = -behind / np.maximum(ahead - behind, 1e-12)
+    crossing = before + fraction[:, None] * (after - before)
     lateral = -np.sin(yaw) * crossing[:, 0] + np.cos(yaw) * crossing[:, 1]
     return np.maximum(np.abs(lateral), np.abs(crossing[:, 2]))

@@ -140,7 +140,9 @@ def symbol_name(request: Request, file: str) -> str:
     """The prefix of every C symbol: the requested one, or the policy file's name."""
     name = request.name if request.name is not None else identifier(Path(file).stem)
     if is_reserved(name):
-        raise InputError(f"--name {name}: is a C keyword or a name of the C library; take another")
+        raise InputError(
+            f"--name {name}: is a C keyword or a name of the C library; choose another"
+        )
     if identifier(name) != name or len(name) > LONGEST_NAME:
         raise InputError(
             f"--name {name!r}: expected a lower-case C identifier of at most {LONGEST_NAME} letters"

@@ -149,7 +149,7 @@ def _check_folder(request: Request) -> None:
     if others:
         other = others[0].removesuffix("_report.json")
         raise InputError(
-            f"{folder}: holds an export named {other!r}; take another folder, or delete it"
+            f"{folder}: holds an export named {other!r}; choose another folder, or delete it"
         )
 
 

@@ -212,7 +212,7 @@ def _channel_exponents(
     sample_rate: float,
     cutoff: float,
 ) -> tuple[int, ...]:
-    """Ranges that neither what goes into the filters nor what comes out can leave."""
+    """Bounds of the filters' inputs and outputs."""
     largest = units * monomial_bounds()
     straight, derivative = filter_gains(sample_rate, cutoff)
     bounds = np.abs(model) @ largest

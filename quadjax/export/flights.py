@@ -28,7 +28,7 @@ from quadjax.vehicle.rate import RateState
 Carry = tuple[jax.Array, jax.Array]  # a position and the target after it
 LOST_CONTROL = ("lost its attitude", "out of bounds", "not finite")  # of CRASHES
 RUNS, LAPS = 32, 6
-FINISHED = 0.9  # share of the flights that must finish
+FINISHED = 0.9  # fraction of the flights that must finish
 
 
 @dataclasses.dataclass(frozen=True)

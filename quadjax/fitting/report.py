@@ -118,8 +118,8 @@ def _nominal_table(result: FitResult) -> str:
     ]
     quality = {fit.names[0]: (fit.condition, fit.r_squared) for fit in result.axes}
     for name, axis, value, error in _fitted(result):
-        condition, share = quality.get(name, (None, None))
-        tail = "" if condition is None else f"{condition:11.3g}{share:8.3f}"
+        condition, r2 = quality.get(name, (None, None))
+        tail = "" if condition is None else f"{condition:11.3g}{r2:8.3f}"
         if name == "tau":
             tail = f"{'':11}{result.lag.r_squared:8.3f}"
         relative = _percent(100.0 * error / max(abs(value), 1e-300))

@@ -182,8 +182,8 @@ def _assemble(
 ) -> ResidualFit:
     choices, distilled = {}, {}
     for selected, _, grade in (thrust, moment):
-        for choice, share in zip(selected, grade, strict=True):
-            choices[choice.axis], distilled[choice.axis] = choice, float(share)
+        for choice, r2 in zip(selected, grade, strict=True):
+            choices[choice.axis], distilled[choice.axis] = choice, float(r2)
     return ResidualFit(constants, _residual(base, thrust[1], moment[1]), choices, distilled)
 
 

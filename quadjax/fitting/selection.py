@@ -77,13 +77,13 @@ def score_fold(history: Layers, inputs: np.ndarray, errors: np.ndarray, length: 
 
 @jax.jit
 def _moments(
-    history: Layers, inputs: jax.Array, errors: jax.Array, share: jax.Array
+    history: Layers, inputs: jax.Array, errors: jax.Array, weight: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     def of_epoch(layers: Layers) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         outputs = jax.vmap(partial(mlp.apply, inputs=inputs))(layers)  # (seed, n, o)
         mean = outputs.mean(axis=0)
-        seeds = ((share * errors)[None] * outputs).sum(1), (share[None] * outputs**2).sum(1)
-        return (share * errors * mean).sum(0), (share * mean**2).sum(0), *seeds
+        seeds = ((weight * errors)[None] * outputs).sum(1), (weight[None] * outputs**2).sum(1)
+        return (weight * errors * mean).sum(0), (weight * mean**2).sum(0), *seeds
 
     by_epoch = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), history)
     cross, square, seed_cross, seed_square = jax.lax.map(of_epoch, by_epoch)

@@ -95,10 +95,10 @@ def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> n
     time = np.arange(count)[:, None] / sample_rate
     size = np.array([0.5, 0.5, 0.7, 1.5])
     targets = np.zeros((count, 4))
-    for low, high, share in ((0.15, 0.5, 0.7), (0.5, 1.2, 0.5), (1.2, 2.5, 0.3)):
+    for low, high, weight in ((0.15, 0.5, 0.7), (0.5, 1.2, 0.5), (1.2, 2.5, 0.3)):
         frequency = random.uniform(low, high, 4)
         phase = random.uniform(0.0, 2.0 * np.pi, 4)
-        targets += share * size * np.sin(2.0 * np.pi * frequency * time + phase)
+        targets += weight * size * np.sin(2.0 * np.pi * frequency * time + phase)
     # Long turns to either side; only these excite yaw damping.
     swing = random.uniform(0.03, 0.06)
     targets[:, 2] += 4.0 / swing / 10.0 * np.sin(2.0 * np.pi * swing * time[:, 0])

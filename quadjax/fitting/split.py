@@ -69,8 +69,8 @@ def make_split(samples: Samples, flights: list[str], config: SplitConfig) -> Spl
 
 
 def _blocks(time: np.ndarray, count: int, test_fraction: float) -> np.ndarray:
-    share = np.arange(len(time)) / len(time) / (1.0 - test_fraction)
-    fold = np.minimum(np.floor(share * count).astype(int), count)
+    fraction = np.arange(len(time)) / len(time) / (1.0 - test_fraction)
+    fold = np.minimum(np.floor(fraction * count).astype(int), count)
     last = time[fold < count][-1]
     fold[(fold < count) & (time > last - GUARD)] = NOWHERE
     fold[fold == count] = TEST

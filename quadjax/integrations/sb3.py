@@ -20,7 +20,7 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
     raise InputError(
-        "this needs Stable-Baselines3, which is not installed: pip install -e '.[sb3]'"
+        "this needs Stable-Baselines3, which is not installed: pip install 'quadjax[sb3]'"
     ) from None
 
 Indices = None | int | Iterable[int]

@@ -1,4 +1,4 @@
-"""Learners: networks, the loop that all share, and one small package for each.
+"""Learners: networks, the common training loop, and one package for each learner.
 
 A learner takes any ``quadjax.core.environment.Environment``; nothing here depends on drones.
 """

@@ -136,7 +136,7 @@ def gather(tree: Any) -> Any:
     return jax.device_get(jax.jit(plain, out_shardings=everywhere)(tree))
 
 
-def share(tree: Any) -> Any:
+def broadcast(tree: Any) -> Any:
     """The first process's tree of NumPy arrays, in every process; all have to call it."""
     if alone():
         return tree

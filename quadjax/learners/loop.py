@@ -1,4 +1,4 @@
-"""The loop over compiled chunks of updates: score, report, save, stop. All learners share it."""
+"""The loop over compiled chunks of updates: score, report, save, stop. All learners use it."""
 
 import dataclasses
 import math

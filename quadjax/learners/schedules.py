@@ -4,7 +4,7 @@ A schedule is built from the run's numbers at each of its knots: the whole pytre
 and environment parameters, once per knot. The leaves that differ are the scheduled ones. Between
 two knots a leaf is interpolated linearly in environment steps,
 
-    ``leaf = A + share (B - A)``,  ``share = clip((steps - t_A) / (t_B - t_A), 0, 1)``,
+    ``leaf = A + fraction (B - A)``,  ``fraction = clip((steps - t_A) / (t_B - t_A), 0, 1)``,
 
 before the first knot it has the first value, after the last one the last. Knots and values are
 traced: other numbers for the same leaves do not trigger recompilation.
@@ -103,9 +103,9 @@ def interpolate(schedule: Schedule, update: jax.Array) -> list[jax.Array]:
     results = [values[0] for values in schedule.values]
     for i in range(schedule.knots.shape[0] - 1):
         rising = jnp.clip((done - schedule.knots[i]) * schedule.rates[i], 0.0, 1.0)
-        share = jnp.where(done >= schedule.knots[i + 1], 1.0, rising)
+        fraction = jnp.where(done >= schedule.knots[i + 1], 1.0, rising)
         for j, values in enumerate(schedule.values):
-            results[j] = results[j] + share * (values[i + 1] - values[i])
+            results[j] = results[j] + fraction * (values[i + 1] - values[i])
     return results
 
 

@@ -175,26 +175,28 @@ def _max(values: Rotors) -> jax.Array:
 
 def _turn_scale(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
     """Largest factor () on a turn that fits within the limits for some thrust."""
-    share = jnp.ones_like(turn.w1)
+    fraction = jnp.ones_like(turn.w1)
     for i in range(4):
         for j in range(4):
             apart = turn[j] - turn[i]
             room = high[j] - low[i]
             fits = room / jnp.where(apart > room, apart, 1.0)
-            share = jnp.where(apart > room, jnp.minimum(share, fits), share)
-    return jnp.maximum(share, 0.0)
+            fraction = jnp.where(apart > room, jnp.minimum(fraction, fits), fraction)
+    return jnp.maximum(fraction, 0.0)
 
 
 def _added_scale(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.Array:
     """Largest factor () on ``added`` such that ``base`` plus it fits within the limits."""
-    share = jnp.ones_like(base.w1)
+    fraction = jnp.ones_like(base.w1)
     for b, d, least, most in zip(
         base.components(), added.components(), low.components(), high.components(), strict=True
     ):
         room = jnp.where(d > 0.0, most - b, b - least)
         size = jnp.abs(d)
         tight = size > room
-        share = jnp.where(
-            tight, jnp.minimum(share, jnp.maximum(room, 0.0) / jnp.where(tight, size, 1.0)), share
+        fraction = jnp.where(
+            tight,
+            jnp.minimum(fraction, jnp.maximum(room, 0.0) / jnp.where(tight, size, 1.0)),
+            fraction,
         )
-    return share
+    return fraction

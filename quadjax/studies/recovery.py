@@ -91,5 +91,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
     residual = read_residual(options.fit / "residual.npz")
     print(f"\n{'new flight':10}" + "".join(f"{axis:>8}" for axis in AXES[2:]) + "  R^2 of residual")
     for seed in range(NEW, NEW + options.flights):
-        share = residual_recovered(vehicle, found, residual, exact_motion(vehicle, seed))
-        print(f"{seed:<10}" + "".join(f"{value:8.3f}" for value in share))
+        fraction = residual_recovered(vehicle, found, residual, exact_motion(vehicle, seed))
+        print(f"{seed:<10}" + "".join(f"{value:8.3f}" for value in fraction))

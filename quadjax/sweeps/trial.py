@@ -52,8 +52,8 @@ def run_trial(job: Job, tell: Tell) -> Outcome:
             break
         values.append(found[0])
         finished.append(found[1])
-    share = statistics.fmean(finished) if finished else 0.0
-    return Outcome(tuple(values), share, len(values) == len(job.configs))
+    fraction = statistics.fmean(finished) if finished else 0.0
+    return Outcome(tuple(values), fraction, len(values) == len(job.configs))
 
 
 def _run_seed(job: Job, seed: int, before: list[float], tell: Tell) -> tuple[float, float] | None:

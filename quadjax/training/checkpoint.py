@@ -81,10 +81,10 @@ class Checkpoints:
         meta: dict[str, Any] = {}
         if self._manager is not None:
             tree, meta = _read(self._manager, tree)
-        restored: Any = hosts.share(tree)
+        restored: Any = hosts.broadcast(tree)
         score = meta.get("best_score")
         numbers = [meta.get(name, 0) for name in ("best_steps", "chunks", "seconds")]
-        best_steps, chunks, seconds = np.asarray(hosts.share(np.asarray(numbers, np.float64)))
+        best_steps, chunks, seconds = np.asarray(hosts.broadcast(np.asarray(numbers, np.float64)))
         return dataclasses.replace(
             like,
             state=_with_keys(restored["state"], like.state),

@@ -1,4 +1,4 @@
-"""JAX's persistent compilation cache: a second start of the same program compiles nothing."""
+"""JAX's persistent compilation cache: a second start of the same program does not compile again."""
 
 import hashlib
 import os

@@ -90,9 +90,9 @@ class TrainingProgress:
         if now - self._logged >= LOG_SECONDS or row["steps"] >= self._total:
             self._logged = now
             left = max((self._total - row["steps"]) / row["steps_per_second"], 0.0)
-            share = 100.0 * row["steps"] / self._total
+            done = 100.0 * row["steps"] / self._total
             line = (
-                f"{self._name}: {share:3.0f}%  {row['seconds']:.0f} s, {left:.0f} s left  {status}"
+                f"{self._name}: {done:3.0f}%  {row['seconds']:.0f} s, {left:.0f} s left  {status}"
             )
             print(line, file=sys.stderr, flush=True)
 

@@ -1,4 +1,4 @@
-"""The interface between a vehicle's equations and everything that uses them.
+"""The interface between a vehicle's equations and the code that uses them.
 
 A vehicle model is a ``VehicleModel``: its constants, commands and actuators by name and unit, and
 pure functions of one drone (batch with ``jax.vmap``). World NED, body FRD, SI units, rad. The race,

@@ -34,12 +34,12 @@ def relu_network(layers: Layers, inputs: jax.Array) -> jax.Array:
     return hidden @ kernel + bias
 
 
-def scale_residual(residual: Residual, share: jax.Array) -> Residual:
-    """The residual with its outputs multiplied by ``share`` ()."""
+def scale_residual(residual: Residual, gain: jax.Array) -> Residual:
+    """The residual with its outputs multiplied by ``gain`` ()."""
 
     def scale(layers: Layers) -> Layers:
         kernel, bias = layers[-1]
-        return (*layers[:-1], (share * kernel, share * bias))
+        return (*layers[:-1], (gain * kernel, gain * bias))
 
     return residual.replace(thrust=scale(residual.thrust), moment=scale(residual.moment))
 

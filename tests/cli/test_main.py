@@ -39,7 +39,7 @@ def test_the_version_is_that_of_the_package(capsys):
 @pytest.mark.parametrize(
     ("words", "names"),
     [
-        (["fly"], "'fly' is no subcommand, allowed: train"),
+        (["fly"], "'fly' is not a subcommand, allowed: train"),
         (["train"], "CONFIG"),
         (["train", "nothing.yaml"], "nothing.yaml"),
         (["train", "e2e", "nonsense=1"], "nonsense"),

@@ -30,7 +30,7 @@ COUNTED = 12  # vectors whose instructions are counted
 def _need_emulator() -> None:
     for module in ("unicorn", "elftools"):
         if not has_module(module):
-            raise Skipped(f"no {module}; pip install -e '.[verify]'")
+            raise Skipped(f"no {module}; pip install 'quadjax[verify]'")
 
 
 def _build(c: Context, compiler: Compiler, tag: str) -> Path:
@@ -147,7 +147,7 @@ def _compilers() -> list[tuple[str, Compiler, str, int]]:
         with contextlib.suppress(Skipped):
             found.append((name, make(), tag, kernel))
     if not found:
-        raise Skipped("no compiler for ARM; pip install -e '.[verify]'")
+        raise Skipped("no compiler for ARM; pip install 'quadjax[verify]'")
     return found
 
 

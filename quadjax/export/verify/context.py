@@ -1,4 +1,4 @@
-"""What the checks share: the folder, the vectors and the emulator's results."""
+"""Common data of the checks: the folder, the vectors and the emulator's results."""
 
 import dataclasses
 import functools

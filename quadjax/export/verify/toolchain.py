@@ -78,7 +78,7 @@ def host() -> Compiler:
 def zig_arm(neon: bool) -> Compiler:
     """The compiler that pip installs, for a Cortex-A9 without an operating system."""
     if not has_module("ziglang"):
-        raise Skipped("no ziglang; pip install -e '.[verify]'")
+        raise Skipped("no ziglang; pip install 'quadjax[verify]'")
     flags = ZIG if neon else [f.replace("cortex_a9", "cortex_a9-neon") for f in ZIG]
     command = (sys.executable, "-m", "ziglang", "cc")
     return Compiler("zig cc", command, tuple(flags))
