@@ -110,10 +110,10 @@ def step_all(
 class RaceVectorEnv(VectorEnv):
     """The race of a config as a vector environment of ``num_envs`` drones.
 
-    Observations are (num_envs, observation_size) float32; actions are (num_envs, 4) float32 in
-    [-1, 1] and are clipped. ``terminated`` is a crash or a violated limit, ``truncated`` the end of
-    the clock. Limits, gate inflation and rewards are those of training. Schedules are not applied:
-    every number has the config's value.
+    Observations are (num_envs, observation_size) float32; actions are (num_envs, action_size)
+    float32 in [-1, 1] and are clipped. ``terminated`` is a crash or a violated limit, ``truncated``
+    the end of the clock. Limits, gate inflation and rewards are those of training. Schedules are
+    not applied: every number has the config's value.
 
     Infos: ``gates_passed`` (num_envs,) of the episode; with ``SAME_STEP`` also ``final_obs``,
     the observations in which episodes ended, and ``final_info``.

@@ -171,7 +171,7 @@ def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) ->
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
-    """The command of an action (4,): clipped to [-1, 1], scaled to the nominal range."""
+    """The command of an action (action_size,): clipped to [-1, 1], scaled to the nominal range."""
     size = choices.model.action_size
     parts = [clip_inward(action[index], -1.0, 1.0) for index in range(size)]
     low, high = choices.model.command_range(params.vehicle.constants)

@@ -41,8 +41,8 @@ class Trace:
     velocity: jax.Array  # (time, 3, runs) m/s, world
     euler: jax.Array  # (time, 3, runs) rad
     rates: jax.Array  # (time, 3, runs) rad/s
-    actuators: jax.Array  # (time, 4 | 1, runs) rpm, or thrust in m/s^2
-    command: jax.Array  # (time, 4, runs)
+    actuators: jax.Array  # (time, actuators, runs): rpm, or thrust in m/s^2
+    command: jax.Array  # (time, actions, runs)
     target: jax.Array  # (time, runs)
     over: jax.Array  # (time, runs) bool, before the step
 
@@ -162,7 +162,7 @@ def fly_race(
 def _stepper(
     choices: Choices, actor: Actor, params: RaceParams, policy: object
 ) -> Callable[[Carry], tuple[Carry, jax.Array]]:
-    """One step of all drones: to the race after it, and the actions (runs, 4)."""
+    """One step of all drones: to the race after it, and the actions (runs, actions)."""
     gates = gate_count(params.track)
     observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
     act = jax.vmap(actor, in_axes=(None, 0, 0))
@@ -175,7 +175,7 @@ def _stepper(
     def one(carry: Carry) -> tuple[Carry, jax.Array]:
         race, key = carry
         key, noise_key = jax.random.split(key)
-        noise = jax.random.normal(noise_key, (race.over.shape[-1], 4))
+        noise = jax.random.normal(noise_key, (race.over.shape[-1], choices.model.action_size))
         action = act(policy, observe(params, race.state), noise)
         return (step(race, action), key), action
 
@@ -219,7 +219,8 @@ def fly_laps(
     Args:
         choices: static settings of the race.
         params: its numbers; gate inflation and training limits are removed.
-        actor: ``(policy, observation (k,), noise (4,)) -> action (4,)`` of one drone; static.
+        actor: ``(policy, observation (k,), noise (a,)) -> action (a,)`` of one drone, with
+            ``a`` the vehicle model's ``action_size``; static.
         policy: the first argument of the actor, a pytree.
         key: PRNG key of starts and noise.
         laps: number of laps.

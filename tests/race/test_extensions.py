@@ -9,10 +9,12 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import safe_norm
-from quadjax.race.laps import fly_laps, lap_length, time_limit
+from quadjax.race.laps import fly_laps, fly_race, lap_length, starting_states, time_limit
 from quadjax.race.layout import Field, Layout, make_layout
 from quadjax.race.result import Laps
+from quadjax.vehicle import rate
 from quadjax.vehicle.motor import MODEL
+from quadjax.vehicle.protocol import Signal
 from tests import reference as ref
 from tests.race.support import compiled_observe, level, make_race, race_state, step, track_of
 
@@ -60,6 +62,34 @@ def test_a_rule_applies_to_timed_laps():
 
     laps, _ = fly_laps(own, params, climb, None, jax.random.key(0), 1, 1)
     assert laps.crashes == ("ended by an extra rule",)
+
+
+def five_commands(constants):
+    low, high = rate.command_range(constants)
+    return (low, jnp.float32(0.0)), (high, jnp.float32(1.0))
+
+
+FIVE_COMMANDS = dataclasses.replace(
+    rate.MODEL,
+    commands=(*rate.MODEL.commands, Signal("flap", 1, "")),
+    command_range=five_commands,
+    derivative=lambda params, state, command, call: rate.derivative(
+        params, state, command[0], call
+    ),
+)
+
+
+def test_timed_laps_of_a_model_with_five_commands():
+    choices, params = make_race("vehicle.model=tests.race.test_extensions:FIVE_COMMANDS")
+    states = starting_states(choices, params, jax.random.key(0), 2, from_hover=True)
+
+    def actor(policy, observation, noise):
+        return jnp.clip(noise, -1.0, 1.0)
+
+    _, kept = fly_race(choices, actor, 1, 3, True, params, None, states, jax.random.key(1))
+    assert kept.command.shape == (3, 5, 2)
+    assert np.all((kept.command[:, 4] >= 0.0) & (kept.command[:, 4] <= 1.0))
+    assert np.unique(kept.command[:, 4]).size > 1
 
 
 def height(view):
