@@ -53,9 +53,14 @@ def test_a_race_is_three_pure_functions_and_its_numbers():
     state = environment.reset(params, jax.random.key(0))
     observation = environment.observe(params, state)
     assert observation.shape == (environment.observation_size,)
-    state, reward, terminated, truncated = environment.step(params, state, jnp.zeros(4))
-    assert np.isfinite(float(reward)) and not bool(truncated)
-    assert bool(terminated) in (False, True)
+    _, reward, terminated, truncated = environment.step(params, state, jnp.zeros(4))
+    assert np.isfinite(float(reward)) and not bool(terminated) and not bool(truncated)
+    tight = params.replace(limits=params.limits.replace(position=jnp.float32(0.01)))
+    _, _, terminated, truncated = environment.step(tight, state, jnp.zeros(4))
+    assert bool(terminated) and not bool(truncated)
+    last = params.replace(limits=params.limits.replace(episode_steps=jnp.int32(1)))
+    _, _, terminated, truncated = environment.step(last, state, jnp.zeros(4))
+    assert bool(truncated) and not bool(terminated)
 
 
 def test_a_shipped_policy_is_evaluated(tmp_path):
@@ -81,6 +86,44 @@ def test_a_shipped_policy_is_evaluated(tmp_path):
     laps.plot().savefig(tmp_path / "lap.png")
     laps.show().savefig(tmp_path / "lap.svg")
     assert (tmp_path / "lap.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ({"laps": 0}, "laps is 0, allowed: an integer, 1 to 1000"),
+        ({"runs": 0}, "runs is 0, allowed: an integer, 1 to 100000"),
+        ({"runs": 2.5}, "runs is 2.5, allowed"),
+        ({"seed": -1}, "seed is -1, allowed: an integer, 0 to 2147483647"),
+    ],
+)
+def test_a_number_out_of_range_is_one_line(argument, message):
+    with pytest.raises(quadjax.InputError, match=message):
+        quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", "e2e_shac", **argument)
+
+
+@pytest.mark.parametrize(
+    ("learner", "values", "message"),
+    [
+        ("SHAC", {"horizon": 0}, "SHAC: horizon is 0, allowed: a whole number, at least 1"),
+        ("PPO", {"typo": 1}, "PPO: unknown key typo"),
+        ("PPO", {"learning_rate": float("nan")}, "PPO: learning_rate is nan, allowed: finite"),
+        ("Network", {"hidden": []}, "Network: hidden is "),
+    ],
+)
+def test_a_wrong_hyperparameter_is_one_line(learner, values, message):
+    with pytest.raises(quadjax.InputError, match=message) as error:
+        getattr(quadjax, learner)(**values)
+    assert "\n" not in str(error.value)
+
+
+def test_a_preset_is_trained_by_its_name(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".quadjax.json").write_text('{"kind": "sweep"}')
+    with pytest.raises(quadjax.InputError, match="holds a sweep, not a training"):
+        quadjax.train("e2e_shac", tmp_path / "run")
+    with pytest.raises(quadjax.InputError, match="e2e_shak"):
+        quadjax.train("e2e_shak")
 
 
 def test_a_wrong_start_or_policy_is_one_line():

@@ -8,12 +8,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import SerializeAsAny
 
+from quadjax.core.arguments import MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.errors import InputError
 from quadjax.core.sections import Field, Section, to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection, Network
 
-MAX_LAPS, MAX_RUNS = 1000, 100_000  # of one evaluation, which is simulated all at once
 Fraction = Annotated[float, Field(ge=0, le=0.9)]
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -307,7 +307,7 @@ class Config(Section):
         pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]{0,99}$",
         description="of the run; results are written to runs/NAME",
     )
-    seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of all random numbers of training")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of all random numbers of training")
     vehicle: Vehicle = Vehicle()
     track: Track
     observation: Observation = Observation()

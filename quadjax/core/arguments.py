@@ -9,8 +9,8 @@ from typing import Any, NoReturn
 
 from quadjax.core.errors import InputError
 
-MAX_LAPS = 1000
-MAX_RUNS = 100_000
+MAX_LAPS, MAX_RUNS = 1000, 100_000  # of one evaluation, which is simulated all at once
+MAX_SEED = 2**31 - 1
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -131,9 +131,9 @@ def count_up_to(most: int) -> Callable[[str], int]:
 
 
 def seed(text: str) -> int:
-    """An integer from 0 to 2^31 - 1, for ``type=``."""
-    if not (text.isascii() and text.isdigit()) or len(text) > 10 or int(text) >= 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected an integer, 0 to {2**31 - 1}")
+    """An integer from 0 to ``MAX_SEED``, for ``type=``."""
+    if not (text.isascii() and text.isdigit()) or len(text) > 10 or int(text) > MAX_SEED:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected an integer, 0 to {MAX_SEED}")
     return int(text)
 
 

@@ -1,11 +1,10 @@
-"""The exception for bad input, and the reporting of errors by commands."""
+"""The exception for bad input, a check of integers, and the reporting of errors by commands."""
 
 import contextlib
-import functools
 import os
 import sys
 from collections.abc import Callable
-from typing import NoReturn
+from numbers import Integral
 
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
@@ -14,6 +13,12 @@ DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the tr
 
 class InputError(ValueError):
     """Bad input: one line that names the file, key, row or value and what is allowed."""
+
+
+def check_integer(name: str, value: object, least: int, most: int) -> None:
+    """Raise an ``InputError`` that names the argument unless it is an integer in the range."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or not least <= value <= most:
+        raise InputError(f"{name} is {value!r}, allowed: an integer, {least} to {most}")
 
 
 def run_command(main: Callable[[], int | None]) -> int:
@@ -40,16 +45,6 @@ def run_command(main: Callable[[], int | None]) -> int:
             raise
         print(f"error: {line}", file=sys.stderr)
         return BAD_INPUT
-
-
-def command_line(main: Callable[[], int | None]) -> Callable[[], NoReturn]:
-    """A main function that exits with its status; see ``run_command``."""
-
-    @functools.wraps(main)
-    def wrapped() -> NoReturn:
-        sys.exit(run_command(main))
-
-    return wrapped
 
 
 def error_line(error: BaseException) -> str | None:

@@ -27,10 +27,11 @@ message of the ``InputError``; start it with the dotted key. ``section.replace(k
 changed copy, validated again.
 """
 
+import contextlib
 import re
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, Self, TypeGuard, TypeVar
 
 import pydantic
@@ -87,6 +88,19 @@ class Section(pydantic.BaseModel):
         populate_by_name=True,
         hide_input_in_errors=True,
     )
+
+    if not typing.TYPE_CHECKING:  # type checkers derive the parameters from the fields
+
+        def __init__(self, /, **values: object) -> None:
+            """A section from its values.
+
+            Raises:
+                InputError: as ``build``.
+            """
+            with _one_line_errors(type(self), values, type(self).__name__):
+                super().__init__(**values)
+
+        __init__.__pydantic_base_init__ = True  # validation of nested sections does not call it
 
     @model_validator(mode="before")
     @classmethod
@@ -145,9 +159,18 @@ def build(schema: type[SectionType], tree: Tree, source: str, prefix: str = "") 
     Raises:
         InputError: one line: source, dotted key, value and what is allowed.
     """
+    with _one_line_errors(schema, tree, source, prefix):
+        return schema.model_validate(tree)
+
+
+@contextlib.contextmanager
+def _one_line_errors(
+    schema: type[Section], tree: Tree, source: str, prefix: str = ""
+) -> Iterator[None]:
+    """Check the tree's numbers, and raise ``InputError`` for errors of pydantic in the block."""
     _check_numbers(tree, source, prefix)
     try:
-        return schema.model_validate(tree)
+        yield
     except pydantic.ValidationError as error:
         errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
         raise InputError(f"{source}: {_message(schema, errors[0], prefix)}") from None

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from quadjax import __version__
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
-from quadjax.core.errors import InputError
+from quadjax.core.arguments import MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.errors import InputError, check_integer
 from quadjax.core.files import write_npz
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
 from quadjax.evaluation.recording import (
@@ -171,7 +172,8 @@ def evaluate(
         name: of the policy, for messages and JSON; its path if not given.
 
     Raises:
-        InputError: a file that cannot be read, or a policy for another vehicle model.
+        InputError: a file that cannot be read, a policy for another vehicle model, or a number out
+            of range.
     """
     own = policy if isinstance(policy, Policy) else Policy.load(policy)
     name = name or ("policy" if isinstance(policy, Policy) else str(policy))
@@ -206,12 +208,12 @@ def evaluate_by(
     """Time laps that ``fly(race, record)`` flies; other arguments as of ``evaluate``."""
     if start not in ("hover", "random"):
         raise InputError(f"start is {start!r}, allowed: hover, random")
-    race = pilot.Race(
-        config.evaluate.laps if laps is None else laps,
-        config.evaluate.runs if runs is None else runs,
-        start == "hover",
-        seed,
-    )
+    laps = config.evaluate.laps if laps is None else laps
+    runs = config.evaluate.runs if runs is None else runs
+    check_integer("laps", laps, 1, MAX_LAPS)
+    check_integer("runs", runs, 1, MAX_RUNS)
+    check_integer("seed", seed, 0, MAX_SEED)
+    race = pilot.Race(laps, runs, start == "hover", seed)
     own = functools.partial(fly, race)
     return Evaluation(config, race, own(False)[0], deterministic, name, own)
 

@@ -13,6 +13,8 @@ if TYPE_CHECKING:  # JAX is imported when it is used
     from quadjax.learners.state import Learner
     from quadjax.learners.train import Schedules, TrainResult
 
+MAX_ENVS = 1_000_000
+MAX_UPDATE_STEPS = 250_000_000  # environment steps of an update, all of which are in memory at once
 Width = Annotated[int, Field(ge=1, le=8192)]
 
 

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from quadjax.core.environment import Environment
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, check_integer
 from quadjax.core.sections import Section
 from quadjax.learners.devices import choose_devices
 from quadjax.learners.loop import Row, check_finite, plan_chunks
@@ -73,9 +73,11 @@ def train(
         The policy, its parameters, and the metrics of every update.
 
     Raises:
-        InputError: a schedule without effect.
+        InputError: a schedule without effect, or a number out of range.
         NonFiniteError: a metric is not finite.
     """
+    check_integer("steps", steps, 1, 10**12)
+    check_integer("seed", seed, 0, 2**31 - 1)
     networks = _networks(algorithm, environment, network or Network())
     learner = _make(algorithm, environment, networks, steps, schedules or {})
     updates, chunks = _plan(steps, learner.steps_per_update)

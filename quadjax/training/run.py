@@ -13,6 +13,7 @@ from pathlib import Path
 import jax
 from jax.sharding import Mesh
 
+from quadjax.config.loading import load_config
 from quadjax.config.race import build_params
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
@@ -38,7 +39,7 @@ from quadjax.training.score import Score
 
 
 def train(
-    config: Config,
+    config: Config | Path | str,
     folder: Path | str | None = None,
     *,
     resume: bool = False,
@@ -53,7 +54,7 @@ def train(
     at every checkpoint), ``policy_last.npz`` and ``summary.json``. Ctrl-C saves and returns early.
 
     Args:
-        config: what to train.
+        config: what to train: a config, a preset's name or a YAML file.
         folder: of the run; ``runs/NAME`` if not given.
         resume: continue from the last checkpoint, if there is one.
         overwrite: remove what an earlier run left in the folder; other files stay.
@@ -70,6 +71,7 @@ def train(
     if resume and overwrite:
         raise InputError("resume and overwrite exclude each other")
     started = time.monotonic() if started is None else started
+    config = config if isinstance(config, Config) else load_config(config)
     folder = Path("runs") / config.name if folder is None else Path(folder)
     if config.run.compilation_cache:
         enable_compilation_cache()

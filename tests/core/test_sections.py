@@ -96,6 +96,14 @@ def test_build_refuses_in_one_line(tree, message):
     assert text.startswith(f"f.yaml: {message}") and "\n" not in text
 
 
+def test_a_section_made_directly_refuses_in_one_line():
+    with pytest.raises(InputError, match="^Span: begin is -1, allowed: a number, at least 0$"):
+        Span(begin=-1)
+    with pytest.raises(InputError, match="^Span: unknown key start; allowed there: begin, until$"):
+        Span(start=1.0)
+    assert Span(begin=1, end=2.0) == Span(begin=1.0, until=2)
+
+
 def test_prefix_names_the_section():
     with pytest.raises(InputError, match=re.escape("f.yaml: learner.count is 0, allowed: a whole")):
         build(Example, {"count": 0}, "f.yaml", prefix="learner.")

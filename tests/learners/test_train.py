@@ -46,6 +46,12 @@ def test_training_finds_the_best_action(name):
     assert result.parameters.policy["Dense_0"]["kernel"].shape == (3, 16)
 
 
+@pytest.mark.parametrize("wrong", [{"steps": 0}, {"steps": -5}, {"steps": 100, "seed": -1}])
+def test_steps_and_seed_have_bounds(wrong):
+    with pytest.raises(InputError, match=r"(steps|seed) is (0|-5|-1), allowed: an integer, [01] "):
+        DEFAULTS["ppo"].train(ENVIRONMENT, probe(), network=NETWORK, **wrong)
+
+
 def test_the_same_seed_is_the_same_run():
     def rewards(seed):
         learner = DEFAULTS["shac"]

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 from quadjax.core.sections import Field, model_validator
-from quadjax.learners.section import LearnerSection
+from quadjax.learners.section import MAX_ENVS, MAX_UPDATE_STEPS, LearnerSection
 
 if TYPE_CHECKING:
     from quadjax.core.environment import Environment
     from quadjax.learners.networks import Networks
     from quadjax.learners.state import Learner
-
-MAX_ENVS = 1_000_000
-MAX_UPDATE_STEPS = 250_000_000  # environment steps of an update, all of which are in memory at once
 
 
 class SHAC(LearnerSection):
