@@ -10,7 +10,13 @@ from mkdocs.structure.files import File, Files
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages of the reference."""
-    pages = {"reference/config.md": config_page, "reference/commands.md": commands_page}
+    pages = {
+        "reference/config.md": config_page,
+        "reference/fit_config.md": fit_page,
+        "reference/plant_config.md": plant_page,
+        "reference/sweep_file.md": sweep_page,
+        "reference/commands.md": commands_page,
+    }
     for path, page in pages.items():
         files.append(File.generated(config, path, content=page()))
     return files
@@ -18,9 +24,35 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def config_page() -> str:
     """Every key of a training config, by section."""
-    from quadjax.config.reference import markdown
+    from quadjax.config.reference import markdown, training_sections
 
-    return markdown()
+    return markdown("Config keys", training_sections())
+
+
+def fit_page() -> str:
+    """Every key of a fit's config, by section."""
+    from quadjax.config.reference import markdown, sections_of
+    from quadjax.fitting.config import FitConfig
+
+    return markdown("Fit config keys", sections_of(FitConfig, "The fit"))
+
+
+def plant_page() -> str:
+    """Every key of a stand-in plant's config, by section."""
+    from quadjax.config.reference import markdown, sections_of
+    from quadjax.plant.config import PlantConfig
+
+    return markdown("Plant config keys", sections_of(PlantConfig, "The plant"))
+
+
+def sweep_page() -> str:
+    """Every key of a sweep file, by section."""
+    from quadjax.config.reference import markdown, sections_of
+    from quadjax.core.sections import describe
+    from quadjax.sweeps.schema import Range, SweepFile
+
+    values = ("Values of `space`", describe(Range))
+    return markdown("Sweep file keys", [*sections_of(SweepFile, "The sweep"), values])
 
 
 def commands_page() -> str:

@@ -15,8 +15,8 @@ def commented_yaml(config: Config) -> str:
     return to_yaml(config.model_dump(by_alias=True), comments)
 
 
-def markdown() -> str:
-    """The reference of every key as Markdown: one table for each section."""
+def training_sections() -> list[tuple[str, list[KeyInfo]]]:
+    """Every key of a training config, by the title of its table."""
     sections = [("The run", [info for info in describe(Config) if "." not in info.key])]
     for name, field in Config.model_fields.items():
         schema = field.annotation
@@ -31,8 +31,23 @@ def markdown() -> str:
                 sections.append((title, describe(learner, "learner.")))
         elif name == "schedules":
             sections.append(("Values of `schedules`", describe(Schedule)))
-    parts = [f"## {title}\n\n{_table(keys)}" for title, keys in sections]
-    return "# Config keys\n\n" + "\n".join(parts)
+    return sections
+
+
+def sections_of(schema: type[Section], title: str) -> list[tuple[str, list[KeyInfo]]]:
+    """Every key of another schema: its own keys, and a table for each section in it."""
+    keys = describe(schema)
+    groups = dict.fromkeys(info.key.rpartition(".")[0] for info in keys)
+    return [
+        (f"`{group}`" if group else title, [k for k in keys if k.key.rpartition(".")[0] == group])
+        for group in groups
+    ]
+
+
+def markdown(title: str, sections: list[tuple[str, list[KeyInfo]]]) -> str:
+    """A page of reference as Markdown: one table for each section."""
+    parts = [f"## {name}\n\n{_table(keys)}" for name, keys in sections]
+    return f"# {title}\n\n" + "\n".join(parts)
 
 
 def _table(keys: list[KeyInfo]) -> str:

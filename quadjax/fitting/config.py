@@ -23,12 +23,16 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 class UnitsConfig(Section):
     """Units of a log's columns, which are converted to SI and rpm."""
 
-    time: Literal["s", "ms", "us"] = "s"
-    rpm: Literal["rpm", "krpm", "rad/s"] = "rpm"
-    gyro: Literal["rad/s", "deg/s"] = "rad/s"
-    acceleration: Literal["m/s^2", "g"] = "m/s^2"
-    velocity: Literal["m/s", "cm/s"] = "m/s"
-    angle: Literal["rad", "deg"] = "rad"
+    time: Literal["s", "ms", "us"] = Field("s", description="of time stamps")
+    rpm: Literal["rpm", "krpm", "rad/s"] = Field(
+        "rpm", description="of propeller speeds and their commands"
+    )
+    gyro: Literal["rad/s", "deg/s"] = Field("rad/s", description="of body rates")
+    acceleration: Literal["m/s^2", "g"] = Field(
+        "m/s^2", description="of specific force, and its bias"
+    )
+    velocity: Literal["m/s", "cm/s"] = Field("m/s", description="of body and world velocity")
+    angle: Literal["rad", "deg"] = Field("rad", description="of Euler angles")
 
 
 class LogsConfig(Section):
@@ -38,8 +42,8 @@ class LogsConfig(Section):
     format: Literal["plain", "paparazzi"] = Field("plain", description="default column names")
     columns: dict[str, list[str]] = Field({}, description="columns by quantity, overriding")
     units: UnitsConfig = UnitsConfig()
-    body_frame: Literal["FRD", "FLU"] = "FRD"
-    world_frame: Literal["NED", "ENU"] = "NED"
+    body_frame: Literal["FRD", "FLU"] = Field("FRD", description="axes of body-frame columns")
+    world_frame: Literal["NED", "ENU"] = Field("NED", description="axes of world-frame columns")
     max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
     min_seconds: Positive = Field(2.0, description="s, shortest allowed flight")
 
@@ -58,7 +62,7 @@ class LogsConfig(Section):
 class BodyConfig(Section):
     """Properties of the drone that logs do not contain; null takes the base vehicle's."""
 
-    name: str = "fitted drone"
+    name: str = Field("fitted drone", description="name in the vehicle file that is written")
     mass: Positive | None = Field(None, description="kg")
     inertia: tuple[Positive, Positive, Positive] | None = Field(
         None, description="kg m^2: xx, yy, zz"
@@ -109,13 +113,13 @@ class SplitConfig(Section):
 class ResidualConfig(Section):
     """Training of the residual networks."""
 
-    fit: bool = True
+    fit: bool = Field(True, description="false writes a vehicle without a residual")
     hidden_thrust: int = Field(32, ge=1, le=4096, description="units of the thrust network")
     hidden_moment: int = Field(32, ge=1, le=4096, description="units of the moment network")
     seeds: int = Field(5, ge=1, le=100, description="networks of an ensemble")
-    epochs: int = Field(60, ge=1, le=10**5)
-    batch: int = Field(128, ge=1, le=10**6)
-    learning_rate: float = Field(3e-3, ge=1e-6, le=1.0)
+    epochs: int = Field(60, ge=1, le=10**5, description="passes over the data")
+    batch: int = Field(128, ge=1, le=10**6, description="samples in a step of the optimizer")
+    learning_rate: float = Field(3e-3, ge=1e-6, le=1.0, description="of Adam")
     average: float = Field(0.99, ge=0.0, le=0.99999, description="decay of averaged weights")
     decay: NonNegative = Field(1e-3, description="L2 penalty on the last layer")
     noise: float = Field(
@@ -139,8 +143,8 @@ class FitConfig(Section):
     name: str = Field("fit", pattern=r"^[\w-][\w.-]*$", description="folder of results")
     runs: str = Field("runs", description="folder of that folder")
     vehicle: str = Field("bebop1.yaml", description="base vehicle, a file in configs/vehicles")
-    seed: int = Field(0, ge=0)
-    figures: bool = True
+    seed: int = Field(0, ge=0, description="of everything random in the fit")
+    figures: bool = Field(True, description="draw figures of the fit")
     logs: LogsConfig = LogsConfig()
     body: BodyConfig = BodyConfig()
     prepare: PrepareConfig = PrepareConfig()

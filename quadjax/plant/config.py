@@ -227,7 +227,7 @@ class PlantConfig(Section):
     sample_rate: Positive = Field(500.0, description="Hz, of sensors, filters and inner loop")
     control_rate: Positive = Field(500.0, description="Hz, of the policy; divides sample_rate")
     substeps: int = Field(1, ge=1, le=100, description="physics steps per sample")
-    integrator: Literal["euler", "rk4"] = "rk4"
+    integrator: Literal["euler", "rk4"] = Field("rk4", description="of a physics step")
     navigation: Literal["ekf", "ground_truth"] = Field("ekf", description="observed state")
     disturbance: Literal["ground_truth", "estimated", "none"] = Field(
         "estimated", description="observed external moment and force"
