@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core import mlp
 from quadjax.core.vectors import Rotors, Vec3
 
 Layers = tuple[tuple[jax.Array, jax.Array], ...]  # (kernel (in, out), bias (out,)) per layer
@@ -23,15 +24,6 @@ class Residual:
     rpm_min: jax.Array  # rpm that enters as -1
     rpm_max: jax.Array  # rpm that enters as +1
     thrust_sign: jax.Array  # +1: added to the body-z specific force; -1: subtracted
-
-
-def relu_network(layers: Layers, inputs: jax.Array) -> jax.Array:
-    """A dense network with ReLU between its layers and none after the last."""
-    hidden = inputs
-    for kernel, bias in layers[:-1]:
-        hidden = jax.nn.relu(hidden @ kernel + bias)
-    kernel, bias = layers[-1]
-    return hidden @ kernel + bias
 
 
 def scale_residual(residual: Residual, gain: jax.Array) -> Residual:
@@ -62,6 +54,6 @@ def residual_force_moment(
     span = residual.rpm_max - residual.rpm_min
     scaled_rpm = 2.0 * (rpm.array() - residual.rpm_min) / span - 1.0
     thrust_inputs = jnp.concatenate([scaled_rpm, body_velocity.array()])
-    force_z = residual.thrust_sign * relu_network(residual.thrust, thrust_inputs)[0]
+    force_z = residual.thrust_sign * mlp.apply(residual.thrust, thrust_inputs)[0]
     moment_inputs = jnp.concatenate([thrust_inputs, body_rates.array()])
-    return force_z, Vec3.of(relu_network(residual.moment, moment_inputs))
+    return force_z, Vec3.of(mlp.apply(residual.moment, moment_inputs))
