@@ -1,11 +1,14 @@
 """Checks that involve several keys of a config."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError
+from quadjax.core.sections import value_at
 from quadjax.core.yaml_files import close_match, short
 from quadjax.vehicle.registry import model as vehicle_model
+
+GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
 
 
 def refuse(key: str, value: object, allowed: str) -> None:
@@ -20,11 +23,11 @@ def check(config: Config) -> None:
         InputError: one line that names the key, its value and what is allowed.
     """
     _check_run(config)
-    _check_constants(config)
+    _check_model(config)
     _check_schedules(config)
-    last = at_end(config)
-    _check_gates(last)
-    _check_used(last)
+    for test in (_check_constants, _check_gates, _check_gate_edge):
+        _check_values(config, test)
+    _check_used(at_end(config))
 
 
 def at_end(config: Config) -> Config:
@@ -33,6 +36,37 @@ def at_end(config: Config) -> Config:
         if schedule.linear[-1] != "value":
             config = config.at(key, schedule.linear[-1])
     return config
+
+
+def _check_values(config: Config, test: Callable[[Config], None]) -> None:
+    """Apply a check to the config, to every value of every schedule, and to the last values."""
+    last = at_end(config)
+    base = config
+    try:
+        test(config)
+    except InputError:  # no error if the schedules never use the key's own value
+        test(last)
+        base = last
+    for key, schedule in config.schedules.items():
+        for value in schedule.linear:
+            no_penalty = key in GATE_PENALTIES and value == 0  # the schedule adds the penalty
+            if value == "value" or (no_penalty and test is _check_gate_edge):
+                continue
+            try:
+                test(base.at(key, value))
+            except InputError as error:
+                raise InputError(f"schedules.{key}: {error}") from None
+    test(last)
+
+
+def _check_model(config: Config) -> None:
+    allowed = Randomization.model_fields
+    for group in vehicle_model(config.vehicle.model).groups:
+        if group not in allowed:
+            raise InputError(
+                f"vehicle.model is {config.vehicle.model}: its groups name {group!r}, allowed: "
+                f"the keys of randomization: {', '.join(allowed)}"
+            )
 
 
 def _check_run(config: Config) -> None:
@@ -91,11 +125,11 @@ def _check_name(key: str, name: str, names: Sequence[str]) -> None:
 
 def _check_schedules(config: Config) -> None:
     for key, schedule in config.schedules.items():
-        own = value_at(config, key)
+        own = _value_at(config, key)
         if not isinstance(own, float) or isinstance(own, bool):
             raise InputError(f"schedules: {key} is {short(own)}, allowed: the key of a number")
         _check_times(config, key, schedule)
-        default = value_at(_defaults(config), key)
+        default = _value_at(_defaults(config), key)
         if "value" not in schedule.linear and own not in (default, *schedule.linear):
             refuse(
                 key,
@@ -105,19 +139,27 @@ def _check_schedules(config: Config) -> None:
             )
         for value in schedule.linear:
             if value != "value":
-                config.at(key, value)
+                _at(config, key, value)
+
+
+def _at(config: Config, key: str, value: float) -> Config:
+    """The config at one value of a schedule."""
+    try:
+        return config.at(key, value)
+    except InputError as error:
+        raise InputError(f"schedules.{key}: {error}") from None
 
 
 def _defaults(config: Config) -> Config:
     return Config.model_construct(track=config.track, learner=type(config.learner)())
 
 
-def value_at(config: Config, key: str) -> object:
-    """The value at a dotted key; None if there is no such key."""
-    node: object = config
-    for part in key.split("."):
-        node = node.get(part) if isinstance(node, dict) else getattr(node, part, None)
-    return node
+def _value_at(config: Config, key: str) -> object:
+    """The value at a schedule's key; None for a factor that a mapping does not list."""
+    try:
+        return value_at(config, key, missing=None)
+    except InputError as error:
+        raise InputError(f"schedules: {error}") from None
 
 
 def _check_times(config: Config, key: str, schedule: Schedule) -> None:
@@ -137,7 +179,7 @@ def _check_times(config: Config, key: str, schedule: Schedule) -> None:
 
 
 def _check_gates(config: Config) -> None:
-    """Check that gates can be reached and passed, and that widened gates have an edge penalty."""
+    """Check that gates can be reached and passed."""
     limit, inflation = config.rules.position_limit, config.training_limits.gate_inflation
     for index, gate in enumerate(config.track.gates):
         key = f"track.gates[{index}]"
@@ -154,7 +196,11 @@ def _check_gates(config: Config) -> None:
                 gate.size,
                 f"above {-2 * inflation:g} with training_limits.gate_inflation {inflation}",
             )
-    reward = config.reward
+
+
+def _check_gate_edge(config: Config) -> None:
+    """Check that widened gates have a penalty, which depends on the distance to the edge."""
+    reward, inflation = config.reward, config.training_limits.gate_inflation
     if inflation > 0 and not (reward.gate_edge > 0 or reward.gate_offset > 0):
         refuse(
             "training_limits.gate_inflation",
@@ -188,15 +234,16 @@ def _check_used(config: Config) -> None:
     for group in Randomization.model_fields:
         if group not in model.groups:
             unused[f"randomization.{group}"] = with_model
-    if config.vehicle.model == "motor":
+    if not model.uses_start_thrust:
         unused["start.thrust"] = with_model
     if config.reward.gate_edge == 0 and "reward.gate_edge" not in config.schedules:
         unused["reward.gate_edge_margin"] = "without reward.gate_edge"
     for key, reason in unused.items():
         if key in config.schedules:
             raise InputError(f"schedules: {key} has no effect {reason}; write schedules.{key}=null")
-        value, default = value_at(config, key), value_at(defaults, key)
+        value, default = value_at(config, key), value_at(defaults, key, missing=None)
         if value != default:
-            refuse(key, value, f"{short(default)} {reason}, as it would have no effect")
+            shown = "null" if default is None else short(default)
+            refuse(key, value, f"{shown} {reason}, as it would have no effect")
     if config.observation.disturbance == "estimated" and model.balance is None:
         refuse("observation.disturbance", "estimated", f"ground_truth or none {with_model}")

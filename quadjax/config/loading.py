@@ -180,6 +180,12 @@ def _with_constants(vehicle: Tree, source: str) -> Tree:
     """The vehicle section with the constants of its model, complete."""
     vehicle = dict(vehicle)
     models = vehicle.get("models", {})
+    if not isinstance(models, dict):
+        raise InputError(f"{source}: vehicle.models is {short(models)}, allowed: a mapping")
+    for key, values in models.items():
+        if not isinstance(values, dict):
+            given = f"vehicle.models.{key} is {short(values)}"
+            raise InputError(f"{source}: {given}, allowed: a mapping of constants")
     name, own = vehicle.get("model", "motor"), vehicle.get("constants", {})
     if not isinstance(name, str):
         raise InputError(f"{source}: vehicle.model is {short(name)}, allowed: motor, rate or text")

@@ -196,7 +196,7 @@ def _check_numbers(value: object, source: str, key: str) -> None:
 def _message(schema: type[Section], error: Mapping, prefix: str) -> str:
     location = tuple(part for part in error["loc"] if not _UNION_TAG.fullmatch(str(part)))
     *parents, last = location or ("",)
-    dotted = prefix + _dotted(location)
+    dotted = prefix + _dotted(location) if location else prefix.rstrip(".")
     if error["type"] == "extra_forbidden":
         names = _keys(_section_of(_at(schema, parents)[0]) or schema)
         there = f"allowed there: {', '.join(sorted(names))}"
@@ -300,18 +300,22 @@ def _number(bound: float) -> str:
     )
 
 
-def value_at(section: Section, key: str) -> object:
-    """A section's value of a dotted key; 1.0 for a factor that a mapping does not list.
+def value_at(section: Section, key: str, missing: object = 1.0) -> object:
+    """A section's value of a dotted key; ``missing`` for a factor that a mapping does not list.
 
     Raises:
         InputError: no such key, or a section.
     """
     node: object = section
-    for part in key.split("."):
+    parts = key.split(".")
+    for index, part in enumerate(parts):
+        rest = ".".join(parts[index:])
+        if isinstance(node, Mapping) and (rest in node or ":" in rest):  # "module.of.mine:function"
+            return node.get(rest, missing)
         known = node if isinstance(node, Mapping) else getattr(node, "__dict__", {})
         if part not in known and not isinstance(node, Mapping):
             raise InputError(f"{key}: unknown key; allowed there: {', '.join(known)}")
-        node = known.get(part, 1.0)
+        node = known.get(part, missing)
     if isinstance(node, Section):
         raise InputError(f"{key}: is a section of the keys {', '.join(vars(node))}")
     return node

@@ -99,7 +99,8 @@ class VehicleModel:
         hover: ``(constants, motion) -> state``: as ``start``, with the actuators of a hover.
         specific_force: ``(params, state) -> Vec3``, what an ideal accelerometer measures, m/s^2,
             body.
-        groups: names of constants by the group of ``randomization`` that scales them.
+        groups: names of constants by the group of ``randomization`` that scales them; a group is a
+            key of that section.
         positive: names of constants that must be above zero.
         ranges: pairs of names of constants: 0 <= first < second.
         lags: names of the time constants, s.
@@ -108,6 +109,7 @@ class VehicleModel:
         to_body: ``(state, vector) -> Vec3``: a world-frame vector in the body frame.
         wrap: ``(state) -> state`` with angles wrapped or a quaternion normalized, after each step.
         pitch_limit: rad; the largest pitch at which the state is valid, inf if any.
+        uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
         has_residual: whether ``VehicleParams.residual`` is used.
         disturbance: ``(state) -> (moment, force)``: external moment, N m, and specific force,
             m/s^2, body; None where the model has none.
@@ -140,6 +142,7 @@ class VehicleModel:
     to_body: Callable[[State, Vec3], Vec3] = _to_body
     wrap: Callable[[State], State] = _wrap
     pitch_limit: float = math.radians(89.0)
+    uses_start_thrust: bool = False
     has_residual: bool = False
     disturbance: Callable[[State], tuple[Vec3, Vec3]] | None = None
     with_disturbance: Callable[[State, Vec3, Vec3], State] = _ignore_disturbance

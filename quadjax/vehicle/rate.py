@@ -106,4 +106,5 @@ MODEL = VehicleModel(
     ranges=(("thrust_min", "thrust_max"),),
     lags=("tau_rate", "tau_thrust"),
     thrust_to_weight=lambda c: c["thrust_max"] / c["g"],
+    uses_start_thrust=True,
 )

@@ -14,6 +14,8 @@ from quadjax.core.yaml_files import read_yaml
 from tests import reference as ref
 
 BLANK = Path(__file__).parent.parent / "blank.yaml"
+OWN_GROUP = "vehicle.model=tests.config.models:OWN_GROUP"
+NO_THRUST = "vehicle.model=tests.config.models:NO_THRUST"
 
 
 def refusal(path, *overrides):
@@ -186,11 +188,13 @@ REFUSED = [
     ("learner.clip_range=0", "learner.clip_range is 0, allowed: a number, above 0"),
     ("learner.num_epochs=1e20", "learner.num_epochs is 100000000000000000000, allowed: a whole"),
     ("learner.num_envs=10000000", "learner.num_envs is 10000000, allowed: a whole number"),
-    ("learner.num_minibatches=7", "num_minibatches is 7, allowed: a divisor"),
+    ("learner.num_minibatches=7", "learner: num_minibatches is 7, allowed: a divisor"),
     ("vehicle.constants.k_q2=1", "unknown key vehicle.constants.k_q2; did you mean k_q"),
     ("vehicle.model=boat", "vehicle.model is 'boat', allowed: motor, rate"),
     ("vehicle.integrator=heun", "vehicle.integrator is 'heun', allowed: one of euler, rk4"),
     ("vehicle.file=none.yaml", "'none.yaml': no such file"),
+    ("vehicle.models=null", "vehicle.models is None, allowed: a mapping"),
+    ("vehicle.models={rate: 5}", "vehicle.models.rate is 5, allowed: a mapping of constants"),
     ("vehicle.constants=3", "vehicle.constants is 3, allowed: a mapping"),
     ("vehicle.constants.k_w=heavy", "vehicle.constants.k_w is 'heavy', allowed: a mapping of"),
     ("vehicle.constants.k_w=0", "vehicle.constants.k_w is 0.0, allowed: a positive number"),
@@ -247,11 +251,38 @@ REFUSED = [
     ("run.shards=3", "run.shards is 3, allowed: a power of two"),
     ("run.steps=2.5", "run.steps is 2.5, allowed: a whole number"),
     ("evaluate.runs=1e6", "evaluate.runs is 1000000, allowed: a whole number, at least 1, at most"),
-    ("schedules.reward.gates.linear=[0, 1]", "schedules: reward.gates is None, allowed: the key"),
+    (
+        "schedules.reward.gates.linear=[0, 1]",
+        "schedules: reward.gates: unknown key; allowed there: progress, gate",
+    ),
     ("schedules.run.steps.linear=[0, 1]", "schedules: run.steps is 40000000, allowed: the key of"),
     ("schedules.reward.gate.linear=[0]", "schedules.reward.gate.linear is [0], allowed: a list of"),
     ("schedules.reward.gate={}", "schedules.reward.gate.linear is missing"),
-    ("schedules.learner.discount={linear: [0.9, 1.0]}", "discount is 1.0, allowed: a number"),
+    (
+        "schedules.learner.discount={linear: [0.9, 1.0]}",
+        "schedules.learner.discount: PPO: discount",
+    ),
+    (
+        "schedules.vehicle.constants.tau={linear: [0.06, 1e-4, value]}",
+        "schedules.vehicle.constants.tau: vehicle.constants.tau is 0.0001, allowed: above 0.005 s",
+    ),
+    (
+        "schedules.vehicle.constants.tau={linear: [0.06, 1e-4]}",
+        "schedules.vehicle.constants.tau: vehicle.constants.tau is 0.0001, allowed: above 0.005 s",
+    ),
+    (
+        "schedules.rules.position_limit={linear: [0.5, 10]}",
+        "schedules.rules.position_limit: track.gates[0].position is [2.0, -1.5, -1.5], allowed",
+    ),
+    (
+        "schedules.training_limits.gate_inflation={linear: [-3, value]}",
+        "schedules.training_limits.gate_inflation: track.gates[0].size is [1.0, 1.0], allowed",
+    ),
+    (
+        "schedules.randomization.limits={linear: [0, 0.9]}",
+        "schedules.randomization.limits: vehicle.constants.rpm_min is 3000.0, allowed: at least 0",
+    ),
+    ("schedules.vehicle.mismatch.k_w={linear: [1, 0.9]}", "schedules: vehicle.mismatch.k_w is No"),
     ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
     ("learner.clip_range", "'learner.clip_range' is not of the form key=value"),
     ("episode.dt=0.01", "overrides: episode.dt is now rules.time_step"),
@@ -281,7 +312,12 @@ def test_refused(override, message):
         (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
         (["training_limits.gate_inflation=0.97", "reward.gate_edge=1"], "gate_inflation is 0.97"),
         (["reward.gate_edge_margin=0.5", "reward.gate_edge=1"], "gate_edge_margin is 0.5, allowed"),
-        (["vehicle.model=rate", "vehicle.residual=file.npz"], "vehicle.residual is 'file.npz'"),
+        (
+            ["vehicle.model=rate", "vehicle.residual=file.npz"],
+            "vehicle.residual is 'file.npz', allowed: null with vehicle.model=rate",
+        ),
+        ([OWN_GROUP], "OWN_GROUP: its groups name 'wings', allowed: the keys of randomization: gr"),
+        ([NO_THRUST, "start.thrust=[7, 8]"], "start.thrust is [7.0, 8.0], allowed: [7.4, 7.6] wit"),
         (["vehicle.model=rate", "disturbance.moment_bias=[0.01,0,0]"], "disturbance.moment_bias"),
         (["vehicle.model=rate", "disturbance.force_z=1"], "disturbance.force_z is 1.0"),
         (["vehicle.model=rate", "randomization.thrust=0.1"], "randomization.thrust is 0.1"),
@@ -312,6 +348,34 @@ def test_a_schedule_without_effect_says_how_to_remove_it(override):
     expected = "vehicle.residual_gain has no effect without vehicle.residual; write schedules."
     assert expected in refusal("e2e", override)
     assert load_config("e2e", [override, "schedules.vehicle.residual_gain=null"])
+
+
+def test_a_schedule_may_start_where_the_last_values_are_needed():
+    """A key's own value that its schedule never takes is not checked."""
+    far = "track.gates=[{position: [15, 0, -1]}]"
+    limit = "schedules.rules.position_limit={linear: [20, 30]}"
+    rates = "schedules.reward.body_rates={linear: [0.1, value]}"
+    assert load_config(BLANK, [far, limit, rates])
+    assert load_config(
+        BLANK,
+        [
+            "training_limits.gate_inflation=0.3",
+            "reward={gate_edge: 5, gate_offset: 0}",
+            "schedules.reward.gate_edge={linear: [0, value]}",
+        ],
+    )
+
+
+def test_the_weight_of_an_own_term_can_be_scheduled():
+    own = "tests.race.test_extensions:speed"
+    config = load_config(
+        BLANK,
+        [
+            f"reward.terms={{{own}: 0.5}}",
+            f"schedules={{'reward.terms.{own}': {{linear: [0, value]}}}}",
+        ],
+    )
+    assert config.schedules[f"reward.terms.{own}"].linear == (0.0, "value")
 
 
 def test_at_changes_one_key():

@@ -1,0 +1,8 @@
+"""Vehicle models for the tests of configs."""
+
+import dataclasses
+
+from quadjax.vehicle import rate
+
+OWN_GROUP = dataclasses.replace(rate.MODEL, groups={**rate.MODEL.groups, "wings": ("d_x",)})
+NO_THRUST = dataclasses.replace(rate.MODEL, uses_start_thrust=False)
