@@ -1,0 +1,60 @@
+"""The C of the shipped policies: the hash of every C file and header in ``shipped_c.json``.
+
+The vectors of the self-tests are drawn here rather than taken from simulated flights, which differ
+in the last bits between processors. ``python -m tests.export.test_shipped`` writes the hashes.
+"""
+
+import dataclasses
+import hashlib
+import json
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.export.conversion import RESIDUAL_FILE, Request, convert_again, sources
+from quadjax.export.flights import Rollouts
+
+HASHES = Path(__file__).parent / "shipped_c.json"
+NAMES = sorted({path.stem for path in PRETRAINED.glob("*.npz")} - {"standin_residual"})
+CASES = [*NAMES, "e2e with e2e_shac"]
+ROWS = 200
+
+
+def hashes_of(case: str, folder: Path) -> dict[str, str]:
+    """SHA-256 of every C file and header of a policy, with or without a config, by name."""
+    name, _, config = case.partition(" with ")
+    shutil.copy(PRETRAINED / "standin_residual.npz", folder / RESIDUAL_FILE)
+    path = PRETRAINED / f"{name}.npz"
+    request = Request(path, folder, config=CONFIGS / f"{config}.yaml" if config else None)
+    found = convert_again(request, path.name, None)
+    rng = np.random.default_rng(0)
+    rollouts = Rollouts(
+        rng.uniform(-0.25, 0.25, (ROWS, found.network.inputs)).astype(np.float32),
+        rng.uniform(-0.25, 0.25, (ROWS, found.race.state_size)).astype(np.float32),
+        rng.integers(0, found.race.gates, ROWS).astype(np.int32),
+    )
+    files = sources(dataclasses.replace(found, rollouts=rollouts))
+    return {
+        file: hashlib.sha256(text.encode()).hexdigest()
+        for file, text in sorted(files.items())
+        if file.endswith((".c", ".h"))
+    }
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_c_of_a_shipped_policy_stays_the_same(case, tmp_path):
+    assert hashes_of(case, tmp_path) == json.loads(HASHES.read_text())[case]
+
+
+def test_the_hashes_are_of_the_shipped_policies():
+    assert list(json.loads(HASHES.read_text())) == CASES
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as work:
+        text = json.dumps({case: hashes_of(case, Path(work)) for case in CASES}, indent=2)
+    HASHES.write_text(text + "\n")
