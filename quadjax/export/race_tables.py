@@ -219,6 +219,10 @@ def _spans(policy: Policy, box: InputBox, name: str) -> list[tuple[int, Rescale 
     size = policy.layout[name].size
     commands = zip(policy.command_low.tolist(), policy.command_high.tolist(), strict=True)
     spans = policy.layout[name].span or tuple(commands)[-size:]
+    for low, high in spans:
+        if low == high:
+            allowed = "allowed: a width above zero"
+            raise InputError(f"the policy's layout: {name} has a span of {[low, high]}, {allowed}")
     return [_span(low, high, box.exponent(name)) for low, high in spans]
 
 

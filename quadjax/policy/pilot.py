@@ -142,10 +142,13 @@ def _observation_scale(shown: Layout, own: Layout) -> Ranges:
 
 
 def _between(source: Ranges, target: Ranges) -> Ranges:
-    """Scale and offset from numbers in [-1, 1] over one range to those over another."""
+    """Scale and offset from numbers in [-1, 1] over one range to those over another.
+
+    Both are zero where the other range has no width.
+    """
     (low, high), (to_low, to_high) = source, target
-    scale = (high - low) / (to_high - to_low)
-    return scale, (high + low - to_high - to_low) / (to_high - to_low)
+    width = np.where(to_high == to_low, np.inf, to_high - to_low)
+    return (high - low) / width, (high + low - to_high - to_low) / width
 
 
 def see(pilot: Pilot, observation: jax.Array) -> jax.Array:

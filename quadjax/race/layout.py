@@ -53,7 +53,7 @@ class Field:
         range: largest magnitude of a network input, a power of two: the default of the export.
         value: ``(view) -> numbers``, each (), pure; None in the layout of a file.
         scale: ``(model, params) -> (lowest, highest)`` that are scaled to -1 and 1; a lowest of
-            None is minus the highest, and a highest of zero gives zero. None: not scaled.
+            None is minus the highest, and a range of zero width gives zero. None: not scaled.
         source: where the numbers of a disturbance come from: one of ``SOURCES``.
         span: the numbers of ``scale``, one pair for each; None where unknown or not scaled.
     """
@@ -101,8 +101,9 @@ class Field:
 
 
 def scale_to_unit(value: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Map [low, high] to [-1, 1]."""
-    return (2.0 * value - low - high) / (high - low)
+    """Map [low, high] to [-1, 1]; zero if the range has no width."""
+    width = high - low
+    return (2.0 * value - low - high) / jnp.where(width == 0, jnp.inf, width)
 
 
 @dataclasses.dataclass(frozen=True)

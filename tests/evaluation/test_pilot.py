@@ -11,7 +11,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.policy import pilot
 from quadjax.policy.inference import mean_action, policy_params
 from quadjax.race import environment
-from quadjax.race.layout import Layout
+from quadjax.race.layout import Field, Layout
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
 
@@ -89,6 +89,22 @@ def test_sampling_and_the_mean_share_an_actor():
     sampled = pilot.fly(ready.replace(noise=jnp.float32(1.0)), seen, noise)
     wanted = np.clip(np.asarray(mean) + 0.1 * np.exp(-1.0), -1, 1)
     np.testing.assert_allclose(sampled, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "scale", "offset"),
+    [
+        ((-1.0, 1.0), (0.0, 0.0), 0.0, 0.0),  # trained with zeros
+        ((0.0, 0.0), (-2.0, 2.0), 0.0, 0.0),  # shown zeros
+        ((3.0, 3.0), (3.0, 3.0), 0.0, 0.0),
+        ((0.0, 2.0), (-2.0, 2.0), 0.5, 0.5),
+    ],
+)
+def test_ranges_without_width_are_seen_as_zero(here, there, scale, offset):
+    field = Field("height", 1, "m", "")
+    shown, own = (Layout((dataclasses.replace(field, span=(s,)),)) for s in (here, there))
+    found = pilot._observation_scale(shown, own)
+    np.testing.assert_array_equal(found, [[scale], [offset]])
 
 
 def test_what_does_not_fit_is_refused():

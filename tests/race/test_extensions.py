@@ -138,6 +138,16 @@ def test_own_objects_are_named_in_the_config():
         make_race(f"rules.extra=[{own}:HEIGHT]")
 
 
+@pytest.mark.parametrize("span", [(None, 0.0), (2.0, 2.0)])
+def test_a_field_whose_range_has_no_width_gives_zero(span):
+    choices, params = make_race()
+    field = dataclasses.replace(HEIGHT, scale=lambda model, params: span)
+    own = dataclasses.replace(choices, layout=make_layout(MODEL, extra=(field,)))
+    state = race_state("motor", level(ref.GATES[:2], np.ones(3)), [0, 1])
+    shown = np.asarray(compiled_observe(own)(params, state))
+    np.testing.assert_array_equal(shown[:, own.layout.slice("height")], 0.0)
+
+
 def test_a_layout_survives_its_file():
     choices, params = make_race("disturbance.moment_x=0.03")
     layout = choices.layout.with_spans(choices.model, params)
