@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import optax
 
 import quadjax
-from quadjax.learners.section import LearnerSection
-from quadjax.learners.state import Learner, TrainState
+from quadjax import Learner, LearnerSection, TrainState
 
 
 class GradientAscent(LearnerSection):

@@ -12,7 +12,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from quadjax.config.loading import load_config as load
     from quadjax.config.race import make_race
-    from quadjax.config.schema import Config
+    from quadjax.config.schema import Config, Schedule
     from quadjax.core.environment import Environment
     from quadjax.core.errors import InputError
     from quadjax.core.resources import preset_names as presets
@@ -20,19 +20,22 @@ if TYPE_CHECKING:
     from quadjax.evaluation.evaluation import Evaluation, evaluate
     from quadjax.export.convert import export_c
     from quadjax.learners.ppo.hyperparameters import PPO
-    from quadjax.learners.section import Network
+    from quadjax.learners.section import LearnerSection, Network
     from quadjax.learners.shac.hyperparameters import SHAC
+    from quadjax.learners.state import Learner, TrainState
     from quadjax.learners.train import TrainResult
     from quadjax.policy.file import Policy
-    from quadjax.race.layout import Field, Layout
+    from quadjax.race.context import StepContext
+    from quadjax.race.layout import Field, Layout, View
     from quadjax.training.result import Run
     from quadjax.training.run import train
-    from quadjax.vehicle.protocol import VehicleModel
+    from quadjax.vehicle.protocol import Measurement, Motion, Signal, VehicleModel, VehicleParams
 
 _PUBLIC = {  # name: "module:object"
     "load": "quadjax.config.loading:load_config",
     "presets": "quadjax.core.resources:preset_names",
     "Config": "quadjax.config.schema:Config",
+    "Schedule": "quadjax.config.schema:Schedule",
     "make_race": "quadjax.config.race:make_race",
     "train": "quadjax.training.run:train",
     "Run": "quadjax.training.result:Run",
@@ -44,8 +47,17 @@ _PUBLIC = {  # name: "module:object"
     "SHAC": "quadjax.learners.shac.hyperparameters:SHAC",
     "Network": "quadjax.learners.section:Network",
     "TrainResult": "quadjax.learners.train:TrainResult",
+    "LearnerSection": "quadjax.learners.section:LearnerSection",
+    "Learner": "quadjax.learners.state:Learner",
+    "TrainState": "quadjax.learners.state:TrainState",
     "Environment": "quadjax.core.environment:Environment",
     "VehicleModel": "quadjax.vehicle.protocol:VehicleModel",
+    "VehicleParams": "quadjax.vehicle.protocol:VehicleParams",
+    "Signal": "quadjax.vehicle.protocol:Signal",
+    "Motion": "quadjax.vehicle.protocol:Motion",
+    "Measurement": "quadjax.vehicle.protocol:Measurement",
+    "StepContext": "quadjax.race.context:StepContext",
+    "View": "quadjax.race.layout:View",
     "Field": "quadjax.race.layout:Field",
     "Layout": "quadjax.race.layout:Layout",
     "Section": "quadjax.core.sections:Section",
@@ -53,20 +65,30 @@ _PUBLIC = {  # name: "module:object"
 }
 
 __all__ = [
-    "PPO",
-    "SHAC",
     "Config",
     "Environment",
     "Evaluation",
     "Field",
     "InputError",
     "Layout",
+    "Learner",
+    "LearnerSection",
+    "Measurement",
+    "Motion",
     "Network",
+    "PPO",
     "Policy",
     "Run",
+    "SHAC",
+    "Schedule",
     "Section",
+    "Signal",
+    "StepContext",
     "TrainResult",
+    "TrainState",
     "VehicleModel",
+    "VehicleParams",
+    "View",
     "__version__",
     "evaluate",
     "export_c",

@@ -5,8 +5,8 @@ import pytest
 from quadjax.cli import main
 
 
-def run(*words: object) -> int:
-    """The exit status of ``quadjax WORDS``."""
+def run(*arguments: object) -> int:
+    """The exit status of ``quadjax ARGUMENTS``."""
     with pytest.raises(SystemExit) as end:
-        main(None, [str(word) for word in words])
+        main(None, [str(each) for each in arguments])
     return end.value.code

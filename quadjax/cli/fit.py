@@ -4,41 +4,56 @@ DIR/NAME gets vehicle.yaml (for vehicle.file=), residual.npz (for vehicle.residu
 report.json, config.yaml and figures.
 """
 
+import argparse
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
-from quadjax.core.arguments import Parser, add_config, parse
+from quadjax.core.arguments import Parser, add_config, add_name, add_output, overrides_of, parse
+from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("fit", description=__doc__)
+    add_config(parser, "a YAML file of configs/fit")
+    add_name(parser)
+    add_output(parser)
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace an earlier fit of the same name"
+    )
+    return parse(parser, argv)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read the config, fit, print, write."""
     started = time.monotonic()
-    parser = Parser("fit", description=__doc__)
-    add_config(parser, "a YAML file of configs/fit")
-    options = parse(parser, arguments)
+    options = _arguments(arguments)
     with loading():
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        from quadjax.core.folders import claim
+        from quadjax.core.folders import claim, remove_files
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.figures import write_figures
         from quadjax.fitting.flight_log import find_logs
         from quadjax.fitting.pipeline import run_fit
-        from quadjax.fitting.report import tables, write_results
+        from quadjax.fitting.report import earlier_files, tables, write_results
 
     path = find_config(options.config, "fit")
-    config = load_fit_config(path, options.overrides)
-    folder = Path(config.runs) / config.name
+    config = load_fit_config(path, overrides_of(options))
+    folder = options.output / config.name
     find_logs(config.logs, path.parent)  # before the folder is created
     columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     quiet = not console.is_terminal
     bar = Progress(*columns, console=console, transient=True, disable=quiet)
     with claim(folder, "fit"), bar as progress:
+        earlier = earlier_files(folder)
+        if earlier and not options.overwrite:
+            raise InputError(
+                f"{folder} holds a fit already: replace it (--overwrite) or choose another name"
+            )
         task = progress.add_task("starting", total=8 if config.residual.fit else 4)
 
         def report(line: str) -> None:
@@ -46,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         result = run_fit(config, path.parent, report)
         report("writing")
+        remove_files(folder, earlier)
         written = write_results(result, folder)
         if config.figures:
             written += write_figures(result, folder)

@@ -89,8 +89,8 @@ def configs_of(argv: Sequence[str]) -> tuple[dict[str, str], list[str]]:
     from quadjax.config.loading import load_config
     from quadjax.evaluation.curves import check_laps
 
-    overrides = [word for word in argv if "=" in word and "/" not in word.partition("=")[0]]
-    files = [str(find_config(word)) for word in argv if word not in overrides]
+    overrides = [each for each in argv if "=" in each and "/" not in each.partition("=")[0]]
+    files = [str(find_config(each)) for each in argv if each not in overrides]
     configs = [load_config(path, overrides) for path in files]
     names = [config.name for config in configs]
     if not names:

@@ -249,13 +249,13 @@ def _is_section(hint: object) -> TypeGuard[type[Section]]:
 
 
 def allowed(field: FieldInfo) -> str:
-    """The values that a field takes, in words: ``"a whole number from 1 to 4096, or null"``."""
+    """The values that a field takes, as text: ``"a whole number from 1 to 4096, or null"``."""
     options = [option for option in _options(field.annotation) if option is not type(None)]
-    words = " or ".join(_words(option) for option in options) + _bounds(field)
-    return f"{words}, or null" if len(options) < len(_options(field.annotation)) else words
+    text = " or ".join(_type_text(option) for option in options) + _bounds(field)
+    return f"{text}, or null" if len(options) < len(_options(field.annotation)) else text
 
 
-def _words(hint: object, plural: bool = False) -> str:
+def _type_text(hint: object, plural: bool = False) -> str:
     if typing.get_origin(hint) is typing.Annotated:
         hint = typing.get_args(hint)[0]
     if typing.get_origin(hint) is Literal:
@@ -263,9 +263,9 @@ def _words(hint: object, plural: bool = False) -> str:
     inner = typing.get_args(hint)
     if typing.get_origin(hint) in (tuple, list):
         count = f"{len(inner)} " if inner[-1] is not Ellipsis and len(inner) > 1 else ""
-        return f"a list of {count}{_words(inner[0], plural=True)}"
+        return f"a list of {count}{_type_text(inner[0], plural=True)}"
     if typing.get_origin(hint) is dict:
-        return f"a mapping of names to {_words(inner[-1], plural=True)}"
+        return f"a mapping of names to {_type_text(inner[-1], plural=True)}"
     names: dict[Any, tuple[str, str]] = {
         bool: ("true or false", "true or false"),
         int: ("a whole number", "whole numbers"),
@@ -277,19 +277,19 @@ def _words(hint: object, plural: bool = False) -> str:
 
 
 def _bounds(field: FieldInfo) -> str:
-    words, counts = [], []
+    bounds, counts = [], []
     for item in field.metadata:
         for name, text in (("ge", "at least"), ("gt", "above"), ("le", "at most"), ("lt", "below")):
             if (bound := getattr(item, name, None)) is not None:
-                words.append(f"{text} {_number(bound)}")
+                bounds.append(f"{text} {_number(bound)}")
         for name, text in (("min_length", "at least"), ("max_length", "at most")):
             if (bound := getattr(item, name, None)) is not None:
                 counts.append(f"{text} {bound}")
         if getattr(item, "pattern", None):
-            words.append(f"matching {item.pattern}")
+            bounds.append(f"matching {item.pattern}")
     if counts:
-        words.append(f"{', '.join(counts)} of them")
-    return "".join(f", {word}" for word in words)
+        bounds.append(f"{', '.join(counts)} of them")
+    return "".join(f", {bound}" for bound in bounds)
 
 
 def _number(bound: float) -> str:

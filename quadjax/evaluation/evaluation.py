@@ -15,6 +15,7 @@ from quadjax.config.schema import Config
 from quadjax.core.arguments import MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.errors import InputError, check_integer
 from quadjax.core.files import write_npz
+from quadjax.core.plotting import show_figure
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
 from quadjax.evaluation.recording import (
     SIGNALS,
@@ -103,9 +104,12 @@ class Evaluation:
         """Actuators and body rates of the best run over time."""
         return signals_figure(self.best, flight_title(self.best))
 
-    def show(self) -> Figure:
-        """The figure of ``plot``, which a notebook displays."""
-        return self.plot()
+    def show(self) -> None:
+        """Show the figure of ``plot``: in a notebook, or in a window until it is closed.
+
+        Without a display nothing is shown: write the figure with ``plot().savefig(path)``.
+        """
+        show_figure(self.plot())
 
     def animate(self, path: Path | str, advance: Callable[[], object] = lambda: None) -> None:
         """Write an animation of all runs in real time.

@@ -20,7 +20,6 @@ from quadjax.export.conversion import (
 )
 from quadjax.export.race_source import CONFIG_FILE
 from quadjax.export.report import make_report, report_text
-from quadjax.export.verify.result import Result
 from quadjax.policy.file import Policy
 from quadjax.vehicle.residual_file import located
 
@@ -116,28 +115,6 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         policy.save(Path(folder) / POLICY_FILE)
         yield Path(folder) / POLICY_FILE
-
-
-def verify(
-    folder: Path | str, vectors: int = 5_000, runs: int = 0, allow_unfinished: bool = False
-) -> list[Result]:
-    """Build and run an exported folder with the tools of this machine; see ``verify.run.verify``.
-
-    Args:
-        folder: a folder that ``export_c`` wrote.
-        vectors: number of vectors on which every build must agree.
-        runs: flights of the closed loop, 0 for none.
-        allow_unfinished: accept a policy that was exported although it does not finish its race.
-
-    Returns:
-        A result for each check: ``verdict`` is "pass", "FAIL" or "skipped".
-
-    Raises:
-        InputError: no such folder, or a file in it that is missing or damaged.
-    """
-    from quadjax.export.verify import run  # which imports this module
-
-    return run.verify(folder, vectors, runs, allow_unfinished=allow_unfinished)
 
 
 def _check_folder(request: Request) -> None:

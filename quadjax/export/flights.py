@@ -118,14 +118,14 @@ def check_box(box: InputBox, observations: np.ndarray) -> None:
     problems = box.outside(observations)
     if not problems:
         return
-    words = []
+    options = []
     for problem in problems:
         group = problem.split()[0]
         size = float(np.max(np.abs(observations[:, box.columns(group)])))
-        words.append(f"{group}={2.0 ** np.ceil(np.log2(size)):g}")
+        options.append(f"--range {group}={2.0 ** np.ceil(np.log2(size)):g}")
     raise InputError(
         f"the policy's own flights leave the declared range: {'; '.join(problems)}; "
-        f"declare {' '.join(f'--range {word}' for word in words)}"
+        f"declare {' '.join(options)}"
     )
 
 

@@ -118,17 +118,19 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     )
 
 
-def parse_overrides(words: list[str]) -> dict[str, float]:
+def parse_overrides(options: list[str]) -> dict[str, float]:
     """``["position=16", ..]`` as a mapping.
 
     Raises:
-        InputError: a word that is not ``name=number``.
+        InputError: an option that is not ``name=number``.
     """
     overrides = {}
-    for word in words:
-        name, _, value = word.partition("=")
+    for option in options:
+        name, _, value = option.partition("=")
         try:
             overrides[name] = float(value)
         except ValueError:
-            raise InputError(f"range {word!r}: expected name=number, such as position=16") from None
+            raise InputError(
+                f"range {option!r}: expected name=number, such as position=16"
+            ) from None
     return overrides

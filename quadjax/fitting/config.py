@@ -141,7 +141,6 @@ class FitConfig(Section):
     """One fit."""
 
     name: str = Field("fit", pattern=r"^[\w-][\w.-]*$", description="folder of results")
-    runs: str = Field("runs", description="folder of that folder")
     vehicle: str = Field("bebop1.yaml", description="base vehicle, a file in configs/vehicles")
     seed: int = Field(0, ge=0, description="of everything random in the fit")
     figures: bool = Field(True, description="draw figures of the fit")

@@ -16,6 +16,8 @@ from quadjax.vehicle.constants import MotorConstants, constant_names
 from quadjax.vehicle.residual_file import write_residual
 
 RESIDUAL_AXES = AXES[2:]
+FILES = ("config.yaml", "vehicle.yaml", "residual.npz", "report.json", "report.txt")
+FIGURES = ("held_out_*.png", "training_*.png", "errors.png")  # see ``figures.write_figures``
 
 
 def tables(result: FitResult) -> str:
@@ -32,8 +34,7 @@ def tables(result: FitResult) -> str:
 
 def write_results(result: FitResult, folder: Path) -> list[Path]:
     """Write config, vehicle, residual and report to a folder; return the paths."""
-    names = ("config.yaml", "vehicle.yaml", "residual.npz", "report.json", "report.txt")
-    config, vehicle, residual, numbers, text = paths = [folder / name for name in names]
+    config, vehicle, residual, numbers, text = paths = [folder / name for name in FILES]
     flights, fit = [log.name for log in result.logs], result.fits[ALL]
     write_text(config, to_yaml(result.config.model_dump()))
     source = f"Fitted on {', '.join(flights)}\nby quadjax fit; see report.txt in this folder."
@@ -50,6 +51,11 @@ def write_results(result: FitResult, folder: Path) -> list[Path]:
     write_json(numbers, as_json(result))
     write_text(text, tables(result))
     return paths
+
+
+def earlier_files(folder: Path) -> list[str]:
+    """Names of the files in a folder that an earlier fit wrote."""
+    return [path.name for pattern in (*FILES, *FIGURES) for path in sorted(folder.glob(pattern))]
 
 
 def _fitted(result: FitResult) -> list[tuple[str, str, float, float]]:

@@ -75,11 +75,6 @@ class Field:
             tuple(f"{self.name}[{i}]" for i in range(self.size)) if self.size > 1 else (self.name,)
         )
 
-    @property
-    def observed_unit(self) -> str:
-        """The unit of the network inputs."""
-        return self.unit if self.scale is None and self.span is None else "of its range"
-
     def numbers(self, view: View) -> list[jax.Array]:
         """The field's network inputs, after scaling."""
         assert self.value is not None, self.name

@@ -19,7 +19,7 @@ from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export import convert
 from quadjax.export.conversion import sha256
-from quadjax.export.convert import export_c, verify
+from quadjax.export.convert import export_c
 from quadjax.export.race_source import own_race
 from quadjax.export.verify import run, toolchain
 from quadjax.export.verify.context import Context
@@ -144,7 +144,7 @@ def test_a_tampered_source_fails_and_nothing_is_compiled(exported, tmp_path, mon
     source = copy / "made_race.c"
     source.write_text(source.read_text() + "\n#error planted\n")
     monkeypatch.setattr(toolchain.Compiler, "build", lambda *_: pytest.fail("compiled"))
-    results = verify(copy, COUNT)
+    results = run.verify(copy, COUNT)
     assert [(result.check, result.verdict) for result in results] == [("sources", FAILED)]
     assert "made_race.c is not what the converter writes" in results[0].figure
 
@@ -173,7 +173,7 @@ def test_a_damaged_file_is_one_line(exported, tmp_path, file, damage):
     if (file, damage) in (("config.yaml", "cut"), ("config.yaml", "empty")):
         return  # a shorter mapping may still be a config
     with pytest.raises(InputError, match=r"^[^\n]+$"):
-        verify(copy, COUNT)
+        run.verify(copy, COUNT)
 
 
 def test_rollouts_of_another_policy_are_refused(exported, tmp_path):
@@ -182,7 +182,7 @@ def test_rollouts_of_another_policy_are_refused(exported, tmp_path):
     arrays = {"observations": np.zeros((3, 5)), "states": np.zeros((3, 5)), "targets": np.zeros(3)}
     write_npz(copy / "rollouts.npz", arrays, {"format": "quadjax-rollouts/1"})
     with pytest.raises(InputError, match=r"rollouts.npz: its arrays do not fit"):
-        verify(copy, COUNT)
+        run.verify(copy, COUNT)
 
 
 def test_an_unfinished_policy_fails_unless_allowed(exported):

@@ -6,6 +6,7 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
+from quadjax.fitting import pipeline
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.pipeline import run_fit
@@ -32,14 +33,16 @@ def folder(bebop, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def fitted(folder):
-    words = [
+    with claim(folder / "runs/all", "fit"):
+        for name in ("report.txt", "held_out_old.png", "notes.txt"):
+            (folder / "runs/all" / name).write_text("earlier")
+    arguments = [
         f"logs.files=[{folder}/*.csv]",
-        f"runs={folder}/runs",
-        "name=all",
         "body.inertia=null",
         "residual={seeds: 2, epochs: 10, distill_epochs: 20, batch: 256}",
     ]
-    assert run("fit", CONFIG, *words) == 0
+    place = ["--output", folder / "runs", "--name", "all", "--overwrite"]
+    assert run("fit", CONFIG, *arguments, *place) == 0
     return folder / "runs/all"
 
 
@@ -54,7 +57,8 @@ def test_the_command_writes_report_vehicle_residual_and_figures(fitted):
     for evaluation in report["held_out"].values():
         assert evaluation["az"]["change"] < -0.2
     assert (fitted / "errors.png").stat().st_size > 1000
-    assert len(list(fitted.glob("held_out_*.png"))) == 3
+    assert len(list(fitted.glob("held_out_*.png"))) == 3  # not those of the earlier fit
+    assert (fitted / "notes.txt").read_text() == "earlier"
     read_residual(fitted / "residual.npz")
     vehicle = read_vehicle(str(fitted / "vehicle.yaml"))
     assert vehicle.motor.rpm_max == 11000.0 and abs(vehicle.motor.tau / 0.06 - 1.0) < 0.05
@@ -71,9 +75,26 @@ def test_training_takes_the_vehicle_file(fitted):
 def test_a_folder_of_a_training_is_refused(folder, capsys):
     with claim(folder / "runs/training", "training"):
         pass
-    words = [f"logs.files=[{folder}/*.csv]", f"runs={folder}/runs", "name=training"]
-    assert run("fit", CONFIG, *words) == 2
+    place = ["--output", folder / "runs", "--name", "training"]
+    assert run("fit", CONFIG, f"logs.files=[{folder}/*.csv]", *place) == 2
     assert "holds a training, not a fit" in capsys.readouterr().err
+
+
+def test_an_earlier_fit_is_replaced_only_on_request(folder, tmp_path, monkeypatch, capsys):
+    def stop(config, *_):
+        raise InputError(f"fitting {config.name}")
+
+    monkeypatch.setattr(pipeline, "run_fit", stop)
+    arguments = [f"logs.files=[{folder}/*.csv]", "--output", tmp_path, "--name", "mine"]
+    assert run("fit", CONFIG, *arguments) == 2
+    assert capsys.readouterr().err == "error: fitting mine\n"
+    vehicle = tmp_path / "mine/vehicle.yaml"
+    vehicle.write_text("name: earlier")
+    assert run("fit", CONFIG, *arguments) == 2
+    assert "mine holds a fit already: replace it (--overwrite)" in capsys.readouterr().err
+    assert run("fit", CONFIG, *arguments, "--overwrite") == 2  # which fails, and removes nothing
+    assert capsys.readouterr().err == "error: fitting mine\n"
+    assert vehicle.read_text() == "name: earlier"
 
 
 def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
@@ -118,7 +139,7 @@ def test_bad_overrides_are_one_line(folder, words):
 
 
 def test_missing_logs_are_one_line_and_no_folder_is_made(tmp_path, capsys):
-    assert run("fit", CONFIG, "logs.files=[nowhere.csv]", f"runs={tmp_path}/runs") == 2
+    assert run("fit", CONFIG, "logs.files=[nowhere.csv]", "--output", tmp_path / "runs") == 2
     output = capsys.readouterr()
     assert output.out == "" and output.err.startswith("error: nowhere.csv")
     assert output.err.count("\n") == 1

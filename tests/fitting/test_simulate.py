@@ -71,7 +71,7 @@ def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, capsys):
     logs = tmp_path / "logs"
     words = ["--random-residual", 5, "--moment-std", 0.005, "--flights", 2, "--seconds", 5]
     assert run("simulate-logs", "--output", logs, *words) == 0
-    words = [f"logs.files=[{logs}/*.csv]", f"runs={tmp_path}", "name=known", "figures=false"]
+    words = [f"logs.files=[{logs}/*.csv]", "figures=false", "--output", tmp_path, "--name", "known"]
     fast = "residual={seeds: 1, epochs: 2, distill_epochs: 2}"
     assert run("fit", REPOSITORY / "configs/fit/paparazzi.yaml", *words, fast) == 0
     capsys.readouterr()

@@ -32,6 +32,12 @@ ONLY_LATE = SensorsConfig(
     rpm=RpmConfig(noise=0.0, resolution=0.0),
     mocap=MocapConfig(position_noise=0.0, attitude_noise=0.0, dropout=0.0),
 )
+NO_ERRORS = SensorsConfig(
+    gyro=GyroConfig(noise=0.0, bias=0.0, bias_walk=0.0, low_pass=0.0),
+    accelerometer=AccelerometerConfig(noise=0.0, bias=0.0, bias_walk=0.0, low_pass=0.0),
+    rpm=RpmConfig(noise=0.0, resolution=0.0),
+    mocap=MocapConfig(latency=0.0, position_noise=0.0, attitude_noise=0.0, dropout=0.0),
+)
 EXACT = EkfConfig(start_gyro_bias=0.0, start_accelerometer_bias=0.0)
 
 

@@ -8,7 +8,6 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.plant.config import (
-    NO_ERRORS,
     EkfConfig,
     MocapConfig,
     PlantConfig,
@@ -18,7 +17,7 @@ from quadjax.plant.config import (
 from quadjax.plant.covariance import Covariance
 from quadjax.studies.consistency import COMPONENTS, POLICIES, evaluate_filter, tally_ratio
 from tests.commands import run
-from tests.plant.support import EXACT, ONLY_LATE, at, correlation, filtered, loop
+from tests.plant.support import EXACT, NO_ERRORS, ONLY_LATE, at, correlation, filtered, loop
 
 DRONES, SECONDS = 48, 3.0
 STANDIN = CONFIGS / "plant" / "standin.yaml"

@@ -8,7 +8,6 @@ from scipy.stats import norm
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import sensors
 from quadjax.plant.config import (
-    NO_ERRORS,
     AccelerometerConfig,
     GyroConfig,
     MocapConfig,
@@ -17,7 +16,7 @@ from quadjax.plant.config import (
 )
 from quadjax.plant.quaternion import of_euler
 from quadjax.plant.sensors import GroundTruth
-from tests.plant.support import RATE, at
+from tests.plant.support import NO_ERRORS, RATE, at
 
 DRONES, SAMPLES = 200, 1000
 NOISY = SensorsConfig(

@@ -207,8 +207,8 @@ def _qemu(c: Context, compiler: Compiler, tag: str, kernels: str) -> str:
     both = np.concatenate([c.vectors, c.hostile])
     both.tofile(given)
     for kernel in kernels:
-        words = [qemu, "-cpu", "cortex-a9", str(program), str(given), str(written), kernel]
-        done = subprocess.run(words, capture_output=True, text=True)
+        command = [qemu, "-cpu", "cortex-a9", str(program), str(given), str(written), kernel]
+        done = subprocess.run(command, capture_output=True, text=True)
         require(done.returncode == 0, f"exit status {done.returncode} {done.stderr[:200]}")
         rows = np.fromfile(written, np.int32).reshape(-1, 7)
         c.same(tag, rows, np.concatenate([c.expected, c.expected_hostile]))

@@ -44,13 +44,20 @@ def _eva(c: Context, sources: list[Path], tag: str) -> tuple[int, str]:
     """Alarms and the summary of an analysis."""
     program = need_program("frama-c")
     widest = max(max(layer.weights.shape) for layer in c.folder.network.layers)
-    words = [program, *EVA, "-eva-min-loop-unroll", str(max(130, widest + 10)), "-main", "eva_main"]
-    words += [
+    command = [
+        program,
+        *EVA,
+        "-eva-min-loop-unroll",
+        str(max(130, widest + 10)),
+        "-main",
+        "eva_main",
+    ]
+    command += [
         f"-cpp-extra-args=-I{c.folder.path}",
         *map(str, [write_eva_main(c.folder, c.work), *sources]),
     ]
     try:
-        done = subprocess.run(words, capture_output=True, text=True, timeout=EVA_SECONDS)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=EVA_SECONDS)
     except subprocess.TimeoutExpired:
         raise Failed(f"frama-c: no result within {EVA_SECONDS} s") from None
     (c.work / f"eva_{tag}.log").write_text(done.stdout + done.stderr)
@@ -95,9 +102,14 @@ def _corrupted_alarms(c: Context) -> int:
 def check_cppcheck(c: Context) -> str:
     """Cppcheck without a finding."""
     program = need_program("cppcheck")
-    words = [program, "--enable=warning,performance,portability", "--error-exitcode=1", "--std=c99"]
-    words += ["--inline-suppr", "--quiet", f"-I{c.folder.path}", *map(str, c.folder.files)]
-    done = subprocess.run(words, capture_output=True, text=True)
+    command = [
+        program,
+        "--enable=warning,performance,portability",
+        "--error-exitcode=1",
+        "--std=c99",
+    ]
+    command += ["--inline-suppr", "--quiet", f"-I{c.folder.path}", *map(str, c.folder.files)]
+    done = subprocess.run(command, capture_output=True, text=True)
     lines = [line for line in done.stderr.splitlines() if line.strip()]
     require(done.returncode == 0 and not lines, lines[0] if lines else "failed")
     return f"{len(c.folder.files)} files, no finding"

@@ -25,13 +25,13 @@ class HostLibrary:
     folder: Folder
 
     def _call(self, name: str, *arguments: object) -> int:
-        words = [
+        values = [
             a.ctypes.data_as(ctypes.c_void_p) if isinstance(a, np.ndarray) else ctypes.c_uint32(a)
             for a in arguments
         ]
         function = getattr(self.library, name)
         function.restype = ctypes.c_uint32
-        return int(function(*words))
+        return int(function(*values))
 
     def infer(self, x: np.ndarray, kernel: int = 0) -> np.ndarray:
         """Rows (n, 7) int32 of observations (n, inputs)."""
@@ -80,12 +80,12 @@ def load_library(
     compiler: Compiler, sources: Sequence[Path], output: Path, extra: Sequence[str] = ()
 ) -> ctypes.CDLL:
     """Build C that needs no C library for this machine, and load it."""
-    words, sources = ["-shared", "-fPIC", *extra], list(sources)
+    options, sources = ["-shared", "-fPIC", *extra], list(sources)
     if compiler.name == "zig cc" and sys.platform == "linux":
         # Otherwise it would first build parts of a C library, which takes it seconds.
-        words.append("-nostdlib")
+        options.append("-nostdlib")
         sources.append(write_memory(output.parent))
-    return ctypes.CDLL(str(compiler.build(sources, output, words)))
+    return ctypes.CDLL(str(compiler.build(sources, output, options)))
 
 
 def host_library(folder: Folder, compiler: Compiler, work: Path) -> HostLibrary:

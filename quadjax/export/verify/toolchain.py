@@ -41,8 +41,8 @@ class Compiler:
         Raises:
             Failed: with the first line of the compiler's output.
         """
-        words = [*self.command, *self.flags, *extra, *map(str, sources), "-o", str(output)]
-        done = subprocess.run(words, capture_output=True, text=True)
+        command = [*self.command, *self.flags, *extra, *map(str, sources), "-o", str(output)]
+        done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             lines = [
                 line for line in done.stderr.splitlines() if "error" in line or "warning" in line
