@@ -31,7 +31,7 @@ def show_figure(figure: Figure) -> None:
     """Show a figure in a notebook, or in a window until it is closed; nothing without a display."""
     import matplotlib.pyplot as plt
 
-    plt.figure(FigureClass=lambda **_: figure)
+    plt.figure(FigureClass=lambda **_: figure)  # type: ignore[arg-type]
     with warnings.catch_warnings():  # of a backend without windows
         warnings.filterwarnings("ignore", "Figure.* is non-interactive", UserWarning)
         plt.show()
