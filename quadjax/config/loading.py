@@ -51,7 +51,7 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
     if not tree:
         raise InputError(f"{path}: empty; write at least the preset to start from, as base: e2e")
     tree = merge_trees(_defaults(tree), tree)
-    over = parse_overrides(overrides)
+    over = parse_overrides([_expand(override) for override in overrides])
     here = Path() if _exists(over, Path()) else path.parent
     return _build(_merge(tree, over, here, "overrides"), str(path))
 
@@ -64,6 +64,13 @@ def _defaults(tree: Tree) -> Tree:
         if not {"models", "gates"} & set(tree.get(section) or ())
     }
     return _merge({}, absent, CONFIGS, "defaults")
+
+
+def _expand(override: str) -> str:
+    """``track=figure8`` as ``track.file=figure8``; any other override as it is."""
+    key, equals, value = override.partition("=")
+    short_form = equals and key in FROM_FILE and isinstance(parse_overrides([override])[key], str)
+    return f"{key}.file={value}" if short_form else override
 
 
 def _exists(over: Tree, folder: Path) -> bool:

@@ -384,3 +384,10 @@ def test_at_changes_one_key():
     assert config.at("vehicle.constants.k_w", 5e-8).vehicle.constants["k_w"] == 5e-8
     with pytest.raises(InputError, match="gates"):
         config.at("reward.gates", 3.0)
+
+
+def test_a_short_form_keeps_the_other_overrides_of_its_section():
+    overrides = ["vehicle.integrator=rk4", "vehicle=bebop1_authors", "vehicle.mismatch={k_w: 0.9}"]
+    for order in (overrides, overrides[::-1]):
+        vehicle = load_config("e2e_shac", order).vehicle
+        assert vehicle.integrator == "rk4" and vehicle.mismatch == {"k_w": 0.9}
