@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -55,10 +56,11 @@ def test_the_wheel_has_configs_policies_and_templates(wheel):
     assert any(name.endswith("entry_points.txt") for name in names)
 
 
-def test_it_trains_evaluates_and_exports_in_an_empty_folder(installed, tmp_path):
+def test_it_trains_evaluates_exports_and_verifies_in_an_empty_folder(installed, tmp_path):
     where = run(installed, tmp_path, "-c", "import quadjax; print(quadjax.__file__)")
     assert str(installed) in where.stdout
     for words in (
+        ["train", "e2e", "--help"],
         ["train", "e2e_shac", *SHORT, "--name", "first"],
         ["evaluate", "e2e_shac", "--policy", "runs/first/policy.npz", "--laps", "1", "--runs", "2"]
         + ["--json", "laps.json", "--figure", "lap.png"],
@@ -78,3 +80,6 @@ def test_it_trains_evaluates_and_exports_in_an_empty_folder(installed, tmp_path)
     done = run(installed, tmp_path, "-c", script)
     assert done.returncode == 0, done.stdout + done.stderr
     assert list((tmp_path / "c").glob("*.c"))
+    done = run(installed, tmp_path, "-m", "quadjax", "verify", "c", "--vectors", "200")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"[1-9]\d* passed, 0 failed, \d+ skipped", done.stdout)
