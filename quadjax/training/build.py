@@ -18,6 +18,7 @@ from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.race.environment import RaceParams, make_environment
+from quadjax.vehicle.registry import model as vehicle_model
 
 
 def build_networks(config: Config) -> Networks:
@@ -113,7 +114,7 @@ def initial_policy(config: Config) -> Policy | None:
         wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
     )
     for name, found, allowed in (
-        ("vehicle", policy.vehicle, config.vehicle.model),
+        ("vehicle", policy.vehicle, vehicle_model(config.vehicle.model).name),
         ("hidden widths", widths, wanted),
         ("hidden widths of the value", critic_widths, wanted),
         ("activation", policy.activation, config.network.activation),

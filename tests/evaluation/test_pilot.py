@@ -12,6 +12,7 @@ from quadjax.policy import pilot
 from quadjax.policy.inference import mean_action, policy_params
 from quadjax.race import environment
 from quadjax.race.layout import Field, Layout
+from quadjax.training.build import initial_policy
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
 
@@ -116,6 +117,18 @@ def test_what_does_not_fit_is_refused():
     layout = Layout((own, *policy.layout.fields[1:]))
     with pytest.raises(InputError, match=r"observes 'altitude' \(3\), which the race"):
         pilot.check_fits(config, dataclasses.replace(policy, layout=layout), "file.npz")
+
+
+def test_a_policy_of_an_own_model_starts_a_run(tmp_path):
+    """A file has the model's name, a config the place of the model."""
+    path = tmp_path / "policy.npz"
+    policy = random_policy("rate")
+    policy.save(path)
+    words = ["network.hidden=[8]", "network.activation=relu", f"run.initial_policy={path}"]
+    config = load_config(BLANK, [*words, "vehicle.model=tests.config.models:NO_THRUST"])
+    assert initial_policy(config).vehicle == "rate"
+    with pytest.raises(InputError, match="has vehicle rate, the config has motor"):
+        initial_policy(load_config(BLANK, words))
 
 
 def test_a_policy_with_its_fields_in_another_order_flies_the_same():
