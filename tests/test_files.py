@@ -171,7 +171,7 @@ POLICY_DAMAGE = {
     "flat": (lambda a: a | {"kernel_0": a["kernel_0"].ravel()}, {}, "kernel_0"),
     "empty": (lambda a: a | {"kernel_0": np.zeros((0, 8))}, {}, "kernel_0"),
     "short bias": (lambda a: a | {"bias_0": a["bias_0"][:-1]}, {}, "bias_0"),
-    "words": (lambda a: a | {"bias_0": np.array(["x"] * 8)}, {}, "bias_0"),
+    "text": (lambda a: a | {"bias_0": np.array(["x"] * 8)}, {}, "bias_0"),
     "complex": (lambda a: a | {"bias_0": a["bias_0"] + 1j}, {}, "bias_0"),
     "other inputs": (lambda a: a, {"vehicle": "motor"}, "17"),
     "format": (lambda a: a, {"format": "quadjax-policy/9"}, "quadjax-policy/9"),

@@ -20,9 +20,9 @@ from tests.race.support import BLANK  # noqa: E402
 N = 6
 
 
-def short(*words: str):
+def short(*overrides: str):
     """Episodes of five steps, if nobody crashes first."""
-    return load_config(BLANK, ["training_limits.episode_steps=5", *words])
+    return load_config(BLANK, ["training_limits.episode_steps=5", *overrides])
 
 
 def hover(n: int = N) -> np.ndarray:

@@ -18,7 +18,7 @@ from quadjax.learners import hosts
 from quadjax.training.metrics import read_metrics
 
 ROOT = Path(__file__).resolve().parent.parent
-WORDS = [
+OVERRIDES = [
     "learner.num_envs=16",
     "network.hidden=[8]",
     "learner.rollout_length=8",
@@ -35,7 +35,7 @@ def start(runs, *arguments):
     own = {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": cache}
     script, config = str(ROOT / "scripts/train.py"), str(ROOT / "configs/e2e_ppo.yaml")
     return subprocess.Popen(
-        [sys.executable, script, config, *WORDS, *arguments, "--output", str(runs)],
+        [sys.executable, script, config, *OVERRIDES, *arguments, "--output", str(runs)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -94,12 +94,12 @@ def test_two_processes_are_one_run(tmp_path):
 @pytest.mark.slow
 def test_stopped_in_one_process_all_save_and_go_on(tmp_path):
     """Ctrl-C reaches one process; the first one's checkpoint is what all go on from."""
-    words = ["run.steps=3840", "run.checkpoint_seconds=0", "run.devices=1"]
+    arguments = ["run.steps=3840", "run.checkpoint_seconds=0", "run.devices=1"]
 
     def both(*more):
         port = free_port()
         there = ("--coordinator", f"127.0.0.1:{port}", "--processes", "2", "--process")
-        return [start(tmp_path / str(i), *words, *there, str(i), *more) for i in range(2)]
+        return [start(tmp_path / str(i), *arguments, *there, str(i), *more) for i in range(2)]
 
     metrics = tmp_path / "0/run/metrics.csv"
     first, second = both()

@@ -43,9 +43,9 @@ TINY_LEARNER = {
 TIMES = ("seconds", "steps_per_second")
 
 
-def config_of(name, *words):
+def config_of(name, *arguments):
     algorithm = load_config(CONFIGS / name).learner.algorithm
-    return load_config(CONFIGS / name, [*TINY, *TINY_LEARNER[algorithm], *words])
+    return load_config(CONFIGS / name, [*TINY, *TINY_LEARNER[algorithm], *arguments])
 
 
 def arrays(path):
@@ -186,8 +186,8 @@ def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
 
 
 def test_a_short_run_is_one_short_chunk(tmp_path):
-    words = ("run.steps=64", "run.evaluate_every=1000000", "learner.rollout_length=4")
-    assert training.train(config_of("e2e_ppo.yaml", *words), tmp_path / "run").summary[
+    arguments = ("run.steps=64", "run.evaluate_every=1000000", "learner.rollout_length=4")
+    assert training.train(config_of("e2e_ppo.yaml", *arguments), tmp_path / "run").summary[
         "steps"
     ] == pytest.approx(64)
 
@@ -233,16 +233,23 @@ def test_every_shipped_config_trains(tmp_path, path):
     assert all(np.isfinite(kernel).all() for kernel, _ in result.policy.layers)
 
 
-def command(runs, *words):
+def command(runs, *arguments):
     script = str(ROOT / "scripts/train.py")
-    return [sys.executable, script, str(CONFIGS / "e2e_ppo.yaml"), *words, "--output", str(runs)]
+    return [
+        sys.executable,
+        script,
+        str(CONFIGS / "e2e_ppo.yaml"),
+        *arguments,
+        "--output",
+        str(runs),
+    ]
 
 
-def start(runs, *words):
+def start(runs, *arguments):
     cache = jax.config.jax_compilation_cache_dir
     own = {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": cache}
     return subprocess.Popen(
-        command(runs, *words),
+        command(runs, *arguments),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -288,8 +295,8 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
 
 @pytest.mark.slow
 def test_interrupted_it_saves_and_says_how_to_go_on(tmp_path):
-    words = [w for w in LONG if "run.steps" not in w] + ["run.steps=3840000"]
-    process = start(tmp_path, *words)
+    arguments = [w for w in LONG if "run.steps" not in w] + ["run.steps=3840000"]
+    process = start(tmp_path, *arguments)
     metrics = tmp_path / "killed/metrics.csv"
     deadline = time.monotonic() + 120
     while not metrics.exists() and time.monotonic() < deadline:

@@ -34,9 +34,9 @@ def installed(wheel, tmp_path_factory):
     return folder
 
 
-def run(installed, folder, *words):
+def run(installed, folder, *arguments):
     return subprocess.run(
-        [sys.executable, *words],
+        [sys.executable, *arguments],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(installed)},
         capture_output=True,
@@ -59,14 +59,14 @@ def test_the_wheel_has_configs_policies_and_templates(wheel):
 def test_it_trains_evaluates_exports_and_verifies_in_an_empty_folder(installed, tmp_path):
     where = run(installed, tmp_path, "-c", "import quadjax; print(quadjax.__file__)")
     assert str(installed) in where.stdout
-    for words in (
+    for arguments in (
         ["train", "e2e", "--help"],
         ["train", "e2e_shac", *SHORT, "--name", "first"],
         ["evaluate", "e2e_shac", "--policy", "runs/first/policy.npz", "--laps", "1", "--runs", "2"]
         + ["--json", "laps.json", "--figure", "lap.png"],
         ["presets"],
     ):
-        done = run(installed, tmp_path, "-m", "quadjax", *words)
+        done = run(installed, tmp_path, "-m", "quadjax", *arguments)
         assert done.returncode == 0, done.stdout + done.stderr
     laps = json.loads((tmp_path / "laps.json").read_text())
     assert laps["runs"] == 2 and laps["policy"] == "runs/first/policy.npz"

@@ -36,7 +36,7 @@ def test_the_version_is_that_of_the_package(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "names"),
+    ("arguments", "names"),
     [
         (["fly"], "'fly' is not a subcommand, allowed: train"),
         (["train"], "CONFIG"),
@@ -53,8 +53,8 @@ def test_the_version_is_that_of_the_package(capsys):
         (["presets", "extra"], "extra"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(words, names, capsys):
-    assert run(*words) == 2
+def test_bad_input_is_one_line_and_status_2(arguments, names, capsys):
+    assert run(*arguments) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and error.count("\n") == 1 and names in error
 

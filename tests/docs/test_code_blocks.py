@@ -81,7 +81,7 @@ def test_blocks_can_be_run(page):
         if block.language == "python":
             compile(block.code, where, "exec")
         elif block.language == "sh" and not block.skipped:
-            assert all(words[0] == "quadjax" for words in commands_of(block.code)), where
+            assert all(arguments[0] == "quadjax" for arguments in commands_of(block.code)), where
         elif block.language == "yaml":
             assert yaml.safe_load(block.code), where
         assert block.language not in {"bash", "shell", "console", "py"}, f"{where}: use sh, python"
@@ -114,14 +114,16 @@ def short(kind: str) -> list[str]:
 
 
 def commands_of(code: str) -> list[list[str]]:
-    """The words of each command; lines may continue with a backslash."""
+    """The arguments of each command; lines may continue with a backslash."""
     lines = code.replace("\\\n", " ").splitlines()
-    return [words for words in (shlex.split(line, comments=True) for line in lines) if words]
+    return [
+        arguments for arguments in (shlex.split(line, comments=True) for line in lines) if arguments
+    ]
 
 
 def run_shell(block: Block, folder: Path) -> None:
-    for words in commands_of(block.code):
-        command = [sys.executable, "-m", *shortened(words)]
+    for arguments in commands_of(block.code):
+        command = [sys.executable, "-m", *shortened(arguments)]
         done = subprocess.run(
             command,
             cwd=folder,
@@ -131,22 +133,22 @@ def run_shell(block: Block, folder: Path) -> None:
             timeout=LIMIT,
         )
         where = f"{name_of(block.page)}:{block.line}"
-        assert done.returncode == 0, f"{where}: {shlex.join(words)}\n{done.stdout}{done.stderr}"
+        assert done.returncode == 0, f"{where}: {shlex.join(arguments)}\n{done.stdout}{done.stderr}"
 
 
-def shortened(words: list[str]) -> list[str]:
+def shortened(arguments: list[str]) -> list[str]:
     """A command with less to do: a short training, few runs."""
-    if "--help" in words:
-        return words
-    result = list(words)
-    if words[1] in TRAINS:
+    if "--help" in arguments:
+        return arguments
+    result = list(arguments)
+    if arguments[1] in TRAINS:
         import quadjax
 
-        changes = [w for w in words[3:] if "=" in w and not w.startswith("-")]
-        kind = quadjax.load(words[2], changes).learner.algorithm
+        changes = [w for w in arguments[3:] if "=" in w and not w.startswith("-")]
+        kind = quadjax.load(arguments[2], changes).learner.algorithm
         keys = {change.partition("=")[0] for change in short(kind)}
         result = [w for w in result if w.partition("=")[0] not in keys] + short(kind)
-    extra = OPTIONS.get(words[1], [])
+    extra = OPTIONS.get(arguments[1], [])
     for option in [w for w in extra if w.startswith("--")]:
         if option in result:
             at = result.index(option)

@@ -15,8 +15,8 @@ HIGH = np.array([3.0, 3.0, 3.0, 15.0])
 LOW = np.array([-3.0, -3.0, -3.0, 0.0])
 
 
-def rate_race(*words: str):
-    config = load_config(BLANK, ["vehicle.model=rate", *words])
+def rate_race(*overrides: str):
+    config = load_config(BLANK, ["vehicle.model=rate", *overrides])
     return config, choices_of(config), build_params(config)
 
 

@@ -55,10 +55,18 @@ def test_bad_input_is_one_line_and_status_2(capsys, policy_file, arguments, name
 def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
     """A policy that crashes is a result, not an error."""
     outputs = {name: tmp_path / f"a.{name}" for name in ("json", "png", "gif")}
-    words = ["--laps", "1", "--runs", "2", "--policy", policy_file, "vehicle.constants.k_w=4.5e-8"]
+    arguments = [
+        "--laps",
+        "1",
+        "--runs",
+        "2",
+        "--policy",
+        policy_file,
+        "vehicle.constants.k_w=4.5e-8",
+    ]
     files = ["--json", outputs["json"], "--figure", outputs["png"], "--animation", outputs["gif"]]
     done = subprocess.run(
-        [sys.executable, EVALUATE, ROOT / "configs" / "e2e.yaml", *words, *files],
+        [sys.executable, EVALUATE, ROOT / "configs" / "e2e.yaml", *arguments, *files],
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},

@@ -94,9 +94,9 @@ def test_the_table_has_published_times(flown):
     assert paper.published_rows(config, 6) == paper.PUBLISHED
     assert paper.published_rows(config, 5) == ()
     assert paper.published_rows(config, 6, from_hover=False) == ()
-    for words in (["rules.time_step=0.005"], ["track.file=figure8.yaml"], [WIDE]):
-        assert paper.published_rows(load_config(BLANK, words), 6) == ()
-        assert paper.published_total(load_config(BLANK, words)) is None
+    for overrides in (["rules.time_step=0.005"], ["track.file=figure8.yaml"], [WIDE]):
+        assert paper.published_rows(load_config(BLANK, overrides), 6) == ()
+        assert paper.published_total(load_config(BLANK, overrides)) is None
     assert paper.published_total(load_config(BLANK))[1] == 15.70
     assert paper.published_total(load_config(BLANK, ["vehicle.model=rate"]))[1] == 17.04
     assert paper.published_total(load_config(BLANK, ["evaluate.laps=1"])) is None

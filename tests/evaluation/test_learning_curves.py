@@ -11,9 +11,9 @@ from quadjax.evaluation.curves import COLORS, learning_figure, spread
 from tests.test_training import CONFIGS
 
 
-def make_run(folder, times, seconds_each=10.0, config="e2e_ppo.yaml", words=()):
+def make_run(folder, times, seconds_each=10.0, config="e2e_ppo.yaml", overrides=()):
     """A run's folder with a row of metrics for each lap time, s."""
-    write_text(folder / "config.yaml", load_config(CONFIGS / config, words).to_yaml())
+    write_text(folder / "config.yaml", load_config(CONFIGS / config, overrides).to_yaml())
     rows = [f"{500_000 * i},{seconds_each * i},{time}" for i, time in enumerate(times, 1)]
     write_text(folder / "metrics.csv", "\n".join(["steps,seconds,lap_total", *rows, ""]))
     return folder
@@ -66,14 +66,16 @@ def test_groups_are_drawn_side_by_side_with_their_published_times(tmp_path):
 
 
 def test_another_race_has_no_published_time_and_may_never_finish(tmp_path):
-    run = make_run(tmp_path / "a", [np.inf, np.inf], words=["evaluate.laps=2"])
+    run = make_run(tmp_path / "a", [np.inf, np.inf], overrides=["evaluate.laps=2"])
     figure = learning_figure({"two": [run]})
     assert not figure.axes[0].texts and "2 laps" in figure.axes[0].get_ylabel()
     save_figure(figure, tmp_path / "curves.png")
 
 
 def test_what_cannot_be_drawn_is_refused(tmp_path):
-    six, two = (make_run(tmp_path / str(n), [20.0], words=[f"evaluate.laps={n}"]) for n in (6, 2))
+    six, two = (
+        make_run(tmp_path / str(n), [20.0], overrides=[f"evaluate.laps={n}"]) for n in (6, 2)
+    )
     with pytest.raises(InputError, match="six 6 laps, two 2 laps"):
         learning_figure({"six": [six], "two": [two]})
     write_text(two / "metrics.csv", "steps,lap_total\n1,2\n")

@@ -19,8 +19,8 @@ from tests.race.support import BLANK
 WIDE = {"command_low": np.full(4, 2000.0), "command_high": np.full(4, 12000.0)}
 
 
-def make(policy, *words: str):
-    config = load_config(BLANK, words)
+def make(policy, *overrides: str):
+    config = load_config(BLANK, overrides)
     choices, params = pilot.race_of(config, policy)
     ready = pilot.make_pilot(choices, params, policy, True)
     return choices, params, ready
@@ -56,8 +56,8 @@ def test_disturbances_are_seen_in_the_policys_scale():
     """Also where the race draws none, and meets a steady moment all the same."""
     widths = {"moment_x": 0.02, "moment_y": 0.02, "moment_z": 0.0, "force_z": 1.0}
     policy = random_policy(observation={"disturbance": widths})
-    for words in ([], ["disturbance.moment_x=0.04", "disturbance.moment_z=0.01"]):
-        choices, params, _ = make(policy, *words)
+    for overrides in ([], ["disturbance.moment_x=0.04", "disturbance.moment_z=0.01"]):
+        choices, params, _ = make(policy, *overrides)
         state = environment.hover_start(choices, params)
         moment = Vec3.of(jnp.array([0.04, -0.01, 0.005]))
         met = state.drone.replace(moment_ext=moment, force_ext=moment.replace(z=jnp.array(-0.5)))

@@ -43,9 +43,9 @@ def test_a_training_that_fails_is_one_line(tmp_path):
 
 def test_configs_and_overrides_are_separated():
     files = [str(CONFIGS / name) for name in ("e2e_ppo.yaml", "indi_ppo.yaml")]
-    configs, words = configs_of([files[0], "learner.num_epochs=2", files[1]])
+    configs, overrides = configs_of([files[0], "learner.num_epochs=2", files[1]])
     assert configs == dict(zip(("e2e_ppo", "indi_ppo"), files, strict=True))
-    assert words == ["learner.num_epochs=2"]
+    assert overrides == ["learner.num_epochs=2"]
     with pytest.raises(InputError, match="named mine"):
         configs_of([*files, "name=mine"])
     with pytest.raises(InputError, match="no config"):

@@ -227,16 +227,16 @@ def module_run(exported, tmp_path, broken):
     if broken:
         source = modules / "made.c"
         source.write_text(source.read_text().replace("sum >> 32", "sum >> 31", 1))
-    command = "uint16_t" if (exported / "made_estimator.c").exists() else "float"
-    defines = ["-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1", f"-DCOMMAND={command}"]
+    number = "uint16_t" if (exported / "made_estimator.c").exists() else "float"
+    defines = ["-DPREFLIGHT_CHECKS=1", "-DPERIODIC_TELEMETRY=1", f"-DCOMMAND={number}"]
     include = [f"-I{tmp_path}", f"-I{modules}", f"-isystem{STUBS}"]
-    words = [compiler, "-std=gnu99", "-O2", *defines, *include]
+    command = [compiler, "-std=gnu99", "-O2", *defines, *include]
     objects = []
     for source in modules.glob("*.c"):
         objects.append(tmp_path / f"{source.stem}.o")
-        subprocess.run([*words, *WARNINGS, "-c", source, "-o", objects[-1]], check=True)
+        subprocess.run([*command, *WARNINGS, "-c", source, "-o", objects[-1]], check=True)
     program = tmp_path / "autopilot"
-    subprocess.run([*words, STUBS / "autopilot_main.c", *objects, "-o", program], check=True)
+    subprocess.run([*command, STUBS / "autopilot_main.c", *objects, "-o", program], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=True)
     return done.stdout.split()
 

@@ -108,9 +108,9 @@ def test_refuses_motor_commands_that_no_uint16_holds():
 def test_ranges_are_powers_of_two_of_known_names():
     policy = made_policy(8)
     assert declare(policy, {"velocity": 32.0}).ranges[4] == 32.0
-    for words in ({"velocity": 30.0}, {"velocity": 0.0}, {"speed": 8.0}, {"velocity": np.nan}):
+    for ranges in ({"velocity": 30.0}, {"velocity": 0.0}, {"speed": 8.0}, {"velocity": np.nan}):
         with pytest.raises(InputError):
-            declare(policy, words)
+            declare(policy, ranges)
     with pytest.raises(InputError):
         parse_overrides(["velocity"])
     unwrapped = dataclasses.replace(policy, layout=make_layout(MODEL, wrap_next_yaw=False))

@@ -146,13 +146,13 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_values_are_one_line(tmp_path, columns, case):
-    change, words = BAD[case]
+    change, arguments = BAD[case]
     path = _write(tmp_path, columns, **change(columns))
     with pytest.raises(InputError) as caught:
         read_log(path, PAPARAZZI)
     message = str(caught.value)
     assert "\n" not in message and str(path) in message
-    for word in words:
+    for word in arguments:
         assert word in message
 
 
@@ -172,7 +172,7 @@ def test_bad_files_are_one_line(tmp_path, columns):
         "text": (text.replace(lines[5].split(",")[6], "abc", 1), ["column", "'abc'"]),
         "twice": ("time," + lines[0] + "\n" + "\n".join("0," + x for x in lines[1:]), ["twice"]),
     }
-    for name, (content, words) in cases.items():
+    for name, (content, arguments) in cases.items():
         if content is None:
             _write(tmp_path, {k: v for k, v in columns.items() if k != "rpm_obs_3"})
         else:
@@ -181,7 +181,7 @@ def test_bad_files_are_one_line(tmp_path, columns):
             read_log(path, PAPARAZZI)
         message = str(caught.value)
         assert "\n" not in message and str(path) in message, name
-        for word in words:
+        for word in arguments:
             assert word in message, (name, message)
     path.write_bytes(b"\xff\xfe\x00\x01" * 100)
     with pytest.raises(InputError):

@@ -68,8 +68,8 @@ def test_the_command_writes_report_vehicle_residual_and_figures(fitted):
 
 @pytest.mark.slow
 def test_training_takes_the_vehicle_file(fitted):
-    words = [f"vehicle.file={fitted}/vehicle.yaml", f"vehicle.residual={fitted}/residual.npz"]
-    load_config(REPOSITORY / "configs/e2e.yaml", words)
+    arguments = [f"vehicle.file={fitted}/vehicle.yaml", f"vehicle.residual={fitted}/residual.npz"]
+    load_config(REPOSITORY / "configs/e2e.yaml", arguments)
 
 
 def test_a_folder_of_a_training_is_refused(folder, capsys):
@@ -98,8 +98,8 @@ def test_an_earlier_fit_is_replaced_only_on_request(folder, tmp_path, monkeypatc
 
 
 def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
-    words = [f"logs.files=[{folder}/*.csv]", "residual.fit=false"]
-    result = run_fit(load_fit_config(CONFIG, words), folder)
+    arguments = [f"logs.files=[{folder}/*.csv]", "residual.fit=false"]
+    result = run_fit(load_fit_config(CONFIG, arguments), folder)
     assert [part.name for part in result.held_out] == ["flight_0", "flight_1", "flight_2"]
     for part in result.held_out:
         assert not part.change.any()
@@ -107,7 +107,7 @@ def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ["logs.files=[nowhere/*.csv]"],
         ["residual.hiden=3"],
@@ -131,10 +131,14 @@ def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
         ["nonsense"],
     ],
 )
-def test_bad_overrides_are_one_line(folder, words):
-    words = words if words[0].startswith("logs.files") else [f"logs.files=[{folder}/*.csv]", *words]
+def test_bad_overrides_are_one_line(folder, arguments):
+    arguments = (
+        arguments
+        if arguments[0].startswith("logs.files")
+        else [f"logs.files=[{folder}/*.csv]", *arguments]
+    )
     with pytest.raises(InputError) as caught:
-        run_fit(load_fit_config(CONFIG, words), CONFIG.parent)
+        run_fit(load_fit_config(CONFIG, arguments), CONFIG.parent)
     assert "\n" not in str(caught.value)
 
 
@@ -154,11 +158,11 @@ def test_every_config_of_the_folder_is_sound():
 @pytest.mark.slow
 def test_real_flights_left_out_are_not_harmed(real_flights, tmp_path):
     """A shorter training than the default's."""
-    words = [
+    arguments = [
         f"logs.files=[{real_flights[0].parent}/*.csv]",
         "residual={seeds: 3, epochs: 15, distill_epochs: 40}",
     ]
-    config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", words)
+    config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", arguments)
     change = np.array([part.change[2:] for part in run_fit(config, tmp_path).held_out])
     print(change)
     assert change[:, 0].mean() < -0.08

@@ -50,7 +50,7 @@ def test_impossible_sizes_are_refused(arguments):
 
 
 @pytest.mark.parametrize(
-    ("words", "names"),
+    ("arguments", "names"),
     [
         (["simulate-logs"], "--output"),
         (["simulate-logs", "--output", "logs", "--random-residual", "-1"], "--random-residual"),
@@ -60,8 +60,8 @@ def test_impossible_sizes_are_refused(arguments):
         (["recovery", "--fit", "none"], "none/vehicle.yaml"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(capsys, words, names):
-    assert run(*words) == 2
+def test_bad_input_is_one_line_and_status_2(capsys, arguments, names):
+    assert run(*arguments) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and names in lines[0]
 
@@ -69,13 +69,20 @@ def test_bad_input_is_one_line_and_status_2(capsys, words, names):
 @pytest.mark.slow
 def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, capsys):
     logs = tmp_path / "logs"
-    words = ["--random-residual", 5, "--moment-std", 0.005, "--flights", 2, "--seconds", 5]
-    assert run("simulate-logs", "--output", logs, *words) == 0
-    words = [f"logs.files=[{logs}/*.csv]", "figures=false", "--output", tmp_path, "--name", "known"]
+    arguments = ["--random-residual", 5, "--moment-std", 0.005, "--flights", 2, "--seconds", 5]
+    assert run("simulate-logs", "--output", logs, *arguments) == 0
+    arguments = [
+        f"logs.files=[{logs}/*.csv]",
+        "figures=false",
+        "--output",
+        tmp_path,
+        "--name",
+        "known",
+    ]
     fast = "residual={seeds: 1, epochs: 2, distill_epochs: 2}"
-    assert run("fit", REPOSITORY / "configs/fit/paparazzi.yaml", *words, fast) == 0
+    assert run("fit", REPOSITORY / "configs/fit/paparazzi.yaml", *arguments, fast) == 0
     capsys.readouterr()
-    words = ["--fit", tmp_path / "known", "--residual", logs / "residual.npz", "--flights", 1]
-    assert run("recovery", *words) == 0
+    arguments = ["--fit", tmp_path / "known", "--residual", logs / "residual.npz", "--flights", 1]
+    assert run("recovery", *arguments) == 0
     output = capsys.readouterr().out
     assert "k_w" in output and "R^2 of residual" in output

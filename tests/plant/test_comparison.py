@@ -116,10 +116,10 @@ def test_the_ablation_has_what_the_paper_argues():
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: f"{v.group} {v.label}")
 def test_its_policies_can_be_trained(variant, monkeypatch):
-    """The words are a config that the schema takes, but for a residual that is made elsewhere."""
+    """Its arguments are a valid config, but for a residual that is made elsewhere."""
     monkeypatch.chdir(ROOT)
-    config, *words = variant.training
-    read = load_config(ROOT / config, [f"name={variant.policy}", *words])
+    config, *arguments = variant.training
+    read = load_config(ROOT / config, [f"name={variant.policy}", *arguments])
     assert read.name == variant.policy and read.vehicle.model == "motor"
     assert variant.policy in variant.command() and config in variant.command()
 
@@ -155,9 +155,9 @@ def test_the_command_flies_draws_and_writes(tmp_path, capsys):
     folder.mkdir()
     policy = ROOT / "quadjax" / "pretrained" / "ablation" / "e2e_residual.npz"
     (folder / policy.name).write_bytes(policy.read_bytes())
-    words = ["--runs", 2, "--laps", 1, "--parts", "table", "ablation", "--ablation", folder]
+    arguments = ["--runs", 2, "--laps", 1, "--parts", "table", "ablation", "--ablation", folder]
     plant = ROOT / "configs" / "plant" / "standin.yaml"
-    assert run("compare", plant, *words, "--output", tmp_path) == 0
+    assert run("compare", plant, *arguments, "--output", tmp_path) == 0
     assert "residual: with" in capsys.readouterr().out
     written = json.loads((tmp_path / "compare" / "compare.json").read_text())
     assert written["INDI"]["stand-in plant"]["finished"] == 2

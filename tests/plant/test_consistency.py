@@ -105,8 +105,8 @@ def test_without_sensor_errors_the_estimate_is_the_truth():
 def test_command_prints_writes_and_returns_its_verdict(tmp_path, capsys):
     path = tmp_path / "numbers.json"
     policy = PRETRAINED / "e2e.npz"
-    words = ["--flights", DRONES, "--seconds", 1, "--policy", policy, "--json", path]
-    status = run("consistency", STANDIN, "sensors.mocap.dropout=0.1", *words)
+    arguments = ["--flights", DRONES, "--seconds", 1, "--policy", policy, "--json", path]
+    status = run("consistency", STANDIN, "sensors.mocap.dropout=0.1", *arguments)
     written = json.loads(path.read_text())
     assert written["config"]["sensors"]["mocap"]["dropout"] == 0.1
     result = written["results"]["e2e.npz"]
@@ -120,14 +120,14 @@ def test_command_prints_writes_and_returns_its_verdict(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "complaint"),
+    ("arguments", "complaint"),
     [
         (["sensors.mocap.latency=2"], "sensors.mocap.latency is 2"),
         (["--flights", "0"], "--flights"),
         (["--policy", "missing.npz"], "missing.npz"),
     ],
 )
-def test_command_refuses_bad_input_in_one_line(words, complaint, capsys):
-    assert run("consistency", STANDIN, "--seconds", 1, *words) == 2
+def test_command_refuses_bad_input_in_one_line(arguments, complaint, capsys):
+    assert run("consistency", STANDIN, "--seconds", 1, *arguments) == 2
     error = capsys.readouterr().err.strip()
     assert complaint in error and "\n" not in error

@@ -1,4 +1,4 @@
-"""A race made of defaults and words, and one compiled step of it for rows of drones."""
+"""A race made of defaults and overrides, and one compiled step of it for rows of drones."""
 
 import functools
 from collections.abc import Sequence
@@ -20,12 +20,12 @@ from tests.convert import state_of
 BLANK = Path(__file__).parent.parent / "blank.yaml"
 
 
-def make_config(*words: str) -> Config:
-    return load_config(BLANK, words)
+def make_config(*overrides: str) -> Config:
+    return load_config(BLANK, overrides)
 
 
-def make_race(*words: str) -> tuple[Choices, RaceParams]:
-    config = make_config(*words)
+def make_race(*overrides: str) -> tuple[Choices, RaceParams]:
+    config = make_config(*overrides)
     return choices_of(config), build_params(config)
 
 

@@ -97,8 +97,8 @@ def test_unchanged_when_all_is_turned_and_moved(kind):
 def test_disturbances_that_are_not_observed():
     rows = ref.random_states("motor", COUNT)
     state = race_state("motor", rows)
-    for words in ((*PAPER, "observation.disturbance=none"), ()):
-        choices, params = make_race(*words)
+    for overrides in ((*PAPER, "observation.disturbance=none"), ()):
+        choices, params = make_race(*overrides)
         found = compiled_observe(choices)(params, state)
         assert np.all(np.isfinite(found))
         np.testing.assert_array_equal(found[:, 20:], 0.0)

@@ -20,8 +20,8 @@ COUNT = 4000
 AUTHORS = ("start.roll_pitch_deg=20", "start.body_rates=0.1")
 
 
-def starts(*words):
-    choices, params = make_race(*words)
+def starts(*overrides):
+    choices, params = make_race(*overrides)
     state = compiled_reset(choices)(params, jax.random.split(jax.random.key(0), COUNT))
     return state, rows_of(state.drone)
 
@@ -44,9 +44,9 @@ def independent(rows, columns):
 
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
-@pytest.mark.parametrize(("words", "tilt", "rates"), [((), 40.0, 1.0), (AUTHORS, 20.0, 0.1)])
-def test_ranges(kind, words, tilt, rates):
-    state, rows = starts(f"vehicle.model={kind}", *words)
+@pytest.mark.parametrize(("overrides", "tilt", "rates"), [((), 40.0, 1.0), (AUTHORS, 20.0, 0.1)])
+def test_ranges(kind, overrides, tilt, rates):
+    state, rows = starts(f"vehicle.model={kind}", *overrides)
     spans(rows[:, ref.P] - ref.GATES[3], -0.5, 0.5)
     spans(rows[:, ref.V], -0.5, 0.5)
     angle = np.radians([tilt, tilt, 180.0])
@@ -168,10 +168,10 @@ def test_each_group_of_constants_is_drawn_by_itself(kind):
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_randomization_of_the_config_reaches_the_episode(kind):
     """The drawn constants are the episode's own, drawn apart from its start."""
-    words = (f"vehicle.model={kind}", "randomization.lag=0.3", "randomization.limits=0.1")
-    state, rows = starts(*words)
+    overrides = (f"vehicle.model={kind}", "randomization.lag=0.3", "randomization.limits=0.1")
+    state, rows = starts(*overrides)
     lags = {"motor": ("tau",), "rate": ("tau_rate", "tau_thrust")}[kind]
-    nominal = make_race(*words)[1].vehicle.constants
+    nominal = make_race(*overrides)[1].vehicle.constants
     for name in lags:
         values = np.asarray(getattr(state.constants, name))
         spans(values[:, None] / float(getattr(nominal, name)), 0.7, 1.3)

@@ -37,8 +37,8 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
 
 def test_a_whole_sweep_by_its_command(tmp_path, capfd):
     path = sweep_file(tmp_path, budget={"trials": 2}, search={"method": "tpe"})
-    words = ["sweep", path, "--workers", 1, "--output", tmp_path / "runs"]
-    assert run(*words) == 0
+    arguments = ["sweep", path, "--workers", 1, "--output", tmp_path / "runs"]
+    assert run(*arguments) == 0
     printed = capfd.readouterr()
     assert "2/2 trials, no flight finished yet" in printed.err
     assert "No policy finished a flight" in printed.out and "best" not in printed.out
@@ -48,9 +48,9 @@ def test_a_whole_sweep_by_its_command(tmp_path, capfd):
     assert "No policy" in (folder / "report.md").read_text()
     assert not (folder / "best.yaml").exists()
     (folder / "notes.txt").write_text("mine")
-    assert run(*words) == 0 and run(*words, "--report") == 0
+    assert run(*arguments) == 0 and run(*arguments, "--report") == 0
     assert "2 trials done, 0 to do" in capfd.readouterr().out
-    assert run(*words[:2], "--overwrite", "--report", *words[4:]) == 0
+    assert run(*arguments[:2], "--overwrite", "--report", *arguments[4:]) == 0
     assert (folder / "notes.txt").exists()
 
 

@@ -79,11 +79,11 @@ def test_constants_and_randomization_can_be_scheduled():
 
 def test_another_schedule_compiles_nothing():
     first = build_learner(tiny("e2e_shac"))
-    words = [
+    overrides = [
         "schedules.start.yaw_deg={linear: [10, value], from: 0.0, until: 0.9}",
         "learner.std=0.2",
     ]
-    second = build_learner(tiny("e2e_shac", *words, "schedules.reward.pitch_up.until=0.6"))
+    second = build_learner(tiny("e2e_shac", *overrides, "schedules.reward.pitch_up.until=0.6"))
     program = jax.jit(first.init)
     params, key = build_params(tiny("e2e_shac")), jax.random.key(0)
     yaws = []
