@@ -55,5 +55,7 @@ def _table(keys: list[KeyInfo]) -> str:
     for info in keys:
         default = to_yaml({"": info.default}).strip().removeprefix('"": ')
         cells = (f"`{info.key}`", f"`{default}`", info.allowed, info.description)
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        # A bracket in a regular expression is no link.
+        escaped = [cell.replace("|", "\\|").replace("][", "]\\[") for cell in cells]
+        lines.append("| " + " | ".join(escaped) + " |")
     return "\n".join(lines) + "\n"
