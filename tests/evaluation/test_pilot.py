@@ -124,11 +124,11 @@ def test_a_policy_of_an_own_model_starts_a_run(tmp_path):
     path = tmp_path / "policy.npz"
     policy = random_policy("rate")
     policy.save(path)
-    words = ["network.hidden=[8]", "network.activation=relu", f"run.initial_policy={path}"]
-    config = load_config(BLANK, [*words, "vehicle.model=tests.config.models:NO_THRUST"])
+    overrides = ["network.hidden=[8]", "network.activation=relu", f"run.initial_policy={path}"]
+    config = load_config(BLANK, [*overrides, "vehicle.model=tests.config.models:NO_THRUST"])
     assert initial_policy(config).vehicle == "rate"
     with pytest.raises(InputError, match="has vehicle rate, the config has motor"):
-        initial_policy(load_config(BLANK, words))
+        initial_policy(load_config(BLANK, overrides))
 
 
 def test_a_policy_with_its_fields_in_another_order_flies_the_same():

@@ -103,9 +103,9 @@ def test_disturbances_that_are_not_observed():
         assert np.all(np.isfinite(found))
         np.testing.assert_array_equal(found[:, 20:], 0.0)
     choices, params = make_race(*PAPER)
-    told = compiled_observe(choices)(params, state)
-    np.testing.assert_array_equal(told[:, :20], found[:, :20])
-    assert np.all(np.abs(told[:, 20:]).max(axis=0) > 0.9)
+    given = compiled_observe(choices)(params, state)
+    np.testing.assert_array_equal(given[:, :20], found[:, :20])
+    assert np.all(np.abs(given[:, 20:]).max(axis=0) > 0.9)
 
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])

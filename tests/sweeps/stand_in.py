@@ -12,7 +12,7 @@ SECONDS = float(os.environ.get("STAND_IN_SECONDS", "0.2"))
 
 
 def run_trial(job: Job, tell) -> Outcome:
-    """Resume a counter of ticks in the trial's folder, and stop when told to."""
+    """Resume a counter of ticks in the trial's folder, and stop on request."""
     job.folder.mkdir(parents=True, exist_ok=True)
     with open(job.folder / "workers", "a") as stream:
         stream.write(f"{os.getpid()}\n")

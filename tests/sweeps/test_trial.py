@@ -21,17 +21,17 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
     search = {"method": "random", "pruner": "median", "reports": 4}
     sweep, directory, _ = open_small(tmp_path, search=search, objective={"seeds": 2, "flights": 2})
     job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)
-    told = []
+    reported = []
 
     def tell(step, value):
-        told.append((step, value))
-        return len(told) == 2
+        reported.append((step, value))
+        return len(reported) == 2
 
     stopped = trial.run_trial(job, tell)
-    assert not stopped.complete and not stopped.values and len(told) == 2
+    assert not stopped.complete and not stopped.values and len(reported) == 2
     outcome = trial.run_trial(job, tell)
     assert outcome.complete and len(outcome.values) == 2 and outcome.finished == 0.0
-    assert [step for step, _ in told] == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert [step for step, _ in reported] == [1, 2, 3, 4, 5, 6, 7, 8]
     assert outcome.values == (8.0, 8.0)  # the time limit of the one lap
 
 
