@@ -1,11 +1,19 @@
+import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from quadjax.fitting.columns import PRESETS
+from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.flight_log import read_log, write_log
+from quadjax.fitting.simulate import random_residual, simulate_flight
 from quadjax.fitting.vehicle_file import read_vehicle
+from quadjax.vehicle.protocol import VehicleParams
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FLIGHTS = REPOSITORY.parent / "shared" / "flight_data"
+RACING_INERTIA = {"i_xx": 0.0025, "i_yy": 0.0021, "i_zz": 0.0043}  # kg m^2
 
 
 @pytest.fixture(scope="session")
@@ -13,10 +21,32 @@ def bebop():
     return read_vehicle("bebop1.yaml").motor
 
 
+def _simulated(folder):
+    """Four flights of a heavier drone with a residual, in the plain columns of the real ones."""
+    vehicle = VehicleParams(read_vehicle("bebop1.yaml").motor.replace(**RACING_INERTIA))
+    vehicle = vehicle.replace(residual=random_residual(5, 0.7, (0.02, 0.02, 0.006)))
+    for seed in range(4):
+        source = folder / "paparazzi.log"
+        write_log(source, simulate_flight(vehicle, seed, seconds=20.0, sample_rate=400.0))
+        log = read_log(source, LogsConfig(format="paparazzi"))
+        values = (log.time, log.rpm, log.rates, log.specific_force, log.body_velocity)
+        quantities = ("time", "rpm", "gyro", "acceleration", "body_velocity")
+        columns = {
+            name: column
+            for quantity, value in zip(quantities, values, strict=True)
+            for name, column in zip(PRESETS["plain"][quantity], np.atleast_2d(value.T), strict=True)
+        }
+        write_log(folder / f"flight_{seed}.csv", columns)
+    return sorted(folder.glob("*.csv"))
+
+
 @pytest.fixture(scope="session")
-def real_flights():
-    """Paths of four real flights, which are no part of the project."""
+def plain_flights(tmp_path_factory):
+    """Logs of four flights: real ones beside the repository, which are no part of it, or simulated.
+
+    Set ``SIMULATED_FLIGHTS`` in the environment to use simulated ones in any case.
+    """
     paths = sorted(FLIGHTS.glob("*.csv"))
-    if len(paths) < 4:
-        pytest.skip("no real flights in ../shared/flight_data beside the repository")
+    if len(paths) < 4 or "SIMULATED_FLIGHTS" in os.environ:
+        paths = _simulated(tmp_path_factory.mktemp("flights"))
     return paths

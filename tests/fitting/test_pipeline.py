@@ -156,10 +156,10 @@ def test_every_config_of_the_folder_is_sound():
 
 
 @pytest.mark.slow
-def test_real_flights_left_out_are_not_harmed(real_flights, tmp_path):
+def test_flights_left_out_are_not_harmed(plain_flights, tmp_path):
     """A shorter training than the default's."""
     arguments = [
-        f"logs.files=[{real_flights[0].parent}/*.csv]",
+        f"logs.files=[{plain_flights[0].parent}/*.csv]",
         "residual={seeds: 3, epochs: 15, distill_epochs: 40}",
     ]
     config = load_fit_config(REPOSITORY / "configs/fit/racing_quad.yaml", arguments)
