@@ -1,6 +1,7 @@
 """The reference of every config key, from the declarations: a page of the docs, and comments."""
 
 from quadjax.config.schema import Config, Gate, Schedule
+from quadjax.core.markdown import table
 from quadjax.core.sections import KeyInfo, Section, describe, to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.shac.hyperparameters import SHAC
@@ -51,11 +52,8 @@ def markdown(title: str, sections: list[tuple[str, list[KeyInfo]]]) -> str:
 
 
 def _table(keys: list[KeyInfo]) -> str:
-    lines = ["| key | default | values | description |", "|---|---|---|---|"]
+    rows = [("key", "default", "values", "description")]
     for info in keys:
         default = to_yaml({"": info.default}).strip().removeprefix('"": ')
-        cells = (f"`{info.key}`", f"`{default}`", info.allowed, info.description)
-        # A bracket in a regular expression is no link.
-        escaped = [cell.replace("|", "\\|").replace("][", "]\\[") for cell in cells]
-        lines.append("| " + " | ".join(escaped) + " |")
-    return "\n".join(lines) + "\n"
+        rows.append((f"`{info.key}`", f"`{default}`", info.allowed, info.description))
+    return table(rows) + "\n"

@@ -64,7 +64,11 @@ class RayExecutor(contextlib.AbstractContextManager):
                 hint = "no Ray cluster answers; start one with ray start --head"
                 raise InputError(f"executor.address is {asked.address}: {hint}") from error
         each = {"CPU": asked.cpus, "GPU": asked.gpus}
-        room = sum(_room(node["Resources"], each) for node in ray.nodes() if node["Alive"])
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        room = sum(
+            min(int(node.get(kind, 0.0) / n + 1e-9) for kind, n in each.items() if n)
+            for node in nodes
+        )
         if not room:
             raise InputError(f"executor: no node has {asked.cpus:g} CPUs and {asked.gpus:g} GPUs")
         self.workers, self._function, self._gpus = asked.workers or room, function, asked.gpus
@@ -89,8 +93,3 @@ class RayExecutor(contextlib.AbstractContextManager):
 
     def __exit__(self, *error: object) -> None:
         """Do nothing: the cluster keeps running."""
-
-
-def _room(resources: dict[str, float], each: dict[str, float]) -> int:
-    """How many trials a node can run at the same time."""
-    return min(int(resources.get(kind, 0.0) / n + 1e-9) for kind, n in each.items() if n)

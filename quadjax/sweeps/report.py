@@ -1,24 +1,23 @@
 """The report of a sweep: a table of its trials, importances, figures and the best config."""
 
+import contextlib
 import csv
 import io
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 from quadjax.core.files import write_text
+from quadjax.core.markdown import table
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.study import OVER, State, latest_trials
 from quadjax.sweeps.sweep import Sweep
-
-FrozenTrial = optuna.trial.FrozenTrial
 
 SHOWN = 10  # trials of the printed table
 STATES = {State.COMPLETE: "complete", State.PRUNED: "pruned", State.FAIL: "failed"}
 TITLES = ("trial", "state", "median", "seeds", "finished", "wall s", "host")
 
 
-def results_of(study: optuna.Study) -> list[FrozenTrial]:
+def results_of(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
     """The trials that are over: complete ones by value, then pruned ones, then failed ones."""
     trials = latest_trials(study).values()
     over = [t for t in trials if t.state in OVER or "error" in t.user_attrs]
@@ -31,16 +30,14 @@ def importances(study: optuna.Study) -> dict[str, float]:
 
     Over complete trials; empty where there are too few.
     """
-    if len({t.value for t in study.get_trials(False, (State.COMPLETE,))}) < 3:
-        return {}
-    try:
-        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-        return optuna.importance.get_param_importances(study, evaluator=evaluator)
-    except (RuntimeError, ValueError):
-        return {}
+    if len({t.value for t in study.get_trials(False, (State.COMPLETE,))}) >= 3:
+        with contextlib.suppress(RuntimeError, ValueError):
+            evaluator = optuna.importance.PedAnovaImportanceEvaluator()
+            return optuna.importance.get_param_importances(study, evaluator=evaluator)
+    return {}
 
 
-def rows_of(results: Sequence[FrozenTrial], keys: Sequence[str]) -> list[list[str]]:
+def rows_of(results: list[optuna.trial.FrozenTrial], keys: list[str]) -> list[list[str]]:
     """A table with a line of titles and a line for each trial; times in s."""
     rows = [[*TITLES, *keys, "error"]]
     for t in results:
@@ -54,12 +51,6 @@ def rows_of(results: Sequence[FrozenTrial], keys: Sequence[str]) -> list[list[st
     return rows
 
 
-def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
-
-
 def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     """Write the report into the sweep's folder; returns what to print."""
     results = results_of(study)
@@ -70,25 +61,22 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     found = sorted(importances(study).items(), key=lambda item: -item[1])
     explained = "Importances need three complete trials of different values."
     if found:
-        explained = markdown([("key", "importance"), *((key, f"{x:.2f}") for key, x in found)])
-    name, asked = sweep.file.name, sweep.file.objective
-    head = f"# {name}\n\n{len(results)} trials of {sweep.trials}; {sweep.file.search.method}; "
-    head += f"median over {asked.seeds} seeds of {asked.measure}, s. "
-    head += f"Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
+        explained = table([("key", "importance"), *((key, f"{x:.2f}") for key, x in found)])
+    name, method, seeds = sweep.file.name, sweep.file.search.method, sweep.file.objective.seeds
+    head = f"# {name}\n\n{len(results)} trials of {sweep.trials}; {method}; median over {seeds} "
+    head += f"seeds of the lap time, s. Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
     finished = [t for t in results if t.state == State.COMPLETE and t.user_attrs["finished"]]
     last = "No policy finished a flight: every value is the penalty. Train for more steps."
     if finished:
         best = finished[0]
         config = sweep.config_of(best.params, f"name={name}_best")
-        title = (
-            f"# Trial {best.user_attrs['index']} of {name}: {asked.measure} {best.value:.3f} s\n"
-        )
+        title = f"# Trial {best.user_attrs['index']} of {name}: lap time {best.value:.3f} s\n"
         write_text(directory / "best.yaml", title + config.to_yaml())
         draw(study, directory)
         last = f"best config: quadjax train {directory / 'best.yaml'}"
-    write_text(directory / "report.md", f"{head}\n\n{markdown(rows)}\n\n{explained}\n\n{last}\n")
-    shown = markdown(rows[: SHOWN + 1])
-    return f"{shown}\n\n{explained}\n{last}\nall trials, report and figures: {directory}"
+    write_text(directory / "report.md", f"{head}\n\n{table(rows)}\n\n{explained}\n\n{last}\n")
+    shown = f"{table(rows[: SHOWN + 1])}\n\n{explained}\n{last}"
+    return f"{shown}\nall trials, report and figures: {directory}"
 
 
 def draw(study: optuna.Study, directory: Path) -> None:

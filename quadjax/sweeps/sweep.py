@@ -12,15 +12,8 @@ import numpy as np
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.sections import (
-    build,
-    find_file,
-    merge_trees,
-    parse_overrides,
-    read_yaml,
-    value_at,
-)
-from quadjax.core.yaml_files import flatten
+from quadjax.core.sections import build, merge_trees, parse_overrides, value_at
+from quadjax.core.yaml_files import find_file, flatten, read_yaml
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
 
@@ -39,14 +32,18 @@ class Dimension:
     key: str  # dotted
     given: Range
     known: optuna.distributions.BaseDistribution
-    integer: bool = False  # a range of whole numbers
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is a range of whole numbers."""
+        return isinstance(self.known, optuna.distributions.IntDistribution)
 
     def suggest(self, trial: optuna.Trial) -> Plain:
         """The value of a trial."""
         x = self.known
         if self.given.choices is not None:
             return trial.suggest_categorical(self.key, x.choices)
-        pick = trial.suggest_int if self.integer else trial.suggest_float
+        pick = trial.suggest_int if self.whole else trial.suggest_float
         return pick(self.key, x.low, x.high, step=x.step, log=x.log)
 
     def override(self, value: Plain) -> str:
@@ -66,12 +63,12 @@ class Dimension:
         if given.points:
             spaced = np.geomspace if given.log else np.linspace
             values = [ends[0], *spaced(*ends, given.points)[1:-1].tolist(), ends[1]]
-        elif given.step or (self.integer and not given.log):
+        elif given.step or (self.whole and not given.log):
             step = max(given.step or 1.0, (ends[1] - ends[0]) / 1e6)
             values = np.arange(ends[0], ends[1] + 0.5 * step, step).tolist()
         else:
             raise InputError(f"space.{self.key}: a grid needs choices, step or points")
-        return sorted({round(value) for value in values}) if self.integer else values
+        return sorted({round(value) for value in values}) if self.whole else values
 
 
 def override(key: str, value: object) -> str:
@@ -104,7 +101,7 @@ def read_dimension(key: str, given: object, config: object) -> Dimension:
         if isinstance(base, float) or not whole:
             return Dimension(key, known, kinds.FloatDistribution(low, high, log, step))
         integers = kinds.IntDistribution(int(low), int(high), log, int(step or 1))
-        return Dimension(key, known, integers, True)
+        return Dimension(key, known, integers)
     except ValueError as error:
         raise InputError(f"{key}: {error}") from error
 

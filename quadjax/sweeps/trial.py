@@ -11,7 +11,6 @@ from quadjax.core.errors import InputError
 from quadjax.sweeps.schema import Objective
 
 FLIGHT_SEED = 1
-NOT_REACHED = 4.0  # factor on the training time of a run in which no flight finished
 
 # Reports (step, value so far) and returns whether to stop; step -1 only asks.
 Tell = Callable[[int, float], bool]
@@ -41,22 +40,22 @@ class Outcome:
 
 def run_trial(job: Job, tell: Tell) -> Outcome:
     """Train and evaluate all seeds of a trial, each from its own checkpoint if there is one."""
-    values: list[float] = []
-    finished: list[float] = []
+    values: tuple[float, ...] = ()
+    finished = 0.0  # flights, as a fraction of those of one seed
     for seed in range(len(job.configs)):
         try:
             found = _run_seed(job, seed, values, tell)
         except InputError as error:
-            return Outcome(tuple(values), 0.0, False, str(error))
+            return Outcome(values, 0.0, False, str(error))
         if found is None:
-            break
-        values.append(found[0])
-        finished.append(found[1])
-    fraction = statistics.fmean(finished) if finished else 0.0
-    return Outcome(tuple(values), fraction, len(values) == len(job.configs))
+            return Outcome(values, finished / max(seed, 1), False)
+        values, finished = (*values, found[0]), finished + found[1]
+    return Outcome(values, finished / len(values), True)
 
 
-def _run_seed(job: Job, seed: int, before: list[float], tell: Tell) -> tuple[float, float] | None:
+def _run_seed(
+    job: Job, seed: int, before: tuple[float, ...], tell: Tell
+) -> tuple[float, float] | None:
     """Value and fraction of finished flights of one seed; None where the training was stopped."""
     from quadjax.config.race import build_params
     from quadjax.evaluation.evaluation import evaluate
@@ -66,27 +65,19 @@ def _run_seed(job: Job, seed: int, before: list[float], tell: Tell) -> tuple[flo
 
     config, asked, folder = job.configs[seed], job.objective, job.folder / f"seed{seed}"
     penalty = time_limit(build_params(config).track, config.evaluate.laps)
-    reached = False
 
     def enough(row: dict[str, float]) -> bool:
-        nonlocal reached
         done = int(min(row["steps"] / config.run.steps, 1.0) * job.reports + 1e-9)
         step = seed * job.reports + done if done else -1
-        reached = asked.measure == "seconds_to" and row["best_lap_total"] <= asked.target
         value = min(row["best_lap_total"], penalty)
-        return tell(step, statistics.median([*before, value])) or reached
+        return tell(step, statistics.median([*before, value]))
 
     try:
         run = train(config, folder, resume=True, enough=enough)
     except NonFiniteError:
         return penalty, 0.0
-    if not run.finished and not reached:
+    if not run.finished:
         return None
-    if asked.measure == "seconds_to":
-        best = run.summary["best_lap_total"]
-        late = NOT_REACHED if best is None else min(NOT_REACHED, 1.0 + best / asked.target)
-        factor = 1.0 if best is not None and best <= asked.target else late
-        return factor * run.seconds_to(asked.target), float(best is not None)
     policy = folder / ("policy.npz" if asked.policy == "best" else "policy_last.npz")
     exact = asked.deterministic
     result = evaluate(policy, job.race, runs=asked.flights, deterministic=exact, seed=FLIGHT_SEED)

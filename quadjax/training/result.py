@@ -62,15 +62,6 @@ class Run:
         """
         return read_metrics(self.folder / "metrics.csv")
 
-    def seconds_to(self, target: float) -> float:
-        """Training time until the laps took at most ``target`` s, else of the whole run, s.
-
-        Without compilation and evaluation.
-        """
-        rows = self.metrics
-        seconds = np.cumsum(np.diff(rows["steps"], prepend=0.0) / rows["steps_per_second"])
-        return float(np.min(seconds, where=rows["lap_total"] <= target, initial=seconds[-1]))
-
     @classmethod
     def load(cls, folder: Path | str) -> "Run":
         """The run of a folder.

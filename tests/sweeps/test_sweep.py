@@ -66,7 +66,7 @@ IMPOSSIBLE_FILES = {
     "too many trials": ({"budget": {"trials": 10**9}}, ["budget.trials", "10000"]),
     "no seeds": ({"objective": {"seeds": 0}}, ["objective.seeds", "0"]),
     "too many flights": ({"objective": {"flights": 10**9}}, ["objective.flights"]),
-    "no target": ({"objective": {"target": -1}}, ["objective.target", "-1"]),
+    "no flights": ({"objective": {"flights": -1}}, ["objective.flights", "-1"]),
     "no such config": ({"config": "none.yaml"}, ["config", "none.yaml", "no such file"]),
     "an empty config": ({"config": ""}, ["no such file"]),
     "another store": ({"storage": "mysql://u:secret@host/d"}, ["storage", "postgresql://"]),
@@ -100,10 +100,6 @@ IMPOSSIBLE_FILES = {
     "a grid with the base first": (
         {"search": {"method": "grid", "base_first": True}, **space({EPOCHS: {"range": [1, 4]}})},
         ["search.base_first", "grid"],
-    ),
-    "pruning of a race to a target": (
-        {"search": {"pruner": "median"}, "objective": {"measure": "seconds_to"}},
-        ["search.pruner", "seconds_to"],
     ),
     "GPUs without Ray": ({"executor": {"gpus": 0.5}}, ["executor.gpus", "ray"]),
     "an unknown executor": ({"executor": {"kind": "slurm"}}, ["executor.kind", "local, ray"]),

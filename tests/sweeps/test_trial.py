@@ -12,7 +12,6 @@ from quadjax.sweeps import trial
 from quadjax.sweeps.report import importances, results_of, rows_of, write_report
 from quadjax.sweeps.run import job_of
 from quadjax.sweeps.study import State
-from quadjax.training.result import Run
 from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, finish, open_small, sweep_file
 
@@ -109,15 +108,6 @@ def test_the_key_that_matters_is_the_most_important(tmp_path):
         study.tell(taken, abs(params[CLIP] - 0.17))
     shares = importances(study)
     assert sum(shares.values()) == pytest.approx(1.0) and shares[CLIP] > 0.6
-
-
-def test_seconds_to_a_target_end_a_training_and_count_its_training_time(tmp_path):
-    objective = {"seeds": 1, "measure": "seconds_to"}
-    sweep, directory, _ = open_small(tmp_path, objective=objective)
-    job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)
-    outcome = trial.run_trial(job, lambda step, value: False)
-    seconds = Run.load(job.folder / "seed0").seconds_to(15.0)
-    assert outcome.values == (pytest.approx(4.0 * seconds),) and outcome.finished == 0.0
 
 
 def test_a_lap_that_is_not_flown_counts_its_share_of_the_time_limit():
