@@ -109,10 +109,12 @@ class _Job:
 
     @property
     def steps_per_chunk(self) -> int:
+        """Environment steps of one chunk."""
         return self.updates * self.learner.steps_per_update
 
     @property
     def steps(self) -> int:
+        """Environment steps of the whole run."""
         return self.chunks * self.steps_per_chunk
 
     def policy(self, params: ActorCritic, steps: int) -> Policy:
