@@ -150,4 +150,4 @@ def test_a_training_is_loaded_and_evaluated(tmp_path):
     assert again.config == config and again.summary == run.summary
     laps = quadjax.evaluate(run.policy, config, runs=2)
     assert laps.lap_times.shape == (2, 1)
-    assert laps.to_json()["policy"] == "policy"
+    assert laps.to_json()["provenance"]["policy"] == {"file": "policy", "sha256": None}

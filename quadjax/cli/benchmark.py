@@ -84,9 +84,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _print_results(results)
     if options.json:
         from quadjax.core.files import write_json
+        from quadjax.core.provenance import provenance
 
         plain = [{k: v for k, v in row.items() if k != "machine"} for row in results]
-        write_json(options.json, {"machine": machine, "results": plain})
+        write_json(options.json, {"machine": machine, "results": plain, "provenance": provenance()})
     return 0
 
 
@@ -177,19 +178,22 @@ def _run_side(job: Job) -> dict[str, Any]:
 
 def _side_by_side(seconds: int, path: str | None) -> int:
     """Both sides one after the other, on this machine."""
+    from quadjax.config.loading import load_config
     from quadjax.core.files import write_json
-    from quadjax.studies.ppo_against_sb3 import Side, format_sides
+    from quadjax.core.provenance import provenance
+    from quadjax.studies.ppo_against_sb3 import SEED, Side, format_sides
 
     found = _measure_all([Job(kind, SIDE_BY_SIDE, 0, 1, seconds) for kind in ("quadjax", "sb3")])
     machine, sides = found[0]["machine"], [row["side"] for row in found]
     _print_machine(machine)
     run = (
-        f"{SIDE_BY_SIDE}, seed 0, {seconds} s of wall time each from the start of the process; "
-        "laps of the last policy, deterministic from hover"
+        f"{SIDE_BY_SIDE}, seed {SEED}, {seconds} s of wall time each from the start of the "
+        "process; laps of the last policy, deterministic from hover"
     )
     print(format_sides([Side(**side) for side in sides], run))
     if path:
-        write_json(path, {"machine": machine, "run": run, "sides": sides})
+        origin = provenance(load_config(SIDE_BY_SIDE), seed=SEED)
+        write_json(path, {"machine": machine, "run": run, "sides": sides, "provenance": origin})
     return 0
 
 

@@ -54,8 +54,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Train, draw, evaluate and tabulate."""
     options = _arguments(arguments)
     with loading():
+        from quadjax.config.loading import load_config
         from quadjax.core.files import write_json
         from quadjax.core.plotting import save_figure
+        from quadjax.core.provenance import provenance
         from quadjax.evaluation.curves import learning_figure
         from quadjax.evaluation.seeds import evaluate_seed, format_seeds
 
@@ -74,7 +76,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         results = [evaluate_seed(folder, options.runs) for folder in folders]
         print(f"\n{name}\n\n{format_seeds(results)}\n")
         path = runs / f"{name}_seeds.json"
-        write_json(path, [dataclasses.asdict(result) for result in results])
+        rows = [dataclasses.asdict(result) for result in results]
+        config = load_config(configs[name], overrides)
+        write_json(path, {"results": rows, "provenance": provenance(config)})
         print(f"wrote {path}")
     return 0
 

@@ -42,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _arguments(arguments)
     with loading():
         from quadjax.core.files import write_json
+        from quadjax.core.provenance import provenance
         from quadjax.export.verify.result import FAILED, table_text
         from quadjax.export.verify.run import verify
 
@@ -60,5 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\r\033[K", end="", file=sys.stderr)
     print(table_text(results))
     if options.json:
-        write_json(options.json, [dataclasses.asdict(result) for result in results])
+        rows = [dataclasses.asdict(result) for result in results]
+        origin = provenance(policy=options.folder / "policy.npz")
+        write_json(options.json, {"results": rows, "provenance": origin})
     return int(any(result.verdict == FAILED for result in results))

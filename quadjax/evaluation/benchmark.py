@@ -1,13 +1,11 @@
 """Speed of the environment and of training, without compilation."""
 
-import contextlib
 import dataclasses
 import os
 import platform
 import statistics
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +15,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
+from quadjax.core.provenance import processor
 from quadjax.learners import sharding as parallel
 from quadjax.learners.devices import choose_devices, core_count
 from quadjax.learners.shards import where_done
@@ -182,7 +181,7 @@ def _speed(
 def machine() -> dict[str, str | int | float | None]:
     """What this was measured on: processor, cores, memory, JAX and its device."""
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": core_count(),
         "memory_gib": _memory_gib(),
         "system": f"{platform.system()} {platform.machine()}",
@@ -191,14 +190,6 @@ def machine() -> dict[str, str | int | float | None]:
         "device": jax.devices()[0].device_kind,
         "backend": jax.default_backend(),
     }
-
-
-def _processor() -> str:
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or "unknown"
 
 
 def _memory_gib() -> float | None:

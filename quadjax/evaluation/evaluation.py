@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax import __version__
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.arguments import MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.errors import InputError, check_integer
 from quadjax.core.files import write_npz
 from quadjax.core.plotting import show_figure
+from quadjax.core.provenance import provenance
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
 from quadjax.evaluation.recording import (
     SIGNALS,
@@ -140,16 +140,12 @@ class Evaluation:
         write_npz(path, arrays, self.to_json())
 
     def to_json(self) -> dict[str, Any]:
-        """Lap times in s, crashes, and what was evaluated."""
-        provenance = {
-            "policy": self.policy_name,
-            "config": self.config.name,
-            "version": __version__,
+        """Lap times in s, crashes, how the runs were made, and their provenance."""
+        return self.laps.to_json() | {
             "deterministic": self.deterministic,
             "start": "hover" if self.race.from_hover else "random",
-            "seed": self.race.seed,
+            "provenance": provenance(self.config, self.policy_name, self.race.seed),
         }
-        return self.laps.to_json() | provenance
 
 
 def evaluate(

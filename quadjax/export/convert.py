@@ -10,6 +10,7 @@ from pathlib import Path
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file, write_json, write_npz, write_text
+from quadjax.core.provenance import provenance
 from quadjax.export.conversion import (
     RESIDUAL_FILE,
     Converted,
@@ -138,7 +139,8 @@ def _write(converted: Converted, request: Request, report: dict[str, object]) ->
         write_text(folder / file, text)
     for file in {f"{name}_estimator.c", f"{name}_estimator.h"} - files.keys():
         (folder / file).unlink(missing_ok=True)  # of an earlier export of another policy
-    write_json(folder / f"{name}_report.json", report)
+    origin = provenance(converted.own.config, request.policy)
+    write_json(folder / f"{name}_report.json", report | {"provenance": origin})
     write_text(folder / f"{name}_report.txt", report_text(report, name))
     config = converted.own.config
     copies = {POLICY_FILE: request.policy}

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.core.files import write_json, write_text
+from quadjax.core.provenance import provenance
 from quadjax.core.sections import to_yaml
 from quadjax.fitting.least_squares import r_squared
 from quadjax.fitting.nominal import AXES, UNITS
@@ -48,7 +49,7 @@ def write_results(result: FitResult, folder: Path) -> list[Path]:
         },
     }
     write_residual(residual, fit.residual, fitted_on)
-    write_json(numbers, as_json(result))
+    write_json(numbers, as_json(result) | {"provenance": provenance(result.config)})
     write_text(text, tables(result))
     return paths
 

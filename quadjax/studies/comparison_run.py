@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import save_figure
+from quadjax.core.provenance import file_record, provenance
 from quadjax.core.sections import to_yaml
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.recording import recordings as simulated_recordings
@@ -66,7 +67,12 @@ def run_comparison(
         InputError: policies that do not fit, or files that cannot be read.
     """
     texts: list[str] = []
-    result: dict[str, object] = {"runs": setting.runs, "laps": setting.laps, "seed": setting.seed}
+    result: dict[str, object] = {
+        "runs": setting.runs,
+        "laps": setting.laps,
+        "provenance": provenance(setting.plant, seed=setting.seed)
+        | {"race": provenance(setting.race)["config"]},
+    }
     if "table" in wanted.parts:
         e2e, indi = (compare_one(setting, own, report) for own in contenders)
         report("drawing")
@@ -107,7 +113,7 @@ def _numbers(setting: Setting, own: Compared) -> dict[str, object]:
     """Numbers of the table for one contender."""
     on_plant, simulated = limit_fractions(setting, own)
     return {
-        "policy": Path(own.contender.file).name,
+        "policy": file_record(own.contender.file),
         "simulated": own.simulated.to_json(),
         "stand-in plant": own.on_plant.laps.to_json(),
         "commands at a limit": on_plant,

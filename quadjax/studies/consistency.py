@@ -20,6 +20,7 @@ from quadjax.config.schema import Config
 from quadjax.core.arguments import Parser, add_config, check_writable, count, parse, seed
 from quadjax.core.files import write_json
 from quadjax.core.frames import wrap_angle
+from quadjax.core.provenance import provenance
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import plant as physics
@@ -205,6 +206,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(table(policy.name, results[policy.name]) + "\n")
     if options.json:
         numbers = {name: result.to_json() for name, result in results.items()}
-        write_json(options.json, {"config": plant.model_dump(), "results": numbers})
+        origin = provenance(plant, seed=options.seed)
+        result = {"config": plant.model_dump(), "results": numbers, "provenance": origin}
+        write_json(options.json, result)
         print(f"wrote {options.json}")
     return int(not all(result.passed for result in results.values()))

@@ -6,8 +6,10 @@ import io
 import math
 from pathlib import Path
 
+from quadjax.config.loading import load_config
 from quadjax.core.files import write_text
 from quadjax.core.markdown import table
+from quadjax.core.provenance import provenance
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.study import OVER, State, latest_trials
 from quadjax.sweeps.sweep import Sweep
@@ -65,6 +67,9 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     name, method, seeds = sweep.file.name, sweep.file.search.method, sweep.file.objective.seeds
     head = f"# {name}\n\n{len(results)} trials of {sweep.trials}; {method}; median over {seeds} "
     head += f"seeds of the lap time, s. Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
+    origin = provenance(load_config(sweep.base, sweep.overrides))
+    head += f"\n\nquadjax {origin['quadjax']}, JAX {origin['jax']}, {origin['date']}; "
+    head += f"SHA-256 of the base config: {origin['config']['sha256']}"
     finished = [t for t in results if t.state == State.COMPLETE and t.user_attrs["finished"]]
     last = "No policy finished a flight: every value is the penalty. Train for more steps."
     if finished:

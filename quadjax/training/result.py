@@ -14,6 +14,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
+from quadjax.core.provenance import provenance
 from quadjax.learners.loop import Position, Row
 from quadjax.policy.file import Policy
 from quadjax.training.metrics import read_metrics
@@ -125,6 +126,7 @@ def write_summary(
         "last_lap_total": _number(rows[-1]["lap_total"] if rows else math.inf),
         "first_under": _first_under(config, rows),
         "peak_memory_mib": peak_memory_mib(),
+        "provenance": provenance(config, folder / "policy.npz"),
     }
     write_json(folder / "summary.json", summary)
     return summary

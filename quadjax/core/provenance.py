@@ -1,0 +1,83 @@
+"""Where a result comes from: versions, hashes of the inputs, seed, date and device."""
+
+import contextlib
+import datetime
+import hashlib
+import importlib.metadata
+import json
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import pydantic
+
+from quadjax import __version__
+from quadjax.core.resources import PRETRAINED
+
+
+def provenance(
+    config: pydantic.BaseModel | None = None,
+    policy: Path | str | None = None,
+    seed: int | None = None,
+) -> dict[str, Any]:
+    """The origin of a result, for the key ``provenance`` of a JSON file.
+
+    Args:
+        config: the resolved config of the result: a ``Config`` or another section.
+        policy: the policy file that was used, or a description of a policy without a file.
+        seed: of the random numbers; that of the config if not given.
+
+    Returns:
+        ``quadjax`` and ``jax``, the versions; ``config``, its name and the SHA-256 of its values;
+        ``policy``, the file and its SHA-256 (null without a file); ``seed``; ``date``, UTC; and
+        ``device``. ``config``, ``policy`` and ``seed`` are null where the result has none.
+    """
+    device = jax.devices()[0]
+    return {
+        "quadjax": __version__,
+        "jax": importlib.metadata.version("jax"),
+        "config": config
+        and {"name": getattr(config, "name", None), "sha256": hash_of_config(config)},
+        "policy": policy and file_record(policy),
+        "seed": getattr(config, "seed", None) if seed is None else seed,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "device": processor() if device.platform == "cpu" else device.device_kind,
+    }
+
+
+def file_record(path: Path | str) -> dict[str, str | None]:
+    """A file and its SHA-256, null where there is no such file."""
+    return {"file": str(path), "sha256": hash_of_file(path)}
+
+
+def hash_of_config(config: pydantic.BaseModel) -> str:
+    """SHA-256 of a config's values; those that name an ``.npz`` file count by its content."""
+    values = _by_content(config.model_dump(mode="json", by_alias=True))
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def _by_content(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _by_content(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_by_content(item) for item in value]
+    named = isinstance(value, str) and value.endswith(".npz")
+    return (named and (hash_of_file(value) or hash_of_file(PRETRAINED / value))) or value
+
+
+def hash_of_file(path: Path | str) -> str | None:
+    """SHA-256 of a file; None where there is no such file."""
+    with contextlib.suppress(OSError, ValueError), open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+    return None
+
+
+def processor() -> str:
+    """The name of this machine's processor."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or "unknown"
