@@ -74,8 +74,9 @@ def test_a_shipped_policy_is_evaluated(tmp_path):
     other = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3, seed=1)
     assert not np.array_equal(other.totals, laps.totals)
     flown = laps.to_json()
-    assert flown["runs"] == 3 and flown["config"] == "e2e_shac" and flown["seed"] == 0
-    assert flown["policy"].endswith("e2e_nominal.npz") and flown["version"] == quadjax.__version__
+    origin = flown["provenance"]
+    assert flown["runs"] == 3 and origin["config"]["name"] == "e2e_shac" and origin["seed"] == 0
+    assert origin["policy"]["file"].endswith("e2e_nominal.npz") and origin["policy"]["sha256"]
     flight = laps.best
     assert flight.lap_ends[-1] == pytest.approx(np.nanmin(laps.totals), abs=0.011)
     laps.save_states(tmp_path / "states.npz")

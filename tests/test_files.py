@@ -132,6 +132,23 @@ def test_a_policy_may_have_its_critic(tmp_path):
             np.testing.assert_array_equal(left, right)
 
 
+def test_a_policy_has_the_residual_that_it_was_trained_with(tmp_path):
+    """It is also a residual file, and the config in it names the file itself."""
+    first = Policy.load(save(tmp_path / "a.npz", policy_arrays(), POLICY_META))
+    save(tmp_path / "r.npz", residual_arrays(), RESIDUAL_META)
+    residual = read_residual(tmp_path / "r.npz")
+    config = {"vehicle": {"residual": str(tmp_path / "r.npz")}}
+    path = tmp_path / "b.npz"
+    dataclasses.replace(first, config=config, residual=residual).save(path)
+    (tmp_path / "r.npz").unlink()
+    found = Policy.load(path)
+    assert found.config == {"vehicle": {"residual": str(path)}}
+    for again in (found.residual, read_residual(path)):
+        jax.tree.map(np.testing.assert_array_equal, again, residual)
+    first.save(tmp_path / "c.npz")
+    assert "without a residual" in refusal(read_residual, tmp_path / "c.npz")
+
+
 def test_a_source_in_anybody_s_own_words(tmp_path):
     for source, expected in (
         ("my drone", {"source": "my drone"}),

@@ -25,6 +25,7 @@ from quadjax.learners.shac.hyperparameters import SHAC
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 FROM_FILE = {"vehicle": ("file", "name", "constants", "models"), "track": ("file", "name", "gates")}
+DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"))  # keys that name .npz files
 DEFAULTS: Tree = {"vehicle": {"file": "bebop1.yaml"}, "track": {"file": "square4.yaml"}}
 
 
@@ -46,7 +47,8 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
         hint = close_match(str(config), names)
         raise InputError(f"{config}: no such preset or file{hint}; presets: {', '.join(names)}")
     tree = read_tree_with_bases(
-        path, lambda under, over, file: _merge(under, over, file.parent, str(file))
+        path,
+        lambda under, over, file: _merge(under, _beside(over, file.parent), file.parent, str(file)),
     )
     if not tree:
         raise InputError(f"{path}: empty; write at least the preset to start from, as base: e2e")
@@ -54,6 +56,16 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
     over = parse_overrides([_expand(override) for override in overrides])
     here = Path() if _exists(over, Path()) else path.parent
     return _build(_merge(tree, over, here, "overrides"), str(path))
+
+
+def _beside(tree: Tree, folder: Path) -> Tree:
+    """The config of a file in ``folder``, with the paths of the data files next to it."""
+    for section, key in DATA_FILES:
+        own = tree.get(section)
+        name = own.get(key) if isinstance(own, dict) else None
+        if isinstance(name, str) and (folder / name).is_file():
+            tree = {**tree, section: {**own, key: str(folder / name)}}
+    return tree
 
 
 def _defaults(tree: Tree) -> Tree:

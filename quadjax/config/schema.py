@@ -42,7 +42,9 @@ class Vehicle(Section):
         {}, description="constants of the file's other models, for a later vehicle.model"
     )
     residual: str | None = Field(
-        None, description="residual networks: an .npz file, or the name of a shipped one"
+        None,
+        description="residual networks: a residual or policy file (.npz), next to the config or by "
+        "its path, or the name of a shipped one",
     )
     residual_gain: float = Field(
         1.0, ge=0, le=10, description="factor on the outputs of the residual networks"
@@ -243,7 +245,10 @@ class Run(Section):
         description="largest number of devices that can share the environments: a power of two; "
         "results depend on it, not on the devices",
     )
-    initial_policy: str | None = Field(None, description="policy file (.npz) to start from")
+    initial_policy: str | None = Field(
+        None,
+        description="policy file (.npz) to start from, next to the config or by its path",
+    )
     evaluate_every: int = Field(
         500_000, ge=1, le=10**12, description="environment steps between evaluations (one chunk)"
     )

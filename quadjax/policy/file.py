@@ -4,7 +4,8 @@ Arrays: ``kernel_0..`` (in, out), ``bias_0..``, ``log_std`` (actions,) and optio
 ``value_kernel_0..`` and ``value_bias_0..``, which training from the file starts with. ``meta`` is a
 JSON string with ``format: "quadjax-policy/2"``, ``vehicle``, ``activation``, ``noise_on``,
 ``command_low``, ``command_high``, ``layout`` (the fields of the observation, see
-``quadjax.race.layout``), ``source`` and ``config``, the full training config. Files of
+``quadjax.race.layout``), ``source`` and ``config``, the full training config. The file also has
+the residual that the policy was trained with, as in ``quadjax.vehicle.residual_file``. Files of
 ``quadjax-policy/1`` have ``observation`` instead of ``layout`` and no ``config``.
 """
 
@@ -20,6 +21,8 @@ from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
 from quadjax.policy import inference
 from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.layout import DISTURBANCES, Layout
+from quadjax.vehicle import residual_file
+from quadjax.vehicle.residual import Residual
 
 FORMAT, RELEASE_1 = FORMATS = ("quadjax-policy/2", "quadjax-policy/1")
 VALUE = "value_"  # prefix of the critic's arrays
@@ -48,6 +51,7 @@ class Policy:
         noise_on: "mean" or "clipped_mean": what the noise of a sample is added to.
         value: layers of the critic, (observation,) -> (1,), in the reward's own unit.
         config: the full training config, as plain dicts and lists; None where unknown.
+        residual: the residual networks of the training, unless they come with the package.
     """
 
     layers: Layers
@@ -61,6 +65,7 @@ class Policy:
     noise_on: str = "mean"
     value: Layers | None = None
     config: dict[str, Any] | None = None
+    residual: Residual | None = None
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
@@ -84,6 +89,11 @@ class Policy:
         if meta.get("output", "clip") != "clip":
             raise InputError(f"{path}: meta 'output' is {meta['output']!r}, allowed: ['clip']")
         source, config = meta.get("source") or {}, meta.get("config")
+        config, residual = config if isinstance(config, dict) else None, None
+        if "residual" in meta:
+            residual = residual_file.from_arrays(path, arrays, meta["residual"])
+            if config and isinstance(config.get("vehicle"), dict):  # it is read from this file
+                config["vehicle"]["residual"] = str(path)
         return cls(
             layers=layers,
             log_std=_log_std(path, arrays, actions),
@@ -95,7 +105,8 @@ class Policy:
             source=source if isinstance(source, dict) else {"source": source},
             noise_on=_choice(path, {"noise_on": "mean"} | meta, "noise_on", NOISE),
             value=_value(path, arrays, layout.size),
-            config=config if isinstance(config, dict) else None,
+            config=config,
+            residual=residual,
         )
 
     def save(self, path: Path | str) -> None:
@@ -105,7 +116,11 @@ class Policy:
             for index, (kernel, bias) in enumerate(layers):
                 arrays[f"{prefix}kernel_{index}"] = np.asarray(kernel, np.float32)
                 arrays[f"{prefix}bias_{index}"] = np.asarray(bias, np.float32)
-        write_npz(path, arrays, self.meta)
+        meta = self.meta
+        if self.residual is not None:
+            more, meta["residual"] = residual_file.to_arrays(self.residual)
+            arrays |= more
+        write_npz(path, arrays, meta)
 
     @property
     def meta(self) -> dict[str, Any]:

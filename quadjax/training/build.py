@@ -19,6 +19,7 @@ from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.race.environment import RaceParams, make_environment
 from quadjax.vehicle.registry import model as vehicle_model
+from quadjax.vehicle.residual_file import is_shipped, read_residual
 
 
 def build_networks(config: Config) -> Networks:
@@ -160,6 +161,7 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
     constants = model.constants(**config.vehicle.constants)
     low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
     value = _scaled(layers_of(params.value), 1.0 / reward_scale(config))
+    residual = config.vehicle.residual
     return Policy(
         layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers_of(params.policy)),
         log_std=np.asarray(params.log_std),
@@ -172,4 +174,5 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
         source=source,
         value=tuple((np.asarray(k), np.asarray(b)) for k, b in value),
         config=config.model_dump(mode="json", by_alias=True),
+        residual=read_residual(residual) if residual and not is_shipped(residual) else None,
     )

@@ -5,15 +5,21 @@ from typing import Any
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_text
+from quadjax.core.files import check_file, whole_file, write_text
 from quadjax.core.folders import MARKER, check_kind, kind_of, remove_files
-from quadjax.core.sections import parse_yaml, read_yaml
+from quadjax.core.sections import parse_yaml, read_yaml, value_at
 from quadjax.core.yaml_files import flatten
+from quadjax.vehicle.residual_file import is_shipped
 
 KIND = "training"
 FREE = ("run.devices", "run.checkpoint_seconds", "run.tensorboard", "run.compilation_cache")
+INPUTS = {  # files of a config, and their copies in the run's folder
+    "vehicle.residual": "inputs/residual.npz",
+    "run.initial_policy": "inputs/initial_policy.npz",
+}
 FILES = (
     "config.yaml",
+    *INPUTS.values(),
     "metrics.csv",
     "summary.json",
     "policy.npz",
@@ -28,8 +34,8 @@ FILES = (
 )
 
 
-def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) -> None:
-    """Write the config to a run's folder, after the checks that it may be used.
+def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) -> Config:
+    """Write the config and the files that it names to a run's folder, if it may be used.
 
     Args:
         config: of the run.
@@ -37,10 +43,14 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
         resume: continue the run that the folder holds, if there is one.
         overwrite: remove the run that the folder holds, if there is one.
 
+    Returns:
+        The config with the copies of its files, in the folder.
+
     Raises:
         InputError: a run that is neither resumed nor overwritten, or one of another config.
     """
     check_kind(folder, KIND)
+    contents = _inputs(config)
     if overwrite:
         remove_files(folder, FILES)
     latest = folder / "checkpoints" / "latest"
@@ -51,7 +61,27 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
                 "or choose another name"
             )
         check_same(config, folder)
-    write_text(folder / "config.yaml", config.to_yaml())
+    for key, content in contents.items():
+        with whole_file(folder / INPUTS[key]) as temporary:
+            temporary.write_bytes(content)
+    write_text(folder / "config.yaml", _with_inputs(config, contents).to_yaml())
+    return _with_inputs(config, contents, folder)
+
+
+def _inputs(config: Config) -> dict[str, bytes]:
+    """The contents of the files that a config names, except for those of the package, by key."""
+    named = {key: value_at(config, key) for key in INPUTS}
+    paths = {key: str(path) for key, path in named.items() if path and not is_shipped(str(path))}
+    for path in paths.values():
+        check_file(path)
+    return {key: Path(path).read_bytes() for key, path in paths.items()}
+
+
+def _with_inputs(config: Config, contents: dict[str, bytes], folder: Path = Path()) -> Config:
+    """The config with the copies of its files."""
+    for key in contents:
+        config = config.at(key, str(folder / INPUTS[key]))
+    return config
 
 
 def check_same(config: Config, folder: Path) -> None:
@@ -62,11 +92,19 @@ def check_same(config: Config, folder: Path) -> None:
     path = folder / "config.yaml"
     if not path.exists() or kind_of(folder) not in (None, KIND):
         return
-    own: Any = parse_yaml(config.to_yaml(), "config")
+    contents = _inputs(config)
+    own: Any = parse_yaml(_with_inputs(config, contents).to_yaml(), "config")
     before, now = flatten(read_yaml(path)), flatten(own)
     for key in [*now, *before]:
         if key not in FREE and before.get(key) != now.get(key):
             raise InputError(
                 f"{path} has {key}: {before.get(key)}, the new config {key}: {now.get(key)}: use "
                 "the same config, replace the run (--overwrite) or choose another name"
+            )
+    for key, content in contents.items():
+        copy = folder / INPUTS[key]
+        if copy.exists() and copy.read_bytes() != content:
+            raise InputError(
+                f"{copy} differs from {key} of the new config, {value_at(config, key)}: use the "
+                "same file, replace the run (--overwrite) or choose another name"
             )

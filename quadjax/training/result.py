@@ -17,7 +17,7 @@ from quadjax.core.files import read_json, write_json
 from quadjax.core.provenance import provenance
 from quadjax.learners.loop import Position, Row
 from quadjax.policy.file import Policy
-from quadjax.training.metrics import read_metrics
+from quadjax.training.metrics import read_metrics, saved_rows
 from quadjax.training.paper import published_total
 
 SUMMARY = (  # keys of summary.json
@@ -101,7 +101,6 @@ def write_summary(
     config: Config,
     folder: Path,
     position: Position,
-    rows: Sequence[Row],
     counts: dict[str, int],
     finished: bool,
 ) -> dict[str, Any]:
@@ -110,11 +109,11 @@ def write_summary(
     Args:
         config: of the run.
         folder: of the run.
-        position: where training ended.
-        rows: of the metrics.
+        position: of the training.
         counts: environment steps and devices.
         finished: whether all steps were trained.
     """
+    rows = saved_rows(folder / "metrics.csv")
     summary = {
         "name": config.name,
         "seed": config.seed,

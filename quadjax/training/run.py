@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import jax
 from jax.sharding import Mesh
@@ -32,7 +33,7 @@ from quadjax.training.build import build_learner, initial_policy, plan, policy_o
 from quadjax.training.checkpoint import Checkpoints
 from quadjax.training.compilation_cache import enable_compilation_cache
 from quadjax.training.folder import KIND, prepare_folder
-from quadjax.training.metrics import MetricsFile, check_tensorboard, saved_rows, timed
+from quadjax.training.metrics import MetricsFile, check_tensorboard, timed
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, read_summary, write_summary
 from quadjax.training.score import Score
@@ -50,8 +51,9 @@ def train(
 ) -> Run:
     """Train a policy and write everything to a folder.
 
-    Writes ``config.yaml``, ``metrics.csv``, ``checkpoints/``, ``policy.npz`` (the best by lap time,
-    at every checkpoint), ``policy_last.npz`` and ``summary.json``. Ctrl-C saves and returns early.
+    Writes ``config.yaml`` with copies of the files that it names in ``inputs/``, ``metrics.csv``,
+    and at every checkpoint ``checkpoints/``, ``policy.npz`` (the best by lap time),
+    ``policy_last.npz`` and ``summary.json``. Ctrl-C saves and returns early.
 
     Args:
         config: what to train: a config, a preset's name or a YAML file.
@@ -79,7 +81,8 @@ def train(
     job = _prepare(config)
     with _claimed(folder):
         if hosts.is_first():
-            prepare_folder(config, folder, resume, overwrite)
+            config = prepare_folder(config, folder, resume, overwrite)
+            job = dataclasses.replace(job, config=config)
         if hosts.alone() and is_finished(folder):
             policy = Policy.load(folder / "policy.npz")
             return Run(config, folder, policy, True, read_summary(folder))
@@ -87,7 +90,9 @@ def train(
         with interruptions() as stop, shown or contextlib.nullcontext():
             callbacks = _Callbacks(job, folder, shown, stop, enough)
             position = _run(job, folder, resume, started, callbacks)
-        return _finish(job, folder, position)
+        summary = read_summary(folder) if hosts.is_first() else {}
+        finished = position.chunks >= job.chunks
+        return Run(job.config, folder, job.best(position), finished, summary)
 
 
 def _claimed(folder: Path) -> AbstractContextManager[None]:
@@ -106,6 +111,7 @@ class _Job:
     updates: int  # of a chunk
     chunks: int  # of the whole run
     initial: Policy | None
+    source: dict[str, Any]  # of the policies
 
     @property
     def steps_per_chunk(self) -> int:
@@ -124,21 +130,21 @@ class _Job:
             params: of the networks.
             steps: environment steps after which they were reached.
         """
-        config = self.config
-        source = {
-            "project": "quadjax",
-            "config": config.name,
-            "algorithm": config.learner.algorithm,
-            "seed": config.seed,
-            "steps": steps,
-            "residual": config.vehicle.residual,
-        }
-        return policy_of(config, params, source)
+        return policy_of(self.config, params, {**self.source, "steps": steps})
 
     def best(self, position: Position) -> Policy:
         """The best policy so far, or the latest before any completes its laps."""
         steps = position.best_steps or position.chunks * self.steps_per_chunk
         return self.policy(position.best, steps)
+
+    def write(self, folder: Path, position: Position) -> None:
+        """Write the best and the last policy, and the summary."""
+        self.best(position).save(folder / "policy.npz")
+        steps = position.chunks * self.steps_per_chunk
+        last = self.policy(jax.device_get(position.state.evaluated), steps)
+        last.save(folder / "policy_last.npz")
+        counts = {"steps": steps, "devices": self.mesh.size}
+        write_summary(self.config, folder, position, counts, position.chunks >= self.chunks)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,7 +175,7 @@ class _Callbacks:
         def save(position: Position) -> None:
             checkpoints.save(position)
             if hosts.is_first():
-                self.job.best(position).save(self.folder / "policy.npz")
+                self.job.write(self.folder, position)
 
         def stop() -> bool:
             return self.stop.is_set() or bool(ended)
@@ -187,7 +193,14 @@ def _prepare(config: Config) -> _Job:
     initial = initial_policy(config)
     if config.run.tensorboard:
         check_tensorboard()
-    return _Job(config, params, learner, mesh, updates, chunks, initial)
+    source = {
+        "project": "quadjax",
+        "config": config.name,
+        "algorithm": config.learner.algorithm,
+        "seed": config.seed,
+        "residual": config.vehicle.residual,
+    }
+    return _Job(config, params, learner, mesh, updates, chunks, initial, source)
 
 
 def _run(job: _Job, folder: Path, resume: bool, started: float, callbacks: _Callbacks) -> Position:
@@ -237,18 +250,3 @@ def _compile(
         )
         warm_up.result()
         return chunk, first.result()
-
-
-def _finish(job: _Job, folder: Path, position: Position) -> Run:
-    """The result; the first process of several writes the last policy and the summary."""
-    config, finished = job.config, position.chunks >= job.chunks
-    policy = job.best(position)
-    if not hosts.is_first():
-        return Run(config, folder, policy, finished, {})
-    steps = position.chunks * job.steps_per_chunk
-    last = job.policy(jax.device_get(position.state.evaluated), steps)
-    last.save(folder / "policy_last.npz")
-    counts = {"steps": steps, "devices": job.mesh.size}
-    rows = saved_rows(folder / "metrics.csv")
-    summary = write_summary(config, folder, position, rows, counts, finished)
-    return Run(config, folder, policy, finished, summary)

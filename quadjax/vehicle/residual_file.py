@@ -2,7 +2,8 @@
 
 ``thrust_kernel_0`` (7, n), ``thrust_bias_0`` .., ``moment_kernel_0`` (10, n) .., and ``meta`` with
 ``format: "quadjax-residual/1"``, ``rpm_min``, ``rpm_max``, ``thrust_sign`` (+1: added to the body-z
-specific force; -1: subtracted) and what it was fitted on.
+specific force; -1: subtracted) and what it was fitted on. A policy file can hold the same arrays,
+and the numbers under the key ``residual`` of its ``meta``.
 """
 
 from pathlib import Path
@@ -15,25 +16,29 @@ from quadjax.core.files import read_layers, read_npz, write_npz
 from quadjax.core.resources import PRETRAINED
 from quadjax.vehicle.residual import Residual
 
-FORMAT = "quadjax-residual/1"
+FORMAT, POLICY_FORMAT = FORMATS = ("quadjax-residual/1", "quadjax-policy/2")
 SHAPES = {"thrust": (7, 1), "moment": (10, 3)}
 
 
 def write_residual(path: Path | str, residual: Residual, source: dict) -> None:
     """Write a residual file atomically; ``source`` describes the data of the fit."""
+    arrays, numbers = to_arrays(residual)
+    write_npz(path, arrays, {"format": FORMAT, **numbers, "source": source})
+
+
+def to_arrays(residual: Residual) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """A residual as the arrays and the numbers of a file."""
     arrays: dict[str, np.ndarray] = {}
     for name in SHAPES:
         for index, (kernel, bias) in enumerate(getattr(residual, name)):
             arrays[f"{name}_kernel_{index}"] = np.asarray(kernel, np.float32)
             arrays[f"{name}_bias_{index}"] = np.asarray(bias, np.float32)
-    meta = {
-        "format": FORMAT,
+    numbers = {
         "rpm_min": float(residual.rpm_min),
         "rpm_max": float(residual.rpm_max),
         "thrust_sign": int(residual.thrust_sign),
-        "source": source,
     }
-    write_npz(path, arrays, meta)
+    return arrays, numbers
 
 
 def located(path: Path | str) -> Path:
@@ -43,14 +48,30 @@ def located(path: Path | str) -> Path:
     return shipped if bare and shipped.exists() else path
 
 
+def is_shipped(path: Path | str) -> bool:
+    """Whether a residual comes with the package, by its name."""
+    return located(path).parent == PRETRAINED
+
+
 def read_residual(path: Path | str) -> Residual:
-    """Read and check a residual file, or a shipped one by its name.
+    """Read and check a residual file, a shipped one by its name, or that of a policy file.
 
     Raises:
         InputError: a missing, damaged or inconsistent file, in one line.
     """
     path = located(path)
-    arrays, meta = read_npz(path, FORMAT)
+    arrays, meta = read_npz(path, FORMATS)
+    return from_arrays(path, arrays, meta if meta["format"] == FORMAT else meta.get("residual"))
+
+
+def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -> Residual:
+    """The residual of a file's arrays and of its ``meta``.
+
+    Raises:
+        InputError: there is none, or it is damaged or inconsistent.
+    """
+    if not isinstance(meta, dict):
+        raise InputError(f"{path}: a policy file without a residual")
     networks = {}
     for name, (inputs, outputs) in SHAPES.items():
         layers = read_layers(path, arrays, f"{name}_")

@@ -2,18 +2,43 @@
 
 import json
 import multiprocessing
+import shutil
 import time
 
 import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.config.race import build_vehicle
 from quadjax.core.errors import InputError
+from quadjax.core.files import write_text
 from quadjax.core.folders import claim, kind_of, remove_files
+from quadjax.core.resources import PRETRAINED
+from quadjax.core.sections import to_yaml
+from quadjax.policy.file import Policy
 from quadjax.training.folder import FILES, check_same, prepare_folder
 from quadjax.training.metrics import MetricsFile, read_metrics, saved_rows
 from quadjax.training.result import SUMMARY, is_finished, read_summary
+from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
+
+NAMED = {  # key of a config: name of its file
+    "track": "mine.yaml",
+    "vehicle": "drone.yaml",
+    "vehicle.residual": "r.npz",
+    "run.initial_policy": "p.npz",
+}
+
+
+def write_files(folder):
+    """A track, a vehicle, a residual and a policy; returns the residual's bytes."""
+    write_text(folder / "mine.yaml", "name: mine\ngates: [{position: [1, 0, -1.5]}]\n")
+    motor = load_config("e2e").vehicle.constants | {"tau": 0.05}
+    write_text(folder / "drone.yaml", to_yaml({"name": "drone", "motor": motor}))
+    random_policy().save(folder / "p.npz")
+    residual = (PRETRAINED / "standin_residual.npz").read_bytes()
+    (folder / "r.npz").write_bytes(residual)
+    return residual
 
 
 def hold(folder, ready):
@@ -73,15 +98,12 @@ def test_claiming_removes_what_a_killed_process_left_and_nothing_else(tmp_path):
 
 def test_overwriting_removes_only_the_files_of_training(tmp_path):
     for name in FILES:
-        (tmp_path / name).write_text("{}")
+        write_text(tmp_path / name, "{}")
     for name in ("notes.txt", "vehicle.yaml", "residual.npz"):
         (tmp_path / name).write_text("mine")
     remove_files(tmp_path, FILES)
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "notes.txt",
-        "vehicle.yaml",
-        "residual.npz",
-    }
+    found = {path.name for path in tmp_path.rglob("*") if path.is_file()}
+    assert found == {"notes.txt", "vehicle.yaml", "residual.npz"}
 
 
 def test_a_run_of_another_config_names_the_key(tmp_path):
@@ -91,6 +113,36 @@ def test_a_run_of_another_config_names_the_key(tmp_path):
     check_same(load_config(BLANK, ["run.devices=1", "run.compilation_cache=false"]), tmp_path)
     with pytest.raises(InputError, match="seed: 0, the new config seed: 3"):
         check_same(load_config(BLANK, ["seed=3"]), tmp_path)
+
+
+def test_a_run_keeps_the_files_of_its_config(tmp_path):
+    """The folder is moved, and every file that the run was started with removed."""
+    files = tmp_path / "files"
+    residual = write_files(files)
+    overrides = [f"{key}={files / name}" for key, name in NAMED.items()]
+    run, moved = tmp_path / "run", tmp_path / "elsewhere" / "run"
+    kept = prepare_folder(load_config("e2e", overrides), run, resume=False, overwrite=False)
+    assert kept.vehicle.residual == str(run / "inputs/residual.npz")
+    shutil.rmtree(files)
+    moved.parent.mkdir()
+    run.rename(moved)
+    config = load_config(moved / "config.yaml")
+    assert config.track.name == "mine" and config.vehicle.constants["tau"] == 0.05
+    assert (moved / "inputs/residual.npz").read_bytes() == residual
+    assert Policy.load(config.run.initial_policy).vehicle == "motor"
+    assert build_vehicle(config).residual is not None
+    check_same(config, moved)
+    assert prepare_folder(config, moved, resume=True, overwrite=False) == config
+    assert prepare_folder(config, moved, resume=False, overwrite=True) == config
+
+
+def test_a_run_of_another_file_names_the_key(tmp_path):
+    write_files(tmp_path / "files")
+    config = load_config("e2e", [f"vehicle.residual={tmp_path / 'files/r.npz'}"])
+    prepare_folder(config, tmp_path / "run", resume=False, overwrite=False)
+    (tmp_path / "files/r.npz").write_bytes((PRETRAINED / "e2e.npz").read_bytes())
+    with pytest.raises(InputError, match="residual.npz differs from vehicle.residual"):
+        check_same(config, tmp_path / "run")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", '{"finished": "yes"}', "\x00\xff", "[" * 99999])
