@@ -23,7 +23,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--vectors", type=count, default=5_000, help="vectors for every build (default: 5000)"
     )
-    parser.add_argument("--flights", type=count, default=0, help="flights of the closed loop")
+    parser.add_argument("--runs", type=count, default=0, help="runs of the closed loop")
     parser.add_argument(
         "--allow-unfinished",
         action="store_true",
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = verify(
         options.folder,
         options.vectors,
-        options.flights,
+        options.runs,
         announce,
         allow_unfinished=options.allow_unfinished,
     )

@@ -176,7 +176,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--policy", action="append", metavar="FILE.npz", help="(e2e.npz and indi.npz)"
     )
-    parser.add_argument("--flights", type=count, default=1000, help="of each policy (1000)")
+    parser.add_argument("--runs", type=count, default=1000, help="of each policy (1000)")
     parser.add_argument("--seconds", type=count, default=20, help="of each flight (20)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
@@ -198,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 race,
                 plant,
                 policy,
-                options.flights,
+                options.runs,
                 options.seconds,
                 options.seed,
                 lambda seconds, n=policy.name: status.update(f"{n}: {seconds:.0f} s simulated"),

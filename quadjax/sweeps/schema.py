@@ -51,7 +51,7 @@ class Objective(Section):
     """The value of a trial: the median of the lap times over its seeds; lower is better."""
 
     seeds: int = Field(3, ge=1, le=1000, description="trainings of a trial, from seed 0")
-    flights: int = Field(16, ge=1, le=100_000, description="timed flights from hover, per seed")
+    runs: int = Field(16, ge=1, le=100_000, description="timed runs from hover, per seed")
     deterministic: bool = Field(False, description="evaluate the mean action instead of samples")
     policy: Literal["best", "last"] = Field(
         "best", description="which policy of a run is evaluated"

@@ -80,5 +80,5 @@ def _run_seed(
         return None
     policy = folder / ("policy.npz" if asked.policy == "best" else "policy_last.npz")
     exact = asked.deterministic
-    result = evaluate(policy, job.race, runs=asked.flights, deterministic=exact, seed=FLIGHT_SEED)
-    return result.laps.penalized, result.finished / asked.flights
+    result = evaluate(policy, job.race, runs=asked.runs, deterministic=exact, seed=FLIGHT_SEED)
+    return result.laps.penalized, result.finished / asked.runs

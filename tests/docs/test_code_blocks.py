@@ -47,7 +47,7 @@ SHORT_FILE = [  # in the YAML file of a sweep
     (r"\brun\.steps: \d+", "run.steps: 1024"),
     (r"\btrials: \d+", "trials: 2"),
     (r"\bseeds: \d+", "seeds: 1"),
-    (r"\bflights: \d+", "flights: 1"),
+    (r"\bruns: \d+", "runs: 1"),
 ]
 RUN = {"python", "sh"}
 LIMIT = 600  # s, a command

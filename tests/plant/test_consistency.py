@@ -104,7 +104,7 @@ def test_without_sensor_errors_the_estimate_is_the_truth():
 def test_command_prints_writes_and_returns_its_verdict(tmp_path, capsys):
     path = tmp_path / "numbers.json"
     policy = PRETRAINED / "e2e.npz"
-    arguments = ["--flights", DRONES, "--seconds", 1, "--policy", policy, "--json", path]
+    arguments = ["--runs", DRONES, "--seconds", 1, "--policy", policy, "--json", path]
     status = run("consistency", STANDIN, "sensors.mocap.dropout=0.1", *arguments)
     written = json.loads(path.read_text())
     assert written["config"]["sensors"]["mocap"]["dropout"] == 0.1
@@ -122,7 +122,7 @@ def test_command_prints_writes_and_returns_its_verdict(tmp_path, capsys):
     ("arguments", "complaint"),
     [
         (["sensors.mocap.latency=2"], "sensors.mocap.latency is 2"),
-        (["--flights", "0"], "--flights"),
+        (["--runs", "0"], "--runs"),
         (["--policy", "missing.npz"], "missing.npz"),
     ],
 )

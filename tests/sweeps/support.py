@@ -26,7 +26,7 @@ def sweep_file(folder: Path, **entries: object) -> Path:
         "overrides": TINY,
         "space": {RATE: {"log": [1e-4, 1e-2]}, CLIP: {"range": [0.1, 0.3]}},
         "search": {"method": "random"},
-        "objective": {"seeds": 1, "flights": 2},
+        "objective": {"seeds": 1, "runs": 2},
         "budget": {"trials": 4},
     }
     folder.mkdir(parents=True, exist_ok=True)

@@ -118,7 +118,7 @@ def test_a_line_without_an_end_is_dropped_and_other_damage_is_one_line(tmp_path)
 def test_a_study_takes_only_its_own_sweep(tmp_path):
     open_small(tmp_path)
     with pytest.raises(InputError, match=r"objective.seeds was 1, is 2"):
-        open_small(tmp_path, objective={"seeds": 2, "flights": 2})
+        open_small(tmp_path, objective={"seeds": 2, "runs": 2})
     with pytest.raises(InputError, match=r"space.learner.clip_range was .*0.3.* is .*0.4"):
         open_small(tmp_path, "space.learner.clip_range.range=[0.1,0.4]")
     with pytest.raises(InputError, match=r"config.*discount was 0.99.*, is 0.9"):

@@ -18,7 +18,7 @@ from tests.sweeps.support import CLIP, RATE, finish, open_small, sweep_file
 
 def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
     search = {"method": "random", "pruner": "median", "reports": 4}
-    sweep, directory, _ = open_small(tmp_path, search=search, objective={"seeds": 2, "flights": 2})
+    sweep, directory, _ = open_small(tmp_path, search=search, objective={"seeds": 2, "runs": 2})
     job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)
     reported = []
 

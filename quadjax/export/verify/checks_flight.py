@@ -109,7 +109,7 @@ def check_closed_loop(c: Context) -> str:
     """The fixed-point policy finishes where the float policy does, in the same times."""
     folder, runs = c.folder, c.runs
     if not runs:
-        raise Skipped("ask for it with --flights 200")
+        raise Skipped("ask for it with --runs 200")
     single, fixed = flights.fly_float_and_fixed(folder.own, folder.policy, folder.network, runs)
     require(single.crashes == fixed.crashes, "other finishes")
     both = np.isfinite(single.totals)
