@@ -24,20 +24,32 @@ class Parser(argparse.ArgumentParser):
         options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(**options)
 
+    def unknown(self, arguments: Sequence[str] | None) -> list[str]:
+        """The arguments that look like options and are none, whatever else is missing."""
+        required = [action for action in self._actions if action.required]
+        for action in required:
+            action.required = False
+        try:
+            _, extra = self.parse_known_intermixed_args(arguments)
+        finally:
+            for action in required:
+                action.required = True
+        return [each for each in extra if each.startswith("-")]
+
     def error(self, message: str) -> NoReturn:
         """Raise an ``InputError``."""
         raise InputError(f"{message} (try --help)")
 
 
-def parse(
-    parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
-) -> argparse.Namespace:
+def parse(parser: Parser, arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Parse options and positional arguments in any order.
 
     Raises:
         InputError: unknown options, missing or bad values.
     """
     try:
+        if unknown := parser.unknown(arguments):
+            parser.error(f"unrecognized arguments: {' '.join(unknown)}")
         return parser.parse_intermixed_args(arguments)
     except argparse.ArgumentError as error:
         raise InputError(f"{error} (try --help)") from error
@@ -49,7 +61,7 @@ def add_config(
     """Add the arguments CONFIG and key=value ..., as ``config`` and ``overrides``."""
     parser.add_argument("config", metavar="CONFIG", help=kind)
     parser.add_argument(
-        "overrides", nargs="*", metavar="key=value", help="change keys of the config"
+        "overrides", nargs="*", default=[], metavar="key=value", help="change keys of the config"
     )
 
 

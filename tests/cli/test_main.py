@@ -39,7 +39,10 @@ def test_the_version_is_that_of_the_package(capsys):
     ("arguments", "names"),
     [
         (["fly"], "'fly' is not a subcommand, allowed: train"),
-        (["train"], "CONFIG"),
+        (["train"], "required: CONFIG (try --help)"),
+        (["train", "--typo"], "unrecognized arguments: --typo"),
+        (["evaluate", "e2e", "--typo"], "unrecognized arguments: --typo"),
+        (["seeds", "--typo", "--seeds", "1"], "unrecognized arguments: --typo"),
         (["train", "nothing.yaml"], "nothing.yaml"),
         (["train", "e2e", "nonsense=1"], "nonsense"),
         (["train", "e2e", "--resume", "--overwrite"], "exclude"),
