@@ -1,5 +1,6 @@
 """The lap table: one line per policy, with a column per lap, the total, the best, the finishers."""
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,6 +9,8 @@ from quadjax.race.laps import Laps
 from quadjax.training.paper import Row
 
 WIDTH = 80  # columns of a terminal
+LISTED = 8  # runs of one kind
+NARROW = 18  # columns of the labels, where all numbers fit next to them
 
 
 def lap_row(label: str, laps: Laps) -> Row:
@@ -29,31 +32,34 @@ def _mean(values: np.ndarray) -> float:
 
 
 def format_table(own: Sequence[Row], published: Sequence[Row] = ()) -> str:
-    """The table as plain text, at most 80 columns wide: more laps continue in a second block.
+    """The table as plain text, at most 80 columns wide.
+
+    Long labels are wrapped; columns that do not fit continue in another block.
 
     Args:
         own: lines of this project.
         published: lines to set below them.
     """
     rows = [*own, *published]
-    labels = [row.label for row in rows]
-    wide = max(map(len, labels))
-    blocks: list[list[list[str]]] = [[]]
-    for column in _columns(rows):
-        used = wide + sum(len(other[0]) + 1 for other in blocks[-1])
-        if blocks[-1] and used + len(column[0]) + 1 > WIDTH:
-            blocks.append([])
-        blocks[-1].append(column)
-    text = []
-    for block in blocks:
+    columns = _columns(rows)
+    room = WIDTH - sum(len(column[0]) + 1 for column in columns)
+    room = room if room >= NARROW else WIDTH // 2
+    labels = [textwrap.wrap(row.label, room, subsequent_indent="  ") or [""] for row in rows]
+    wide = max(len(line) for label in labels for line in label)
+    text: list[str] = []
+    while columns:
+        count, used = 0, wide
+        while count < len(columns) and used + len(columns[count][0]) < WIDTH:
+            used += len(columns[count][0]) + 1
+            count += 1
+        block, columns = columns[:count], columns[count:]
         lines = [
-            " ".join([f"{label:<{wide}}", *(column[i] for column in block)])
-            for i, label in enumerate(["", *labels])
+            "\n".join([*label[:-1], " ".join([f"{label[-1]:<{wide}}", *(c[i] for c in block)])])
+            for i, label in enumerate([[""], *labels])
         ]
-        head, ours, theirs = lines[0], lines[1 : len(own) + 1], lines[len(own) + 1 :]
-        text += [head, "-" * len(head), *ours]
-        if theirs:
-            text += ["published ".ljust(len(head), "-"), *theirs]
+        text += [lines[0], "-" * used, *lines[1 : len(own) + 1]]
+        if published:
+            text += ["published ".ljust(used, "-"), *lines[len(own) + 1 :]]
     return "\n".join([*text, "seconds; means over the runs that finished"])
 
 
@@ -81,14 +87,20 @@ def counted(number: int, noun: str) -> str:
 
 
 def describe_crashes(laps: Laps) -> str:
-    """One line for every way in which runs ended early, with their numbers from 1; or nothing."""
+    """One line for every way in which runs ended early, in each lap; or nothing.
+
+    Up to ``LISTED`` runs are given by their numbers, from 1.
+    """
     completed = laps.laps_completed()
-    ways: dict[str, list[str]] = {}
+    ways: dict[str, list[int]] = {}
     for run, reason in enumerate(laps.crashes):
         if reason:
-            how = f"{reason} in lap {completed[run] + 1} after {laps.seconds[run]:.2f} s"
-            ways.setdefault(how, []).append(str(run + 1))
-    return "\n".join(
-        f"{'run' if len(runs) == 1 else 'runs'} {', '.join(runs)}: {how}"
-        for how, runs in ways.items()
-    )
+            ways.setdefault(f"{reason} in lap {completed[run] + 1}", []).append(run)
+    lines = []
+    for how, runs in ways.items():
+        who = counted(len(runs), "run")
+        if len(runs) <= LISTED:
+            who = f"run{'s' * (len(runs) > 1)} {', '.join(str(run + 1) for run in runs)}"
+        first, last = (f"{end(laps.seconds[runs]):.2f}" for end in (np.min, np.max))
+        lines.append(f"{who}: {how} after {first}{f' to {last}' * (last != first)} s")
+    return "\n".join(lines)

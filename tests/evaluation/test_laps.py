@@ -6,6 +6,7 @@ from quadjax.config.loading import load_config
 from quadjax.evaluation import tables
 from quadjax.evaluation.recording import choose, distinct, recordings
 from quadjax.race.laps import fly_laps
+from quadjax.race.result import Laps
 from quadjax.training import paper
 from tests.evaluation.support import rate_race, script, scripted
 from tests.race.support import BLANK
@@ -106,4 +107,30 @@ def test_the_table_has_published_times(flown):
     assert own.total == pytest.approx(laps.totals.mean())
     text = tables.format_table([own], paper.published_rows(config, 6))
     assert "2/2" in text and "15.75" in text and "17.26" in text
-    assert max(len(line) for line in text.splitlines()) <= 100
+
+
+@pytest.mark.parametrize(
+    "label", ["sampled, 5 runs", "E2E stand-in plant, mean of 5", "word " * 20]
+)
+def test_six_laps_and_their_sum_are_one_block_of_80_columns(label):
+    times = np.full((100, 6), 2.5)
+    times[3, 4:] = np.nan
+    crashes = tuple("hit a gate" if run == 3 else "" for run in range(100))
+    laps = Laps(times, crashes, np.full(100, 15.0), 48.0)
+    lines = tables.format_table([tables.lap_row(label, laps)], paper.PUBLISHED).splitlines()
+    assert max(map(len, lines)) <= tables.WIDTH == 80
+    assert [line for line in lines if line.split()[-9:-3] == ["2.50"] * 6] and "lap 6" in lines[0]
+    assert "15.00" in "".join(lines) and "99/100" in "".join(lines)
+    assert sum("finished" in line for line in lines) == 2  # the title, and the note
+
+
+def test_many_early_ends_are_few_lines():
+    times = np.full((50, 2), np.nan)
+    times[40:] = 2.0
+    reasons = ("hit a gate",) * 20 + ("hit the ground",) * 8 + ("out of time",) * 12 + ("",) * 10
+    laps = Laps(times, reasons, np.linspace(1.0, 1.49, 50), 16.0)
+    assert tables.describe_crashes(laps).splitlines() == [
+        "20 runs: hit a gate in lap 1 after 1.00 to 1.19 s",
+        "runs 21, 22, 23, 24, 25, 26, 27, 28: hit the ground in lap 1 after 1.20 to 1.27 s",
+        "12 runs: out of time in lap 1 after 1.28 to 1.39 s",
+    ]
