@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+import os
 import zipfile
 
 import jax
@@ -114,7 +115,7 @@ def test_inference_from_a_file(tmp_path):
         hidden = np.maximum(hidden, 0.0) if index < 2 else hidden
     mean = np.asarray(policy.mean(seen.astype(np.float32)))
     np.testing.assert_allclose(mean, np.clip(hidden, -1, 1), atol=1e-5)
-    np.testing.assert_allclose(policy.mean(seen[0].astype(np.float32)), mean[0], atol=1e-6)
+    np.testing.assert_allclose(policy(seen[0].astype(np.float32)), mean[0], atol=1e-6)
     quiet = dataclasses.replace(policy, log_std=np.full(4, -20.0))
     drawn = quiet.sample(seen.astype(np.float32), jax.random.key(0))
     np.testing.assert_allclose(drawn, mean, atol=1e-6)
@@ -406,3 +407,15 @@ def test_stale_temporary_files_are_removed(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     remove_stale(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_writing_a_file_removes_what_a_killed_process_left_of_it(tmp_path):
+    old, other, young = (
+        tmp_path / f".writing-{name}" for name in ("a.1.txt", "b.2.txt", "a.3.txt")
+    )
+    for path in (old, other, young):
+        path.write_text("half")
+    for path in (old, other):
+        os.utime(path, (0, 0))
+    write_text(tmp_path / "a.txt", "whole")
+    assert {path.name for path in tmp_path.iterdir()} == {"a.txt", other.name, young.name}

@@ -1,11 +1,13 @@
 """Atomic file writes: to a temporary file, which is then renamed."""
 
 import contextlib
+import glob
 import json
 import math
 import os
 import re
 import tempfile
+import time
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,18 +18,22 @@ import numpy as np
 from quadjax.core.errors import InputError
 
 TEMPORARY = ".writing-"  # prefix of temporary files
+ABANDONED = 300.0  # s since the last write to a temporary file that a killed process left
 ARRAYS = re.compile(r"(\w+_)?(kernel|bias)_\d{1,3}|log_std")  # that an .npz file may hold
 MAX_BYTES = 2**28  # of one array of an .npz file
 
 
 @contextlib.contextmanager
 def whole_file(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary path of the same suffix; on success it becomes ``path``."""
+    """Yield a temporary path of the same suffix; on success it becomes ``path``.
+
+    Temporary files of the same path that a killed process left are removed.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(
-        dir=path.parent, prefix=f"{TEMPORARY}{path.stem[:100]}.", suffix=path.suffix
-    )
+    prefix = f"{TEMPORARY}{path.stem[:100]}."
+    remove_stale(path.parent, prefix, ABANDONED)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=path.suffix)
     os.close(handle)
     temporary = Path(name)
     try:
@@ -39,10 +45,18 @@ def whole_file(path: Path | str) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def remove_stale(folder: Path | str) -> None:
-    """Remove the temporary files that a killed process left in a folder."""
-    for path in Path(folder).glob(f"{TEMPORARY}*"):
-        path.unlink(missing_ok=True)
+def remove_stale(folder: Path | str, prefix: str = TEMPORARY, seconds: float = 0.0) -> None:
+    """Remove the temporary files that a killed process left in a folder.
+
+    Args:
+        folder: the folder, without its subfolders.
+        prefix: of the files' names.
+        seconds: since a file was last written to; one that is being written is younger.
+    """
+    for path in Path(folder).glob(f"{glob.escape(prefix)}*"):
+        with contextlib.suppress(FileNotFoundError):
+            if time.time() - path.stat().st_mtime >= seconds:
+                path.unlink()
 
 
 def _umask() -> int:

@@ -148,6 +148,10 @@ class Policy:
             for name, (_, high) in zip(names, self.layout[field].span or (), strict=False)
         }
 
+    def __call__(self, observation: jax.Array) -> jax.Array:
+        """The mean action, as ``mean``: a ``TrainResult.policy`` is called in the same way."""
+        return self.mean(observation)
+
     def mean(self, observation: jax.Array) -> jax.Array:
         """The mean action (.., actions) of observations (.., layout.size), clipped to [-1, 1]."""
         return jax.numpy.clip(

@@ -3,7 +3,6 @@
 import dataclasses
 import errno
 import logging
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -39,20 +38,11 @@ class Checkpoints:
         Raises:
             InputError: it cannot be written; the last checkpoint stays.
         """
-        plain = hosts.gather(position.state)
-        manager = self._manager
+        tree, manager = _tree(position), self._manager
         if manager is None or manager.latest_step() == position.chunks:
             return
-        meta = {
-            "best_score": position.best_score if math.isfinite(position.best_score) else None,
-            "best_steps": position.best_steps,
-            "chunks": position.chunks,
-            "seconds": position.seconds,
-        }
-        tree = {"state": plain, "best": jax.device_get(position.best)}
-        both = ocp.args.Composite(tree=ocp.args.StandardSave(tree), meta=ocp.args.JsonSave(meta))
         try:
-            manager.save(position.chunks, args=both)
+            manager.save(position.chunks, args=ocp.args.StandardSave(tree))
             manager.wait_until_finished()
         except Exception as error:  # Orbax and TensorStore raise many kinds
             raise InputError(
@@ -74,31 +64,37 @@ class Checkpoints:
         Raises:
             InputError: the checkpoint is damaged.
         """
-        tree: dict[str, Any] = {
-            "state": hosts.gather(like.state),
-            "best": jax.device_get(like.best),
-        }
-        meta: dict[str, Any] = {}
+        tree = _tree(like)
         if self._manager is not None:
-            tree, meta = _read(self._manager, tree)
+            tree = _read(self._manager, tree)
         restored: Any = hosts.broadcast(tree)
-        score = meta.get("best_score")
-        numbers = [meta.get(name, 0) for name in ("best_steps", "chunks", "seconds")]
-        best_steps, chunks, seconds = np.asarray(hosts.broadcast(np.asarray(numbers, np.float64)))
+        best_score, seconds, *whole = np.asarray(restored["numbers"]).view(np.float64).tolist()
+        best_steps, chunks = map(int, whole)
         return dataclasses.replace(
             like,
             state=_with_keys(restored["state"], like.state),
             best=ActorCritic(**vars(restored["best"])),
-            best_score=math.inf if score is None else score,
-            best_steps=int(best_steps),
-            chunks=int(chunks),
-            seconds=float(seconds),
+            best_score=best_score,
+            best_steps=best_steps,
+            chunks=chunks,
+            seconds=seconds,
         )
 
     def close(self) -> None:
         """Release Orbax's resources."""
         if self._manager is not None:
             self._manager.close()
+
+
+def _tree(position: Position) -> dict[str, Any]:
+    """What a checkpoint holds, as NumPy arrays; all processes of a run gather the state."""
+    numbers = [position.best_score, position.seconds, position.best_steps, position.chunks]
+    return {
+        "state": hosts.gather(position.state),
+        "best": jax.device_get(position.best),
+        # As integers: processes exchange floats in single precision.
+        "numbers": np.array(numbers, np.float64).view(np.uint32),
+    }
 
 
 def _make_manager(path: Path) -> ocp.CheckpointManager:
@@ -115,20 +111,17 @@ def _make_manager(path: Path) -> ocp.CheckpointManager:
     return ocp.CheckpointManager(path, options=options)
 
 
-def _read(
-    manager: ocp.CheckpointManager, tree: dict[str, Any]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The checkpoint's tree, of the shapes of ``tree``, and its numbers."""
+def _read(manager: ocp.CheckpointManager, tree: dict[str, Any]) -> dict[str, Any]:
+    """The checkpoint's tree, of the shapes of ``tree``."""
     step = manager.latest_step()
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype), tree)
-    wanted = ocp.args.Composite(tree=ocp.args.StandardRestore(shapes), meta=ocp.args.JsonRestore())
     try:
-        found = manager.restore(step, args=wanted)
+        return manager.restore(step, args=ocp.args.StandardRestore(shapes))
     except Exception as error:  # Orbax raises many kinds
         raise InputError(
-            f"{manager.directory}: checkpoint {step} cannot be read ({_reason(error)})"
+            f"{manager.directory}: checkpoint {step} cannot be read ({_reason(error)}): replace "
+            "the run (--overwrite)"
         ) from error
-    return found["tree"], found["meta"]
 
 
 def _reason(error: Exception) -> str:

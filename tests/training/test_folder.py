@@ -136,6 +136,23 @@ def test_a_run_keeps_the_files_of_its_config(tmp_path):
     assert prepare_folder(config, moved, resume=False, overwrite=True) == config
 
 
+def test_a_checkpoint_without_its_config_is_a_run(tmp_path):
+    (tmp_path / "checkpoints/latest/3").mkdir(parents=True)
+    with pytest.raises(InputError, match="already contains a run"):
+        prepare_folder(load_config(BLANK), tmp_path, resume=False, overwrite=False)
+    prepare_folder(load_config(BLANK), tmp_path, resume=True, overwrite=False)
+    check_same(load_config(tmp_path / "config.yaml"), tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "\x00", "{", "- 1", "seed: 7"])
+def test_a_damaged_config_is_one_line(tmp_path, text):
+    (tmp_path / "checkpoints/latest/3").mkdir(parents=True)
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(InputError, match="config.yaml") as caught:
+        prepare_folder(load_config(BLANK), tmp_path, resume=True, overwrite=False)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_run_of_another_file_names_the_key(tmp_path):
     write_files(tmp_path / "files")
     config = load_config("e2e", [f"vehicle.residual={tmp_path / 'files/r.npz'}"])
