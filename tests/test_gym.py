@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_params, choices_of
-from quadjax.race.environment import make_environment
+from quadjax.config.race import make_race
+from quadjax.training.build import untrained_policy
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
@@ -60,8 +60,8 @@ def test_spaces_and_shapes(mode):
 def test_a_truncation_is_no_crash_and_shows_where_it_ended():
     """The final observation is the step's own, before the reset: it equals the race's."""
     config = short("start.position=0", "start.velocity=0", "start.roll_pitch_deg=0")
-    same = RaceVectorEnv(N, config, "SameStep")
-    off = RaceVectorEnv(N, config, "Disabled")
+    same = RaceVectorEnv(*make_race(config), N, "SameStep")
+    off = RaceVectorEnv(*make_race(config), N, "Disabled")
     same.reset(seed=1)
     off.reset(seed=1)
     for step in range(5):
@@ -85,7 +85,9 @@ def test_a_truncation_is_no_crash_and_shows_where_it_ended():
 
 def test_a_crash_is_no_truncation():
     """Upside down from the start: the roll limit ends every episode at its first step."""
-    env = RaceVectorEnv(N, load_config(BLANK, ["training_limits.roll_deg=1"]), "SameStep")
+    env = RaceVectorEnv(
+        *make_race(load_config(BLANK, ["training_limits.roll_deg=1"])), N, "SameStep"
+    )
     env.reset(seed=0)
     _, reward, terminated, truncated, infos = env.step(hover())
     assert terminated.any() and not truncated.any()
@@ -95,7 +97,7 @@ def test_a_crash_is_no_truncation():
 
 
 def test_the_next_episode_begins_a_step_later_where_asked():
-    env = RaceVectorEnv(N, short(), "NextStep")
+    env = RaceVectorEnv(*make_race(short()), N, "NextStep")
     env.reset(seed=1)
     for _ in range(5):
         ended = env.step(hover())
@@ -108,7 +110,7 @@ def test_the_next_episode_begins_a_step_later_where_asked():
 
 
 def test_a_wrapper_counts_episodes():
-    env = RecordEpisodeStatistics(RaceVectorEnv(N, short(), "SameStep"))
+    env = RecordEpisodeStatistics(RaceVectorEnv(*make_race(short()), N, "SameStep"))
     env.reset(seed=1)
     for _ in range(5):
         _, _, terminated, truncated, infos = env.step(hover())
@@ -122,9 +124,9 @@ def test_it_is_the_race_that_is_trained():
     import jax
 
     config = load_config(BLANK)
-    env = RaceVectorEnv(1, config, "Disabled")
+    env = RaceVectorEnv(*make_race(config), 1, "Disabled")
     env.reset(seed=2)
-    race, params = make_environment(choices_of(config)), build_params(config)
+    race, params = make_race(config)
     state = jax.tree.map(lambda x: x[..., 0], env._batch.state)
     action = np.array([0.1, -0.2, 0.3, 0.0], np.float32)
     following, reward, _, _ = jax.jit(race.step)(params, state, action)
@@ -138,7 +140,7 @@ def test_stable_baselines_learns_on_it():
     pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
     from quadjax.integrations.sb3 import RaceVecEnv, make_ppo, policy_of_ppo
 
-    env = RaceVecEnv(N, short(), seed=0)
+    env = RaceVecEnv(*make_race(short()), N, seed=0)
     env.reset()
     for _ in range(5):
         observation, _, done, infos = env.step(hover())
@@ -155,11 +157,11 @@ def test_stable_baselines_learns_on_it():
         "network.hidden=[8]",
     ]
     config = short(*overrides)
-    model = make_ppo(config, seed=0)
+    model = make_ppo(*make_race(config), config.learner, config.network, seed=0)
     before = [p.detach().clone() for p in model.policy.parameters()]
     model.learn(128)
     assert any((p != q).any() for p, q in zip(model.policy.parameters(), before, strict=True))
-    policy = policy_of_ppo(model, config)
+    policy = policy_of_ppo(model, untrained_policy(config))
     observation = np.linspace(-1.0, 1.0, 24, dtype=np.float32)
     expected, _ = model.predict(observation, deterministic=True)
     np.testing.assert_allclose(policy.mean(observation), expected, atol=1e-5)

@@ -142,7 +142,7 @@ def _run_job(job: Job) -> dict[str, Any]:
     config = load_config(job.config, [f"run.devices={job.devices}"])
     prepare_devices("auto")
     with loading():
-        from quadjax.evaluation import benchmark
+        from quadjax.studies import benchmark
         from quadjax.training.result import peak_memory_mib
 
     if job.kind == "training":
@@ -165,8 +165,8 @@ def _run_side(job: Job) -> dict[str, Any]:
     config = load_config(job.config, [f"run.evaluate_every={per_update}"])
     prepare_devices("auto" if job.kind == "quadjax" else "1")
     with loading():
-        from quadjax.evaluation.benchmark import machine
         from quadjax.studies import ppo_against_sb3 as side_by_side
+        from quadjax.studies.benchmark import machine
 
     if job.kind == "quadjax":
         with tempfile.TemporaryDirectory() as folder:
@@ -213,9 +213,10 @@ def _print_results(results: list[dict[str, Any]]) -> None:
             f"{'compile':>8} {'memory':>9}"
         )
         for row in (row for row in results if row["kind"] == kind):
+            memory = "-" if row["peak_memory_mib"] is None else f"{row['peak_memory_mib']:.0f} MiB"
             name = row["config"] if kind == "training" else ""
             print(
                 f"{name:>10} {row['num_envs']:>8,} {row['devices']:>7} "
                 f"{row['steps_per_second']:>12,.0f} {row['slowest']:>12,.0f} "
-                f"{row['compile_seconds']:>6.1f} s {row['peak_memory_mib'] or 0:>5.0f} MiB"
+                f"{row['compile_seconds']:>6.1f} s {memory:>9}"
             )

@@ -46,7 +46,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--offsets", action="store_true", help="print the distances from the gates' centers"
     )
-    parser.add_argument("--states", metavar="FILE.npz", help="write the trajectories of all runs")
+    parser.add_argument("--states", metavar="FILE.npz|.csv", help="write all trajectories")
     parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from two sides")
     parser.add_argument("--signals", metavar="FILE.png", help="draw actuators and rates over time")
     parser.add_argument("--animation", metavar="FILE.gif", help="animate the flight")
@@ -54,7 +54,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     if arguments.ranges and not arguments.fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
     check_writable(arguments.json)
-    check_writable(arguments.states, (".npz",))
+    check_writable(arguments.states, (".npz", ".csv"))
     check_writable(arguments.figure, PICTURES)
     check_writable(arguments.signals, PICTURES)
     check_writable(arguments.animation, (".gif",))
@@ -66,16 +66,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options, console = _arguments(arguments), Console(stderr=True)
     with loading():
         from quadjax.config.loading import load_config
+        from quadjax.config.race import race_of
         from quadjax.evaluation.evaluation import lap_table
         from quadjax.policy import pilot
         from quadjax.policy.file import Policy
-        from quadjax.training.compilation_cache import enable_compilation_cache
 
     config = load_config(options.config, options.overrides)
     policy = Policy.load(options.policy)
-    pilot.check_fits(config, policy, options.policy)
-    if config.run.compilation_cache:
-        enable_compilation_cache()
+    pilot.fit_race(*race_of(config), policy, options.policy)
     with console.status("compiling and simulating"):
         evaluations = _evaluate_all(config, policy, options)
     print(lap_table(evaluations))
@@ -87,7 +85,7 @@ def _evaluate_all(
     config: "Config", policy: "Policy", options: argparse.Namespace
 ) -> "dict[str, Evaluation]":
     """Every line of the table by its label; the first is the one to save."""
-    from quadjax.evaluation import evaluation
+    from quadjax.evaluation.evaluation import evaluate
 
     common = {
         "runs": options.runs,
@@ -97,22 +95,15 @@ def _evaluate_all(
         "name": options.policy,
     }
     if options.fixed_point:
-        from quadjax.export.actor import fly_fixed_point
+        from quadjax.export.actor import fixed_point_fly
         from quadjax.export.ranges import parse_overrides
 
-        ranges = parse_overrides(options.ranges)
-        fixed = evaluation.evaluate_by(
-            lambda race, trace: fly_fixed_point(
-                config, policy, race, trace, options.policy, ranges
-            ),
-            config,
-            deterministic=True,
-            **common,
-        )
+        actor = fixed_point_fly(policy, parse_overrides(options.ranges))
+        fixed = evaluate(policy, config, deterministic=True, actor=actor, **common)
         return {"fixed point, mean": fixed}
     evaluations = {}
     for deterministic in (True,) if options.deterministic else (False, True):
-        each = evaluation.evaluate(policy, config, deterministic=deterministic, **common)
+        each = evaluate(policy, config, deterministic=deterministic, **common)
         evaluations[each.label()] = each
     return evaluations
 

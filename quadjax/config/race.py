@@ -166,6 +166,11 @@ def _start_range(start: schema.Start) -> StartRange:
     return StartRange(**_traced(ranges))
 
 
+def race_of(config: Config) -> tuple[Choices, RaceParams]:
+    """The race of a config: its static choices, and every number in it."""
+    return choices_of(config), build_params(config)
+
+
 def make_race(config: Config | Path | str) -> tuple[Environment, RaceParams]:
     """The race of a config as three pure functions of one drone, and every number in them.
 
@@ -180,5 +185,5 @@ def make_race(config: Config | Path | str) -> tuple[Environment, RaceParams]:
     """
     from quadjax.config.loading import load_config
 
-    own = config if isinstance(config, Config) else load_config(config)
-    return make_environment(choices_of(own)), build_params(own)
+    choices, params = race_of(config if isinstance(config, Config) else load_config(config))
+    return make_environment(choices), params

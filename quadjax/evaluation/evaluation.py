@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,48 +10,57 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadjax.config.loading import load_config
-from quadjax.config.schema import Config
+from quadjax.config.race import race_of
+from quadjax.config.schema import Config, Gate
 from quadjax.core.arguments import MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, check_integer
 from quadjax.core.files import write_npz
 from quadjax.core.plotting import show_figure
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
 from quadjax.evaluation.recording import (
-    SIGNALS,
     Recording,
     choose,
     distinct,
     gate_offsets,
     recordings,
+    state_arrays,
+    write_table,
 )
 from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.race.laps import Laps, Trace
-from quadjax.training.paper import published_rows
-
-Fly = Callable[[bool], tuple[Laps, Trace | None]]  # whether to record; result and recording
+from quadjax.race.laps import Actor, Laps, Trace
+from quadjax.training.paper import Row, published_rows
+from quadjax.vehicle.protocol import VehicleModel
 
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """Timed laps of a policy in the race of a config.
+    """Timed laps of a policy in a race.
 
     Attributes:
-        config: of the race.
-        race: laps, runs, start and seed.
         laps: lap times (runs, laps) in s, totals, crashes.
         deterministic: the mean action was applied, not samples.
-        policy_name: the policy's file, or "policy".
+        start: "hover", or "random": the starts of training.
+        gates: of the track, in order of passage.
+        time_step: of the simulation, s.
+        model: of the vehicle.
+        published: published lines of the same race, for the table.
+        provenance: versions, config, policy, seed, date and device.
+        fly: repeats the runs; with ``trace=True`` it records their states.
     """
 
-    config: Config
-    race: pilot.Race
     laps: Laps
     deterministic: bool
-    policy_name: str
-    fly: Fly = dataclasses.field(repr=False)
+    start: str
+    gates: Sequence[Gate]
+    time_step: float
+    model: VehicleModel
+    published: tuple[Row, ...]
+    provenance: dict[str, Any]
+    fly: Callable[..., tuple[Laps, Trace | None]] = dataclasses.field(repr=False)
 
     @property
     def lap_times(self) -> np.ndarray:
@@ -71,9 +80,9 @@ class Evaluation:
     @functools.cached_property
     def flights(self) -> list[Recording]:
         """The recorded trajectory of every run; the race is repeated to record it."""
-        laps, trace = self.fly(True)
+        _, trace = self.fly(trace=True)
         assert trace is not None
-        return recordings(trace, laps, self.config.rules.time_step)
+        return recordings(trace, self.laps, self.time_step)
 
     @property
     def best(self) -> Recording:
@@ -83,13 +92,12 @@ class Evaluation:
     @property
     def gate_offsets(self) -> np.ndarray:
         """Distance from the gate's center of every passage of all runs (n,), m."""
-        gates = self.config.track.gates
-        return np.concatenate([gate_offsets(flight, gates) for flight in self.flights])
+        return np.concatenate([gate_offsets(flight, self.gates) for flight in self.flights])
 
     def label(self) -> str:
         """How the actions were chosen, and the number of runs."""
-        runs = counted(self.race.runs, "run")
-        return f"deterministic, {runs}" if self.deterministic else f"sampled, {runs}"
+        how = "deterministic" if self.deterministic else "sampled"
+        return f"{how}, {counted(len(self.laps.crashes), 'run')}"
 
     def table(self) -> str:
         """The lap table, with the published rows if the race is the paper's."""
@@ -98,7 +106,7 @@ class Evaluation:
     def plot(self) -> Figure:
         """The best run seen from above and from the side, colored by speed."""
         best = self.best
-        return trajectory_figure([best], self.config.track.gates, flight_title(best))
+        return trajectory_figure([best], self.gates, flight_title(best))
 
     def plot_signals(self) -> Figure:
         """Actuators and body rates of the best run over time."""
@@ -120,31 +128,34 @@ class Evaluation:
         """
         from quadjax.evaluation.animation import write_animation
 
-        write_animation(distinct(self.flights), self.config.track.gates, path, advance)
+        write_animation(distinct(self.flights), self.gates, path, advance)
 
     def save_states(self, path: Path | str) -> None:
-        """Write the trajectories of all runs to an ``.npz`` file.
+        """Write the trajectories of all runs, as arrays (``.npz``) or as a table (``.csv``).
 
         Arrays: ``time`` (steps,) s; ``position``, ``velocity`` (runs, steps, 3) m, m/s, world NED;
         ``euler``, ``rates`` (runs, steps, 3) rad, rad/s; ``actuators`` (runs, steps, 4 or 1) rpm or
         m/s^2; ``command`` (runs, steps, 4); NaN after the end of a run; ``lap_times`` (runs, laps)
-        s; ``meta``, the JSON of ``to_json``.
+        s; ``meta``, the JSON of ``to_json``. The table has the same signals with their units in the
+        header, and a line for each time of each run.
+
+        Raises:
+            InputError: another suffix.
         """
-        longest = max(self.flights, key=lambda flight: len(flight.time))
-        arrays = {"time": longest.time, "lap_times": self.lap_times}
-        for name in SIGNALS:
-            rows = [getattr(flight, name) for flight in self.flights]
-            arrays[name] = np.full((len(rows), len(longest.time), rows[0].shape[1]), np.nan)
-            for whole, row in zip(arrays[name], rows, strict=True):
-                whole[: len(row)] = row
-        write_npz(path, arrays, self.to_json())
+        if Path(path).suffix == ".csv":
+            write_table(path, self.flights, self.model)
+        elif Path(path).suffix == ".npz":
+            more = {"lap_times": self.lap_times}
+            write_npz(path, state_arrays(self.flights) | more, self.to_json())
+        else:
+            raise InputError(f"{path}: suffix is {Path(path).suffix!r}, allowed: .npz, .csv")
 
     def to_json(self) -> dict[str, Any]:
         """Lap times in s, crashes, how the runs were made, and their provenance."""
         return self.laps.to_json() | {
             "deterministic": self.deterministic,
-            "start": "hover" if self.race.from_hover else "random",
-            "provenance": provenance(self.config, self.policy_name, self.race.seed),
+            "start": self.start,
+            "provenance": self.provenance,
         }
 
 
@@ -158,6 +169,7 @@ def evaluate(
     start: Literal["hover", "random"] = "hover",
     seed: int = 0,
     name: str | None = None,
+    actor: Actor = pilot.fly,
 ) -> Evaluation:
     """Time the laps of a policy by the rules of a race.
 
@@ -170,6 +182,7 @@ def evaluate(
         start: from hover before the first gate, or from the random starts of training.
         seed: of the noise, the disturbances and the starts.
         name: of the policy, for messages and JSON; its path if not given.
+        actor: computes the actions; see ``quadjax.policy.pilot.fly_policy``.
 
     Raises:
         InputError: a file that cannot be read, a policy for another vehicle model, or a number out
@@ -177,53 +190,48 @@ def evaluate(
     """
     own = policy if isinstance(policy, Policy) else Policy.load(policy)
     name = name or ("policy" if isinstance(policy, Policy) else str(policy))
-    race_config = config if isinstance(config, Config) else load_config(config)
-
-    def fly(race: pilot.Race, trace: bool) -> tuple[Laps, Trace | None]:
-        return pilot.fly_policy(race_config, own, race, deterministic, trace, name)
-
-    return evaluate_by(
-        fly,
-        race_config,
-        runs=runs,
-        laps=laps,
-        deterministic=deterministic,
-        start=start,
-        seed=seed,
-        name=name,
-    )
-
-
-def evaluate_by(
-    fly: Callable[[pilot.Race, bool], tuple[Laps, Trace | None]],
-    config: Config,
-    *,
-    runs: int | None,
-    laps: int | None,
-    deterministic: bool,
-    start: str,
-    seed: int,
-    name: str,
-) -> Evaluation:
-    """Time laps that ``fly(race, record)`` flies; other arguments as of ``evaluate``."""
-    if start not in ("hover", "random"):
-        raise InputError(f"start is {start!r}, allowed: hover, random")
+    config = config if isinstance(config, Config) else load_config(config)
+    if config.run.compilation_cache:
+        enable_compilation_cache()
     laps = config.evaluate.laps if laps is None else laps
     runs = config.evaluate.runs if runs is None else runs
+    if start not in ("hover", "random"):
+        raise InputError(f"start is {start!r}, allowed: hover, random")
     check_integer("laps", laps, 1, MAX_LAPS)
     check_integer("runs", runs, 1, MAX_RUNS)
     check_integer("seed", seed, 0, MAX_SEED)
-    race = pilot.Race(laps, runs, start == "hover", seed)
-    own = functools.partial(fly, race)
-    return Evaluation(config, race, own(False)[0], deterministic, name, own)
+    choices, params = race_of(config)
+    hover = start == "hover"
+    fly = functools.partial(
+        pilot.fly_policy,
+        choices,
+        params,
+        own,
+        laps=laps,
+        runs=runs,
+        from_hover=hover,
+        seed=seed,
+        deterministic=deterministic,
+        actor=actor,
+        name=name,
+    )
+    return Evaluation(
+        laps=fly()[0],
+        deterministic=deterministic,
+        start=start,
+        gates=config.track.gates,
+        time_step=config.rules.time_step,
+        model=choices.model,
+        published=published_rows(config, laps, hover),
+        provenance=provenance(config, name, seed),
+        fly=fly,
+    )
 
 
 def lap_table(evaluations: Mapping[str, Evaluation]) -> str:
     """Evaluations of one race by label as one table, then how runs ended early."""
-    first = next(iter(evaluations.values()))
-    published = published_rows(first.config, first.race.laps, first.race.from_hover)
     rows = [lap_row(label, each.laps) for label, each in evaluations.items()]
-    text = [format_table(rows, published)]
+    text = [format_table(rows, next(iter(evaluations.values())).published)]
     for label, each in evaluations.items():
         text += [f"{label}: {line}" for line in describe_crashes(each.laps).splitlines()]
     return "\n".join(text)

@@ -2,11 +2,14 @@
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from quadjax.config.schema import Gate
+from quadjax.core.files import whole_file
 from quadjax.race.laps import Laps, Trace
+from quadjax.vehicle.protocol import Signal, VehicleModel
 
 SIGNALS = ("position", "velocity", "euler", "rates", "actuators", "command")
 
@@ -56,6 +59,59 @@ def recordings(trace: Trace, laps: Laps, dt: float) -> list[Recording]:
         ends = np.cumsum(times[np.isfinite(times)])
         result.append(Recording(dt * np.arange(end), **own, lap_ends=ends, crash=crash))
     return result
+
+
+def state_arrays(flights: Sequence[Recording]) -> dict[str, np.ndarray]:
+    """``time`` (steps,), and each signal of all runs (runs, steps, n); NaN after a run's end."""
+    time = max((flight.time for flight in flights), key=len)
+    arrays = {"time": time}
+    for name in SIGNALS:
+        rows = [getattr(flight, name) for flight in flights]
+        arrays[name] = np.full((len(rows), len(time), rows[0].shape[1]), np.nan)
+        for whole, row in zip(arrays[name], rows, strict=True):
+            whole[: len(row)] = row
+    return arrays
+
+
+def write_table(path: Path | str, flights: Sequence[Recording], model: VehicleModel) -> None:
+    """Write trajectories as CSV: a line for each time of each run; the header has the units.
+
+    Args:
+        path: of the file.
+        flights: the runs, numbered from 0.
+        model: the vehicle model, which names actuators and commands.
+    """
+    names = [
+        *(f"position_{axis} [m]" for axis in "xyz"),
+        *(f"velocity_{axis} [m/s]" for axis in "xyz"),
+        *(f"{angle} [rad]" for angle in ("roll", "pitch", "yaw")),
+        *(f"rate_{axis} [rad/s]" for axis in "pqr"),
+        *_columns("", (model.actuators,)),
+        *_columns("command_", model.commands),
+    ]
+    rows = [
+        np.column_stack(
+            [
+                np.full(len(flight.time), run),
+                flight.time,
+                flight.target,
+                *(getattr(flight, name) for name in SIGNALS),
+            ]
+        )
+        for run, flight in enumerate(flights)
+    ]
+    header = ",".join(["run", "time [s]", "target_gate", *names])
+    with whole_file(path) as temporary:
+        np.savetxt(temporary, np.concatenate(rows), "%.9g", ",", header=header, comments="")
+
+
+def _columns(prefix: str, signals: Sequence[Signal]) -> list[str]:
+    """Names and units of signals, numbered from 1 where a signal has several numbers."""
+    return [
+        f"{prefix}{signal.name}{'' if signal.size == 1 else f'_{index + 1}'} [{signal.unit}]"
+        for signal in signals
+        for index in range(signal.size)
+    ]
 
 
 def opening(flight: Recording, seconds: float) -> Recording:

@@ -1,13 +1,15 @@
 """The results of one config trained with several seeds."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from quadjax.config.loading import load_config
-from quadjax.policy import pilot
+from quadjax.core.markdown import table
+from quadjax.evaluation.evaluation import evaluate
 from quadjax.policy.file import Policy
 from quadjax.training.result import read_summary
 
@@ -41,10 +43,9 @@ def evaluate_seed(run: Path, runs: int) -> SeedResult:
     config = load_config(run / "config.yaml")
     summary = read_summary(run)
     policy = Policy.load(run / "policy.npz")
-    laps = config.evaluate.laps
-    mean, _ = pilot.fly_policy(config, policy, pilot.Race(laps, 1, True, 0), True)
-    hover, _ = pilot.fly_policy(config, policy, pilot.Race(laps, runs, True, 1), False)
-    random, _ = pilot.fly_policy(config, policy, pilot.Race(laps, runs, False, 2), False)
+    fly = functools.partial(evaluate, policy, config, runs=runs)
+    mean = fly(runs=1, deterministic=True).laps
+    hover, random = fly(seed=1).laps, fly(seed=2, start="random").laps
     first = summary["first_under"] or {"total": None, "seconds": None, "steps": None}
     done = hover.totals[np.isfinite(hover.totals)]
     return SeedResult(
@@ -93,6 +94,4 @@ def format_seeds(results: Sequence[SeedResult]) -> str:
     reference = results[0].reference
     columns = [c for c in COLUMNS if reference is not None or not c[0].startswith(("<", "at"))]
     titles = [title.format(reference=_cell(reference, 2)) for title, _ in columns]
-    lines = [[show(result) for _, show in columns] for result in results]
-    rows = ["| " + " | ".join(line) + " |" for line in (titles, *lines)]
-    return "\n".join([rows[0], "|" + "---|" * len(columns), *rows[1:]])
+    return table([titles, *([show(result) for _, show in columns] for result in results)])

@@ -6,15 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.schema import Config
 from quadjax.export import emulator
 from quadjax.export.fixed import FixedNetwork, convert
 from quadjax.export.integers import enable_x64
 from quadjax.export.proof import prove
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import Pilot, Race
-from quadjax.race.laps import Laps, Trace
+from quadjax.policy.pilot import Pilot
+from quadjax.race.laps import Actor
 
 
 def fixed_point_forward(network: FixedNetwork) -> Callable[[jax.Array], jax.Array]:
@@ -75,23 +74,22 @@ def fixed_point_action(
     return act
 
 
-def fly_fixed_point(
-    config: Config,
-    policy: Policy,
-    race: Race,
-    trace: bool = False,
-    name: str = "policy",
-    ranges: dict[str, float] | None = None,
-) -> tuple[Laps, Trace | None]:
-    """Time the laps of a policy as the exported C computes it, bit for bit.
+def fixed_point_fly(policy: Policy, ranges: dict[str, float] | None = None) -> Actor:
+    """The actor of ``quadjax.evaluate`` that computes a policy as the exported C does, bit for bit.
 
-    The C computes the mean action and clips observations to the declared ranges (the defaults, or
-    ``ranges``). Other arguments and errors as of ``quadjax.policy.pilot.fly_policy``.
+    The C computes the mean action and clips observations to the declared ranges.
+
+    Args:
+        policy: see ``fixed.convert``.
+        ranges: declared ranges that differ from the defaults.
+
+    Raises:
+        InputError: a policy that cannot be converted or proven.
     """
     commands = fixed_point_actor(policy, ranges)
 
-    def actor(own: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
+    def act(own: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
         given = commands(pilot.see(own, observation))
         return 2.0 * (given - own.low) / (own.high - own.low) - 1.0
 
-    return pilot.fly_by(config, policy, race, actor, True, trace, name)
+    return act

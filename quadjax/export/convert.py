@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from quadjax.config.schema import Config
+from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file, write_json, write_npz, write_text
 from quadjax.core.provenance import provenance
@@ -85,6 +86,7 @@ def export_c(
         InputError: a policy that cannot be converted, that leaves its declared ranges, or of which
             less than 90% of the simulated flights finish; a folder that cannot be written.
     """
+    enable_compilation_cache()
     with _policy_file(policy) as path:
         request = Request(
             policy=path,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.fitting.config import BodyConfig, FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_logs
 from quadjax.fitting.least_squares import AxisFit, fit_nominal, with_fit
@@ -76,6 +77,7 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
     Raises:
         InputError: bad logs or a bad config, in one line.
     """
+    enable_compilation_cache()
     base = with_body(read_vehicle(config.vehicle, folder), config.body)
     report("reading the logs")
     logs = read_logs(config.logs, folder)

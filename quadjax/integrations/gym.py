@@ -31,6 +31,7 @@ Info = dict[str, Any]
 Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]
 ID = "quadjax/Race-v0"
 DEFAULT_CONFIG = "e2e_shac"
+Named = Config | Path | str  # a config, a preset's name or a YAML file
 
 
 @struct.dataclass
@@ -108,7 +109,7 @@ def step_all(
 
 
 class RaceVectorEnv(VectorEnv):
-    """The race of a config as a vector environment of ``num_envs`` drones.
+    """A race as a vector environment of ``num_envs`` drones.
 
     Observations are (num_envs, observation_size) float32; actions are (num_envs, action_size)
     float32 in [-1, 1] and are clipped. ``terminated`` is a crash or a violated limit, ``truncated``
@@ -121,24 +122,23 @@ class RaceVectorEnv(VectorEnv):
 
     def __init__(
         self,
+        environment: Environment,
+        params: RaceParams,
         num_envs: int = 1,
-        config: Config | Path | str = DEFAULT_CONFIG,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         seed: int = 0,
     ) -> None:
-        """Build the race; nothing is compiled yet.
+        """Prepare the race, which ``quadjax.make_race`` returns; nothing is compiled yet.
 
         Args:
+            environment: of the race.
+            params: its numbers.
             num_envs: number of drones.
-            config: a config, a preset's name or a YAML file.
             autoreset_mode: when the next episode begins: same step, next step, or disabled.
             seed: of the first ``reset`` without a seed.
-
-        Raises:
-            InputError: a config that cannot be read.
         """
-        environment, self._params = make_race(config)
         self.num_envs, self._mode = num_envs, AutoresetMode(autoreset_mode)
+        self._params = params
         self.metadata = {"autoreset_mode": self._mode, "render_modes": []}
         self._reset = jax.jit(functools.partial(reset_all, environment, num_envs))
         self._step = jax.jit(functools.partial(step_all, environment, self._mode))
@@ -211,10 +211,10 @@ class RaceEnv(gymnasium.Env):
     metadata = {"render_modes": []}
 
     def __init__(
-        self, config: Config | Path | str = DEFAULT_CONFIG, render_mode: None = None
+        self, environment: Environment, params: RaceParams, render_mode: None = None
     ) -> None:
-        """Build the race of a config."""
-        self._one = RaceVectorEnv(1, config, AutoresetMode.NEXT_STEP)
+        """Prepare the race, which ``quadjax.make_race`` returns."""
+        self._one = RaceVectorEnv(environment, params, 1, AutoresetMode.NEXT_STEP)
         self.observation_space = self._one.single_observation_space
         self.action_space = self._one.single_action_space
         self.render_mode = render_mode
@@ -238,9 +238,13 @@ def _box(bound: float, shape: tuple[int, ...]) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-bound, bound, shape, np.float32)
 
 
-def _make_vector(num_envs: int = 1, **arguments: Any) -> RaceVectorEnv:
-    return RaceVectorEnv(num_envs, **arguments)
+def _make(config: Named = DEFAULT_CONFIG, **options: Any) -> RaceEnv:
+    return RaceEnv(*make_race(config), **options)
+
+
+def _make_vector(config: Named = DEFAULT_CONFIG, **options: Any) -> RaceVectorEnv:
+    return RaceVectorEnv(*make_race(config), **options)
 
 
 if ID not in gymnasium.registry:
-    gymnasium.register(ID, entry_point=RaceEnv, vector_entry_point=_make_vector)  # type: ignore
+    gymnasium.register(ID, entry_point=_make, vector_entry_point=_make_vector)  # type: ignore

@@ -6,16 +6,19 @@ bootstraps from ``infos[i]["terminal_observation"]``, the observation before the
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.schema import Config
+from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.integrations.gym import AutoresetMode, RaceVectorEnv
+from quadjax.learners.ppo.hyperparameters import PPO as Hyperparameters
+from quadjax.learners.section import LearnerSection, Network
 from quadjax.policy.file import Policy
+from quadjax.race.environment import RaceParams
 
 try:
+    import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
@@ -27,11 +30,14 @@ Indices = None | int | Iterable[int]
 
 
 class RaceVecEnv(VecEnv):
-    """``num_envs`` drones of a config's race."""
+    """``num_envs`` drones of a race."""
 
-    def __init__(self, num_envs: int, config: Config | Path | str, seed: int = 0) -> None:
-        """Build the race."""
-        self._race = RaceVectorEnv(num_envs, config, AutoresetMode.SAME_STEP, seed)
+    def __init__(
+        self, environment: Environment, params: RaceParams, num_envs: int, seed: int = 0
+    ) -> None:
+        """Prepare the race, which ``quadjax.make_race`` returns."""
+        mode = AutoresetMode.SAME_STEP
+        self._race = RaceVectorEnv(environment, params, num_envs, mode, seed)
         self._action: np.ndarray | None = None
         self.render_mode = None
         super().__init__(
@@ -84,23 +90,35 @@ class RaceVecEnv(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
 
-def make_ppo(config: Config, seed: int, device: str = "cpu") -> PPO:
-    """Stable-Baselines3's PPO with the hyperparameters of a config, on its race.
+def make_ppo(
+    environment: Environment,
+    params: RaceParams,
+    learner: LearnerSection,
+    network: Network,
+    seed: int,
+    device: str = "cpu",
+) -> PPO:
+    """Stable-Baselines3's PPO with the hyperparameters of a config, on a race.
 
     Separate networks and state-independent Gaussian noise, as in ``quadjax.learners.ppo``.
 
-    Raises:
-        InputError: a config of another learner.
-    """
-    if config.learner.algorithm != "ppo":
-        raise InputError(f"learner.algorithm is {config.learner.algorithm}, allowed: ppo")
-    import torch
+    Args:
+        environment: of the race.
+        params: its numbers.
+        learner: hyperparameters: ``quadjax.PPO(...)``, or the section ``learner`` of a config.
+        network: hidden layers of policy and value.
+        seed: of all random numbers.
+        device: PyTorch's.
 
-    learner, hidden = config.learner, list(config.network.hidden)
-    activation = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[config.network.activation]
+    Raises:
+        InputError: hyperparameters of another algorithm.
+    """
+    if not isinstance(learner, Hyperparameters):
+        raise InputError(f"learner.algorithm is {learner.algorithm}, allowed: ppo")
+    hidden = list(network.hidden)
     return PPO(
         "MlpPolicy",
-        RaceVecEnv(learner.num_envs, config, seed),
+        RaceVecEnv(environment, params, learner.num_envs, seed),
         learning_rate=learner.learning_rate,
         n_steps=learner.rollout_length,
         batch_size=learner.num_envs * learner.rollout_length // learner.num_minibatches,
@@ -113,7 +131,7 @@ def make_ppo(config: Config, seed: int, device: str = "cpu") -> PPO:
         max_grad_norm=learner.max_grad_norm,
         policy_kwargs={
             "net_arch": {"pi": hidden, "vf": hidden},
-            "activation_fn": activation,
+            "activation_fn": {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[network.activation],
             "log_std_init": learner.initial_log_std,
         },
         seed=seed,
@@ -121,25 +139,25 @@ def make_ppo(config: Config, seed: int, device: str = "cpu") -> PPO:
     )
 
 
-def policy_of_ppo(model: PPO, config: Config) -> Policy:
+def policy_of_ppo(model: PPO, like: Policy) -> Policy:
     """The policy of Stable-Baselines3 as a quadjax policy.
 
     Args:
-        model: with an MLP policy of the config's shape, such as ``make_ppo`` returns.
-        config: of the race.
+        model: with an MLP policy, such as ``make_ppo`` returns.
+        like: a policy of the same race, such as ``quadjax.training.build.untrained_policy(config)``
+            returns: the vehicle, the observation and the commands.
     """
-    import jax
-    import torch
-
-    from quadjax.training.build import build_networks, policy_of
-
     network = model.policy
     linear = [m for m in network.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
     layers = tuple(
         (m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy())
         for m in [*linear, network.action_net]
     )
-    source = {"trained_by": "Stable-Baselines3"}
-    untrained = policy_of(config, build_networks(config).init(jax.random.key(0)), source)
-    log_std = network.log_std.detach().cpu().numpy()
-    return dataclasses.replace(untrained, layers=layers, log_std=log_std, value=None)
+    return dataclasses.replace(
+        like,
+        layers=layers,
+        log_std=network.log_std.detach().cpu().numpy(),
+        noise_on="mean",
+        source={"trained_by": "Stable-Baselines3"},
+        value=None,
+    )

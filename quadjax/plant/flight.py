@@ -50,7 +50,7 @@ class FlightParams:
 class Flight:
     """Drones in a race, batched along the last axis."""
 
-    race: laps.Race
+    race: laps.LapState
     plant: PlantState
     onboard: OnboardState
 

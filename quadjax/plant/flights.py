@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.race import build_vehicle
+from quadjax.config.race import build_vehicle, race_of
 from quadjax.config.schema import Config
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation.recording import Recording
@@ -20,7 +20,7 @@ from quadjax.plant.indi import indi_params
 from quadjax.plant.onboard import OnboardChoices, OnboardParams
 from quadjax.plant.sensors import sensor_params
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import Pilot, make_pilot, race_of
+from quadjax.policy.pilot import Pilot, fit_race, make_pilot
 from quadjax.race import laps
 from quadjax.race.environment import exact_rules
 from quadjax.race.laps import Laps
@@ -86,7 +86,7 @@ def plan_flights(
         InputError: a policy that does not fit, or files that cannot be read.
     """
     config = race_config(config, policy)
-    choices, params = race_of(config, policy, name)
+    choices, params = fit_race(*race_of(config), policy, name)
     params = exact_rules(choices.model, params)
     pilot = make_pilot(choices, params, policy, deterministic)
     hold = round(plant.sample_rate / plant.control_rate)

@@ -14,8 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from quadjax.config.race import build_params, choices_of
-from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled, policy_params
@@ -38,23 +36,6 @@ class Pilot:
     low: jax.Array  # (actions,) lowest command of the environment's vehicle
     high: jax.Array  # (actions,)
     noise: jax.Array  # () 1 for sampled actions, 0 for the mean: one compilation for both
-
-
-@dataclasses.dataclass(frozen=True)
-class Race:
-    """Timed laps of a policy.
-
-    Attributes:
-        laps: number of laps.
-        runs: number of independent drones.
-        from_hover: start at hover in the last gate, else from the training's random starts.
-        seed: of the noise, the disturbances and the starts.
-    """
-
-    laps: int = 6
-    runs: int = 5
-    from_hover: bool = True
-    seed: int = 0
 
 
 def fit_race(
@@ -89,16 +70,6 @@ def fit_race(
     widths = {name: jnp.float32(value) for name, value in policy.disturbance_widths.items()}
     scale = params.observed_disturbance.replace(**widths)
     return dataclasses.replace(choices, layout=layout), params.replace(disturbance_scale=scale)
-
-
-def check_fits(config: Config, policy: Policy, name: str) -> None:
-    """Raise an ``InputError`` for a policy that cannot fly a config's race as it was trained."""
-    fit_race(choices_of(config), build_params(config), policy, name)
-
-
-def race_of(config: Config, policy: Policy, name: str = "policy") -> tuple[Choices, RaceParams]:
-    """The race of a config, with the observation that the policy was trained with."""
-    return fit_race(choices_of(config), build_params(config), policy, name)
 
 
 def command_ranges(choices: Choices, params: RaceParams) -> Ranges:
@@ -163,45 +134,38 @@ def fly(pilot: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
 
 
 def fly_policy(
-    config: Config,
+    choices: Choices,
+    params: RaceParams,
     policy: Policy,
-    race: Race,
-    deterministic: bool,
+    *,
+    laps: int = 6,
+    runs: int = 5,
+    from_hover: bool = True,
+    seed: int = 0,
+    deterministic: bool = False,
     trace: bool = False,
+    actor: Actor = fly,
     name: str = "policy",
 ) -> tuple[Laps, Trace | None]:
-    """Time a policy's laps.
+    """Time a policy's laps; the observation is the one that it was trained with.
 
     Args:
-        config: of the race; the observation is the one that the policy was trained with.
+        choices: of the race.
+        params: of the race.
         policy: the policy.
-        race: laps, runs and starts.
+        laps: number of laps.
+        runs: number of independent drones.
+        from_hover: start at hover in the last gate, else from the training's random starts.
+        seed: of the noise, the disturbances and the starts.
         deterministic: fly the mean rather than samples.
         trace: whether to record states and commands.
+        actor: ``(pilot, observation, noise) -> action``, which computes the commands; static.
         name: the policy's file, for messages.
 
     Raises:
         InputError: the policy does not fit the vehicle.
     """
-    return fly_by(config, policy, race, fly, deterministic, trace, name)
-
-
-def fly_by(
-    config: Config,
-    policy: Policy,
-    race: Race,
-    actor: Actor,
-    deterministic: bool,
-    trace: bool,
-    name: str,
-) -> tuple[Laps, Trace | None]:
-    """Time the laps of a policy whose commands ``actor`` computes, as ``fly`` does.
-
-    Other arguments, results and errors as of ``fly_policy``.
-    """
-    choices, params = race_of(config, policy, name)
+    choices, params = fit_race(choices, params, policy, name)
     pilot = make_pilot(choices, params, policy, deterministic)
-    key = jax.random.key(race.seed)
-    return fly_laps(
-        choices, params, actor, pilot, key, race.laps, race.runs, race.from_hover, trace
-    )
+    key = jax.random.key(seed)
+    return fly_laps(choices, params, actor, pilot, key, laps, runs, from_hover, trace)

@@ -21,7 +21,7 @@ SLOWEST_LAP, ITS_LENGTH = 8.0, 14.0  # s and m; longer laps have proportionally 
 
 
 @struct.dataclass
-class Race:
+class LapState:
     """Drones in timed laps, batched along the last axis."""
 
     state: RaceState
@@ -30,7 +30,7 @@ class Race:
     crash: jax.Array  # (runs,) index into CRASHES
 
 
-Carry = tuple[Race, jax.Array]  # drones and the key of the next noise
+Carry = tuple[LapState, jax.Array]  # drones and the key of the next noise
 
 
 @struct.dataclass
@@ -87,14 +87,16 @@ def _crash_code(outcome: Outcome) -> jax.Array:
 
 
 def _step_one(
-    choices: Choices, params: RaceParams, race: Race, action: jax.Array, gates: int
-) -> Race:
+    choices: Choices, params: RaceParams, race: LapState, action: jax.Array, gates: int
+) -> LapState:
     """One step of one drone; a race that is over does not change."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
     return score(race, following, outcome, params.limits.time_step, gates)
 
 
-def score(race: Race, following: RaceState, outcome: Outcome, dt: jax.Array, gates: int) -> Race:
+def score(
+    race: LapState, following: RaceState, outcome: Outcome, dt: jax.Array, gates: int
+) -> LapState:
     """One drone's race after a step: its laps, whether it is over, and why.
 
     Args:
@@ -115,13 +117,15 @@ def score(race: Race, following: RaceState, outcome: Outcome, dt: jax.Array, gat
     crash = jnp.where(crashed, _crash_code(outcome), race.crash)
     over = race.over | crashed | (lap_end[-1] > 0)
     state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
-    return Race(state, lap_end, over, crash)
+    return LapState(state, lap_end, over, crash)
 
 
-def begin(state: RaceState, laps: int) -> Race:
+def begin(state: RaceState, laps: int) -> LapState:
     """Drones before a race of some laps, batched along the last axis."""
     runs = state.step.shape[-1]
-    return Race(state, jnp.zeros((laps, runs)), jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32))
+    return LapState(
+        state, jnp.zeros((laps, runs)), jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32)
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace"))
@@ -135,7 +139,7 @@ def fly_race(
     policy: object,
     state: RaceState,
     key: jax.Array,
-) -> tuple[Race, Trace | None]:
+) -> tuple[LapState, Trace | None]:
     """Fly from given states for at most ``steps`` steps; see ``fly_laps``."""
     one = _stepper(choices, actor, params, policy)
 
@@ -182,7 +186,7 @@ def _stepper(
     return one
 
 
-def _trace(choices: Choices, params: RaceParams, race: Race, action: jax.Array) -> Trace:
+def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Array) -> Trace:
     drone, model = race.state.drone, choices.model
 
     def rows(vector: Vec3) -> jax.Array:
@@ -250,7 +254,7 @@ def step_limit(params: RaceParams, laps: int) -> int:
     return round(time_limit(params.track, laps) / float(params.limits.time_step))
 
 
-def laps_of(race: Race, dt: float, limit: float) -> Laps:
+def laps_of(race: LapState, dt: float, limit: float) -> Laps:
     """The result of a race that is over, ``dt`` s a step, with its time limit in s."""
     ends = np.asarray(race.lap_end, np.float64).T
     completed = np.where(ends > 0, ends, np.nan)

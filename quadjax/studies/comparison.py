@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from quadjax.config.race import race_of
 from quadjax.config.schema import Config
 from quadjax.evaluation.tables import lap_row
 from quadjax.plant.config import EffectsConfig, PlantConfig
@@ -64,9 +65,16 @@ def contender(name: str, file: str) -> Contender:
 def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
     """Evaluate one contender in the simulator and on the plant."""
     report(f"{own.name}: simulator")
-    race = pilot.Race(setting.laps, setting.runs, seed=setting.seed)
-    config = race_config(setting.race, own.policy)
-    simulated, trace = pilot.fly_policy(config, own.policy, race, True, True, own.file)
+    simulated, trace = pilot.fly_policy(
+        *race_of(race_config(setting.race, own.policy)),
+        own.policy,
+        laps=setting.laps,
+        runs=setting.runs,
+        seed=setting.seed,
+        deterministic=True,
+        trace=True,
+        name=own.file,
+    )
     report(f"{own.name}: stand-in plant")
     return Compared(own, simulated, trace, fly(setting, setting.plant, own))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import file_record, provenance
@@ -66,6 +67,7 @@ def run_comparison(
     Raises:
         InputError: policies that do not fit, or files that cannot be read.
     """
+    enable_compilation_cache()
     texts: list[str] = []
     result: dict[str, object] = {
         "runs": setting.runs,

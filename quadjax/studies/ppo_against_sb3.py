@@ -5,10 +5,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from quadjax.config.race import make_race
 from quadjax.config.schema import Config
+from quadjax.evaluation.evaluation import evaluate
 from quadjax.learners.devices import core_count
-from quadjax.policy import pilot
 from quadjax.policy.file import Policy
+from quadjax.training.build import untrained_policy
 
 if TYPE_CHECKING:
     from stable_baselines3.common.callbacks import BaseCallback
@@ -31,8 +33,7 @@ class Side:
 
 
 def _evaluate(config: Config, policy: Policy) -> tuple[float | None, int]:
-    race = pilot.Race(config.evaluate.laps, 1, True, 0)
-    laps, _ = pilot.fly_policy(config, policy, race, True)
+    laps = evaluate(policy, config, runs=1, deterministic=True).laps
     total = float(laps.totals[0])
     return (total if laps.finished else None), int(laps.laps_completed()[0])
 
@@ -72,7 +73,6 @@ def ours(config: Config, seconds: float, started: float, directory: Path) -> Sid
         started: by ``time.monotonic()``.
         directory: of the run.
     """
-    from quadjax.policy.file import Policy
     from quadjax.training.run import train
 
     clock = Clock(started, seconds)
@@ -126,11 +126,11 @@ def stable_baselines(config: Config, seconds: float, started: float) -> Side:
     from quadjax.integrations import sb3
 
     torch.set_num_threads(core_count())
-    model = sb3.make_ppo(config, SEED)
+    model = sb3.make_ppo(*make_race(config), config.learner, config.network, SEED)
     clock = Clock(started, seconds)
 
     model.learn(config.run.steps, callback=_stop_after(clock))
-    total, completed = _evaluate(config, sb3.policy_of_ppo(model, config))
+    total, completed = _evaluate(config, sb3.policy_of_ppo(model, untrained_policy(config)))
     threads = f"PyTorch {torch.get_num_threads()} threads, the race in JAX on one device"
     steps = config.learner.num_envs * config.learner.rollout_length
     steps *= model.num_timesteps // steps

@@ -154,6 +154,11 @@ def network_policy(params: ActorCritic, activation: str) -> PolicyParams:
     return PolicyParams(tuple(layers_of(params.policy)), params.log_std, activation)
 
 
+def untrained_policy(config: Config) -> Policy:
+    """A policy with random weights for the race of a config."""
+    return policy_of(config, build_networks(config).init(jax.random.key(config.seed)), {})
+
+
 def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Policy:
     """Networks in training as a policy."""
     choices = choices_of(config)

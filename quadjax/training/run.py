@@ -17,6 +17,7 @@ from jax.sharding import Mesh
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_params
 from quadjax.config.schema import Config
+from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
@@ -31,7 +32,6 @@ from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams
 from quadjax.training.build import build_learner, initial_policy, plan, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints
-from quadjax.training.compilation_cache import enable_compilation_cache
 from quadjax.training.folder import KIND, prepare_folder
 from quadjax.training.metrics import MetricsFile, check_tensorboard, timed
 from quadjax.training.progress import TrainingProgress

@@ -83,7 +83,7 @@ def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
 def test_the_benchmark_measures_in_a_process(monkeypatch, capsys):
     job = {"kind": "residual", "config": "e2e", "num_envs": 2}
     text = json.dumps(job | {"repeats": 1})
-    monkeypatch.setattr("quadjax.evaluation.benchmark.STEPS_PER_CALL", 100)
+    monkeypatch.setattr("quadjax.studies.benchmark.STEPS_PER_CALL", 100)
     assert run("benchmark", "--job", text) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["steps_per_second"] > 0 and result["devices"] == 2

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.policy import pilot
@@ -21,7 +22,7 @@ WIDE = {"command_low": np.full(4, 2000.0), "command_high": np.full(4, 12000.0)}
 
 def make(policy, *overrides: str):
     config = load_config(BLANK, overrides)
-    choices, params = pilot.race_of(config, policy)
+    choices, params = pilot.fit_race(*race_of(config), policy)
     ready = pilot.make_pilot(choices, params, policy, True)
     return choices, params, ready
 
@@ -111,12 +112,12 @@ def test_ranges_without_width_are_seen_as_zero(here, there, scale, offset):
 def test_what_does_not_fit_is_refused():
     config = load_config(BLANK, [])
     with pytest.raises(InputError, match=r"file.npz: a policy for the rate vehicle"):
-        pilot.check_fits(config, random_policy("rate"), "file.npz")
+        pilot.fit_race(*race_of(config), random_policy("rate"), "file.npz")
     policy = random_policy()
     own = dataclasses.replace(policy.layout.fields[0], name="altitude")
     layout = Layout((own, *policy.layout.fields[1:]))
     with pytest.raises(InputError, match=r"observes 'altitude' \(3\), which the race"):
-        pilot.check_fits(config, dataclasses.replace(policy, layout=layout), "file.npz")
+        pilot.fit_race(*race_of(config), dataclasses.replace(policy, layout=layout), "file.npz")
 
 
 def test_a_policy_of_an_own_model_starts_a_run(tmp_path):

@@ -1,16 +1,19 @@
 """The emulators against Python's own integers and against each other."""
 
+import functools
+
 import jax
 import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
 from quadjax.export import emulator
 from quadjax.export.actor import (
     fixed_point_action,
     fixed_point_actor,
+    fixed_point_fly,
     fixed_point_forward,
-    fly_fixed_point,
 )
 from quadjax.export.proof import prove
 from quadjax.export.vectors import check_vectors, hostile_vectors
@@ -86,9 +89,11 @@ def test_actors_give_the_same_command():
 def test_the_fixed_point_policy_flies_the_laps_of_the_float_one():
     config = load_config(CONFIGS / "e2e.yaml")
     policy = Policy.load(ROOT / "quadjax" / "pretrained" / "e2e.npz")
-    race = pilot.Race(laps=1, runs=1)
-    wanted, _ = pilot.fly_policy(config, policy, race, True)
-    found, _ = fly_fixed_point(config, policy, race)
+    fly = functools.partial(
+        pilot.fly_policy, *race_of(config), policy, laps=1, runs=1, deterministic=True
+    )
+    wanted, _ = fly()
+    found, _ = fly(actor=fixed_point_fly(policy))
     assert found.finished == wanted.finished == 1
     assert found.totals[0] == pytest.approx(wanted.totals[0], abs=0.011)
 

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.files import write_text
 from quadjax.export.verify import checks_arm, checks_bits, checks_flight, checks_static
 from quadjax.export.verify.context import Context
@@ -69,6 +70,7 @@ def verify(
     Raises:
         InputError: no such folder, or a file in it that is missing or damaged.
     """
+    enable_compilation_cache()
     folder = read_folder(Path(path))
     chosen = [name for name in CHECKS if only is None or name in only]
     announce(SOURCES)

@@ -16,18 +16,20 @@ def enable_compilation_cache() -> None:
     """Use a folder in the user's cache directory, unless one is configured already.
 
     ``JAX_COMPILATION_CACHE_DIR``, ``jax.config`` and ``JAX_ENABLE_COMPILATION_CACHE=0`` take
-    precedence. Where the folder cannot be written nothing is cached.
+    precedence. Where the folder cannot be written, or others can write to it, nothing is cached.
     """
     settings = jax.config.values
     if settings["jax_compilation_cache_dir"] or not settings["jax_enable_compilation_cache"]:
         return
     folder = cache_folder() / "jax" / _machine()
     try:
-        # Cached programs are executed: the folder must be the user's alone.
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.stat()
     except OSError:
         return
-    if not os.access(folder, os.W_OK):
+    # Cached programs are executed: the folder must be the user's alone.
+    owner = os.getuid() if hasattr(os, "getuid") else found.st_uid
+    if found.st_uid != owner or found.st_mode & 0o022 or not os.access(folder, os.W_OK):
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_compilation_cache_max_size", MAX_BYTES)
