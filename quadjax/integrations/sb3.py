@@ -22,9 +22,7 @@ try:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
-    raise InputError(
-        "this needs Stable-Baselines3, which is not installed: pip install 'quadjax[sb3]'"
-    ) from None
+    PPO, VecEnv = None, object  # the module can be imported, and documented, without them
 
 Indices = None | int | Iterable[int]
 
@@ -35,7 +33,15 @@ class RaceVecEnv(VecEnv):
     def __init__(
         self, environment: Environment, params: RaceParams, num_envs: int, seed: int = 0
     ) -> None:
-        """Prepare the race, which ``quadjax.make_race`` returns."""
+        """Prepare the race, which ``quadjax.make_race`` returns.
+
+        Raises:
+            InputError: Stable-Baselines3 is not installed.
+        """
+        if PPO is None:
+            raise InputError(
+                "this needs Stable-Baselines3, which is not installed: pip install 'quadjax[sb3]'"
+            )
         mode = AutoresetMode.SAME_STEP
         self._race = RaceVectorEnv(environment, params, num_envs, mode, seed)
         self._action: np.ndarray | None = None
