@@ -1,7 +1,6 @@
 """Pages that MkDocs generates from the package: every config key, and the help of every command."""
 
 import contextlib
-import importlib
 import io
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -60,16 +59,18 @@ def commands_page() -> str:
     from quadjax.cli import COMMANDS, usage
 
     parts = ["# Commands", _block(usage())]
-    for name, (module, _) in COMMANDS.items():
-        parts += [f"## quadjax {name}", _block(_help(module))]
+    for name in COMMANDS:
+        parts += [f"## quadjax {name}", _block(_help(name))]
     return "\n\n".join(parts) + "\n"
 
 
-def _help(module: str) -> str:
+def _help(command: str) -> str:
     """What ``--help`` of a subcommand prints."""
+    from quadjax.cli import main
+
     stream = io.StringIO()
     with contextlib.redirect_stdout(stream), contextlib.suppress(SystemExit):
-        importlib.import_module(module).main(["--help"])
+        main(command, ["--help"])
     return stream.getvalue()
 
 

@@ -1,12 +1,11 @@
 """Run a subcommand in this process, as the command line does."""
 
-import pytest
-
-from quadjax.cli import main
+from quadjax import cli
 
 
 def run(*arguments: object) -> int:
     """The exit status of ``quadjax ARGUMENTS``."""
-    with pytest.raises(SystemExit) as end:
-        main(None, [str(each) for each in arguments])
-    return end.value.code
+    try:
+        return cli.run([str(each) for each in arguments])
+    except SystemExit as end:  # of --help
+        return end.code

@@ -4,6 +4,8 @@ import dataclasses
 import io
 import json
 import os
+import subprocess
+import sys
 import zipfile
 
 import jax
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import read_npz, remove_stale, whole_file, write_json, write_text
+from quadjax.core.files import read_npz, whole_file, write_json, write_text
 from quadjax.policy.file import Policy
 from quadjax.vehicle.residual_file import read_residual, write_residual
 from tests import reference as ref
@@ -400,22 +402,20 @@ def test_meta_that_json_cannot_parse(tmp_path, read, text):
 
 
 def test_stale_temporary_files_are_removed(tmp_path):
-    with pytest.raises(RuntimeError), whole_file(tmp_path / "a.txt") as temporary:
-        left = temporary.with_name(temporary.name + "x")
-        left.write_text("what a killed process leaves")
-        raise RuntimeError
-    (tmp_path / "notes.txt").write_text("mine")
-    remove_stale(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-
-
-def test_writing_a_file_removes_what_a_killed_process_left_of_it(tmp_path):
-    old, other, young = (
-        tmp_path / f".writing-{name}" for name in ("a.1.txt", "b.2.txt", "a.3.txt")
+    """Those of killed processes, by the next write; not those of running ones or of others."""
+    code = (
+        "import os, sys; from quadjax.core.files import whole_file\n"
+        f"with whole_file('{tmp_path}/a.txt'): os.kill(os.getpid(), 9)"
     )
-    for path in (old, other, young):
+    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
+    (killed,) = tmp_path.iterdir()
+    elsewhere, old = tmp_path / ".writing-other-1-x.csv", tmp_path / ".writing-x.csv"
+    for path in (elsewhere, old, tmp_path / "notes.txt"):
         path.write_text("half")
-    for path in (old, other):
-        os.utime(path, (0, 0))
-    write_text(tmp_path / "a.txt", "whole")
-    assert {path.name for path in tmp_path.iterdir()} == {"a.txt", other.name, young.name}
+    os.utime(old, (0, 0))
+    with whole_file(tmp_path / "a.txt") as running:
+        write_text(tmp_path / "b.txt", "whole")
+        assert not killed.exists() and not old.exists()
+        assert running.exists() and elsewhere.exists()
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"a.txt", "b.txt", "notes.txt", elsewhere.name}

@@ -7,6 +7,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -158,10 +159,21 @@ def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
 @pytest.mark.slow
 def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "interruptions", lambda: after(0))
+    monkeypatch.setattr(training, "PATIENCE", 600.0)
     result = training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
     assert not result.finished and result.summary["steps"] == 0
     monkeypatch.undo()
     assert training.train(config_of("e2e_ppo.yaml"), tmp_path / "run", resume=True).finished
+
+
+def test_interrupted_in_a_long_compilation_it_ends_at_once(tmp_path, monkeypatch):
+    finish = threading.Event()
+    monkeypatch.setattr(training, "interruptions", lambda: after(0))
+    monkeypatch.setattr(training, "PATIENCE", 0.0)
+    monkeypatch.setattr(training.parallel, "compile_chunk", lambda *_: finish.wait(600))
+    with pytest.raises(KeyboardInterrupt):
+        training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
+    finish.set()
 
 
 @pytest.mark.slow

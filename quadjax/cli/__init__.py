@@ -7,33 +7,34 @@ error, 130 for Ctrl-C.
 """
 
 import importlib
+import os
 import sys
 import time
 from collections.abc import Sequence
 from typing import NoReturn
 
-from quadjax.core.errors import InputError, run_command
+from quadjax.core.errors import INTERRUPTED, InputError, run_command
 from quadjax.core.interruptions import loading
 
 STARTED = time.monotonic()  # training time counts from here: imports and compilation included
 
-COMMANDS = {  # name: (module, one line of help)
-    "train": ("quadjax.cli.train", "train a racing policy"),
-    "evaluate": ("quadjax.cli.evaluate", "time the laps of a policy, draw them"),
-    "seeds": ("quadjax.cli.seeds", "train over several seeds and compare them"),
-    "sweep": ("quadjax.cli.sweep", "search hyperparameters"),
-    "fit": ("quadjax.cli.fit", "fit the model of a drone to its flight logs"),
-    "export": ("quadjax.cli.export", "convert a policy to fixed-point C"),
-    "verify": ("quadjax.cli.verify", "build, run and check exported C"),
-    "compare": ("quadjax.cli.compare", "compare E2E with INDI, in simulation and on the plant"),
-    "simulate-logs": ("quadjax.fitting.simulate", "write flight logs of a known model"),
-    "recovery": ("quadjax.studies.recovery", "compare a fit with that known model"),
-    "plant-logs": ("quadjax.plant.logs", "write flight logs of the stand-in plant"),
-    "identify": ("quadjax.studies.identify", "identify the inner loop's time constants"),
-    "consistency": ("quadjax.studies.consistency", "check the navigation filter's covariance"),
-    "benchmark": ("quadjax.cli.benchmark", "measure the speed of this machine"),
-    "config": ("quadjax.cli.config", "print a resolved config"),
-    "presets": ("quadjax.cli.presets", "list the presets"),
+COMMANDS = {  # name, which is that of the module: one line of help
+    "train": "train a racing policy",
+    "evaluate": "time the laps of a policy, draw them",
+    "seeds": "train over several seeds and compare them",
+    "sweep": "search hyperparameters",
+    "fit": "fit the model of a drone to its flight logs",
+    "export": "convert a policy to fixed-point C",
+    "verify": "build, run and check exported C",
+    "compare": "compare E2E with INDI, in simulation and on the plant",
+    "simulate-logs": "write flight logs of a known model",
+    "recovery": "compare a fit with that known model",
+    "plant-logs": "write flight logs of the stand-in plant",
+    "identify": "identify the inner loop's time constants",
+    "consistency": "check the navigation filter's covariance",
+    "benchmark": "measure the speed of this machine",
+    "config": "print a resolved config",
+    "presets": "list the presets",
 }
 
 
@@ -45,11 +46,19 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
         arguments: the arguments after it; those of ``sys.argv`` if not given.
     """
     argv = list(sys.argv[1:] if arguments is None else arguments)
-    sys.exit(run_command(lambda: _run(argv if command is None else [command, *argv])))
+    status = run(argv if command is None else [command, *argv])
+    if status == INTERRUPTED:  # without waiting for threads, which may be compiling
+        sys.stdout.flush()
+        os._exit(status)
+    sys.exit(status)
+
+
+def run(argv: list[str]) -> int:
+    """Import and run the subcommand of a command line; returns the exit status."""
+    return run_command(lambda: _run(argv))
 
 
 def _run(argv: list[str]) -> int | None:
-    """Import and run the subcommand of a command line."""
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(usage())
         return 0 if argv else 2
@@ -61,13 +70,13 @@ def _run(argv: list[str]) -> int | None:
     if argv[0] not in COMMANDS:
         raise InputError(f"{argv[0]!r} is not a subcommand, allowed: {', '.join(COMMANDS)}")
     with loading():
-        module = importlib.import_module(COMMANDS[argv[0]][0])
+        module = importlib.import_module(f"quadjax.cli.{argv[0].replace('-', '_')}")
     return module.main(argv[1:])
 
 
 def usage() -> str:
     """The text of ``quadjax --help``."""
-    lines = [f"  {name:<14} {text}" for name, (_, text) in COMMANDS.items()]
+    lines = [f"  {name:<14} {text}" for name, text in COMMANDS.items()]
     return "\n".join(
         [
             "usage: quadjax SUBCOMMAND ...",

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from quadjax.cli import STARTED
-from quadjax.core.arguments import Parser, check_writable, count, parse
+from quadjax.cli.arguments import Parser, check_writable, count, parse
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 

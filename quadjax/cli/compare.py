@@ -10,9 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.core.arguments import (
-    MAX_LAPS,
-    MAX_RUNS,
+from quadjax.cli.arguments import (
     Parser,
     add_config,
     add_output,
@@ -23,6 +21,7 @@ from quadjax.core.arguments import (
 )
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
+from quadjax.core.limits import MAX_LAPS, MAX_RUNS
 from quadjax.core.resources import PRETRAINED
 
 
@@ -51,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from rich.console import Console
 
         from quadjax.config.loading import load_config
+        from quadjax.core.folders import claim
         from quadjax.plant.config import load_plant_config
         from quadjax.studies.comparison import Setting, contender
         from quadjax.studies.comparison_run import PARTS, Wanted, run_comparison
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InputError(f"{own.file}: a policy for the {own.policy.vehicle}, expected {kind}")
     wanted = Wanted(parts, options.ablation, options.output / options.name)
     console = Console(stderr=True)
-    with bar(counted=True, console=console) as progress:
+    with claim(wanted.folder, "comparison"), bar(counted=True, console=console) as progress:
         task = progress.add_task("compiling", total=wanted.steps())
 
         def report(line: str) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from quadjax.core.arguments import Parser, add_config, parse
+from quadjax.cli.arguments import Parser, add_config, parse
 from quadjax.core.interruptions import loading
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from quadjax.core.arguments import (
+from quadjax.cli.arguments import (
     Parser,
     add_config,
     add_races,

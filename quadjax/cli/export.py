@@ -8,7 +8,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.core.arguments import Parser, add_ranges, parse
+from quadjax.cli.arguments import Parser, add_ranges, parse
 from quadjax.core.interruptions import loading
 
 

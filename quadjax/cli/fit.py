@@ -8,7 +8,7 @@ import argparse
 import time
 from collections.abc import Sequence
 
-from quadjax.core.arguments import Parser, add_config, add_name, add_output, overrides_of, parse
+from quadjax.cli.arguments import Parser, add_config, add_name, add_output, overrides_of, parse
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
@@ -33,12 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        from quadjax.core.folders import claim, remove_files
+        from quadjax.core.folders import claim, present_files, remove_files
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.figures import write_figures
         from quadjax.fitting.flight_log import find_logs
         from quadjax.fitting.pipeline import run_fit
-        from quadjax.fitting.report import earlier_files, tables, write_results
+        from quadjax.fitting.report import PATTERNS, tables, write_results
 
     path = find_config(options.config, "fit")
     config = load_fit_config(path, overrides_of(options))
@@ -49,8 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     quiet = not console.is_terminal
     bar = Progress(*columns, console=console, transient=True, disable=quiet)
     with claim(folder, "fit"), bar as progress:
-        earlier = earlier_files(folder)
-        if earlier and not options.overwrite:
+        if present_files(folder, PATTERNS) and not options.overwrite:
             raise InputError(
                 f"{folder} holds a fit already: replace it (--overwrite) or choose another name"
             )
@@ -61,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         result = run_fit(config, path.parent, report)
         report("writing")
-        remove_files(folder, earlier)
+        remove_files(folder, PATTERNS)
         written = write_results(result, folder)
         if config.figures:
             written += write_figures(result, folder)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from quadjax.core.arguments import Parser, parse
+from quadjax.cli.arguments import Parser, parse
 from quadjax.core.resources import CONFIGS, preset_names
 
 

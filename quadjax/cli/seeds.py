@@ -12,8 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.core.arguments import (
-    MAX_RUNS,
+from quadjax.cli.arguments import (
     Parser,
     add_name,
     add_output,
@@ -24,6 +23,7 @@ from quadjax.core.arguments import (
 )
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
+from quadjax.core.limits import MAX_RUNS
 from quadjax.core.resources import find_config
 
 

@@ -6,19 +6,25 @@ figures and the best config.
 """
 
 import argparse
-import shutil
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
-from quadjax.core.arguments import Parser, add_config, add_output, count, parse
+from quadjax.cli.arguments import Parser, add_config, add_output, count, parse
 from quadjax.core.errors import INTERRUPTED
-from quadjax.core.folders import claim
+from quadjax.core.folders import claim, remove_files
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
-OWN_FILES = ("study.journal", "trials.csv", "report.md", "best.yaml", "parallel.png", "slices.png")
-OWN_FOLDERS = ("trials", "logs")
+FILES = (  # that a sweep writes
+    "study.journal*",
+    "trials",
+    "trials.csv",
+    "logs",
+    "report.md",
+    "best.yaml",
+    "parallel.png",
+    "slices.png",
+)
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -60,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with claim(directory, "sweep"):
         if options.overwrite:
             studies.delete_study(sweep, directory)
-            _remove(directory)
+            remove_files(directory, FILES)
         with make_executor(sweep, directory) as executor:
             study = studies.open_study(sweep, directory)
             kind = sweep.file.executor.kind
@@ -78,11 +84,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if counts.failed:
         print(f"{counts.failed} trials failed; see the table")
     return 1 if counts.failed else 0
-
-
-def _remove(directory: Path) -> None:
-    """Delete the files that a sweep wrote; other files stay."""
-    for name in OWN_FOLDERS:
-        shutil.rmtree(directory / name, ignore_errors=True)
-    for name in OWN_FILES:
-        (directory / name).unlink(missing_ok=True)

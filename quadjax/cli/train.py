@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from quadjax.cli import STARTED
-from quadjax.core.arguments import (
+from quadjax.cli.arguments import (
     Parser,
     add_config,
     add_name,

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.core.arguments import Parser, check_writable, count, parse
+from quadjax.cli.arguments import Parser, check_writable, count, parse
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 

@@ -1,5 +1,6 @@
 """Checks that involve several keys of a config."""
 
+import math
 from collections.abc import Callable, Sequence
 
 from quadjax.config.schema import Config, Randomization, Schedule
@@ -8,6 +9,7 @@ from quadjax.core.sections import value_at
 from quadjax.core.yaml_files import close_match, short
 from quadjax.vehicle.registry import model as vehicle_model
 
+MAX_THRUST, GRAVITY = 1000.0, 9.81  # times the weight; m/s^2
 GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
 
 
@@ -25,7 +27,7 @@ def check(config: Config) -> None:
     _check_run(config)
     _check_model(config)
     _check_schedules(config)
-    for test in (_check_constants, _check_gates, _check_gate_edge):
+    for test in (_check_constants, _check_gates, _check_start, _check_gate_edge):
         _check_values(config, test)
     _check_used(at_end(config))
 
@@ -70,11 +72,9 @@ def _check_model(config: Config) -> None:
 
 
 def _check_run(config: Config) -> None:
-    shards, devices = config.run.shards, config.run.devices
+    shards = config.run.shards
     if shards & (shards - 1):
         refuse("run.shards", shards, "a power of two")
-    if isinstance(devices, int) and devices < 1:
-        refuse("run.devices", devices, "auto, all, or a number from 1")
     low, high = config.start.thrust
     if low > high:
         refuse("start.thrust", config.start.thrust, "[lowest, highest]")
@@ -107,10 +107,10 @@ def _check_constants(config: Config) -> None:
     if model.thrust_to_weight is not None:
         lowest = {**constants, **{high: constants[low] for low, high in model.ranges}}
         least, most = model.thrust_to_weight(lowest), model.thrust_to_weight(constants)
-        if not least < 1 < most:
+        if not least < 1 < most <= MAX_THRUST:
             raise InputError(
                 f"vehicle.constants give a thrust of {least:.3g} to {most:.3g} times the weight, "
-                "allowed: a range around 1, so that the drone can hover"
+                f"allowed: a range around 1, up to {MAX_THRUST:g}, so that the drone can hover"
             )
     for name in vehicle.mismatch:
         _check_name(f"vehicle.mismatch.{name}", name, model.constant_names)
@@ -181,8 +181,11 @@ def _check_times(config: Config, key: str, schedule: Schedule) -> None:
 def _check_gates(config: Config) -> None:
     """Check that gates can be reached and passed."""
     limit, inflation = config.rules.position_limit, config.training_limits.gate_inflation
+    width = config.vehicle.width
     for index, gate in enumerate(config.track.gates):
         key = f"track.gates[{index}]"
+        if min(gate.size) <= width:
+            refuse(f"{key}.size", gate.size, f"above vehicle.width {width:g}, that of the drone")
         x, y, z = gate.position
         if limit is not None and max(abs(x), abs(y)) >= limit:
             refuse(
@@ -195,6 +198,47 @@ def _check_gates(config: Config) -> None:
                 f"{key}.size",
                 gate.size,
                 f"above {-2 * inflation:g} with training_limits.gate_inflation {inflation}",
+            )
+
+
+def _check_start(config: Config) -> None:
+    """Check that starts are within the limits, and that the next gate can be reached in time."""
+    start, training, gates = config.start, config.training_limits, config.track.gates
+    limit, rates = config.rules.position_limit, config.rules.body_rate_limit
+    places = range(len(gates)) if start.gate == "random" else [len(gates) - 1]
+    for index in places:
+        x, y, z = gates[index].position
+        room = -z if limit is None else min(-z, limit - abs(x), limit - abs(y))
+        if start.position >= room:
+            refuse(
+                "start.position",
+                start.position,
+                f"below {room:g}, the room between track.gates[{index}] and the ground or "
+                "rules.position_limit",
+            )
+    for key, value, name, most in (
+        ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.pitch_deg", training.pitch_deg),
+        ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.roll_deg", training.roll_deg),
+        ("body_rates", start.body_rates, "rules.body_rate_limit", rates),
+        ("body_rates", start.body_rates, "training_limits.yaw_rate", training.yaw_rate),
+    ):
+        if most is not None and value >= most:
+            refuse(f"start.{key}", value, f"below {name} {most:g}")
+    model = vehicle_model(config.vehicle.model)
+    if model.thrust_to_weight is not None:
+        most_thrust = model.thrust_to_weight(config.vehicle.constants)
+        seconds = training.episode_steps * config.rules.time_step
+        reach = math.sqrt(3) * (start.position + start.velocity * seconds)
+        reach += 0.5 * (most_thrust + 1.0) * GRAVITY * seconds**2
+        nearest = min(
+            math.dist(gates[i].position, gates[i - len(gates) + 1].position) for i in places
+        )
+        if reach < nearest:
+            refuse(
+                "training_limits.episode_steps",
+                training.episode_steps,
+                f"more: in {seconds:g} s the drone gets {reach:.2g} m far, and the next gate is "
+                f"{nearest:.2g} m away",
             )
 
 

@@ -24,7 +24,10 @@ from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac.hyperparameters import SHAC
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
-FROM_FILE = {"vehicle": ("file", "name", "constants", "models"), "track": ("file", "name", "gates")}
+FROM_FILE = {
+    "vehicle": ("file", "name", "width", "constants", "models"),
+    "track": ("file", "name", "gates"),
+}
 DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"))  # keys that name .npz files
 DEFAULTS: Tree = {"vehicle": {"file": "bebop1.yaml"}, "track": {"file": "square4.yaml"}}
 
@@ -142,14 +145,16 @@ def _file_values(section: str, path: Path) -> Tree:
                 hint = close_match(key, ["name", "gates"])
                 raise InputError(f"{path}: unknown key {key}{hint}; allowed: gates, name")
         return {"name": path.stem, "gates": [], **tree}
-    models = {k: v for k, v in tree.items() if k not in ("name", "mass")}
+    models = {k: v for k, v in tree.items() if k not in ("name", "mass", "width")}
     for key, value in models.items():
         if not isinstance(value, dict):
             raise InputError(
-                f"{path}: {key} is {short(value)}; allowed: name, mass, and the constants of each "
-                "model as a mapping (motor, rate)"
+                f"{path}: {key} is {short(value)}; allowed: name, mass, width, and the constants "
+                "of each model as a mapping (motor, rate)"
             )
-    return {"name": tree.get("name", path.stem), "models": models}
+    return {"name": path.stem, **{k: tree[k] for k in ("name", "width") if k in tree}} | {
+        "models": models
+    }
 
 
 def _nested_schedules(tree: Tree) -> Tree:

@@ -8,15 +8,19 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import SerializeAsAny
 
-from quadjax.core.arguments import MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.errors import InputError
-from quadjax.core.sections import Field, Section, to_yaml
+from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.sections import LARGEST, Field, FolderName, Section, to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection, Network
 
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+Constant = Annotated[float, Field(ge=-1e9, le=1e9)]
 Fraction = Annotated[float, Field(ge=0, le=0.9)]
+Devices = Annotated[int, Field(ge=1, le=4096)]
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
+Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Penalty = Annotated[float, Field(ge=0, le=1e6)]
 
 
@@ -35,11 +39,21 @@ class Vehicle(Section):
         "(default: bebop1.yaml)",
     )
     name: str = Field("", description="name of the drone, for tables and figures")
-    constants: dict[str, float] = Field(
-        {}, description="physical constants of the chosen model, each overrides that of the file"
+    width: float = Field(
+        0.0,
+        ge=0,
+        le=100,
+        description="of the drone from edge to edge, m: every gate's opening must be larger",
     )
-    models: dict[str, dict[str, float]] = Field(
-        {}, description="constants of the file's other models, for a later vehicle.model"
+    constants: dict[str, Constant] = Field(
+        {},
+        max_length=100,
+        description="physical constants of the chosen model, each overrides that of the file",
+    )
+    models: dict[str, Annotated[dict[str, Constant], Field(max_length=100)]] = Field(
+        {},
+        max_length=100,
+        description="constants of the file's other models, for a later vehicle.model",
     )
     residual: str | None = Field(
         None,
@@ -52,6 +66,7 @@ class Vehicle(Section):
     integrator: Literal["euler", "rk4"] = Field("euler", description="integration of a time step")
     mismatch: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(
         {},
+        max_length=100,
         description="factors on constants of the simulated drone that policy and estimator do not "
         "know of: {k_w: 0.96} for 4% less thrust",
     )
@@ -74,7 +89,9 @@ class Vehicle(Section):
 class Gate(Section):
     """One gate, in the world frame."""
 
-    position: tuple[float, float, float] = Field(description="center x, y, z, m; z < 0 is above 0")
+    position: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        description="center x, y, z, m; z < 0 is above 0"
+    )
     yaw_deg: float = Field(0.0, ge=-720, le=720, description="direction of passage, deg")
     size: tuple[Annotated[float, Field(gt=0, le=100)], Annotated[float, Field(gt=0, le=100)]] = (
         Field((1.0, 1.0), description="width and height of the opening, m")
@@ -135,7 +152,7 @@ class Reward(Section):
         0.1, description="required clearance from each edge of a gate's opening, m"
     )
     terms: dict[str, Weight] = Field(
-        {}, description="weights of your own reward terms, by module:function"
+        {}, max_length=100, description="weights of your own reward terms, by module:function"
     )
 
 
@@ -205,7 +222,7 @@ class Disturbance(Section):
     moment_y: HalfWidth = Field(0.0, description="half-width, N m; the paper: 0.03")
     moment_z: HalfWidth = Field(0.0, description="half-width, N m; the paper: 0.01")
     force_z: HalfWidth = Field(0.0, description="half-width, m/s^2; the paper: 0.5")
-    moment_bias: tuple[float, float, float] = Field(
+    moment_bias: tuple[Coordinate, Coordinate, Coordinate] = Field(
         (0.0, 0.0, 0.0), description="moment added in every episode, N m, body"
     )
 
@@ -235,7 +252,7 @@ class Run(Section):
     steps: int = Field(
         40_000_000, ge=1, le=10**12, description="environment steps, of all environments together"
     )
-    devices: Literal["auto", "all"] | int = Field(
+    devices: Literal["auto", "all"] | Devices = Field(
         "auto", description="number of devices in each process, or auto, or all"
     )
     shards: int = Field(
@@ -273,7 +290,7 @@ class Evaluate(Section):
 class Schedule(Section):
     """Values of one number during training."""
 
-    linear: tuple[float | Literal["value"], ...] = Field(
+    linear: tuple[Value | Literal["value"], ...] = Field(
         min_length=2,
         max_length=64,
         description="values at equal distances, linear in between; value: the key's own",
@@ -307,9 +324,8 @@ class Schedule(Section):
 class Config(Section):
     """A training run on a race."""
 
-    name: str = Field(
+    name: FolderName = Field(
         "run",
-        pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]{0,99}$",
         description="of the run; results are written to runs/NAME",
     )
     seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of all random numbers of training")
@@ -328,6 +344,7 @@ class Config(Section):
     )
     schedules: dict[str, Schedule] = Field(
         {},
+        max_length=100,
         description="numbers that change during training, by dotted key: {learner.std: {linear: "
         "[0.3, 0.05], from: 0.5}}",
     )

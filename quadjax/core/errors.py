@@ -1,28 +1,59 @@
-"""The exception for bad input, a check of integers, and the reporting of errors by commands."""
+"""The exception for bad input, and the reporting of errors by commands."""
 
 import contextlib
 import os
+import re
 import sys
-from collections.abc import Callable
-from numbers import Integral
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
 
 
+_SECRET = re.compile(
+    r"(?P<url>://[^\s:/@]*:)(?:\S*(?=@)|(?!\d{1,5}(?:[^\w.]|$))\S+)"  # a port is shown
+    r"|(?P<key>\b(?:pass|pwd|secret|token)\w*\s*=\s*)(?:'[^']*'?|\"[^\"]*\"?|[^\s&'\"]+)",
+    re.IGNORECASE,
+)
+
+
 class InputError(ValueError):
     """Bad input: one line that names the file, key, row or value and what is allowed."""
 
+    def __init__(self, message: str) -> None:
+        """The message, without the passwords of URLs and of ``password=...``."""
+        super().__init__(redact(message))
 
-def check_integer(name: str, value: object, least: int, most: int) -> None:
-    """Raise an ``InputError`` that names the argument unless it is an integer in the range."""
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, Integral)
-        or not least <= int(value) <= most
-    ):
-        raise InputError(f"{name} is {value!r}, allowed: an integer, {least} to {most}")
+
+def redact(text: str) -> str:
+    """The text with ``***`` for the password of a URL, and for values of ``password`` and so on."""
+    return _SECRET.sub(lambda found: f"{found['url'] or found['key']}***", text)
+
+
+@contextlib.contextmanager
+def writing(path: Path | str) -> Iterator[None]:
+    """Turn a system error in the block (disk full, no permission) into an ``InputError``."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+@contextlib.contextmanager
+def reading(path: Path | str) -> Iterator[None]:
+    """Turn an error of the system or of the encoding in the block into an ``InputError``."""
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except InputError:
+        raise
+    except ValueError as error:  # not UTF-8, or a path with a null byte
+        raise InputError(f"{path}: cannot be read ({error})") from error
 
 
 def run_command(main: Callable[[], int | None]) -> int:

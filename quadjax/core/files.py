@@ -1,11 +1,12 @@
 """Atomic file writes: to a temporary file, which is then renamed."""
 
 import contextlib
-import glob
 import json
 import math
 import os
+import platform
 import re
+import stat
 import tempfile
 import time
 import zipfile
@@ -14,48 +15,51 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, reading, writing
 
-TEMPORARY = ".writing-"  # prefix of temporary files
-ABANDONED = 300.0  # s since the last write to a temporary file that a killed process left
+TEMPORARY = ".writing-"  # prefix of temporary files, with the machine and the process
+STALE_SECONDS = 86_400.0  # age after which another machine's temporary file is not in use
 ARRAYS = re.compile(r"(\w+_)?(kernel|bias)_\d{1,3}|log_std")  # that an .npz file may hold
-MAX_BYTES = 2**28  # of one array of an .npz file
+MAX_BYTES = 2**28  # of one array of an .npz file, and of a text file
 
 
 @contextlib.contextmanager
 def whole_file(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path of the same suffix; on success it becomes ``path``.
 
-    Temporary files of the same path that a killed process left are removed.
+    Temporary files that killed processes left in the folder are removed.
+
+    Raises:
+        InputError: a system error: disk full, no permission, a name that is too long.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    prefix = f"{TEMPORARY}{path.stem[:100]}."
-    remove_stale(path.parent, prefix, ABANDONED)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
-        os.chmod(temporary, mode)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale(path.parent)
+        own = f"{TEMPORARY}{platform.node()}-{os.getpid()}-"
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=own, suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
+            os.chmod(temporary, mode)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
-def remove_stale(folder: Path | str, prefix: str = TEMPORARY, seconds: float = 0.0) -> None:
-    """Remove the temporary files that a killed process left in a folder.
-
-    Args:
-        folder: the folder, without its subfolders.
-        prefix: of the files' names.
-        seconds: since a file was last written to; one that is being written is younger.
-    """
-    for path in Path(folder).glob(f"{glob.escape(prefix)}*"):
-        with contextlib.suppress(FileNotFoundError):
-            if time.time() - path.stat().st_mtime >= seconds:
+def remove_stale(folder: Path | str) -> None:
+    """Remove the temporary files that killed processes left in a folder."""
+    own = f"{TEMPORARY}{platform.node()}-"
+    for path in Path(folder).glob(f"{TEMPORARY}*"):
+        process = path.name.removeprefix(own).partition("-")[0]
+        alive = process.isdigit() and psutil.pid_exists(int(process))
+        with contextlib.suppress(FileNotFoundError):  # another process removes it too
+            old = time.time() - path.stat().st_mtime > STALE_SECONDS
+            if old or (path.name.startswith(own) and not alive):
                 path.unlink()
 
 
@@ -86,10 +90,10 @@ def read_json(path: Path | str) -> dict[str, Any]:
     Raises:
         InputError: no such file, not JSON, or not an object.
     """
-    check_file(path)
+    text = read_text(path)
     try:
-        value = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        value = json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: damaged, not a JSON file ({error})") from error
     if not isinstance(value, dict):
         raise InputError(f"{path}: expected a JSON object")
@@ -103,11 +107,32 @@ def write_npz(path: Path | str, arrays: dict[str, np.ndarray], meta: dict[str, o
 
 
 def check_file(path: Path | str) -> None:
-    """Raise an ``InputError`` for a path that is no file, or a directory."""
-    if Path(path).is_dir():
+    """Raise an ``InputError`` for a path that is no file, a directory, a pipe or a device."""
+    with reading(path):
+        mode = Path(path).stat().st_mode
+    if stat.S_ISDIR(mode):
         raise InputError(f"{path}: is a directory, expected a file")
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: not a regular file")
+
+
+def read_text(path: Path | str, most: int = MAX_BYTES) -> str:
+    """The text of a UTF-8 file, with or without a byte-order mark.
+
+    Args:
+        path: the file.
+        most: largest allowed size, bytes.
+
+    Raises:
+        InputError: not a regular file, unreadable, larger, or not UTF-8.
+    """
+    check_file(path)
+    with reading(path):
+        with open(path, "rb") as stream:
+            data = stream.read(most + 1)
+        if len(data) > most:
+            raise InputError(f"{path}: larger than {most:,} bytes")
+        return data.decode("utf-8-sig")
 
 
 def read_npz(

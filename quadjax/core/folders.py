@@ -1,7 +1,7 @@
 """Folders of results: each has a kind, a lock while a process writes to it, and known files.
 
-A folder's kind (training, fit, sweep, export) is in its file ``.quadjax.json``. A program writes
-only to a folder of its own kind, and removes only the files that it writes itself.
+A folder's kind (training, fit, sweep, export, comparison) is in its file ``.quadjax.json``. A
+program writes only to a folder of its own kind, and removes only the files that it writes itself.
 """
 
 import contextlib
@@ -11,15 +11,17 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, writing
 from quadjax.core.files import read_json, remove_stale, write_json
 
 MARKER = ".quadjax.json"
 LOCK = ".lock"
-EVIDENCE = {  # of folders without a marker, which earlier versions wrote
+EVIDENCE = {  # patterns of files in folders without a marker, which earlier versions wrote
     "training": "checkpoints",
     "sweep": "study.journal",
     "fit": "vehicle.yaml",
+    "export": "*_report.json",
+    "comparison": "compare.json",
 }
 
 
@@ -27,28 +29,39 @@ EVIDENCE = {  # of folders without a marker, which earlier versions wrote
 def claim(folder: Path | str, kind: str) -> Iterator[None]:
     """Create a folder, or take one of the same kind, and lock it for the duration of the block.
 
-    The operating system releases the lock when the process ends. Temporary files
-    that a killed process left are removed.
+    The operating system releases the lock when the process ends. Temporary files that a killed
+    process left are removed, and so is a new folder if the block fails before it writes a file.
 
     Args:
         folder: created if needed.
-        kind: training, fit, sweep or export.
+        kind: a key of ``EVIDENCE``.
 
     Raises:
         InputError: the folder is of another kind, cannot be written, or is locked.
     """
     folder = Path(folder)
     check_kind(folder, kind)
-    try:
+    new, lock = not folder.exists(), FileLock(folder / LOCK, timeout=0)
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / LOCK, timeout=0)
-        with lock:
-            remove_stale(folder)
-            if not (folder / MARKER).exists():
-                write_json(folder / MARKER, {"kind": kind})
-            yield
-    except Timeout:
-        raise InputError(f"{folder} is in use by another process: choose another name") from None
+        try:
+            lock.acquire()
+        except Timeout:
+            raise InputError(
+                f"{folder} is in use by another process: choose another name"
+            ) from None
+    try:
+        check_kind(folder, kind)
+        remove_stale(folder)
+        if not (folder / MARKER).exists():
+            write_json(folder / MARKER, {"kind": kind})
+        yield
+    except BaseException:
+        if new and not {path.name for path in folder.iterdir()} - {MARKER, LOCK}:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    finally:
+        lock.release()
 
 
 def kind_of(folder: Path | str) -> str | None:
@@ -64,7 +77,7 @@ def kind_of(folder: Path | str) -> str | None:
         if not isinstance(kind, str):
             raise InputError(f"{marker}: kind is {kind!r}, expected a name")
         return kind
-    found = (kind for kind, name in EVIDENCE.items() if (folder / name).exists())
+    found = (kind for kind, pattern in EVIDENCE.items() if any(folder.glob(pattern)))
     return next(found, None)
 
 
@@ -75,13 +88,21 @@ def check_kind(folder: Path | str, kind: str) -> None:
         raise InputError(f"{folder}: is a file, expected a folder")
     found = kind_of(folder)
     if found not in (None, kind):
-        raise InputError(f"{folder} holds a {found}, not a {kind}: choose another name")
+        raise InputError(f"{folder} holds {_a(found)}, not {_a(kind)}: choose another name")
 
 
-def remove_files(folder: Path | str, names: Iterable[str]) -> None:
-    """Remove the named files and subfolders of a folder; everything else stays."""
-    for name in names:
-        path = Path(folder) / name
+def _a(kind: str | None) -> str:
+    return f"{'an' if str(kind)[0] in 'aeiou' else 'a'} {kind}"
+
+
+def present_files(folder: Path | str, patterns: Iterable[str]) -> list[Path]:
+    """The files and subfolders of a folder whose names match any of the patterns."""
+    return [path for pattern in patterns for path in sorted(Path(folder).glob(pattern))]
+
+
+def remove_files(folder: Path | str, patterns: Iterable[str]) -> None:
+    """Remove the files and subfolders that match a pattern; everything else stays."""
+    for path in present_files(folder, patterns):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:

@@ -49,11 +49,8 @@ def save_figure(figure: Figure, path: Path | str, dpi: int = 150) -> None:
     kind = Path(path).suffix.lstrip(".").lower()
     if kind not in kinds:
         raise InputError(f"{path}: suffix is {kind!r}, allowed: {', '.join(sorted(kinds))}")
-    try:
-        with whole_file(path) as temporary:
-            figure.savefig(temporary, dpi=dpi, format=kind)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=dpi, format=kind)
 
 
 def tidy(axes: Axes) -> None:

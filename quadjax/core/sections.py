@@ -32,13 +32,15 @@ import re
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Self, TypeGuard, TypeVar
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, NoReturn, Self, TypeGuard, TypeVar
 
 import pydantic
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.fields import FieldInfo
 
 from quadjax.core.errors import InputError
+from quadjax.core.resources import find_config
 from quadjax.core.yaml_files import (
     Tree,
     close_match,
@@ -54,13 +56,18 @@ from quadjax.core.yaml_files import (
 
 __all__ = [
     "Field",
+    "FolderName",
+    "Fraction",
     "KeyInfo",
+    "NonNegative",
+    "Positive",
     "Section",
     "Tree",
     "allowed",
     "build",
     "describe",
     "find_file",
+    "load_section",
     "merge_trees",
     "model_validator",
     "parse_overrides",
@@ -71,6 +78,14 @@ __all__ = [
     "to_yaml",
     "value_at",
 ]
+
+LARGEST = 1e9  # number that a key without a bound of its own takes
+MAX_TEXT = 1000  # characters of a text
+Positive = Annotated[float, Field(gt=0, le=LARGEST)]
+NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+FOLDER_NAME = r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}"
+FolderName = Annotated[str, Field(pattern=rf"^{FOLDER_NAME}$")]
 
 _UNION_TAG = re.compile(r"int|float|str|bool|(literal|tuple|constrained|function)\b.*")
 MIN_FLOAT, MAX_FLOAT = 1.2e-38, 3.4e38  # single precision
@@ -163,12 +178,31 @@ def build(schema: type[SectionType], tree: Tree, source: str, prefix: str = "") 
         return schema.model_validate(tree)
 
 
+def load_section(
+    schema: type[SectionType], path: Path | str, folder: str, overrides: Sequence[str] = ()
+) -> SectionType:
+    """A section from a YAML file with its bases, and ``key=value`` overrides.
+
+    Args:
+        schema: the section's class.
+        path: of the file, or a name in ``folder``.
+        folder: the folder of ``configs/``.
+        overrides: with dotted keys; values are read as YAML.
+
+    Raises:
+        InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
+    """
+    path = find_config(path, folder)
+    tree = merge_trees(read_tree_with_bases(path), parse_overrides(overrides))
+    return build(schema, tree, str(path))
+
+
 @contextlib.contextmanager
 def _one_line_errors(
     schema: type[Section], tree: Tree, source: str, prefix: str = ""
 ) -> Iterator[None]:
-    """Check the tree's numbers, and raise ``InputError`` for errors of pydantic in the block."""
-    _check_numbers(tree, source, prefix)
+    """Check the tree's values, and raise ``InputError`` for errors of pydantic in the block."""
+    _check_values(tree, source, prefix)
     try:
         yield
     except pydantic.ValidationError as error:
@@ -178,14 +212,22 @@ def _one_line_errors(
         raise InputError(f"{source}: nested too deep") from None
 
 
-def _check_numbers(value: object, source: str, key: str) -> None:
-    """Refuse numbers that single precision does not have; strings and flags pass."""
+def _refuse_long(text: str, source: str, key: str) -> NoReturn:
+    raise InputError(f"{source}: {key} has {len(text)} characters, allowed: up to {MAX_TEXT}")
+
+
+def _check_values(value: object, source: str, key: str) -> None:
+    """Refuse numbers that single precision does not have, and long texts."""
     if isinstance(value, Mapping):
         for name, item in value.items():
-            _check_numbers(item, source, f"{key}{name}.")
+            if len(str(name)) > MAX_TEXT:
+                _refuse_long(str(name), source, f"a key of {key.rstrip('.')}")
+            _check_values(item, source, f"{key}{name}.")
+    elif isinstance(value, str) and len(value) > MAX_TEXT:
+        _refuse_long(value, source, key.rstrip("."))
     elif isinstance(value, (list, tuple)):
         for item in value:
-            _check_numbers(item, source, key)
+            _check_values(item, source, key)
     elif isinstance(value, (int, float)) and value and not MIN_FLOAT <= abs(value) <= MAX_FLOAT:
         raise InputError(
             f"{source}: {key.rstrip('.')} is {short(value)}, allowed: finite numbers in the range "
@@ -251,7 +293,9 @@ def _is_section(hint: object) -> TypeGuard[type[Section]]:
 def allowed(field: FieldInfo) -> str:
     """The values that a field takes, as text: ``"a whole number from 1 to 4096, or null"``."""
     options = [option for option in _options(field.annotation) if option is not type(None)]
-    text = " or ".join(_type_text(option) for option in options) + _bounds(field)
+    own = [getattr(o, "__metadata__", (None,))[0] for o in options]  # a Field of one option
+    texts = [_type_text(o) + (_bounds(f) if f else "") for o, f in zip(options, own, strict=True)]
+    text = " or ".join(texts) + _bounds(field)
     return f"{text}, or null" if len(options) < len(_options(field.annotation)) else text
 
 

@@ -4,7 +4,6 @@ import difflib
 import json
 import math
 import re
-import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,8 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, reading
+from quadjax.core.files import read_text
 from quadjax.core.resources import CONFIGS
 
 Tree = dict[str, Any]
@@ -29,19 +29,7 @@ def read_yaml(path: Path | str) -> Tree:
         InputError: not a regular file, unreadable, over 1 MiB, not YAML (with the line), a
             repeated key, nested too deep, or not a mapping.
     """
-    path = Path(path)
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise InputError(f"{path}: not a regular file")
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
-            raise InputError(f"{path}: larger than {MAX_BYTES} bytes, which no config is")
-        tree = parse_yaml(data.decode("utf-8-sig"), str(path))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
+    tree = parse_yaml(read_text(path, MAX_BYTES), str(path))
     if tree is None:
         return {}
     if not isinstance(tree, dict):
@@ -144,13 +132,11 @@ def find_file(name: str, folder: Path, kind: str = ".") -> Path:
     """
     names = [name] if Path(name).suffix == ".yaml" else [name, f"{name}.yaml"]
     places = [folder, folder / kind, CONFIGS / kind]
-    try:
+    with reading(short(name)):
         for place in places:
             for each in names:
                 if (place / each).exists() and not (place / each).is_dir():
                     return place / each
-    except (OSError, ValueError) as error:
-        raise InputError(f"{short(name)}: cannot be read ({error})") from error
     raise InputError(f"{short(name)}: no such file in {folder} or {CONFIGS / kind}")
 
 

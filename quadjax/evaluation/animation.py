@@ -60,11 +60,8 @@ def write_animation(
         raise InputError(f"{path}: suffix is {Path(path).suffix!r}, allowed: .gif")
     if not flights:
         raise InputError(f"{path}: no flight to animate")
-    try:
-        with whole_file(path) as temporary:
-            _save(temporary, _frames(flights, gates, names, advance), frame_count(flights))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    with whole_file(path) as temporary:
+        _save(temporary, _frames(flights, gates, names, advance), frame_count(flights))
 
 
 def _frames(

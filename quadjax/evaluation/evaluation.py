@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Gate
-from quadjax.core.arguments import MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.compilation_cache import enable_compilation_cache
-from quadjax.core.errors import InputError, check_integer
+from quadjax.core.errors import InputError
 from quadjax.core.files import write_npz
+from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
 from quadjax.core.plotting import show_figure
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, writing
 from quadjax.core.files import whole_file, write_json, write_npz, write_text
+from quadjax.core.folders import claim
 from quadjax.core.provenance import provenance
 from quadjax.export.conversion import (
     RESIDUAL_FILE,
@@ -87,7 +88,7 @@ def export_c(
             less than 90% of the simulated flights finish; a folder that cannot be written.
     """
     enable_compilation_cache()
-    with _policy_file(policy) as path:
+    with _policy_file(policy) as path, claim(folder, "export"):
         request = Request(
             policy=path,
             folder=Path(folder),
@@ -102,10 +103,8 @@ def export_c(
         _check_folder(request)
         converted = convert_policy(request)
         report = make_report(converted, request)
-        try:
+        with writing(folder):
             _write(converted, request, report)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from error
     return Export(Path(folder), converted, report)
 
 
@@ -121,10 +120,8 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
 
 
 def _check_folder(request: Request) -> None:
-    """Reject an output that is not a folder, or that contains the export of another name."""
+    """Reject an output that contains the export of another name."""
     name, folder = symbol_name(request, request.policy.name), request.folder
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is not a folder")
     others = sorted({path.name for path in folder.glob("*_report.json")} - {f"{name}_report.json"})
     if others:
         other = others[0].removesuffix("_report.json")

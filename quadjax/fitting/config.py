@@ -4,20 +4,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from quadjax.core.resources import find_config
+from quadjax.core.limits import MAX_SEED
 from quadjax.core.sections import (
     Field,
+    FolderName,
+    NonNegative,
+    Positive,
     Section,
-    build,
-    merge_trees,
+    load_section,
     model_validator,
-    parse_overrides,
-    read_tree_with_bases,
 )
 from quadjax.fitting.columns import WIDTHS
 
-Positive = Annotated[float, Field(gt=0.0)]
-NonNegative = Annotated[float, Field(ge=0.0)]
+Columns = Annotated[list[str], Field(max_length=100)]
 
 
 class UnitsConfig(Section):
@@ -38,9 +37,13 @@ class UnitsConfig(Section):
 class LogsConfig(Section):
     """Flight logs and their columns."""
 
-    files: tuple[str, ...] = Field((), description="paths or glob patterns, one flight each")
+    files: tuple[str, ...] = Field(
+        (), max_length=1000, description="paths or glob patterns, one flight each"
+    )
     format: Literal["plain", "paparazzi"] = Field("plain", description="default column names")
-    columns: dict[str, list[str]] = Field({}, description="columns by quantity, overriding")
+    columns: dict[str, Columns] = Field(
+        {}, max_length=100, description="columns by quantity, overriding"
+    )
     units: UnitsConfig = UnitsConfig()
     body_frame: Literal["FRD", "FLU"] = Field("FRD", description="axes of body-frame columns")
     world_frame: Literal["NED", "ENU"] = Field("NED", description="axes of world-frame columns")
@@ -102,7 +105,9 @@ class SplitConfig(Section):
     by: Literal["auto", "flight", "time"] = Field(
         "auto", description="auto is flight for two or more flights"
     )
-    test_flights: tuple[str, ...] = Field((), description="test flights, used for no choice")
+    test_flights: tuple[str, ...] = Field(
+        (), max_length=1000, description="test flights, used for no choice"
+    )
     test_fraction: float = Field(
         0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight"
     )
@@ -126,7 +131,7 @@ class ResidualConfig(Section):
         0.1, ge=0.0, le=10.0, description="input noise with mirroring, in standard deviations"
     )
     mirror: Literal["auto", "on", "off"] = Field("auto", description="train on mirror images")
-    sample_rate: float = Field(50.0, ge=1.0, description="Hz, after thinning")
+    sample_rate: float = Field(50.0, ge=1.0, le=100_000, description="Hz, after thinning")
     caution: NonNegative = Field(1.0, description="weight of the worst fold when shrinking")
     min_gain: float = Field(
         0.01, ge=0.0, le=1.0, description="least relative gain on held-out data"
@@ -140,9 +145,9 @@ class ResidualConfig(Section):
 class FitConfig(Section):
     """One fit."""
 
-    name: str = Field("fit", pattern=r"^[\w-][\w.-]*$", description="folder of results")
+    name: FolderName = Field("fit", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="base vehicle, a file in configs/vehicles")
-    seed: int = Field(0, ge=0, description="of everything random in the fit")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="of everything random in the fit")
     figures: bool = Field(True, description="draw figures of the fit")
     logs: LogsConfig = LogsConfig()
     body: BodyConfig = BodyConfig()
@@ -158,6 +163,4 @@ def load_fit_config(path: Path | str, overrides: Sequence[str] = ()) -> FitConfi
     Raises:
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
-    path = find_config(path, "fit")
-    tree = merge_trees(read_tree_with_bases(path), parse_overrides(overrides))
-    return build(FitConfig, tree, str(path))
+    return load_section(FitConfig, path, "fit", overrides)

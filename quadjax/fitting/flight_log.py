@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import whole_file
+from quadjax.core.files import check_file, whole_file
 from quadjax.fitting.columns import REQUIRED, scale_of, wanted_columns
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.log_checks import check_angles, check_time, check_units
@@ -136,10 +136,9 @@ def _rows(path: Path | str, **options: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _header(path: Path | str) -> list[str]:
+    check_file(path)
     try:
         _, header = next(_rows(path), (1, []))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: row 1 is not readable CSV text ({error})") from None
     header = [name.strip() for name in header]

@@ -19,6 +19,7 @@ from quadjax.vehicle.residual_file import write_residual
 RESIDUAL_AXES = AXES[2:]
 FILES = ("config.yaml", "vehicle.yaml", "residual.npz", "report.json", "report.txt")
 FIGURES = ("held_out_*.png", "training_*.png", "errors.png")  # see ``figures.write_figures``
+PATTERNS = (*FILES, *FIGURES)  # of everything that a fit writes
 
 
 def tables(result: FitResult) -> str:
@@ -52,11 +53,6 @@ def write_results(result: FitResult, folder: Path) -> list[Path]:
     write_json(numbers, as_json(result) | {"provenance": provenance(result.config)})
     write_text(text, tables(result))
     return paths
-
-
-def earlier_files(folder: Path) -> list[str]:
-    """Names of the files in a folder that an earlier fit wrote."""
-    return [path.name for pattern in (*FILES, *FIGURES) for path in sorted(folder.glob(pattern))]
 
 
 def _fitted(result: FitResult) -> list[tuple[str, str, float, float]]:

@@ -8,6 +8,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from quadjax.learners.hosts import spread
+from quadjax.learners.memory import check_memory, program_bytes, tree_bytes
 from quadjax.learners.state import AXIS, Learner, Metrics, TrainState
 
 Chunk = Callable[[object, TrainState], tuple[TrainState, Metrics]]
@@ -93,10 +94,14 @@ def compile_chunk(
         params: traced parameters of the environment.
         state: a placed state, or its ``abstract`` one.
 
+    Raises:
+        InputError: the program needs more memory than a device has.
+
     Returns:
         A function of the environment's parameters and the state, to the next state and the
         metrics of every update, each (updates,).
     """
+    check_memory(tree_bytes(state) / mesh.size)
     specs, shared = specs_of(state), PartitionSpec()
 
     def many(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
@@ -115,6 +120,7 @@ def compile_chunk(
     hyper, params = spread((learner.hyper, params), everywhere)
     jitted = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
     program = jitted.lower(hyper, params, state).compile()
+    check_memory(program_bytes(program))
 
     def chunk(params: object, state: TrainState) -> tuple[TrainState, Metrics]:
         return program(hyper, spread(params, everywhere), state)

@@ -9,7 +9,8 @@ import jax
 import numpy as np
 
 from quadjax.core.environment import Environment
-from quadjax.core.errors import InputError, check_integer
+from quadjax.core.errors import InputError
+from quadjax.core.limits import MAX_SEED, check_integer
 from quadjax.core.sections import Section
 from quadjax.learners.devices import choose_devices
 from quadjax.learners.loop import Row, check_finite, plan_chunks
@@ -77,7 +78,7 @@ def train(
         NonFiniteError: a metric is not finite.
     """
     check_integer("steps", steps, 1, 10**12)
-    check_integer("seed", seed, 0, 2**31 - 1)
+    check_integer("seed", seed, 0, MAX_SEED)
     networks = _networks(algorithm, environment, network or Network())
     learner = _make(algorithm, environment, networks, steps, schedules or {})
     updates, chunks = _plan(steps, learner.steps_per_update)

@@ -9,20 +9,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from quadjax.core.resources import find_config
+from quadjax.core.limits import MAX_SEED
 from quadjax.core.sections import (
     Field,
+    Fraction,
+    NonNegative,
+    Positive,
     Section,
-    build,
-    merge_trees,
+    load_section,
     model_validator,
-    parse_overrides,
-    read_tree_with_bases,
 )
 
-NonNegative = Annotated[float, Field(ge=0.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Half = Annotated[float, Field(ge=0.0, le=0.5)]
 Delay = Annotated[float, Field(ge=0.0, le=0.05)]
 
@@ -113,7 +110,7 @@ class ConstantsConfig(Section):
     """The drone's own constants, each drawn once around the training model's."""
 
     spread: Half = Field(0.04, description="largest relative deviation of a constant")
-    seed: int = Field(1, ge=0, description="of the draw")
+    seed: int = Field(1, ge=0, le=MAX_SEED, description="of the draw")
 
 
 class DelayConfig(Section):
@@ -163,7 +160,7 @@ class MocapConfig(Section):
     attitude_noise: NonNegative = Field(8.7e-3, description="rad about each axis: 0.5 deg")
     dropout: float = Field(0.02, ge=0.0, le=0.9, description="fraction of lost frames; assumed")
     dropout_frames: float = Field(
-        3.0, description="mean number of consecutive lost frames; assumed"
+        3.0, ge=0, le=1000, description="mean number of consecutive lost frames; assumed"
     )
 
     @model_validator(mode="after")
@@ -224,8 +221,12 @@ class PlantConfig(Section):
     name: str = Field("standin", pattern=r"^[\w-][\w.-]*$", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="the training model's file in configs/vehicles")
     mass: Positive = Field(0.389, description="kg")
-    sample_rate: Positive = Field(500.0, description="Hz, of sensors, filters and inner loop")
-    control_rate: Positive = Field(500.0, description="Hz, of the policy; divides sample_rate")
+    sample_rate: float = Field(
+        500.0, gt=0, le=100_000, description="Hz, of sensors, filters and inner loop"
+    )
+    control_rate: float = Field(
+        500.0, gt=0, le=100_000, description="Hz, of the policy; divides sample_rate"
+    )
     substeps: int = Field(1, ge=1, le=100, description="physics steps per sample")
     integrator: Literal["euler", "rk4"] = Field("rk4", description="of a physics step")
     navigation: Literal["ekf", "ground_truth"] = Field("ekf", description="observed state")
@@ -285,9 +286,7 @@ def load_plant_config(path: Path | str, overrides: Sequence[str] = ()) -> PlantC
     Raises:
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
-    path = find_config(path, "plant")
-    tree = merge_trees(read_tree_with_bases(path), parse_overrides(overrides))
-    return build(PlantConfig, tree, str(path))
+    return load_section(PlantConfig, path, "plant", overrides)
 
 
 def without_effects(config: PlantConfig) -> PlantConfig:

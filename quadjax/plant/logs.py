@@ -5,20 +5,17 @@ accelerometer are as measured, and the accelerometer's bias is the estimated one
 for every sample of the plant, at any ``control_rate``.
 """
 
-import argparse
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
-from quadjax.core.arguments import Parser, add_config, count, parse, seed
 from quadjax.core.errors import InputError
 from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.flight_log import write_log
-from quadjax.plant.config import PlantConfig, load_plant_config
+from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights, fly_plan, plan_flights, rows
 from quadjax.policy.file import Policy
 
@@ -105,37 +102,3 @@ def write_logs(
             write_log(path, paparazzi_columns(log))
             written.append(Logged(path, len(log["time"]), ended.laps.crashes[run]))
     return written
-
-
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser("plant-logs", description="Write flight logs of the stand-in plant.")
-    add_config(parser, "a YAML file of configs/plant")
-    parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
-    parser.add_argument("--race", default="e2e_shac", metavar="CONFIG", help="preset or YAML file")
-    parser.add_argument("--flights", type=count, default=4, help="of each policy (4)")
-    parser.add_argument("--laps", type=count, default=6, help="of each flight (6)")
-    parser.add_argument("--seed", type=seed, default=0)
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
-    return parse(parser, argv)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Simulate policies on the plant and write their logs."""
-    from rich.console import Console
-
-    options = _arguments(arguments)
-    plant = load_plant_config(options.config, options.overrides)
-    race = load_config(options.race)
-    with Console(stderr=True).status("compiling") as status:
-        written = write_logs(
-            race,
-            plant,
-            options.policy,
-            options.output,
-            options.flights,
-            options.laps,
-            options.seed,
-            status.update,
-        )
-    for log in written:
-        print(f"wrote {log.path}, {log.rows} rows {log.crash}".rstrip())

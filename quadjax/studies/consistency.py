@@ -6,25 +6,19 @@ filter diverged (an error above 0.5 m, 0.5 rad or 2 m/s, or not finite). Exit st
 component is within less than 99% of the time or a flight diverged.
 """
 
-import argparse
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
-from quadjax.core.arguments import Parser, add_config, check_writable, count, parse, seed
-from quadjax.core.files import write_json
 from quadjax.core.frames import wrap_angle
-from quadjax.core.provenance import provenance
-from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import plant as physics
-from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
+from quadjax.plant.config import PlantConfig
 from quadjax.plant.ekf import EkfState
 from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.estimate import NavigationState, estimate
@@ -167,47 +161,3 @@ def table(name: str, result: Consistency) -> str:
         lines.append(f"{component:>19} {errors} {unit:<7}{inside} {ratio}")
     verdict = "passed" if result.passed else "failed"
     return "\n".join([*lines, f"{verdict}: 99% inside, none diverged"])
-
-
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser("consistency", description=__doc__)
-    add_config(parser, "a YAML file of configs/plant, or its name")
-    parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
-    parser.add_argument(
-        "--policy", action="append", metavar="FILE.npz", help="(e2e.npz and indi.npz)"
-    )
-    parser.add_argument("--runs", type=count, default=1000, help="of each policy (1000)")
-    parser.add_argument("--seconds", type=count, default=20, help="of each flight (20)")
-    parser.add_argument("--seed", type=seed, default=0)
-    parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
-    arguments = parse(parser, argv)
-    check_writable(arguments.json)
-    return arguments
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Evaluate the filter on flights of some policies, print, and write if --json is given."""
-    from rich.console import Console
-
-    options = _arguments(arguments)
-    plant = without_effects(load_plant_config(options.config, options.overrides))
-    race, results = load_config(options.race), {}
-    with Console(stderr=True).status("compiling") as status:
-        for policy in map(Path, options.policy or [PRETRAINED / name for name in POLICIES]):
-            results[policy.name] = evaluate_filter(
-                race,
-                plant,
-                policy,
-                options.runs,
-                options.seconds,
-                options.seed,
-                lambda seconds, n=policy.name: status.update(f"{n}: {seconds:.0f} s simulated"),
-            )
-            print(table(policy.name, results[policy.name]) + "\n")
-    if options.json:
-        numbers = {name: result.to_json() for name, result in results.items()}
-        origin = provenance(plant, seed=options.seed)
-        result = {"config": plant.model_dump(), "results": numbers, "provenance": origin}
-        write_json(options.json, result)
-        print(f"wrote {options.json}")
-    return int(not all(result.passed for result in results.values()))

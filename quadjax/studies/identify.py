@@ -2,18 +2,16 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from quadjax.core.arguments import Parser, add_config, parse
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import gusts, indi, plant
 from quadjax.plant.build import build_plant, nominal_vehicle
-from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
+from quadjax.plant.config import PlantConfig
 from quadjax.plant.indi import IndiParams
 from quadjax.plant.plant import PlantParams
 from quadjax.vehicle.motor import MotorState, hover_rpm
@@ -163,13 +161,3 @@ def table(steps: list[Step]) -> str:
             f"{100.0 * step.error:5.1f}% {1e3 * step.saturated:15.0f} ms  {fine}"
         )
     return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Identify the inner loop's time constants and print them."""
-    parser = Parser("identify", description=__doc__)
-    add_config(parser, "a YAML file of configs/plant")
-    parser.add_argument("--effects", action="store_true", help="with the plant's effects, delays")
-    options = parse(parser, arguments)
-    config = load_plant_config(options.config, options.overrides)
-    print(table(identify(config if options.effects else without_effects(config))))

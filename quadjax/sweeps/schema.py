@@ -1,21 +1,27 @@
 """The keys of a sweep file."""
 
 import json
-from typing import Any, Literal
+import re
+from typing import Annotated, Any, Literal
 
-from quadjax.core.sections import Field, Section, model_validator
+from quadjax.core.sections import Field, FolderName, Positive, Section, model_validator
 
 ENTRIES = ("choices", "range", "log", "step", "points")  # of a key of the search space
 MAX_TRIALS = 10_000
+Bound = Annotated[float, Field(ge=-1e12, le=1e12)]
+DATABASE = re.compile(  # of which the place may be shown
+    r"postgresql://([^@/?#\s]*@)?(?P<place>(\[[\da-fA-F:.]+\]|[^@/?#:\s]*)(:\d+)?(/[^@/?#\s]*)?)"
+    r"(\?(?P<query>[^@?#\s]*))?"
+)
 
 
 class Range(Section):
     """The values of one key: exactly one of ``choices``, ``range`` and ``log``."""
 
     choices: list[Any] | None = Field(None, min_length=1, max_length=1000, description="values")
-    range: tuple[float, float] | None = Field(None, description="lowest and highest value")
-    log: tuple[float, float] | None = Field(None, description="the same, on a log scale")
-    step: float | None = Field(None, gt=0, description="distance of the values of a range")
+    range: tuple[Bound, Bound] | None = Field(None, description="lowest and highest value")
+    log: tuple[Bound, Bound] | None = Field(None, description="the same, on a log scale")
+    step: Positive | None = Field(None, description="distance of the values of a range")
     points: int | None = Field(None, ge=2, le=10_000, description="number of values of a grid")
 
     @model_validator(mode="after")
@@ -62,7 +68,7 @@ class Budget(Section):
     """When the sweep ends."""
 
     trials: int | None = Field(None, ge=1, le=MAX_TRIALS, description="null: a grid's size, or 20")
-    seconds: float | None = Field(None, gt=0, description="wall time after which no trial starts")
+    seconds: Positive | None = Field(None, description="wall time after which no trial starts")
 
 
 class Executor(Section):
@@ -79,11 +85,17 @@ class Executor(Section):
 class SweepFile(Section):
     """A sweep file."""
 
-    name: str = Field("sweep", pattern=r"^\w[\w.-]*$", max_length=100, description="of the study")
+    name: FolderName = Field("sweep", description="of the study")
     config: str = Field(description="base config: a file next to the sweep file, or a preset")
-    overrides: dict[str, Any] = Field({}, description="changes to it, the same for every trial")
-    space: dict[str, Any] = Field(min_length=1, description="values by dotted key of the config")
-    conditions: dict[str, Any] = Field({}, description="the race in which policies are evaluated")
+    overrides: dict[str, Any] = Field(
+        {}, max_length=1000, description="changes to it, the same for every trial"
+    )
+    space: dict[str, Any] = Field(
+        min_length=1, max_length=100, description="values by dotted key of the config"
+    )
+    conditions: dict[str, Any] = Field(
+        {}, max_length=1000, description="the race in which policies are evaluated"
+    )
     search: Search = Search()
     objective: Objective = Objective()
     budget: Budget = Budget()
@@ -94,8 +106,11 @@ class SweepFile(Section):
     @model_validator(mode="after")
     def _check(self) -> "SweepFile":
         search, executor = self.search, self.executor
-        if self.storage != "journal" and not self.storage.startswith("postgresql://"):
-            raise ValueError("storage: allowed: journal, or postgresql://USER@HOST/DATABASE")
+        if self.storage != "journal" and not DATABASE.fullmatch(self.storage):
+            raise ValueError(
+                "storage: allowed: journal, or postgresql://USER:PASSWORD@HOST:PORT/DATABASE?KEY="
+                "VALUE, in which special characters are percent-encoded"
+            )
         if search.method == "grid" and search.base_first:
             raise ValueError("search.base_first is true, allowed: false for a grid")
         if executor.kind == "local" and executor.gpus:

@@ -9,13 +9,14 @@ import copy
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
-from urllib.parse import parse_qsl, urlsplit
+from typing import Any, NamedTuple
+from urllib.parse import unquote, unquote_plus
 
 import filelock
 
 from quadjax.core.errors import InputError
 from quadjax.sweeps.extra import optuna
+from quadjax.sweeps.schema import DATABASE
 from quadjax.sweeps.sweep import Sweep
 
 JOURNAL, DRIVER = "study.journal", "postgresql+psycopg://"
@@ -66,14 +67,16 @@ def _open_storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
 def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
     """Turn errors of the storage into one ``InputError``, without the password of a database."""
     kinds: tuple[type[Exception], ...] = (ValueError, LookupError, TypeError, AttributeError)
-    where, secrets = f"{directory / JOURNAL} is damaged, start over with --overwrite", []
+    where, secrets = f"{directory / JOURNAL} is damaged, start over with --overwrite", [""]
     if sweep.file.storage != "journal":
         from sqlalchemy.exc import SQLAlchemyError
 
         kinds = (SQLAlchemyError, ImportError, ValueError, optuna.exceptions.OptunaError)
-        parts = urlsplit(sweep.file.storage)
-        where = f"storage: {parts.netloc.rsplit('@')[-1]}{parts.path} cannot be used"
-        secrets = [parts.password, *(value for _, value in parse_qsl(parts.query))]
+        url: Any = DATABASE.fullmatch(sweep.file.storage)
+        where = f"storage: {url['place']} cannot be used"
+        _, _, password = (url[1] or "").rstrip("@").partition(":")
+        raw = [password, *(entry.partition("=")[2] for entry in (url["query"] or "").split("&"))]
+        secrets = [sweep.file.storage, *raw, *map(unquote_plus, raw), *map(unquote, raw)]
     try:
         yield
     except InputError:
@@ -81,7 +84,7 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
     except kinds as error:
         cause = getattr(error.__cause__ or error, "orig", None) or error.__cause__ or error
         reason = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
-        for secret in filter(None, secrets):
+        for secret in sorted(filter(None, secrets), key=len, reverse=True):
             reason = reason.replace(secret, "***")
         if isinstance(cause, ImportError):
             reason += ": pip install 'quadjax[sweep-postgresql]'"

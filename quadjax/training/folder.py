@@ -5,8 +5,8 @@ from typing import Any
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.files import check_file, remove_stale, whole_file, write_text
-from quadjax.core.folders import MARKER, check_kind, kind_of, remove_files
+from quadjax.core.files import check_file, whole_file, write_text
+from quadjax.core.folders import check_kind, kind_of, remove_files
 from quadjax.core.sections import parse_yaml, read_yaml, value_at
 from quadjax.core.yaml_files import flatten
 from quadjax.vehicle.residual_file import is_shipped
@@ -30,7 +30,6 @@ FILES = (
     "curves.png",
     "checkpoints",
     "tensorboard",
-    MARKER,
 )
 
 
@@ -53,7 +52,6 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
     contents = _inputs(config)
     if overwrite:
         remove_files(folder, FILES)
-    remove_stale(folder / "inputs")
     latest = folder / "checkpoints" / "latest"
     if latest.exists() and any(latest.iterdir()):
         if not resume:

@@ -1,15 +1,17 @@
 """The metrics of a training run, as CSV and for TensorBoard."""
 
 import csv
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
-from quadjax.core.errors import InputError
-from quadjax.core.files import whole_file
+from quadjax.core.errors import InputError, writing
+from quadjax.core.files import read_text, whole_file
+from quadjax.core.yaml_files import short
 from quadjax.learners.loop import Row
 
 TIMED = {"score": "lap_total", "best_score": "best_lap_total"}  # the score of a race is a time, s
@@ -26,26 +28,27 @@ class MetricsFile:
     def __init__(self, directory: Path, steps: int, tensorboard: bool) -> None:
         """Open ``directory/metrics.csv`` after the last row of at most ``steps`` steps."""
         self._path = directory / "metrics.csv"
-        self._stream: TextIO | None = None
+        self._started = False
         self._rows = [row for row in saved_rows(self._path) if row["steps"] <= steps]
         self._tensorboard = _tensorboard(directory) if tensorboard else None
 
     def write(self, row: Row) -> None:
         """Add a row."""
-        if self._stream is None:
+        if not self._started:
             _write_rows(self._path, list(row), self._rows)
-            self._stream = open(self._path, "a", newline="", encoding="utf-8")  # noqa: SIM115
-        csv.DictWriter(self._stream, list(row)).writerow(row)
-        self._stream.flush()
+            self._started = True
+        with (
+            writing(self._path),
+            open(self._path, "a", newline="", encoding="utf-8") as stream,
+        ):
+            csv.DictWriter(stream, list(row)).writerow(row)
         if self._tensorboard is not None:
             for name, value in row.items():
                 if math.isfinite(value):
                     self._tensorboard.add_scalar(name, value, int(row["steps"]))
 
     def close(self) -> None:
-        """Close the files."""
-        if self._stream is not None:
-            self._stream.close()
+        """Close TensorBoard's file."""
         if self._tensorboard is not None:
             self._tensorboard.close()
 
@@ -111,10 +114,10 @@ def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
 
 def _read_table(path: Path | str) -> tuple[list[str], np.ndarray]:
     """Names and numbers (rows, columns) of a metrics CSV."""
+    text = read_text(path)
     try:
-        with open(path, newline="", encoding="utf-8") as stream:
-            names, *rows = list(csv.reader(stream)) or [[]]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        names, *rows = list(csv.reader(io.StringIO(text, newline=""))) or [[]]
+    except csv.Error as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
     if rows and len(rows[-1]) < len(names):
         rows.pop()
@@ -127,6 +130,7 @@ def _read_table(path: Path | str) -> tuple[list[str], np.ndarray]:
                 table[index, column] = float(cell) if cell.strip() else np.nan
             except ValueError:
                 raise InputError(
-                    f"{path} line {index + 2}: {names[column]} is {cell!r}, expected a number"
+                    f"{path} line {index + 2}: {short(names[column])} is {short(cell)}, expected a "
+                    "number"
                 ) from None
     return names, table

@@ -5,8 +5,8 @@ import dataclasses
 import functools
 import threading
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from quadjax.learners import hosts
 from quadjax.learners import sharding as parallel
 from quadjax.learners.devices import choose_devices, prepare_devices
 from quadjax.learners.loop import Hooks, Position, Row, run
+from quadjax.learners.memory import check_memory, tree_bytes
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.sharding import Chunk
 from quadjax.learners.state import Learner, TrainState
@@ -37,6 +38,9 @@ from quadjax.training.metrics import MetricsFile, check_tensorboard, timed
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, read_summary, write_summary
 from quadjax.training.score import Score
+
+PATIENCE = 5.0  # s that a run waits for its compilation after Ctrl-C, to save and end as always
+POLL = 0.2  # s
 
 
 def train(
@@ -69,6 +73,8 @@ def train(
             another config, or that another process uses; a file of the config that cannot be
             used. Nothing is written or compiled before.
         NonFiniteError: a metric became infinite or NaN.
+        KeyboardInterrupt: a second Ctrl-C, or one during a long compilation: there is nothing to
+            save yet.
     """
     if resume and overwrite:
         raise InputError("resume and overwrite exclude each other")
@@ -209,7 +215,7 @@ def _run(job: _Job, folder: Path, resume: bool, started: float, callbacks: _Call
     checkpoints = Checkpoints(folder / "checkpoints")
     score = Score(config, params)
     begin = functools.partial(start_state, config, job.learner, params, job.initial)
-    chunk, first = _compile(job.learner, params, job.mesh, job.updates, score, begin)
+    chunk, first = _compile(job, score, begin, callbacks.stop)
     position = Position(state=first, best=jax.device_get(first.evaluated))
     if resume and checkpoints.any:
         position = checkpoints.restore(position)
@@ -233,20 +239,39 @@ def _run(job: _Job, folder: Path, resume: bool, started: float, callbacks: _Call
 
 
 def _compile(
-    learner: Learner,
-    params: RaceParams,
-    mesh: Mesh,
-    updates: int,
-    score: Score,
-    begin: Callable[[], TrainState],
+    job: _Job, score: Score, begin: Callable[[], TrainState], stop: threading.Event
 ) -> tuple[Chunk, TrainState]:
-    """The compiled chunk and the first state; the evaluation is compiled at the same time."""
-    with ThreadPoolExecutor(2) as pool:
+    """The compiled chunk and the first state; the evaluation is compiled at the same time.
+
+    Compilation runs in threads, so that this one receives signals.
+
+    Raises:
+        KeyboardInterrupt: interrupted, and not compiled ``PATIENCE`` s later.
+    """
+    learner, params, mesh = job.learner, job.params, job.mesh
+    shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
+    check_memory(tree_bytes(shapes) / mesh.size)
+    pool = ThreadPoolExecutor(3)
+    try:
         first = pool.submit(lambda: parallel.place(begin(), mesh))
         warm_up = pool.submit(lambda: score(first.result().evaluated))
-        shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-        chunk = parallel.compile_chunk(
-            learner, mesh, updates, params, parallel.abstract(shapes, mesh)
-        )
-        warm_up.result()
-        return chunk, first.result()
+        abstract = parallel.abstract(shapes, mesh)
+        chunk = pool.submit(parallel.compile_chunk, learner, mesh, job.updates, params, abstract)
+        _wait_for((chunk, warm_up), stop)
+        return chunk.result(), first.result()
+    finally:
+        pool.shutdown(wait=False)
+
+
+def _wait_for(futures: Sequence[Future], stop: threading.Event) -> None:
+    """Wait until all are done, or one has failed; ``KeyboardInterrupt`` if ``stop`` is set."""
+    left = PATIENCE
+    while True:
+        done, running = wait(futures, POLL, FIRST_EXCEPTION)
+        for each in done:
+            each.result()
+        if not running:
+            return
+        left -= POLL * stop.is_set()
+        if left < 0:
+            raise KeyboardInterrupt

@@ -160,10 +160,10 @@ def test_read_yaml_refuses_what_is_no_small_file(tmp_path):
     latin.write_bytes(b"a: \xff")
     for path, message in [
         ("/dev/zero", "not a regular file"),
-        (tmp_path, "not a regular file"),
+        (tmp_path, "is a directory, expected a file"),
         (tmp_path / "none.yaml", "no such file"),
         ("x" * 400, "cannot be read"),
-        (large, "larger than 1048576 bytes"),
+        (large, "larger than 1,048,576 bytes"),
         (latin, "cannot be read"),
     ]:
         with pytest.raises(InputError, match=message):

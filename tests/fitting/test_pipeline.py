@@ -88,7 +88,9 @@ def test_an_earlier_fit_is_replaced_only_on_request(folder, tmp_path, monkeypatc
     arguments = [f"logs.files=[{folder}/*.csv]", "--output", tmp_path, "--name", "mine"]
     assert run("fit", CONFIG, *arguments) == 2
     assert capsys.readouterr().err == "error: fitting mine\n"
+    assert not (tmp_path / "mine").exists()
     vehicle = tmp_path / "mine/vehicle.yaml"
+    vehicle.parent.mkdir()
     vehicle.write_text("name: earlier")
     assert run("fit", CONFIG, *arguments) == 2
     assert "mine holds a fit already: replace it (--overwrite)" in capsys.readouterr().err

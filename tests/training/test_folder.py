@@ -2,12 +2,14 @@
 
 import json
 import multiprocessing
+import platform
 import shutil
 import time
 
 import numpy as np
 import pytest
 
+from quadjax.cli.sweep import FILES as SWEEP_FILES
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_vehicle
 from quadjax.core.errors import InputError
@@ -15,10 +17,13 @@ from quadjax.core.files import write_text
 from quadjax.core.folders import claim, kind_of, remove_files
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.sections import to_yaml
+from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.policy.file import Policy
-from quadjax.training.folder import FILES, check_same, prepare_folder
+from quadjax.training.folder import FILES as TRAINING_FILES
+from quadjax.training.folder import check_same, prepare_folder
 from quadjax.training.metrics import MetricsFile, read_metrics, saved_rows
 from quadjax.training.result import SUMMARY, is_finished, read_summary
+from tests.commands import run
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
 
@@ -62,22 +67,66 @@ def test_a_folder_in_use_is_refused_until_the_process_is_gone(tmp_path):
         assert kind_of(tmp_path / "run") == "training"
 
 
-@pytest.mark.parametrize("kind", ["fit", "sweep", "export"])
+@pytest.mark.parametrize("kind", ["fit", "sweep", "export", "comparison"])
 def test_a_folder_of_another_kind_is_refused(tmp_path, kind):
     with claim(tmp_path, kind):
         pass
-    with pytest.raises(InputError, match=f"holds a {kind}, not a training"):
+    with pytest.raises(InputError, match=f"holds an? {kind}, not a training"):
         with claim(tmp_path, "training"):
             pass
 
 
-def test_folders_of_earlier_versions_have_their_kind(tmp_path):
-    (tmp_path / "checkpoints").mkdir()
-    with pytest.raises(InputError, match="holds a training, not a fit"):
-        with claim(tmp_path, "fit"):
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("checkpoints", "training"),
+        ("study.journal", "sweep"),
+        ("vehicle.yaml", "fit"),
+        ("e2e_report.json", "export"),
+        ("compare.json", "comparison"),
+    ],
+)
+def test_folders_of_earlier_versions_have_their_kind(tmp_path, name, kind):
+    (tmp_path / name).write_text("")
+    with pytest.raises(InputError, match=f"holds an? {kind}, not a folder"):
+        with claim(tmp_path, "folder"):
             pass
-    with claim(tmp_path, "training"):
+    with claim(tmp_path, kind):
         pass
+
+
+COMMANDS = {
+    "training": ("train", BLANK, "--name", "one", "--output"),
+    "fit": ("fit", "{}", "--name", "one", "--output"),
+    "sweep": ("sweep", "learning_rate", "name=one", "executor.workers=1", "--output"),
+    "comparison": ("compare", "standin", "--name", "one", "--output"),
+    "export": ("export", PRETRAINED / "e2e.npz", "--output"),
+}
+
+
+@pytest.mark.parametrize("kind", COMMANDS)
+def test_of_two_commands_in_one_folder_the_second_is_refused(tmp_path, capsys, kind):
+    """One line and status 2; also for a command of another kind."""
+    (tmp_path / "log.csv").write_text("time\n")
+    (tmp_path / "fit.yaml").write_text(f"logs: {{files: [{tmp_path}/log.csv]}}\n")
+    command = [str(word).format(tmp_path / "fit.yaml") for word in COMMANDS[kind]]
+    output = tmp_path / "one" if kind == "export" else tmp_path
+    for other, says in ((kind, "in use by another process"), ("notes", "holds a notes, not a")):
+        with claim(tmp_path / "one", other):
+            (tmp_path / "one" / "notes.txt").write_text("mine")
+            assert run(*command, output) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("error: ") and error.count("\n") == 1 and says in error
+        shutil.rmtree(tmp_path / "one")
+
+
+def test_a_new_folder_is_removed_after_a_failure_that_wrote_nothing(tmp_path):
+    with pytest.raises(KeyError), claim(tmp_path / "one", "fit"):
+        raise KeyError
+    with pytest.raises(KeyError), claim(tmp_path / "two", "fit"):
+        (tmp_path / "two" / "report.txt").write_text("")
+        raise KeyError
+    assert [path.name for path in tmp_path.iterdir()] == ["two"]
 
 
 def test_a_file_where_the_folder_should_be_is_refused(tmp_path):
@@ -88,7 +137,7 @@ def test_a_file_where_the_folder_should_be_is_refused(tmp_path):
 
 
 def test_claiming_removes_what_a_killed_process_left_and_nothing_else(tmp_path):
-    (tmp_path / ".writing-metrics.abc.csv").write_text("half")
+    (tmp_path / f".writing-{platform.node()}-999999999-abc.csv").write_text("half")
     (tmp_path / ".hidden").write_text("mine")
     with claim(tmp_path, "training"):
         pass
@@ -96,14 +145,16 @@ def test_claiming_removes_what_a_killed_process_left_and_nothing_else(tmp_path):
     assert names == {".hidden", ".lock", ".quadjax.json"}
 
 
-def test_overwriting_removes_only_the_files_of_training(tmp_path):
-    for name in FILES:
-        write_text(tmp_path / name, "{}")
-    for name in ("notes.txt", "vehicle.yaml", "residual.npz"):
+@pytest.mark.parametrize("patterns", [TRAINING_FILES, FIT_FILES, SWEEP_FILES])
+def test_overwriting_removes_only_the_files_of_the_program(tmp_path, patterns):
+    for name in patterns:
+        write_text(tmp_path / name.replace("*", "1"), "{}")
+    others = {".quadjax.json", ".lock", "notes.txt", "e2e.c", "e2e_report.json"}
+    others |= {"vehicle.yaml", "residual.npz", "policy.npz", "mine.yaml"} - set(patterns)
+    for name in others:
         (tmp_path / name).write_text("mine")
-    remove_files(tmp_path, FILES)
-    found = {path.name for path in tmp_path.rglob("*") if path.is_file()}
-    assert found == {"notes.txt", "vehicle.yaml", "residual.npz"}
+    remove_files(tmp_path, patterns)
+    assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == others
 
 
 def test_a_run_of_another_config_names_the_key(tmp_path):

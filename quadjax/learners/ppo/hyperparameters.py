@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal, Self
 
-from quadjax.core.sections import Field, model_validator
+from quadjax.core.sections import LARGEST, Field, model_validator
 from quadjax.learners.section import MAX_ENVS, MAX_UPDATE_STEPS, LearnerSection
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class PPO(LearnerSection):
     value_coefficient: float = Field(0.5, ge=0, le=1e6, description="weight of the value loss")
     entropy_coefficient: float = Field(0.0, ge=0, le=1e6, description="weight of the entropy bonus")
     max_grad_norm: float = Field(
-        0.5, gt=0, description="gradients are scaled to at most this global norm"
+        0.5, gt=0, le=LARGEST, description="gradients are scaled to at most this global norm"
     )
     separate_grad_clip: bool = Field(
         True,
@@ -54,10 +54,13 @@ class PPO(LearnerSection):
     max_kl: float | None = Field(
         0.03,
         gt=0,
+        le=LARGEST,
         description="a minibatch whose estimated KL divergence from the policy before the update "
         "is larger is skipped; null: none is",
     )
-    reward_scale: float = Field(1.0, gt=0, description="factor on the reward that is learned from")
+    reward_scale: float = Field(
+        1.0, gt=0, le=LARGEST, description="factor on the reward that is learned from"
+    )
     critic_warmup: int = Field(
         0, ge=0, le=10**9, description="updates at the start that train the value only"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
-from quadjax.core.sections import Field, model_validator
+from quadjax.core.sections import LARGEST, Field, model_validator
 from quadjax.learners.section import MAX_ENVS, MAX_UPDATE_STEPS, LearnerSection
 
 if TYPE_CHECKING:
@@ -32,13 +32,19 @@ class SHAC(LearnerSection):
     adam_b1: float = Field(0.7, ge=0, lt=1, description="decay of Adam's first moment")
     adam_b2: float = Field(0.95, ge=0, lt=1, description="decay of Adam's second moment")
     max_grad_norm: float = Field(
-        1.0, gt=0, description="the policy's gradient is scaled to at most this global norm"
+        1.0,
+        gt=0,
+        le=LARGEST,
+        description="the policy's gradient is scaled to at most this global norm",
     )
     critic_learning_rate: float = Field(
         3e-3, ge=0, le=1, description="step size of the critic's Adam"
     )
     critic_max_grad_norm: float = Field(
-        1.0, gt=0, description="the critic's gradient is scaled to at most this global norm"
+        1.0,
+        gt=0,
+        le=LARGEST,
+        description="the critic's gradient is scaled to at most this global norm",
     )
     critic_epochs: int = Field(
         4, ge=1, le=1000, description="passes of the critic over the data of an update"
@@ -63,13 +69,16 @@ class SHAC(LearnerSection):
     cotangent_clip: float = Field(
         0.02,
         gt=0,
+        le=LARGEST,
         description="largest entry of the gradient that flows back through the state, in units of "
         "the scaled return",
     )
     std: float = Field(
         0.3, gt=0, le=100, description="standard deviation of the action noise (actions: -1 to 1)"
     )
-    reward_scale: float = Field(0.1, gt=0, description="factor on the reward that is learned from")
+    reward_scale: float = Field(
+        0.1, gt=0, le=LARGEST, description="factor on the reward that is learned from"
+    )
     ema_rate: float = Field(
         1.0,
         ge=1e-4,

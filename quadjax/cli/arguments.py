@@ -2,16 +2,16 @@
 
 import argparse
 import re
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from quadjax.core.errors import InputError
-
-MAX_LAPS, MAX_RUNS = 1000, 100_000  # of one evaluation, which is simulated all at once
-MAX_SEED = 2**31 - 1
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+from quadjax.core.errors import InputError, writing
+from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.sections import FOLDER_NAME
+from quadjax.core.yaml_files import close_match
 
 
 class Parser(argparse.ArgumentParser):
@@ -22,19 +22,7 @@ class Parser(argparse.ArgumentParser):
         if command is not None:
             options["prog"] = f"quadjax {command}"
         options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
-        super().__init__(**options)
-
-    def unknown(self, arguments: Sequence[str] | None) -> list[str]:
-        """The arguments that look like options and are none, whatever else is missing."""
-        required = [action for action in self._actions if action.required]
-        for action in required:
-            action.required = False
-        try:
-            _, extra = self.parse_known_intermixed_args(arguments)
-        finally:
-            for action in required:
-                action.required = True
-        return [each for each in extra if each.startswith("-")]
+        super().__init__(allow_abbrev=False, **options)
 
     def error(self, message: str) -> NoReturn:
         """Raise an ``InputError``."""
@@ -45,12 +33,15 @@ def parse(parser: Parser, arguments: Sequence[str] | None = None) -> argparse.Na
     """Parse options and positional arguments in any order.
 
     Raises:
-        InputError: unknown options, missing or bad values.
+        InputError: unknown options (the first one is named), missing or bad values.
     """
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    known = [name for action in parser._actions for name in action.option_strings]
+    for option in (text.partition("=")[0] for text in argv if re.match("-{1,2}[A-Za-z]", text)):
+        if option not in known:
+            raise InputError(f"unknown option {option}{close_match(option, known)} (try --help)")
     try:
-        if unknown := parser.unknown(arguments):
-            parser.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return parser.parse_intermixed_args(arguments)
+        return parser.parse_intermixed_args(argv)
     except argparse.ArgumentError as error:
         raise InputError(f"{error} (try --help)") from error
 
@@ -115,9 +106,9 @@ def overrides_of(arguments: argparse.Namespace) -> list[str]:
 
 def name(text: str) -> str:
     """The name of a folder, for ``type=``."""
-    if not NAME.fullmatch(text):
+    if not re.fullmatch(FOLDER_NAME, text):
         raise argparse.ArgumentTypeError(
-            f"{text!r}, expected letters, digits, '.', '_' and '-', the first a letter or digit"
+            f"{text!r}, expected letters, digits, '_', '.' and '-', the last two not first"
         )
     return text
 
@@ -164,11 +155,9 @@ def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> Non
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: {', '.join(suffixes)}")
-    try:
+    with writing(path):
         if path.is_dir():
             raise InputError(f"{path}: is a directory, expected the name of a file")
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent):
             pass
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error

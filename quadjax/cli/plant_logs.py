@@ -1,0 +1,47 @@
+"""Write flight logs of the stand-in plant: of each policy's flights, DIR/POLICY_RUN.csv."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadjax.cli.arguments import Parser, add_config, count, parse, seed
+from quadjax.core.interruptions import loading
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("plant-logs", description=__doc__)
+    add_config(parser, "a YAML file of configs/plant")
+    parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
+    parser.add_argument("--race", default="e2e_shac", metavar="CONFIG", help="preset or YAML file")
+    parser.add_argument("--flights", type=count, default=4, help="of each policy (4)")
+    parser.add_argument("--laps", type=count, default=6, help="of each flight (6)")
+    parser.add_argument("--seed", type=seed, default=0)
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
+    return parse(parser, argv)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Simulate policies on the plant and write their logs."""
+    options = _arguments(arguments)
+    with loading():
+        from rich.console import Console
+
+        from quadjax.config.loading import load_config
+        from quadjax.plant.config import load_plant_config
+        from quadjax.plant.logs import write_logs
+
+    plant = load_plant_config(options.config, options.overrides)
+    race = load_config(options.race)
+    with Console(stderr=True).status("compiling") as status:
+        written = write_logs(
+            race,
+            plant,
+            options.policy,
+            options.output,
+            options.flights,
+            options.laps,
+            options.seed,
+            status.update,
+        )
+    for log in written:
+        print(f"wrote {log.path}, {log.rows} rows {log.crash}".rstrip())

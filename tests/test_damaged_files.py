@@ -1,0 +1,109 @@
+"""Files damaged at random: each is read, or refused in one line. Nothing else is raised."""
+
+import random
+
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_json
+from quadjax.core.resources import CONFIGS
+from quadjax.fitting.columns import paparazzi_columns
+from quadjax.fitting.config import LogsConfig, load_fit_config
+from quadjax.fitting.flight_log import read_log, write_log
+from quadjax.plant.config import load_plant_config
+from quadjax.policy.file import Policy
+from quadjax.sweeps.sweep import load_sweep
+from quadjax.training.metrics import saved_rows
+from quadjax.vehicle.residual_file import read_residual
+from tests.sweeps.support import sweep_file
+from tests.test_files import POLICY_META, RESIDUAL_META, policy_arrays, residual_arrays, save
+
+NASTY = (
+    [b"1e999", b"nan", b"-1", b"null", b"true", b"1e-400", b"9" * 5000, b"'", b"\n", b"\t", b","]
+    + [b"[", b"{", b": ", b"- ", b"? ", b"|", b"&a [*a]", b"*b", b"!!python/object:os.system x"]
+    + [b"\x00", b"\xff\xfe", b"\xef\xbb\xbf", b"../../x", b"PK\x03\x04"]
+)
+
+
+def damaged(data: bytes, draw: random.Random) -> bytes:
+    """The data with some bits flipped, bytes removed, repeated or replaced, or cut off."""
+    changed = bytearray(data)
+    for _ in range(draw.choice((1, 1, 2, 5, 50))):
+        begin = draw.randrange(len(changed) + 1)
+        end = min(len(changed), begin + draw.choice((1, 4, 30, 300)))
+        kind = draw.randrange(6)
+        if kind == 0 and begin < end:
+            changed[begin] ^= 1 << draw.randrange(8)
+        elif kind == 1:
+            del changed[begin:]
+        elif kind == 2:
+            del changed[begin:end]
+        elif kind == 3:
+            changed[begin:begin] = draw.choice(NASTY)
+        elif kind == 4:
+            changed[begin:begin] = changed[begin:end] * draw.choice((1, 3, 100))
+        else:
+            changed[begin:end] = draw.choice(NASTY)
+    return bytes(changed)
+
+
+def a_log(path):
+    """A flight log of 300 samples."""
+    draw, count = np.random.default_rng(0), 300
+    sizes = {"position": 3, "world_velocity": 3, "euler": 3, "gyro": 3, "rpm": 4}
+    sizes |= {"rpm_command": 4, "acceleration": 3, "acceleration_bias": 3}
+    values = {name: draw.normal(size=(count, size)) for name, size in sizes.items()}
+    values |= {name: 5000.0 + values[name] for name in ("rpm", "rpm_command")}
+    values |= {"euler": 0.1 * values["euler"], "time": np.arange(count) / 100.0}
+    values |= {"acceleration": values["acceleration"] - np.array([0.0, 0.0, 9.81])}
+    write_log(path, paparazzi_columns(values | {"mode": np.ones(count)}))
+
+
+KINDS = {  # suffix, what writes a whole file, what reads it
+    "policy": (".npz", lambda p: save(p, policy_arrays(), POLICY_META), Policy.load),
+    "residual": (".npz", lambda p: save(p, residual_arrays(), RESIDUAL_META), read_residual),
+    "log": (".csv", a_log, lambda p: read_log(p, LogsConfig(format="paparazzi"))),
+    "config": (".yaml", lambda p: p.write_text(load_config("e2e").to_yaml()), load_config),
+    "track": (
+        ".yaml",
+        lambda p: p.write_bytes((CONFIGS / "tracks/figure8.yaml").read_bytes()),
+        lambda p: load_config("e2e", [f"track={p}"]),
+    ),
+    "vehicle": (
+        ".yaml",
+        lambda p: p.write_bytes((CONFIGS / "vehicles/bebop1.yaml").read_bytes()),
+        lambda p: load_config("e2e", [f"vehicle={p}"]),
+    ),
+    "plant": (
+        ".yaml",
+        lambda p: p.write_bytes((CONFIGS / "plant/standin.yaml").read_bytes()),
+        load_plant_config,
+    ),
+    "fit": (".yaml", lambda p: p.write_text("logs: {files: [a.csv]}\nseed: 1\n"), load_fit_config),
+    "sweep": (
+        ".yaml",
+        lambda p: sweep_file(p.parent).rename(p),
+        load_sweep,
+    ),
+    "metrics": (".csv", lambda p: p.write_text("steps,score\n100,1.5\n200,1.2\n"), saved_rows),
+    "summary": (".json", lambda p: p.write_text('{"finished": true, "steps": 3}'), read_json),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind):
+    suffix, write, read = KINDS[kind]
+    path, draw, refused = tmp_path / f"file{suffix}", random.Random(kind), 0
+    write(path)
+    read(path)
+    whole = path.read_bytes()
+    for _ in range(200 if kind in ("policy", "residual", "log", "config") else 50):
+        path.write_bytes(damaged(whole, draw))
+        try:
+            read(path)
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error) and len(str(error)) < 1000
+    assert refused > 10
