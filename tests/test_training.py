@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +20,8 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
+from quadjax.evaluation.evaluation import evaluate
+from quadjax.export.race_source import own_race
 from quadjax.learners import loop
 from quadjax.learners.networks import layers_of
 from quadjax.policy.file import Policy
@@ -26,6 +29,7 @@ from quadjax.training import run as training
 from quadjax.training.build import build_learner, initial_policy, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints
 from quadjax.training.result import Run
+from tests.training.test_folder import NAMED, write_files
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"
@@ -288,6 +292,8 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
         process.send_signal(signal.SIGKILL)
         process.wait()
         assert Checkpoints(tmp_path / "killed/checkpoints").any
+    part = Run.load(tmp_path / "killed")  # as of its last checkpoint, or of the one before
+    assert not part.finished and 0 < part.summary["steps"] < 3840
     process = start(tmp_path, *LONG, "--resume")
     output, _ = process.communicate(timeout=300)
     assert process.returncode == 0, output
@@ -303,6 +309,31 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
         np.testing.assert_array_equal(value, second[key], err_msg=key)
     for name in ("laps.json", "trajectory.png", "curves.png", "policy.npz", "config.yaml"):
         assert (tmp_path / "killed" / name).stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path, monkeypatch):
+    """Without the files that it was started with; its policy even without its folder."""
+    write_files(tmp_path / "files")
+    overrides = [f"{key}={tmp_path / 'files' / name}" for key, name in NAMED.items()]
+    config = config_of("e2e.yaml", *overrides, "network.activation=relu")
+    whole = training.train(config, tmp_path / "whole")
+    monkeypatch.setattr(training, "interruptions", lambda: after(2))
+    assert not training.train(config, tmp_path / "part").finished
+    monkeypatch.undo()
+    shutil.rmtree(tmp_path / "files")
+    moved = (tmp_path / "part").rename(tmp_path / "moved")
+    resumed = training.train(load_config(moved / "config.yaml"), moved, resume=True)
+    assert resumed.finished
+    first, second = (arrays(run.folder / "policy_last.npz") for run in (whole, resumed))
+    for key, value in first.items():
+        np.testing.assert_array_equal(value, second[key], err_msg=key)
+    laps = evaluate(moved / "policy.npz", moved / "config.yaml", runs=1, deterministic=True)
+    assert laps.lap_times.shape == (1, 1) and len(laps.gates) == 1
+    alone = (moved / "policy.npz").rename(tmp_path / "alone.npz")
+    shutil.rmtree(moved)
+    race = own_race(Policy.load(alone), alone)
+    assert race.params.vehicle.residual is not None and race.config.track.name == "mine"
 
 
 @pytest.mark.slow
