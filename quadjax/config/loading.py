@@ -65,7 +65,9 @@ def _beside(tree: Tree, folder: Path) -> Tree:
     """The config of a file in ``folder``, with the paths of the data files next to it."""
     for section, key in DATA_FILES:
         own = tree.get(section)
-        name = own.get(key) if isinstance(own, dict) else None
+        if not isinstance(own, dict):
+            continue
+        name = own.get(key)
         if isinstance(name, str) and (folder / name).is_file():
             tree = {**tree, section: {**own, key: str(folder / name)}}
     return tree

@@ -247,4 +247,4 @@ def _make_vector(config: Named = DEFAULT_CONFIG, **options: Any) -> RaceVectorEn
 
 
 if ID not in gymnasium.registry:
-    gymnasium.register(ID, entry_point=_make, vector_entry_point=_make_vector)  # type: ignore
+    gymnasium.register(ID, entry_point=_make, vector_entry_point=_make_vector)

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from quadjax.race.result import CRASHES, Laps
 from quadjax.race.rules import Outcome
 from quadjax.race.track import Track, gate_count
 
-Actor = Callable[[object, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
+Actor = Callable[[Any, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
 SLOWEST_LAP, ITS_LENGTH = 8.0, 14.0  # s and m; longer laps have proportionally more time
 
 

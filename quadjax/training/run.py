@@ -89,7 +89,7 @@ def train(
         if hosts.is_first():
             config = prepare_folder(config, folder, resume, overwrite)
             job = dataclasses.replace(job, config=config)
-        if hosts.alone() and is_finished(folder):
+        if hosts.alone() and is_finished(folder) and (folder / "policy.npz").exists():
             policy = Policy.load(folder / "policy.npz")
             return Run(config, folder, policy, True, read_summary(folder))
         shown = TrainingProgress(job.steps, config.name) if progress else None
