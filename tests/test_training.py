@@ -201,6 +201,7 @@ def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
     assert after_chunk[1:] == after_chunk[:1] * 3
 
 
+@pytest.mark.slow
 def test_a_short_run_is_one_short_chunk(tmp_path):
     arguments = ("run.steps=64", "run.evaluate_every=1000000", "learner.rollout_length=4")
     assert training.train(config_of("e2e_ppo.yaml", *arguments), tmp_path / "run").summary[

@@ -75,6 +75,7 @@ def test_action_whose_reward_comes_through_the_state(name):
 
 
 @BOTH
+@pytest.mark.slow
 def test_the_same_on_any_number_of_devices(name):
     def trained(devices):
         run = Run(name, probe(place=1.0, move=0.5, length=3.0, shown=0.3), devices=devices)
@@ -216,6 +217,7 @@ def test_a_policy_stands_still_while_the_value_warms_up(name):
     assert changed(begin.policy, run.state.params.policy)
 
 
+@pytest.mark.slow
 def test_the_moving_average_follows_the_parameters():
     run = Run("shac", probe(best=1.0))
     one = {"axis_name": AXIS, "axis_size": 1, "in_axes": None, "out_axes": None}

@@ -54,6 +54,7 @@ def test_an_overconfident_filter_fails():
     assert result.inside.min() < 0.99 and not result.passed
 
 
+@pytest.mark.slow
 def test_delayed_poses_correct_the_instant_at_which_they_were_taken():
     numbers, _ = filtered(ONLY_LATE, EXACT, loop(801, DRONES), 0)
     errors, deviations = np.abs(numbers[-1])

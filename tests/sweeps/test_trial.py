@@ -16,6 +16,7 @@ from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, finish, open_small, sweep_file
 
 
+@pytest.mark.slow
 def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
     search = {"method": "random", "pruner": "median", "reports": 4}
     sweep, directory, _ = open_small(tmp_path, search=search, objective={"seeds": 2, "runs": 2})
