@@ -33,6 +33,7 @@ COMMANDS = {  # name, which is that of the module: one line of help
     "identify": "identify the inner loop's time constants",
     "consistency": "check the navigation filter's covariance",
     "benchmark": "measure the speed of this machine",
+    "vehicle": "describe a vehicle file, or write one",
     "config": "print a resolved config",
     "presets": "list the presets",
 }

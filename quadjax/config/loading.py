@@ -22,6 +22,7 @@ from quadjax.core.yaml_files import (
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac.hyperparameters import SHAC
+from quadjax.vehicle.registry import MODELS
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 FROM_FILE = {
@@ -71,6 +72,28 @@ def _beside(tree: Tree, folder: Path) -> Tree:
         if isinstance(name, str) and (folder / name).is_file():
             tree = {**tree, section: {**own, key: str(folder / name)}}
     return tree
+
+
+def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
+    """A config for each model that a vehicle file has constants of, checked.
+
+    Args:
+        file: next to the current folder, or in ``configs/vehicles``.
+        model: only this one: ``motor``, ``rate`` or ``module:OBJECT``.
+
+    Raises:
+        InputError: a file that cannot be read, no known model in it, or constants that cannot fly.
+    """
+    known = list(_file_values("vehicle", find_file(str(file), Path(), "vehicles"))["models"])
+    names = [model] if model else [name for name in known if name in MODELS]
+    if not names:
+        raise InputError(f"{file}: has {', '.join(known) or 'no model'}; name its VehicleModel")
+    configs = []
+    for name in names:
+        own = {"file": str(file), "model": name, "width": None}  # no gates to fit through
+        tree = _merge(_defaults({}), {"vehicle": own}, Path(), str(file))
+        configs.append(_build(tree, str(file)))
+    return configs
 
 
 def _defaults(tree: Tree) -> Tree:

@@ -197,6 +197,7 @@ MODEL = VehicleModel(
         "limits": ("rpm_min", "rpm_max"),
     },
     positive=("g", "i_xx", "i_yy", "i_zz", "k_w", "tau"),
+    nonnegative=("k_x", "k_y", "k_z", "k_p", "k_q", "k_r1", "k_r2", "k_rr"),
     ranges=(("rpm_min", "rpm_max"),),
     lags=("tau",),
     thrust_to_weight=lambda c: 4.0 * c["k_w"] * c["rpm_max"] ** 2 / c["g"],

@@ -102,6 +102,7 @@ class VehicleModel:
         groups: names of constants by the group of ``randomization`` that scales them; a group is a
             key of that section.
         positive: names of constants that must be above zero.
+        nonnegative: names of constants that no drone has below zero in the model's frame.
         ranges: pairs of names of constants: 0 <= first < second.
         lags: names of the time constants, s.
         thrust_to_weight: ``(values by name) -> float``, or None where unknown.
@@ -132,6 +133,7 @@ class VehicleModel:
     specific_force: Callable[[VehicleParams, State], Vec3]
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     positive: tuple[str, ...] = ()
+    nonnegative: tuple[str, ...] = ()
     ranges: tuple[tuple[str, str], ...] = ()
     lags: tuple[str, ...] = ()
     thrust_to_weight: Callable[[Mapping[str, float]], float] | None = None

@@ -102,6 +102,7 @@ MODEL = VehicleModel(
         "lag": ("tau_rate", "tau_thrust"),
         "limits": ("p_max", "q_max", "r_max", "thrust_min", "thrust_max"),
     },
+    nonnegative=("d_x", "d_y"),
     positive=("g", "tau_rate", "tau_thrust", "p_max", "q_max", "r_max"),
     ranges=(("thrust_min", "thrust_max"),),
     lags=("tau_rate", "tau_thrust"),

@@ -1,0 +1,96 @@
+"""What follows from a vehicle file, and files written from data of an airframe."""
+
+import math
+
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.vehicle import motor, rate
+from quadjax.vehicle.airframe import Airframe
+from quadjax.vehicle.summary import summarize, warnings
+from tests import reference as ref
+from tests.commands import run
+
+DATA = ("mass=0.6", "wheelbase=0.226", "propeller=0.127", "motor_kv=1900", "battery_volts=14.8")
+
+
+def test_hover_thrust_and_turns_of_the_motor_model():
+    found = summarize(motor.MODEL, ref.MOTOR)
+    c = ref.MOTOR
+    hover = math.sqrt(c["g"] / (4 * c["k_w"]))
+    assert found.hover == pytest.approx((hover,) * 4, rel=1e-5)
+    assert found.thrust_to_weight == pytest.approx(4 * c["k_w"] * c["rpm_max"] ** 2 / c["g"])
+    most = 2 * c["k_p"] * (c["rpm_max"] ** 2 - c["rpm_min"] ** 2) / c["i_xx"]
+    # The motors lag by 60 ms, so 0.1 s of command reach a part of the steady acceleration.
+    assert 0.5 * most < found.angular_acceleration[0] < most
+    assert 0.02 * most < found.body_rates[0] < 0.1 * most
+    assert found.lags == {"tau": c["tau"]}
+    assert warnings(motor.MODEL, found, c) == []
+
+
+def test_turns_of_the_rate_model():
+    found = summarize(rate.MODEL, ref.RATE)
+    reached = ref.RATE["p_max"] * (1 - math.exp(-0.1 / ref.RATE["tau_rate"]))
+    assert found.body_rates == pytest.approx((reached,) * 3, rel=0.02)
+    assert warnings(rate.MODEL, found, ref.RATE) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"k_w": 4.0e-6}, "thrust-to-weight"),
+        ({"tau": 0.6}, "tau"),
+        ({"k_p": 1.4e-12}, "roll"),
+        ({"i_zz": 0.005}, "inertia"),
+        ({"k_q": -1.2e-9}, "k_q"),
+    ],
+)
+def test_what_no_drone_has(changes, named):
+    values = ref.MOTOR | changes
+    found = warnings(motor.MODEL, summarize(motor.MODEL, values), values)
+    assert [text for text in found if text.startswith(named)], found
+
+
+def test_the_bebop_from_its_airframe():
+    """Every estimate is within a factor of two of the fitted constant."""
+    frame = Airframe(
+        mass=0.389, wheelbase=0.22, propeller=0.14, rpm_max=11000.0, thrust_to_weight=2.15
+    )
+    for name, value in frame.motor_constants().items():
+        if value > 0 and name not in ("rpm_min", "tau"):
+            assert 0.5 < value / ref.MOTOR[name] < 2.0, name
+
+
+def test_a_file_from_data(tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    assert run("vehicle", path, *DATA, "thrust_to_weight=4") == 0
+    printed = capsys.readouterr().out
+    assert "thrust-to-weight  4.00" in printed and "warning" not in printed
+    config = load_config("e2e_shac", [f"vehicle={path}"])  # needs no constants of the rate model
+    assert config.vehicle.name == "mine" and config.vehicle.constants["tau"] == 0.03
+    assert run("vehicle", path, *DATA) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("mass=0.6",), "wheelbase"),
+        ((*DATA[:3],), "motor_kv"),
+        ((*DATA, "thrust_to_weight=0.5"), "thrust_to_weight is 0.5"),
+        ((*DATA, "inertia=[0, 1, 1]"), "inertia"),
+        ((*DATA, "propellor=0.1"), "did you mean propeller"),
+    ],
+)
+def test_impossible_data(tmp_path, capsys, arguments, message):
+    assert run("vehicle", tmp_path / "mine.yaml", *arguments) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "mine.yaml").exists()
+
+
+def test_a_rate_model_alone(tmp_path, capsys):
+    path = tmp_path / "rate.yaml"
+    path.write_text("rate: " + str(ref.RATE).replace("'", "") + "\n")
+    assert run("vehicle", path) == 0
+    assert "model rate" in capsys.readouterr().out
+    assert load_config("indi_shac", [f"vehicle={path}"]).vehicle.models == {}
