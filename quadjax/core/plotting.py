@@ -53,6 +53,25 @@ def save_figure(figure: Figure, path: Path | str, dpi: int = 150) -> None:
         figure.savefig(temporary, dpi=dpi, format=kind)
 
 
+def head(axes: Axes, title: str = "", columns: int = 4) -> None:
+    """Set the title and, between it and the axes, a legend of what has a label.
+
+    There the legend covers no data.
+
+    Args:
+        axes: after everything has been drawn.
+        title: above the legend.
+        columns: of the legend.
+    """
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        place = {"loc": "lower left", "bbox_to_anchor": (-0.01, 0.99)}
+        style = {"frameon": False, "labelcolor": INK, "fontsize": 9, "borderaxespad": 0.2}
+        axes.legend(handles, labels, ncols=columns, **place, **style)
+    rows = -(-len(handles) // columns)
+    axes.set_title(title, color=INK, fontsize=13, loc="left", pad=8 + 17 * rows)
+
+
 def tidy(axes: Axes) -> None:
     """Apply the style of all figures to the axes."""
     axes.spines[["top", "right"]].set_visible(False)

@@ -15,7 +15,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.core.plotting import SPEED_COLORS
 from quadjax.evaluation import scene
-from quadjax.evaluation.figures import speed_range
+from quadjax.evaluation.figures import gate_labels, label_places, same_place, speed_range
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import View
 
@@ -109,8 +109,8 @@ class Film:
         self._shades = [tuple(int(255 * x) for x in color) for color in shades]
         every = np.concatenate([flight.position for flight in flights])
         every = np.concatenate([every, *(scene.gate_corners(gate) for gate in gates)])
-        self._lowest = np.floor(every.min(axis=0) - 0.2)
-        self._highest = np.ceil(every.max(axis=0) + 0.2)
+        self._lowest = np.floor(every.min(axis=0) - 0.7)
+        self._highest = np.ceil(every.max(axis=0) + 0.7)
         self._top = float(every[:, 2].min())
         self._views = self._choose_views()
         self._fonts = {size: _font(size * SMOOTH) for size in (13, 24)}
@@ -142,6 +142,11 @@ class Film:
             scene.draw_floor(draw, view, self._lowest[:2], self._highest[:2])
         for view in self._views:
             scene.draw_gates(draw, view, gates)
+        places = label_places(gates, 30 * SMOOTH / self._views[0].scale)
+        for group in same_place(places):
+            x, y = self._views[0].project(np.append(places[group[0]], 0.0))
+            text = ": ".join(filter(None, gate_labels(gates, group)))
+            draw.text((x, y), text, font=self._fonts[13], fill=scene.FAINT, anchor="mm")
         x, y = 0.02 * WIDTH * SMOOTH, 0.955 * HEIGHT * SMOOTH
         note = "from above: north to the right, east down; grid 1 m"
         draw.text((x, y), note, font=self._fonts[13], fill=scene.FAINT, anchor="lm")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, tidy
+from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
 from quadjax.evaluation.tables import counted
 from quadjax.training.metrics import read_metrics
 from quadjax.training.paper import published_total
@@ -59,9 +59,7 @@ def training_figure(
     for along, axes in zip(across, grid[-1], strict=True):
         axes.set_xlabel(ACROSS[along][0], color=INK)
         axes.set_xlim(left=0.0)
-    if len(runs) > 1:
-        grid[0][-1].legend(loc="lower right", frameon=False, labelcolor=INK, fontsize=8)
-    grid[0][0].set_title(title, color=INK, fontsize=13, loc="left", pad=10)
+    head(grid[0][0], title, columns=3)
     return figure
 
 
@@ -71,9 +69,9 @@ def _draw_runs(axes: Axes, runs: Mapping[str, Metrics], along: str, up: str) -> 
             continue
         x, y = columns[along] * ACROSS[along][1], columns[up]
         fine = np.isfinite(x) & np.isfinite(y)
-        color = SERIES[index % len(SERIES)]
+        color, label = SERIES[index % len(SERIES)], name if len(runs) > 1 else None
         mark = "o" if up == "lap_total" or np.count_nonzero(fine) == 1 else None
-        axes.plot(x[fine], y[fine], color=color, lw=1.5, marker=mark, markersize=3, label=name)
+        axes.plot(x[fine], y[fine], color=color, lw=1.5, marker=mark, markersize=3, label=label)
 
 
 def lap_axis(axes: Axes, times: np.ndarray, references: Sequence[tuple[str, float]]) -> None:
@@ -100,6 +98,10 @@ def lap_axis(axes: Axes, times: np.ndarray, references: Sequence[tuple[str, floa
     shown = [*times[np.isfinite(times)], *(time for _, time in references)]
     if shown:
         axes.set_ylim(0.97 * min(shown), min(1.03 * max(shown), LAP_RANGE * min(shown)))
+    if not np.isfinite(times).any():
+        note, middle = "no run completed its laps", {"ha": "center", "va": "center"}
+        axes.text(0.5, 0.5, note, transform=axes.transAxes, color=MUTED, fontsize=10, **middle)
+        axes.set_yticks([] if not shown else axes.get_yticks())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,9 +145,7 @@ def learning_figure(groups: Mapping[str, Sequence[Path]]) -> Figure:
         axes.set_xlabel(label, color=INK)
         axes.set_xlim(left=0.0)
     panels[0].set_ylabel(f"{counted(drawn[0].laps, 'lap')}, deterministic (s)", color=INK)
-    title = "median over seeds; shaded from the fastest to the slowest"
-    panels[0].set_title(title, color=INK, fontsize=11, loc="left", pad=10)
-    panels[-1].legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)
+    head(panels[0], "median over seeds; shaded from the fastest to the slowest")
     return figure
 
 

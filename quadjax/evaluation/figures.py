@@ -9,9 +9,11 @@ from matplotlib.figure import Figure
 
 from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
-from quadjax.core.plotting import INK, MUTED, PAPER, SERIES, SPEED_COLORS, new_figure, tidy
+from quadjax.core.plotting import INK, MUTED, PAPER, SERIES, SPEED_COLORS, head, new_figure, tidy
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.tables import counted
+
+MOTORS = ("1 front left", "2 front right", "3 rear right", "4 rear left")
 
 
 def trajectory_figure(
@@ -42,10 +44,10 @@ def trajectory_figure(
         heights = flight.position * np.array([1.0, 1.0, -1.0])
         lines = _speed_line(above, heights[:, :2], flight.speed, shown, width)
         _speed_line(side, heights[:, [0, 2]], flight.speed, shown, width)
-    middle = np.mean([gate.position[:2] for gate in gates], axis=0)
-    for index, gate in enumerate(gates):
-        _draw_gate(above, gate, index, middle, 0.055 * float(size.max()))
+    for gate in gates:
+        _draw_gate(above, gate, 0.055 * float(size.max()))
         _draw_gate_from_side(side, gate)
+    _number_gates(above, side, gates, 0.055 * float(size.max()))
     side.axhline(0.0, color=MUTED, linewidth=1.5)
     _draw_ends(above, flights)
     above.set(xlim=(lowest[0], highest[0]), ylim=(highest[1], lowest[1]), aspect="equal")
@@ -54,7 +56,7 @@ def trajectory_figure(
         tidy(axes)
         axes.set_ylabel(label, color=INK)
     side.set_xlabel("x, north (m)", color=INK)
-    above.set_title(title, color=INK, fontsize=13, loc="left", pad=10)
+    head(above, title)
     bar = figure.colorbar(lines, ax=[above, side], pad=0.02, aspect=28, extend="min")
     bar.set_label("speed (m/s)", color=INK)
     bar.outline.set_visible(False)
@@ -105,6 +107,58 @@ def _speed_line(
     return lines
 
 
+def heights_differ(gates: Sequence[Gate]) -> bool:
+    """Whether the gates are at different heights."""
+    return float(np.ptp([gate.position[2] for gate in gates])) > 0.05
+
+
+def same_place(points: np.ndarray, reach: float = 0.3) -> list[list[int]]:
+    """Indices of points (n, 2) in groups, each within ``reach``, m, of the group's first."""
+    groups: list[list[int]] = []
+    for index, point in enumerate(points):
+        near = (g for g in groups if np.linalg.norm(points[g[0]] - point) <= reach)
+        group = next(near, None)
+        if group is None:
+            groups.append([index])
+        else:
+            group.append(index)
+    return groups
+
+
+def label_places(gates: Sequence[Gate], reach: float) -> np.ndarray:
+    """Where the gates' labels are, seen from above (gates, 2), m: beyond the outer post."""
+    center = np.array([gate.position[:2] for gate in gates])
+    yaw = np.radians([gate.yaw_deg for gate in gates])
+    right = np.stack([-np.sin(yaw), np.cos(yaw)], axis=1)
+    outwards = np.sum((center - center.mean(axis=0)) * right, axis=1) >= 0
+    far = 0.5 * np.array([gate.size[0] for gate in gates]) + reach
+    return center + np.where(outwards, far, -far)[:, None] * right
+
+
+def gate_labels(gates: Sequence[Gate], group: Sequence[int]) -> tuple[str, str]:
+    """The numbers of gates, and their heights where those of the track differ."""
+    numbers = ", ".join(str(index + 1) for index in group)
+    heights = ", ".join(f"{-gates[index].position[2]:.1f}" for index in group)
+    return numbers, f"{heights} m" if heights_differ(gates) else ""
+
+
+def _number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) -> None:
+    """Write numbers and heights next to the gates; gates at the same place share a label."""
+    style = {"ha": "center", "va": "center", "zorder": 6, "textcoords": "offset points"}
+    places = label_places(gates, 0.9 * reach)
+    for group in same_place(places):
+        numbers, heights = gate_labels(gates, group)
+        up, place = (5 if heights else 0), tuple(places[group[0]])
+        bold = {"color": INK, "fontsize": 11, "fontweight": "bold"}
+        above.annotate(numbers, place, xytext=(0, up), **bold, **style)
+        above.annotate(heights, place, xytext=(0, -7), color=MUTED, fontsize=8, **style)
+    tops = np.array([(g.position[0], 0.5 * g.size[1] - g.position[2]) for g in gates])
+    for group in same_place(tops):
+        numbers = gate_labels(gates, group)[0]
+        place = tuple(tops[group[0]])
+        side.annotate(numbers, place, xytext=(0, 7), color=MUTED, fontsize=8, **style)
+
+
 def _draw_gate_from_side(axes: Axes, gate: Gate) -> None:
     """Draw the outline of a gate seen from the side."""
     reach = 0.5 * gate.size[0] * abs(np.sin(np.radians(gate.yaw_deg)))
@@ -114,8 +168,8 @@ def _draw_gate_from_side(axes: Axes, gate: Gate) -> None:
     axes.plot(*outline.T, color=INK, linewidth=1.8, zorder=2, alpha=0.6)
 
 
-def _draw_gate(axes: Axes, gate: Gate, index: int, middle: np.ndarray, reach: float) -> None:
-    """Draw a gate from above: its opening, two posts, an arrow in flight direction, its number."""
+def _draw_gate(axes: Axes, gate: Gate, reach: float) -> None:
+    """Draw a gate from above: its opening, two posts, an arrow in flight direction."""
     center, yaw = np.array(gate.position[:2]), np.radians(gate.yaw_deg)
     ahead, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     across = 0.5 * gate.size[0] * right
@@ -128,19 +182,6 @@ def _draw_gate(axes: Axes, gate: Gate, index: int, middle: np.ndarray, reach: fl
         xytext=tuple(center),
         arrowprops={"arrowstyle": "-|>,head_width=0.28,head_length=0.5", "color": INK, "lw": 1.8},
         zorder=5,
-    )
-    outside = max(ends, key=lambda end: float(np.linalg.norm(end - middle)))
-    x, y = outside + 0.8 * reach * (outside - center) / np.linalg.norm(outside - center)
-    axes.text(
-        x,
-        y,
-        str(index + 1),
-        color=INK,
-        fontsize=11,
-        fontweight="bold",
-        ha="center",
-        va="center",
-        zorder=6,
     )
 
 
@@ -169,7 +210,6 @@ def _draw_ends(axes: Axes, flights: Sequence[Recording]) -> None:
             label="crash",
             zorder=7,
         )
-    axes.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=9)
 
 
 def signals_figure(flight: Recording, title: str = "") -> Figure:
@@ -182,19 +222,16 @@ def signals_figure(flight: Recording, title: str = "") -> Figure:
     figure = new_figure(9.0, 5.6)
     above, below = figure.subplots(2, 1, sharex=True)
     if flight.motor_level:
-        for motor, color in enumerate(SERIES):
-            above.plot(flight.time, flight.actuators[:, motor], color=color, lw=1.1)
-        labels = ["1 front left", "2 front right", "3 rear right", "4 rear left"]
+        for motor, (name, color) in enumerate(zip(MOTORS, SERIES, strict=True)):
+            above.plot(flight.time, flight.actuators[:, motor], color=color, lw=1.1, label=name)
         above.set_ylabel("propeller speed (rpm)", color=INK)
     else:
-        above.plot(flight.time, flight.actuators[:, 0], color=SERIES[0], lw=1.3)
-        above.plot(flight.time, flight.command[:, 3], color=MUTED, lw=0.8, zorder=1)
-        labels = ["thrust", "commanded"]
+        thrust, command = flight.actuators[:, 0], flight.command[:, 3]
+        above.plot(flight.time, thrust, color=SERIES[0], lw=1.3, label="thrust")
+        above.plot(flight.time, command, color=MUTED, lw=0.8, zorder=1, label="commanded")
         above.set_ylabel("specific thrust (m/s²)", color=INK)
-    above.legend(labels, ncols=4, **_legend_style())
-    for axis, color in enumerate(SERIES[:3]):
-        below.plot(flight.time, flight.rates[:, axis], color=color, lw=1.2)
-    below.legend(["p, roll", "q, pitch", "r, yaw"], ncols=4, **_legend_style())
+    for axis, name in enumerate(("p, roll", "q, pitch", "r, yaw")):
+        below.plot(flight.time, flight.rates[:, axis], color=SERIES[axis], lw=1.2, label=name)
     below.set_ylabel("body rate (rad/s)", color=INK)
     below.set_xlabel("time (s); dashed: a lap's end", color=INK)
     for axes in (above, below):
@@ -202,15 +239,6 @@ def signals_figure(flight: Recording, title: str = "") -> Figure:
         axes.margins(x=0.01)
         for end in flight.lap_ends:
             axes.axvline(end, color=MUTED, lw=0.9, ls="--", zorder=0)
-    above.set_title(title, color=INK, fontsize=13, loc="left", pad=26)
+    head(above, title)
+    head(below)
     return figure
-
-
-def _legend_style() -> dict[str, object]:
-    return {
-        "loc": "lower left",
-        "bbox_to_anchor": (-0.01, 0.99),
-        "frameon": False,
-        "labelcolor": INK,
-        "fontsize": 9,
-    }

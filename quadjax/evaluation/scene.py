@@ -100,9 +100,13 @@ def dot(
 
 
 def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[Gate]) -> None:
-    """Draw gates as frames with an arrow in the direction of passage."""
+    """Draw gates as frames with an arrow in the direction of passage; in perspective on posts."""
     for gate in gates:
         corners = view.project(gate_corners(gate))
+        if np.isfinite(view.distance):
+            for lower in gate_corners(gate)[2:]:
+                foot = lower * np.array([1.0, 1.0, 0.0])
+                polyline(draw, view.project(np.array([lower, foot])), SHADOW, 3)
         polyline(draw, np.concatenate([corners, corners[:2]]), GATE, 8)
         for corner in corners:
             dot(draw, corner, 4.0, GATE)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, save_figure, tidy
+from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, save_figure, tidy
 from quadjax.fitting.nominal import AXES, UNITS
 from quadjax.fitting.pipeline import Evaluation, FitResult, pooled
 
@@ -51,9 +51,8 @@ def traces_figure(result: FitResult, part: Evaluation, title: str = "") -> Figur
         for (label, color), values in zip(COLORS.items(), series, strict=True):
             line = (np.insert(x, jump, np.nan) for x in (time[::every], values[::every, i]))
             axes.plot(*line, color=color, label=label, lw=0.9)
-        axes.set_ylabel(f"{axis} ({UNITS[axis]})", color=INK)
-    panels[0].set_title(title, color=INK, loc="left", pad=22)
-    panels[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize=8, frameon=False)
+        axes.set_ylabel(f"{axis} ({UNITS[axis].replace('^2', '²')})", color=INK)
+    head(panels[0], title)
     panels[-1].set_xlabel("time (s)", color=INK)
     return figure
 
@@ -79,7 +78,7 @@ def errors_figure(result: FitResult) -> Figure:
                     error, bins, histtype="step", density=True, label=label, color=COLORS[label]
                 )
             axes.set_yticks([])
-            axes.set_xlabel(f"error of {axis} ({UNITS[axis]})", color=INK)
+            axes.set_xlabel(f"error of {axis} ({UNITS[axis].replace('^2', '²')})", color=INK)
         row[0].set_ylabel(title, color=INK)
     handles = panels[0, 0].get_legend_handles_labels()
     figure.legend(*handles, loc="outside upper right", ncols=2, fontsize=8, frameon=False)

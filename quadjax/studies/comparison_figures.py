@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.signal import lfilter
 
-from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, tidy
+from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
 from quadjax.plant.flights import Flights, rows
 from quadjax.race.laps import Trace
 
@@ -64,8 +64,7 @@ def progress_figure(
         axes.plot(time, made - pace * time, style, color=color, lw=1.4, label=label)
     axes.set_xlabel("time (s)", color=INK)
     axes.set_ylabel(f"laps ahead of one in {1.0 / pace:.2f} s", color=INK)
-    axes.set_title(title, color=INK, fontsize=13, loc="left", pad=10)
-    axes.legend(frameon=False, labelcolor=INK, fontsize=9)
+    head(axes, title)
     return figure
 
 
@@ -136,7 +135,6 @@ def _panels(
         axes.plot(time, model[:count, index], color=SERIES[1], lw=1.2, label="first-order model")
         axes.plot(time, true[:count, index], color=SERIES[0], lw=1.2, label="plant")
         axes.set_ylabel(f"{name} {unit}".strip(), color=INK, fontsize=9)
-    panels[0].legend(ncols=3, frameon=False, labelcolor=INK, fontsize=9, loc="upper right")
-    panels[0].set_title(title, color=INK, fontsize=13, loc="left", pad=10)
+    head(panels[0], title)
     panels[-1].set_xlabel("time (s)", color=INK)
     return figure

@@ -99,5 +99,8 @@ def draw(study: optuna.Study, directory: Path) -> None:
     for name, plot in (("parallel", plots.plot_parallel_coordinate), ("slices", plots.plot_slice)):
         axes = plot(shown, target=lambda t: t.value, target_name="median (s)")
         axes = axes if hasattr(axes, "figure") else axes[0]
+        for each in axes.figure.axes:
+            with contextlib.suppress(AttributeError):  # of a logarithmic axis
+                each.ticklabel_format(useOffset=False)
         axes.figure.set_size_inches(max(8.0, 3.0 * len(study.trials[0].params)), 4.5)
         save_figure(axes.figure, directory / f"{name}.png")

@@ -64,6 +64,25 @@ def test_the_trajectory_is_drawn_to_scale(crash):
     assert colors(pixels(figure)) > 100
 
 
+def test_gates_have_numbers_and_heights_where_they_differ():
+    """Gates at one place share a label; on a level track there are no heights."""
+    lower = Gate(position=(2.0, 0.0, -3.25), yaw_deg=270.0)
+    figure = trajectory_figure([circle()], [*GATES, lower])
+    above = [text.get_text() for text in figure.axes[0].texts]
+    assert above.count("1, 3") == above.count("1.5, 3.2 m") == above.count("1.5 m") == 1
+    assert {"1", "2", "3"} <= {text.get_text() for text in figure.axes[1].texts}
+    level = [text.get_text() for text in trajectory_figure([circle()], GATES).axes[0].texts]
+    assert {"1", "2"} <= set(level) and not any("m" in text for text in level)
+
+
+def test_a_legend_is_above_the_axes():
+    for figure in (trajectory_figure([circle()], GATES, "title"), signals_figure(circle(), "t")):
+        figure.canvas.draw()
+        axes = figure.axes[0]
+        legend = axes.get_legend().get_window_extent()
+        assert axes.get_window_extent().y1 - 5 <= legend.y0 < legend.y1 < figure.bbox.y1
+
+
 def test_a_short_unmoving_flight_can_be_drawn():
     flight = circle(seconds=0.02)
     still = Recording(**(vars(flight) | {"velocity": 0 * flight.velocity}))
