@@ -90,7 +90,7 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
         raise InputError(f"{file}: has {', '.join(known) or 'no model'}; name its VehicleModel")
     configs = []
     for name in names:
-        own = {"file": str(file), "model": name, "width": None}  # no gates to fit through
+        own = {"file": str(file), "model": name, "width": 0.0}  # no gates to fit through
         tree = _merge(_defaults({}), {"vehicle": own}, Path(), str(file))
         configs.append(_build(tree, str(file)))
     return configs

@@ -112,7 +112,7 @@ def test_metrics_without_a_finished_lap_can_be_drawn():
 
 @pytest.mark.parametrize(
     ("text", "names"),
-    [("", "no rows"), ("steps,reward\n1,x\n", "line 2: reward"), ("a,b\n1,2,3\n", "line 2")],
+    [("", "no rows"), ("steps,reward\n1,x\n", "line 2: 'reward'"), ("a,b\n1,2,3\n", "line 2")],
 )
 def test_a_bad_metrics_file_is_refused(tmp_path, text, names):
     path = tmp_path / "metrics.csv"
