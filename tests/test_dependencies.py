@@ -54,3 +54,21 @@ def test_packages_depend_on_each_other_in_one_direction():
 def test_every_package_is_in_the_table():
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
     assert packages - {"cli"} == set(ALLOWED)
+
+
+WITHOUT_CONFIG = ("core", "vehicle", "race", "learners", "policy", "evaluation", "integrations")
+EDGES = {"evaluate", "_make", "_make_vector"}  # public functions that also take a preset's name
+
+
+def test_only_the_outer_packages_take_a_whole_config():
+    """The others take an environment and its params, a policy, gates, or a single number."""
+    taking = set()
+    for package in WITHOUT_CONFIG:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.FunctionDef):
+                    types = [ast.unparse(a.annotation) for a in node.args.args if a.annotation]
+                    whole = {"Config", "Named"}
+                    if whole & {word.strip() for text in types for word in text.split("|")}:
+                        taking.add(node.name)
+    assert taking == EDGES
