@@ -7,7 +7,7 @@ C.
 import numpy as np
 from scipy.signal import butter, lfilter
 
-from quadjax.fitting.nominal import Motion, angular_moment, nominal, residual_output
+from quadjax.fitting.nominal import ModelInputs, angular_moment, nominal, residual_output
 from quadjax.vehicle.protocol import VehicleParams
 
 
@@ -42,18 +42,18 @@ def estimate(
 
     gyro, rpm = signals["gyro"], signals["rpm"]
     still = np.zeros_like(gyro)
-    motion = Motion(rpm, np.zeros_like(rpm), signals["body_velocity"], gyro)
+    motion = ModelInputs(rpm, np.zeros_like(rpm), signals["body_velocity"], gyro)
     force, moment = _model(vehicle, motion)
     angular_acceleration = angular_moment(vehicle.constants, still, derivative(gyro))
     gyroscopic = angular_moment(vehicle.constants, gyro, still)
-    rotors = Motion(np.zeros_like(rpm), derivative(rpm), still, still)
+    rotors = ModelInputs(np.zeros_like(rpm), derivative(rpm), still, still)
     measured = angular_acceleration + lfilter(half_a_sample, a, gyroscopic, axis=0)
     modelled = lfilter(half_a_sample, a, moment, axis=0) + nominal(vehicle.constants, rotors)[:, 3:]
     specific = lfilter(b, a, signals["specific_force"], axis=0)
     return measured - modelled, specific - lfilter(b, a, force, axis=0)
 
 
-def _model(vehicle: VehicleParams, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+def _model(vehicle: VehicleParams, motion: ModelInputs) -> tuple[np.ndarray, np.ndarray]:
     """Specific force and moment (n, 3) of the nominal model and the residual."""
     total = nominal(vehicle.constants, motion)
     if vehicle.residual is not None:

@@ -29,19 +29,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.config.loading import load_config
         from quadjax.plant.config import load_plant_config
         from quadjax.plant.logs import write_logs
+        from quadjax.studies.plant_races import plan_logs
 
     plant = load_plant_config(options.config, options.overrides)
     race = load_config(options.race)
+    plans = plan_logs(race, plant, options.policy, options.flights, options.laps)
     with Console(stderr=True).status("compiling") as status:
-        written = write_logs(
-            race,
-            plant,
-            options.policy,
-            options.output,
-            options.flights,
-            options.laps,
-            options.seed,
-            status.update,
-        )
+        written = write_logs(plans, options.output, options.seed, status.update)
     for log in written:
         print(f"wrote {log.path}, {log.rows} rows {log.crash}".rstrip())

@@ -21,13 +21,14 @@ WIDTHS = {
     "acceleration_bias": 3,
     "body_velocity": 3,
     "world_velocity": 3,
+    "position": 3,
     "euler": 3,
     "quaternion": 4,
     "mode": 1,
 }
 REQUIRED = ("time", "rpm", "gyro", "acceleration")
 # Columns of a format that a log may lack.
-OPTIONAL = ("rpm_command", "euler", "mode")
+OPTIONAL = ("rpm_command", "position", "euler", "mode")
 
 
 def _numbered(prefix: str, suffixes: str) -> list[str]:
@@ -42,6 +43,7 @@ PRESETS: dict[str, dict[str, list[str]]] = {
         "gyro": ["p", "q", "r"],
         "acceleration": ["ax", "ay", "az"],
         "body_velocity": ["vbx", "vby", "vbz"],
+        "position": ["x", "y", "z"],
         "euler": ["phi", "theta", "psi"],
     },
     "paparazzi": {
@@ -52,16 +54,14 @@ PRESETS: dict[str, dict[str, list[str]]] = {
         "acceleration": _numbered("ekf_U", "123"),
         "acceleration_bias": ["ekf_X10", "ekf_X11", "ekf_X12"],
         "world_velocity": _numbered("vel_", "xyz"),
+        "position": _numbered("pos_", "xyz"),
         "euler": ["att_phi", "att_theta", "att_psi"],
         "mode": ["autopilot_mode"],
     },
 }
 
-# Columns of a written log; the fit does not read the last two quantities.
-PAPARAZZI = PRESETS["paparazzi"] | {
-    "position": _numbered("pos_", "xyz"),
-    "target_gate": _numbered("target_gate_", "xyz"),
-}
+# Columns of a written log; the fit does not read the last quantity.
+PAPARAZZI = PRESETS["paparazzi"] | {"target_gate": _numbered("target_gate_", "xyz")}
 
 _RADIAN = math.pi / 180.0
 UNITS: dict[str, dict[str, float]] = {
@@ -70,6 +70,7 @@ UNITS: dict[str, dict[str, float]] = {
     "gyro": {"rad/s": 1.0, "deg/s": _RADIAN},
     "acceleration": {"m/s^2": 1.0, "g": 9.80665},
     "velocity": {"m/s": 1.0, "cm/s": 0.01},
+    "length": {"m": 1.0, "cm": 0.01, "mm": 0.001},
     "angle": {"rad": 1.0, "deg": _RADIAN},
 }
 UNIT_OF = {
@@ -81,6 +82,7 @@ UNIT_OF = {
     "acceleration_bias": "acceleration",
     "body_velocity": "velocity",
     "world_velocity": "velocity",
+    "position": "length",
     "euler": "angle",
 }
 

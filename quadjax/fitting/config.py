@@ -31,6 +31,7 @@ class UnitsConfig(Section):
         "m/s^2", description="of specific force, and its bias"
     )
     velocity: Literal["m/s", "cm/s"] = Field("m/s", description="of body and world velocity")
+    length: Literal["m", "cm", "mm"] = Field("m", description="of the position")
     angle: Literal["rad", "deg"] = Field("rad", description="of Euler angles")
 
 
@@ -63,12 +64,12 @@ class LogsConfig(Section):
 
 
 class BodyConfig(Section):
-    """Properties of the drone that logs do not contain; null takes the base vehicle's."""
+    """Properties of the drone that logs do not contain."""
 
     name: str = Field("fitted drone", description="name in the vehicle file that is written")
-    mass: Positive | None = Field(None, description="kg")
-    inertia: tuple[Positive, Positive, Positive] | None = Field(
-        None, description="kg m^2: xx, yy, zz"
+    mass: Positive | None = Field(None, description="kg; null leaves it out of the vehicle file")
+    inertia: tuple[Positive, Positive, Positive] | Literal["base"] | None = Field(
+        None, description="kg m^2: xx, yy, zz; base takes the base vehicle's; required"
     )
     rpm_range: tuple[Positive, Positive] | None = Field(
         None, description="lowest, highest rpm; null takes the logs'"
@@ -97,6 +98,10 @@ class NominalConfig(Section):
     """The nominal model."""
 
     fit: bool = Field(True, description="false keeps the base vehicle's constants")
+    axes: tuple[Literal["ax", "ay", "az", "Mx", "My", "Mz"], ...] = Field(
+        ("ax", "ay", "az", "Mx", "My", "Mz"), description="axes whose constants are fitted"
+    )
+    any_sign: bool = Field(False, description="accept constants below zero that should not be")
 
 
 class SplitConfig(Section):
@@ -106,7 +111,7 @@ class SplitConfig(Section):
         "auto", description="auto is flight for two or more flights"
     )
     test_flights: tuple[str, ...] = Field(
-        (), max_length=1000, description="test flights, used for no choice"
+        (), max_length=1000, description="test flights, used only to limit harm"
     )
     test_fraction: float = Field(
         0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight"
@@ -135,6 +140,9 @@ class ResidualConfig(Section):
     caution: NonNegative = Field(1.0, description="weight of the worst fold when shrinking")
     min_gain: float = Field(
         0.01, ge=0.0, le=1.0, description="least relative gain on held-out data"
+    )
+    max_harm: NonNegative = Field(
+        0.1, description="largest relative increase of the error of any held-out flight"
     )
     distill_epochs: int = Field(120, ge=1, le=10**5, description="of the exported network")
     margin: float = Field(

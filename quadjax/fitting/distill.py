@@ -18,8 +18,8 @@ from quadjax.core import mlp
 from quadjax.core.mlp import Layers
 from quadjax.fitting.config import ResidualConfig
 from quadjax.fitting.nominal import evaluate
-from quadjax.fitting.selection import Choice
-from quadjax.fitting.tasks import Network, Task, mirrored
+from quadjax.fitting.selection import Selection
+from quadjax.fitting.tasks import ResidualNetwork, Task, mirrored
 from quadjax.fitting.train import Rows, initial_layers, mean_output, minimize
 
 BATCH = 256
@@ -29,8 +29,8 @@ BATCH = 256
 class Ensemble:
     """The selected ensemble of one network: per axis its task, layers and scale."""
 
-    network: Network
-    choices: list[Choice]
+    network: ResidualNetwork
+    choices: list[Selection]
     tasks: list[Task]  # one per axis
     layers: list[Layers]  # one per axis, every leaf (seed, ..)
 

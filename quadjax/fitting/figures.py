@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, save_figure, tidy
 from quadjax.fitting.nominal import AXES, UNITS
-from quadjax.fitting.pipeline import Evaluation, FitResult, pooled
+from quadjax.fitting.pipeline import FitResult
+from quadjax.fitting.prediction import Prediction, pooled
 
 COLORS = {"measured": MUTED, "nominal": SERIES[3], "nominal + residual": SERIES[0]}
 POINTS = 1500  # of a line, at most
@@ -22,16 +23,15 @@ def write_figures(result: FitResult, folder: Path) -> list[Path]:
     for index, log in enumerate(result.logs):
         rows = result.samples.flight[result.training.rows] == index
         if rows.any():
-            values = list(vars(result.training).values())[1:]
-            part = Evaluation(log.name, *(value[rows] for value in values))
-            figures[f"training_{log.name}"] = traces_figure(result, part, f"training: {log.name}")
+            title = f"training: {log.name}"
+            figures[f"training_{log.name}"] = traces_figure(result, result.training[rows], title)
     figures["errors"] = errors_figure(result)
     for name, figure in figures.items():
         save_figure(figure, folder / f"{name}.png", dpi=80)
     return [folder / f"{name}.png" for name in figures]
 
 
-def traces_figure(result: FitResult, part: Evaluation, title: str = "") -> Figure:
+def traces_figure(result: FitResult, part: Prediction, title: str = "") -> Figure:
     """Measured, nominal and nominal plus residual against time, a panel for each of ``AXES``.
 
     Args:

@@ -6,7 +6,7 @@ Rows are numbered as in an editor or a spreadsheet: the header is row 1.
 import csv
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, whole_file
+from quadjax.fitting.axis_checks import check_axes
 from quadjax.fitting.columns import REQUIRED, scale_of, wanted_columns
 from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.log_checks import check_angles, check_time, check_units
+from quadjax.fitting.log_checks import check_angles, check_constant, check_time, check_units
+from quadjax.fitting.motor_checks import check_commands, check_motors
 
 Quantities = dict[str, np.ndarray]
+MAX_BYTES = 2**30  # of one log: hours of flight
 FLIP = np.array([1.0, -1.0, -1.0])  # FLU <-> FRD
 HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # the same as a rotation
 ENU_TO_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -37,6 +40,10 @@ class FlightLog:
     rates: np.ndarray  # (n, 3) rad/s
     specific_force: np.ndarray  # (n, 3) m/s^2, accelerometer less its bias
     flying: np.ndarray  # (n,) bool, from the log's mode; all true without one
+    position: np.ndarray | None  # (n, 3) m, world
+    attitude: Rotation | None  # n, body to world
+    columns: dict[str, list[str]]  # names by quantity
+    unchecked: tuple[str, ...] = ()  # columns without evidence of sign and order
 
     @property
     def sample_rate(self) -> float:
@@ -87,24 +94,43 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
 
     Raises:
         InputError: a missing column, a cell that is no finite number, a time that does not increase
-            or has a gap, an implausible unit or sign, a file that is empty or too
-            short; one line with the file, the column and the row.
+            or has a gap, an implausible unit, a column that contradicts the others, a file that is
+            empty or too short; one line with the file, the column and the row.
     """
     header = _header(path)
     wanted = wanted_columns(config, header)
     _check_wanted(path, wanted, header)
-    table = _table(path, header, [name for group in wanted.values() for name in group])
+    names = [name for group in wanted.values() for name in group]
+    table = _table(path, header, names)
+    return log_of_columns(dict(zip(names, table.T, strict=True)), config, path)
+
+
+def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> FlightLog:
+    """A flight log from columns (n,), finite numbers each, by the names of ``config``.
+
+    Args:
+        columns: of a table, in the config's units and frames.
+        config: of the columns; ``files`` is not used.
+        path: of the table; its stem is the name of the log.
+
+    Raises:
+        InputError: as ``read_log``.
+    """
+    wanted = wanted_columns(config, list(columns))
+    _check_wanted(path, wanted, list(columns))
     quantities: Quantities = {}
     for quantity, group in wanted.items():
-        values, table = table[:, : len(group)], table[:, len(group) :]
+        values = np.stack([columns[name] for name in group], axis=1)
         values = values * scale_of(quantity, config.units)
         quantities[quantity] = values[:, 0] if len(group) == 1 else values
     check_time(path, wanted["time"][0], quantities["time"], config)
+    check_constant(path, wanted, quantities)
     if "euler" in wanted:
         check_angles(path, wanted["euler"], quantities["euler"])
     quantities = _to_standard_frames(path, quantities, config)
     check_units(path, wanted, quantities)
-    return _assemble(path, quantities)
+    log = _assemble(path, quantities, wanted)
+    return replace(log, unchecked=(*check_axes(log), *check_motors(log), *check_commands(log)))
 
 
 def write_log(path: Path | str, columns: Quantities) -> None:
@@ -131,16 +157,21 @@ def _check_wanted(path: Path | str, wanted: dict[str, list[str]], header: list[s
 
 def _rows(path: Path | str, **options: str) -> Iterator[tuple[int, list[str]]]:
     """Numbered rows of a CSV file, from 1."""
-    with open(path, newline="", encoding="utf-8-sig", **options) as stream:
-        yield from enumerate(csv.reader(stream), start=1)
+    row = 1
+    try:
+        with open(path, newline="", encoding="utf-8-sig", **options) as stream:
+            for row, cells in enumerate(csv.reader(stream), start=1):
+                yield row, cells
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: row {row} and on is not readable CSV text ({error})") from None
 
 
 def _header(path: Path | str) -> list[str]:
     check_file(path)
-    try:
-        _, header = next(_rows(path), (1, []))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: row 1 is not readable CSV text ({error})") from None
+    size = Path(path).stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"{path}: {size:,} bytes, allowed: up to {MAX_BYTES:,} for a flight")
+    _, header = next(_rows(path), (1, []))
     header = [name.strip() for name in header]
     if not any(header):
         raise InputError(f"{path}: row 1 is empty, expected the names of the columns")
@@ -184,7 +215,7 @@ def _check_rows(path: Path | str, header: list[str]) -> None:
         if beyond:
             raise InputError(
                 f"{path}: row {row} continues after the last column, {header[-1]!r}, with "
-                f"{beyond[0]!r}"
+                f"{beyond[0]!r:.80}"
             )
 
 
@@ -201,14 +232,14 @@ def _bad_cell(path: Path | str, header: list[str], names: list[str]) -> InputErr
             try:
                 number = float(cells[index])
             except ValueError:
-                return InputError(f"{where} is {cells[index]!r}, expected a number")
+                return InputError(f"{where} is {cells[index]!r:.80}, expected a number")
             if not np.isfinite(number):
                 return InputError(f"{where} is {number}, expected a finite number")
     return InputError(f"{path}: row 2 and after cannot be read as numbers")
 
 
 def _to_standard_frames(path: Path | str, given: Quantities, config: LogsConfig) -> Quantities:
-    """Vectors in body FRD and world NED, with body velocity and Euler angles."""
+    """Vectors in body FRD and world NED, with body velocity; attitudes as quaternions."""
     result, flu = dict(given), config.body_frame == "FLU"
     if flu:
         for name in ("gyro", "acceleration", "acceleration_bias", "body_velocity"):
@@ -227,9 +258,14 @@ def _to_standard_frames(path: Path | str, given: Quantities, config: LogsConfig)
         rotation = rotation * HALF_TURN
     if config.world_frame == "ENU":
         rotation = ENU_TO_NED * rotation
-        if "world_velocity" in result:
-            result["world_velocity"] = ENU_TO_NED.apply(result["world_velocity"])
-    result["euler"] = rotation.as_euler("ZYX")[:, ::-1]
+        for name in ("world_velocity", "position"):
+            if name in result:
+                result[name] = ENU_TO_NED.apply(result[name])
+    attitude = rotation.as_quat()  # scalar last
+    # Of the two quaternions of an attitude the one nearer to that of the sample before.
+    nearer = np.sign((attitude[1:] * attitude[:-1]).sum(axis=1))
+    attitude[1:] *= np.cumprod(np.where(nearer < 0.0, -1.0, 1.0))[:, None]
+    result["quaternion"] = attitude
     if "body_velocity" not in result:
         result["body_velocity"] = rotation.inv().apply(result["world_velocity"])
     return result
@@ -240,7 +276,7 @@ def rotation_of_euler(euler: np.ndarray) -> Rotation:
     return Rotation.from_euler("ZYX", euler[:, ::-1])
 
 
-def _assemble(path: Path | str, quantities: Quantities) -> FlightLog:
+def _assemble(path: Path | str, quantities: Quantities, columns: dict[str, list[str]]) -> FlightLog:
     """Resample to even spacing and build the log."""
     time = quantities["time"]
     steps = np.diff(time)
@@ -254,6 +290,7 @@ def _assemble(path: Path | str, quantities: Quantities) -> FlightLog:
 
     bias = quantities.get("acceleration_bias", 0.0)
     command, mode = quantities.get("rpm_command"), quantities.get("mode")
+    position, attitude = quantities.get("position"), quantities.get("quaternion")
     nearest = np.clip(np.searchsorted(time, even - 0.5 * np.median(steps)), 0, len(time) - 1)
     return FlightLog(
         name=Path(path).stem,
@@ -265,4 +302,7 @@ def _assemble(path: Path | str, quantities: Quantities) -> FlightLog:
         rates=resample(quantities["gyro"]),
         specific_force=resample(quantities["acceleration"] - bias),
         flying=np.ones(len(even), bool) if mode is None else mode[nearest] > 0,
+        position=None if position is None else resample(position),
+        attitude=None if attitude is None else Rotation.from_quat(resample(attitude)),
+        columns=columns,
     )

@@ -12,12 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadjax.core.errors import InputError
 from quadjax.fitting.nominal import AXES, CONSTANTS
 from quadjax.fitting.prepare import Samples
 from quadjax.vehicle.constants import MotorConstants
 
 BLOCK = 0.5  # s
 UNCERTAIN = 0.05  # relative standard error above which a constant has a warning
+LITTLE = 0.1  # R^2 below which an axis has a warning
+# Constants that are positive on every drone: those that drive an axis, and small ones, which may
+# absorb what the model lacks.
+DRIVING, SMALL = ("k_x", "k_y", "k_w", "k_p", "k_q", "k_r1", "k_r2"), ("k_z", "k_h", "k_rr")
+SIGNIFICANT = 3.0  # standard errors
 CONDITION = 1e6  # condition number (of regressors of unit size) above which they are collinear
 
 
@@ -35,15 +41,17 @@ class AxisFit:
     warnings: tuple[str, ...]
 
 
-def fit_nominal(samples: Samples, base: MotorConstants) -> list[AxisFit]:
+def fit_nominal(samples: Samples, base: MotorConstants, any_sign: bool = False) -> list[AxisFit]:
     """Fit every axis of the nominal model.
 
     Args:
         samples: see ``prepare``.
-        base: values of constants that the logs do not excite.
+        base: values of constants that the logs do not excite, or that come out of an impossible
+            sign although they are small or within their uncertainty of zero.
+        any_sign: accept constants of an impossible sign.
     """
     blocks = _blocks(samples)
-    return [fit_axis(axis, samples, blocks, base) for axis in AXES]
+    return [fit_axis(axis, samples, blocks, base, any_sign) for axis in AXES]
 
 
 def with_fit(base: MotorConstants, fits: list[AxisFit]) -> MotorConstants:
@@ -56,34 +64,68 @@ def with_fit(base: MotorConstants, fits: list[AxisFit]) -> MotorConstants:
     return base.replace(**found)
 
 
-def fit_axis(axis: str, samples: Samples, blocks: np.ndarray, base: MotorConstants) -> AxisFit:
+def fit_axis(
+    axis: str, samples: Samples, blocks: np.ndarray, base: MotorConstants, any_sign: bool = False
+) -> AxisFit:
     """Least squares for one axis; see ``fit_nominal``."""
     names = CONSTANTS[axis]
     columns, target = samples.regressors[axis], samples.measured[:, AXES.index(axis)]
     kept = np.array([float(getattr(base, name)) for name in names])
     size = np.sqrt((columns**2).mean(axis=0))
     excited = _excited(columns, size)
-    values, errors = kept.copy(), np.full(len(names), np.inf)
-    condition = np.inf
-    if excited.any():
-        scaled = columns[:, excited] / size[excited]
-        remainder = target - columns[:, ~excited] @ kept[~excited]
-        noise = samples.noise[axis][:, excited] / size[excited]
-        solution, covariance, condition = _solve(scaled, noise, remainder, blocks)
-        values[excited] = solution / size[excited]
-        errors[excited] = np.sqrt(np.diag(covariance)) / size[excited]
+    small = np.array([name in SMALL for name in names])
+    driving = np.array([name in DRIVING for name in names])
+    lines: list[str] = []
+    while True:
+        values, errors, condition = kept.copy(), np.full(len(names), np.inf), np.inf
+        if excited.any():
+            scaled = columns[:, excited] / size[excited]
+            remainder = target - columns[:, ~excited] @ kept[~excited]
+            noise = samples.noise[axis][:, excited] / size[excited]
+            solution, covariance, condition = _solve(scaled, noise, remainder, blocks)
+            values[excited] = solution / size[excited]
+            errors[excited] = np.sqrt(np.diag(covariance)) / size[excited]
+        doubtful = small | (driving & (values > -SIGNIFICANT * errors))
+        doubtful &= excited & (values < 0.0) & (not any_sign)
+        if not doubtful.any():
+            break
+        excited &= ~doubtful
+        lines += [
+            f"{names[i]} ({axis}): {values[i]:.2g} +- {errors[i]:.1g}, which is impossible below 0"
+            for i in np.flatnonzero(doubtful)
+        ]
     error = target - columns @ values
     spread = ((target - target.mean()) ** 2).sum()
+    r2 = float(1.0 - (error**2).sum() / spread) if spread > 0.0 else 0.0
     return AxisFit(
         axis=axis,
         names=names,
         values=values,
         standard_errors=errors,
         condition=float(condition if excited.all() else np.inf),
-        r_squared=float(1.0 - (error**2).sum() / spread) if spread > 0.0 else 0.0,
+        r_squared=r2,
         rmse=float(np.sqrt((error**2).mean())),
-        warnings=_warnings(axis, names, values, errors, excited),
+        warnings=(*lines, *_warnings(axis, names, values, errors, excited, r2)),
     )
+
+
+def check_signs(fits: list[AxisFit]) -> None:
+    """Refuse constants of an impossible sign.
+
+    Raises:
+        InputError: a constant that is significantly negative and cannot be.
+    """
+    wrong = [
+        f"{name} = {value:.3g} +- {error:.2g} ({fit.axis})"
+        for fit in fits
+        for name, value, error in zip(fit.names, fit.values, fit.standard_errors, strict=True)
+        if name in DRIVING and value < 0.0 and np.isfinite(error)
+    ]
+    if wrong:
+        raise InputError(
+            f"the logs fit only with {', '.join(wrong)}, expected above 0: a column of that axis "
+            "is negated or swapped; nominal.any_sign=true accepts it"
+        )
 
 
 def r_squared(measured: np.ndarray, modeled: np.ndarray) -> np.ndarray:
@@ -135,12 +177,15 @@ def _warnings(
     values: np.ndarray,
     errors: np.ndarray,
     excited: np.ndarray,
+    r2: float,
 ) -> tuple[str, ...]:
     lines = []
+    if r2 < LITTLE:
+        lines.append(f"{axis}: R^2 is {r2:.2f}: the nominal model explains little of the logs")
     for name, value, error, known in zip(names, values, errors, excited, strict=True):
         if not known:
             lines.append(
-                f"{name} ({axis}): not excited by the logs; the base vehicle's {value:.4g} is kept"
+                f"{name} ({axis}): not fitted to the logs; the base vehicle's {value:.4g} is kept"
             )
         elif error > UNCERTAIN * abs(value):
             lines.append(

@@ -6,12 +6,12 @@ Each check raises an ``InputError`` of one line with the file, the column and th
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig
 
 GRAVITY = 9.81
+STEADY = {"time", "mode", "acceleration_bias", "rpm_command"}  # quantities that may be constant
 
 
 def check_time(path: Path | str, column: str, time: np.ndarray, config: LogsConfig) -> None:
@@ -50,6 +50,20 @@ def check_time(path: Path | str, column: str, time: np.ndarray, config: LogsConf
         )
 
 
+def check_constant(
+    path: Path | str, columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
+) -> None:
+    """Refuse a column with one value throughout the flight: no sensor is that exact."""
+    rows = _flying(quantities)
+    for quantity in set(quantities) - STEADY:
+        for name, values in zip(columns[quantity], quantities[quantity].T, strict=True):
+            if np.ptp(values[rows]) == 0.0:
+                raise InputError(
+                    f"{path}: column {name!r} is {values[rows][0]:.6g} throughout the flight, "
+                    f"expected a measurement of {quantity}"
+                )
+
+
 def check_units(
     path: Path | str, columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
 ) -> None:
@@ -58,20 +72,15 @@ def check_units(
     if "rpm_command" in quantities:
         _check_rpm(path, columns, quantities, "rpm_command")
     _check_acceleration(path, columns["acceleration"], quantities)
-    if "euler" in quantities:
-        _check_gyro(path, columns, quantities)
-    _check_largest(path, columns["gyro"], quantities["gyro"], 60.0, "rad/s", "deg/s")
-    _check_largest(
-        path, columns["acceleration"], quantities["acceleration"], 400.0, "m/s^2", "milli-g"
-    )
-    _check_largest(
-        path,
-        columns.get("body_velocity") or columns["world_velocity"],
-        quantities["body_velocity"],
-        100.0,
-        "m/s",
-        "cm/s",
-    )
+    velocity = columns.get("body_velocity") or columns["world_velocity"]
+    for quantity, names, limit, unit, other in (
+        ("gyro", columns["gyro"], 60.0, "rad/s", "deg/s"),
+        ("acceleration", columns["acceleration"], 400.0, "m/s^2", "milli-g"),
+        ("acceleration_bias", columns.get("acceleration_bias"), 10.0, "m/s^2", "milli-g"),
+        ("body_velocity", velocity, 100.0, "m/s", "cm/s"),
+    ):
+        if quantity in quantities:
+            _check_largest(path, names, quantities[quantity], limit, unit, other)
 
 
 def _flying(quantities: dict[str, np.ndarray]) -> np.ndarray:
@@ -79,7 +88,7 @@ def _flying(quantities: dict[str, np.ndarray]) -> np.ndarray:
     mode = quantities.get("mode")
     if mode is not None and (mode > 0).any():
         return mode > 0
-    mean = quantities["rpm"].mean(axis=1)
+    mean = np.abs(quantities["rpm"]).mean(axis=1)
     return mean >= 0.5 * np.median(mean)
 
 
@@ -94,7 +103,9 @@ def _check_rpm(
         where = f"{path}: row {int(rows[0]) + 2}, column {name!r} and on"
         middle = float(np.median(values[rows]))
         hint = None
-        if middle < 2000.0:
+        if middle < -100.0:
+            hint = "expected no sign"
+        elif middle < 2000.0:
             hint = "is this rad/s (logs.units.rpm)?"
         elif middle > 60_000.0:
             hint = "is this electrical speed (pole pairs times the propeller's)?"
@@ -121,10 +132,17 @@ def _check_acceleration(
             f"{where}: a median of {size:.3g} m/s^2 in flight, expected about {GRAVITY}; "
             f"{hint}.units.acceleration)?"
         )
-    if np.median(airborne[:, 2]) > 0.0:
+    middle = np.median(airborne, axis=0)
+    most = int(np.abs(middle).argmax())
+    if most != 2 and middle[2] > -0.5 * abs(middle[most]):
         raise InputError(
-            f"{where}: the specific force points down ({np.median(airborne[:, 2]):+.3g} m/s^2), "
-            "expected negative with z down; is this a z-up frame (logs.body_frame FLU)?"
+            f"{where}: the thrust is in column {columns[most]!r} ({middle[most]:+.3g} m/s^2); are "
+            f"{columns[2]!r} and {columns[most]!r} swapped?"
+        )
+    if middle[2] > 0.0:
+        raise InputError(
+            f"{where}: the specific force points down ({middle[2]:+.3g} m/s^2), expected negative "
+            "with z down; is this a z-up frame (logs.body_frame FLU)?"
         )
 
 
@@ -137,49 +155,6 @@ def check_angles(path: Path | str, names: list[str], angles: np.ndarray) -> None
                 f"{path}: row {row + 2}, column {names[axis]!r}: an angle of "
                 f"{angles[row, axis]:.3g} rad; is this in degrees (logs.units.angle)?"
             )
-
-
-def _check_gyro(
-    path: Path | str, columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
-) -> None:
-    """The gyro must agree with the derivatives of the angles."""
-    slope, correlation = _gyro_against_angles(quantities)
-    if correlation > 0.5 and not 0.2 < slope < 5.0:
-        row = int(np.abs(quantities["gyro"][:, 0]).argmax())
-        raise InputError(
-            f"{path}: row {row + 2}, column {columns['gyro'][0]!r} and on: the gyro is "
-            f"{slope:.3g} times the derivatives of the angles; is this in deg/s (logs.units.gyro)?"
-        )
-    if correlation < -0.7:
-        raise InputError(
-            f"{path}: row 2, column {columns['gyro'][0]!r} and on: the gyro has the sign "
-            "opposite to the angles; are logs.body_frame and logs.world_frame right?"
-        )
-
-
-def _gyro_against_angles(quantities: dict[str, np.ndarray]) -> tuple[float, float]:
-    """Slope and correlation of measured roll and pitch rates with those of the angles."""
-    time, gyro = quantities["time"], quantities["gyro"]
-    span = max(1, int(round(0.04 / np.median(np.diff(time)))))
-    angles = np.unwrap(quantities["euler"], axis=0)
-    turn = (angles[2 * span :] - angles[: -2 * span]) / (time[2 * span :] - time[: -2 * span])[
-        :, None
-    ]
-    middle = slice(span, len(time) - span)
-    mean = uniform_filter1d(gyro, 2 * span + 1, axis=0)[middle]
-    roll, pitch, _ = angles[middle].T
-    expected = np.concatenate(
-        [
-            turn[:, 0] - np.sin(pitch) * turn[:, 2],
-            np.cos(roll) * turn[:, 1] + np.sin(roll) * np.cos(pitch) * turn[:, 2],
-        ]
-    )
-    measured = np.concatenate([mean[:, 0], mean[:, 1]])
-    energy = float(expected @ expected)
-    if energy < 1e-4 * len(expected):  # too little motion
-        return 1.0, 0.0
-    product = float(expected @ measured)
-    return product / energy, product / np.sqrt(energy * float(measured @ measured) + 1e-12)
 
 
 def _check_largest(

@@ -27,7 +27,7 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class Motion:
+class ModelInputs:
     """Inputs of the model, n samples."""
 
     rpm: np.ndarray  # (n, 4) rpm
@@ -40,7 +40,7 @@ class Motion:
         return type(self)(*(values[rows] for values in vars(self).values()))
 
 
-def nominal(constants: MotorConstants, motion: Motion) -> np.ndarray:
+def nominal(constants: MotorConstants, motion: ModelInputs) -> np.ndarray:
     """Specific forces, m/s^2, and moments, N m, of the nominal model: (n, 6), as ``AXES``."""
     numbers = {item.name: float(getattr(constants, item.name)) for item in fields(constants)}
     c = MotorConstants(**numbers)
@@ -51,7 +51,7 @@ def nominal(constants: MotorConstants, motion: Motion) -> np.ndarray:
     return np.stack([*force.components(), *moment.components()], axis=1)
 
 
-def regressors(motion: Motion) -> dict[str, np.ndarray]:
+def regressors(motion: ModelInputs) -> dict[str, np.ndarray]:
     """For each axis a column per constant of ``CONSTANTS``: (n, k)."""
     zero = MotorConstants(**dict.fromkeys((item.name for item in fields(MotorConstants)), 0.0))
     return {
@@ -63,7 +63,7 @@ def regressors(motion: Motion) -> dict[str, np.ndarray]:
     }
 
 
-def residual_output(residual: Residual, motion: Motion) -> np.ndarray:
+def residual_output(residual: Residual, motion: ModelInputs) -> np.ndarray:
     """Output (n, 4) of the residual networks: az, m/s^2, and moments, N m."""
     low, high = float(residual.rpm_min), float(residual.rpm_max)
     rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0

@@ -1,7 +1,7 @@
 """A complete fit: logs in, vehicle constants, residual networks and evaluation out."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +10,16 @@ import numpy as np
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.fitting.config import BodyConfig, FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_logs
-from quadjax.fitting.least_squares import AxisFit, fit_nominal, with_fit
+from quadjax.fitting.least_squares import AxisFit, check_signs, fit_nominal, with_fit
 from quadjax.fitting.motor_lag import LagFit, fit_motor_lag
-from quadjax.fitting.nominal import residual_output
+from quadjax.fitting.nominal import AXES
+from quadjax.fitting.prediction import (
+    Prediction,
+    harmful_constants,
+    harmless_gains,
+    predict,
+    with_gains,
+)
 from quadjax.fitting.prepare import Samples, airborne, prepare
 from quadjax.fitting.residual_fit import (
     ALL,
@@ -23,30 +30,11 @@ from quadjax.fitting.residual_fit import (
     zero_residual,
 )
 from quadjax.fitting.split import TEST, Split, make_split
-from quadjax.fitting.tasks import learned_rows, nominal_error, nominal_without
+from quadjax.fitting.tasks import learned_rows, nominal_without
 from quadjax.fitting.vehicle_file import BaseVehicle, read_vehicle, with_body
+from quadjax.vehicle.constants import MotorConstants
 
 Report = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Errors of one model on some rows; columns as ``AXES``."""
-
-    name: str  # of the rows
-    rows: np.ndarray  # (n,) index into the samples
-    measured: np.ndarray  # (n, 6)
-    nominal: np.ndarray  # (n, 6)
-    full: np.ndarray  # (n, 6) nominal plus residual
-
-    def rmse(self, modeled: np.ndarray) -> np.ndarray:
-        """Root mean square error (6,)."""
-        return np.sqrt(((self.measured - modeled) ** 2).mean(axis=0))
-
-    @property
-    def change(self) -> np.ndarray:
-        """Relative change (6,) of the root mean square error due to the residual."""
-        return self.rmse(self.full) / np.maximum(self.rmse(self.nominal), 1e-300) - 1.0
 
 
 @dataclass(frozen=True)
@@ -61,8 +49,10 @@ class FitResult:
     axes: list[AxisFit]
     lag: LagFit
     fits: dict[LeftOut, ResidualFit]
-    training: Evaluation  # the final model on its own rows
-    held_out: list[Evaluation]  # each by a model that has not seen these rows
+    training: Prediction  # the final model on its own rows
+    held_out: list[Prediction]  # each by a model that has not seen these rows
+    unlimited: list[Prediction]  # the same before the harm of the residual was limited
+    gains: np.ndarray  # (4,) factors on the residual's outputs that limit its harm
     warnings: list[str]
 
 
@@ -87,17 +77,27 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
     base = _with_rpm_range(base, config.body, logs, samples)
     split = make_split(samples, flights, config.split)
     report("fitting the nominal model")
-    axes = fit_nominal(samples[learned_rows(split.fold, ALL)], base.motor)
-    known = [log for log in logs if log.name not in config.split.test_flights]
-    lag = fit_motor_lag(
-        known, [airborne(log, config.prepare) for log in known], float(base.motor.tau)
-    )
+    learned = samples[learned_rows(split.fold, ALL)]
+    axes = fit_nominal(learned, base.motor, config.nominal.any_sign)
+    if not config.nominal.any_sign:
+        check_signs(axes)
+    lag = _fit_lag(config, logs, base)
+    config, kept = _without_harmful_constants(config, samples, split, flights, base)
+    vehicle = base
     if config.nominal.fit:
-        fitted = with_fit(base.motor, axes).replace(tau=lag.tau)
-        vehicle = dataclasses.replace(base, motor=fitted)
-    else:
-        vehicle = base
+        fitted = with_fit(base.motor, [fit for fit in axes if fit.axis in config.nominal.axes])
+        vehicle = dataclasses.replace(base, motor=fitted.replace(tau=lag.tau))
     fits = _fit_residuals(config, samples, split, base, report)
+    held_out = [
+        predict(name, samples, rows, fits[left_out])
+        for name, rows, left_out in _held_out_rows(samples, split, flights)
+        if left_out in fits
+    ]
+    gains = harmless_gains(held_out, config.residual.max_harm, config.residual.min_gain)
+    fits = {
+        left_out: dataclasses.replace(fit, residual=with_gains(fit.residual, gains))
+        for left_out, fit in fits.items()
+    }
     return FitResult(
         config=config,
         logs=logs,
@@ -107,26 +107,18 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
         axes=axes,
         lag=lag,
         fits=fits,
-        training=evaluate("training", samples, learned_rows(split.fold, ALL), fits[ALL]),
-        held_out=_evaluate_held_out(samples, split, flights, fits),
-        warnings=_warnings(config, axes, lag),
+        training=predict("training", samples, learned_rows(split.fold, ALL), fits[ALL]),
+        held_out=[part.scaled(gains) for part in held_out],
+        unlimited=held_out,
+        gains=gains,
+        warnings=_warnings(logs, axes, lag) + kept + _limits(held_out, gains),
     )
 
 
-def evaluate(name: str, samples: Samples, mask: np.ndarray, fit: ResidualFit) -> Evaluation:
-    """Evaluate a model on the rows of a mask (n,) bool."""
-    rows = np.flatnonzero(mask)
-    part = samples[rows]
-    nominal = part.measured - nominal_error(part, fit.constants)
-    full = nominal.copy()
-    full[:, 2:] += residual_output(fit.residual, part.motion)
-    return Evaluation(name, rows, part.measured, nominal, full)
-
-
-def pooled(evaluations: list[Evaluation]) -> Evaluation:
-    """The rows of several evaluations."""
-    columns = zip(*(list(vars(part).values())[1:] for part in evaluations), strict=True)
-    return Evaluation("all", *map(np.concatenate, columns))
+def _fit_lag(config: FitConfig, logs: list[FlightLog], base: BaseVehicle) -> LagFit:
+    known = [log for log in logs if log.name not in config.split.test_flights]
+    flying = [airborne(log, config.prepare) for log in known]
+    return fit_motor_lag(known, flying, float(base.motor.tau))
 
 
 def _with_rpm_range(
@@ -142,44 +134,74 @@ def _with_rpm_range(
     return dataclasses.replace(base, motor=motor)
 
 
+def _without_harmful_constants(
+    config: FitConfig, samples: Samples, split: Split, flights: list[str], base: BaseVehicle
+) -> tuple[FitConfig, list[str]]:
+    """The config with only the axes whose fitted constants harm no held-out flight."""
+
+    def fitted(left_out: LeftOut) -> MotorConstants:
+        return nominal_without(samples, split.fold, left_out, base.motor, config.nominal)
+
+    held_out = {
+        name: (rows, fitted(left_out))
+        for name, rows, left_out in _held_out_rows(samples, split, flights)
+        if config.split.leave_one_out or not left_out
+    }
+    harmful = harmful_constants(samples, held_out, base.motor, config.residual.max_harm)
+    axes = tuple(axis for axis in config.nominal.axes if axis not in harmful)
+    return config.replace(nominal=config.nominal.replace(axes=axes)), list(harmful.values())
+
+
 def _fit_residuals(
     config: FitConfig, samples: Samples, split: Split, base: BaseVehicle, report: Report
 ) -> dict[LeftOut, ResidualFit]:
     leave_one_out = config.split.leave_one_out and split.by == "flight" and split.folds > 1
-    fit = config.nominal.fit
+    nominal = config.nominal
     if config.residual.fit:
         return fit_residuals(
-            samples, split, base.motor, config.residual, config.seed, leave_one_out, fit, report
+            samples, split, base.motor, config.residual, config.seed, leave_one_out, nominal, report
         )
     zero = zero_residual(base.motor)
     return {
-        s: ResidualFit(nominal_without(samples, split.fold, s, base.motor, fit), zero, {}, {})
+        s: ResidualFit(nominal_without(samples, split.fold, s, base.motor, nominal), zero, {}, {})
         for s in outer_sets(split, leave_one_out)
     }
 
 
-def _evaluate_held_out(
-    samples: Samples, split: Split, flights: list[str], fits: dict[LeftOut, ResidualFit]
-) -> list[Evaluation]:
-    found = []
-    for number, name in enumerate(split.names):
-        fit = fits.get(frozenset({number}))
-        if fit is not None:
-            found.append(evaluate(name, samples, split.fold == number, fit))
+def _held_out_rows(
+    samples: Samples, split: Split, flights: list[str]
+) -> Iterator[tuple[str, np.ndarray, LeftOut]]:
+    """Name, rows (n,) bool, and the folds to leave out, of every held-out part of the logs."""
+    if split.by == "flight" and split.folds > 1:
+        for number, name in enumerate(split.names):
+            yield name, split.fold == number, frozenset({number})
     for index, name in enumerate(flights):
         rows = (split.fold == TEST) & (samples.flight == index)
         if rows.any():
-            label = name if split.by == "flight" else f"{name}, last part"
-            found.append(evaluate(label, samples, rows, fits[ALL]))
-    return found
+            yield (name if split.by == "flight" else f"{name}, last part"), rows, ALL
 
 
-def _warnings(config: FitConfig, axes: list[AxisFit], lag: LagFit) -> list[str]:
+def _limits(held_out: list[Prediction], gains: np.ndarray) -> list[str]:
+    """A line for each of the residual's outputs that is limited because it harms a flight."""
+    lines = []
+    for axis, gain in zip(AXES[2:], gains, strict=True):
+        if gain < 1.0:
+            worst = max(held_out, key=lambda part: part.change[AXES.index(axis)])
+            harm = 100.0 * worst.change[AXES.index(axis)]
+            what = f"scaled by {gain:.2f}" if gain else "written as zero"
+            lines.append(
+                f"{axis}: the residual is {what}, since without that the error on {worst.name}, "
+                f"held out, changes by {harm:+.0f}%"
+            )
+    return lines
+
+
+def _warnings(logs: list[FlightLog], axes: list[AxisFit], lag: LagFit) -> list[str]:
     lines = [line for axis in axes for line in axis.warnings]
     lines += [lag.warning] if lag.warning else []
-    if config.body.inertia is None:
-        lines.append(
-            f"body.inertia is not set: the inertia of {config.vehicle} is used, to which all "
-            "moments are proportional"
-        )
-    return lines
+    return lines + [
+        f"{log.name}: not checked, without motion or columns to compare with: "
+        + ", ".join(log.unchecked)
+        for log in logs
+        if log.unchecked
+    ]

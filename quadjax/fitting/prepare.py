@@ -13,12 +13,12 @@ once more, and the change of the regressors (``Samples.noise``) corrects the lea
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt, welch
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import PrepareConfig
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.nominal import AXES, Motion, angular_moment, regressors
+from quadjax.fitting.nominal import AXES, ModelInputs, angular_moment, regressors
+from quadjax.fitting.signals import derivative, low_pass, noise_level
 from quadjax.vehicle.constants import MotorConstants
 
 
@@ -26,7 +26,7 @@ from quadjax.vehicle.constants import MotorConstants
 class Samples:
     """Rows of one or more flights."""
 
-    motion: Motion  # filtered inputs of the model
+    motion: ModelInputs  # filtered inputs of the model
     regressors: dict[str, np.ndarray]  # axis: (n, k), filtered
     noise: dict[str, np.ndarray]  # axis: (n, k), change of the regressors by added noise
     measured: np.ndarray  # (n, 6) specific force, m/s^2, and moment, N m, filtered; as AXES
@@ -48,25 +48,6 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.time)
-
-
-def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
-    """Zero-phase second-order Butterworth low-pass along the first axis.
-
-    Args:
-        signal: (n, ..) evenly spaced samples.
-        sample_rate: Hz.
-        cutoff: Hz; forwards and backwards, so -6 dB there.
-
-    Raises:
-        InputError: a cut-off that is not between zero and half the sample rate.
-    """
-    if not 0.0 < cutoff < 0.5 * sample_rate:
-        raise InputError(
-            f"prepare.cutoff is {cutoff} Hz, allowed: above 0 and below half the sample rate "
-            f"({sample_rate:.4g} Hz)"
-        )
-    return sosfiltfilt(butter(2, cutoff, fs=sample_rate, output="sos"), signal, axis=0)
 
 
 def airborne(log: FlightLog, config: PrepareConfig) -> np.ndarray:
@@ -116,7 +97,7 @@ def join(parts: list[Samples]) -> Samples:
         return {axis: np.concatenate([getattr(p, name)[axis] for p in parts]) for axis in AXES}
 
     return Samples(
-        Motion(*map(np.concatenate, motions)),
+        ModelInputs(*map(np.concatenate, motions)),
         joined("regressors"),
         joined("noise"),
         *(
@@ -145,7 +126,7 @@ def _prepare_one(
     def smooth(signal: np.ndarray) -> np.ndarray:
         return low_pass(signal, rate, config.cutoff)
 
-    def filtered_regressors(motion: Motion) -> dict[str, np.ndarray]:
+    def filtered_regressors(motion: ModelInputs) -> dict[str, np.ndarray]:
         return {axis: smooth(columns) for axis, columns in regressors(motion).items()}
 
     still = np.zeros_like(log.rates)
@@ -155,7 +136,7 @@ def _prepare_one(
     exact = filtered_regressors(_raw_motion(log))
     noisier = filtered_regressors(_raw_motion(_with_noise_again(log, config.cutoff, index)))
     samples = Samples(
-        Motion(rpm, derivative(rpm, rate), smooth(log.body_velocity), rates),
+        ModelInputs(rpm, derivative(rpm, rate), smooth(log.body_velocity), rates),
         exact,
         {axis: noisier[axis] - exact[axis] for axis in AXES},
         np.concatenate([smooth(log.specific_force), moment], axis=1),
@@ -166,30 +147,8 @@ def _prepare_one(
     return samples[rows]
 
 
-def _raw_motion(log: FlightLog) -> Motion:
-    return Motion(log.rpm, derivative(log.rpm, log.sample_rate), log.body_velocity, log.rates)
-
-
-def derivative(signal: np.ndarray, sample_rate: float) -> np.ndarray:
-    """Time derivative along the first axis, by fourth-order central differences."""
-    slope = np.gradient(signal, 1.0 / sample_rate, axis=0)
-    if len(signal) > 4:
-        near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
-        slope[2:-2] = (8.0 * near - far) * (sample_rate / 12.0)
-    return slope
-
-
-def noise_level(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
-    """Standard deviation (k,) of the white noise in signals (n, k).
-
-    From the median of the spectrum between 0.3 and 0.48 of the sample rate, above the drone's
-    motion and robust against vibration peaks; zero where the cutoff is too close to that band.
-    """
-    if 0.3 * sample_rate < 2.0 * cutoff:
-        return np.zeros(signal.shape[1])
-    frequency, power = welch(signal, sample_rate, nperseg=min(256, len(signal)), axis=0)
-    band = (frequency > 0.3 * sample_rate) & (frequency < 0.48 * sample_rate)
-    return np.sqrt(np.median(power[band], axis=0) * 0.5 * sample_rate)
+def _raw_motion(log: FlightLog) -> ModelInputs:
+    return ModelInputs(log.rpm, derivative(log.rpm, log.sample_rate), log.body_velocity, log.rates)
 
 
 def _with_noise_again(log: FlightLog, cutoff: float, seed: int) -> FlightLog:

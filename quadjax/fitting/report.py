@@ -10,7 +10,8 @@ from quadjax.core.provenance import provenance
 from quadjax.core.sections import to_yaml
 from quadjax.fitting.least_squares import r_squared
 from quadjax.fitting.nominal import AXES, UNITS
-from quadjax.fitting.pipeline import Evaluation, FitResult, pooled
+from quadjax.fitting.pipeline import FitResult
+from quadjax.fitting.prediction import Prediction, pooled
 from quadjax.fitting.residual_fit import ALL
 from quadjax.fitting.vehicle_file import write_vehicle
 from quadjax.vehicle.constants import MotorConstants, constant_names
@@ -27,6 +28,8 @@ def tables(result: FitResult) -> str:
     parts = [_nominal_table(result), _change_table("training", result.training)]
     if result.held_out:
         parts += [_change_table("held out", pooled(result.held_out)), _by_flight(result.held_out)]
+        if (result.gains < 1.0).any():
+            parts.append(_by_flight(result.unlimited, ", without the limit of harm"))
     else:
         parts.append("held out: none (split.leave_one_out is off, split.test_flights is empty)")
     if result.fits[ALL].choices:
@@ -68,6 +71,7 @@ def _fitted(result: FitResult) -> list[tuple[str, str, float, float]]:
 def as_json(result: FitResult) -> dict[str, object]:
     """The numbers of the report; null for those that are not finite."""
     report = {
+        "flights": [log.name for log in result.logs],
         "constants": {
             name: {"value": value, "standard_error": error, "axis": axis}
             for name, axis, value, error in _fitted(result)
@@ -78,9 +82,12 @@ def as_json(result: FitResult) -> dict[str, object]:
         },
         "warnings": result.warnings,
         "split": {"by": result.split.by, "folds": list(result.split.names)},
-        "training": _evaluation_json(result.training),
-        "held_out": {part.name: _evaluation_json(part) for part in result.held_out},
-        "held_out_pooled": _evaluation_json(pooled(result.held_out)) if result.held_out else None,
+        "training": _prediction_json(result.training),
+        "held_out": {part.name: _prediction_json(part) for part in result.held_out},
+        "held_out_unlimited": {part.name: _prediction_json(part) for part in result.unlimited},
+        "gains": dict(zip(RESIDUAL_AXES, result.gains.tolist(), strict=True)),
+        "not_checked": {log.name: list(log.unchecked) for log in result.logs},
+        "held_out_pooled": _prediction_json(pooled(result.held_out)) if result.held_out else None,
         "choices": {
             "final" if not left_out else result.split.names[min(left_out)]: {
                 axis: vars(choice) | {"distilled": fit.distilled[axis]}
@@ -92,7 +99,7 @@ def as_json(result: FitResult) -> dict[str, object]:
     return json.loads(json.dumps(report), parse_constant=lambda _: None)
 
 
-def _evaluation_json(part: Evaluation) -> dict[str, dict[str, float]]:
+def _prediction_json(part: Prediction) -> dict[str, dict[str, float]]:
     columns = {
         "rmse_nominal": part.rmse(part.nominal),
         "rmse_residual": part.rmse(part.full),
@@ -107,9 +114,10 @@ def _notes(result: FitResult) -> dict[str, str]:
     """A comment for every fitted constant of the vehicle file."""
     if not result.config.nominal.fit:
         return {}
+    fitted = ("", *result.config.nominal.axes)  # tau has no axis
     return {
-        name: f"+- {error:.2g}" if np.isfinite(error) else "not excited: the base's"
-        for name, _, _, error in _fitted(result)
+        name: f"+- {error:.2g}" if axis in fitted and np.isfinite(error) else "the base vehicle's"
+        for name, axis, _, error in _fitted(result)
     }
 
 
@@ -135,7 +143,7 @@ def _percent(value: float) -> str:
     return f"{value:.2g}%" if value < 99.5 else (">99%" if np.isfinite(value) else "-")
 
 
-def _change_table(title: str, part: Evaluation) -> str:
+def _change_table(title: str, part: Prediction) -> str:
     before, after = part.rmse(part.nominal), part.rmse(part.full)
     fit_before = r_squared(part.measured, part.nominal)
     fit_after = r_squared(part.measured, part.full)
@@ -151,14 +159,15 @@ def _change_table(title: str, part: Evaluation) -> str:
     return "\n".join(lines)
 
 
-def _by_flight(held_out: list[Evaluation]) -> str:
-    width = max(len(part.name) for part in held_out) + 2
+def _by_flight(held_out: list[Prediction], title: str = "") -> str:
+    width = max(len("worst"), *(len(part.name) for part in held_out)) + 2
     lines = [
-        "held out, by flight: change of RMSE",
+        f"held out, by flight{title}: change of RMSE",
         " " * width + "".join(f"{axis:>9}" for axis in RESIDUAL_AXES),
     ]
     rows = [(part.name, part.change[2:]) for part in held_out]
-    rows.append(("mean", np.mean([change for _, change in rows], axis=0)))
+    changes = [change for _, change in rows]
+    rows += [("mean", np.mean(changes, axis=0)), ("worst", np.max(changes, axis=0))]
     for name, change in rows:
         lines.append(f"{name:{width}}" + "".join(f"{100 * c:+8.1f}%" for c in change))
     return "\n".join(lines)

@@ -16,14 +16,14 @@ import jax
 import numpy as np
 
 from quadjax.core.mlp import Layers
-from quadjax.fitting.config import ResidualConfig
+from quadjax.fitting.config import NominalConfig, ResidualConfig
 from quadjax.fitting.distill import Ensemble, distill
 from quadjax.fitting.prepare import Samples, thin
-from quadjax.fitting.selection import Choice, Score, reject_all, score_fold, select
+from quadjax.fitting.selection import FoldMoments, Selection, reject_all, score_fold, select
 from quadjax.fitting.split import Split
 from quadjax.fitting.tasks import (
     NETWORKS,
-    Network,
+    ResidualNetwork,
     Task,
     file_inputs,
     make_task,
@@ -35,7 +35,8 @@ from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.residual import Residual
 
 LeftOut = frozenset[int]
-Part = tuple[list[Choice], Layers, np.ndarray]  # one network: choices, layers, R^2 of distillation
+# Of one network: the selection of each axis, the layers, and the R^2 (axes,) of the distillation.
+Part = tuple[list[Selection], Layers, np.ndarray]
 ALL: LeftOut = frozenset()
 
 
@@ -45,7 +46,7 @@ class ResidualFit:
 
     constants: MotorConstants  # nominal model of the same rows
     residual: Residual
-    choices: dict[str, Choice]  # by axis
+    choices: dict[str, Selection]  # by axis
     distilled: dict[str, float]  # by axis: R^2 of the file's network to the ensemble
 
 
@@ -56,7 +57,7 @@ def fit_residuals(
     config: ResidualConfig,
     seed: int,
     leave_one_out: bool,
-    fit_constants: bool = True,
+    nominal: NominalConfig | None = None,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[LeftOut, ResidualFit]:
     """Fit both networks on all folds and, if wanted, once more without each fold.
@@ -68,7 +69,7 @@ def fit_residuals(
         config: of the training.
         seed: of everything random.
         leave_one_out: repeat the fit, selection included, without each fold.
-        fit_constants: fit the nominal model to the same rows each time.
+        nominal: of the nominal model, which is fitted to the same rows each time.
         report: called with the progress.
 
     Returns:
@@ -80,9 +81,12 @@ def fit_residuals(
     left_outs = [ALL] + [frozenset({k}) for k in range(split.folds)]
     if len(outer) > 1 and split.folds > 2:
         left_outs += [frozenset(pair) for pair in combinations(range(split.folds), 2)]
-    constants = {s: nominal_without(samples, split.fold, s, base, fit_constants) for s in left_outs}
+    constants = {
+        s: nominal_without(samples, split.fold, s, base, nominal or NominalConfig())
+        for s in left_outs
+    }
 
-    def fit_network(network: Network) -> list[Part]:
+    def fit_network(network: ResidualNetwork) -> list[Part]:
         report(f"training the {network.name} network, {len(left_outs)} times {config.seeds} seeds")
         trained = _Trained(network, thinned, fold, base, constants, config, seed)
         ensembles = [trained.select(s, split.folds) for s in outer]
@@ -118,7 +122,7 @@ class _Trained:
 
     def __init__(
         self,
-        network: Network,
+        network: ResidualNetwork,
         samples: Samples,
         fold: np.ndarray,
         base: MotorConstants,
@@ -143,8 +147,8 @@ class _Trained:
         index = list(self.tasks).index(key)
         return jax.tree.map(lambda leaf: leaf[index], self.history)
 
-    def score(self, left_out: LeftOut, mirror: bool, held_out: int) -> Score:
-        """Score of one task's ensemble on a fold that it was trained without."""
+    def score(self, left_out: LeftOut, mirror: bool, held_out: int) -> FoldMoments:
+        """Scores of one task's ensemble on a fold that it was trained without."""
         task, rows = self.tasks[left_out, mirror], self.fold == held_out
         inputs = file_inputs(self.network, self.samples.motion[rows], self.rpm_range)
         errors = nominal_error(self.samples[rows], self.constants[left_out])

@@ -8,7 +8,8 @@ the ensemble's mean, relative to nominal alone, the scale ``s`` in [0, 1] minimi
 
     mean_u ratio_u(s) + caution * max(0, max_u ratio_u(s) - 1)
 
-so the worst fold counts twice where the residual increases its error. The gain ``1 - mean_u
+so the worst fold counts twice where the residual increases its error, and no fold's error may
+increase by more than ``max_harm``. The gain ``1 - mean_u
 ratio_u`` of the choice must exceed a minimum and its standard deviation over the seeds; a smaller
 gain is not significant. Otherwise the axis is rejected and its output is zero.
 """
@@ -28,7 +29,7 @@ SCALES = np.linspace(0.0, 1.0, 21)
 
 
 @dataclass(frozen=True)
-class Score:
+class FoldMoments:
     """Second moments on one held-out fold, relative to the nominal model's square error."""
 
     cross: np.ndarray  # (epoch, o) mean(error * ensemble mean)
@@ -38,7 +39,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Choice:
+class Selection:
     """The selected residual of one axis."""
 
     axis: str
@@ -52,7 +53,7 @@ class Choice:
     rejected: str | None  # reason
 
 
-def score_fold(history: Layers, inputs: np.ndarray, errors: np.ndarray, length: int) -> Score:
+def score_fold(history: Layers, inputs: np.ndarray, errors: np.ndarray, length: int) -> FoldMoments:
     """Score one task's ensemble after every epoch on held-out rows.
 
     Args:
@@ -72,7 +73,7 @@ def score_fold(history: Layers, inputs: np.ndarray, errors: np.ndarray, length: 
     )
     cross, square, seed_cross, seed_square = (np.asarray(m, np.float64) for m in moments)
     # The moments are of outputs in the task's units; errors were divided by this fold's size.
-    return Score(cross / size, square / size**2, seed_cross / size, seed_square / size**2)
+    return FoldMoments(cross / size, square / size**2, seed_cross / size, seed_square / size**2)
 
 
 @jax.jit
@@ -91,8 +92,8 @@ def _moments(
 
 
 def select(
-    axes: tuple[str, ...], candidates: dict[bool, list[Score]], config: ResidualConfig
-) -> list[Choice]:
+    axes: tuple[str, ...], candidates: dict[bool, list[FoldMoments]], config: ResidualConfig
+) -> list[Selection]:
     """Select the residual of every axis of a network.
 
     Args:
@@ -109,9 +110,9 @@ def select(
     return choices
 
 
-def reject_all(axes: tuple[str, ...], reason: str) -> list[Choice]:
+def reject_all(axes: tuple[str, ...], reason: str) -> list[Selection]:
     """Every axis rejected, without validation data."""
-    return [Choice(axis, False, 0, 0.0, (), 0.0, 0.0, 0.0, reason) for axis in axes]
+    return [Selection(axis, False, 0, 0.0, (), 0.0, 0.0, 0.0, reason) for axis in axes]
 
 
 def _ratio(cross: np.ndarray, square: np.ndarray, scale: np.ndarray | float) -> np.ndarray:
@@ -119,8 +120,8 @@ def _ratio(cross: np.ndarray, square: np.ndarray, scale: np.ndarray | float) -> 
 
 
 def _best(
-    axis: str, column: int, mirror: bool, scores: list[Score], config: ResidualConfig
-) -> tuple[float, Choice]:
+    axis: str, column: int, mirror: bool, scores: list[FoldMoments], config: ResidualConfig
+) -> tuple[float, Selection]:
     """The best epoch and scale of one candidate, and its objective."""
     cross = np.stack([score.cross[:, column] for score in scores])  # (fold, epoch)
     square = np.stack([score.square[:, column] for score in scores])
@@ -131,13 +132,14 @@ def _best(
     smooth = np.stack(
         [np.convolve(np.pad(o, 2, "edge"), np.ones(5) / 5, "valid") for o in objective.T], axis=1
     )
+    smooth = np.where(harm > config.max_harm, np.inf, smooth)
     epoch, place = np.unravel_index(int(smooth.argmin()), smooth.shape)
     scale = float(SCALES[place])
     gains = 1.0 - ratios[:, epoch, place]
     seed_cross = np.stack([score.seed_cross[:, epoch, column] for score in scores])
     seed_square = np.stack([score.seed_square[:, epoch, column] for score in scores])
     seed_gains = 1.0 - _ratio(seed_cross, seed_square, scale).mean(axis=0)
-    choice = Choice(
+    choice = Selection(
         axis=axis,
         mirror=mirror,
         epoch=int(epoch),
@@ -151,7 +153,7 @@ def _best(
     return float(smooth[epoch, place]), _reject(choice, config)
 
 
-def _reject(choice: Choice, config: ResidualConfig) -> Choice:
+def _reject(choice: Selection, config: ResidualConfig) -> Selection:
     """The choice, rejected if it is not significantly better than the nominal model."""
     reason = None
     if choice.scale == 0.0 or choice.gain <= 0.0:

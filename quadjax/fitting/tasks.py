@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadjax.fitting.config import ResidualConfig
+from quadjax.fitting.config import NominalConfig, ResidualConfig
 from quadjax.fitting.least_squares import fit_nominal, with_fit
-from quadjax.fitting.nominal import AXES, CONSTANTS, Motion
+from quadjax.fitting.nominal import AXES, CONSTANTS, ModelInputs
 from quadjax.fitting.prepare import Samples
 from quadjax.vehicle.constants import MotorConstants
 
 
 @dataclass(frozen=True)
-class Network:
+class ResidualNetwork:
     """One of the two residual networks: its axes and its mirror symmetry."""
 
     name: str
@@ -40,8 +40,8 @@ class Network:
 _ORDER = (1, 0, 3, 2, 4, 5, 6)
 _SIGN = (1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
 NETWORKS = {
-    "thrust": Network("thrust", ("az",), 7, _ORDER, _SIGN, (1.0,)),
-    "moment": Network(
+    "thrust": ResidualNetwork("thrust", ("az",), 7, _ORDER, _SIGN, (1.0,)),
+    "moment": ResidualNetwork(
         "moment",
         ("Mx", "My", "Mz"),
         10,
@@ -69,7 +69,9 @@ class Task:
     error_scale: np.ndarray  # (o,) root mean square error of the nominal model
 
 
-def file_inputs(network: Network, motion: Motion, rpm_range: tuple[float, float]) -> np.ndarray:
+def file_inputs(
+    network: ResidualNetwork, motion: ModelInputs, rpm_range: tuple[float, float]
+) -> np.ndarray:
     """Inputs (n, 7 or 10) in the units of a residual file: rpm in [-1, 1], the rest in SI."""
     low, high = rpm_range
     rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0
@@ -77,7 +79,7 @@ def file_inputs(network: Network, motion: Motion, rpm_range: tuple[float, float]
     return np.concatenate(parts, axis=1)[:, : network.inputs]
 
 
-def mirrored(network: Network, inputs: np.ndarray) -> np.ndarray:
+def mirrored(network: ResidualNetwork, inputs: np.ndarray) -> np.ndarray:
     """Inputs (n, i) of the mirrored flight."""
     return inputs[:, list(network.mirror_order)] * np.array(network.mirror_sign)
 
@@ -87,12 +89,13 @@ def nominal_without(
     fold: np.ndarray,
     left_out: frozenset[int],
     base: MotorConstants,
-    fit: bool = True,
+    config: NominalConfig,
 ) -> MotorConstants:
-    """The nominal model fitted without some folds, or the base's if ``fit`` is false."""
-    if not fit:
+    """The nominal model fitted without some folds; the base's on axes that are not fitted."""
+    if not config.fit:
         return base
-    return with_fit(base, fit_nominal(samples[learned_rows(fold, left_out)], base))
+    fits = fit_nominal(samples[learned_rows(fold, left_out)], base, config.any_sign)
+    return with_fit(base, [fit for fit in fits if fit.axis in config.axes])
 
 
 def learned_rows(fold: np.ndarray, left_out: frozenset[int]) -> np.ndarray:
@@ -111,7 +114,7 @@ def nominal_error(samples: Samples, constants: MotorConstants) -> np.ndarray:
 
 
 def make_task(
-    network: Network,
+    network: ResidualNetwork,
     samples: Samples,
     fold: np.ndarray,
     left_out: frozenset[int],

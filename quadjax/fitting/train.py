@@ -13,7 +13,7 @@ from jax.nn.initializers import he_normal
 from quadjax.core import mlp
 from quadjax.core.mlp import Layers
 from quadjax.fitting.config import ResidualConfig
-from quadjax.fitting.tasks import Network, Task
+from quadjax.fitting.tasks import ResidualNetwork, Task
 
 Rows = dict[str, jax.Array]  # (n, ..)
 
@@ -76,7 +76,9 @@ def minimize(
     return jax.lax.scan(epoch, (layers, optimizer.init(layers), layers), keys)[1]
 
 
-def train_tasks(network: Network, tasks: list[Task], config: ResidualConfig, seed: int) -> Layers:
+def train_tasks(
+    network: ResidualNetwork, tasks: list[Task], config: ResidualConfig, seed: int
+) -> Layers:
     """Train every task with every seed.
 
     Returns:
@@ -98,7 +100,7 @@ def train_tasks(network: Network, tasks: list[Task], config: ResidualConfig, see
 
 @partial(jax.jit, static_argnames=("network", "config"))
 def _train_all(
-    network: Network,
+    network: ResidualNetwork,
     config: ResidualConfig,
     rows: Rows,
     counts: jax.Array,
@@ -134,7 +136,7 @@ def _train_all(
 
 
 def _augment(
-    network: Network, config: ResidualConfig, part: Rows, mirror: jax.Array, key: jax.Array
+    network: ResidualNetwork, config: ResidualConfig, part: Rows, mirror: jax.Array, key: jax.Array
 ) -> Rows:
     """Mirror half of a batch and add noise to its inputs, where ``mirror`` is 1."""
     of_flip, of_noise = jax.random.split(key)

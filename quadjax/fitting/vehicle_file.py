@@ -47,13 +47,23 @@ def read_vehicle(name: str, folder: Path = Path()) -> BaseVehicle:
 
 
 def with_body(base: BaseVehicle, body: BodyConfig) -> BaseVehicle:
-    """The base vehicle with the config's name, mass, inertia and rpm range."""
-    motor = base.motor
-    if body.inertia is not None:
+    """The base vehicle with the config's name, mass, inertia and rpm range.
+
+    Raises:
+        InputError: no inertia.
+    """
+    motor, mass = base.motor, body.mass
+    if body.inertia is None:
+        raise InputError(
+            "body.inertia is null; logs do not determine it, and all moments are proportional to "
+            f"it: set [xx, yy, zz] in kg m^2, or base for that of {base.name}"
+        )
+    if body.inertia == "base":
+        mass = base.mass if mass is None else mass
+    else:
         motor = motor.replace(**dict(zip(("i_xx", "i_yy", "i_zz"), body.inertia, strict=True)))
     if body.rpm_range is not None:
         motor = motor.replace(rpm_min=body.rpm_range[0], rpm_max=body.rpm_range[1])
-    mass = base.mass if body.mass is None else body.mass
     return dataclasses.replace(base, name=body.name, mass=mass, motor=motor)
 
 

@@ -37,7 +37,7 @@ from quadjax.plant.sensors import Fix, Measured
 
 
 @struct.dataclass
-class Motion:
+class MotionEstimate:
     """The estimate at the delayed instant."""
 
     position: Vec3  # m, world
@@ -48,7 +48,7 @@ class Motion:
 
 
 @struct.dataclass
-class Sample:
+class InertialSample:
     """An inertial sample."""
 
     gyro: Vec3  # rad/s, body
@@ -68,12 +68,12 @@ class Roughness:
 class EkfState:
     """The filter at the delayed instant, and the samples since."""
 
-    motion: Motion
+    motion: MotionEstimate
     covariance: Covariance
-    last: Sample  # processed last
-    waiting: tuple[Sample, ...]  # buffered, the oldest first
-    newest: Sample  # as measured, gyro and accelerometer not aligned
-    before: Sample  # the one before it
+    last: InertialSample  # processed last
+    waiting: tuple[InertialSample, ...]  # buffered, the oldest first
+    newest: InertialSample  # as measured, gyro and accelerometer not aligned
+    before: InertialSample  # the one before it
     roughness: Roughness
 
 
@@ -85,9 +85,9 @@ def init(params: EkfParams, measured: Measured) -> EkfState:
         measured: the first sample, with a pose without delay.
     """
     zero = Vec3(*(jnp.zeros_like(x) for x in measured.gyro.components()))
-    motion = Motion(measured.fix.position, zero, measured.fix.attitude, zero, zero)
+    motion = MotionEstimate(measured.fix.position, zero, measured.fix.attitude, zero, zero)
     start = cov.diagonal_covariance(tuple(std + zero.x for std in params.start))
-    sample = Sample(measured.gyro, measured.accelerometer, zero.x)
+    sample = InertialSample(measured.gyro, measured.accelerometer, zero.x)
     waiting = (sample,) * params.lag
     return EkfState(motion, start, sample, waiting, sample, sample, Roughness(zero, zero))
 
@@ -101,8 +101,8 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
         measured: the sample; its pose is used if it is ``fresh``.
     """
     call = caller(params)
-    newest = Sample(measured.gyro, measured.accelerometer, params.step)
-    aligned = Sample(
+    newest = InertialSample(measured.gyro, measured.accelerometer, params.step)
+    aligned = InertialSample(
         newest.gyro + (state.newest.gyro - newest.gyro) * params.gyro_shift,
         newest.force + (state.newest.force - newest.force) * params.force_shift,
         params.step,
@@ -122,12 +122,12 @@ def caller(params: EkfParams) -> Caller:
 
 def predict(
     params: EkfParams,
-    motion: Motion,
+    motion: MotionEstimate,
     covariance: Covariance,
-    before: Sample,
-    after: Sample,
+    before: InertialSample,
+    after: InertialSample,
     call: Caller = call_directly,
-) -> tuple[Motion, Covariance]:
+) -> tuple[MotionEstimate, Covariance]:
     """Predict estimate and covariance from one inertial sample to the next.
 
     Args:
@@ -145,8 +145,8 @@ def predict(
 
 
 def advance(
-    gravity: jax.Array, motion: Motion, before: Sample, after: Sample
-) -> tuple[Motion, Transition]:
+    gravity: jax.Array, motion: MotionEstimate, before: InertialSample, after: InertialSample
+) -> tuple[MotionEstimate, Transition]:
     """The motion one sample later, by the trapezoidal rule, and the transition of its errors."""
     step = after.step
     angle = ((before.gyro + after.gyro) * 0.5 - motion.gyro_bias) * step
@@ -166,12 +166,12 @@ def advance(
 
 def correct(
     params: EkfParams,
-    motion: Motion,
+    motion: MotionEstimate,
     covariance: Covariance,
-    at: Sample,
+    at: InertialSample,
     fix: Fix,
     call: Caller = call_directly,
-) -> tuple[Motion, Covariance]:
+) -> tuple[MotionEstimate, Covariance]:
     """Correct with a pose: its position first, then its attitude.
 
     Args:
@@ -187,8 +187,8 @@ def correct(
 
 
 def _correct_position(
-    params: EkfParams, motion: Motion, covariance: Covariance, at: Sample, fix: Fix
-) -> tuple[Motion, Covariance]:
+    params: EkfParams, motion: MotionEstimate, covariance: Covariance, at: InertialSample, fix: Fix
+) -> tuple[MotionEstimate, Covariance]:
     force = apply(quaternion.matrix(motion.attitude), at.force - motion.force_bias)
     acceleration = force.replace(z=force.z + params.gravity)
     expected = (
@@ -201,8 +201,8 @@ def _correct_position(
 
 
 def _correct_attitude(
-    params: EkfParams, motion: Motion, covariance: Covariance, at: Sample, fix: Fix
-) -> tuple[Motion, Covariance]:
+    params: EkfParams, motion: MotionEstimate, covariance: Covariance, at: InertialSample, fix: Fix
+) -> tuple[MotionEstimate, Covariance]:
     turned = quaternion.exponential((at.gyro - motion.gyro_bias) * params.offset)
     expected = quaternion.multiply(motion.attitude, turned)
     error = quaternion.multiply(fix.attitude, quaternion.conjugate(expected))
@@ -216,10 +216,10 @@ def _correct_attitude(
     return _corrected(motion, corrections), covariance
 
 
-def _corrected(motion: Motion, corrections: tuple[Vec3, ...]) -> Motion:
+def _corrected(motion: MotionEstimate, corrections: tuple[Vec3, ...]) -> MotionEstimate:
     position, velocity, attitude, gyro_bias, force_bias = corrections
     turned = quaternion.multiply(quaternion.exponential(attitude), motion.attitude)
-    return Motion(
+    return MotionEstimate(
         motion.position + position,
         motion.velocity + velocity,
         quaternion.normalized(turned),
@@ -228,7 +228,7 @@ def _corrected(motion: Motion, corrections: tuple[Vec3, ...]) -> Motion:
     )
 
 
-def _roughness(params: EkfParams, state: EkfState, newest: Sample) -> Roughness:
+def _roughness(params: EkfParams, state: EkfState, newest: InertialSample) -> Roughness:
     def mean(old: Vec3, now: Vec3, before: Vec3, earlier: Vec3) -> Vec3:
         second = now - before * 2.0 + earlier
         return old + (second * second - old) * params.roughness_rate

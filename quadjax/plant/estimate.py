@@ -9,7 +9,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.plant import covariance as cov
 from quadjax.plant import quaternion
 from quadjax.plant.covariance import Growth, Transition
-from quadjax.plant.ekf import EkfState, Motion, Sample, advance, caller
+from quadjax.plant.ekf import EkfState, InertialSample, MotionEstimate, advance, caller
 from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.matrix import Sym3, apply
 
@@ -28,14 +28,14 @@ class NavigationState:
 
 
 @struct.dataclass
-class Estimate:
+class NavigationEstimate:
     """Estimate of the present and its standard deviations."""
 
     value: NavigationState
     std: NavigationState
 
 
-def estimate(params: EkfParams, state: EkfState) -> Estimate:
+def estimate(params: EkfParams, state: EkfState) -> NavigationEstimate:
     """The present state of one drone: the delayed estimate predicted over the buffered samples.
 
     Rates and specific force are the newest sample less its bias, extrapolated by the low-pass's
@@ -59,25 +59,27 @@ def estimate(params: EkfParams, state: EkfState) -> Estimate:
         motion.gyro_bias,
         motion.force_bias,
     )
-    return Estimate(value, _deviations(params, state, present, value.euler))
+    return NavigationEstimate(value, _deviations(params, state, present, value.euler))
 
 
-def _present(params: EkfParams, state: EkfState, rates: Vec3, force: Vec3) -> Motion:
+def _present(params: EkfParams, state: EkfState, rates: Vec3, force: Vec3) -> MotionEstimate:
     call, motion, last = caller(params), state.motion, state.last
     for sample in state.waiting:
         motion = call(_advanced, params.gravity, motion, last, sample)
         last = sample
     # The rest has no measurement: extrapolated rates and force.
-    now = Sample(rates + motion.gyro_bias, force + motion.force_bias, params.late)
+    now = InertialSample(rates + motion.gyro_bias, force + motion.force_bias, params.late)
     return call(_advanced, params.gravity, motion, last, now)
 
 
-def _advanced(gravity: jax.Array, motion: Motion, before: Sample, after: Sample) -> Motion:
+def _advanced(
+    gravity: jax.Array, motion: MotionEstimate, before: InertialSample, after: InertialSample
+) -> MotionEstimate:
     return advance(gravity, motion, before, after)[0]
 
 
 def _deviations(
-    params: EkfParams, state: EkfState, present: Motion, euler: Vec3
+    params: EkfParams, state: EkfState, present: MotionEstimate, euler: Vec3
 ) -> NavigationState:
     p, motion = state.covariance, state.motion
     time = params.late + sum(sample.step for sample in state.waiting)

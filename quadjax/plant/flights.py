@@ -7,8 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.race import build_vehicle, race_of
-from quadjax.config.schema import Config
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation.recording import Recording
 from quadjax.plant import flight
@@ -20,12 +18,13 @@ from quadjax.plant.indi import indi_params
 from quadjax.plant.onboard import OnboardChoices, OnboardParams
 from quadjax.plant.sensors import sensor_params
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import Pilot, fit_race, make_pilot
+from quadjax.policy.pilot import Pilot, make_pilot
 from quadjax.race import laps
-from quadjax.race.environment import exact_rules
+from quadjax.race.environment import Choices, RaceParams, exact_rules
 from quadjax.race.laps import Laps
 from quadjax.vehicle import motor
 from quadjax.vehicle.estimator import estimator_params
+from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.rate import RateCommand
 
 CHUNK_SECONDS = 1.0  # of flight between checks for the end
@@ -61,10 +60,10 @@ class Plan:
 
 
 def plan_flights(
-    config: Config,
+    race: tuple[Choices, RaceParams],
+    onboard: VehicleParams,
     plant: PlantConfig,
     policy: Policy,
-    name: str = "policy",
     lap_count: int = 6,
     runs: int = 100,
     recorded: int = 5,
@@ -73,56 +72,36 @@ def plan_flights(
     """Flights of a policy on the plant.
 
     Args:
-        config: of the race; its vehicle, with its residual, is the onboard model.
+        race: with the observation of the policy, as ``policy.pilot.fit_race`` returns it.
+        onboard: the onboard model, of the motor-level vehicle.
         plant: of the plant.
         policy: a policy file's content.
-        name: of the policy file, for messages.
         lap_count: laps to fly, from hover.
         runs: number of independent drones.
         recorded: runs whose frames are kept.
         deterministic: apply the mean action rather than samples.
 
     Raises:
-        InputError: a policy that does not fit, or files that cannot be read.
+        InputError: files of the plant that cannot be read.
     """
-    config = race_config(config, policy)
-    choices, params = fit_race(*race_of(config), policy, name)
+    choices, params = race
     params = exact_rules(choices.model, params)
     pilot = make_pilot(choices, params, policy, deterministic)
     hold = round(plant.sample_rate / plant.control_rate)
-    own = FlightChoices(
-        choices,
-        OnboardChoices(plant.navigation, plant.disturbance),
-        hold,
-    )
+    own = FlightChoices(choices, OnboardChoices(plant.navigation, plant.disturbance), hold)
     charge = tuple(jnp.float32(x) for x in plant.battery.charge)
-    numbers = FlightParams(build_plant(plant), params, _onboard(config, plant), charge)
+    numbers = FlightParams(build_plant(plant), params, _onboard(onboard, plant), charge)
     limit = round(laps.time_limit(params.track, lap_count) * plant.control_rate)
     step = 1.0 / plant.control_rate
     return Plan(own, numbers, pilot, step, limit, lap_count, runs, min(recorded, runs))
 
 
-def race_config(config: Config, policy: Policy) -> Config:
-    """The race of one policy: its vehicle model and disturbance scale, without randomization.
-
-    On the plant the disturbance is estimated on board; the race adds none.
-    """
-    return config.replace(
-        vehicle=config.vehicle.with_model(policy.vehicle).replace(mismatch={}),
-        disturbance=config.disturbance.replace(**policy.disturbance_widths),
-        randomization=type(config.randomization)(),
-        observation=config.observation.replace(disturbance="ground_truth"),
-    )
-
-
-def _onboard(config: Config, plant: PlantConfig) -> OnboardParams:
-    """Sensors, filters and inner loop; the onboard model is the config's motor-level vehicle."""
+def _onboard(model: VehicleParams, plant: PlantConfig) -> OnboardParams:
+    """Sensors, filters and inner loop."""
     rate = plant.sample_rate
-    model = build_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
-    gravity = float(model.constants.g)
     return OnboardParams(
         sensors=sensor_params(plant.sensors, rate),
-        ekf=ekf_params(plant.sensors, plant.ekf, rate, gravity),
+        ekf=ekf_params(plant.sensors, plant.ekf, rate, float(model.constants.g)),
         estimator=estimator_params(motor.MODEL, model, rate),
         inner=indi_params(nominal_vehicle(plant).motor, plant.indi, rate),
     )

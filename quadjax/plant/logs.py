@@ -6,22 +6,19 @@ for every sample of the plant, at any ``control_rate``.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.flight_log import write_log
-from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import Flights, fly_plan, plan_flights, rows
-from quadjax.policy.file import Policy
+from quadjax.plant.flights import Flights, Plan, fly_plan, rows
 
 
 @dataclasses.dataclass(frozen=True)
-class Logged:
+class WrittenLog:
     """A log that was written."""
 
     path: Path
@@ -54,51 +51,36 @@ def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, n
     return time | own | {"target_gate": target}
 
 
-def gate_centers(config: Config) -> np.ndarray:
-    """Centers (gates, 3) of a config's track, m, world."""
-    return np.array([gate.position for gate in config.track.gates], np.float64)
-
-
 def write_logs(
-    race: Config,
-    plant: PlantConfig,
-    policies: Sequence[Path | str],
+    plans: Mapping[str, Plan],
     folder: Path,
-    flights: int = 4,
-    laps: int = 6,
     seed: int = 0,
     report: Callable[[str], None] = lambda line: None,
-) -> list[Logged]:
-    """Simulate policies on the plant and write each flight's log to ``folder/POLICY_RUN.csv``.
+) -> list[WrittenLog]:
+    """Simulate flights on the plant and write each flight's log to ``folder/NAME_RUN.csv``.
 
     Args:
-        race: config of the race.
-        plant: config of the plant.
-        policies: policy files.
+        plans: flights by name, with a control step at every sample and all runs recorded.
         folder: of the logs.
-        flights: of each policy.
-        laps: of each flight, from hover.
         seed: of batteries, gusts, sensors and the policies' noise.
         report: called with the progress.
 
     Raises:
-        InputError: a policy that cannot be read or does not fit, or a flight that is not finite;
-            then no log of that policy is written.
+        InputError: a flight that is not finite; then no log of that name is written.
     """
-    plant = plant.replace(control_rate=plant.sample_rate)
-    written: list[Logged] = []
-    for name in policies:
+    written: list[WrittenLog] = []
+    for name, plan in plans.items():
         report(f"{name}: compiling")
-        plan = plan_flights(race, plant, Policy.load(name), str(name), laps, flights, flights)
         ended = fly_plan(
             plan, seed, lambda seconds, n=name: report(f"{n}: {seconds:.0f} s simulated")
         )
-        logs = [log_quantities(ended, run, gate_centers(race)) for run in range(flights)]
+        gates = np.stack([np.asarray(x) for x in plan.params.race.track.position.components()], 1)
+        logs = [log_quantities(ended, run, gates) for run in range(plan.recorded)]
         for run, log in enumerate(logs):
             if not all(np.isfinite(values).all() for values in log.values()):
                 raise InputError(f"{name}: flight {run} is not finite")
         for run, log in enumerate(logs):
-            path = folder / f"{Path(name).stem}_{run}.csv"
+            path = folder / f"{name}_{run}.csv"
             write_log(path, paparazzi_columns(log))
-            written.append(Logged(path, len(log["time"]), ended.laps.crashes[run]))
+            written.append(WrittenLog(path, len(log["time"]), ended.laps.crashes[run]))
     return written

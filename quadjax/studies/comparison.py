@@ -11,11 +11,12 @@ from quadjax.config.race import race_of
 from quadjax.config.schema import Config
 from quadjax.evaluation.tables import lap_row
 from quadjax.plant.config import EffectsConfig, PlantConfig
-from quadjax.plant.flights import Flights, fly_plan, plan_flights, race_config
+from quadjax.plant.flights import Flights, fly_plan
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps, Trace
 from quadjax.studies.ablation import RESIDUAL, Variant
+from quadjax.studies.plant_races import plan_race, race_config
 from quadjax.training.paper import Row
 
 FLIGHTS = 5  # number of flights of the paper's mean and best
@@ -81,9 +82,8 @@ def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
 
 def fly(setting: Setting, plant: PlantConfig, own: Contender) -> Flights:
     """A contender's flights on a plant."""
-    plan = plan_flights(
-        setting.race, plant, own.policy, own.file, setting.laps, setting.runs, FLIGHTS
-    )
+    options = {"lap_count": setting.laps, "runs": setting.runs, "recorded": FLIGHTS}
+    plan = plan_race(setting.race, plant, own.policy, own.file, **options)
     return fly_plan(plan, setting.seed)
 
 

@@ -15,7 +15,6 @@ from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.recording import recordings as simulated_recordings
 from quadjax.evaluation.tables import format_table, lap_row
 from quadjax.plant.flights import recordings
-from quadjax.plant.logs import gate_centers
 from quadjax.race.laps import Laps
 from quadjax.studies import comparison_figures as figures
 from quadjax.studies.ablation import present
@@ -33,6 +32,7 @@ from quadjax.studies.comparison import (
     rows,
     without_each,
 )
+from quadjax.studies.plant_races import gate_centers
 from quadjax.training.paper import LAPS, PUBLISHED, Row
 
 PARTS = ("table", "effects", "ablation")

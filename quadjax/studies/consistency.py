@@ -1,10 +1,4 @@
-"""Consistency of the navigation filter: its errors against its own standard deviations.
-
-Flies policies on the plant without unmodeled effects and delays, and counts how often every
-component of the estimate is within three of its standard deviations and on how many flights the
-filter diverged (an error above 0.5 m, 0.5 rad or 2 m/s, or not finite). Exit status 1 where a
-component is within less than 99% of the time or a flight diverged.
-"""
+"""Consistency of the navigation filter: its errors against its own standard deviations."""
 
 import dataclasses
 from collections.abc import Callable
@@ -23,9 +17,10 @@ from quadjax.plant.ekf import EkfState
 from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.estimate import NavigationState, estimate
 from quadjax.plant.flight import Flight, FlightParams
-from quadjax.plant.flights import fly_chunks, plan_flights
+from quadjax.plant.flights import fly_chunks
 from quadjax.plant.sensors import GroundTruth, SensorState
 from quadjax.policy.file import Policy
+from quadjax.studies.plant_races import plan_race
 from quadjax.vehicle.rate import RateCommand
 
 WITHIN = 3.0  # standard deviations
@@ -107,8 +102,15 @@ def evaluate_filter(
         report: called with the simulated seconds.
     """
     plant = plant.replace(control_rate=plant.sample_rate, navigation="ekf")
-    plan = plan_flights(
-        race, plant, Policy.load(policy), str(policy), MAX_LAPS, flights, flights, False
+    plan = plan_race(
+        race,
+        plant,
+        Policy.load(policy),
+        str(policy),
+        lap_count=MAX_LAPS,
+        runs=flights,
+        recorded=flights,
+        deterministic=False,
     )
     plan = dataclasses.replace(plan, limit=round(seconds * plant.sample_rate))
     total, worst, diverged = np.zeros((3, 7, 3)), np.zeros((7, 3)), np.zeros(flights, bool)

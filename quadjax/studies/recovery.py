@@ -8,7 +8,7 @@ import numpy as np
 
 from quadjax.fitting.flight_log import rotation_of_euler
 from quadjax.fitting.least_squares import r_squared
-from quadjax.fitting.nominal import AXES, CONSTANTS, Motion, nominal, residual_output
+from quadjax.fitting.nominal import AXES, CONSTANTS, ModelInputs, nominal, residual_output
 from quadjax.fitting.simulate import SensorNoise, simulate_flight
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
@@ -31,7 +31,7 @@ def constant_errors(
     return errors
 
 
-def exact_motion(vehicle: VehicleParams, seed: int, seconds: float = 30.0) -> Motion:
+def exact_motion(vehicle: VehicleParams, seed: int, seconds: float = 30.0) -> ModelInputs:
     """The motion of one simulated flight, every tenth sample of 500 Hz, without sensor noise."""
     columns = simulate_flight(vehicle, seed, seconds, noise=EXACT)
 
@@ -42,11 +42,11 @@ def exact_motion(vehicle: VehicleParams, seed: int, seconds: float = 30.0) -> Mo
     velocity = rotation.inv().apply(group("vel_", "xyz"))
     rpm = group("rpm_obs_", "1234")
     rpm_rate = (group("rpm_ref_", "1234") - rpm) / float(vehicle.constants.tau)
-    return Motion(rpm, rpm_rate, velocity, group("rate_", "pqr"))
+    return ModelInputs(rpm, rpm_rate, velocity, group("rate_", "pqr"))
 
 
 def residual_recovered(
-    truth: VehicleParams, found: MotorConstants, residual: Residual, motion: Motion
+    truth: VehicleParams, found: MotorConstants, residual: Residual, motion: ModelInputs
 ) -> np.ndarray:
     """R^2 (4,) of az, Mx, My and Mz of the true residual, on a motion."""
     wanted, got = (residual_output(part, motion) for part in (truth.residual, residual))

@@ -205,26 +205,23 @@ def test_missing_files_are_refused(tmp_path, files):
 
 
 def test_uneven_sampling_is_made_even(tmp_path, columns):
+    """A level drone that swings north and south, with little noise on everything else."""
     random = np.random.default_rng(0)
     count = len(columns["time"])
     time = columns["time"] + random.uniform(-0.3, 0.3, count) / 250.0
-    angle = np.sin(3.0 * time)
-    log = read_log(
-        _write(
-            tmp_path,
-            columns,
-            time=time,
-            vel_x=angle,
-            vel_y=0 * time,
-            vel_z=0 * time,
-            att_phi=0 * time,
-            att_theta=0 * time,
-            att_psi=0 * time,
-            rate_p=0 * time,
-            rate_q=0 * time,
-            rate_r=0 * time,
-        ),
-        PAPARAZZI,
-    )
+    noisy = {name: values + 1e-6 * random.normal(size=count) for name, values in columns.items()}
+    still = {
+        name: values - columns[name]
+        for name, values in noisy.items()
+        if name.startswith(("vel_", "pos_", "att_", "rate_", "ekf_"))
+    }
+    swing = {
+        "time": time,
+        "pos_x": -np.cos(3.0 * time) / 3.0,
+        "vel_x": np.sin(3.0 * time),
+        "ekf_U1": 3.0 * np.cos(3.0 * time),
+        "ekf_U3": still["ekf_U3"] - 9.81,
+    }
+    log = read_log(_write(tmp_path, noisy | still | swing), PAPARAZZI)
     assert np.ptp(np.diff(log.time)) < 1e-9
     np.testing.assert_allclose(log.body_velocity[:, 0], np.sin(3.0 * log.time), atol=1e-4)

@@ -1,13 +1,23 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig, PrepareConfig
 from quadjax.fitting.flight_log import read_logs, write_log
-from quadjax.fitting.least_squares import fit_nominal, with_fit
+from quadjax.fitting.least_squares import check_signs, fit_nominal, with_fit
 from quadjax.fitting.motor_lag import fit_motor_lag
-from quadjax.fitting.nominal import AXES, CONSTANTS, Motion, angular_moment, nominal, regressors
-from quadjax.fitting.prepare import airborne, derivative, low_pass, noise_level, prepare
+from quadjax.fitting.nominal import (
+    AXES,
+    CONSTANTS,
+    ModelInputs,
+    angular_moment,
+    nominal,
+    regressors,
+)
+from quadjax.fitting.prepare import airborne, prepare
+from quadjax.fitting.signals import derivative, low_pass, noise_level
 from quadjax.fitting.simulate import simulate_flight
 from quadjax.vehicle.protocol import VehicleParams
 from tests import reference as ref
@@ -23,7 +33,7 @@ def test_the_model_is_that_of_the_independent_reference(bebop):
     rates = rows[:, ref.RATES]
     force = slope[:, ref.V] - [0.0, 0.0, 9.81]
     moment = angular_moment(bebop, rates, slope[:, ref.RATES])
-    motion = Motion(rows[:, ref.RPM], slope[:, ref.RPM], rows[:, ref.V], rates)
+    motion = ModelInputs(rows[:, ref.RPM], slope[:, ref.RPM], rows[:, ref.V], rates)
     expected = np.concatenate([force, moment], axis=1)
     np.testing.assert_allclose(nominal(bebop, motion), expected, rtol=1e-9, atol=1e-12)
 
@@ -31,7 +41,7 @@ def test_the_model_is_that_of_the_independent_reference(bebop):
 def test_the_model_is_the_sum_of_its_regressors(bebop):
     random = np.random.default_rng(0)
     rpm, rpm_rate = random.uniform(3000, 11000, (50, 4)), random.normal(0, 2e4, (50, 4))
-    motion = Motion(rpm, rpm_rate, *random.normal(0, 4, (2, 50, 3)))
+    motion = ModelInputs(rpm, rpm_rate, *random.normal(0, 4, (2, 50, 3)))
     columns = regressors(motion)
     for index, axis in enumerate(AXES):
         found = columns[axis] @ [getattr(bebop, name) for name in CONSTANTS[axis]]
@@ -124,7 +134,23 @@ def test_a_column_of_zeros_keeps_the_base_value(bebop, flights):
     fits = fit_nominal(prepare(still, bebop, PrepareConfig(), 2.0), bebop)
     kept = with_fit(bebop, fits)
     assert kept.k_x == bebop.k_x and kept.k_h == bebop.k_h
-    assert "not excited" in fits[0].warnings[0]
+    assert "not fitted to the logs" in " ".join(fits[0].warnings)
+
+
+def test_constants_of_an_impossible_sign_are_refused_unless_asked_for(bebop, flights):
+    samples = prepare(flights[:1], bebop, PrepareConfig(), 2.0)
+    check_signs(fit_nominal(samples, bebop))
+    negated = replace(samples, measured=samples.measured * [1, 1, 1, -1, 1, 1])
+    with pytest.raises(InputError, match=r"k_p = -1.*\(Mx\), expected above 0"):
+        check_signs(fit_nominal(negated, bebop))
+    measured = np.array(samples.measured)
+    measured[:, 5] -= 0.002 * samples.regressors["Mz"][:, 2]
+    kept, asked = (
+        fit_nominal(replace(samples, measured=measured), bebop, any_sign)[5]
+        for any_sign in (False, True)
+    )
+    assert kept.values[2] == bebop.k_rr and "impossible below 0" in kept.warnings[0]
+    assert asked.values[2] == pytest.approx(bebop.k_rr - 0.002, rel=0.1)
 
 
 def test_ground_time_is_trimmed(bebop, flights):

@@ -6,11 +6,11 @@ from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.config import PrepareConfig, ResidualConfig, SplitConfig
 from quadjax.fitting.least_squares import r_squared
-from quadjax.fitting.nominal import AXES, Motion, nominal, regressors, residual_output
-from quadjax.fitting.pipeline import evaluate
+from quadjax.fitting.nominal import AXES, ModelInputs, nominal, regressors, residual_output
+from quadjax.fitting.prediction import predict
 from quadjax.fitting.prepare import Samples, join
 from quadjax.fitting.residual_fit import ALL, fit_residuals, zero_residual
-from quadjax.fitting.selection import Score, select
+from quadjax.fitting.selection import FoldMoments, select
 from quadjax.fitting.simulate import random_residual
 from quadjax.fitting.split import NOWHERE, TEST, make_split
 from quadjax.fitting.tasks import NETWORKS, mirrored
@@ -34,7 +34,7 @@ def _samples(constants, residual, noise, flights=3, seconds=40.0, seed=0):
             for _ in range(3)
         ]
         wave = sum(waves)
-        motion = Motion(
+        motion = ModelInputs(
             7000.0 + 1200.0 * wave[:, :4],
             np.gradient(1200.0 * wave[:, :4], 1 / rate, axis=0),
             2.0 * wave[:, 4:7],
@@ -104,7 +104,7 @@ def test_noise_is_rejected_and_so_is_what_nothing_validates(bebop):
     for axis, choice in fit.choices.items():
         assert choice.rejected and choice.scale == 0.0, axis
     assert not residual_output(fit.residual, samples.motion).any()
-    assert np.abs(evaluate("", samples, split.fold >= 0, fit).change).max() < 1e-9
+    assert np.abs(predict("", samples, split.fold >= 0, fit).change).max() < 1e-9
     # Without one of two flights there is none left to choose on.
     for left_out in (frozenset({0}), frozenset({1})):
         assert all("no second" in c.rejected for c in fits[left_out].choices.values())
@@ -113,7 +113,7 @@ def test_noise_is_rejected_and_so_is_what_nothing_validates(bebop):
 def _score(cross, square, spread=0.0):
     """One epoch, one axis, two seeds about the same moments."""
     seeds = np.array([cross - spread, cross + spread])[:, None, None]
-    return Score(np.array([[cross]]), np.array([[square]]), seeds, np.full((2, 1, 1), square))
+    return FoldMoments(np.array([[cross]]), np.array([[square]]), seeds, np.full((2, 1, 1), square))
 
 
 def test_selection_shrinks_for_the_flight_that_gets_worse():
@@ -142,8 +142,8 @@ def test_mirror_image_is_one_of_the_nominal_model(bebop):
     velocity, rates = random.normal(size=(20, 3)), random.normal(size=(20, 3))
     network = NETWORKS["moment"]
     image = mirrored(network, np.concatenate([rpm, velocity, rates], axis=1))
-    swapped = Motion(image[:, :4], rpm_rate[:, [1, 0, 3, 2]], image[:, 4:7], image[:, 7:])
-    moment = nominal(bebop, Motion(rpm, rpm_rate, velocity, rates))
+    swapped = ModelInputs(image[:, :4], rpm_rate[:, [1, 0, 3, 2]], image[:, 4:7], image[:, 7:])
+    moment = nominal(bebop, ModelInputs(rpm, rpm_rate, velocity, rates))
     sign = np.array([1.0, -1.0, 1.0, *network.mirror_output])
     np.testing.assert_allclose(nominal(bebop, swapped), moment * sign, atol=1e-12)
     assert [AXES[i] for i in network.columns] == ["Mx", "My", "Mz"]

@@ -16,7 +16,7 @@ from quadjax.plant.config import (
     SensorsConfig,
 )
 from quadjax.plant.covariance import Covariance
-from quadjax.plant.ekf import Motion, Sample
+from quadjax.plant.ekf import InertialSample, MotionEstimate
 from quadjax.plant.ekf_params import EkfParams, ekf_params
 from quadjax.plant.matrix import Mat3, Sym3
 from quadjax.plant.quaternion import Quaternion
@@ -54,7 +54,7 @@ def rotation_of(q: Quaternion) -> Rotation:
     return Rotation.from_quat(np.stack([np.float64(x) for x in (q.x, q.y, q.z, q.w)], axis=-1))
 
 
-def random_filter(seed: int) -> tuple[Nominal, np.ndarray, tuple[Sample, Sample]]:
+def random_filter(seed: int) -> tuple[Nominal, np.ndarray, tuple[InertialSample, InertialSample]]:
     """A state in mid-flight, a covariance with every correlation, and two inertial samples."""
     random = np.random.default_rng(seed)
     state = Nominal(
@@ -69,14 +69,14 @@ def random_filter(seed: int) -> tuple[Nominal, np.ndarray, tuple[Sample, Sample]
     covariance = scales[:, None] * (root @ root.T) * scales
     rates, force = 3.0 * random.normal(size=3), np.array([0.5, -0.4, -14.0])
     samples = tuple(
-        Sample(vec3(rates + 0.1 * change), vec3(force + change), jnp.float32(1.0 / RATE))
+        InertialSample(vec3(rates + 0.1 * change), vec3(force + change), jnp.float32(1.0 / RATE))
         for change in random.normal(size=(2, 3))
     )
     return state, covariance, samples
 
 
-def motion_of(state: Nominal) -> Motion:
-    return Motion(
+def motion_of(state: Nominal) -> MotionEstimate:
+    return MotionEstimate(
         vec3(state.position),
         vec3(state.velocity),
         quaternion_of(state.attitude),
@@ -85,7 +85,7 @@ def motion_of(state: Nominal) -> Motion:
     )
 
 
-def nominal_of(motion: Motion) -> Nominal:
+def nominal_of(motion: MotionEstimate) -> Nominal:
     vectors = (motion.position, motion.velocity, motion.gyro_bias, motion.force_bias)
     position, velocity, gyro, force = (np.float64(v.array()) for v in vectors)
     return Nominal(position, velocity, rotation_of(motion.attitude), gyro, force)

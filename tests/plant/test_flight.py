@@ -8,9 +8,10 @@ from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs
 from quadjax.plant.config import PlantConfig, load_plant_config
-from quadjax.plant.flights import fly_plan, plan_flights, race_config, recordings, rows
-from quadjax.plant.logs import gate_centers, log_quantities, write_logs
+from quadjax.plant.flights import fly_plan, recordings, rows
+from quadjax.plant.logs import log_quantities, write_logs
 from quadjax.policy.file import Policy
+from quadjax.studies.plant_races import gate_centers, plan_logs, plan_race, race_config
 from tests.evaluation.support import random_policy
 
 PLANT = load_plant_config(CONFIGS / "plant" / "standin.yaml")
@@ -20,7 +21,8 @@ EXACT = PLANT.replace(navigation="ground_truth")
 def flown(name: str, plant: PlantConfig):
     config = load_config("e2e")
     policy = Policy.load(PRETRAINED / name)
-    return config, fly_plan(plan_flights(config, plant, policy, name, 1, 2, 2), seed=3)
+    plan = plan_race(config, plant, policy, name, lap_count=1, runs=2, recorded=2)
+    return config, fly_plan(plan, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +61,8 @@ def test_policies_observe_estimates(name, request):
 
 def test_logs_are_written_by_policy_and_the_fit_reads_them(indi, tmp_path):
     race, _ = indi
-    written = write_logs(
-        race, EXACT, [PRETRAINED / "indi_shac.npz"], tmp_path, flights=2, laps=1, seed=3
-    )
+    plans = plan_logs(race, EXACT, [PRETRAINED / "indi_shac.npz"], flights=2, laps=1)
+    written = write_logs(plans, tmp_path, seed=3)
     assert [log.path.name for log in written] == ["indi_shac_0.csv", "indi_shac_1.csv"]
     for log in written:
         assert len(log.path.read_text().splitlines()) == log.rows + 1

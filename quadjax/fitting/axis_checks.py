@@ -1,0 +1,194 @@
+"""Signs and order of a flight log's columns, from what the columns show about one another.
+
+Kinematics relate the quantities of a log: the change of the attitude is the gyro's, that of the
+position is the velocity, that of the velocity less gravity is the accelerometer's specific force,
+and the propellers' speeds turn the drone. A column that is negated, swapped with another, scaled
+or unrelated contradicts the others. Where a flight does not move about an axis there is no
+evidence, and the column is reported as not checked.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.fitting.columns import UNIT_OF
+from quadjax.fitting.signals import derivative, low_pass
+
+if TYPE_CHECKING:
+    from quadjax.fitting.flight_log import FlightLog
+
+BAND = 5.0  # Hz, of the motion that is compared
+EDGE = 0.3  # s at either end of a log that the filters distort
+GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s^2, world
+EXPLAINED = 0.5  # fraction of a column's variance that what it is taken for explains
+UNRELATED = 0.3  # correlation below which a column does not follow what it should be
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Columns of one quantity, and what other columns show them to be: (n, k) each."""
+
+    quantity: str
+    columns: list[str]
+    measured: np.ndarray
+    shown: np.ndarray
+    meanings: list[str]  # of the columns of ``shown``
+    source: str  # the columns that show it
+    least: float  # standard deviation of ``shown`` that is motion and not noise
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What contradicts the evidence, clause by clause, and what lacks evidence."""
+
+    contradictions: list[str]
+    unchecked: list[str]
+
+
+def check_axes(log: "FlightLog") -> list[str]:
+    """Compare gyro, velocity and accelerometer of a log with its other columns.
+
+    Returns:
+        What could not be checked for want of evidence, as text.
+
+    Raises:
+        InputError: a column that contradicts the others, in one line.
+    """
+    unchecked: list[str] = []
+    for candidates in (_gyro(log), _velocity(log), _acceleration(log)):
+        unchecked += [candidates] if isinstance(candidates, str) else compare(log, candidates)
+    return unchecked
+
+
+def compare(log: "FlightLog", candidates: list[Evidence]) -> list[str]:
+    """Check the columns of one quantity, by evidence in one frame or in several.
+
+    Results and errors as of ``check_axes``.
+    """
+    verdicts = [_verdict(_moving(log, evidence)) for evidence in candidates]
+    # Columns that are wrong in one frame make more columns look wrong in the other.
+    contradictions = sorted((v.contradictions for v in verdicts if v.contradictions), key=len)
+    if contradictions:
+        raise InputError(f"{log.path}: {', '.join(contradictions[0])}")
+    return [line for verdict in verdicts for line in verdict.unchecked]
+
+
+def listed(names: list[str]) -> str:
+    """Names of columns in quotes, for a message."""
+    return ", ".join(repr(name) for name in names)
+
+
+def inner_rows(log: "FlightLog") -> np.ndarray:
+    """Indices of the rows in flight, without the ends of the log."""
+    edge = round(EDGE * log.sample_rate)
+    rows = np.flatnonzero(log.flying[edge:-edge]) + edge
+    return rows if len(rows) else np.arange(len(log.time))
+
+
+def _gyro(log: "FlightLog") -> list[Evidence] | str:
+    names, attitude = log.columns["gyro"], log.attitude
+    if attitude is None:
+        return f"{listed(names)} (no attitude)"
+    span = max(1, round(0.02 * log.sample_rate))
+
+    def padded(values: np.ndarray) -> np.ndarray:
+        """Differences over two spans as rates (n, 3), rad/s."""
+        rates = np.pad(values, ((span, span), (0, 0)), "edge")
+        return rates * (0.5 * log.sample_rate / span)
+
+    turn = padded((attitude[: -2 * span].inv() * attitude[2 * span :]).as_rotvec())
+    meanings = ["roll rate", "pitch rate", "yaw rate"]
+    result = [Evidence("gyro", names, log.rates, turn, meanings, _attitude(log), 0.05)]
+    if "quaternion" in log.columns:
+        return result
+    # The derivatives of the angles, times the cosine of pitch, where they are not singular.
+    roll, pitch, _ = angles = attitude.as_euler("ZYX").T[::-1]
+    change = angles[:, 2 * span :] - angles[:, : -2 * span]
+    slopes = padded(((change + np.pi) % (2.0 * np.pi) - np.pi).T) * np.cos(pitch)[:, None]
+    p, q, r = log.rates.T
+    yawing = q * np.sin(roll) + r * np.cos(roll)
+    pitching = q * np.cos(roll) - r * np.sin(roll)
+    rolling = p * np.cos(pitch) + yawing * np.sin(pitch)
+    shown = np.stack([rolling, pitching * np.cos(pitch), yawing], axis=1)
+    meanings = [f"derivative of {angle}" for angle in ("roll", "pitch", "yaw")]
+    own = log.columns["euler"]
+    return [*result, Evidence("euler", own, slopes, shown, meanings, listed(names), 0.05)]
+
+
+def _velocity(log: "FlightLog") -> list[Evidence] | str:
+    quantity = "world_velocity" if "world_velocity" in log.columns else "body_velocity"
+    names = log.columns[quantity]
+    if log.position is None or log.attitude is None:
+        return f"{listed(names)} (no {'attitude' if log.position is not None else 'position'})"
+    moved, speed = derivative(log.position, log.sample_rate), log.attitude.apply(log.body_velocity)
+    of_position = listed(log.columns["position"])
+    world = [f"velocity {direction}" for direction in ("north", "east", "down")]
+    if quantity == "world_velocity":
+        return [Evidence(quantity, names, speed, moved, world, of_position, 0.1)]
+    own = [f"velocity along body {axis}" for axis in "xyz"]
+    seen = log.attitude.inv().apply(moved)
+    return [
+        Evidence(quantity, names, log.body_velocity, seen, own, of_position, 0.1),
+        Evidence("position", log.columns["position"], moved, speed, world, listed(names), 0.1),
+    ]
+
+
+def _acceleration(log: "FlightLog") -> list[Evidence] | str:
+    names, force = log.columns["acceleration"], log.specific_force
+    velocity = listed(log.columns.get("body_velocity") or log.columns["world_velocity"])
+    meanings = [f"specific force along body {axis}" for axis in "xyz"]
+    if log.attitude is not None:
+        slope = derivative(log.attitude.apply(log.body_velocity), log.sample_rate)
+        shown, source = log.attitude.inv().apply(slope - GRAVITY), f"{velocity}, {_attitude(log)}"
+        return [Evidence("acceleration", names, force, shown, meanings, source, 0.3)]
+    # Without an attitude there is the drag of the propellers, of unknown size.
+    drag = -log.body_velocity[:, :2] * log.rpm.sum(axis=1, keepdims=True)
+    drag *= force[:, :2].std() / max(drag.std(), 1e-12)
+    return [Evidence("acceleration", names[:2], force[:, :2], drag, meanings[:2], velocity, np.inf)]
+
+
+def _attitude(log: "FlightLog") -> str:
+    return listed(log.columns.get("quaternion") or log.columns["euler"])
+
+
+def _moving(log: "FlightLog", evidence: Evidence) -> Evidence:
+    """The evidence in flight, low-pass filtered, about its mean."""
+    rows = inner_rows(log)
+
+    def passed(values: np.ndarray) -> np.ndarray:
+        smooth = low_pass(values, log.sample_rate, BAND)[rows]
+        return smooth - smooth.mean(axis=0)
+
+    return replace(evidence, measured=passed(evidence.measured), shown=passed(evidence.shown))
+
+
+def _verdict(evidence: Evidence) -> Verdict:
+    """Find what each column is: its own meaning, another column's, or minus one of them."""
+    own, theirs = evidence.measured.std(axis=0), np.maximum(evidence.shown.std(axis=0), 1e-12)
+    ratio = own[:, None] / theirs
+    product = evidence.measured.T @ evidence.shown / len(evidence.shown)
+    correlation = product / np.maximum(own[:, None] * theirs, 1e-24)
+    clauses, unchecked, hints = [], [], {}
+    for i, name in enumerate(evidence.columns):
+        signed = np.stack([correlation[i], -correlation[i]])
+        unexplained = 1.0 - np.maximum(signed, 0.0) ** 2
+        right = unexplained[0, i]
+        unexplained[:, (ratio[i] < 0.5) | (ratio[i] > 2.0)] = 1.0
+        sign, axis = np.unravel_index(int(unexplained.argmin()), unexplained.shape)
+        least = unexplained[sign, axis]
+        if (sign, axis) != (0, i) and least < EXPLAINED and least < 0.25 * right:
+            clauses.append(f"column {name!r} is {'minus ' * sign}the {evidence.meanings[axis]}")
+            hints["swapped?" if axis != i else "negated?"] = None
+        elif right < EXPLAINED and not 0.2 < ratio[i, i] < 5.0:
+            clauses.append(f"column {name!r} is {ratio[i, i]:.3g} times the {evidence.meanings[i]}")
+            hints[f"is logs.units.{UNIT_OF[evidence.quantity]} right?"] = None
+        elif right >= EXPLAINED and correlation[i, i] < UNRELATED and theirs[i] > evidence.least:
+            clauses.append(f"column {name!r} does not follow the {evidence.meanings[i]}")
+        elif right >= EXPLAINED:
+            unchecked.append(repr(name))
+    if clauses:
+        clauses[-1] += f" that {evidence.source} show"
+        clauses[-1] += f" (correlation {correlation.diagonal().min():.2f}); {' '.join(hints)}"
+    return Verdict([clause.rstrip("; ") for clause in clauses], unchecked)

@@ -1,0 +1,153 @@
+"""Order of a flight log's motors, from the angular accelerations that their speeds cause.
+
+Each order of the four motors, with each sign of the gyro's axes, predicts the angular
+accelerations by the nominal model, with non-negative constants. The likelihoods of these
+hypotheses, relative to that of the log as it is, are the evidence. Steady speeds are left out:
+at low frequencies the propellers' moments balance others that the model lacks.
+"""
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.signal import butter, lfilter, sosfiltfilt
+
+from quadjax.core.errors import InputError
+from quadjax.fitting.axis_checks import Evidence, compare, inner_rows, listed
+from quadjax.fitting.signals import derivative
+
+if TYPE_CHECKING:
+    from quadjax.fitting.flight_log import FlightLog
+
+BAND = (1.0, 16.0)  # Hz
+LAG = 0.05  # s, typical of propellers that follow their commands
+ENOUGH = 6.0  # difference of log-likelihoods that is evidence
+# Signs of roll, pitch and yaw of motors 1 to 4.
+SIGNS = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
+CORNERS = ("front left", "front right", "rear right", "rear left")
+ORDERS = tuple(itertools.permutations(range(4)))
+FLIPS = tuple(itertools.product((1.0, -1.0), repeat=3))
+
+
+def check_motors(log: "FlightLog") -> list[str]:
+    """Compare the motors' speeds with the angular accelerations.
+
+    Returns:
+        What could not be checked for want of evidence, as text.
+
+    Raises:
+        InputError: another order of the motors, or another sign of a rate, fits better.
+    """
+    likelihood = _likelihoods(log)  # (orders, axes, 2 signs)
+    total = {
+        (order, flips): sum(by_axis[axis, int(sign < 0.0)] for axis, sign in enumerate(flips))
+        for order, by_axis in zip(ORDERS, likelihood, strict=True)
+        for flips in FLIPS
+    }
+    # Some hypotheses are the same, such as mirrored motors and negated p and r. The signs of a
+    # gyro that was compared with the attitude are less in doubt than the order of the motors.
+    doubt = 1 if log.attitude is None else 3
+    changes = {
+        (order, flips): np.count_nonzero(np.subtract(order, ORDERS[0])) + doubt * flips.count(-1.0)
+        for order, flips in total
+    }
+    best = max(total, key=lambda key: (round(total[key], 3), -changes[key]))
+    logged = total[ORDERS[0], FLIPS[0]]
+    if total[best] > logged + ENOUGH:
+        raise InputError(f"{log.path}: {_contradiction(log, *best)}")
+    unsure = [
+        name
+        for i, name in enumerate(log.columns["rpm"])
+        if logged < ENOUGH + max(total[order, FLIPS[0]] for order in ORDERS if order[i] != i)
+    ]
+    turns = [
+        name
+        for axis, name in enumerate(log.columns["gyro"])
+        if likelihood[0][axis, 0] < ENOUGH + likelihood[0][axis, 1]
+    ]
+    lines = [f"the order of {listed(unsure)}"] if unsure else []
+    return lines + [f"{name!r} against the motors" for name in turns]
+
+
+def check_commands(log: "FlightLog") -> list[str]:
+    """Compare the commanded speeds with the measured ones; as ``check_motors``."""
+    if log.rpm_command is None:
+        return []
+    keep = np.exp(-1.0 / (LAG * log.sample_rate))
+    start = keep * log.rpm_command[:1]
+    followed, _ = lfilter([1.0 - keep], [1.0, -keep], log.rpm_command, axis=0, zi=start)
+    own, theirs = (values - values.mean(axis=1, keepdims=True) for values in (followed, log.rpm))
+    names, speeds = log.columns["rpm_command"], log.columns["rpm"]
+    meanings = [f"speed {name!r}" for name in speeds]
+    evidence = Evidence("rpm_command", names, own, theirs, meanings, listed(speeds), np.inf)
+    return compare(log, [evidence])
+
+
+def _contradiction(log: "FlightLog", order: tuple[int, ...], flips: tuple[float, ...]) -> str:
+    """What another hypothesis says about the columns of a log."""
+    names, rates, parts = log.columns["rpm"], log.columns["gyro"], []
+    if order != ORDERS[0]:
+        moved = [names[i] for i in range(4) if order[i] != i]
+        fits = ", ".join(f"{names[i]!r} {corner}" for i, corner in zip(order, CORNERS, strict=True))
+        parts.append(f"columns {listed(moved)} swapped? the angular accelerations show {fits}")
+    for name, sign in zip(rates, flips, strict=True):
+        if sign < 0.0:
+            parts.append(
+                f"column {name!r} turns against the moments of {listed(names)}: negated, or "
+                "propellers of the other direction?"
+            )
+    return "; ".join(parts)
+
+
+def _likelihoods(log: "FlightLog") -> list[np.ndarray]:
+    """Log-likelihoods (3 axes, 2 signs) of each of ``ORDERS``, relative to no effect of motors."""
+    rate = log.sample_rate
+    filter_ = butter(2, (BAND[0], min(BAND[1], 0.4 * rate)), "band", fs=rate, output="sos")
+
+    rows = inner_rows(log)
+
+    def passed(values: np.ndarray, slope: bool = False) -> np.ndarray:
+        # The derivative of the filtered signal: noise in a derivative rings from the log's ends.
+        smooth = sosfiltfilt(filter_, values, axis=0)
+        return (derivative(smooth, rate) if slope else smooth)[rows]
+
+    p, q, r = log.rates.T
+    coupling = np.stack([q * r, r * p, p * q], axis=1)
+    others = np.concatenate([log.body_velocity, log.rates, coupling], axis=1)
+    basis = np.linalg.qr(passed(others))[0]
+
+    def freed(values: np.ndarray, slope: bool = False) -> np.ndarray:
+        own = passed(values, slope)
+        return own - basis @ (basis.T @ own)
+
+    turning = freed(log.rates, slope=True)
+    rpm = log.rpm / log.rpm.mean()
+    squares, speeds, changes = freed(rpm**2), freed(rpm), freed(rpm, slope=True)
+    independent = 0.25 * 2.0 * (BAND[1] - BAND[0]) * len(rows) / rate
+    result = []
+    for order in ORDERS:
+        signs = np.empty((3, 4))
+        signs[:, list(order)] = SIGNS
+        roll, pitch, yaw = signs
+        effects = ([squares @ roll], [squares @ pitch], [speeds @ yaw, changes @ yaw])
+        gains = [
+            [_explained(sign * turning[:, axis], columns) for sign in (1.0, -1.0)]
+            for axis, columns in enumerate(effects)
+        ]
+        result.append(-0.5 * independent * np.log1p(-np.array(gains)))
+    return result
+
+
+def _explained(target: np.ndarray, columns: list[np.ndarray]) -> float:
+    """Fraction of a signal (n,) that columns (n,) explain with non-negative factors."""
+    matrix = np.stack(columns, axis=1)
+    gram, product = matrix.T @ matrix, matrix.T @ target
+    energy = float(target @ target)
+    if energy * np.trace(gram) == 0.0:
+        return 0.0
+    # The Cholesky factor of the normal equations has the same least squares in few rows.
+    factor = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(len(columns)))
+    projected = np.linalg.solve(factor, product)
+    _, left = nnls(factor.T, projected)
+    return min((float(projected @ projected) - left**2) / energy, 1.0 - 1e-9)

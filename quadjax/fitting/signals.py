@@ -1,0 +1,47 @@
+"""Filters and derivatives of sampled signals."""
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt, welch
+
+from quadjax.core.errors import InputError
+
+
+def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
+    """Zero-phase second-order Butterworth low-pass along the first axis.
+
+    Args:
+        signal: (n, ..) evenly spaced samples.
+        sample_rate: Hz.
+        cutoff: Hz; forwards and backwards, so -6 dB there.
+
+    Raises:
+        InputError: a cut-off that is not between zero and half the sample rate.
+    """
+    if not 0.0 < cutoff < 0.5 * sample_rate:
+        raise InputError(
+            f"prepare.cutoff is {cutoff} Hz, allowed: above 0 and below half the sample rate "
+            f"({sample_rate:.4g} Hz)"
+        )
+    return sosfiltfilt(butter(2, cutoff, fs=sample_rate, output="sos"), signal, axis=0)
+
+
+def derivative(signal: np.ndarray, sample_rate: float) -> np.ndarray:
+    """Time derivative along the first axis, by fourth-order central differences."""
+    slope = np.gradient(signal, 1.0 / sample_rate, axis=0)
+    if len(signal) > 4:
+        near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
+        slope[2:-2] = (8.0 * near - far) * (sample_rate / 12.0)
+    return slope
+
+
+def noise_level(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
+    """Standard deviation (k,) of the white noise in signals (n, k).
+
+    From the median of the spectrum between 0.3 and 0.48 of the sample rate, above the drone's
+    motion and robust against vibration peaks; zero where the cutoff is too close to that band.
+    """
+    if 0.3 * sample_rate < 2.0 * cutoff:
+        return np.zeros(signal.shape[1])
+    frequency, power = welch(signal, sample_rate, nperseg=min(256, len(signal)), axis=0)
+    band = (frequency > 0.3 * sample_rate) & (frequency < 0.48 * sample_rate)
+    return np.sqrt(np.median(power[band], axis=0) * 0.5 * sample_rate)

@@ -1,0 +1,140 @@
+"""Faults of a log's columns: negated, swapped, constant. Each must be refused in one line."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.fitting import simulate
+from quadjax.fitting.columns import PRESETS
+from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.flight_log import log_of_columns
+from quadjax.fitting.simulate import SensorNoise, random_residual, simulate_flight
+from quadjax.vehicle.protocol import VehicleParams
+
+from .conftest import FLIGHTS
+
+VECTORS = ("gyro", "acceleration", "body_velocity", "world_velocity", "position", "euler")
+
+
+def faults(columns, form):
+    """Every fault by its name: the changed columns."""
+    names = {q: names for q, names in PRESETS[form].items() if names[0] in columns}
+    vectors = [names[quantity] for quantity in VECTORS if quantity in names]
+    found = {f"-{name}": {name: -columns[name]} for group in vectors for name in group}
+    motors = names["rpm"]
+    found |= {f"-{name}": {name: -columns[name]} for name in motors}
+    swaps = [*vectors, motors, names.get("rpm_command", [])]
+    for a, b in (pair for group in swaps for pair in itertools.combinations(group, 2)):
+        found[f"{a} <-> {b}"] = {a: columns[b], b: columns[a]}
+    for label, order in {"mirrored": (1, 0, 3, 2), "turned": (1, 2, 3, 0)}.items():
+        found[f"motors {label}"] = {motors[i]: columns[motors[k]] for i, k in enumerate(order)}
+    for name in itertools.chain(motors, *vectors):
+        found[f"{name} constant"] = {name: np.full_like(columns[name], columns[name].mean())}
+    return found
+
+
+def accepted(columns, form, title):
+    """Faults that are not refused, with what is reported as not checked; prints every answer."""
+    config, missed = LogsConfig(format=form), {}
+    print(f"\n{title}")
+    for name, changed in faults(columns, form).items():
+        try:
+            log = log_of_columns(columns | changed, config, title)
+        except InputError as error:
+            line = str(error)
+            assert "\n" not in line and line.startswith(title)
+            assert any(repr(column) in line for column in columns)
+        else:
+            missed[name] = " ".join(log.unchecked)
+            line = f"accepted; not checked: {missed[name]}"
+        print(f"  {name:24} {line.removeprefix(title + ': ')}")
+    return missed
+
+
+@pytest.fixture(scope="module")
+def flown(bebop):
+    drone = VehicleParams(bebop, random_residual(5, 0.7, (0.008, 0.008, 0.003)))
+    return simulate_flight(drone, seed=1, seconds=4.0, sample_rate=250.0)
+
+
+def test_every_fault_of_a_short_flight_is_refused(flown):
+    assert accepted(flown, "paparazzi", "flight") == {}
+    assert log_of_columns(flown, LogsConfig(format="paparazzi"), "flight").unchecked == ()
+    assert len(faults(flown, "paparazzi")) > 60
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", sorted(FLIGHTS.glob("*.csv")), ids=lambda path: path.stem)
+def test_every_fault_of_a_real_flight_is_refused(path):
+    """But for those that a flight almost at a steady height and heading has no evidence of."""
+    header = path.open().readline().strip().split(",")
+    columns = dict(zip(header, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+    log_of_columns(columns, LogsConfig(), "flight")
+    missed = accepted(columns, "plain", "flight")
+    assert len(missed) <= 2
+    for name, unchecked in missed.items():
+        assert repr(name.split()[0].strip("-")) in unchecked
+
+
+def minus(*names):
+    return lambda columns: {name: -columns[name] for name in names}
+
+
+@pytest.mark.parametrize(
+    ("message", "wrong"),
+    [
+        ("column 'rate_q' is minus the pitch rate that 'att_phi', ", minus("rate_q")),
+        ("column 'vel_x' is minus the velocity north that 'pos_x', ", minus("vel_x")),
+        (
+            "column 'rate_p' is the pitch rate, column 'rate_q' is the roll rate .* swapped?",
+            lambda columns: {"rate_p": columns["rate_q"], "rate_q": columns["rate_p"]},
+        ),
+        (
+            "columns 'rpm_obs_1', 'rpm_obs_3' swapped?",
+            lambda columns: {f"rpm_obs_{i}": columns[f"rpm_obs_{4 - i}"] for i in (1, 3)},
+        ),
+        (
+            "column 'vel_z' is 100 times the velocity down .*logs.units.velocity",
+            lambda columns: {"vel_z": 100.0 * columns["vel_z"]},
+        ),
+    ],
+)
+def test_the_line_names_the_columns_and_the_evidence(flown, message, wrong):
+    with pytest.raises(InputError, match=message):
+        log_of_columns(flown | wrong(flown), LogsConfig(format="paparazzi"), "flight")
+
+
+def test_what_has_no_evidence_is_reported(bebop, monkeypatch):
+    monkeypatch.setattr(simulate, "_wandering", lambda random, count, rate: np.zeros((count, 4)))
+    hover = simulate_flight(VehicleParams(bebop), seed=1, seconds=4.0, sample_rate=250.0)
+    lines = log_of_columns(hover, LogsConfig(format="paparazzi"), "flight").unchecked
+    assert "'rate_r'" in lines
+    assert any("'rpm_obs_1'" in line for line in lines)
+
+
+def test_noise_is_not_a_contradiction(bebop):
+    noise = SensorNoise(rpm=100.0, gyro=0.05, acceleration=1.0, velocity=0.1, angle=0.01)
+    noisy = simulate_flight(VehicleParams(bebop), 3, 4.0, 250.0, noise)
+    log_of_columns(noisy, LogsConfig(format="paparazzi"), "flight")
+
+
+def test_without_attitude_and_position_the_drag_shows_the_accelerometer(flown):
+    log = log_of_columns(flown, LogsConfig(format="paparazzi"), "flight")
+    plain = {"t": log.time}
+    for quantity, values in (
+        ("rpm", log.rpm),
+        ("gyro", log.rates),
+        ("acceleration", log.specific_force),
+        ("body_velocity", log.body_velocity),
+    ):
+        plain |= dict(zip(PRESETS["plain"][quantity], values.T, strict=True))
+    lines = log_of_columns(plain, LogsConfig(), "flight").unchecked
+    assert "'p', 'q', 'r' (no attitude)" in lines
+    for name, message in (
+        ("ax", "column 'ax' is minus the specific force"),
+        ("r", "column 'r' turns against the moments of 'rpm_1', "),
+    ):
+        with pytest.raises(InputError, match=message):
+            log_of_columns(plain | {name: -plain[name]}, LogsConfig(), "flight")
