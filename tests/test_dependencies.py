@@ -18,7 +18,7 @@ ALLOWED = {
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle"},
     "integrations": CONFIG | {"config", "policy", "training"},
-    "plant": CONFIG | {"config", "policy", "evaluation", "fitting"},
+    "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation"},
     "studies": CONFIG
     | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations"},
@@ -56,7 +56,10 @@ def test_every_package_is_in_the_table():
     assert packages - {"cli"} == set(ALLOWED)
 
 
-WITHOUT_CONFIG = ("core", "vehicle", "race", "learners", "policy", "evaluation", "integrations")
+WITHOUT_CONFIG = (
+    *("core", "vehicle", "race", "learners", "policy", "evaluation", "integrations"),
+    *("fitting", "plant"),
+)
 EDGES = {"evaluate", "_make", "_make_vector"}  # public functions that also take a preset's name
 
 
