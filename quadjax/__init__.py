@@ -12,7 +12,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from quadjax.config.loading import load_config as load
     from quadjax.config.race import make_race
-    from quadjax.config.schema import Config, Schedule
+    from quadjax.config.schema import Config
     from quadjax.core.environment import Environment
     from quadjax.core.errors import InputError
     from quadjax.core.resources import preset_names as presets
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from quadjax.evaluation.evaluation import Evaluation, evaluate
     from quadjax.export.convert import export_c
     from quadjax.learners.ppo.hyperparameters import PPO
-    from quadjax.learners.section import LearnerSection, Network
+    from quadjax.learners.section import LearnerSection, Network, Schedule
     from quadjax.learners.shac.hyperparameters import SHAC
     from quadjax.learners.state import Learner, TrainState
     from quadjax.learners.train import TrainResult
@@ -35,7 +35,7 @@ _PUBLIC = {  # name: "module:object"
     "load": "quadjax.config.loading:load_config",
     "presets": "quadjax.core.resources:preset_names",
     "Config": "quadjax.config.schema:Config",
-    "Schedule": "quadjax.config.schema:Schedule",
+    "Schedule": "quadjax.learners.section:Schedule",
     "make_race": "quadjax.config.race:make_race",
     "train": "quadjax.training.run:train",
     "Run": "quadjax.training.result:Run",

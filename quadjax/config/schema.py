@@ -10,9 +10,9 @@ from pydantic import SerializeAsAny
 
 from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
-from quadjax.core.sections import LARGEST, Field, FolderName, Section, to_yaml
+from quadjax.core.sections import Field, FolderName, Section, to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.section import LearnerSection, Network
+from quadjax.learners.section import LearnerSection, Network, Schedule
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Constant = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -20,7 +20,6 @@ Fraction = Annotated[float, Field(ge=0, le=0.9)]
 Devices = Annotated[int, Field(ge=1, le=4096)]
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
-Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Penalty = Annotated[float, Field(ge=0, le=1e6)]
 
 
@@ -285,40 +284,6 @@ class Evaluate(Section):
 
     laps: int = Field(6, ge=1, le=MAX_LAPS, description="laps of a run")
     runs: int = Field(5, ge=1, le=MAX_RUNS, description="runs")
-
-
-class Schedule(Section):
-    """Values of one number during training."""
-
-    linear: tuple[Value | Literal["value"], ...] = Field(
-        min_length=2,
-        max_length=64,
-        description="values at equal distances, linear in between; value: the key's own",
-    )
-    start: float = Field(
-        0.0,
-        alias="from",
-        ge=0,
-        le=1e12,
-        description="when the first value ends: up to 1 a fraction of the run, above 1 steps",
-    )
-    until: float = Field(
-        1.0, gt=0, le=1e12, description="when the last value is reached: as from; 1 is the end"
-    )
-
-    def knots(self, run_steps: int, total: int) -> list[float]:
-        """Environment steps of the values.
-
-        Args:
-            run_steps: ``run.steps``, of which fractions are taken.
-            total: steps of the run, a whole number of chunks: its end.
-        """
-        begin, end = (
-            float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)
-            for x in (self.start, self.until)
-        )
-        last = len(self.linear) - 1
-        return [begin + (end - begin) * i / last for i in range(last + 1)]
 
 
 class Config(Section):

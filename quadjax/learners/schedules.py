@@ -11,7 +11,7 @@ traced: other numbers for the same leaves do not trigger recompilation.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -20,13 +20,14 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
+from quadjax.learners.section import Schedule
 from quadjax.learners.state import Learner, Metrics, TrainState
 
 Tree = Any  # a pytree
 
 
 @struct.dataclass
-class Schedule:
+class Knots:
     """Values of some leaves of a pytree at each knot."""
 
     knots: jax.Array  # (k,) number of updates, not decreasing
@@ -40,12 +41,12 @@ class Scheduled:
     """Hyperparameters of a learner together with the schedules of the run."""
 
     hyper: Tree
-    schedules: tuple[Schedule, ...]
+    schedules: tuple[Knots, ...]
 
 
 def make_schedule(
     key: str, steps: Sequence[float], trees: Sequence[Tree], steps_per_update: int
-) -> Schedule:
+) -> Knots:
     """A schedule from the run's numbers at each knot.
 
     Args:
@@ -81,12 +82,40 @@ def make_schedule(
     knots = np.asarray(steps, np.float64) / steps_per_update
     lengths = np.diff(knots)
     rates = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 0)
-    return Schedule(
+    return Knots(
         knots=jnp.asarray(knots, jnp.float32),
         rates=jnp.asarray(rates, jnp.float32),
         values=tuple(jnp.asarray(np.stack(columns[i])) for i in changed),
         leaves=tuple(changed),
     )
+
+
+def schedule_learner(
+    learner: Learner,
+    schedules: Mapping[str, Schedule],
+    numbers_at: Callable[[str, float | None], Tree],
+    steps: int,
+    total: int,
+) -> Learner:
+    """The learner with hyperparameters and environment parameters that follow schedules.
+
+    Args:
+        learner: any learner.
+        schedules: by the key of a number.
+        numbers_at: ``(key, value) -> (hyperparameters, environment parameters)`` with the key at a
+            value; None is its own value.
+        steps: wanted environment steps of the run, of which fractions are taken.
+        total: environment steps of the run, a whole number of updates.
+
+    Raises:
+        InputError: a schedule without effect, or of what is no number.
+    """
+    built = {}
+    for key, schedule in schedules.items():
+        trees = [numbers_at(key, None if x == "value" else x) for x in schedule.linear]
+        knots = schedule.knots(steps, total)
+        built[key] = make_schedule(key, knots, trees, learner.steps_per_update)
+    return with_schedules(learner, built)
 
 
 def _shapes(tree: Tree) -> list[tuple[tuple[int, ...], np.dtype]]:
@@ -97,7 +126,7 @@ def _host_leaves(tree: Tree) -> list[np.ndarray]:
     return [np.asarray(x) for x in jax.tree.leaves(jax.device_get(tree))]
 
 
-def interpolate(schedule: Schedule, update: jax.Array) -> list[jax.Array]:
+def interpolate(schedule: Knots, update: jax.Array) -> list[jax.Array]:
     """The scheduled leaves after ``update`` () updates."""
     done = update.astype(jnp.float32)
     results = [values[0] for values in schedule.values]
@@ -109,7 +138,7 @@ def interpolate(schedule: Schedule, update: jax.Array) -> list[jax.Array]:
     return results
 
 
-def apply_schedules(tree: Tree, schedules: Sequence[Schedule], update: jax.Array) -> Tree:
+def apply_schedules(tree: Tree, schedules: Sequence[Knots], update: jax.Array) -> Tree:
     """The pytree with its scheduled leaves as they are after ``update`` () updates."""
     leaves, structure = jax.tree.flatten(tree)
     for schedule in schedules:
@@ -118,7 +147,7 @@ def apply_schedules(tree: Tree, schedules: Sequence[Schedule], update: jax.Array
     return jax.tree.unflatten(structure, leaves)
 
 
-def with_schedules(learner: Learner, schedules: dict[str, Schedule]) -> Learner:
+def with_schedules(learner: Learner, schedules: dict[str, Knots]) -> Learner:
     """The learner with hyperparameters and environment parameters that follow schedules.
 
     ``init`` and ``update`` of the learner get the numbers of the first knots and of the update's
@@ -151,7 +180,7 @@ def with_schedules(learner: Learner, schedules: dict[str, Schedule]) -> Learner:
     return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
 
 
-def _check_disjoint(schedules: dict[str, Schedule]) -> None:
+def _check_disjoint(schedules: dict[str, Knots]) -> None:
     owner: dict[int, str] = {}
     for key, schedule in schedules.items():
         for leaf in schedule.leaves:

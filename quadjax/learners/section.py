@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from quadjax.core.sections import Field, Section
+from quadjax.core.sections import LARGEST, Field, Section
 
 if TYPE_CHECKING:  # JAX is imported when it is used
     from quadjax.core.environment import Environment
     from quadjax.learners.networks import Networks
     from quadjax.learners.state import Learner
-    from quadjax.learners.train import Schedules, TrainResult
+    from quadjax.learners.train import TrainResult
 
 MAX_ENVS = 1_000_000
 MAX_UPDATE_STEPS = 250_000_000  # environment steps of an update, all of which are in memory at once
+Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Width = Annotated[int, Field(ge=1, le=8192)]
 
 
@@ -27,6 +28,43 @@ class Network(Section):
     activation: Literal["relu", "tanh"] = Field(
         "relu", description="activation of the hidden layers"
     )
+
+
+class Schedule(Section):
+    """Values of one number during training: a hyperparameter, or one of the environment."""
+
+    linear: tuple[Value | Literal["value"], ...] = Field(
+        min_length=2,
+        max_length=64,
+        description="values at equal distances, linear in between; value: the key's own",
+    )
+    start: float = Field(
+        0.0,
+        alias="from",
+        ge=0,
+        le=1e12,
+        description="when the first value ends: up to 1 a fraction of the run, above 1 steps",
+    )
+    until: float = Field(
+        1.0, gt=0, le=1e12, description="when the last value is reached: as from; 1 is the end"
+    )
+
+    def knots(self, run_steps: int, total: int) -> list[float]:
+        """Environment steps of the values.
+
+        Args:
+            run_steps: ``run.steps``, of which fractions are taken.
+            total: steps of the run, a whole number of chunks: its end.
+        """
+        begin, end = (
+            float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)
+            for x in (self.start, self.until)
+        )
+        last = len(self.linear) - 1
+        return [begin + (end - begin) * i / last for i in range(last + 1)]
+
+
+Schedules = Mapping[str, Schedule | Sequence[float | Literal["value"]]]
 
 
 class LearnerSection(Section):

@@ -1,27 +1,29 @@
 """Training on any environment, in memory: without a config, a folder or checkpoints."""
 
 import dataclasses
+import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_SEED, check_integer
-from quadjax.core.sections import Section
+from quadjax.core.sections import Section, build
+from quadjax.core.yaml_files import close_match
 from quadjax.learners.devices import choose_devices
 from quadjax.learners.loop import Row, check_finite, plan_chunks
 from quadjax.learners.networks import ActorCritic, Networks
-from quadjax.learners.schedules import make_schedule, with_schedules
-from quadjax.learners.section import Network
+from quadjax.learners.schedules import schedule_learner
+from quadjax.learners.section import Network, Schedule, Schedules
 from quadjax.learners.sharding import compile_chunk, make_mesh, place
 from quadjax.learners.state import Learner
 
 CHUNKS = 20  # of a run, at most: how often progress is reported
-Schedules = Mapping[str, Sequence[float]]  # name of a hyperparameter -> values, evenly spaced
 
 
 class MakesLearner(Protocol):
@@ -66,8 +68,9 @@ def train(
         steps: environment steps of the run; rounded to whole updates.
         seed: of all random numbers.
         network: hidden layers of policy and value.
-        schedules: values of hyperparameters over the run, evenly spaced and linear in between, such
-            as ``{"learning_rate": [3e-3, 0.0]}``.
+        schedules: numbers that change during training: a ``Schedule``, or only its values, by the
+            name of a hyperparameter or the dotted path of a leaf of ``params``, such as
+            ``{"learning_rate": [3e-3, 0.0], "reward.gate": Schedule(linear=(0, 10), until=0.5)}``.
         progress: called with a row of metrics after every chunk of updates.
 
     Returns:
@@ -80,7 +83,7 @@ def train(
     check_integer("steps", steps, 1, 10**12)
     check_integer("seed", seed, 0, MAX_SEED)
     networks = _networks(algorithm, environment, network or Network())
-    learner = _make(algorithm, environment, networks, steps, schedules or {})
+    learner = _make(algorithm, environment, networks, params, steps, schedules or {})
     updates, chunks = _plan(steps, learner.steps_per_update)
     mesh = make_mesh(choose_devices("auto", learner.num_shards))
     first = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
@@ -123,6 +126,7 @@ def _make(
     algorithm: MakesLearner,
     environment: Environment,
     networks: Networks,
+    params: Any,
     steps: int,
     schedules: Schedules,
 ) -> Learner:
@@ -131,16 +135,34 @@ def _make(
     def make(algorithm: MakesLearner, updates: int) -> Learner:
         return algorithm.make(environment, networks, updates, 8)
 
+    def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
+        name = key.removeprefix("learner.")
+        if isinstance(algorithm, Section) and name in type(algorithm).model_fields:
+            own = algorithm if value is None else algorithm.replace(**{name: value})
+            return make(own, 1).hyper, params
+        return learner.hyper, _with_leaf(params, key, value)
+
     per_update = make(algorithm, 1).steps_per_update
-    updates, chunks = _plan(steps, per_update)
-    learner = make(algorithm, updates * chunks)
-    built = {}
-    for name, values in schedules.items():
-        if not (isinstance(algorithm, Section) and hasattr(algorithm, name) and len(values) > 1):
-            raise InputError(
-                f"schedules: {name} is {values}, allowed: two or more values of a hyperparameter"
-            )
-        trees = [(make(algorithm.replace(**{name: value}), 1).hyper, None) for value in values]
-        knots = np.linspace(0.0, updates * chunks * per_update, len(values)).tolist()
-        built[name] = make_schedule(name, knots, trees, per_update)
-    return with_schedules(learner, built)
+    updates = math.prod(_plan(steps, per_update))
+    learner = make(algorithm, updates)
+    sections = {
+        key: each if isinstance(each, Schedule) else build(Schedule, {"linear": [*each]}, key)
+        for key, each in schedules.items()
+    }
+    return schedule_learner(learner, sections, numbers_at, steps, updates * per_update)
+
+
+def _with_leaf(params: Any, key: str, value: float | None) -> Any:
+    """The environment's parameters with another value of the leaf at a dotted path."""
+    found, structure = jax.tree_util.tree_flatten_with_path(params)
+    names = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in found]
+    if key not in names:
+        raise InputError(
+            f"schedules: {key} is no hyperparameter and no number of the environment's params"
+            f"{close_match(key, names)}"
+        )
+    leaves = [leaf for _, leaf in found]
+    if value is not None:
+        index = names.index(key)
+        leaves[index] = jnp.full_like(leaves[index], value)
+    return jax.tree.unflatten(structure, leaves)

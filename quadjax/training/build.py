@@ -13,7 +13,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic, Networks, layers_of, tree_of
-from quadjax.learners.schedules import make_schedule, with_schedules
+from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
@@ -57,14 +57,12 @@ def build_learner(config: Config) -> Learner[RaceParams]:
     def make(config: Config) -> Learner[RaceParams]:
         return config.learner.make(environment, networks, updates, config.run.shards)
 
-    learner = make(config)
-    schedules = {}
-    for key, schedule in config.schedules.items():
-        knots = schedule.knots(config.run.steps, updates * per_update)
-        configs = [config if x == "value" else config.at(key, x) for x in schedule.linear]
-        trees = [(make(each).hyper, build_params(each)) for each in configs]
-        schedules[key] = make_schedule(key, knots, trees, per_update)
-    return with_schedules(learner, schedules)
+    def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
+        own = config if value is None else config.at(key, value)
+        return make(own).hyper, build_params(own)
+
+    total = updates * per_update
+    return schedule_learner(make(config), config.schedules, numbers_at, config.run.steps, total)
 
 
 def plan(config: Config, steps_per_update: int) -> tuple[int, int]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.learners.section import LearnerSection, Network
+from quadjax.learners.section import LearnerSection, Network, Schedule
 from quadjax.learners.state import Learner, TrainState
 from quadjax.learners.train import train
 from tests.learners.probes import ENVIRONMENT, observations, probe
@@ -66,8 +66,11 @@ def test_the_same_seed_is_the_same_run():
 @pytest.mark.parametrize(
     ("schedules", "message"),
     [
-        ({"learning_rat": [1.0, 0.0]}, "learning_rat is"),
-        ({"learning_rate": [1e-2]}, "two or more values"),
+        (
+            {"learning_rat": [1.0, 0.0]},
+            "learning_rat is no hyperparameter and no number of the env",
+        ),
+        ({"learning_rate": [1e-2]}, r"linear is \[0.01\], allowed: .* at least 2"),
         ({"learning_rate": [1e-2, 1e-2]}, "learning_rate has no effect"),
         ({"num_epochs": [2, 3]}, "num_epochs cannot be scheduled"),
     ],
@@ -75,6 +78,25 @@ def test_the_same_seed_is_the_same_run():
 def test_a_schedule_without_effect_is_one_line(schedules, message):
     with pytest.raises(InputError, match=message):
         DEFAULTS["ppo"].train(ENVIRONMENT, probe(), 1000, network=NETWORK, schedules=schedules)
+
+
+def test_numbers_of_the_environment_follow_schedules_as_in_a_config():
+    """A constant reward of 0, from the middle of the run rising to 4, in environment steps."""
+    learner = DEFAULTS["shac"]
+    result = learner.train(
+        ENVIRONMENT,
+        probe(constant=1.0),
+        steps=64 * learner.num_envs * learner.horizon,
+        network=NETWORK,
+        schedules={
+            "constant": Schedule(linear=(0.0, 4.0), start=0.5),
+            "learner.learning_rate": Schedule(linear=("value", 0.0), until=0.5),
+        },
+    )
+    reward, rate = result.metrics["reward"], result.metrics["learning_rate"]
+    np.testing.assert_allclose(reward[:33], 0.0, atol=1e-6)
+    np.testing.assert_allclose(reward[33:], np.linspace(0.0, 4.0, 33)[1:-1], atol=1e-5)
+    assert rate[0] == pytest.approx(learner.learning_rate) and np.all(rate[32:] == 0.0)
 
 
 class Ascent(LearnerSection):
