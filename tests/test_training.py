@@ -64,18 +64,17 @@ def rows(path):
     return [{k: v for k, v in row.items() if k not in TIMES} for row in found]
 
 
+def at(steps):
+    """Ends a run at its evaluation after ``steps`` steps."""
+    return lambda row: row["steps"] >= steps
+
+
 @contextmanager
-def after(reports):
-    """Interruptions that come after a number of calls of ``stop``."""
-
-    class Stop:
-        asked = 0
-
-        def is_set(self):
-            self.asked += 1
-            return self.asked > reports
-
-    yield Stop()
+def interrupted():
+    """Ctrl-C before the training loop, however long the compilation takes."""
+    stop = threading.Event()
+    stop.set()
+    yield stop
 
 
 @pytest.mark.slow
@@ -84,11 +83,9 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name)
     config = config_of(name)
     whole = training.train(config, tmp_path / "whole")
     assert whole.finished
-    monkeypatch.setattr(training, "interruptions", lambda: after(2))
-    part = training.train(config, tmp_path / "part")
+    part = training.train(config, tmp_path / "part", enough=at(256))
     assert not part.finished
     assert part.summary["steps"] == 256
-    monkeypatch.undo()
     training.train(config, tmp_path / "part", resume=True)
     first, second = (arrays(tmp_path / run / "policy_last.npz") for run in ("whole", "part"))
     for key, value in first.items():
@@ -162,7 +159,7 @@ def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
 
 @pytest.mark.slow
 def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(training, "interruptions", lambda: after(0))
+    monkeypatch.setattr(training, "interruptions", interrupted)
     monkeypatch.setattr(training, "PATIENCE", 600.0)
     result = training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
     assert not result.finished and result.summary["steps"] == 0
@@ -172,7 +169,7 @@ def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch
 
 def test_interrupted_in_a_long_compilation_it_ends_at_once(tmp_path, monkeypatch):
     finish = threading.Event()
-    monkeypatch.setattr(training, "interruptions", lambda: after(0))
+    monkeypatch.setattr(training, "interruptions", interrupted)
     monkeypatch.setattr(training, "PATIENCE", 0.0)
     monkeypatch.setattr(training.parallel, "compile_chunk", lambda *_: finish.wait(600))
     with pytest.raises(KeyboardInterrupt):
@@ -232,7 +229,8 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
     with pytest.raises(loop.NonFiniteError, match="update 3: value_loss"):
         training.train(config, tmp_path / "run")
     monkeypatch.undo()
-    monkeypatch.setattr(training, "interruptions", lambda: after(0))
+    monkeypatch.setattr(training, "interruptions", interrupted)
+    monkeypatch.setattr(training, "PATIENCE", 600.0)
     training.train(config, tmp_path / "run", resume=True)
     saved = Policy.load(tmp_path / "run/policy_last.npz")
     for (kernel, bias), found in zip(layers_of(kept[1].policy), saved.layers, strict=True):
@@ -313,15 +311,13 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path, monkeypatch):
+def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     """Without the files that it was started with; its policy even without its folder."""
     write_files(tmp_path / "files")
     overrides = [f"{key}={tmp_path / 'files' / name}" for key, name in NAMED.items()]
     config = config_of("e2e.yaml", *overrides, "network.activation=relu")
     whole = training.train(config, tmp_path / "whole")
-    monkeypatch.setattr(training, "interruptions", lambda: after(2))
-    assert not training.train(config, tmp_path / "part").finished
-    monkeypatch.undo()
+    assert not training.train(config, tmp_path / "part", enough=at(256)).finished
     shutil.rmtree(tmp_path / "files")
     moved = (tmp_path / "part").rename(tmp_path / "moved")
     resumed = training.train(load_config(moved / "config.yaml"), moved, resume=True)

@@ -44,7 +44,7 @@ class Clock:
     def __init__(self, started: float, seconds: float) -> None:
         """Start at ``started``, by ``time.monotonic()``, for ``seconds``."""
         self._started, self._seconds = started, seconds
-        self._marks: list[tuple[float, int]] = []
+        self._marks: list[tuple[float, int]] = [(started, 0)]
 
     def over(self, steps: int) -> bool:
         """Whether the time is over; called after an update."""
@@ -59,8 +59,9 @@ class Clock:
 
     @property
     def speed(self) -> float:
-        """Steps per second from the end of the first update to that of the last."""
-        (first, before), (last, after) = self._marks[0], self._marks[-1]
+        """Steps per second from the end of the first update, if there are several, to the last."""
+        marks = self._marks[1:] if len(self._marks) > 2 else self._marks
+        (first, before), (last, after) = marks[0], marks[-1]
         return (after - before) / max(last - first, 1e-9)
 
 
