@@ -30,6 +30,7 @@ FROM_FILE = {
     "track": ("file", "name", "gates"),
 }
 DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"))  # keys that name .npz files
+OTHER_TRACKS = "other_tracks"  # keys of a file that apply where the track is not the default one
 DEFAULTS: Tree = {"vehicle": {"file": "bebop1.yaml"}, "track": {"file": "square4.yaml"}}
 
 
@@ -38,7 +39,8 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
 
     Args:
         config: the name of a preset, or a YAML file. A key ``base`` names one or several other
-            configs, over which this one is merged.
+            configs, over which this one is merged. Keys in its section ``other_tracks`` apply
+            where the gates are not those of the paper's track.
         overrides: ``key=value`` with dotted keys; the value is read as YAML. ``track=figure8`` is
             short for ``track.file=figure8.yaml``; likewise ``vehicle``.
 
@@ -50,16 +52,42 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
         names = preset_names()
         hint = close_match(str(config), names)
         raise InputError(f"{config}: no such preset or file{hint}; presets: {', '.join(names)}")
-    tree = read_tree_with_bases(
-        path,
-        lambda under, over, file: _merge(under, _beside(over, file.parent), file.parent, str(file)),
-    )
+    tree = _read(path, overrides, elsewhere=False)
+    if _gates(tree) != _gates(_defaults({})):
+        tree = _read(path, overrides, elsewhere=True)
+    return _build(tree, str(path))
+
+
+def _gates(tree: Tree) -> object:
+    track = tree.get("track")
+    return track.get("gates") if isinstance(track, dict) else None
+
+
+def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> Tree:
+    """The merged tree of a file, its bases and overrides.
+
+    Args:
+        path: of the file.
+        overrides: ``key=value``.
+        elsewhere: merge the section ``other_tracks`` of each file over the rest of that file.
+    """
+
+    def merge(under: Tree, over: Tree, file: Path) -> Tree:
+        own = {key: value for key, value in over.items() if key != OTHER_TRACKS}
+        under = _merge(under, _beside(own, file.parent), file.parent, str(file))
+        other = over.get(OTHER_TRACKS, {})
+        if not isinstance(other, dict) or "track" in other:
+            given = f"{OTHER_TRACKS} is {short(other)}"
+            raise InputError(f"{file}: {given}, allowed: a mapping of keys other than track")
+        return _merge(under, other, file.parent, str(file)) if elsewhere else under
+
+    tree = read_tree_with_bases(path, merge)
     if not tree:
         raise InputError(f"{path}: empty; write at least the preset to start from, as base: e2e")
     tree = merge_trees(_defaults(tree), tree)
     over = parse_overrides([_expand(override) for override in overrides])
     here = Path() if _exists(over, Path()) else path.parent
-    return _build(_merge(tree, over, here, "overrides"), str(path))
+    return _merge(tree, over, here, "overrides")
 
 
 def _beside(tree: Tree, folder: Path) -> Tree:

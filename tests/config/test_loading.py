@@ -120,6 +120,28 @@ def test_schedules_are_merged_and_removed():
     assert load_config("e2e_fastest", ["schedules=null"]).schedules == {}
 
 
+def test_other_tracks_than_the_papers(tmp_path):
+    """The section ``other_tracks`` is above its own file and below all that is merged over it."""
+    paper = load_config("e2e_shac")
+    assert paper.reward.gate_edge == 0.0 and "learner.std" not in paper.schedules
+    inline = [gate.model_dump(mode="json") for gate in paper.track.gates]
+    assert load_config("e2e_shac", [f"track.gates={inline}"]) == paper
+    other = load_config("e2e_shac", ["track=figure8"])
+    assert other.reward.gate_edge == 20.0
+    assert other.schedules["learner.std"].linear == ("value", 0.1)
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "base: e2e_shac\ntrack: figure8\nreward: {gate_edge: 30, gate: 5}\n"
+        "other_tracks: {reward: {gate: 6}}\n"
+    )
+    config = load_config(path, ["schedules.learner.std=null"])
+    assert (config.reward.gate_edge, config.reward.gate) == (30.0, 6.0)
+    assert "learner.std" not in config.schedules
+    assert load_config(path, ["track=square4"]).reward.gate == 5.0
+    path.write_text("base: e2e_shac\nother_tracks: {track: figure8}\n")
+    assert "other_tracks" in refusal(path)
+
+
 def test_a_vehicle_and_a_track_next_to_the_config(tmp_path):
     text = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(text.split("rate:")[0].replace("g: 9.81", "g: 9.7"))
