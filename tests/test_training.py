@@ -199,11 +199,14 @@ def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_short_run_is_one_short_chunk(tmp_path):
+def test_a_short_run_is_one_short_chunk_and_says_why_nothing_flies(tmp_path, capsys):
     arguments = ("run.steps=64", "run.evaluate_every=1000000", "learner.rollout_length=4")
     assert training.train(config_of("e2e_ppo.yaml", *arguments), tmp_path / "run").summary[
         "steps"
     ] == pytest.approx(64)
+    told = capsys.readouterr().err
+    assert "no flight completes its laps yet: hit the ground (1 of 1)" in told, told
+    assert "start.position" in told and "docs/guide/track.md" in told
 
 
 @pytest.mark.slow

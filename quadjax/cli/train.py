@@ -106,6 +106,7 @@ def _present(run: "Run") -> None:
         from quadjax.core.plotting import save_figure
         from quadjax.evaluation.curves import training_figure
         from quadjax.evaluation.evaluation import evaluate, lap_table
+        from quadjax.training.advice import no_lap
         from quadjax.training.paper import published_total
 
     config, folder, name = run.config, run.folder, str(run.folder / "policy.npz")
@@ -119,6 +120,8 @@ def _present(run: "Run") -> None:
         save_figure(curves, folder / "curves.png")
     print(lap_table({each.label(): each for each in (sampled, steady)}))
     print(_report(run))
+    if run.summary["best_lap_total"] is None:
+        print(no_lap((*sampled.laps.crashes, *steady.laps.crashes)))
 
 
 def _report(run: "Run") -> str:

@@ -96,6 +96,13 @@ class TrainingProgress:
             )
             print(line, file=sys.stderr, flush=True)
 
+    def note(self, text: str) -> None:
+        """Print lines above the progress."""
+        if self._live:
+            self._console.print(text, highlight=False, markup=False)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
 
 def describe(row: Row) -> str:
     """A row of metrics in at most 40 characters: lap times once all laps are completed."""

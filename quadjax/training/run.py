@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -31,6 +32,7 @@ from quadjax.learners.sharding import Chunk
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams
+from quadjax.training.advice import no_lap
 from quadjax.training.build import build_learner, initial_policy, plan, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints
 from quadjax.training.folder import KIND, prepare_folder
@@ -41,6 +43,7 @@ from quadjax.training.score import Score
 
 PATIENCE = 5.0  # s that a run waits for its compilation after Ctrl-C, to save and end as always
 POLL = 0.2  # s
+ADVISE_AFTER = 1 / 3  # of a run in which no lap is completed
 
 
 def train(
@@ -163,11 +166,10 @@ class _Callbacks:
     stop: threading.Event
     enough: Callable[[Row], bool] | None
 
-    def hooks(
-        self, score: Callable[[ActorCritic], float], metrics: MetricsFile, checkpoints: Checkpoints
-    ) -> Hooks:
+    def hooks(self, score: Score, metrics: MetricsFile, checkpoints: Checkpoints) -> Hooks:
         """The functions that the training loop calls between chunks."""
         ended: list[Row] = []
+        advised: list[Row] = []
 
         def report(row: Row) -> None:
             row = timed(row)
@@ -175,6 +177,10 @@ class _Callbacks:
                 metrics.write(row)
                 if self.shown is not None:
                     self.shown.show(row)
+                    late = row["steps"] >= ADVISE_AFTER * self.job.steps
+                    if late and not advised and not math.isfinite(row["best_lap_total"]):
+                        self.shown.note(no_lap(score.crashes))
+                        advised.append(row)
             if self.enough is not None and self.enough(row):
                 ended.append(row)
 

@@ -22,6 +22,7 @@ class Score:
         self._choices, self._params = choices_of(config), params
         self._activation, self._laps = config.network.activation, config.evaluate.laps
         self._runs = score_runs(config)
+        self.crashes: tuple[str, ...] = ()  # of the latest runs
 
     def __call__(self, params: ActorCritic) -> float:
         """The score of a policy, s."""
@@ -35,6 +36,7 @@ class Score:
             self._laps,
             self._runs,
         )
+        self.crashes = laps.crashes
         return laps.score
 
 

@@ -5,6 +5,8 @@ import io
 import pytest
 from rich.console import Console
 
+from quadjax.race.result import CRASHES
+from quadjax.training.advice import CHANGES, no_lap
 from quadjax.training.progress import TrainingProgress, describe
 
 ROW = {
@@ -43,3 +45,11 @@ def test_without_a_lap_the_reward_is_shown():
     assert "reward 0.123" in text and "inf" not in text
     later = describe(ROW | {"lap_total": float("inf")})
     assert "laps - s" in later and "15.70" in later
+
+
+def test_without_a_lap_it_says_what_ended_the_flights_and_what_to_change():
+    causes, changes = no_lap(["hit a gate", "out of bounds", "hit a gate", ""]).splitlines()
+    assert causes.endswith("hit a gate (2 of 3), out of bounds (1 of 3)")
+    assert "reward.gate_edge" in changes and "When it does not learn" in changes
+    assert set(CHANGES) == set(CRASHES) - {""}  # every reason has its advice
+    assert no_lap(["", ""]) == ""
