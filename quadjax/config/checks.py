@@ -10,6 +10,7 @@ from quadjax.core.yaml_files import close_match, short
 from quadjax.vehicle.registry import model as vehicle_model
 
 MAX_THRUST, GRAVITY = 1000.0, 9.81  # times the weight; m/s^2
+RANDOMIZED = ("all", "constants")  # keys of randomization that are no group
 GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
 
 
@@ -62,7 +63,7 @@ def _check_values(config: Config, test: Callable[[Config], None]) -> None:
 
 
 def _check_model(config: Config) -> None:
-    allowed = Randomization.model_fields
+    allowed = [name for name in Randomization.model_fields if name not in RANDOMIZED]
     for group in vehicle_model(config.vehicle.model).groups:
         if group not in allowed:
             raise InputError(
@@ -82,21 +83,24 @@ def _check_run(config: Config) -> None:
 
 def _check_constants(config: Config) -> None:
     """Check that the drone can hover and that the integration is stable."""
-    vehicle, spread = config.vehicle, config.randomization
+    vehicle = config.vehicle
     model, constants = vehicle_model(vehicle.model), vehicle.constants
+    for name in config.randomization.constants:
+        _check_name(f"randomization.constants.{name}", name, model.constant_names)
+    spread = config.randomization.by_constant(model)
     for name in model.positive:
         if constants[name] <= 0:
             refuse(f"vehicle.constants.{name}", constants[name], "a positive number")
     for low, high in model.ranges:
-        if not 0 <= constants[low] * (1 + spread.limits) < constants[high] * (1 - spread.limits):
-            drawn = f", also as randomization.limits {spread.limits} draws them"
+        if not 0 <= constants[low] * (1 + spread[low]) < constants[high] * (1 - spread[high]):
+            drawn = f", also as randomization.limits {spread[low]} draws them"
             refuse(
                 f"vehicle.constants.{low}",
                 constants[low],
-                f"at least 0 and below {high} {constants[high]}{drawn if spread.limits else ''}",
+                f"at least 0 and below {high} {constants[high]}{drawn if spread[low] else ''}",
             )
     for name in model.lags:
-        least = 0.5 * config.rules.time_step / (1 - spread.lag)
+        least = 0.5 * config.rules.time_step / (1 - spread[name])
         if constants[name] <= least:
             refuse(
                 f"vehicle.constants.{name}",
@@ -266,6 +270,8 @@ def _check_used(config: Config) -> None:
     model, defaults = vehicle_model(config.vehicle.model), _defaults(config)
     with_model = f"with vehicle.model={config.vehicle.model}"
     unused: dict[str, str] = {}
+    if math.isinf(model.pitch_limit):
+        unused["vehicle.quaternion"] = with_model
     if not model.has_residual:
         unused["vehicle.residual"] = with_model
     if config.vehicle.residual is None:
@@ -276,7 +282,7 @@ def _check_used(config: Config) -> None:
         }
         unused["observation.disturbance"] = with_model
     for group in Randomization.model_fields:
-        if group not in model.groups:
+        if group not in (*RANDOMIZED, *model.groups):
             unused[f"randomization.{group}"] = with_model
     if not model.uses_start_thrust:
         unused["start.thrust"] = with_model

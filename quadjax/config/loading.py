@@ -6,6 +6,7 @@ from pathlib import Path
 from quadjax.config.checks import check, vehicle_model
 from quadjax.config.renamed import check_renamed
 from quadjax.config.schema import Config, Schedule
+from quadjax.config.vehicle_file import for_each_rotor, vehicle_values
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.resources import CONFIGS, find_config, preset_names
@@ -190,7 +191,7 @@ def _switch_model(under: Tree, over: Tree) -> None:
 
 
 def _file_values(section: str, path: Path) -> Tree:
-    """Name and gates of a track file; name and constants by model of a vehicle file."""
+    """The keys that a track or vehicle file sets in its section."""
     tree = read_tree_with_bases(path)
     if section == "track":
         for key in tree:
@@ -198,16 +199,7 @@ def _file_values(section: str, path: Path) -> Tree:
                 hint = close_match(key, ["name", "gates"])
                 raise InputError(f"{path}: unknown key {key}{hint}; allowed: gates, name")
         return {"name": path.stem, "gates": [], **tree}
-    models = {k: v for k, v in tree.items() if k not in ("name", "mass", "width")}
-    for key, value in models.items():
-        if not isinstance(value, dict):
-            raise InputError(
-                f"{path}: {key} is {short(value)}; allowed: name, mass, width, and the constants "
-                "of each model as a mapping (motor, rate)"
-            )
-    return {"name": path.stem, **{k: tree[k] for k in ("name", "width") if k in tree}} | {
-        "models": models
-    }
+    return vehicle_values(path, tree)
 
 
 def _nested_schedules(tree: Tree) -> Tree:
@@ -265,13 +257,15 @@ def _with_constants(vehicle: Tree, source: str) -> Tree:
             raise InputError(f"{source}: {given}, allowed: a mapping of constants")
     name, own = vehicle.get("model", "motor"), vehicle.get("constants", {})
     if not isinstance(name, str):
-        raise InputError(f"{source}: vehicle.model is {short(name)}, allowed: motor, rate or text")
+        raise InputError(f"{source}: vehicle.model is {short(name)}, allowed: text")
     if not isinstance(own, dict):
         raise InputError(f"{source}: vehicle.constants is {short(own)}, allowed: a mapping")
     model = vehicle_model(name)
     names = model.constant_names
     # A vehicle file names an own model by its name, not by its module.
-    constants = {**models.get(model.name, {}), **models.get(name, {}), **own}
+    constants: Tree = {}
+    for values in (models.get(model.name, {}), models.get(name, {}), own):
+        constants |= for_each_rotor(values, names)
     for key in constants:
         if key not in names:
             raise InputError(

@@ -19,23 +19,32 @@ from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout
 from quadjax.race.rules import Limits, RewardWeights
-from quadjax.race.start import DisturbanceRange, RandomizationFractions, StartRange
+from quadjax.race.start import DisturbanceRange, StartRange
 from quadjax.race.track import Track, inside_turn, make_track
+from quadjax.vehicle.attitude import with_quaternions
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
-from quadjax.vehicle.protocol import Constants, VehicleParams
+from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
 from quadjax.vehicle.registry import model
 from quadjax.vehicle.residual import scale_residual
 from quadjax.vehicle.residual_file import read_residual
 
 
+def vehicle_model_of(config: Config) -> VehicleModel:
+    """The vehicle model, with quaternions where the config asks for them."""
+    own = model(config.vehicle.model)
+    return with_quaternions(own) if config.vehicle.quaternion else own
+
+
 def choices_of(config: Config) -> Choices:
     """The static part, which selects code."""
-    vehicle = model(config.vehicle.model)
+    vehicle = vehicle_model_of(config)
     observed, start = config.observation, config.start
     extra = _own("observation.extra", observed.extra, Field)
     return Choices(
         model=vehicle,
-        layout=make_layout(vehicle, observed.disturbance, observed.wrap_next_yaw, extra),
+        layout=make_layout(
+            vehicle, observed.disturbance, observed.wrap_next_yaw, extra, observed.attitude
+        ),
         integrator=config.vehicle.integrator,
         gate_test=config.rules.gate_test,
         random_gate=start.gate == "random",
@@ -112,7 +121,7 @@ def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None
 
 def build_params(config: Config) -> RaceParams:
     """Every number of the race in training."""
-    vehicle = build_vehicle(config)
+    own, vehicle = model(config.vehicle.model), build_vehicle(config)
     track = build_track(config.track)
     inside = config.start.heading == "inside_turn"
     return RaceParams(
@@ -122,7 +131,7 @@ def build_params(config: Config) -> RaceParams:
         reward=RewardWeights(**_traced(_without(config.reward, "terms"))),
         start=_start_range(config.start).replace(heading=inside_turn(track) if inside else None),
         disturbance=disturbance_range(config.disturbance),
-        randomization=RandomizationFractions(**_traced(config.randomization.__dict__)),
+        randomization=own.constants(**_traced(config.randomization.by_constant(own))),
         mismatch=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),
         term_weights=tuple(jnp.float32(weight) for weight in config.reward.terms.values()),
@@ -140,12 +149,19 @@ def _limits(config: Config) -> Limits:
         "position": _or_none(rules.position_limit),
         "body_rate": _or_none(rules.body_rate_limit),
         "yaw_rate": _or_none(training.yaw_rate),
-        "pitch": math.radians(training.pitch_deg),
+        "pitch": _training_pitch(config),
         "roll": math.radians(_or_none(training.roll_deg)),
         "gate_inflation": training.gate_inflation,
     }
     steps = jnp.asarray(training.episode_steps, jnp.int32)
     return Limits(**_traced(limits), episode_steps=steps)
+
+
+def _training_pitch(config: Config) -> float:
+    """The largest pitch in training, rad: by default 85 deg where Euler angles are singular."""
+    if config.training_limits.pitch_deg is not None:
+        return math.radians(config.training_limits.pitch_deg)
+    return math.radians(85.0) if math.isfinite(vehicle_model_of(config).pitch_limit) else math.inf
 
 
 def _or_none(limit: float | None) -> float:

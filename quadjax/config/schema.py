@@ -4,7 +4,7 @@ Lengths are in m, velocities in m/s, angles in deg where the name says so and in
 world frame is north-east-down, the body frame front-right-down.
 """
 
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import SerializeAsAny
 
@@ -13,6 +13,9 @@ from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.sections import Field, FolderName, Section, to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection, Network, Schedule
+
+if TYPE_CHECKING:
+    from quadjax.vehicle.protocol import VehicleModel
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Constant = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -29,7 +32,8 @@ class Vehicle(Section):
     model: str = Field(
         "motor",
         description="dynamics: motor (commands are four propeller speeds; E2E), rate (body rates "
-        "and thrust; INDI), or the module:OBJECT of your own VehicleModel",
+        "and thrust; INDI), racing or a2rl (normalized motor commands), rotor_thrust, or the "
+        "module:OBJECT of your own VehicleModel; a vehicle file may name it",
     )
     file: str | None = Field(
         None,
@@ -61,6 +65,11 @@ class Vehicle(Section):
     )
     residual_gain: float = Field(
         1.0, ge=0, le=10, description="factor on the outputs of the residual networks"
+    )
+    quaternion: bool = Field(
+        False,
+        description="attitude as a quaternion in place of Euler angles, which are singular at a "
+        "pitch of 90 deg; the models racing, a2rl and rotor_thrust always have one",
     )
     integrator: Literal["euler", "rk4"] = Field("euler", description="integration of a time step")
     mismatch: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(
@@ -119,6 +128,11 @@ class Observation(Section):
         "ground_truth",
         description="source of the observed external disturbance: the simulator, the onboard "
         "estimator, or zeros",
+    )
+    attitude: Literal["euler", "rotation"] = Field(
+        "euler",
+        description="roll, pitch and the yaw relative to the gate (3), or the body's x and z axes "
+        "in the gate's frame (6), which have no singularity",
     )
     wrap_next_yaw: bool = Field(
         True,
@@ -181,7 +195,13 @@ class TrainingLimits(Section):
     """Limits that apply in training only."""
 
     episode_steps: int = Field(1200, ge=1, le=10**6, description="time steps of an episode")
-    pitch_deg: float = Field(85.0, ge=1, le=89, description="largest |pitch|, deg")
+    pitch_deg: float | None = Field(
+        None,
+        ge=1,
+        le=89,
+        description="largest |pitch|, deg; null: 85 for models with Euler angles, which are "
+        "singular at 90, and none for those with quaternions",
+    )
     roll_deg: float | None = Field(None, ge=1, le=180, description="largest |roll|, deg")
     yaw_rate: float | None = Field(None, gt=0, le=1e6, description="largest |yaw rate|, rad/s")
     gate_inflation: float = Field(
@@ -232,17 +252,37 @@ class Disturbance(Section):
 
 
 class Randomization(Section):
-    """Domain randomization: largest relative error of each constant of a group, per episode."""
+    """Domain randomization: largest relative error of each constant, drawn in every episode.
 
+    A constant has the fraction of its group, or that of ``all`` where it is larger.
+    """
+
+    all: Fraction = Field(0.0, description="every constant of the groups but gravity")
     gravity: Fraction = Field(0.0, description="g")
     inertia: Fraction = Field(0.0, description="moments of inertia")
-    thrust: Fraction = Field(0.0, description="thrust coefficient")
+    thrust: Fraction = Field(0.0, description="thrust coefficient, or mass")
     drag: Fraction = Field(0.0, description="drag coefficients")
     moment: Fraction = Field(0.0, description="roll and pitch moment coefficients")
     velocity_moment: Fraction = Field(0.0, description="moments of translational flight")
     yaw: Fraction = Field(0.0, description="yaw moment coefficients")
     lag: Fraction = Field(0.0, description="time constants")
-    limits: Fraction = Field(0.0, description="lowest and highest commands")
+    limits: Fraction = Field(0.0, description="lowest and highest commands or rotor speeds")
+    motor_map: Fraction = Field(0.0, description="curvature of the motor map; models racing, a2rl")
+    gyroscopic: Fraction = Field(0.0, description="gyroscopic coupling; model a2rl")
+    aerodynamics: Fraction = Field(
+        0.0, description="quadratic drag, angle of attack and advance; model a2rl"
+    )
+    constants: dict[str, Fraction] = Field(
+        {}, description="single constants, in place of their group's fraction: {w_max: 0.15}"
+    )
+
+    def by_constant(self, model: "VehicleModel") -> dict[str, float]:
+        """The fraction of each constant of a vehicle model."""
+        found = dict.fromkeys(model.constant_names, 0.0)
+        for group, names in model.groups.items():
+            least = 0.0 if group == "gravity" else self.all
+            found |= dict.fromkeys(names, max(getattr(self, group), least))
+        return found | self.constants
 
 
 class Run(Section):

@@ -1,69 +1,32 @@
 """Frames and angles: world NED, body FRD, Euler angles (roll, pitch, yaw) in radians.
 
-``R = Rz(psi) Ry(theta) Rx(phi)`` maps body to world. Everything here is for one drone;
-batch with ``jax.vmap``.
+``R = Rz(psi) Ry(theta) Rx(phi)`` maps body to world. ``attitude`` takes Euler angles or a unit
+quaternion; the functions of its result are for both. Everything here is for one drone; batch with
+``jax.vmap``.
 """
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core import matrix, quaternion
+from quadjax.core.matrix import Mat3
+from quadjax.core.quaternion import Quaternion
+from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Vec3
-
-# pi/2 in three float32 parts, so that x - k pi/2 keeps its bits (Cody and Waite, 1980).
-_HALF_PI_PARTS = (1.5703125, 4.837512969970703e-4, 7.549789948768648e-8)
-
-
-@jax.custom_jvp
-def sincos(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Sine and cosine together, without branches.
-
-    Range reduction to [-pi/4, pi/4] and two short polynomials (the minimax coefficients of
-    the Cephes library's single-precision sine and cosine). In float32 the error is below 1e-7
-    for angles within +-20 rad; float64 goes to the library functions.
-
-    Args:
-        angle: rad, any shape.
-
-    Returns:
-        The sine and the cosine, each of the shape of ``angle``.
-    """
-    if angle.dtype != jnp.float32:
-        return jnp.sin(angle), jnp.cos(angle)
-    quarter_turns = jnp.round(angle * (2.0 / jnp.pi))
-    reduced = angle
-    for part in _HALF_PI_PARTS:
-        reduced = reduced - quarter_turns * part
-    square = reduced * reduced
-    sine = reduced + reduced * square * (
-        -1.6666654611e-1 + square * (8.3321608736e-3 - square * 1.9515295891e-4)
-    )
-    cosine = 1.0 - square * (
-        0.5
-        - square
-        * (4.166664568298827e-2 + square * (-1.388731625493765e-3 + square * 2.443315711809948e-5))
-    )
-    quadrant = quarter_turns - 4.0 * jnp.floor(quarter_turns * 0.25)
-    odd = (quadrant == 1.0) | (quadrant == 3.0)
-    sine_sign = jnp.where(quadrant >= 2.0, -1.0, 1.0)
-    cosine_sign = jnp.where((quadrant == 1.0) | (quadrant == 2.0), -1.0, 1.0)
-    return (
-        sine_sign * jnp.where(odd, cosine, sine),
-        cosine_sign * jnp.where(odd, sine, cosine),
-    )
-
-
-@sincos.defjvp
-def _sincos_jvp(
-    primals: tuple[jax.Array], tangents: tuple[jax.Array]
-) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    sine, cosine = sincos(primals[0])
-    return (sine, cosine), (cosine * tangents[0], -sine * tangents[0])
 
 
 def wrap_angle(angle: jax.Array) -> jax.Array:
     """The same angle within [-pi, pi], rad; its derivative is one everywhere."""
     return angle - (2.0 * jnp.pi) * jax.lax.stop_gradient(jnp.round(angle / (2.0 * jnp.pi)))
+
+
+@struct.dataclass
+class QuaternionAttitude:
+    """A quaternion and its rotation matrix, computed once for all uses."""
+
+    quaternion: Quaternion
+    matrix: Mat3
 
 
 @struct.dataclass
@@ -78,8 +41,10 @@ class Attitude:
     cos_yaw: jax.Array
 
 
-def attitude(euler: Vec3) -> Attitude:
-    """Trigonometry of Euler angles (roll, pitch, yaw), rad."""
+def attitude(euler: Vec3 | Quaternion) -> Attitude | QuaternionAttitude:
+    """What the functions below take, of Euler angles (roll, pitch, yaw), rad, or a quaternion."""
+    if isinstance(euler, Quaternion):
+        return QuaternionAttitude(euler, quaternion.matrix(euler))
     return Attitude(*sincos(euler.x), *sincos(euler.y), *sincos(euler.z))
 
 
@@ -90,8 +55,10 @@ def rotation_matrix(euler: Vec3) -> jax.Array:
     return jnp.stack(columns, axis=-1)
 
 
-def body_to_world(a: Attitude, vector: Vec3) -> Vec3:
+def body_to_world(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
     """Rotate a body-frame vector into the world frame."""
+    if isinstance(a, QuaternionAttitude):
+        return matrix.apply(a.matrix, vector)
     x, y, z = vector.x, vector.y, vector.z
     # Rx, then Ry, then Rz.
     y, z = a.cos_roll * y - a.sin_roll * z, a.sin_roll * y + a.cos_roll * z
@@ -100,8 +67,10 @@ def body_to_world(a: Attitude, vector: Vec3) -> Vec3:
     return Vec3(x, y, z)
 
 
-def world_to_body(a: Attitude, vector: Vec3) -> Vec3:
+def world_to_body(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
     """Rotate a world-frame vector into the body frame."""
+    if isinstance(a, QuaternionAttitude):
+        return matrix.apply_transposed(a.matrix, vector)
     x, y, z = vector.x, vector.y, vector.z
     x, y = a.cos_yaw * x + a.sin_yaw * y, -a.sin_yaw * x + a.cos_yaw * y
     x, z = a.cos_pitch * x - a.sin_pitch * z, a.sin_pitch * x + a.cos_pitch * z
@@ -109,11 +78,14 @@ def world_to_body(a: Attitude, vector: Vec3) -> Vec3:
     return Vec3(x, y, z)
 
 
-def euler_rates(a: Attitude, body_rates: Vec3) -> Vec3:
-    """Euler angle derivatives ``Q(lambda) Omega``, rad/s, of body rates (p, q, r), rad/s.
+def euler_rates(a: Attitude | QuaternionAttitude, body_rates: Vec3) -> Vec3 | Quaternion:
+    """The attitude's derivative, 1/s, of body rates (p, q, r), rad/s.
 
-    Singular at pitch +-90 deg; the race ends an episode before that.
+    Of Euler angles ``Q(lambda) Omega``, singular at pitch +-90 deg; the race ends an episode before
+    that. Of a quaternion ``q * (0, Omega) / 2``.
     """
+    if isinstance(a, QuaternionAttitude):
+        return quaternion.rate(a.quaternion, body_rates)
     p, q, r = body_rates.x, body_rates.y, body_rates.z
     around_world_down = (a.sin_roll * q + a.cos_roll * r) / a.cos_pitch
     return Vec3(

@@ -63,3 +63,15 @@ def _scale_backward(residuals: tuple, cotangent: Tree) -> tuple:
 
 
 scale_and_clip_cotangent.defvjp(_scale_forward, _scale_backward)
+
+
+@jax.custom_jvp
+def bounded_sqrt(value: jax.Array, floor: float) -> jax.Array:
+    """``sqrt(max(value, 0))`` with a bounded derivative, ``1 / (2 max(sqrt, floor))``."""
+    return jnp.sqrt(jnp.maximum(value, 0.0))
+
+
+@bounded_sqrt.defjvp
+def _bounded_sqrt_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    root = bounded_sqrt(*primals)
+    return root, tangents[0] / (2.0 * jnp.maximum(root, primals[1]))

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.materialize import Caller, call_directly
-from quadjax.core.vectors import Vec3, dot
-from quadjax.plant.matrix import (
+from quadjax.core.matrix import (
     Mat3,
     Sym3,
     apply,
@@ -27,6 +26,7 @@ from quadjax.plant.matrix import (
     times_transposed,
     transpose,
 )
+from quadjax.core.vectors import Vec3, dot
 
 POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, FORCE_BIAS = range(5)
 _PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))

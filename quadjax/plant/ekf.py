@@ -25,14 +25,14 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core import quaternion
 from quadjax.core.materialize import Caller, call_directly, call_materialized_forward
+from quadjax.core.matrix import apply
+from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Vec3
 from quadjax.plant import covariance as cov
-from quadjax.plant import quaternion
 from quadjax.plant.covariance import Covariance, Growth, Transition
 from quadjax.plant.ekf_params import EkfParams
-from quadjax.plant.matrix import apply
-from quadjax.plant.quaternion import Quaternion
 from quadjax.plant.sensors import Fix, Measured
 
 

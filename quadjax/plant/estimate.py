@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core import quaternion
 from quadjax.core.frames import attitude
+from quadjax.core.matrix import Sym3, apply
 from quadjax.core.vectors import Vec3
 from quadjax.plant import covariance as cov
-from quadjax.plant import quaternion
 from quadjax.plant.covariance import Growth, Transition
 from quadjax.plant.ekf import EkfState, InertialSample, MotionEstimate, advance, caller
 from quadjax.plant.ekf_params import EkfParams
-from quadjax.plant.matrix import Sym3, apply
 
 
 @struct.dataclass

@@ -24,11 +24,11 @@ from flax import struct
 from scipy.signal import butter
 from scipy.stats import norm
 
+from quadjax.core import quaternion
 from quadjax.core.filters import advance
+from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.plant import quaternion
 from quadjax.plant.config import AccelerometerConfig, GyroConfig, SensorsConfig
-from quadjax.plant.quaternion import Quaternion
 
 DRAWS = 12 + 4 + 6 + 1  # standard normal numbers per sample
 START_DRAWS = 6 + 6 + 4 + 6  # at the start

@@ -61,7 +61,7 @@ class RaceParams:
     reward: rules.RewardWeights
     start: start.StartRange
     disturbance: start.DisturbanceRange
-    randomization: start.RandomizationFractions
+    randomization: Constants  # largest relative error of each constant
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
     term_weights: tuple[jax.Array, ...] = ()  # of Choices.terms, each ()
@@ -123,9 +123,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     if choices.mismatch:
         own = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
     if choices.randomize:
-        own = constants = start.draw_constants(
-            choices.model, constants, params.randomization, drawn[own_draws:]
-        )
+        own = constants = start.draw_constants(constants, params.randomization, drawn[own_draws:])
     drone = start.start(
         choices.model,
         constants,
@@ -193,7 +191,7 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
         state.drone,
         params.limits.time_step,
     )
-    return model.wrap(after)
+    return model.wrap(model.hold(after, held))
 
 
 def _call(opaque_true: jax.Array, function: Callable[..., Kept], *arguments: object) -> Kept:

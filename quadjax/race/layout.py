@@ -213,6 +213,19 @@ def _attitude(view: View) -> Sequence[jax.Array]:
     return euler.x, euler.y, wrap_angle(euler.z - view.gate.yaw)
 
 
+def _rotation(view: View) -> Sequence[jax.Array]:
+    """The body's x axis (front) and z axis (down) in the gate's frame."""
+    model, g = view.model, view.gate
+    zero, one = jnp.zeros_like(g.yaw), jnp.ones_like(g.yaw)
+    axes = (
+        Vec3(g.cos_yaw, g.sin_yaw, zero),
+        Vec3(-g.sin_yaw, g.cos_yaw, zero),
+        Vec3(zero, zero, one),
+    )
+    seen = [model.to_body(view.drone, axis) for axis in axes]
+    return [axis.x for axis in seen] + [axis.z for axis in seen]
+
+
 def _rates(view: View) -> Sequence[jax.Array]:
     return view.model.rates(view.drone).components()
 
@@ -284,6 +297,10 @@ _SOURCES = {
 }
 # The observed disturbances by field, as the section ``disturbance`` of a config names them.
 DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
+ATTITUDES = {
+    "euler": Field("attitude", 3, "rad", "gate", 4.0, _attitude),
+    "rotation": Field("rotation", 6, "", "gate", 2.0, _rotation),
+}
 NEXT_YAW = Field("next_yaw", 1, "rad", "gate", 4.0, _next_yaw)
 NEXT_YAW_UNWRAPPED = Field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped)
 
@@ -302,6 +319,7 @@ def make_layout(
     disturbance: str = GROUND_TRUTH,
     wrap_next_yaw: bool = True,
     extra: Sequence[Field] = (),
+    attitude: str = "euler",
 ) -> Layout:
     """The observation of a vehicle model in the race.
 
@@ -311,6 +329,8 @@ def make_layout(
         wrap_next_yaw: whether the next gate's relative yaw is wrapped to [-pi, pi], as in the
             paper, or left as the plain difference, as in the authors' code.
         extra: further fields, at the end.
+        attitude: ``euler`` for roll, pitch and yaw, as published, or ``rotation`` for the body's x
+            and z axes, which are continuous at any attitude.
 
     Raises:
         InputError: two fields of one name.
@@ -319,7 +339,7 @@ def make_layout(
     fields = (
         Field("position", 3, "m", "gate", 8.0, _position),
         Field("velocity", 3, "m/s", "gate", 16.0, _velocity),
-        Field("attitude", 3, "rad", "gate", 4.0, _attitude),
+        ATTITUDES[attitude],
         Field("rates", 3, "rad/s", "body", 16.0, _rates),
         Field(
             *(actuators.name, actuators.size, actuators.unit, "body", 2.0),
@@ -348,7 +368,8 @@ def arranged(layout: Layout, wanted: Layout, name: str) -> Layout:
     Raises:
         InputError: the race has no such field, or one of another size.
     """
-    known = {field.name: field for field in (NEXT_YAW, NEXT_YAW_UNWRAPPED, *layout.fields)}
+    others = (*ATTITUDES.values(), NEXT_YAW, NEXT_YAW_UNWRAPPED)
+    known = {field.name: field for field in (*others, *layout.fields)}
     for field in wanted.fields:
         if field.name not in known or known[field.name].size != field.size:
             raise InputError(

@@ -36,21 +36,6 @@ class DisturbanceRange:
     moment_bias: Vec3  # N m, added to what is drawn
 
 
-@struct.dataclass
-class RandomizationFractions:
-    """Largest relative error of each constant of a group."""
-
-    gravity: jax.Array
-    inertia: jax.Array
-    thrust: jax.Array
-    drag: jax.Array
-    moment: jax.Array
-    velocity_moment: jax.Array
-    yaw: jax.Array
-    lag: jax.Array
-    limits: jax.Array
-
-
 DISTURBANCE_DRAWS = 4
 
 
@@ -122,18 +107,10 @@ def hover(model: VehicleModel, c: Constants, track: Track) -> State:
     return model.hover(c, Motion(last, Vec3.zero(), euler, Vec3.zero()))
 
 
-def draw_constants(
-    model: VehicleModel, nominal: Constants, spread: RandomizationFractions, drawn: jax.Array
-) -> Constants:
-    """Constants of one episode: each scaled by its own draw from 1 +- its group's fraction.
+def draw_constants(nominal: Constants, spread: Constants, drawn: jax.Array) -> Constants:
+    """Constants of one episode: each scaled by its own draw from 1 +- its fraction in ``spread``.
 
-    ``drawn`` holds one number in [-1, 1] for each constant; one in no group keeps its value.
+    ``drawn`` holds one number in [-1, 1] for each constant.
     """
-    group = {name: group for group, names in model.groups.items() for name in names}
-    return nominal.replace(
-        **{
-            name: getattr(nominal, name) * (1.0 + getattr(spread, group[name]) * drawn[index])
-            for index, name in enumerate(model.constant_names)
-            if name in group
-        }
-    )
+    factors = type(nominal)(*(drawn[index] for index in range(len(vars(nominal)))))
+    return jax.tree.map(lambda x, part, draw: x * (1.0 + part * draw), nominal, spread, factors)

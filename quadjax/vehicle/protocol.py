@@ -71,6 +71,10 @@ def _to_body(state: State, vector: Vec3) -> Vec3:
     return frames.world_to_body(frames.attitude(state.euler), vector)
 
 
+def _no_hold(state: State, command: Command) -> State:
+    return state
+
+
 def _ignore_disturbance(state: State, moment: Vec3, force: Vec3) -> State:
     return state
 
@@ -109,6 +113,8 @@ class VehicleModel:
         position, velocity, euler, rates: ``(state) -> Vec3``, as in ``Motion``.
         to_body: ``(state, vector) -> Vec3``: a world-frame vector in the body frame.
         wrap: ``(state) -> state`` with angles wrapped or a quaternion normalized, after each step.
+        hold: ``(state, command) -> state``: called after each step with its command, for actuators
+            that follow a command without a lag.
         pitch_limit: rad; the largest pitch at which the state is valid, inf if any.
         uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
         has_residual: whether ``VehicleParams.residual`` is used.
@@ -143,6 +149,7 @@ class VehicleModel:
     rates: Callable[[State], Vec3] = operator.attrgetter("rates")
     to_body: Callable[[State, Vec3], Vec3] = _to_body
     wrap: Callable[[State], State] = _wrap
+    hold: Callable[[State, Command], State] = _no_hold
     pitch_limit: float = math.radians(89.0)
     uses_start_thrust: bool = False
     has_residual: bool = False

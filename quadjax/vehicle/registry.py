@@ -2,17 +2,20 @@
 
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
-from quadjax.vehicle import motor, rate
+from quadjax.vehicle import motor, racing, rate, rotor_thrust
 from quadjax.vehicle.protocol import VehicleModel
 
-MODELS = {model.name: model for model in (motor.MODEL, rate.MODEL)}
+MODELS = {
+    model.name: model
+    for model in (motor.MODEL, rate.MODEL, racing.MODEL, racing.A2RL, rotor_thrust.MODEL)
+}
 
 
 def model(reference: str | VehicleModel) -> VehicleModel:
     """A vehicle model.
 
     Args:
-        reference: ``"motor"``, ``"rate"``, a ``"module:OBJECT"``, or a model.
+        reference: a key of ``MODELS``, a ``"module:OBJECT"``, or a model.
 
     Raises:
         InputError: no such model.

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadjax.core.matrix import Mat3, Sym3
+from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, sensors
 from quadjax.plant.config import (
@@ -18,8 +20,6 @@ from quadjax.plant.config import (
 from quadjax.plant.covariance import Covariance
 from quadjax.plant.ekf import InertialSample, MotionEstimate
 from quadjax.plant.ekf_params import EkfParams, ekf_params
-from quadjax.plant.matrix import Mat3, Sym3
-from quadjax.plant.quaternion import Quaternion
 from quadjax.plant.sensors import GroundTruth
 from quadjax.studies.consistency import errors_and_deviations
 from tests.plant.reference import Nominal

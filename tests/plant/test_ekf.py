@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadjax.core import quaternion
 from quadjax.core.frames import rotation_matrix
 from quadjax.plant import covariance as cov
-from quadjax.plant import ekf, quaternion
+from quadjax.plant import ekf
 from quadjax.plant.config import EkfConfig, SensorsConfig
 from quadjax.plant.ekf_params import ekf_params
 from quadjax.plant.sensors import Fix

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import butter, freqz, lfilter
 from scipy.stats import norm
 
+from quadjax.core.quaternion import of_euler
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import sensors
 from quadjax.plant.config import (
@@ -14,7 +15,6 @@ from quadjax.plant.config import (
     RpmConfig,
     SensorsConfig,
 )
-from quadjax.plant.quaternion import of_euler
 from quadjax.plant.sensors import GroundTruth
 from tests.plant.support import NO_ERRORS, RATE, at
 

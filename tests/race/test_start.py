@@ -1,15 +1,12 @@
 """Where episodes begin: ranges, gates, clocks, disturbances and drawn constants."""
 
-import dataclasses
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from quadjax.race import environment
-from quadjax.race.start import RandomizationFractions, draw_constants
+from quadjax.race.start import draw_constants
 from quadjax.race.track import inside_turn
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
@@ -146,17 +143,15 @@ def test_staggered_clocks():
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_each_group_of_constants_is_drawn_by_itself(kind):
-    nominal = make_race(f"vehicle.model={kind}")[1].vehicle.constants
     model = MODELS[kind]
-    none = {field.name: jnp.float32(0) for field in dataclasses.fields(RandomizationFractions)}
-    assert set(none) >= set(model.groups)
+    nominal = make_race(f"vehicle.model={kind}")[1].vehicle.constants
     drawn = jax.random.uniform(
         jax.random.key(0), (COUNT, len(vars(nominal))), minval=-1.0, maxval=1.0
     )
-    draw = jax.jit(jax.vmap(functools.partial(draw_constants, model), in_axes=(None, None, 0)))
-    for group in none:
-        names = model.groups.get(group, ())
-        found = draw(nominal, RandomizationFractions(**none | {group: jnp.float32(0.2)}), drawn)
+    draw = jax.jit(jax.vmap(draw_constants, in_axes=(None, None, 0)))
+    for group, names in model.groups.items():
+        spread = make_race(f"vehicle.model={kind}", f"randomization.{group}=0.2")[1].randomization
+        found = draw(nominal, spread, drawn)
         for name, values in vars(found).items():
             value = float(getattr(nominal, name))
             if name in names and value != 0:

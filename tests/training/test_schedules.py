@@ -74,7 +74,7 @@ def test_constants_and_randomization_can_be_scheduled():
     assert float(at(config, 5)[1].vehicle.constants.tau) == pytest.approx(0.08)
     config = tiny("e2e_shac", "schedules.randomization.drag={linear: [0, 0.2]}")
     assert choices_of(config).randomize
-    assert float(at(config, 5)[1].randomization.drag) == pytest.approx(0.1)
+    assert float(at(config, 5)[1].randomization.k_x) == pytest.approx(0.1)
 
 
 def test_another_schedule_compiles_nothing():

@@ -92,6 +92,11 @@ def apply(m: Mat3, v: Vec3) -> Vec3:
     return Vec3(dot(m.x, v), dot(m.y, v), dot(m.z, v))
 
 
+def apply_transposed(m: Mat3, v: Vec3) -> Vec3:
+    """``M^T v``."""
+    return m.x * v.x + m.y * v.y + m.z * v.z
+
+
 def skew(v: Vec3) -> Mat3:
     """``[v]x``, the matrix of ``v x``."""
     zero = jnp.zeros_like(v.x)

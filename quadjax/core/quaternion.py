@@ -4,13 +4,17 @@ Hamilton's convention, scalar first, body to world: ``v_world = q * v_body * q^-
 "Quaternion kinematics for the error-state Kalman filter", arXiv 1711.02508, sections 1 and 2).
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.frames import sincos
+from quadjax.core.matrix import Mat3
+from quadjax.core.trigonometry import sincos
 from quadjax.core.vectors import Vec3, dot
-from quadjax.plant.matrix import Mat3
+
+Arctan2 = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 @struct.dataclass
@@ -92,8 +96,18 @@ def of_euler(euler: Vec3) -> Quaternion:
     )
 
 
-def to_euler(q: Quaternion) -> Vec3:
-    """Euler angles (roll, pitch, yaw), rad; pitch in [-pi/2, pi/2]."""
+def to_euler(q: Quaternion, arctan2: Arctan2 = jnp.arctan2) -> Vec3:
+    """Euler angles (roll, pitch, yaw), rad; pitch in [-pi/2, pi/2].
+
+    With ``quadjax.core.trigonometry.arctan2`` the derivatives are finite at any attitude.
+    """
     r = matrix(q)
-    flat = jnp.sqrt(r.x.x * r.x.x + r.y.x * r.y.x)
-    return Vec3(jnp.arctan2(r.z.y, r.z.z), jnp.arctan2(-r.z.x, flat), jnp.arctan2(r.y.x, r.x.x))
+    square = r.x.x * r.x.x + r.y.x * r.y.x
+    flat = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    return Vec3(arctan2(r.z.y, r.z.z), arctan2(-r.z.x, flat), arctan2(r.y.x, r.x.x))
+
+
+def rate(q: Quaternion, body_rates: Vec3) -> Quaternion:
+    """The derivative ``q * (0, Omega) / 2``, 1/s, of body rates (p, q, r), rad/s."""
+    half = body_rates * 0.5
+    return multiply(q, Quaternion(jnp.zeros_like(half.x), *half.components()))

@@ -1,0 +1,289 @@
+"""The models of rigid bodies with four rotors against the double-precision reference."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from quadjax.config.loading import load_config
+from quadjax.core import quaternion
+from quadjax.core.integrators import euler_step
+from quadjax.core.quaternion import Quaternion
+from quadjax.core.trigonometry import arctan2
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.vehicle import racing
+from quadjax.vehicle.attitude import with_quaternions
+from quadjax.vehicle.protocol import Motion, VehicleParams
+from quadjax.vehicle.registry import MODELS
+from quadjax.vehicle.rigid_body import RigidBodyState
+from tests import reference as bebop
+from tests.convert import command_of, constants
+from tests.convert import state_of as bebop_state
+from tests.vehicle import rigid_reference as ref
+
+COUNT = 300
+VEHICLES = {"5inch": ref.FIVE_INCH, "3inch": ref.THREE_INCH, "a2rl": ref.A2RL, "cpc": ref.CPC}
+RANGES = {"5inch": (238, 3295), "3inch": (305, 4888), "a2rl": (342, 3100), "cpc": (0, 6.879)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _double():
+    with jax.enable_x64(True):
+        yield
+
+
+@functools.cache
+def vehicle_of(name):
+    vehicle = load_config("e2e_shac", (f"vehicle={name}", "track=figure8_tudelft")).vehicle
+    return MODELS[vehicle.model], vehicle.constants
+
+
+def params_of(name, **changed):
+    model, values = vehicle_of(name)
+    values = {key: jnp.asarray(value, float) for key, value in (values | changed).items()}
+    return VehicleParams(model.constants(**values))
+
+
+def state_of(rows):
+    parts = (
+        (Vec3, ref.P),
+        (Vec3, ref.V),
+        (Quaternion, ref.Q),
+        (Vec3, ref.RATES),
+        (Rotors, ref.ROTORS),
+    )
+    return RigidBodyState(*(kind.of(jnp.asarray(rows[..., part])) for kind, part in parts))
+
+
+def rows_of(state):
+    flat = np.broadcast_arrays(*(np.asarray(leaf) for leaf in jax.tree.leaves(state)))
+    return np.stack(flat, axis=-1)
+
+
+@functools.cache
+def _slope(model):
+    return jax.jit(jax.vmap(model.derivative, in_axes=(None, 0, 0)))
+
+
+def slope_of(name, rows, command, **changed):
+    params = params_of(name, **changed)
+    commands = Rotors.of(jnp.asarray(command, float))
+    return rows_of(_slope(vehicle_of(name)[0])(params, state_of(rows), commands))
+
+
+def level(name, speed, **columns):
+    rows = np.zeros((1, 17))
+    rows[:, 6] = 1.0
+    rows[:, ref.ROTORS] = speed
+    for column, value in columns.items():
+        rows[0, int(column[1:])] = value
+    return rows
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_derivative(name):
+    rows = ref.random_states(*RANGES[name], COUNT)
+    command = np.random.default_rng(1).uniform(0.0, 1.0, (COUNT, 4))
+    published = ref.cpc_derivative if name == "cpc" else ref.racing_derivative
+    expected = published(VEHICLES[name], rows, command)
+    scale = np.maximum(np.abs(expected).max(axis=0), 1e-3)
+    assert np.max(np.abs(slope_of(name, rows, command) - expected) / scale) < 1e-12
+
+
+STILL = np.zeros((1, 4))
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "column", "expected"),
+    [
+        # One faster rotor of the 5-inch: thrust, roll, pitch and yaw. 2000^2 - 1000^2 = 3e6.
+        ("5inch", {"c13": 2000.0}, 5, -2.49e-06 * 3e6),  # front left: up
+        ("5inch", {"c13": 2000.0}, 10, 6.67e-05 * 3e6),  # to the right
+        ("5inch", {"c13": 2000.0}, 11, 5.89e-05 * 3e6),  # nose up
+        ("5inch", {"c13": 2000.0}, 12, -1.07e-02 * 1e3 + 1.97e-03 * 1e3 / 0.04),  # nose left
+        ("5inch", {"c14": 2000.0}, 10, -6.61e-05 * 3e6),  # front right: to the left
+        ("5inch", {"c14": 2000.0}, 12, 1.07e-02 * 1e3 - 1.97e-03 * 1e3 / 0.04),  # nose right
+        ("5inch", {"c15": 2000.0}, 11, -5.28e-05 * 3e6),  # rear right: nose down
+        ("5inch", {"c16": 2000.0}, 10, 6.36e-05 * 3e6),  # rear left: to the right
+        ("5inch", {"c3": 5.0}, 3, -4.85e-05 * 5 * 4000),  # drag backward
+        ("5inch", {"c4": 5.0}, 4, -7.28e-05 * 5 * 4000),  # drag to the left
+        ("5inch", {"c14": 2000.0}, 14, -1000.0 / 0.04),  # the rotor slows down
+        ("a2rl", {"c3": 10.0}, 3, -5.37e-05 * 10 * 4000 - 0.0041 * 100),
+        ("a2rl", {"c3": -10.0}, 3, 5.37e-05 * 10 * 4000 + 0.0041 * 100),
+        ("a2rl", {"c4": 10.0}, 4, -5.37e-05 * 10 * 4000 - 0.0151 * 100),
+        # Advance and angle of attack: R w is 48.5775 m/s.
+        ("a2rl", {"c3": 10.0}, 5, -6.2 * 7.245 * np.arctan(100 / 48.5775**2)),
+        ("a2rl", {"c5": 10.0}, 5, -6.2 * 3.14514 * np.arctan(10 / 48.5775)),  # sinking: more thrust
+        ("a2rl", {"c11": 2.0, "c12": 3.0}, 10, -0.89 * 6),
+        ("a2rl", {"c10": 2.0, "c12": 3.0}, 11, 0.96 * 6),
+        ("a2rl", {"c10": 2.0, "c11": 3.0}, 12, -0.34 * 6),
+    ],
+)
+def test_signs_by_hand(name, columns, column, expected):
+    """The change from level flight with all rotors at 1000 rad/s."""
+    params = params_of(name).constants
+    steady = racing.command_of(params, Rotors.same(jnp.asarray(1000.0)))
+    command = rows_of(steady)[None]
+    change = slope_of(name, level(name, 1000.0, **columns), command) - slope_of(
+        name, level(name, 1000.0), command
+    )
+    assert change[0, column] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rotor", "signs"), [(0, (1, 1, -1)), (1, (-1, 1, 1)), (2, (-1, -1, -1)), (3, (1, -1, 1))]
+)
+def test_signs_of_thrusts(rotor, signs):
+    command = np.eye(4)[rotor : rotor + 1]
+    found = slope_of("cpc", level("cpc", 0.0), command)[0]
+    assert found[5] == pytest.approx(9.81 - 1 / 0.85)
+    turning = np.array([0.106066 / 0.001, 0.106066 / 0.001, 0.05 / 0.0017])
+    np.testing.assert_allclose(found[ref.RATES], turning * signs)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_hover_is_an_equilibrium(name):
+    model, _ = vehicle_of(name)
+    params = params_of(name)
+    zero = Vec3.zero()
+    state = model.hover(
+        params.constants, Motion(zero, zero, zero.replace(z=jnp.asarray(0.7)), zero)
+    )
+    command = state.rotors
+    if name != "cpc":
+        command = racing.command_of(params.constants, state.rotors)
+        speeds = rows_of(racing.motor_map(params.constants, command))
+        np.testing.assert_allclose(speeds, rows_of(state.rotors), rtol=1e-12)
+    slope = rows_of(model.derivative(params, state, command))
+    np.testing.assert_allclose(slope, 0.0, atol=1e-8)
+    assert np.ptp(rows_of(state.rotors)) > (0 if name == "cpc" else 10) - 1e-9
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_ranges(name):
+    model, _ = vehicle_of(name)
+    c = params_of(name).constants
+    commands = [rows_of(x) for x in model.command_range(c)]
+    np.testing.assert_allclose(commands, [[0.0] * 4, [6.879 if name == "cpc" else 1.0] * 4])
+    if name != "cpc":
+        ends = [rows_of(racing.motor_map(c, Rotors.of(jnp.asarray(u)))) for u in commands]
+        np.testing.assert_allclose(ends, [rows_of(x) for x in model.actuator_range(c)])
+
+
+def test_thrust_to_weight():
+    found = {name: vehicle_of(name)[0].thrust_to_weight(vehicle_of(name)[1]) for name in VEHICLES}
+    assert found == pytest.approx({"5inch": 11.0, "3inch": 5.8, "a2rl": 6.1, "cpc": 3.3}, rel=0.01)
+
+
+def test_drawn_curvature_of_the_motor_map_stays_valid():
+    """A k above 1, as randomization draws it, is 1."""
+    u = np.linspace(0, 1, 11)
+    command = Rotors.same(jnp.asarray(u))
+    found, linear = (
+        rows_of(racing.motor_map(params_of("5inch", k=k).constants, command)) for k in (1.2, 1.0)
+    )
+    np.testing.assert_array_equal(found, linear)
+    np.testing.assert_allclose(linear[:, 0], 238.49 + u * (3295.5 - 238.49))
+
+
+ATTITUDES = {
+    "level": (0.2, -0.3, 1.0),
+    "pitch 90 deg": (0.4, np.pi / 2, 0.3),
+    "inverted": (np.pi, 0.1, -2.0),
+}
+
+
+@functools.cache
+def _flight(name):
+    """The end of a flight of ten steps from ``flat + size moves``, one number."""
+    model, params = vehicle_of(name)[0], params_of(name)
+    actions = jnp.asarray(np.random.default_rng(3).uniform(0.3, 0.7, (10, 4)))
+    weights = jnp.asarray(np.random.default_rng(4).normal(size=17)) * jnp.asarray(
+        [1.0] * 13 + [1e-3] * 4
+    )
+
+    def value(flat, actions, unravel):
+        def one(state, action):
+            command = Rotors.of(action)
+            slope = functools.partial(model.derivative, params, command=command)
+            after = euler_step(slope, state, 0.01)
+            return model.wrap(model.hold(after, command)), None
+
+        state, _ = jax.lax.scan(one, unravel(flat), actions)
+        return jnp.dot(jnp.stack(jax.tree.leaves(state)), weights)
+
+    return value, actions
+
+
+@pytest.mark.parametrize("name", ["5inch", "a2rl", "cpc"])
+def test_gradient_of_a_flight(name):
+    """Automatic derivatives against central differences, at attitudes with and without angles."""
+    model = vehicle_of(name)[0]
+    value, actions = _flight(name)
+    hover = model.hover(params_of(name).constants, Motion(*([Vec3.zero()] * 4)))
+    _, unravel = ravel_pytree(hover)
+    both = jax.jit(jax.value_and_grad(lambda x, a: value(x, a, unravel), (0, 1)))
+    many = jax.jit(jax.vmap(lambda x, a: value(x, a, unravel), in_axes=(0, None)))
+    for euler in ATTITUDES.values():
+        moving = Motion(
+            Vec3.zero(),
+            Vec3.of(jnp.asarray([8.0, -3.0, 2.0])),
+            Vec3.of(jnp.asarray(euler)),
+            Vec3.of(jnp.asarray([3.0, -5.0, 2.0])),
+        )
+        flat, _ = ravel_pytree(model.hover(params_of(name).constants, moving))
+        _, (slope, by_action) = both(flat, actions)
+        size = jnp.where(jnp.arange(17) < 13, 1e-5, 1e-2)
+        ahead, back = (
+            many(flat[None] + jnp.diag(size), actions),
+            many(flat[None] - jnp.diag(size), actions),
+        )
+        measured = (ahead - back) / (2 * size)
+        np.testing.assert_allclose(slope, measured, atol=1e-6 * np.abs(measured).max())
+        assert np.all(np.isfinite(by_action)) and np.abs(by_action).min() > 0
+
+
+def test_command_at_the_lowest_speed_has_a_finite_gradient():
+    c = params_of("a2rl").constants
+    slope = jax.grad(lambda u: racing.motor_map(c, Rotors.same(u)).w1)
+    assert 1e3 < float(slope(jnp.asarray(0.0))) < 1e5
+    inner = float(slope(jnp.asarray(0.3)))
+    h = 1e-6
+    ends = [float(racing.motor_map(c, Rotors.same(jnp.asarray(0.3 + s))).w1) for s in (h, -h)]
+    assert inner == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["motor", "rate"])
+def test_models_of_euler_angles_with_a_quaternion(kind):
+    """The same derivatives; those of the quaternion are the angles' at any regular attitude."""
+    rows, commands = bebop.random_states(kind, COUNT), bebop.random_commands(kind, COUNT)
+    plain, model = MODELS[kind], with_quaternions(MODELS[kind])
+    params = VehicleParams(constants(kind, {"motor": bebop.MOTOR, "rate": bebop.RATE}[kind]))
+    state, command = bebop_state(kind, rows), command_of(kind, commands)
+    turned = state.replace(euler=quaternion.of_euler(state.euler))
+    expected = jax.vmap(plain.derivative, (None, 0, 0))(params, state, command)
+    found = jax.vmap(model.derivative, (None, 0, 0))(params, turned, command)
+    _, slope = jax.jvp(lambda q: quaternion.to_euler(q, arctan2), (turned.euler,), (found.euler,))
+    found = found.replace(euler=slope)
+    for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9 * max(1.0, np.abs(theirs).max()))
+    angles = model.euler(turned)
+    np.testing.assert_allclose(rows_of(angles), rows_of(state.euler), atol=1e-9)
+    assert plain.pitch_limit < np.pi / 2 and model.pitch_limit == np.inf
+
+
+def test_accelerometer_measures_the_forces_without_gravity():
+    for name in VEHICLES:
+        model, _ = vehicle_of(name)
+        params = params_of(name)
+        rows = ref.random_states(*RANGES[name], 1, seed=7)
+        state = jax.tree.map(lambda x: x[0], state_of(rows))
+        command = state.rotors
+        slope = model.derivative(params, state, command)
+        gravity = Vec3.zero().replace(z=params.constants.g)
+        expected = model.to_body(state, slope.velocity - gravity)
+        found = model.specific_force(params, state)
+        np.testing.assert_allclose(rows_of(found), rows_of(expected), atol=1e-9)
