@@ -474,7 +474,11 @@ def test_vehicle_file_with_a_model_and_constants_of_rotors(tmp_path):
         ("k_q: 5", "k_q1: 5", "vehicle.constants.k_q2 is missing"),
         ("k_q: 5", "k_q: [5, 5, 5, a]", "vehicle.constants.k_q1 is 'a', allowed"),
         ("model: racing", "model: fast", "vehicle.model is 'fast', allowed: motor, rate"),
-        ("model: racing", "size: 3", "mine.yaml: size is 3; allowed: name, mass, width, model, rotors"),
+        (
+            "model: racing",
+            "size: 3",
+            "mine.yaml: size is 3; allowed: name, mass, width, model, rotors",
+        ),
     ],
 )
 def test_errors_in_vehicle_files(tmp_path, old, new, message):
