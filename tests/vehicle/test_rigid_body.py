@@ -55,7 +55,9 @@ def state_of(rows):
         (Vec3, ref.RATES),
         (Rotors, ref.ROTORS),
     )
-    return RigidBodyState(*(kind.of(jnp.asarray(rows[..., part])) for kind, part in parts))
+    return RigidBodyState(
+        *(kind(*jnp.moveaxis(jnp.asarray(rows[..., part]), -1, 0)) for kind, part in parts)
+    )
 
 
 def rows_of(state):
