@@ -1,21 +1,25 @@
 """Files damaged at random: each is read, or refused in one line. Nothing else is raised."""
 
+import functools
+import os
 import random
+from pathlib import Path
 
-import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.core.resources import CONFIGS
-from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.config import LogsConfig, load_fit_config
 from quadjax.fitting.flight_log import read_log, write_log
+from quadjax.fitting.simulate import simulate_flight
+from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.plant.config import load_plant_config
 from quadjax.policy.file import Policy
 from quadjax.sweeps.sweep import load_sweep
-from quadjax.training.metrics import saved_rows
+from quadjax.training.metrics import read_metrics
+from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual_file import read_residual
 from tests.sweeps.support import sweep_file
 from tests.test_files import POLICY_META, RESIDUAL_META, policy_arrays, residual_arrays, save
@@ -49,22 +53,21 @@ def damaged(data: bytes, draw: random.Random) -> bytes:
     return bytes(changed)
 
 
-def a_log(path):
-    """A flight log of 300 samples."""
-    draw, count = np.random.default_rng(0), 300
-    sizes = {"position": 3, "world_velocity": 3, "euler": 3, "gyro": 3, "rpm": 4}
-    sizes |= {"rpm_command": 4, "acceleration": 3, "acceleration_bias": 3}
-    values = {name: draw.normal(size=(count, size)) for name, size in sizes.items()}
-    values |= {name: 5000.0 + values[name] for name in ("rpm", "rpm_command")}
-    values |= {"euler": 0.1 * values["euler"], "time": np.arange(count) / 100.0}
-    values |= {"acceleration": values["acceleration"] - np.array([0.0, 0.0, 9.81])}
-    write_log(path, paparazzi_columns(values | {"mode": np.ones(count)}))
+@functools.cache
+def flight():
+    """The columns of a short flight log."""
+    return simulate_flight(VehicleParams(read_vehicle("bebop1.yaml").motor), seed=0, seconds=3.0)
 
 
+PAPARAZZI = LogsConfig(format="paparazzi")
 KINDS = {  # suffix, what writes a whole file, what reads it
     "policy": (".npz", lambda p: save(p, policy_arrays(), POLICY_META), Policy.load),
     "residual": (".npz", lambda p: save(p, residual_arrays(), RESIDUAL_META), read_residual),
-    "log": (".csv", a_log, lambda p: read_log(p, LogsConfig(format="paparazzi"))),
+    "log": (
+        ".csv",
+        lambda p: write_log(p, flight()),
+        lambda p: read_log(p, LogsConfig(format="paparazzi")),
+    ),
     "config": (".yaml", lambda p: p.write_text(load_config("e2e").to_yaml()), load_config),
     "track": (
         ".yaml",
@@ -87,9 +90,30 @@ KINDS = {  # suffix, what writes a whole file, what reads it
         lambda p: sweep_file(p.parent).rename(p),
         load_sweep,
     ),
-    "metrics": (".csv", lambda p: p.write_text("steps,score\n100,1.5\n200,1.2\n"), saved_rows),
+    "metrics": (".csv", lambda p: p.write_text("steps,score\n100,1.5\n200,1.2\n"), read_metrics),
     "summary": (".json", lambda p: p.write_text('{"finished": true, "steps": 3}'), read_json),
 }
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pipes_devices_folders_and_loops_of_links_are_refused_in_one_line(tmp_path, kind):
+    _, _, read = KINDS[kind]
+    pipe, loop = tmp_path / "pipe.yaml", tmp_path / "loop.yaml"
+    os.mkfifo(pipe)
+    loop.symlink_to(loop)
+    for path in (pipe, loop, tmp_path, Path("/dev/zero"), tmp_path / ("n" * 300)):
+        with pytest.raises(InputError) as caught:
+            read(path)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("policy", "residual")])
+def test_a_byte_order_mark_is_skipped(tmp_path, kind):
+    suffix, write, read = KINDS[kind]
+    path = tmp_path / f"file{suffix}"
+    write(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    read(path)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,7 +7,7 @@ from quadjax.config.checks import check, vehicle_model
 from quadjax.config.renamed import check_renamed
 from quadjax.config.schema import Config, Schedule
 from quadjax.config.vehicle_file import for_each_rotor, vehicle_values
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, reading
 from quadjax.core.imports import load_object
 from quadjax.core.resources import CONFIGS, find_config, preset_names
 from quadjax.core.sections import build
@@ -146,7 +146,9 @@ def _exists(over: Tree, folder: Path) -> bool:
     """Whether a vehicle or track file of the overrides is in ``folder``."""
     sections = [over.get(name) for name in FROM_FILE]
     names = [s.get("file") if isinstance(s, dict) else s for s in sections]
-    return any(isinstance(name, str) and (folder / name).is_file() for name in names)
+    files = [name for name in names if isinstance(name, str)]
+    with reading(", ".join(files)):
+        return any((folder / name).is_file() for name in files)
 
 
 def _merge(under: Tree, over: Tree, folder: Path, source: str) -> Tree:

@@ -2,21 +2,15 @@
 
 import contextlib
 import os
-import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from quadjax.core.secrets import redact
+
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
-
-
-_SECRET = re.compile(
-    r"(?P<url>://[^\s:/@]*:)(?:\S*(?=@)|(?!\d{1,5}(?:[^\w.]|$))\S+)"  # a port is shown
-    r"|(?P<key>\b(?:pass|pwd|secret|token)\w*\s*=\s*)(?:'[^']*'?|\"[^\"]*\"?|[^\s&'\"]+)",
-    re.IGNORECASE,
-)
 
 
 class InputError(ValueError):
@@ -25,11 +19,6 @@ class InputError(ValueError):
     def __init__(self, message: str) -> None:
         """The message, without the passwords of URLs and of ``password=...``."""
         super().__init__(redact(message))
-
-
-def redact(text: str) -> str:
-    """The text with ``***`` for the password of a URL, and for values of ``password`` and so on."""
-    return _SECRET.sub(lambda found: f"{found['url'] or found['key']}***", text)
 
 
 @contextlib.contextmanager

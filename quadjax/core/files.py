@@ -1,6 +1,7 @@
 """Atomic file writes: to a temporary file, which is then renamed."""
 
 import contextlib
+import csv
 import json
 import math
 import os
@@ -10,7 +11,7 @@ import stat
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,15 @@ def write_text(path: Path | str, text: str) -> None:
     """Write a text file atomically."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_csv(path: Path | str, rows: Iterable[Sequence[object]]) -> None:
+    """Write rows as a CSV file, atomically."""
+    with (
+        whole_file(path) as temporary,
+        open(temporary, "w", newline="", encoding="utf-8") as stream,
+    ):
+        csv.writer(stream).writerows(rows)
 
 
 def write_json(path: Path | str, value: object) -> None:

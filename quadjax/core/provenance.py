@@ -47,6 +47,12 @@ def provenance(
     }
 
 
+def line_of(origin: dict[str, Any]) -> str:
+    """A ``provenance`` with a config as a line of text."""
+    versions = f"quadjax {origin['quadjax']}, JAX {origin['jax']}, {origin['date']}"
+    return f"{versions}; SHA-256 of the config: {origin['config']['sha256']}"
+
+
 def file_record(path: Path | str) -> dict[str, str | None]:
     """A file and its SHA-256, null where there is no such file."""
     return {"file": str(path), "sha256": hash_of_file(path)}

@@ -5,6 +5,8 @@ In a checkout ``configs/`` is at the top of the repository; in a wheel it is ins
 
 from pathlib import Path
 
+from quadjax.core.errors import reading
+
 _PACKAGE = Path(__file__).resolve().parent.parent
 _BUNDLED = _PACKAGE / "configs"
 
@@ -26,4 +28,5 @@ def find_config(name: Path | str, folder: str = "") -> Path:
     """
     path = Path(name)
     preset = CONFIGS / folder / f"{name}.yaml"
-    return preset if path.suffix == "" and not path.exists() and preset.is_file() else path
+    with reading(name):
+        return preset if path.suffix == "" and not path.exists() and preset.is_file() else path

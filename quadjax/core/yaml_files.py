@@ -186,6 +186,11 @@ def parse_overrides(overrides: Sequence[str]) -> Tree:
     return tree
 
 
+def override(key: str, value: object) -> str:
+    """A ``key=value`` override, which ``parse_overrides`` reads back."""
+    return f"{key}={json.dumps(value)}"
+
+
 def to_yaml(tree: Mapping[str, object], comments: Mapping[str, str] | None = None) -> str:
     """A tree as YAML: nested mappings in block style, lists of plain values in flow style.
 

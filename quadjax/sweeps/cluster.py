@@ -31,13 +31,10 @@ class Mailbox:
         self._reports.setdefault(trial, []).append((step, value))
         return trial in self._stopped
 
-    def take(self, trial: str) -> list[tuple[int, float]]:
-        """The reports since the last call."""
+    def take(self, trial: str, stop: bool) -> list[tuple[int, float]]:
+        """The reports since the last call; with ``stop`` the trial is to stop from now on."""
+        self._stopped |= {trial} if stop else set()
         return self._reports.pop(trial, [])
-
-    def stop(self, trial: str) -> None:
-        """Answer from now on that a trial is to stop."""
-        self._stopped.add(trial)
 
 
 def _task(function: Function, job: Job, trial: str, mailbox: Any, gpus: float) -> Outcome:
@@ -81,11 +78,11 @@ class RayExecutor(contextlib.AbstractContextManager):
         """Run a trial where the cluster has room; ``WorkerDied`` if its process or node dies."""
         trial = uuid.uuid4().hex
         task = self._task.remote(self._function, job, trial, self._mailbox, self._gpus)
+        stop = False
         try:
             while not ray.wait([task], timeout=POLL_SECONDS)[0]:
-                reports = ray.get(self._mailbox.take.remote(trial))
-                if any([tell(*report) for report in [*reports, (-1, 0.0)]]):
-                    self._mailbox.stop.remote(trial)
+                reports = ray.get(self._mailbox.take.remote(trial, stop))
+                stop = any([tell(*report) for report in [*reports, (-1, 0.0)]])
             return ray.get(task)
         except ray.exceptions.RayError as error:
             reason = str(error).strip().splitlines() or [""]

@@ -1,15 +1,13 @@
 """The report of a sweep: a table of its trials, importances, figures and the best config."""
 
 import contextlib
-import csv
-import io
 import math
 from pathlib import Path
 
 from quadjax.config.loading import load_config
-from quadjax.core.files import write_text
+from quadjax.core.files import write_csv, write_text
 from quadjax.core.markdown import table
-from quadjax.core.provenance import provenance
+from quadjax.core.provenance import line_of, provenance
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.study import OVER, State, latest_trials
 from quadjax.sweeps.sweep import Sweep
@@ -57,9 +55,7 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     """Write the report into the sweep's folder; returns what to print."""
     results = results_of(study)
     rows = rows_of(results, sweep.keys)
-    stream = io.StringIO()
-    csv.writer(stream).writerows(rows)
-    write_text(directory / "trials.csv", stream.getvalue())
+    write_csv(directory / "trials.csv", rows)
     found = sorted(importances(study).items(), key=lambda item: -item[1])
     explained = "Importances need three complete trials of different values."
     if found:
@@ -67,9 +63,7 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
     name, method, seeds = sweep.file.name, sweep.file.search.method, sweep.file.objective.seeds
     head = f"# {name}\n\n{len(results)} trials of {sweep.trials}; {method}; median over {seeds} "
     head += f"seeds of the lap time, s. Base: `{' '.join([sweep.base.name, *sweep.overrides])}`."
-    origin = provenance(load_config(sweep.base, sweep.overrides))
-    head += f"\n\nquadjax {origin['quadjax']}, JAX {origin['jax']}, {origin['date']}; "
-    head += f"SHA-256 of the base config: {origin['config']['sha256']}"
+    head += f"\n\n{line_of(provenance(load_config(sweep.base, sweep.overrides)))}"
     finished = [t for t in results if t.state == State.COMPLETE and t.user_attrs["finished"]]
     last = "No policy finished a flight: every value is the penalty. Train for more steps."
     if finished:

@@ -1,18 +1,14 @@
 """The keys of a sweep file."""
 
 import json
-import re
 from typing import Annotated, Any, Literal
 
+from quadjax.core.secrets import DATABASE
 from quadjax.core.sections import Field, FolderName, Positive, Section, model_validator
 
 ENTRIES = ("choices", "range", "log", "step", "points")  # of a key of the search space
 MAX_TRIALS = 10_000
 Bound = Annotated[float, Field(ge=-1e12, le=1e12)]
-DATABASE = re.compile(  # of which the place may be shown
-    r"postgresql://([^@/?#\s]*@)?(?P<place>(\[[\da-fA-F:.]+\]|[^@/?#:\s]*)(:\d+)?(/[^@/?#\s]*)?)"
-    r"(\?(?P<query>[^@?#\s]*))?"
-)
 
 
 class Range(Section):

@@ -9,14 +9,13 @@ import copy
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
-from urllib.parse import unquote, unquote_plus
+from typing import NamedTuple
 
 import filelock
 
 from quadjax.core.errors import InputError
+from quadjax.core.secrets import DATABASE, hide
 from quadjax.sweeps.extra import optuna
-from quadjax.sweeps.schema import DATABASE
 from quadjax.sweeps.sweep import Sweep
 
 JOURNAL, DRIVER = "study.journal", "postgresql+psycopg://"
@@ -67,16 +66,15 @@ def _open_storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
 def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
     """Turn errors of the storage into one ``InputError``, without the password of a database."""
     kinds: tuple[type[Exception], ...] = (ValueError, LookupError, TypeError, AttributeError)
-    where, secrets = f"{directory / JOURNAL} is damaged, start over with --overwrite", [""]
-    if sweep.file.storage != "journal":
+    where, url = (
+        f"{directory / JOURNAL} is damaged, start over with --overwrite",
+        sweep.file.storage,
+    )
+    if place := DATABASE.fullmatch(url):
         from sqlalchemy.exc import SQLAlchemyError
 
         kinds = (SQLAlchemyError, ImportError, ValueError, optuna.exceptions.OptunaError)
-        url: Any = DATABASE.fullmatch(sweep.file.storage)
-        where = f"storage: {url['place']} cannot be used"
-        _, _, password = (url[1] or "").rstrip("@").partition(":")
-        raw = [password, *(entry.partition("=")[2] for entry in (url["query"] or "").split("&"))]
-        secrets = [sweep.file.storage, *raw, *map(unquote_plus, raw), *map(unquote, raw)]
+        where = f"storage: {place['place']} cannot be used"
     try:
         yield
     except InputError:
@@ -84,11 +82,9 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
     except kinds as error:
         cause = getattr(error.__cause__ or error, "orig", None) or error.__cause__ or error
         reason = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
-        for secret in sorted(filter(None, secrets), key=len, reverse=True):
-            reason = reason.replace(secret, "***")
         if isinstance(cause, ImportError):
             reason += ": pip install 'quadjax[sweep-postgresql]'"
-        raise InputError(f"{where} ({reason})") from None
+        raise InputError(f"{where} ({hide(reason, url)})") from None
 
 
 @contextlib.contextmanager

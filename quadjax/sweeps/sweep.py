@@ -13,7 +13,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.sections import build, merge_trees, parse_overrides, value_at
-from quadjax.core.yaml_files import find_file, flatten, read_yaml
+from quadjax.core.yaml_files import find_file, flatten, override, read_yaml
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
 
@@ -71,11 +71,6 @@ class Dimension:
         return sorted({round(value) for value in values}) if self.whole else values
 
 
-def override(key: str, value: object) -> str:
-    """A ``key=value`` override."""
-    return f"{key}={json.dumps(value)}"
-
-
 def plain(value: object) -> Plain:
     """A config's value as Optuna stores it."""
     return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
@@ -83,27 +78,28 @@ def plain(value: object) -> Plain:
 
 def read_dimension(key: str, given: object, config: object) -> Dimension:
     """A dimension of a sweep file's ``space``; the base config tells the type of its key."""
-    if key in OWN_KEYS:
-        raise InputError(f"{key}: {key} is set by the sweep")
-    base, kinds = value_at(config, key), optuna.distributions
-    if not isinstance(given, dict):
-        raise InputError(f"{key} is {given!r}, allowed: a mapping with choices, range or log")
-    known = build(Range, given, f"{key}")
-    if known.choices is not None:
-        return Dimension(key, known, kinds.CategoricalDistribution([*map(plain, known.choices)]))
-    if isinstance(base, bool) or not isinstance(base, (int, float, type(None))):
-        raise InputError(f"{key}: is not a number, allowed: choices")
-    (low, high), step, log = known.range or known.log, known.step, known.log is not None
-    whole = all(number.is_integer() for number in (low, high, step or 1.0))
-    if isinstance(base, int) and not whole:
-        raise InputError(f"{key}: expected whole numbers, found {given}")
     try:
+        if key in OWN_KEYS:
+            raise ValueError(f"{key} is set by the sweep")
+        base, kinds = value_at(config, key), optuna.distributions
+        if not isinstance(given, dict):
+            raise ValueError(f"{given!r}, allowed: a mapping with choices, range or log")
+        known = build(Range, given, "values")
+        if known.choices is not None:
+            choices = kinds.CategoricalDistribution([*map(plain, known.choices)])
+            return Dimension(key, known, choices)
+        if isinstance(base, bool) or not isinstance(base, (int, float, type(None))):
+            raise ValueError("is not a number, allowed: choices")
+        (low, high), step, log = known.range or known.log, known.step, known.log is not None
+        whole = all(number.is_integer() for number in (low, high, step or 1.0))
+        if isinstance(base, int) and not whole:
+            raise ValueError(f"expected whole numbers, found {given}")
         if isinstance(base, float) or not whole:
             return Dimension(key, known, kinds.FloatDistribution(low, high, log, step))
         integers = kinds.IntDistribution(int(low), int(high), log, int(step or 1))
         return Dimension(key, known, integers)
     except ValueError as error:
-        raise InputError(f"{key}: {error}") from error
+        raise InputError(f"space.{key}: {error}") from error
 
 
 def draws(dimensions: Sequence[Dimension], count: int, seed: int) -> list[Params]:
@@ -176,10 +172,7 @@ def load_sweep(path: Path | str, overrides: Sequence[str] = ()) -> Sweep:
 def _checked(file: SweepFile, base: Path) -> Sweep:
     fixed = tuple(override(key, value) for key, value in file.overrides.items())
     config = load_config(base, fixed)
-    try:
-        dimensions = tuple(read_dimension(key, given, config) for key, given in file.space.items())
-    except InputError as error:
-        raise InputError(f"space.{error}") from error
+    dimensions = tuple(read_dimension(key, given, config) for key, given in file.space.items())
     race = {d.key: value_at(config, d.key) for d in dimensions if d.key.split(".")[0] in RACE}
     race.pop("vehicle.model", None)
     conditions = tuple(override(k, v) for k, v in (race | file.conditions).items())

@@ -3,14 +3,13 @@
 import csv
 import io
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadjax.core.errors import InputError, writing
-from quadjax.core.files import read_text, whole_file
+from quadjax.core.files import read_text, write_csv
 from quadjax.core.yaml_files import short
 from quadjax.learners.loop import Row
 
@@ -35,7 +34,7 @@ class MetricsFile:
     def write(self, row: Row) -> None:
         """Add a row."""
         if not self._started:
-            _write_rows(self._path, list(row), self._rows)
+            write_csv(self._path, [list(row), *(each.values() for each in self._rows)])
             self._started = True
         with (
             writing(self._path),
@@ -51,17 +50,6 @@ class MetricsFile:
         """Close TensorBoard's file."""
         if self._tensorboard is not None:
             self._tensorboard.close()
-
-
-def _write_rows(path: Path, names: Sequence[str], rows: Sequence[Row]) -> None:
-    """Write header and rows atomically."""
-    with (
-        whole_file(path) as temporary,
-        open(temporary, "w", newline="", encoding="utf-8") as stream,
-    ):
-        writer = csv.DictWriter(stream, names)
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def check_tensorboard() -> None:
