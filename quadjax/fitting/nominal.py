@@ -4,12 +4,13 @@ The nominal model (``quadjax.vehicle.motor``) is linear in its constants: each a
 sum of ``constant * regressor``.
 """
 
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import fields
 
 import numpy as np
+from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
+from quadjax.fitting.signals import Rows
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.motor import nominal_force, nominal_moment
 from quadjax.vehicle.residual import Layers, Residual
@@ -26,18 +27,14 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class ModelInputs:
+@struct.dataclass
+class ModelInputs(Rows):
     """Inputs of the model, n samples."""
 
     rpm: np.ndarray  # (n, 4) rpm
     rpm_rate: np.ndarray  # (n, 4) rpm/s
     body_velocity: np.ndarray  # (n, 3) m/s
     rates: np.ndarray  # (n, 3) rad/s
-
-    def __getitem__(self, rows: slice | np.ndarray) -> Self:
-        """Some of the samples."""
-        return type(self)(*(values[rows] for values in vars(self).values()))
 
 
 def nominal(constants: MotorConstants, motion: ModelInputs) -> np.ndarray:

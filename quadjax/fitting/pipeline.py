@@ -68,13 +68,8 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
         InputError: bad logs or a bad config, in one line.
     """
     enable_compilation_cache()
-    base = with_body(read_vehicle(config.vehicle, folder), config.body)
-    report("reading the logs")
-    logs = read_logs(config.logs, folder)
+    base, logs, samples = _read(config, folder, report)
     flights = [log.name for log in logs]
-    report("preparing the samples")
-    samples = prepare(logs, base.motor, config.prepare, config.logs.min_seconds)
-    base = _with_rpm_range(base, config.body, logs, samples)
     split = make_split(samples, flights, config.split)
     report("fitting the nominal model")
     learned = samples[learned_rows(split.fold, ALL)]
@@ -98,21 +93,23 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
         left_out: dataclasses.replace(fit, residual=with_gains(fit.residual, gains))
         for left_out, fit in fits.items()
     }
-    return FitResult(
-        config=config,
-        logs=logs,
-        samples=samples,
-        split=split,
-        vehicle=vehicle,
-        axes=axes,
-        lag=lag,
-        fits=fits,
-        training=predict("training", samples, learned_rows(split.fold, ALL), fits[ALL]),
-        held_out=[part.scaled(gains) for part in held_out],
-        unlimited=held_out,
-        gains=gains,
-        warnings=_warnings(logs, axes, lag) + kept + _limits(held_out, gains),
-    )
+    training = predict("training", samples, learned_rows(split.fold, ALL), fits[ALL])
+    limited = [part.scaled(gains) for part in held_out]
+    warnings = _warnings(logs, axes, lag) + kept + _limits(held_out, gains)
+    data = (config, logs, samples, split, vehicle, axes, lag)
+    return FitResult(*data, fits, training, limited, held_out, gains, warnings)
+
+
+def _read(
+    config: FitConfig, folder: Path, report: Report
+) -> tuple[BaseVehicle, list[FlightLog], Samples]:
+    """The base vehicle with the body's numbers, the logs, and their samples."""
+    base = with_body(read_vehicle(config.vehicle, folder), config.body)
+    report("reading the logs")
+    logs = read_logs(config.logs, folder)
+    report("preparing the samples")
+    samples = prepare(logs, base.motor, config.prepare, config.logs.min_seconds)
+    return _with_rpm_range(base, config.body, logs, samples), logs, samples
 
 
 def _fit_lag(config: FitConfig, logs: list[FlightLog], base: BaseVehicle) -> LagFit:

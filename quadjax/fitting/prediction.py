@@ -1,33 +1,29 @@
 """Predictions of a fitted model on some rows, and the limit of the harm that a residual does."""
 
-from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from flax import struct
 
 from quadjax.core.mlp import Layers
 from quadjax.fitting.nominal import AXES, residual_output
 from quadjax.fitting.prepare import Samples
 from quadjax.fitting.residual_fit import ResidualFit
+from quadjax.fitting.signals import Rows, concatenated
 from quadjax.fitting.tasks import nominal_error
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.residual import Residual
 
 
-@dataclass(frozen=True)
-class Prediction:
+@struct.dataclass
+class Prediction(Rows):
     """What was measured and what a model predicts on some rows; columns as ``AXES``."""
 
-    name: str  # of the rows
+    name: str = struct.field(pytree_node=False)  # of the rows
     rows: np.ndarray  # (n,) index into the samples
     measured: np.ndarray  # (n, 6)
     nominal: np.ndarray  # (n, 6)
     full: np.ndarray  # (n, 6) nominal plus residual
-
-    def __getitem__(self, rows: np.ndarray) -> Self:
-        """Some of the rows."""
-        name, *arrays = vars(self).values()
-        return type(self)(name, *(values[rows] for values in arrays))
 
     def rmse(self, modeled: np.ndarray) -> np.ndarray:
         """Root mean square error (6,)."""
@@ -41,7 +37,7 @@ class Prediction:
     def scaled(self, gains: np.ndarray) -> Self:
         """The prediction with the residual's outputs times ``gains`` (4,): az, Mx, My, Mz."""
         full = self.nominal + (self.full - self.nominal) * np.concatenate([[1.0, 1.0], gains])
-        return replace(self, full=full)
+        return self.replace(full=full)
 
 
 def predict(name: str, samples: Samples, mask: np.ndarray, fit: ResidualFit) -> Prediction:
@@ -56,8 +52,7 @@ def predict(name: str, samples: Samples, mask: np.ndarray, fit: ResidualFit) -> 
 
 def pooled(predictions: list[Prediction]) -> Prediction:
     """The rows of several predictions."""
-    columns = zip(*(list(vars(part).values())[1:] for part in predictions), strict=True)
-    return Prediction("all", *map(np.concatenate, columns))
+    return concatenated([part.replace(name="all") for part in predictions])
 
 
 def harmless_gains(held_out: list[Prediction], max_harm: float, min_gain: float) -> np.ndarray:

@@ -10,20 +10,21 @@ part of the spectrum above the motion of a quadcopter; noise of that level is ad
 once more, and the change of the regressors (``Samples.noise``) corrects the least squares.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import PrepareConfig
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.nominal import AXES, ModelInputs, angular_moment, regressors
-from quadjax.fitting.signals import derivative, low_pass, noise_level
+from quadjax.fitting.signals import Rows, concatenated, derivative, low_pass, noise_level
 from quadjax.vehicle.constants import MotorConstants
 
 
-@dataclass(frozen=True)
-class Samples:
+@struct.dataclass
+class Samples(Rows):
     """Rows of one or more flights."""
 
     motion: ModelInputs  # filtered inputs of the model
@@ -32,19 +33,7 @@ class Samples:
     measured: np.ndarray  # (n, 6) specific force, m/s^2, and moment, N m, filtered; as AXES
     flight: np.ndarray  # (n,) index of the flight
     time: np.ndarray  # (n,) s, in the flight
-    sample_rate: float  # Hz
-
-    def __getitem__(self, rows: slice | np.ndarray) -> "Samples":
-        """Some of the rows."""
-        return Samples(
-            self.motion[rows],
-            {axis: columns[rows] for axis, columns in self.regressors.items()},
-            {axis: columns[rows] for axis, columns in self.noise.items()},
-            self.measured[rows],
-            self.flight[rows],
-            self.time[rows],
-            self.sample_rate,
-        )
+    sample_rate: float = struct.field(pytree_node=False)  # Hz
 
     def __len__(self) -> int:
         return len(self.time)
@@ -90,22 +79,9 @@ def prepare(
 
 
 def join(parts: list[Samples]) -> Samples:
-    """Concatenated rows of several parts."""
-    motions = zip(*(vars(part.motion).values() for part in parts), strict=True)
-
-    def joined(name: str) -> dict[str, np.ndarray]:
-        return {axis: np.concatenate([getattr(p, name)[axis] for p in parts]) for axis in AXES}
-
-    return Samples(
-        ModelInputs(*map(np.concatenate, motions)),
-        joined("regressors"),
-        joined("noise"),
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("measured", "flight", "time")
-        ),
-        float(np.median([part.sample_rate for part in parts])),
-    )
+    """The rows of several parts, with their median sample rate."""
+    rate = float(np.median([part.sample_rate for part in parts]))
+    return concatenated([part.replace(sample_rate=rate) for part in parts])
 
 
 def _prepare_one(

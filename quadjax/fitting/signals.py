@@ -1,9 +1,29 @@
-"""Filters and derivatives of sampled signals."""
+"""Tables of sampled signals, their filters and derivatives."""
 
+from collections.abc import Sequence
+from typing import Self, TypeVar
+
+import jax
 import numpy as np
 from scipy.signal import butter, sosfiltfilt, welch
 
 from quadjax.core.errors import InputError
+
+
+class Rows:
+    """Base of dataclasses whose arrays, nested in any way, have the same rows (n, ..)."""
+
+    def __getitem__(self, rows: slice | np.ndarray) -> Self:
+        """Some of the rows."""
+        return jax.tree.map(lambda values: values[rows], self)
+
+
+Table = TypeVar("Table", bound=Rows)
+
+
+def concatenated(parts: Sequence[Table]) -> Table:
+    """The rows of several tables of the same fields."""
+    return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
 def low_pass(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:

@@ -31,7 +31,7 @@ from quadjax.core.matrix import apply
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Vec3
 from quadjax.plant import covariance as cov
-from quadjax.plant.covariance import Covariance, Growth, Transition
+from quadjax.plant.covariance import Covariance, Transition
 from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.sensors import Fix, Measured
 
@@ -139,9 +139,7 @@ def predict(
         call: calls a function; see ``quadjax.core.materialize``.
     """
     moved, transition = call(advance, params.gravity, motion, before, after)
-    densities = (params.force_density, params.gyro_density, params.gyro_walk, params.force_walk)
-    growth = Growth(*(density * after.step for density in densities))
-    return moved, cov.predict(covariance, transition, growth, call)
+    return moved, cov.predict(covariance, transition, params.growth(after.step), call)
 
 
 def advance(

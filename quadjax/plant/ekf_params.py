@@ -9,6 +9,7 @@ from flax import struct
 from scipy.signal import lfilter
 
 from quadjax.plant.config import EkfConfig, SensorsConfig
+from quadjax.plant.covariance import Growth
 from quadjax.plant.sensors import low_pass, low_pass_delay
 
 ROUGHNESS_SECONDS = 0.05  # averaging time of squared second differences
@@ -38,6 +39,11 @@ class EkfParams:
     force_variance: jax.Array  # (m/s^2)^2
     roughness_rate: jax.Array  # weight of a new second difference in the mean
     lag: int = struct.field(pytree_node=False, default=0)  # samples in the buffer
+
+    def growth(self, time: jax.Array) -> Growth:
+        """Variances that the sensors' noise adds over some time, s."""
+        densities = (self.force_density, self.gyro_density, self.gyro_walk, self.force_walk)
+        return Growth(*(density * time for density in densities))
 
 
 def ekf_params(

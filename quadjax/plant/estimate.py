@@ -9,7 +9,7 @@ from quadjax.core.frames import attitude
 from quadjax.core.matrix import Sym3, apply
 from quadjax.core.vectors import Vec3
 from quadjax.plant import covariance as cov
-from quadjax.plant.covariance import Growth, Transition
+from quadjax.plant.covariance import Transition
 from quadjax.plant.ekf import EkfState, InertialSample, MotionEstimate, advance, caller
 from quadjax.plant.ekf_params import EkfParams
 
@@ -89,10 +89,8 @@ def _deviations(
     ahead = Transition(
         time, turn.replace(z=turn.z - fall), quaternion.matrix(present.attitude) * time
     )
-    densities = (params.force_density, params.gyro_density, params.gyro_walk, params.force_walk)
-    growth = Growth(*(density * time for density in densities))
     moved = moved.replace(z=moved.z - 0.5 * fall * time)
-    position, velocity, turned = cov.variances_ahead(p, ahead, moved, growth)
+    position, velocity, turned = cov.variances_ahead(p, ahead, moved, params.growth(time))
     gyro_bias = p.diagonal[cov.GYRO_BIAS].diagonal()
     force_bias = p.diagonal[cov.FORCE_BIAS].diagonal()
     variances = NavigationState(

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
+from quadjax.fitting import flight_log
 from quadjax.fitting.config import LogsConfig, UnitsConfig
 from quadjax.fitting.flight_log import read_log, read_logs, write_log
 from quadjax.fitting.simulate import simulate_flight
@@ -184,8 +185,36 @@ def test_bad_files_are_one_line(tmp_path, columns):
         assert "\n" not in message and str(path) in message, name
         for word in arguments:
             assert word in message, (name, message)
-    path.write_bytes(b"\xff\xfe\x00\x01" * 100)
-    with pytest.raises(InputError):
+
+
+def test_damaged_bytes_are_one_short_line(tmp_path, columns, monkeypatch):
+    path = _write(tmp_path, columns)
+    good, random = path.read_bytes(), np.random.default_rng(0)
+
+    def flipped(count):
+        data = np.frombuffer(good, np.uint8).copy()
+        data[random.integers(0, len(data), count)] = random.integers(0, 256, count)
+        return data.tobytes()
+
+    damaged = [
+        b"\xff\xfe\x00\x01" * 100,
+        random.bytes(5000),
+        good + b"1" * 200_000,  # a cell larger than CSV allows
+        good[:1000] + b"\x00" * 2000 + good[1000:],
+        good[:5000] + b'"' + good[5000:],
+        good.decode().encode("utf-16"),
+        good.replace(b",", b";"),
+        *(flipped(100) for _ in range(10)),
+        *(good[: random.integers(0, len(good) // 3)] for _ in range(10)),
+    ]
+    for content in damaged:
+        path.write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            read_log(path, PAPARAZZI)
+        assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
+    path.write_bytes(good)
+    monkeypatch.setattr(flight_log, "MAX_BYTES", len(good) - 1)
+    with pytest.raises(InputError, match="bytes, allowed: up to"):
         read_log(path, PAPARAZZI)
 
 
