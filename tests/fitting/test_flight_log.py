@@ -58,6 +58,9 @@ def test_own_columns_units_and_frames(tmp_path, columns):
         "east": columns["vel_y"],
         "north": columns["vel_x"],
         "up": -columns["vel_z"],
+        "to_east": columns["pos_y"] * 100.0,
+        "to_north": columns["pos_x"] * 100.0,
+        "height": -columns["pos_z"] * 100.0,
         "qw": w,
         "qx": x,
         "qy": y,
@@ -77,16 +80,18 @@ def test_own_columns_units_and_frames(tmp_path, columns):
             "gyro": [f"gyro{i}" for i in range(3)],
             "acceleration": [f"acc{i}" for i in range(3)],
             "world_velocity": ["east", "north", "up"],
+            "position": ["to_east", "to_north", "height"],
             "quaternion": ["qw", "qx", "qy", "qz"],
         },
-        units=UnitsConfig(time="ms", rpm="rad/s", gyro="deg/s", acceleration="g"),
+        units=UnitsConfig(time="ms", rpm="rad/s", gyro="deg/s", acceleration="g", length="cm"),
         body_frame="FLU",
         world_frame="ENU",
     )
     path = tmp_path / "other.csv"
     write_log(path, other)
     log = read_log(path, config)
-    for name in ("rpm", "rates", "specific_force", "body_velocity"):
+    assert not log.unchecked
+    for name in ("rpm", "rates", "specific_force", "body_velocity", "position"):
         np.testing.assert_allclose(
             getattr(log, name), getattr(expected, name), rtol=1e-5, atol=1e-5
         )
