@@ -11,7 +11,24 @@ from typing import Any, NoReturn
 from quadjax.core.errors import InputError, writing
 from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.sections import FOLDER_NAME
-from quadjax.core.yaml_files import close_match
+from quadjax.core.yaml_files import close_match, short
+
+
+def whole(least: int, most: int) -> Callable[[str], int]:
+    """A ``type=`` for integers from ``least`` to ``most``."""
+
+    def number(text: str) -> int:
+        value = int(text) if text.isascii() and text.isdigit() and len(text) < 19 else least - 1
+        if not least <= value <= most:
+            expected = f"expected an integer, {least} to {most}"
+            raise argparse.ArgumentTypeError(f"{short(text)}, {expected}")
+        return value
+
+    return number
+
+
+seed, laps, runs = whole(0, MAX_SEED), whole(1, MAX_LAPS), whole(1, MAX_RUNS)
+count = whole(1, 10**6)
 
 
 class Parser(argparse.ArgumentParser):
@@ -74,12 +91,8 @@ def add_name(parser: argparse.ArgumentParser) -> None:
 
 def add_races(parser: argparse.ArgumentParser, start: str = "hover") -> None:
     """Add --laps, --runs, --start and --seed: how a policy is evaluated."""
-    parser.add_argument(
-        "--laps", type=count_up_to(MAX_LAPS), help="laps of a run (default: evaluate.laps)"
-    )
-    parser.add_argument(
-        "--runs", type=count_up_to(MAX_RUNS), help="number of runs (default: evaluate.runs)"
-    )
+    parser.add_argument("--laps", type=laps, help="laps of a run (default: evaluate.laps)")
+    parser.add_argument("--runs", type=runs, help="number of runs (default: evaluate.runs)")
     parser.add_argument(
         "--start",
         choices=("hover", "random"),
@@ -111,33 +124,6 @@ def name(text: str) -> str:
             f"{text!r}, expected letters, digits, '_', '.' and '-', the last two not first"
         )
     return text
-
-
-def count(text: str) -> int:
-    """An integer from 1, for ``type=``."""
-    number = int(text) if text.isascii() and text.isdigit() and len(text) < 19 else 0
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected an integer from 1")
-    return number
-
-
-def count_up_to(most: int) -> Callable[[str], int]:
-    """A ``type=`` for integers from 1 to ``most``."""
-
-    def bounded(text: str) -> int:
-        number = int(text) if text.isascii() and text.isdigit() and len(text) < 19 else 0
-        if not 1 <= number <= most:
-            raise argparse.ArgumentTypeError(f"{text!r}, expected an integer, 1 to {most}")
-        return number
-
-    return bounded
-
-
-def seed(text: str) -> int:
-    """An integer from 0 to ``MAX_SEED``, for ``type=``."""
-    if not (text.isascii() and text.isdigit()) or len(text) > 10 or int(text) > MAX_SEED:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected an integer, 0 to {MAX_SEED}")
-    return int(text)
 
 
 def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> None:

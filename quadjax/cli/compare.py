@@ -14,14 +14,14 @@ from quadjax.cli.arguments import (
     Parser,
     add_config,
     add_output,
-    count_up_to,
+    laps,
     name,
     parse,
+    runs,
     seed,
 )
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.limits import MAX_LAPS, MAX_RUNS
 from quadjax.core.resources import PRETRAINED
 
 
@@ -32,10 +32,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--indi", default=str(PRETRAINED / "indi_shac.npz"), metavar="FILE.npz")
     parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")
     parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
-    parser.add_argument("--laps", type=count_up_to(MAX_LAPS), default=6, help="laps of a run (6)")
-    parser.add_argument(
-        "--runs", type=count_up_to(MAX_RUNS), default=100, help="number of runs (100)"
-    )
+    parser.add_argument("--laps", type=laps, default=6, help="laps of a run (6)")
+    parser.add_argument("--runs", type=runs, default=100, help="number of runs (100)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--parts", nargs="+", metavar="PART", help="some of the parts (all)")
     parser.add_argument("--name", type=name, default="compare", help="of the folder (compare)")

@@ -10,7 +10,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, check_writable, count, parse, seed
+from quadjax.cli.arguments import Parser, add_config, check_writable, count, parse, runs, seed
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
 
@@ -22,7 +22,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--policy", action="append", metavar="FILE.npz", help="(e2e.npz and indi.npz)"
     )
-    parser.add_argument("--runs", type=count, default=1000, help="of each policy (1000)")
+    parser.add_argument("--runs", type=runs, default=1000, help="of each policy (1000)")
     parser.add_argument("--seconds", type=count, default=20, help="of each flight (20)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")

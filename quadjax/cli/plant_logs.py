@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, count, parse, seed
+from quadjax.cli.arguments import Parser, add_config, laps, parse, runs, seed
 from quadjax.core.interruptions import loading
 
 
@@ -13,8 +13,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add_config(parser, "a YAML file of configs/plant")
     parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
     parser.add_argument("--race", default="e2e_shac", metavar="CONFIG", help="preset or YAML file")
-    parser.add_argument("--flights", type=count, default=4, help="of each policy (4)")
-    parser.add_argument("--laps", type=count, default=6, help="of each flight (6)")
+    parser.add_argument("--flights", type=runs, default=4, help="of each policy (4)")
+    parser.add_argument("--laps", type=laps, default=6, help="of each flight (6)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
     return parse(parser, argv)

@@ -17,13 +17,14 @@ from quadjax.cli.arguments import (
     add_name,
     add_output,
     check_writable,
-    count_up_to,
     parse,
     seed,
 )
+from quadjax.cli.arguments import (
+    runs as run_count,
+)
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.limits import MAX_RUNS
 from quadjax.core.resources import find_config
 
 
@@ -38,9 +39,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--seeds", type=seed, nargs="+", default=[0, 1, 2, 3, 4], help="(default: 0 1 2 3 4)"
     )
-    parser.add_argument(
-        "--runs", type=count_up_to(MAX_RUNS), default=100, help="number of sampled runs (100)"
-    )
+    parser.add_argument("--runs", type=run_count, default=100, help="number of sampled runs (100)")
     add_name(parser)
     add_output(parser)
     parser.add_argument("--figure", metavar="FILE", help="default: DIR/NAMES_seeds.png")

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, check_writable, count, parse
+from quadjax.cli.arguments import Parser, check_writable, count, parse, runs
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
@@ -23,7 +23,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--vectors", type=count, default=5_000, help="vectors for every build (default: 5000)"
     )
-    parser.add_argument("--runs", type=count, default=0, help="runs of the closed loop")
+    parser.add_argument("--runs", type=runs, default=0, help="runs of the closed loop")
     parser.add_argument(
         "--allow-unfinished",
         action="store_true",

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from quadjax.config.schema import Config, Randomization, Schedule
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import value_at
 from quadjax.core.yaml_files import close_match, short
 from quadjax.vehicle.registry import model as vehicle_model
@@ -55,10 +55,8 @@ def _check_values(config: Config, test: Callable[[Config], None]) -> None:
             no_penalty = key in GATE_PENALTIES and value == 0  # the schedule adds the penalty
             if value == "value" or (no_penalty and test is _check_gate_edge):
                 continue
-            try:
+            with prefixed(f"schedules.{key}"):
                 test(base.at(key, value))
-            except InputError as error:
-                raise InputError(f"schedules.{key}: {error}") from None
     test(last)
 
 
@@ -143,15 +141,8 @@ def _check_schedules(config: Config) -> None:
             )
         for value in schedule.linear:
             if value != "value":
-                _at(config, key, value)
-
-
-def _at(config: Config, key: str, value: float) -> Config:
-    """The config at one value of a schedule."""
-    try:
-        return config.at(key, value)
-    except InputError as error:
-        raise InputError(f"schedules.{key}: {error}") from None
+                with prefixed(f"schedules.{key}"):
+                    config.at(key, value)
 
 
 def _defaults(config: Config) -> Config:
@@ -160,10 +151,8 @@ def _defaults(config: Config) -> Config:
 
 def _value_at(config: Config, key: str) -> object:
     """The value at a schedule's key; None for a factor that a mapping does not list."""
-    try:
+    with prefixed("schedules"):
         return value_at(config, key, missing=None)
-    except InputError as error:
-        raise InputError(f"schedules: {error}") from None
 
 
 def _check_times(config: Config, key: str, schedule: Schedule) -> None:

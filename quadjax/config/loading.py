@@ -7,7 +7,7 @@ from quadjax.config.checks import check, vehicle_model
 from quadjax.config.renamed import check_renamed
 from quadjax.config.schema import Config, Schedule
 from quadjax.config.vehicle_file import for_each_rotor, vehicle_values
-from quadjax.core.errors import InputError, reading
+from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.imports import load_object
 from quadjax.core.resources import CONFIGS, find_config, preset_names
 from quadjax.core.sections import build
@@ -240,10 +240,8 @@ def _build(tree: Tree, source: str) -> Config:
         "schedules": schedules,
     }
     config = build(Config, tree, source)
-    try:
+    with prefixed(source):
         check(config)
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from None
     return config
 
 

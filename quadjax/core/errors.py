@@ -22,6 +22,15 @@ class InputError(ValueError):
 
 
 @contextlib.contextmanager
+def prefixed(text: str) -> Iterator[None]:
+    """Put text before the message of an ``InputError`` (or ``ValueError``) in the block."""
+    try:
+        yield
+    except ValueError as error:
+        raise InputError(f"{text}: {error}") from error
+
+
+@contextlib.contextmanager
 def writing(path: Path | str) -> Iterator[None]:
     """Turn a system error in the block (disk full, no permission) into an ``InputError``."""
     try:

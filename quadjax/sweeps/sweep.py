@@ -11,7 +11,7 @@ import numpy as np
 
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import build, merge_trees, parse_overrides, value_at
 from quadjax.core.yaml_files import find_file, flatten, override, read_yaml
 from quadjax.sweeps.extra import optuna
@@ -78,7 +78,7 @@ def plain(value: object) -> Plain:
 
 def read_dimension(key: str, given: object, config: object) -> Dimension:
     """A dimension of a sweep file's ``space``; the base config tells the type of its key."""
-    try:
+    with prefixed(f"space.{key}"):
         if key in OWN_KEYS:
             raise ValueError(f"{key} is set by the sweep")
         base, kinds = value_at(config, key), optuna.distributions
@@ -98,8 +98,6 @@ def read_dimension(key: str, given: object, config: object) -> Dimension:
             return Dimension(key, known, kinds.FloatDistribution(low, high, log, step))
         integers = kinds.IntDistribution(int(low), int(high), log, int(step or 1))
         return Dimension(key, known, integers)
-    except ValueError as error:
-        raise InputError(f"space.{key}: {error}") from error
 
 
 def draws(dimensions: Sequence[Dimension], count: int, seed: int) -> list[Params]:
@@ -163,10 +161,8 @@ def load_sweep(path: Path | str, overrides: Sequence[str] = ()) -> Sweep:
         if isinstance(tree.get("space"), dict):
             tree["space"] = flatten(tree["space"], ENTRIES)
     file = build(SweepFile, merge_trees(*trees), str(path))
-    try:
+    with prefixed(str(path)):
         return _checked(file, find_file(file.config, path.parent))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _checked(file: SweepFile, base: Path) -> Sweep:
@@ -201,8 +197,6 @@ def _check_values(sweep: Sweep) -> None:
         alone = [{d.key: x} for d in sweep.dimensions for x in d.ends()]
         tried = [a | b for a, b in zip(draws(sweep.dimensions, len(alone), 0), alone, strict=True)]
     for params in tried:
-        try:
+        shown = ", ".join(d.override(params[d.key]) for d in sweep.dimensions)
+        with prefixed(f"space: {shown}"):
             sweep.config_of(params)
-        except InputError as error:
-            shown = ", ".join(d.override(params[d.key]) for d in sweep.dimensions)
-            raise InputError(f"space: {shown}: {error}") from error
