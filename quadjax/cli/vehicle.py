@@ -60,7 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _write(path: Path, data: Sequence[str], overwrite: bool) -> None:
     from quadjax.core.files import write_text
-    from quadjax.core.sections import build, parse_overrides, to_yaml
+    from quadjax.core.sections import build
+    from quadjax.core.yaml_files import parse_overrides, to_yaml
     from quadjax.vehicle.airframe import Airframe
 
     airframe = build(Airframe, parse_overrides(data), "data")

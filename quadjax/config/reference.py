@@ -2,7 +2,8 @@
 
 from quadjax.config.schema import Config, Gate, Schedule
 from quadjax.core.markdown import table
-from quadjax.core.sections import KeyInfo, Section, describe, to_yaml
+from quadjax.core.sections import KeyInfo, Section, describe
+from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.shac.hyperparameters import SHAC
 

@@ -10,7 +10,8 @@ from pydantic import SerializeAsAny
 
 from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
-from quadjax.core.sections import Field, FolderName, Section, to_yaml
+from quadjax.core.sections import Field, FolderName, Section
+from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection, Network, Schedule
 
@@ -273,7 +274,9 @@ class Randomization(Section):
         0.0, description="quadratic drag, angle of attack and advance; model a2rl"
     )
     constants: dict[str, Fraction] = Field(
-        {}, description="single constants, in place of their group's fraction: {w_max: 0.15}"
+        {},
+        max_length=100,
+        description="single constants, in place of their group's fraction: {w_max: 0.15}",
     )
 
     def by_constant(self, model: "VehicleModel") -> dict[str, float]:

@@ -44,42 +44,13 @@ from quadjax.core.resources import find_config
 from quadjax.core.yaml_files import (
     Tree,
     close_match,
-    find_file,
     merge_trees,
     parse_overrides,
-    parse_yaml,
     read_tree_with_bases,
-    read_yaml,
     short,
-    to_yaml,
 )
 
-__all__ = [
-    "Field",
-    "FolderName",
-    "Fraction",
-    "KeyInfo",
-    "NonNegative",
-    "Positive",
-    "Section",
-    "Tree",
-    "allowed",
-    "build",
-    "describe",
-    "find_file",
-    "load_section",
-    "merge_trees",
-    "model_validator",
-    "parse_overrides",
-    "parse_yaml",
-    "read_tree_with_bases",
-    "read_yaml",
-    "short",
-    "to_yaml",
-    "value_at",
-]
-
-LARGEST = 1e9  # number that a key without a bound of its own takes
+LARGEST = 1e9  # bound of numbers that have no other
 MAX_TEXT = 1000  # characters of a text
 Positive = Annotated[float, Field(gt=0, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]

@@ -99,7 +99,9 @@ class NominalConfig(Section):
 
     fit: bool = Field(True, description="false keeps the base vehicle's constants")
     axes: tuple[Literal["ax", "ay", "az", "Mx", "My", "Mz"], ...] = Field(
-        ("ax", "ay", "az", "Mx", "My", "Mz"), description="axes whose constants are fitted"
+        ("ax", "ay", "az", "Mx", "My", "Mz"),
+        max_length=6,
+        description="axes whose constants are fitted",
     )
     any_sign: bool = Field(False, description="accept constants below zero that should not be")
 

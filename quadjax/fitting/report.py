@@ -7,7 +7,7 @@ import numpy as np
 
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
-from quadjax.core.sections import to_yaml
+from quadjax.core.yaml_files import to_yaml
 from quadjax.fitting.least_squares import r_squared
 from quadjax.fitting.nominal import AXES, UNITS
 from quadjax.fitting.pipeline import FitResult

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
-from quadjax.core.sections import find_file, read_yaml
+from quadjax.core.yaml_files import find_file, read_yaml
 from quadjax.fitting.config import BodyConfig
 from quadjax.vehicle.constants import MotorConstants, constant_names
 

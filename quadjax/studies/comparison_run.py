@@ -10,7 +10,7 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import file_record, provenance
-from quadjax.core.sections import to_yaml
+from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.recording import recordings as simulated_recordings
 from quadjax.evaluation.tables import format_table, lap_row

@@ -12,8 +12,15 @@ import numpy as np
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
-from quadjax.core.sections import build, merge_trees, parse_overrides, value_at
-from quadjax.core.yaml_files import find_file, flatten, override, read_yaml
+from quadjax.core.sections import build, value_at
+from quadjax.core.yaml_files import (
+    find_file,
+    flatten,
+    merge_trees,
+    override,
+    parse_overrides,
+    read_yaml,
+)
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
 

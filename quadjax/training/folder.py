@@ -7,8 +7,8 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, whole_file, write_text
 from quadjax.core.folders import check_kind, kind_of, remove_files
-from quadjax.core.sections import parse_yaml, read_yaml, value_at
-from quadjax.core.yaml_files import flatten
+from quadjax.core.sections import value_at
+from quadjax.core.yaml_files import flatten, parse_yaml, read_yaml
 from quadjax.vehicle.residual_file import is_shipped
 
 KIND = "training"

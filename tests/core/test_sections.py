@@ -8,13 +8,9 @@ from typing import Literal
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.sections import (
-    Field,
-    Section,
-    build,
-    describe,
+from quadjax.core.sections import Field, Section, build, describe, model_validator
+from quadjax.core.yaml_files import (
     merge_trees,
-    model_validator,
     parse_overrides,
     parse_yaml,
     read_tree_with_bases,

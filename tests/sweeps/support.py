@@ -4,7 +4,7 @@ from pathlib import Path
 
 import optuna
 
-from quadjax.core.sections import to_yaml
+from quadjax.core.yaml_files import to_yaml
 from quadjax.sweeps.study import State, latest_trials, open_study
 from quadjax.sweeps.sweep import load_sweep
 

@@ -4,7 +4,7 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.core.sections import to_yaml
+from quadjax.core.yaml_files import to_yaml
 from quadjax.sweeps.sweep import load_sweep, read_dimension
 from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, ROOT, TINY, sweep_file

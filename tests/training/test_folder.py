@@ -16,7 +16,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.folders import claim, kind_of, remove_files
 from quadjax.core.resources import PRETRAINED
-from quadjax.core.sections import to_yaml
+from quadjax.core.yaml_files import to_yaml
 from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.policy.file import Policy
 from quadjax.training.folder import FILES as TRAINING_FILES
