@@ -179,6 +179,11 @@ def _check_gates(config: Config) -> None:
         key = f"track.gates[{index}]"
         if min(gate.size) <= width:
             refuse(f"{key}.size", gate.size, f"above vehicle.width {width:g}, that of the drone")
+        upright = gate.shape == "rectangle" and gate.pitch_deg == gate.roll_deg == 0
+        if config.rules.gate_test == "world_box" and not upright:
+            refuse("rules.gate_test", "world_box", f"square, as {key} is tilted or round")
+        if gate.shape == "circle" and gate.size[0] != gate.size[1]:
+            refuse(f"{key}.size", gate.size, "[diameter, diameter] of a circle")
         x, y, z = gate.position
         if limit is not None and max(abs(x), abs(y)) >= limit:
             refuse(

@@ -89,10 +89,14 @@ def build_vehicle(config: Config) -> VehicleParams:
 
 def build_track(track: schema.Track) -> Track:
     """The track's arrays."""
+    tilt = np.radians([(g.roll_deg, g.pitch_deg) for g in track.gates]).astype(np.float32)
+    circle = np.array([g.shape == "circle" for g in track.gates])
     return make_track(
         jnp.asarray(np.array([g.position for g in track.gates], np.float32)),
         jnp.asarray(np.radians([g.yaw_deg for g in track.gates]).astype(np.float32)),
         jnp.asarray(np.array([g.size for g in track.gates], np.float32)),
+        jnp.asarray(tilt) if tilt.any() else None,
+        jnp.asarray(circle) if circle.any() else None,
     )
 
 

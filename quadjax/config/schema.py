@@ -4,6 +4,7 @@ Lengths are in m, velocities in m/s, angles in deg where the name says so and in
 world frame is north-east-down, the body frame front-right-down.
 """
 
+import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import SerializeAsAny
@@ -105,6 +106,26 @@ class Gate(Section):
     size: tuple[Annotated[float, Field(gt=0, le=100)], Annotated[float, Field(gt=0, le=100)]] = (
         Field((1.0, 1.0), description="width and height of the opening, m")
     )
+    pitch_deg: float = Field(
+        0.0, ge=-90, le=90, description="upward slope of the passage, deg: -90 is straight down"
+    )
+    roll_deg: float = Field(
+        0.0, ge=-180, le=180, description="turn of the opening about the passage, deg"
+    )
+    shape: Literal["rectangle", "circle"] = Field(
+        "rectangle", description="of the opening; a circle has size [diameter, diameter]"
+    )
+
+    @property
+    def axes(self) -> list[list[float]]:
+        """The matrix with columns through the gate, along its width and along its height, NED."""
+        angles = [math.radians(x) for x in (self.roll_deg, self.pitch_deg, self.yaw_deg)]
+        (sr, sp, sy), (cr, cp, cy) = map(math.sin, angles), map(math.cos, angles)
+        return [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
 
 
 class Track(Section):
@@ -118,7 +139,9 @@ class Track(Section):
     )
     name: str = Field("", description="name of the track, for tables and figures")
     gates: tuple[Gate, ...] = Field(
-        min_length=1, max_length=100, description="list of {position, yaw_deg, size}"
+        min_length=1,
+        max_length=100,
+        description="list of {position, yaw_deg, size, pitch_deg, roll_deg, shape}",
     )
 
 

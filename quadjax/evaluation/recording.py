@@ -150,11 +150,11 @@ def gate_offsets(flight: Recording, gates: Sequence[Gate]) -> np.ndarray:
     (time,) = np.nonzero(flight.target[1:] != flight.target[:-1])
     passed = [gates[index] for index in flight.target[time]]
     center = np.array([gate.position for gate in passed], np.float64).reshape(-1, 3)
-    yaw = np.radians([gate.yaw_deg for gate in passed])
-    before, after = flight.position[time] - center, flight.position[time + 1] - center
-    through = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
-    behind, ahead = (before * through).sum(axis=1), (after * through).sum(axis=1)
-    fraction = -behind / np.maximum(ahead - behind, 1e-12)
+    axes = np.array([gate.axes for gate in passed]).reshape(-1, 3, 3)
+    before, after = (
+        np.einsum("ni,nij->nj", position - center, axes)
+        for position in (flight.position[time], flight.position[time + 1])
+    )
+    fraction = -before[:, 0] / np.maximum(after[:, 0] - before[:, 0], 1e-12)
     crossing = before + fraction[:, None] * (after - before)
-    lateral = -np.sin(yaw) * crossing[:, 0] + np.cos(yaw) * crossing[:, 1]
-    return np.maximum(np.abs(lateral), np.abs(crossing[:, 2]))
+    return np.abs(crossing[:, 1:]).max(axis=1)

@@ -77,9 +77,8 @@ def body_axes(euler: np.ndarray) -> np.ndarray:
 
 def gate_corners(gate: Gate) -> np.ndarray:
     """Corners (4, 3) of a gate's opening in order, m, world."""
-    yaw = np.radians(gate.yaw_deg)
-    right = 0.5 * gate.size[0] * np.array([-np.sin(yaw), np.cos(yaw), 0.0])
-    down = np.array([0.0, 0.0, 0.5 * gate.size[1]])
+    _, right, down = np.array(gate.axes).T
+    right, down = 0.5 * gate.size[0] * right, 0.5 * gate.size[1] * down
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     return np.array([np.array(gate.position) + a * right + b * down for a, b in signs])
 
@@ -110,9 +109,7 @@ def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[Gate]) -> 
         polyline(draw, np.concatenate([corners, corners[:2]]), GATE, 8)
         for corner in corners:
             dot(draw, corner, 4.0, GATE)
-        yaw = np.radians(gate.yaw_deg)
-        ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-        right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+        ahead, right, _ = np.array(gate.axes).T
         center = np.array(gate.position)
         tip = center + 0.3 * ahead
         barbs = [tip - 0.12 * ahead + side * 0.07 * right for side in (-1, 1)]

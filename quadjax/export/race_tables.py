@@ -126,8 +126,11 @@ def make_tables(
         world_box: test a gate's opening as the authors' code does; see ``rules.inside_world_box``.
 
     Raises:
-        InputError: a gate farther away than 2^15 m, or a next gate outside the network's box.
+        InputError: a gate that is tilted, round, or farther away than 2^15 m, or a next gate
+            outside the network's box.
     """
+    if track.opening is not None or track.circle is not None:
+        raise InputError("the track has tilted or round gates, allowed: upright rectangles")
     box = network.box
     position = np.stack([np.asarray(c, np.float64) for c in track.position.components()], axis=1)
     reach = float(np.abs(position).max()) + box.limit("position")

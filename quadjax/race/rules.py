@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.track import Gate, to_gate_frame
+from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
 
 
 @struct.dataclass
@@ -61,10 +61,14 @@ class Outcome:
 
 
 def inside_square(relative: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
-    """Whether a position in the gate's frame is within the opening; the paper's test."""
-    return (jnp.abs(relative.y) <= g.half_width + inflation) & (
+    """Whether a position in the opening's frame is within the opening; the paper's test."""
+    inside = (jnp.abs(relative.y) <= g.half_width + inflation) & (
         jnp.abs(relative.z) <= g.half_height + inflation
     )
+    if g.circle is None:
+        return inside
+    distance, radius = safe_norm(relative.replace(x=jnp.zeros_like(relative.x))), g.half_width
+    return jnp.where(g.circle, distance <= radius + inflation, inside)
 
 
 def inside_world_box(offset: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
@@ -91,8 +95,8 @@ def crossing(
         inflation: () m added to each side of the opening; negative narrows it.
         world_box: take the authors' code's test instead of the paper's.
     """
-    relative = to_gate_frame(g, after - g.position)
-    crossed = (to_gate_frame(g, before - g.position).x < 0) & (relative.x >= 0)
+    relative = to_opening_frame(g, after - g.position)
+    crossed = (to_opening_frame(g, before - g.position).x < 0) & (relative.x >= 0)
     if world_box:
         inside = inside_world_box(after - g.position, g, inflation)
     else:
@@ -116,10 +120,15 @@ def clearance_violation(after: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
 
     Whether a gate is hit has no gradient; this has one at the crossing.
     """
-    relative = to_gate_frame(g, after - g.position)
+    relative = to_opening_frame(g, after - g.position)
     width = jnp.clip(jnp.abs(relative.y) - (g.half_width - margin), 0.0, 1.0)
     height = jnp.clip(jnp.abs(relative.z) - (g.half_height - margin), 0.0, 1.0)
-    return width + height
+    if g.circle is None:
+        return width + height
+    distance = safe_norm(relative.replace(x=jnp.zeros_like(relative.x)))
+    return jnp.where(
+        g.circle, jnp.clip(distance - (g.half_width - margin), 0.0, 2.0), width + height
+    )
 
 
 def reward(

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.frames import wrap_angle
+from quadjax.core.frames import Attitude, attitude, world_to_body, wrap_angle
 from quadjax.core.vectors import Vec3
 
 
@@ -20,6 +20,8 @@ class Track:
     half_height: jax.Array  # (gates,) m
     next_position: Vec3  # of (gates,): the next gate's center in this gate's frame, m
     next_yaw: jax.Array  # (gates,) the next gate's yaw relative to this gate's, in [-pi, pi], rad
+    opening: Attitude | None = None  # of (gates,): roll, pitch and yaw; None: all upright
+    circle: jax.Array | None = None  # (gates,) bool, round openings; None: all rectangles
 
 
 @struct.dataclass
@@ -34,16 +36,27 @@ class Gate:
     half_height: jax.Array
     next_position: Vec3
     next_yaw: jax.Array
+    opening: Attitude | None = None
+    circle: jax.Array | None = None
 
 
-def make_track(position: jax.Array, yaw: jax.Array, size: jax.Array) -> Track:
+def make_track(
+    position: jax.Array,
+    yaw: jax.Array,
+    size: jax.Array,
+    tilt: jax.Array | None = None,
+    circle: jax.Array | None = None,
+) -> Track:
     """A track of gates in flying order.
 
     Args:
         position: (gates, 3) centers, m, world NED.
         yaw: (gates,) heading of the way through, rad.
         size: (gates, 2) width and height of the opening, m.
+        tilt: (gates, 2) roll and pitch of the gates, rad; None: all upright.
+        circle: (gates,) whether the opening is round; None: all are rectangles.
     """
+    opening = None if tilt is None else attitude(Vec3(tilt[:, 0], tilt[:, 1], yaw))
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
     to_next = Vec3.of(jnp.roll(position, -1, axis=0) - position)
     next_yaw = jnp.roll(yaw, -1) - yaw
@@ -60,6 +73,8 @@ def make_track(position: jax.Array, yaw: jax.Array, size: jax.Array) -> Track:
             to_next.z,
         ),
         next_yaw=wrap_angle(next_yaw),
+        opening=opening,
+        circle=circle,
     )
 
 
@@ -104,6 +119,17 @@ def inside_turn(track: Track) -> jax.Array:
 
 
 def to_gate_frame(g: Gate, vector: Vec3) -> Vec3:
-    """A world-frame vector in the gate's frame: x through the gate, y to its right, z down."""
+    """A world-frame vector in the gate's level frame: x ahead, y to its right, z down.
+
+    ``ahead`` is the horizontal direction of the yaw, also of a gate that is tilted.
+    """
     x, y = vector.x, vector.y
     return Vec3(g.cos_yaw * x + g.sin_yaw * y, -g.sin_yaw * x + g.cos_yaw * y, vector.z)
+
+
+def to_opening_frame(g: Gate, vector: Vec3) -> Vec3:
+    """A world-frame vector in the opening's frame: x through it, y along its width, z its height.
+
+    The gate's frame, turned by the gate's pitch and roll.
+    """
+    return to_gate_frame(g, vector) if g.opening is None else world_to_body(g.opening, vector)

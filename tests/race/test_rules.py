@@ -7,9 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.config.race import build_track
+from quadjax.core.errors import InputError
+from quadjax.core.vectors import Vec3
 from quadjax.race import rules
 from quadjax.race.environment import exact_rules
-from quadjax.race.track import gate
+from quadjax.race.track import gate, make_track, to_opening_frame
 from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
 from tests.convert import rows_of, vec3
@@ -17,6 +20,7 @@ from tests.race.support import (
     HOVER,
     compiled_transition,
     level,
+    make_config,
     make_race,
     normal,
     race_state,
@@ -390,3 +394,58 @@ def test_one_compilation_serves_every_set_of_numbers(race):
     after = compiled._cache_size()
     compiled(changed, state, jnp.full((1, 4), HOVER, jnp.float32))
     assert compiled._cache_size() == after and after - before <= 1
+
+
+TILTS = np.radians([[30.0, 0.0], [0.0, -90.0], [-20.0, 70.0]])  # roll, pitch
+
+
+@pytest.mark.parametrize("circle", [False, True])
+def test_tilted_and_round_openings(circle):
+    """Moves across each opening's plane, against rotation matrices."""
+    yaw, size = np.array([0.3, -2.0, 1.0]), (1.4, 1.4 if circle else 0.8)
+    centers = np.array([[1.0, 2, -3], [-2, 0, -2], [0, 3, -4]])
+    arrays = [jnp.asarray(x, jnp.float32) for x in (centers, yaw, np.tile(size, (3, 1)), TILTS)]
+    track = make_track(*arrays, circle=jnp.full(3, circle))
+    draw = np.random.default_rng(0)
+    for index, matrix in enumerate(ref.rotation(np.column_stack([TILTS, yaw]))):
+        after = draw.uniform(-1.2, 1.2, (400, 3)) * [0.1, 1, 1]
+        before = after - np.array([0.1, 0, 0])
+        world = [local @ matrix.T + centers[index] for local in (before, after)]
+        passed, hit = cross(track, index, *world)
+        crossed = (before[:, 0] < 0) & (after[:, 0] >= 0)
+        inside = np.all(np.abs(after[:, 1:]) <= np.array(size) / 2, axis=1)
+        if circle:
+            inside = np.hypot(*after[:, 1:].T) <= 0.7
+        np.testing.assert_array_equal(passed, crossed & inside)
+        np.testing.assert_array_equal(hit, crossed & ~inside)
+        assert passed.sum() > 30 and hit.sum() > 30
+        g = gate(track, jnp.int32(index))
+        found = jax.vmap(lambda a, g=g: rules.clearance_violation(a, g, jnp.float32(0.1)))(
+            vec3(np.float32(world[1]))
+        )
+        beyond = np.clip(np.abs(after[:, 1:]) - np.array(size) / 2 + 0.1, 0, 1).sum(axis=1)
+        if circle:
+            beyond = np.clip(np.hypot(*after[:, 1:].T) - 0.6, 0, 2)
+        np.testing.assert_allclose(found, beyond, atol=1e-5)
+
+
+def test_tilt_and_shape_of_a_config():
+    """A gate to dive through: the passage points down, the opening's height to the front."""
+    below = "{position: [0, 0, -2], pitch_deg: -90, size: [2, 2], shape: circle}"
+    config = make_config(f"track.gates=[{below}, {{position: [1, 0, -1]}}]")
+    track = build_track(config.track)
+    g = gate(track, jnp.int32(0))
+    down = to_opening_frame(g, Vec3(*jnp.float32([0.0, 0.0, 1.0])))
+    np.testing.assert_allclose(down.array(), [1, 0, 0], atol=1e-6)
+    np.testing.assert_array_equal(track.circle, [True, False])
+    for index, own in enumerate(config.track.gates):
+        x, y, z = (to_opening_frame(gate(track, jnp.int32(index)), Vec3.of(e)) for e in jnp.eye(3))
+        np.testing.assert_allclose([x.array(), y.array(), z.array()], own.axes, atol=1e-6)
+    assert build_track(make_config().track).opening is None
+    for override, message in (
+        ("rules.gate_test=world_box", "allowed: square, as track.gates[0] is tilted or round"),
+        ("track.gates=[{position: [0, 0, -2], size: [2, 1], shape: circle}]", "of a circle"),
+    ):
+        with pytest.raises(InputError) as error:
+            make_config(f"track.gates=[{below}]", override)
+        assert message in str(error.value)
