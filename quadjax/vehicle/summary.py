@@ -108,18 +108,11 @@ def _simulate(
 
 def describe(model: VehicleModel, summary: VehicleSummary) -> str:
     """The summary as lines of text."""
-    unit = model.actuators.unit
-    rows = []
-    for value, low, high in sorted(
-        set(zip(summary.hover, summary.lowest, summary.highest, strict=True))
-    ):
-        part = 100.0 * (value - low) / (high - low)
-        rows.append(
-            (
-                "hover",
-                f"{value:.5g} {unit} in {low:.5g} to {high:.5g}: {part:.0f}% of the range",
-            )
-        )
+    low, high = np.array(summary.lowest), np.array(summary.highest)
+    hover = np.array(summary.hover)
+    part = 100.0 * (hover - low) / (high - low)
+    limits = f"{low.min():.5g} to {high.max():.5g} {model.actuators.unit}"
+    rows = [("hover", f"{_span(hover, '.5g')} of {limits}: {_span(part, '.0f')}% of the range")]
     if summary.thrust_to_weight is not None:
         rows.append(("thrust-to-weight", f"{summary.thrust_to_weight:.2f}"))
     for axis, change, rate in zip(
@@ -128,6 +121,11 @@ def describe(model: VehicleModel, summary: VehicleSummary) -> str:
         rows.append((axis, f"{rate:.3g} rad/s within {SECONDS:g} s, at most {change:.3g} rad/s²"))
     rows += [(name, f"{1e3 * value:.3g} ms") for name, value in summary.lags.items()]
     return "\n".join(f"  {name:<18}{text}" for name, text in rows)
+
+
+def _span(values: np.ndarray, form: str) -> str:
+    ends = dict.fromkeys((f"{values.min():{form}}", f"{values.max():{form}}"))
+    return " to ".join(ends)
 
 
 def warnings(

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.core.resources import CONFIGS
 from quadjax.vehicle import motor, rate
 from quadjax.vehicle.airframe import Airframe
 from quadjax.vehicle.summary import summarize, warnings
@@ -33,6 +34,13 @@ def test_turns_of_the_rate_model():
     reached = ref.RATE["p_max"] * (1 - math.exp(-0.1 / ref.RATE["tau_rate"]))
     assert found.body_rates == pytest.approx((reached,) * 3, rel=0.02)
     assert warnings(rate.MODEL, found, ref.RATE) == []
+
+
+def test_shipped_vehicles_have_no_warning(capsys):
+    for path in sorted((CONFIGS / "vehicles").glob("*inch.yaml")):
+        assert run("vehicle", path) == 0
+        printed = capsys.readouterr().out
+        assert "hover" in printed and "thrust-to-weight" in printed and "warning" not in printed
 
 
 @pytest.mark.parametrize(
