@@ -51,7 +51,7 @@ def prove(network: FixedNetwork, policy: Policy) -> Proof:
     """
     low = [-ONE] * network.inputs
     high = [ONE] * network.inputs
-    layers, inactive, outputs = [], [], []
+    layers, inactive = [], []
     for index, layer in enumerate(network.layers):
         hidden = index < len(network.hidden)
         rows = prove_layer(index, layer, low, high, hidden)
@@ -60,9 +60,8 @@ def prove(network: FixedNetwork, policy: Policy) -> Proof:
             low = [max(0, row.low >> WORD) for row in rows]
             high = [max(0, row.high >> WORD) for row in rows]
             inactive.append(sum(value == 0 for value in high))
-            outputs.append((np.array(low, np.float64), np.array(high, np.float64)))
     _prove_output(network, layers[-1])
-    return Proof(tuple(layers), error_bound(network, policy, outputs), tuple(inactive))
+    return Proof(tuple(layers), error_bound(network, policy), tuple(inactive))
 
 
 def prove_layer(
