@@ -36,6 +36,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         action="store_true",
         help="export a policy of which less than 90%% of the simulated flights finish",
     )
+    parser.add_argument(
+        "--allow-other-race",
+        action="store_true",
+        help="export for another race than the one that the policy file contains",
+    )
     return parse(parser, argv)
 
 
@@ -56,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sample_rate=options.sample_rate,
         cutoff=options.cutoff,
         allow_unfinished=options.allow_unfinished,
+        allow_other_race=options.allow_other_race,
     )
     print(export.text)
     print(f"Written to {options.output}. Next: quadjax verify {options.output}")

@@ -29,6 +29,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         action="store_true",
         help="accept a policy that was exported with --allow-unfinished",
     )
+    parser.add_argument(
+        "--allow-other-race",
+        action="store_true",
+        help="accept an export with --allow-other-race",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE.json", help="write the table")
     arguments = parse(parser, argv)
     if arguments.vectors < 100:
@@ -56,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.runs,
         announce,
         allow_unfinished=options.allow_unfinished,
+        allow_other_race=options.allow_other_race,
     )
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr)

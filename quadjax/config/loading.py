@@ -56,7 +56,7 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
     tree = _read(path, overrides, elsewhere=False)
     if _gates(tree) != _gates(_defaults({})):
         tree = _read(path, overrides, elsewhere=True)
-    return _build(tree, str(path))
+    return config_of(tree, str(path))
 
 
 def _gates(tree: Tree) -> object:
@@ -121,7 +121,7 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
     for name in names:
         own = {"file": str(file), "model": name, "width": 0.0}  # no gates to fit through
         tree = _merge(_defaults({}), {"vehicle": own}, Path(), str(file))
-        configs.append(_build(tree, str(file)))
+        configs.append(config_of(tree, str(file)))
     return configs
 
 
@@ -223,8 +223,16 @@ def _nested_schedules(tree: Tree) -> Tree:
     return {**tree, "schedules": flat}
 
 
-def _build(tree: Tree, source: str) -> Config:
-    """The config of a merged tree."""
+def config_of(tree: Tree, source: str) -> Config:
+    """The config of a complete tree, such as the one in a policy file.
+
+    Args:
+        tree: as ``Config.model_dump`` gives it.
+        source: for messages.
+
+    Raises:
+        InputError: a key or a value that is not allowed.
+    """
     vehicle, learner = tree.get("vehicle"), tree.get("learner", {})
     if not isinstance(vehicle, dict):
         raise InputError(f"{source}: vehicle is {short(vehicle)}, allowed: a mapping")

@@ -1,4 +1,4 @@
-"""The fixed-point policy as a pure JAX function, for simulations of the exported C."""
+"""The fixed-point policy as pure JAX functions, for simulations of the exported C."""
 
 from collections.abc import Callable
 
@@ -48,47 +48,19 @@ def fixed_point_actor(
     """
     network = convert(policy, ranges)
     prove(network, policy)
-    integers = fixed_point_forward(network)
-    scale = np.float32(2.0**-network.fraction_bits)
+    integers, scale = fixed_point_forward(network), np.float32(2.0**-network.fraction_bits)
     return lambda observation: integers(observation).astype(jnp.float32) * scale
-
-
-def fixed_point_action(
-    network: FixedNetwork,
-) -> Callable[[object, jax.Array, jax.Array], jax.Array]:
-    """The fixed-point policy as an actor for ``race.laps.fly_laps``.
-
-    Returns:
-        A function of (anything, observation (inputs,), noise) to the action (4,) in [-1, 1] that
-        stands for the command, to float32's precision. The noise is ignored: the C computes the
-        mean action.
-    """
-    integers = fixed_point_forward(network)
-    low, high = network.command_low, network.command_high
-    middle, span = jnp.asarray(low + high, jnp.int32), np.float32(1.0) / (high - low)
-
-    def act(_policy: object, observation: jax.Array, _noise: jax.Array) -> jax.Array:
-        doubled = 2 * integers(observation) - middle
-        return doubled.astype(jnp.float32) * span.astype(np.float32)
-
-    return act
 
 
 def fixed_point_fly(policy: Policy, ranges: dict[str, float] | None = None) -> Actor:
     """The actor of ``quadjax.evaluate`` that computes a policy as the exported C does, bit for bit.
 
-    The C computes the mean action and clips observations to the declared ranges.
-
-    Args:
-        policy: see ``fixed.convert``.
-        ranges: declared ranges that differ from the defaults.
-
-    Raises:
-        InputError: a policy that cannot be converted or proven.
+    The C computes the mean action and clips observations to the declared ranges. Arguments and
+    errors as of ``fixed_point_actor``.
     """
     commands = fixed_point_actor(policy, ranges)
 
-    def act(own: Pilot, observation: jax.Array, noise: jax.Array) -> jax.Array:
+    def act(own: Pilot, observation: jax.Array, _noise: jax.Array) -> jax.Array:
         given = commands(pilot.see(own, observation))
         return 2.0 * (given - own.low) / (own.high - own.low) - 1.0
 

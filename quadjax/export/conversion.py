@@ -6,9 +6,6 @@ import itertools
 import textwrap
 from pathlib import Path
 
-import numpy as np
-
-from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.export import flights
 from quadjax.export.emit import (
@@ -22,31 +19,26 @@ from quadjax.export.estimator_tables import EstimatorTables, make_estimator
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork, convert
 from quadjax.export.flights import Rollouts
 from quadjax.export.proof import Proof, prove
-from quadjax.export.race_source import OwnRace, own_race
+from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import RaceTables, make_tables
-from quadjax.export.render import identifier, is_reserved
+from quadjax.export.render import identifier, is_reserved, shared_symbols
 from quadjax.policy.file import Policy
-from quadjax.vehicle.residual_file import located
 
-KEPT_ROWS = 20_000  # rows of the simulated flights that are kept for the verification
 COMMENT_WIDTH = 96
-RESIDUAL_FILE = "residual.npz"  # in an exported folder
 LONGEST_NAME = 60
+PLACEHOLDER = "placeholder"  # a name that no symbol of the C contains
 
 
 @dataclasses.dataclass(frozen=True)
-class Request:
-    """Arguments of a conversion; see ``convert.export_c``."""
+class Options:
+    """Options of an export; see ``convert.export_c``. The report keeps them."""
 
-    policy: Path
-    folder: Path
+    name: str  # prefix of every C symbol
     ranges: dict[str, float] = dataclasses.field(default_factory=dict)
-    name: str | None = None
-    track: str | None = None
-    config: Path | str | Config | None = None
     sample_rate: float = 512.0
     cutoff: float = 8.0
     allow_unfinished: bool = False
+    allow_other_race: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,11 +49,21 @@ class Converted:
     network: FixedNetwork
     proof: Proof
     race: RaceTables
-    estimator: EstimatorTables | None
+    estimator: EstimatorTables | None  # None for a vehicle without external disturbances
     rollouts: Rollouts  # evenly spread rows of the simulated flights
     own: OwnRace
     origin: Provenance
     residual_hash: str  # SHA-256 of the residual file; empty without one
+    options: Options
+
+    def sources(self) -> dict[str, str]:
+        """Every emitted C file and header, by its path in the folder."""
+        network, origin, rollouts = self.network, self.origin, self.rollouts
+        files = emit_network(network, origin, rollouts.observations)
+        files |= emit_race(self.race, network, origin, rollouts.states, rollouts.targets)
+        if self.estimator is not None:
+            files |= emit_estimator(self.estimator, network, origin, self.residual_hash)
+        return files | emit_paparazzi(network, origin, self.estimator)
 
 
 def sha256(path: Path) -> str:
@@ -69,76 +71,67 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def convert_policy(request: Request) -> Converted:
+def convert_policy(
+    policy: Policy,
+    own: OwnRace,
+    options: Options,
+    file: str,
+    path: Path,
+    rollouts: Rollouts | None = None,
+) -> Converted:
     """Convert and prove a policy, and simulate its own race.
 
-    Raises:
-        InputError: see ``convert.export_c``.
-    """
-    policy = Policy.load(request.policy)
-    network = convert(policy, request.ranges)
-    proof = prove(network, policy)
-    own = own_race(policy, request.policy, request.config, request.track)
-    found = flights.simulate(own, policy)
-    if not request.allow_unfinished:
-        flights.check_finished(found.laps, own, request.policy.name)
-    flights.check_box(network.box, found.observations)
-    rows = np.linspace(0, len(found.states) - 1, min(KEPT_ROWS, len(found.states))).astype(int)
-    kept = Rollouts(
-        found.observations[rows], found.states[rows], found.targets[rows], found.laps, found.steps
-    )
-    return _complete(request, request.policy.name, policy, network, proof, own, kept)
-
-
-def convert_again(request: Request, file: str, rollouts: Rollouts) -> Converted:
-    """Repeat the conversion of an exported folder, without simulating.
-
     Args:
-        request: of the files in the folder.
-        file: name of the policy file that was exported.
-        rollouts: as kept in the folder.
+        policy: the policy.
+        own: its race.
+        options: of the export.
+        file: name of the policy file, for the headers.
+        path: of the policy file.
+        rollouts: those of an earlier conversion, which is then repeated without simulating.
 
     Raises:
         InputError: see ``convert.export_c``.
     """
-    policy = Policy.load(request.policy)
-    network = convert(policy, request.ranges)
-    residual = request.folder / RESIDUAL_FILE
-    own = own_race(policy, request.policy, request.config, None, residual)
-    return _complete(request, file, policy, network, prove(network, policy), own, rollouts)
-
-
-def _complete(
-    request: Request,
-    file: str,
-    policy: Policy,
-    network: FixedNetwork,
-    proof: Proof,
-    own: OwnRace,
-    rollouts: Rollouts,
-) -> Converted:
-    """The integers of the race and of the estimator, and all of it together."""
-    vehicle, residual = own.params.vehicle, own.config.vehicle.residual
-    estimator = None  # a rate-level policy does not observe the disturbances
-    if own.choices.model.balance is not None:
-        numbers = (request.sample_rate, request.cutoff)
+    network = convert(policy, options.ranges)
+    proof = prove(network, policy)
+    if rollouts is None:
+        rollouts = flights.simulate(own)
+        if not options.allow_unfinished:
+            flights.check_finished(rollouts.laps, own, file)
+        network.box.check(rollouts.observations)
+        rollouts = rollouts.thinned()
+    vehicle, estimator = own.params.vehicle, None
+    if network.model.balance is not None:
+        numbers = (options.sample_rate, options.cutoff)
         estimator = make_estimator(vehicle.constants, vehicle.residual, *numbers)
     return Converted(
         policy=policy,
         network=network,
         proof=proof,
-        race=make_tables(network, policy, own.params.track, own.choices.gate_test == "world_box"),
+        race=make_tables(network.box, policy, own.choices, own.params),
         estimator=estimator,
         rollouts=rollouts,
         own=own,
-        origin=_origin(request, file, policy, own),
-        residual_hash=sha256(located(residual)) if estimator and residual else "",
+        origin=_origin(policy, own, options.name, file, sha256(path)),
+        residual_hash=sha256(own.residual) if estimator and own.residual else "",
+        options=options,
     )
 
 
-def symbol_name(request: Request, file: str) -> str:
+def check_symbols(converted: Converted) -> None:
+    """Raise an ``InputError`` for a name with which two symbols of the C would be the same."""
+    origin = dataclasses.replace(converted.origin, name=PLACEHOLDER)
+    sources = dataclasses.replace(converted, origin=origin).sources()
+    shared = shared_symbols(sources.values(), converted.origin.name, PLACEHOLDER)
+    if shared:
+        raise InputError(
+            f"--name {converted.origin.name}: the C has another symbol {shared[0]}; choose another"
+        )
+
+
+def symbol_name(name: str | None, file: str) -> str:
     """The prefix of every C symbol: the requested one, or the policy file's name."""
-    name = request.name if request.name is not None else identifier(Path(file).stem)
+    name = name if name is not None else identifier(Path(file).stem)
     if is_reserved(name):
         raise InputError(
             f"--name {name}: is a C keyword or a name of the C library; choose another"
@@ -150,31 +143,15 @@ def symbol_name(request: Request, file: str) -> str:
     return name
 
 
-def _origin(request: Request, file: str, policy: Policy, own: OwnRace) -> Provenance:
+def _origin(policy: Policy, own: OwnRace, name: str, file: str, policy_hash: str) -> Provenance:
     """Name, hash and the comment at the top of each file."""
-    policy_hash = sha256(request.policy)
     stated = {k: v for k, v in policy.source.items() if v is not None and not isinstance(v, dict)}
     source = ", ".join(f"{key}={value}" for key, value in stated.items())
-    track, vehicle = (
-        part.name or Path(part.file).name for part in (own.config.track, own.config.vehicle)
-    )
     facts = (
         f"Policy   {file}, SHA-256 {policy_hash}",
         f"Source   {source or 'not stated in the policy file'}",
         f"Format   quadjax fixed point, version {FORMAT_VERSION}; deterministic (mean) actions",
-        f"Track    {track}; vehicle {vehicle}",
+        f"Track    {own.track}; vehicle {own.vehicle}",
     )
     lines = [textwrap.wrap(fact, COMMENT_WIDTH, subsequent_indent=" " * 9) for fact in facts]
-    name = symbol_name(request, file)
     return Provenance(name, policy_hash, tuple(itertools.chain(*lines)), source or file)
-
-
-def sources(converted: Converted) -> dict[str, str]:
-    """Every emitted C file and header, by its path in the folder."""
-    network, origin, rollouts = converted.network, converted.origin, converted.rollouts
-    files = emit_network(network, origin, rollouts.observations)
-    motor = network.vehicle == "motor"
-    files |= emit_race(converted.race, origin, motor, rollouts.states, rollouts.targets)
-    if converted.estimator is not None:
-        files |= emit_estimator(converted.estimator, origin, converted.residual_hash)
-    return files | emit_paparazzi(network, origin)

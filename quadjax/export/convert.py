@@ -14,18 +14,18 @@ from quadjax.core.files import whole_file, write_json, write_npz, write_text
 from quadjax.core.folders import claim
 from quadjax.core.provenance import provenance
 from quadjax.export.conversion import (
-    RESIDUAL_FILE,
     Converted,
-    Request,
+    Options,
+    check_symbols,
     convert_policy,
-    sources,
     symbol_name,
 )
-from quadjax.export.race_source import CONFIG_FILE
-from quadjax.export.report import make_report, report_text
+from quadjax.export.flights import SEED
+from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, find_config, own_race
+from quadjax.export.report import Json, make_report, report_text
 from quadjax.policy.file import Policy
-from quadjax.vehicle.residual_file import located
 
+KIND = "export"
 POLICY_FILE, ROLLOUTS_FILE = "policy.npz", "rollouts.npz"
 ROLLOUTS_FORMAT, ROLLOUTS_ARRAYS = "quadjax-rollouts/1", ("observations", "states", "targets")
 
@@ -36,7 +36,7 @@ class Export:
 
     folder: Path
     converted: Converted
-    report: dict[str, object]  # as in the folder's ``NAME_report.json``
+    report: Json  # as in the folder's ``NAME_report.json``
 
     @property
     def name(self) -> str:
@@ -60,6 +60,7 @@ def export_c(
     sample_rate: float = 512.0,
     cutoff: float = 8.0,
     allow_unfinished: bool = False,
+    allow_other_race: bool = False,
 ) -> Export:
     """Write a policy as fixed-point C: network, observation, estimator and a Paparazzi module.
 
@@ -79,33 +80,35 @@ def export_c(
         sample_rate: of the disturbance estimator on board, Hz.
         cutoff: of the estimator's low-pass, Hz.
         allow_unfinished: export a policy although it does not finish its own race.
+        allow_other_race: export for another race than the one in the policy file.
 
     Returns:
         The integers, the proof and the report.
 
     Raises:
         InputError: a policy that cannot be converted, that leaves its declared ranges, or of which
-            less than 90% of the simulated flights finish; a folder that cannot be written.
+            less than 90% of the simulated flights finish; a race that differs from that of the
+            policy file; a folder that cannot be written.
     """
     enable_compilation_cache()
-    with _policy_file(policy) as path, claim(folder, "export"):
-        request = Request(
-            policy=path,
-            folder=Path(folder),
-            ranges=ranges or {},
-            name=name,
-            track=track,
-            config=config,
-            sample_rate=sample_rate,
-            cutoff=cutoff,
-            allow_unfinished=allow_unfinished,
-        )
-        _check_folder(request)
-        converted = convert_policy(request)
-        report = make_report(converted, request)
+    folder = Path(folder)
+    with _policy_file(policy) as path, claim(folder, KIND):
+        symbol = symbol_name(name, path.name)
+        numbers = (ranges or {}, sample_rate, cutoff)
+        options = Options(symbol, *numbers, allow_unfinished, allow_other_race)
+        _check_folder(folder, symbol)
+        own = Policy.load(path)
+        found, origin = find_config(own, path, config, track)
+        race = own_race(found, own, origin, path.name)
+        if not allow_other_race:
+            check_race(own, race, path)
+        converted = convert_policy(own, race, options, path.name, path)
+        check_symbols(converted)
+        report = make_report(converted, path.name)
+        report["provenance"] = provenance(found, path, SEED)
         with writing(folder):
-            _write(converted, request, report)
-    return Export(Path(folder), converted, report)
+            _write(converted, folder, report, path)
+    return Export(folder, converted, report)
 
 
 @contextlib.contextmanager
@@ -119,9 +122,8 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
         yield Path(folder) / POLICY_FILE
 
 
-def _check_folder(request: Request) -> None:
-    """Reject an output that contains the export of another name."""
-    name, folder = symbol_name(request, request.policy.name), request.folder
+def _check_folder(folder: Path, name: str) -> None:
+    """Reject a folder that contains the export of another name."""
     others = sorted({path.name for path in folder.glob("*_report.json")} - {f"{name}_report.json"})
     if others:
         other = others[0].removesuffix("_report.json")
@@ -130,28 +132,23 @@ def _check_folder(request: Request) -> None:
         )
 
 
-def _write(converted: Converted, request: Request, report: dict[str, object]) -> None:
+def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:
     """The C, the report, and the inputs from which the verification repeats the conversion."""
-    name, folder = converted.origin.name, request.folder
-    files = sources(converted)
-    for file, text in files.items():
-        write_text(folder / file, text)
-    for file in {f"{name}_estimator.c", f"{name}_estimator.h"} - files.keys():
+    name = converted.options.name
+    texts = converted.sources() | {
+        f"{name}_report.txt": report_text(report, name),
+        CONFIG_FILE: converted.own.config,
+    }
+    copies = {POLICY_FILE: policy, RESIDUAL_FILE: converted.own.residual}
+    unused = {f"{name}_estimator.c", f"{name}_estimator.h"} - texts.keys()
+    for file in unused | {file for file, source in copies.items() if source is None}:
         (folder / file).unlink(missing_ok=True)  # of an earlier export of another policy
-    origin = provenance(converted.own.config, request.policy)
-    write_json(folder / f"{name}_report.json", report | {"provenance": origin})
-    write_text(folder / f"{name}_report.txt", report_text(report, name))
-    config = converted.own.config
-    copies = {POLICY_FILE: request.policy}
-    if config.vehicle.residual:
-        copies[RESIDUAL_FILE] = located(config.vehicle.residual)
-    else:
-        (folder / RESIDUAL_FILE).unlink(missing_ok=True)
+    for file, text in texts.items():
+        write_text(folder / file, text)
     for file, source in copies.items():
-        if source.resolve() != (folder / file).resolve():
+        if source is not None and source.resolve() != (folder / file).resolve():
             with whole_file(folder / file) as temporary:
                 shutil.copyfile(source, temporary)
-    write_text(folder / CONFIG_FILE, config.to_yaml())
-    rollouts = converted.rollouts
-    arrays = {name: getattr(rollouts, name) for name in ROLLOUTS_ARRAYS}
+    arrays = {name: getattr(converted.rollouts, name) for name in ROLLOUTS_ARRAYS}
     write_npz(folder / ROLLOUTS_FILE, arrays, {"format": ROLLOUTS_FORMAT})
+    write_json(folder / f"{name}_report.json", report)

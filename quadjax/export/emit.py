@@ -46,22 +46,34 @@ def emit_network(
         origin: for the comments.
         observations: (n, inputs) simulated observations for the self-test, if there are any.
     """
-    return _files(origin, _network_values(network, origin, observations), [".h", ".c"], "network")
+    layers = padded_layers(network)
+    ends = (network.command_low, network.command_high)
+    values = _common(network, origin) | {
+        "layers": layers,
+        "test": network_test(network, layers, observations),
+        "format_version": FORMAT_VERSION,
+        "limits": [_limits(x / 2.0**network.fraction_bits) for x in ends],
+    }
+    return _files(origin, values, [".h", ".c"], "network")
 
 
 def emit_race(
-    tables: RaceTables, origin: Provenance, motor: bool, states: np.ndarray, targets: np.ndarray
+    tables: RaceTables,
+    network: FixedNetwork,
+    origin: Provenance,
+    states: np.ndarray,
+    targets: np.ndarray,
 ) -> dict[str, str]:
     """The header and source of observation and gate logic, by file name.
 
     Args:
         tables: the integers.
+        network: of the commands.
         origin: for the comments.
-        motor: commands are rpm rather than rates and thrust.
         states: (n, state_size) simulated states for the self-test.
         targets: (n,) the target gate of each.
     """
-    values = _common(origin, motor) | {
+    values = _common(network, origin) | {
         "race": tables,
         "race_test": race_test(tables, states, targets),
         "state_values": [f"state->{name}" for name in tables.names],
@@ -73,14 +85,14 @@ def emit_race(
 
 
 def emit_estimator(
-    tables: EstimatorTables, origin: Provenance, residual_hash: str
+    tables: EstimatorTables, network: FixedNetwork, origin: Provenance, residual_hash: str
 ) -> dict[str, str]:
     """The disturbance estimator's header and source; the hash is empty without a residual."""
     residuals = {"thrust": tables.thrust, "moment": tables.moment} if tables.thrust else {}
     hidden = [len(layer.bias) for network in residuals.values() for layer in network.hidden]
     used = np.any(tables.model != 0, axis=0) | np.any(tables.differentiated != 0, axis=0)
     rate = f"{tables.sample_rate:g}"
-    values = _common(origin, True) | {
+    values = _common(network, origin) | {
         "estimator": tables,
         "estimator_test": estimator_test(tables),
         "terms": _terms,
@@ -106,9 +118,11 @@ def emit_estimator(
     return _files(origin, values, [".h", ".c"], "estimator", "_estimator")
 
 
-def emit_paparazzi(network: FixedNetwork, origin: Provenance) -> dict[str, str]:
+def emit_paparazzi(
+    network: FixedNetwork, origin: Provenance, estimator: EstimatorTables | None
+) -> dict[str, str]:
     """The Paparazzi module's files, by path under ``paparazzi/``."""
-    values = _common(origin, network.vehicle == "motor") | {"frequency": MODULE_FREQUENCY}
+    values = _common(network, origin) | {"frequency": MODULE_FREQUENCY, "estimator": estimator}
     files = _files(origin, values, [".h", ".c"], "module", "_module")
     files |= _files(origin, values, [".xml"], "module")
     return {f"paparazzi/{file}": text for file, text in files.items()}
@@ -120,29 +134,20 @@ def _files(
     return {f"{origin.name}{part}{end}": render(f"{template}{end}", values) for end in suffixes}
 
 
-def _common(origin: Provenance, motor: bool) -> Values:
+def names_of(network: FixedNetwork, name: str) -> Values:
+    """Values of all templates: names, the network and the type of its commands."""
     return {
-        "name": origin.name,
-        "NAME": origin.name.upper(),
-        "origin": origin,
-        "motor": motor,
-        "command_type": "uint16_t" if motor else "float",
-        "unit": "rpm" if motor else "rad/s and m/s^2",
-    }
-
-
-def _network_values(
-    network: FixedNetwork, origin: Provenance, observations: np.ndarray | None
-) -> Values:
-    layers = padded_layers(network)
-    ends = (network.command_low, network.command_high)
-    return _common(origin, network.vehicle == "motor") | {
+        "name": name,
+        "NAME": name.upper(),
         "network": network,
-        "layers": layers,
-        "test": network_test(network, layers, observations),
-        "format_version": FORMAT_VERSION,
-        "limits": [_limits(x / 2.0**network.fraction_bits) for x in ends],
+        "rpm": network.rpm,
+        "command_type": "uint16_t" if network.rpm else "float",
+        "unit": network.unit,
     }
+
+
+def _common(network: FixedNetwork, origin: Provenance) -> Values:
+    return names_of(network, origin.name) | {"origin": origin}
 
 
 def _limits(commands: np.ndarray) -> list[str]:

@@ -21,9 +21,10 @@ from quadjax.core.errors import InputError
 from quadjax.export.integers import INPUT_BITS, ONE, WORD
 from quadjax.export.ranges import InputBox, declare
 from quadjax.policy.file import Policy
+from quadjax.vehicle.protocol import VehicleModel
+from quadjax.vehicle.registry import MODELS
 
 FORMAT_VERSION = 1
-VEHICLES = ("motor", "rate")  # models that the exported C supports
 LARGEST_HIDDEN = 2**INPUT_BITS - 1
 LARGEST_WEIGHT = 2**31 - 1
 # Scales leave this many units of headroom, and one per column, for the rounding of weights.
@@ -51,7 +52,17 @@ class FixedNetwork:
     fraction_bits: int  # of a command: command = integer / 2**fraction_bits
     command_low: np.ndarray  # (outputs,) int64, in units of 2**-fraction_bits
     command_high: np.ndarray  # (outputs,) int64
-    vehicle: str  # "motor" | "rate"
+    model: VehicleModel
+
+    @property
+    def rpm(self) -> bool:
+        """Whether the commands are propeller speeds, which the C gives as integers."""
+        return commands_rpm(self.model)
+
+    @property
+    def unit(self) -> str:
+        """The units of the commands."""
+        return " and ".join(dict.fromkeys(signal.unit for signal in self.model.commands))
 
     @property
     def inputs(self) -> int:
@@ -69,6 +80,11 @@ class FixedNetwork:
         return (*self.hidden, self.output)
 
 
+def commands_rpm(model: VehicleModel) -> bool:
+    """Whether all commands of a vehicle model are propeller speeds."""
+    return all(signal.unit == "rpm" for signal in model.commands)
+
+
 def check_policy(policy: Policy) -> None:
     """Check that the format can represent a policy.
 
@@ -76,8 +92,8 @@ def check_policy(policy: Policy) -> None:
         InputError: a vehicle model without C, an activation other than ReLU, a weight or bias that
             is not finite, or a motor command that no ``uint16_t`` rpm can hold.
     """
-    if policy.vehicle not in VEHICLES:
-        raise InputError(f"vehicle model {policy.vehicle!r} has no C, supported: {VEHICLES}")
+    if policy.vehicle not in MODELS:
+        raise InputError(f"vehicle model {policy.vehicle!r} has no C, supported: {list(MODELS)}")
     if policy.activation != "relu" and len(policy.layers) > 1:
         raise InputError(
             f"layer 0, row 0 and every hidden row: activation {policy.activation!r} is "
@@ -89,7 +105,7 @@ def check_policy(policy: Policy) -> None:
             bad = values[~np.isfinite(values)]
             if bad.size:
                 raise InputError(f"layer {index}, row {row}: {bad[0]} is not a finite weight")
-    if policy.vehicle == "motor" and not (
+    if commands_rpm(MODELS[policy.vehicle]) and not (
         np.all(policy.command_low >= 0) and np.all(policy.command_high <= 65535)
     ):
         raise InputError(
@@ -236,7 +252,7 @@ def _output_layer(policy: Policy, box: InputBox, hidden: Hidden) -> FixedNetwork
         fraction_bits=fraction_bits,
         command_low=np.rint(low * 2.0**fraction_bits).astype(np.int64),
         command_high=np.rint(high * 2.0**fraction_bits).astype(np.int64),
-        vehicle=policy.vehicle,
+        model=MODELS[policy.vehicle],
     )
 
 

@@ -3,32 +3,30 @@
 import dataclasses
 import functools
 import itertools
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.core.vectors import Rotors, Vec3
-from quadjax.export.actor import fixed_point_action
-from quadjax.export.fixed import FixedNetwork
-from quadjax.export.race_source import OwnRace
-from quadjax.export.ranges import InputBox
+from quadjax.core.vectors import Vec3
+from quadjax.export.actor import fixed_point_fly
+from quadjax.export.race_source import DEFAULT, OwnRace
+from quadjax.export.race_tables import example_state
+from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.policy.inference import act_deterministic, policy_params
 from quadjax.race import environment, rules
-from quadjax.race.environment import RaceState
-from quadjax.race.laps import Laps, Trace, fly_laps
+from quadjax.race.environment import Estimate, RaceState
+from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import DISTURBANCES
 from quadjax.race.track import gate
-from quadjax.vehicle.motor import MotorState
-from quadjax.vehicle.rate import RateState
+from quadjax.vehicle.protocol import State
 
 Carry = tuple[jax.Array, jax.Array]  # a position and the target after it
 LOST_CONTROL = ("lost its attitude", "out of bounds", "not finite")  # of CRASHES
-RUNS, LAPS = 32, 6
+RUNS, LAPS, SEED = 32, 6, 0
 FINISHED = 0.9  # fraction of the flights that must finish
+KEPT_ROWS = 20_000  # rows of the simulated flights that are kept for the verification
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,47 +39,42 @@ class Rollouts:
     laps: Laps | None = None  # of all flights; None for rows read back from a file
     steps: int = 0  # of all flights
 
+    def thinned(self) -> "Rollouts":
+        """At most ``KEPT_ROWS`` rows, evenly spread."""
+        count = len(self.states)
+        rows = np.linspace(0, count - 1, min(KEPT_ROWS, count)).astype(int)
+        parts = (self.observations, self.states, self.targets)
+        return Rollouts(*(part[rows] for part in parts), self.laps, self.steps)
 
-def simulate(
-    own: OwnRace, policy: Policy, runs: int = RUNS, laps: int = LAPS, seed: int = 0
-) -> Rollouts:
+
+def simulate(own: OwnRace, runs: int = RUNS, laps: int = LAPS, seed: int = SEED) -> Rollouts:
     """Simulate the float policy's mean actions from the random starts of training.
 
     The rows are those of all flights but the ones that lost control, or of all if every one did.
     """
-    result, trace = _traced(own, policy, runs, laps, seed, from_hover=False)
+    result, trace = _fly(own, pilot.fly, runs, laps, seed, trace=True)
+    assert trace is not None
     held = np.array([crash not in LOST_CONTROL for crash in result.crashes])
-    counted = held if held.any() else ~held
-    states, targets = _states(trace, policy.vehicle, own, counted, seed)
+    states, targets = _states(trace, own, held if held.any() else ~held, seed)
     return Rollouts(observe(own, states, targets), states, targets, result, len(states))
 
 
-def _traced(
-    own: OwnRace, policy: Policy, runs: int, laps: int, seed: int, from_hover: bool
-) -> tuple[Laps, Trace]:
-    result, trace = fly_laps(
-        own.choices,
-        own.params,
-        act_deterministic,
-        policy_params(policy),
-        jax.random.key(seed),
-        laps=laps,
-        runs=runs,
-        from_hover=from_hover,
-        trace=True,
-    )
-    assert trace is not None
-    return result, trace
+def _fly(
+    own: OwnRace, actor: Actor, runs: int, laps: int, seed: int, **options: bool
+) -> tuple[Laps, Trace | None]:
+    options = {"from_hover": False} | options
+    key = jax.random.key(seed)
+    return fly_laps(own.choices, own.params, actor, own.pilot, key, laps, runs, **options)
 
 
 def _states(
-    trace: Trace, vehicle: str, own: OwnRace, counted: np.ndarray, seed: int
+    trace: Trace, own: OwnRace, counted: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """States (n, state_size) and targets (n,) of every step of the runs that are counted."""
     going = ~np.asarray(trace.over) & counted
     parts = [trace.position, trace.velocity, trace.euler, trace.rates, trace.actuators]
     rows = [np.moveaxis(np.asarray(part), 1, -1)[going] for part in parts]
-    if vehicle == "motor":
+    if own.choices.model.disturbance is not None:
         # Disturbances are constant in a flight; they are drawn again from their ranges.
         rng = np.random.default_rng(seed)
         span = own.params.disturbance
@@ -93,71 +86,64 @@ def _states(
     return np.concatenate(rows, axis=1).astype(np.float32), np.asarray(trace.target)[going]
 
 
-def drone_of(vehicle: str, state: jax.Array) -> MotorState | RateState:
-    """A state (state_size,), in the order of the emitted one, as the simulator has it."""
-    pose = [Vec3.of(state[start : start + 3]) for start in (0, 3, 6, 9)]
-    if vehicle == "rate":
-        return RateState(*pose, state[12])
-    return MotorState(*pose, Rotors.of(state[12:16]), Vec3.of(state[16:19]), Vec3.of(state[19:22]))
-
-
 def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Observations (n, inputs) float32 of states (n, state_size) towards targets (n,)."""
+    """Observations (n, inputs) float32 of states (n, state_size) towards targets (n,).
+
+    They are in the scaling that the policy was trained with.
+    """
+    structure = jax.tree.structure(example_state(own.choices, own.params))
 
     def one(state: jax.Array, target: jax.Array) -> jax.Array:
         zero = jnp.zeros((), jnp.int32)
-        drone = drone_of(own.choices.model.name, state)
-        race = RaceState(drone, target, zero, zero, None)
-        return environment.observe(own.choices, own.params, race)
+        drone = jax.tree.unflatten(structure, list(state))
+        race = RaceState(drone, target, zero, zero, None, _estimate(own, drone))
+        return pilot.see(own.pilot, environment.observe(own.choices, own.params, race))
 
     return np.asarray(jax.jit(jax.vmap(one))(states, targets))
 
 
-def check_box(box: InputBox, observations: np.ndarray) -> None:
-    """Raise an ``InputError`` if observations leave a declared range, with the range to declare."""
-    problems = box.outside(observations)
-    if not problems:
-        return
-    options = []
-    for problem in problems:
-        group = problem.split()[0]
-        size = float(np.max(np.abs(observations[:, box.columns(group)])))
-        options.append(f"--range {group}={2.0 ** np.ceil(np.log2(size)):g}")
-    raise InputError(
-        f"the policy's own flights leave the declared range: {'; '.join(problems)}; "
-        f"declare {' '.join(options)}"
-    )
+def _estimate(own: OwnRace, drone: State) -> Estimate | None:
+    """The disturbances of the state as the estimate on board, where the race has an estimator."""
+    model = own.choices.model
+    if own.params.estimator is None or model.disturbance is None:
+        return None
+    return Estimate(None, *model.disturbance(drone))
 
 
-def check_finished(laps: Laps, own: OwnRace, who: str) -> None:
-    """Raise an ``InputError`` unless ``FINISHED`` of a policy's flights finish."""
-    runs, wanted = len(laps.crashes), laps.lap_times.shape[1]
-    if laps.finished < FINISHED * runs:
-        where = own.config.track.name or Path(own.config.track.file).stem
-        raise InputError(
-            f"{who}: {laps.finished} of {runs} flights finish {wanted} laps of track {where} "
-            f"({own.origin} config), expected {FINISHED:.0%}; give the config that it was trained "
-            "with by --config, or --allow-unfinished"
-        )
+def check_finished(laps: Laps | None, own: OwnRace, who: str) -> str:
+    """Check that at least ``FINISHED`` of a policy's flights finish.
+
+    Returns:
+        How many do, for a report.
+
+    Raises:
+        InputError: too few.
+    """
+    assert laps is not None
+    said = f"{laps.finished} of {len(laps.crashes)} flights finish {laps.lap_times.shape[1]} laps"
+    if laps.finished < FINISHED * len(laps.crashes):
+        hint = "--allow-unfinished accepts it"
+        if own.origin == DEFAULT:
+            hint = "give the config that it was trained with by --config, or --allow-unfinished"
+        where = f"track {own.track} ({own.origin})"
+        raise InputError(f"{who}: {said} of {where}, expected {FINISHED:.0%}; {hint}")
+    return said
 
 
 def fly_float_and_fixed(
-    own: OwnRace, policy: Policy, network: FixedNetwork, runs: int, laps: int = 6, seed: int = 1
+    own: OwnRace, policy: Policy, ranges: dict[str, float], runs: int, laps: int = 6, seed: int = 1
 ) -> tuple[Laps, Laps]:
     """Laps of the float policy and of the fixed-point one, from the same starts."""
-    key = jax.random.key(seed)
-    common = {"laps": laps, "runs": runs, "from_hover": False}
-    as_float, _ = fly_laps(
-        own.choices, own.params, act_deterministic, policy_params(policy), key, **common
-    )
-    act = fixed_point_action(network)
-    as_fixed, _ = fly_laps(own.choices, own.params, act, None, key, **common)
+    actors = (pilot.fly, fixed_point_fly(policy, ranges))
+    as_float, as_fixed = (_fly(own, actor, runs, laps, seed)[0] for actor in actors)
     return as_float, as_fixed
 
 
-def fly_traced(own: OwnRace, policy: Policy, runs: int, laps: int, seed: int = 2) -> Trace:
+def fly_traced(own: OwnRace, runs: int, laps: int, seed: int = 2) -> Trace:
     """Flights of the float policy from hover, step by step."""
-    return _traced(own, policy, runs, laps, seed, from_hover=True)[1]
+    _, trace = _fly(own, pilot.fly, runs, laps, seed, from_hover=True, trace=True)
+    assert trace is not None
+    return trace
 
 
 def paths(trace: Trace) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -7,10 +7,16 @@ import numpy as np
 from quadjax.export import integers
 from quadjax.export.integers import INPUT_BITS, ONE, round_shift
 from quadjax.export.race_tables import (
+    ATTITUDE,
+    COPY,
+    GATE,
+    POSITION,
+    SCALED,
     TURN_BITS,
     TURNS_PER_UNIT,
     TWO_PI,
     YAW_EXPONENT,
+    Input,
     RaceTables,
     Rescale,
 )
@@ -39,34 +45,27 @@ def observe(tables: RaceTables, states: np.ndarray, target: np.ndarray) -> Obser
 
 def _inputs(tables: RaceTables, q: np.ndarray, target: np.ndarray) -> list[np.ndarray]:
     """The inputs before clipping, (n, size) of each field of the observation."""
-    state = {f.name: q[:, tables.start(f.name) :][:, : len(f.exponents)] for f in tables.fields}
-    offset = state["position"] - tables.gate_position[target]
-    yaw = (state["euler"][:, 2:] << YAW_EXPONENT) - tables.gate_yaw[target][:, None]
-    yaw = round_shift(wrap(yaw), tables.box.exponent("attitude"))
-    fixed = {
-        "position": lambda: _in_gate_frame(tables, "position", offset, target),
-        "velocity": lambda: _in_gate_frame(tables, "velocity", state["velocity"], target),
-        "attitude": lambda: np.concatenate([state["euler"][:, :2], yaw], axis=1),
-        "rates": lambda: state["rates"],
-        "next_position": lambda: tables.next_gate[target, :3],
-        "next_yaw": lambda: tables.next_gate[target, 3:],
-        "next_yaw_unwrapped": lambda: tables.next_gate[target, 3:],
-    }
-    return [
-        np.stack([_rescaled(s.rescale, q[:, s.number]) for s in tables.scaled[name]], axis=1)
-        if name in tables.scaled
-        else fixed[name]()
-        for name in tables.box.groups
-    ]
+    return [_input(tables, part, q, target) for part in tables.inputs]
 
 
-def _in_gate_frame(
-    tables: RaceTables, field: str, vector: np.ndarray, target: np.ndarray
-) -> np.ndarray:
-    """A field of the state in the gate's frame, in the network's units."""
-    cosine, sine = tables.gate_cos[target], tables.gate_sin[target]
-    shift = INPUT_BITS - tables.exponents[tables.start(field)] + tables.box.exponent(field)
-    return np.stack([round_shift(x, shift) for x in _rotate(vector, cosine, sine)], axis=1)
+def _input(tables: RaceTables, part: Input, q: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The inputs (n, size) of one field."""
+    if part.kind == GATE:
+        return tables.next_gate[target][:, part.sources]
+    values, network = q[:, part.sources], tables.box.exponent[part.name]
+    if part.kind == SCALED:
+        pairs = zip(part.rescales, values.T, strict=True)
+        return np.stack([_rescaled(r, value) for r, value in pairs], axis=1)
+    if part.kind == ATTITUDE:
+        yaw = (values[:, 2] << YAW_EXPONENT) - tables.gate_yaw[target]
+        return np.column_stack([values[:, :2], round_shift(wrap(yaw), network)])
+    if part.kind == COPY:
+        return values
+    if part.kind == POSITION:
+        values = values - tables.gate_position[target]
+    shift = INPUT_BITS - tables.exponent(part.kind) + network
+    rotated = _rotate(values, tables.gate_cos[target], tables.gate_sin[target])
+    return np.stack([round_shift(x, shift) for x in rotated], axis=1)
 
 
 def _rotate(vector: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> list[np.ndarray]:

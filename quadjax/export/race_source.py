@@ -1,37 +1,40 @@
 """The race of a policy: which configuration describes it, and its environment."""
 
-import contextlib
 import dataclasses
-import json
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from quadjax.config import race as build
-from quadjax.config.loading import load_config
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.config.loading import config_of, load_config
+from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_text
 from quadjax.core.resources import CONFIGS
 from quadjax.policy.file import Policy
+from quadjax.policy.pilot import Pilot, fit_race, make_pilot
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.layout import NEXT_YAW, arranged
+from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual_file import located
 
-DEFAULT_CONFIG, DEFAULT = CONFIGS / "e2e_shac.yaml", "default"
-STARTS = "start.heading=north"  # with any yaw: the same flights, and self-tests, for every preset
+DEFAULT_CONFIG, DEFAULT = CONFIGS / "e2e_shac.yaml", "the default race"
 CONFIG_FILE = "config.yaml"  # of a training run or an exported folder
+RESIDUAL_FILE = "residual.npz"  # of an exported folder
 
 
 @dataclasses.dataclass(frozen=True)
 class OwnRace:
-    """The environment that a policy was trained in."""
+    """The environment that a policy was trained in, and the policy in it."""
 
     choices: Choices
     params: RaceParams
-    config: Config
+    pilot: Pilot  # its mean actions
+    track: str
+    vehicle: str
     origin: str  # where the configuration came from, for messages
+    config: str  # the configuration as YAML, with its residual in RESIDUAL_FILE
+    residual: Path | None  # the file of the residual
 
     @property
     def time_step(self) -> float:
@@ -39,106 +42,163 @@ class OwnRace:
         return float(self.params.limits.time_step)
 
 
-def own_race(
+def find_config(
     policy: Policy,
     file: Path | None = None,
     config: Path | str | Config | None = None,
     track: str | None = None,
-    residual: Path | None = None,
-) -> OwnRace:
-    """The race that a policy was trained in, observed as the policy was trained to see it.
+) -> tuple[Config, str]:
+    """The configuration of a policy's race.
 
-    The configuration is the first of: ``config``; the one in the policy file; ``config.yaml`` next
-    to the policy file; the default race, with the residual that the policy file names.
+    It is the first of: ``config``; the one in the policy file; ``config.yaml`` next to the policy
+    file; the default race, with the residual that the policy file names.
 
     Args:
-        policy: the scaling of its observation and the limits of its commands replace the config's.
+        policy: the policy.
         file: the policy file.
-        config: a configuration or the path of one.
+        config: a configuration, a preset's name or a YAML file.
         track: a track file that replaces the config's, or ``None``.
-        residual: a residual file that replaces the config's, if the config names one.
+
+    Returns:
+        The configuration, and where it came from.
 
     Raises:
-        InputError: a file that cannot be read, a config for another vehicle, a scaling that makes
-            no sense, or limits that no vehicle of the policy's kind has.
+        InputError: a file that cannot be read.
     """
-    found, origin = _configuration(policy, file, config)
-    overrides = [*_limits(policy), *_observation(policy), STARTS]
+    beside = file.parent / CONFIG_FILE if file else None
+    if isinstance(config, Config):
+        found, origin = config, "config"
+    elif config is not None:
+        found, origin = load_config(config), str(config)
+    elif policy.config is not None:
+        origin = "the policy file's config"
+        found = config_of(policy.config, f"{file.name if file else 'policy'}: config")
+    elif beside is not None and beside.is_file():
+        found, origin = load_config(beside), str(beside)
+    else:
+        found, origin = _default(policy), DEFAULT
     if track is not None:
-        overrides.append(f"track={track}")
-    with _as_file(found) as path:
-        if origin == DEFAULT:
-            overrides += _default_vehicle(policy)
-        else:
-            _check_vehicle(policy, load_config(path), origin)
-        loaded = load_config(path, overrides)
-        if residual is not None and loaded.vehicle.residual:
-            loaded = load_config(path, [*overrides, f"vehicle.residual={residual}"])
-    choices = build.choices_of(loaded)
-    layout = arranged(choices.layout, policy.layout, file.name if file else "the policy")
-    choices = dataclasses.replace(choices, layout=layout)
-    return OwnRace(choices, build.build_params(loaded), loaded, origin)
+        found = found.replace(track=load_config(DEFAULT_CONFIG, [f"track={track}"]).track)
+        origin = f"{origin}, track {track}"
+    return found, origin
 
 
-def _configuration(
-    policy: Policy, file: Path | None, config: Path | str | Config | None
-) -> tuple[Path | Config | dict[str, Any], str]:
-    """The configuration of a policy's race, and its origin."""
-    if config is not None:
-        return (config, "config") if isinstance(config, Config) else (Path(config), str(config))
-    if policy.config is not None:
-        return policy.config, "the policy file's config"
-    if file is not None and (file.parent / CONFIG_FILE).is_file():
-        return file.parent / CONFIG_FILE, str(file.parent / CONFIG_FILE)
-    return DEFAULT_CONFIG, DEFAULT
-
-
-@contextlib.contextmanager
-def _as_file(config: Path | Config | dict[str, Any]) -> Iterator[Path]:
-    if isinstance(config, Path):
-        yield config
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        text = json.dumps(config) if isinstance(config, dict) else config.to_yaml()  # JSON is YAML
-        write_text(Path(folder) / CONFIG_FILE, text)
-        yield Path(folder) / CONFIG_FILE
-
-
-def _default_vehicle(policy: Policy) -> list[str]:
-    """Overrides for the policy's vehicle, with the residual that its file names."""
+def _default(policy: Policy) -> Config:
+    """The default race with the policy's vehicle, and the residual that its file names."""
     overrides, named = [f"vehicle.model={policy.vehicle}"], policy.source.get("residual")
-    if isinstance(named, str) and policy.vehicle == "motor" and located(named).is_file():
+    if isinstance(named, str) and located(named).is_file():
         overrides.append(f"vehicle.residual={named}")
-    return overrides
+    return load_config(DEFAULT_CONFIG, overrides)
 
 
-def _check_vehicle(policy: Policy, config: Config, origin: str) -> None:
-    if config.vehicle.model != policy.vehicle:
-        raise InputError(
-            f"{origin}: vehicle.model is {config.vehicle.model}, but the policy commands the "
-            f"{policy.vehicle} vehicle"
-        )
+def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") -> OwnRace:
+    """The race of a configuration, observed and commanded as by the policy in training.
 
+    Drones start at any yaw around north: the same flights for every preset.
 
-def _limits(policy: Policy) -> list[str]:
-    """Overrides for a vehicle whose commands have the policy's limits."""
-    low, high = policy.command_low.tolist(), policy.command_high.tolist()
-    if policy.vehicle == "motor":
-        if len(set(low)) > 1 or len(set(high)) > 1:
-            raise InputError(f"policy commands {low}..{high} rpm: expected the same for all motors")
-        return [f"vehicle.constants.rpm_min={low[0]!r}", f"vehicle.constants.rpm_max={high[0]!r}"]
-    if low[:3] != [-x for x in high[:3]]:
-        raise InputError(f"policy commands rates of {low[:3]}..{high[:3]} rad/s: expected +-")
-    names = ("p_max", "q_max", "r_max", "thrust_max", "thrust_min")
-    values = zip(names, [*high, low[3]], strict=True)
-    return [f"vehicle.constants.{name}={value!r}" for name, value in values]
+    Args:
+        config: of the race.
+        policy: its observation and the limits of its commands replace the config's.
+        origin: of the config, for messages.
+        name: the policy file, for messages.
 
-
-def _observation(policy: Policy) -> list[str]:
-    """Overrides for the scaling that the policy was trained with."""
-    overrides = [f"disturbance.{name}={x!r}" for name, x in policy.disturbance_widths.items()]
-    overrides.append(f"observation.wrap_next_yaw={str(NEXT_YAW.name in policy.layout).lower()}")
+    Raises:
+        InputError: a config for another vehicle, an observation that the race lacks, or limits
+            that no vehicle of the policy's kind has.
+    """
+    residual = config.vehicle.residual and located(config.vehicle.residual)
+    text = (config.at("vehicle.residual", RESIDUAL_FILE) if residual else config).to_yaml()
     source = "moment_ext" in policy.layout and policy.layout["moment_ext"].source
     if source:
-        overrides.append(f"observation.disturbance={source}")
-    return overrides
+        config = config.at("observation.disturbance", source)
+    choices, params = choices_of(config), build_params(config)
+    try:
+        choices, params = fit_race(choices, params, policy, name)
+    except InputError as error:
+        raise InputError(f"{origin}: {error}") from None
+    constants = _with_limits(choices.model, params.vehicle.constants, policy)
+    params = params.replace(
+        vehicle=params.vehicle.replace(constants=constants),
+        start=params.start.replace(heading=None),
+    )
+    pilot = make_pilot(choices, params, policy, deterministic=True)
+    names = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
+    return OwnRace(choices, params, pilot, *names, origin, text, residual or None)
+
+
+def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> Constants:
+    """Constants whose command range is the policy's; the range is linear in the limits."""
+    names = model.groups["limits"]
+
+    def command_range(values: jax.Array) -> jax.Array:
+        own = constants.replace(**dict(zip(names, values, strict=True)))
+        return jnp.stack([jnp.asarray(x) for x in jax.tree.leaves(model.command_range(own))])
+
+    wanted = np.concatenate([policy.command_low, policy.command_high])
+    matrix = np.asarray(jax.jacobian(command_range)(jnp.ones(len(names))), np.float64)
+    values = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    if not np.allclose(matrix @ values, wanted, rtol=1e-6, atol=1e-9):
+        raise InputError(
+            f"the policy commands {policy.command_low.tolist()}..{policy.command_high.tolist()}: "
+            f"no {model.name} vehicle has these limits, which follow from {', '.join(names)}"
+        )
+    return constants.replace(
+        **{name: jnp.float32(x) for name, x in zip(names, values, strict=True)}
+    )
+
+
+def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
+    """Check that a race is the one that the policy was trained in, as far as its file says.
+
+    Vehicle, residual, track, gate test and time step are compared.
+
+    Args:
+        policy: the policy.
+        own: the race of the export.
+        file: the policy file.
+
+    Returns:
+        What was compared, for a report.
+
+    Raises:
+        InputError: the first difference.
+    """
+    named = policy.source.get("residual")
+    if policy.config is not None:
+        config, _ = find_config(policy, file)
+        found = _difference(own_race(config, policy, "the policy file", file.name), own)
+        said = "vehicle, track, gate test and time step are those of the policy file"
+    elif "residual" in policy.source and bool(named) != (own.params.vehicle.residual is not None):
+        has = "no residual" if named else "a residual"
+        found, said = f"vehicle.residual is {named or 'null'} in training, {has} here", ""
+    else:
+        found, said = None, "the policy file names no race"
+    if found is not None:
+        raise InputError(
+            f"{file.name}: trained in another race than {own.origin}: {found}; "
+            "--allow-other-race accepts it"
+        )
+    return said
+
+
+def _difference(trained: OwnRace, own: OwnRace) -> str | None:
+    """The first difference between two races, as text."""
+    pairs = [("vehicle.model", *(x.choices.model.name for x in (trained, own)))]
+    pairs.append(("gate_test", *(x.choices.gate_test for x in (trained, own))))
+    pairs.append(("the number of gates", *(len(x.params.track.yaw) for x in (trained, own))))
+    had = [x.params.vehicle.residual is not None for x in (trained, own)]
+    pairs.append(("a residual", *("used" if x else "absent" for x in had)))
+    for name, before, now in pairs:
+        if before != now:
+            return f"{name} is {before} in training, {now} here"
+    parts = (
+        {"vehicle": x.params.vehicle, "track": x.params.track, "time_step": x.time_step}
+        for x in (trained, own)
+    )
+    leaves = [jax.tree_util.tree_leaves_with_path(part) for part in parts]
+    for (path, before), (_, now) in zip(*leaves, strict=False):
+        if not np.array_equal(before, now):
+            where = jax.tree_util.keystr(path, simple=True, separator=".")
+            shown = "differs" if np.size(before) > 8 else f"is {before} in training, {now} here"
+            return f"{where} {shown}"
+    return None

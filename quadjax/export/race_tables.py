@@ -3,36 +3,55 @@
 Every number of the state becomes an integer of 2^-30 of its own range, a power of two; the rest is
 sums and products of integers. Positions and velocities are rotated into the gate's frame by a
 cosine and a sine in Q30, a yaw is wrapped by one multiplication, and what is scaled to [-1, 1] is
-``(q - middle) factor >> shift``.
+``(q - middle) factor >> shift``. The state is that of the vehicle model, field by field, and the
+inputs are those of the policy's layout, in its order.
 """
 
 import dataclasses
+import functools
 import math
 
+import jax
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export.fixed import FixedNetwork
 from quadjax.export.integers import ONE
 from quadjax.export.ranges import InputBox
 from quadjax.policy.file import Policy
-from quadjax.race.layout import NONE
+from quadjax.race import environment
+from quadjax.race.environment import Choices, RaceParams
+from quadjax.race.layout import DISTURBANCES, NEXT_YAW, NEXT_YAW_UNWRAPPED, NONE, Field
 from quadjax.race.track import Track
+from quadjax.vehicle.protocol import State
 
 YAW_EXPONENT = 6  # of the state's yaw: +-64 rad, because an autopilot may not wrap it
 WIND_EXPONENT = 2  # the state's velocity has four times the range of the network's input
 TURN_BITS = 56  # one turn is 2^56 of (yaw * TURNS_PER_UNIT)
 TURNS_PER_UNIT = round(2.0**32 / (2.0 * math.pi))  # turns of a yaw in Q24 are its product in Q56
 TWO_PI = round(2.0 * math.pi * ONE)  # Q30
-# The numbers of the state of scaled fields; of the external force only z is observed.
-SOURCES = {
-    "rpm": ("rpm[0]", "rpm[1]", "rpm[2]", "rpm[3]"),
-    "thrust": ("thrust",),
-    "moment_ext": ("moment_ext[0]", "moment_ext[1]", "moment_ext[2]"),
-    "force_ext": ("force_ext[2]",),
-}
 LARGEST_SPAN = 1e6
+UNOBSERVED = 20  # exponent of numbers of the state that no input needs
 FARTHEST = 15  # exponent of the largest distance of a gate
+# How the C computes a field: from numbers of the state, or from the gate alone.
+POSITION, VELOCITY, ATTITUDE, COPY, SCALED, GATE = (
+    *("position", "velocity", "attitude", "copy", "scaled", "gate"),
+)
+KINDS = {  # field of the observation: how it is computed, and from which field of the state
+    "position": (POSITION, "position"),
+    "velocity": (VELOCITY, "velocity"),
+    "attitude": (ATTITUDE, "euler"),
+    "rates": (COPY, "rates"),
+}
+NOTES = {  # unit and frame of a field of the state, for the header
+    "position": "m, world",
+    "velocity": "m/s, world",
+    "euler": "roll, pitch, yaw, rad; any yaw, wrapped here",
+    "rates": "p, q, r, rad/s, body",
+    "thrust": "specific thrust along body -z, m/s^2",
+    "rpm": "1 front-left, 2 front-right, 3 rear-right, 4 rear-left",
+    "moment_ext": "external moment, N m, body",
+    "force_ext": "external specific force, m/s^2, body",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +68,8 @@ class StateField:
     """Numbers of the state that belong together."""
 
     name: str
-    note: str  # unit and frame, for the header
+    note: str
+    start: int  # index of the first number
     exponents: tuple[int, ...]  # of each number's range
 
     @property
@@ -67,11 +87,14 @@ class StateField:
 
 
 @dataclasses.dataclass(frozen=True)
-class Scaled:
-    """An input that is a number of the state over its range."""
+class Input:
+    """A field of the observation: the inputs from ``index`` on."""
 
-    number: int  # of the state
-    rescale: Rescale | None  # None: the policy sees zero
+    name: str
+    kind: str
+    index: int
+    sources: tuple[int, ...]  # of each input: a number of the state, or of the gate's constants
+    rescales: tuple[Rescale | None, ...] = ()  # of scaled inputs; None: the policy sees zero
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,13 +103,13 @@ class RaceTables:
 
     box: InputBox  # of the network's inputs
     fields: tuple[StateField, ...]
-    scaled: dict[str, tuple[Scaled, ...]]  # by field of the observation
+    inputs: tuple[Input, ...]
     gate_position: np.ndarray  # (gates, 3) int64, in the state's position units
     gate_cos: np.ndarray  # (gates,) int64 Q30
     gate_sin: np.ndarray  # (gates,) int64 Q30
     gate_yaw: np.ndarray  # (gates,) int64, rad in Q30
     half_size: np.ndarray  # (gates, 2) int64 half width and height, in position units
-    next_gate: np.ndarray  # (gates, 4) int64, network inputs
+    next_gate: np.ndarray  # (gates, n) int64, network inputs that depend on the gate alone
     world_box: bool  # a gate's opening is tested along the world's axes, not its own
 
     @property
@@ -109,29 +132,47 @@ class RaceTables:
         """Number of floats in the state."""
         return len(self.exponents)
 
-    def start(self, field: str) -> int:
-        """Index of the first number of a field of the state."""
-        return next(i for i, name in enumerate(self.names) if name.split("[")[0] == field)
+    @property
+    def helpers(self) -> set[str]:
+        """What the C needs for these inputs: names of its functions, and ``gate``."""
+        kinds = {x.kind for x in self.inputs if x.kind != SCALED or any(x.rescales)}
+        rotated, own_axes = kinds & {POSITION, VELOCITY}, set() if self.world_box else {"own axes"}
+        needed = {
+            "across": rotated | own_axes,
+            "round_shift": kinds - {COPY, GATE} | own_axes,
+            "hold": kinds - {COPY, GATE},
+            "wrap": kinds & {ATTITUDE},
+            "rescale": kinds & {SCALED},
+            "gate": kinds - {COPY, SCALED},
+        }
+        return {name for name, reasons in needed.items() if reasons}
+
+    def exponent(self, field: str) -> int:
+        """Exponent of the range of the first number of a field of the state."""
+        return next(f.exponents[0] for f in self.fields if f.name == field)
 
 
-def make_tables(
-    network: FixedNetwork, policy: Policy, track: Track, world_box: bool = False
-) -> RaceTables:
+def example_state(choices: Choices, params: RaceParams) -> State:
+    """A vehicle's state as shapes; the emitted state has its numbers in the order of its leaves."""
+    return jax.eval_shape(functools.partial(environment.hover_start, choices), params).drone
+
+
+def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RaceParams) -> RaceTables:
     """The integers of a policy's observation on a track.
 
     Args:
-        network: whose box the observation is scaled to.
+        box: of the network's inputs, which the observation is scaled to.
         policy: whose limits and scaling it has.
-        track: the gates.
-        world_box: test a gate's opening as the authors' code does; see ``rules.inside_world_box``.
+        choices: vehicle model and gate test.
+        params: whose track it has.
 
     Raises:
         InputError: a gate that is tilted, round, or farther away than 2^15 m, or a next gate
             outside the network's box.
     """
+    track = params.track
     if track.opening is not None or track.circle is not None:
         raise InputError("the track has tilted or round gates, allowed: upright rectangles")
-    box = network.box
     position = np.stack([np.asarray(c, np.float64) for c in track.position.components()], axis=1)
     reach = float(np.abs(position).max()) + box.limit("position")
     world = max(5, math.ceil(math.log2(reach)))
@@ -140,39 +181,39 @@ def make_tables(
     yaw = np.asarray(track.yaw, np.float64)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
     unit = ONE / 2.0**world
-    fields, rescales = _state_fields(box, policy, world)
-    names = [name for field in fields for name in field.names]
+    spans = {name: _spans(policy, box, name) for name in box.scaled if name in policy.layout}
+    fields = _state_fields(box, example_state(choices, params), world, spans)
     return RaceTables(
         box=box,
         fields=fields,
-        scaled={
-            field: tuple(
-                Scaled(names.index(name), rescale)
-                for name, rescale in zip(SOURCES[field], rescales[field], strict=True)
-            )
-            for field in rescales
-        },
+        inputs=_inputs(box, fields, spans),
         gate_position=np.rint(position * unit).astype(np.int64),
         gate_cos=np.rint(np.cos(yaw) * ONE).astype(np.int64),
         gate_sin=np.rint(np.sin(yaw) * ONE).astype(np.int64),
         gate_yaw=np.rint(yaw * ONE).astype(np.int64),
         half_size=np.rint(half.astype(np.float64) * unit).astype(np.int64),
-        next_gate=_next_gates(box, track),
-        world_box=world_box,
+        next_gate=_gate_constants(box, track),
+        world_box=choices.gate_test == "world_box",
     )
 
 
-def _next_gates(box: InputBox, track: Track) -> np.ndarray:
-    """The inputs that depend only on the gate: the next gate's position and yaw, (gates, 4)."""
+def next_gates(track: Track) -> dict[str, np.ndarray]:
+    """The fields that depend only on the gate, (gates, size) float64 of each."""
+    position = np.stack([np.asarray(c) for c in track.next_position.components()], 1)
     plain = np.roll(track.yaw, -1) - np.asarray(track.yaw)
     values = {
-        "next_position": np.stack([np.asarray(c) for c in track.next_position.components()], 1),
-        "next_yaw": np.asarray(track.next_yaw)[:, None],
-        "next_yaw_unwrapped": plain[:, None],
+        "next_position": position,
+        NEXT_YAW.name: np.asarray(track.next_yaw)[:, None],
+        NEXT_YAW_UNWRAPPED.name: plain[:, None],
     }
-    columns = []
-    for name in [name for name in values if name in box.groups]:
-        numbers, limit = values[name].astype(np.float64), box.limit(name)
+    return {name: value.astype(np.float64) for name, value in values.items()}
+
+
+def _gate_constants(box: InputBox, track: Track) -> np.ndarray:
+    """The inputs that depend only on the gate, (gates, n) in the order of the layout."""
+    values, columns = next_gates(track), [np.zeros((len(track.yaw), 0), np.int64)]
+    for name in [name for name in box.layout.names if name in values]:
+        numbers, limit = values[name], box.limit(name)
         for gate, column in np.argwhere(np.abs(numbers) > limit):
             raise InputError(
                 f"gate {gate}: {name} is {numbers[gate, column]:.4g}, declared +-{limit:g}; "
@@ -182,54 +223,68 @@ def _next_gates(box: InputBox, track: Track) -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
+Spans = list[tuple[int, Rescale | None]]  # of each number: exponent of the state's, and integers
+
+
 def _state_fields(
-    box: InputBox, policy: Policy, world: int
-) -> tuple[tuple[StateField, ...], dict[str, list[Rescale | None]]]:
-    """The fields of the state, and how each scaled field of the observation is computed."""
-    attitude = box.exponent("attitude")
-    fields = [
-        StateField("position", "m, world", (world,) * 3),
-        StateField("velocity", "m/s, world", (box.exponent("velocity") + WIND_EXPONENT,) * 3),
-        StateField(
-            "euler",
-            "roll, pitch, yaw, rad; any yaw, wrapped here",
-            (attitude, attitude, YAW_EXPONENT),
-        ),
-        StateField("rates", "p, q, r, rad/s, body", (box.exponent("rates"),) * 3),
-    ]
-    if "thrust" in policy.layout:
-        [(exponent, thrust)] = _spans(policy, box, "thrust")
-        note = "specific thrust along body -z, m/s^2"
-        fields.append(StateField("thrust", note, (exponent,)))
-        return tuple(fields), {"thrust": [thrust]}
-    rpm = _spans(policy, box, "rpm")
-    moment, force = (_external(policy, box, name) for name in ("moment_ext", "force_ext"))
-    fields += [
-        StateField(
-            "rpm",
-            "1 front-left, 2 front-right, 3 rear-right, 4 rear-left",
-            tuple(exponent for exponent, _ in rpm),
-        ),
-        StateField("moment_ext", "external moment, N m, body", tuple(e for e, _ in moment)),
-        StateField("force_ext", "external specific force, m/s^2, body", (force[0][0],) * 3),
-    ]
-    parts = {"rpm": rpm, "moment_ext": moment, "force_ext": force}
-    return tuple(fields), {name: [rescale for _, rescale in part] for name, part in parts.items()}
+    box: InputBox, drone: State, world: int, spans: dict[str, Spans]
+) -> tuple[StateField, ...]:
+    """The fields of the state, with the ranges that the inputs computed from them need."""
+    attitude, fields, start = box.exponent["attitude"], [], 0
+    exponents = {
+        "position": world,
+        "velocity": box.exponent["velocity"] + WIND_EXPONENT,
+        "rates": box.exponent["rates"],
+    }
+    for field in dataclasses.fields(drone):
+        name, size = field.name, len(jax.tree.leaves(getattr(drone, field.name)))
+        own = [e for e, _ in spans.get(name, [])] or [exponents.get(name, UNOBSERVED)]
+        if name == "euler":
+            own = [attitude, attitude, YAW_EXPONENT]
+        own = (own * size)[:size]  # of a force, only one number may be observed
+        fields.append(StateField(name, NOTES[name], start, tuple(own)))
+        start += size
+    return tuple(fields)
 
 
-def _spans(policy: Policy, box: InputBox, name: str) -> list[tuple[int, Rescale | None]]:
-    """Exponent and integers of each actuator, over its span or that of its command."""
-    size = policy.layout[name].size
+def _inputs(
+    box: InputBox, fields: tuple[StateField, ...], spans: dict[str, Spans]
+) -> tuple[Input, ...]:
+    """How each field of the layout is computed."""
+    starts, found, constants = {field.name: field.start for field in fields}, [], 0
+    for field in box.layout.fields:
+        name, index = field.name, box.layout.slice(field.name).start
+        if name in KINDS:
+            kind, source = KINDS[name]
+            numbers = [starts[source] + i for i in range(field.size)]
+        elif name in spans:
+            axes = ["xyz".index(part[-1]) for part in DISTURBANCES.get(name, ())]
+            kind, numbers = SCALED, [starts[name] + i for i in axes or range(field.size)]
+        else:
+            kind, numbers = GATE, list(range(constants, constants + field.size))
+            constants += field.size
+        rescales = tuple(rescale for _, rescale in spans.get(name, ()))
+        found.append(Input(name, kind, index, tuple(numbers), rescales))
+    return tuple(found)
+
+
+def _spans(policy: Policy, box: InputBox, name: str) -> Spans:
+    """Exponent and integers of each number of a scaled field."""
+    field, exponent = policy.layout[name], box.exponent[name]
+    if name in DISTURBANCES:
+        return [
+            _external(field, exponent, high) for _, high in field.span or ((0, 0),) * field.size
+        ]
     commands = zip(policy.command_low.tolist(), policy.command_high.tolist(), strict=True)
-    spans = policy.layout[name].span or tuple(commands)[-size:]
+    spans = field.span or tuple(commands)[-field.size :]
     for low, high in spans:
         if low == high:
             allowed = "allowed: a width above zero"
             raise InputError(f"the policy's layout: {name} has a span of {[low, high]}, {allowed}")
-    return [_span(low, high, box.exponent(name)) for low, high in spans]
+    return [_span(low, high, exponent) for low, high in spans]
 
 
-def _span(low: float, high: float, network: int) -> tuple[int, Rescale | None]:
+def _span(low: float, high: float, network: int) -> tuple[int, Rescale]:
     """[low, high] to [-1, 1]: the exponent of the state's number, and the integers."""
     reach = max(abs(0.5 * (low + high) + s * 0.5 * (high - low) * 2.0**network) for s in (-1, 1))
     exponent = math.ceil(math.log2(reach))
@@ -239,20 +294,16 @@ def _span(low: float, high: float, network: int) -> tuple[int, Rescale | None]:
     )
 
 
-def _external(policy: Policy, box: InputBox, name: str) -> list[tuple[int, Rescale | None]]:
-    """Exponent and integers of each disturbance; ``None`` where the policy sees zero."""
-    field, exponent = policy.layout[name], box.exponent(name)
-    halves = [high for _, high in field.span or ((0.0, 0.0),) * field.size]
-    result: list[tuple[int, Rescale | None]] = []
-    for half in halves:
-        if not 0 <= half < LARGEST_SPAN:
-            raise InputError(f"the policy's layout: {name} has a span of {half:g}, allowed: 0..1e6")
-        if field.source == NONE or half == 0:
-            result.append((0, None))
-            continue
-        state = math.ceil(math.log2(half * 2.0**exponent))
-        result.append((state, rescale(0.0, 2.0 ** (state - exponent) / half)))
-    return result
+def _external(field: Field, network: int, half: float) -> tuple[int, Rescale | None]:
+    """A disturbance of half-width ``half``; ``None`` where the policy sees zero."""
+    if not 0 <= half < LARGEST_SPAN:
+        raise InputError(
+            f"the policy's layout: {field.name} has a span of {half:g}, allowed: 0..1e6"
+        )
+    if field.source == NONE or half == 0:
+        return 0, None
+    exponent = math.ceil(math.log2(half * 2.0**network))
+    return exponent, rescale(0.0, 2.0 ** (exponent - network) / half)
 
 
 def rescale(middle: float, factor: float) -> Rescale:

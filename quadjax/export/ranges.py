@@ -1,4 +1,4 @@
-"""The box of inputs that a fixed-point policy is declared for: one power of two per input."""
+"""The box of inputs that a fixed-point policy is declared for: one power of two per field."""
 
 import dataclasses
 import math
@@ -7,78 +7,67 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
+from quadjax.race.layout import DISTURBANCES, NEXT_YAW, NEXT_YAW_UNWRAPPED, Layout, make_layout
+from quadjax.vehicle.registry import MODELS
 
-# Numbers of each field that the exported C can compute.
-PLAIN = {
-    "position": 3,
-    "velocity": 3,
-    "attitude": 3,
-    "rates": 3,
-    "next_position": 3,
-    "next_yaw": 1,
-    "next_yaw_unwrapped": 1,
-}
-SCALED = {"rpm": 4, "thrust": 1, "moment_ext": 3, "force_ext": 1}  # to [-1, 1] over their spans
-POSE = ("position", "velocity", "attitude", "rates", "next_position")
-NEEDED = {"motor": (*POSE, "rpm", "moment_ext", "force_ext"), "rate": (*POSE, "thrust")}
 SMALLEST, LARGEST = 2.0**-20, 2.0**20
 
 
 @dataclasses.dataclass(frozen=True)
 class InputBox:
-    """Symmetric ranges ``+-2**exponent`` of every input, and what each is called."""
+    """Symmetric ranges ``+-2**exponent`` of every input."""
 
-    names: tuple[str, ...]
-    exponents: tuple[int, ...]
-    units: tuple[str, ...]
+    layout: Layout  # of the inputs
+    exponent: dict[str, int]  # by field, also of fields that the policy does not observe
+    scaled: tuple[str, ...]  # fields that are scaled to [-1, 1] over their spans
+
+    @property
+    def exponents(self) -> tuple[int, ...]:
+        """The exponent of every input."""
+        return tuple(self.exponent[f.name] for f in self.layout.fields for _ in range(f.size))
 
     @property
     def ranges(self) -> np.ndarray:
         """The half-widths (inputs,), in the input's own unit."""
         return np.ldexp(1.0, np.asarray(self.exponents))
 
-    def outside(self, observations: np.ndarray) -> list[str]:
-        """What leaves the box, one line per input, of observations (n, inputs)."""
-        largest = np.max(np.abs(observations), axis=0)
-        groups: dict[str, float] = {}
-        for name, value, limit in zip(self.names, largest, self.ranges, strict=True):
-            if not value <= limit:
-                group = name.split("[")[0]
-                groups[group] = max(groups.get(group, 0.0), float(value))
-        return [
-            f"{group} reaches {value:.4g} {self.units[self.index(group)]}, declared "
-            f"+-{self.ranges[self.index(group)]:g}"
-            for group, value in groups.items()
-        ]
-
     @property
-    def groups(self) -> tuple[str, ...]:
-        """The fields of the observation, in order."""
-        return tuple(dict.fromkeys(name.split("[")[0] for name in self.names))
+    def units(self) -> list[str]:
+        """The unit of every input."""
+        return [self._unit(f.name) for f in self.layout.fields for _ in range(f.size)]
 
-    def columns(self, group: str) -> list[int]:
-        """The indices of a field's inputs."""
-        return [i for i, name in enumerate(self.names) if name.split("[")[0] == group]
+    def _unit(self, field: str) -> str:
+        return "of its range" if field in self.scaled else self.layout[field].unit
 
-    def index(self, group: str) -> int:
-        """The index of a field's first input."""
-        return self.columns(group)[0]
-
-    def exponent(self, group: str) -> int:
-        """The exponent of a field's range."""
-        return self.exponents[self.index(group)]
-
-    def limit(self, group: str) -> float:
+    def limit(self, field: str) -> float:
         """The half-width of a field's range, in its unit."""
-        return 2.0 ** self.exponent(group)
+        return 2.0 ** self.exponent[field]
+
+    def check(self, observations: np.ndarray) -> None:
+        """Raise an ``InputError`` if observations (n, inputs) leave the box."""
+        largest = np.max(np.abs(observations), axis=0)
+        sizes = {
+            f.name: float(largest[self.layout.slice(f.name)].max()) for f in self.layout.fields
+        }
+        beyond = {name: size for name, size in sizes.items() if not size <= self.limit(name)}
+        if beyond:
+            problems = (
+                f"{name} reaches {size:.4g} {self._unit(name)}, declared +-{self.limit(name):g}"
+                for name, size in beyond.items()
+            )
+            options = (f"--range {name}={next_power(size):g}" for name, size in beyond.items())
+            raise InputError(
+                f"the policy's own flights leave the declared range: {'; '.join(problems)}; "
+                f"declare {' '.join(options)}"
+            )
 
 
-def power_of_two(name: str, value: float) -> int:
-    """The exponent of a range that must be a power of two.
+def next_power(value: float) -> float:
+    """The smallest power of two that is not below a value."""
+    return 2.0 ** math.ceil(math.log2(value)) if 0 < value < math.inf else value
 
-    Raises:
-        InputError: it is not, or not between 2^-20 and 2^20.
-    """
+
+def _exponent(name: str, value: float) -> int:
     if not SMALLEST <= value <= LARGEST or math.frexp(value)[0] != 0.5:
         raise InputError(
             f"range {name}={value:g}: expected a power of two between 2^-20 and 2^20, "
@@ -91,30 +80,27 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     """The box of a policy: the ranges of its layout, and what overrides them by field.
 
     Raises:
-        InputError: a field that the C cannot compute or lacks, an override of an unknown name, or
-            a range that is not a power of two.
+        InputError: a field that the C cannot compute, an override of an unknown name, or a range
+            that is not a power of two.
     """
-    fields = policy.layout.fields
-    for field in fields:
-        if (PLAIN | SCALED).get(field.name) != field.size:
+    model = MODELS[policy.vehicle]
+    known = {f.name: f for f in (*make_layout(model).fields, NEXT_YAW, NEXT_YAW_UNWRAPPED)}
+    for field in policy.layout.fields:
+        if field.name not in known or known[field.name].size != field.size:
             raise InputError(
                 f"the policy observes {field.name!r} ({field.size} numbers), which has no C; "
-                f"supported: {', '.join(f'{n} ({k})' for n, k in (PLAIN | SCALED).items())}"
+                f"supported: {', '.join(f'{f.name} ({f.size})' for f in known.values())}"
             )
-    missing = [name for name in NEEDED[policy.vehicle] if name not in policy.layout]
-    if missing:
-        raise InputError(f"the policy does not observe {missing[0]!r}, which the exported C needs")
-    ranges = {field.name: float(field.range) for field in fields}
+    own = {field.name: float(field.range) for field in policy.layout.fields}
     for name, value in (overrides or {}).items():
-        if name not in ranges:
-            raise InputError(f"range {name}={value:g}: unknown name, allowed: {list(ranges)}")
-        ranges[name] = value
-    exponents = {name: power_of_two(name, value) for name, value in ranges.items()}
-    sizes = [field for field in fields for _ in range(field.size)]
+        if name not in own:
+            raise InputError(f"range {name}={value:g}: unknown name, allowed: {list(own)}")
+        own[name] = value
+    ranges = {name: field.range for name, field in known.items()} | own
     return InputBox(
-        names=policy.layout.labels,
-        exponents=tuple(exponents[field.name] for field in sizes),
-        units=tuple("of its range" if f.name in SCALED else f.unit for f in sizes),
+        layout=policy.layout,
+        exponent={name: _exponent(name, value) for name, value in ranges.items()},
+        scaled=(model.actuators.name, *DISTURBANCES),
     )
 
 

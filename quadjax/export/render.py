@@ -23,7 +23,8 @@ RESERVED = frozenset(
     assert complex ctype errno fenv float inttypes iso646 limits locale main math memory setjmp
     signal stdalign stdarg stdatomic stdbit stdbool stdckdint stddef stdint stdio stdlib
     stdnoreturn string tgmath threads time uchar wchar wctype
-    arm_neon autopilot cstdint cstdio linux module state unistd unix
+    stdin stdout stderr offsetof va_list va_arg va_start va_end isfinite isinf isnan isnormal
+    signbit arm_neon autopilot cstdint cstdio far i386 linux module near state unistd unix
     """.split()
 )
 
@@ -123,6 +124,22 @@ def identifier(text: str) -> str:
     """Text as a lower-case C identifier that is no keyword and no name of the C library."""
     name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "policy"
     return f"policy_{name}" if not name[0].isalpha() or is_reserved(name) else name
+
+
+def shared_symbols(sources: Iterable[str], name: str, placeholder: str) -> list[str]:
+    """Symbols that a prefix ``name`` would share with other words of the C.
+
+    Args:
+        sources: C with the prefix ``placeholder``.
+        name: the prefix to check.
+        placeholder: a prefix that occurs nowhere else.
+    """
+    words = {word for text in sources for word in re.findall(r"[A-Za-z_]\w*", text)}
+    own = {word for word in words if word.lower().startswith(f"{placeholder}_")}
+    renamed = {
+        word.replace(placeholder, name).replace(placeholder.upper(), name.upper()) for word in own
+    }
+    return sorted(renamed & (words - own))
 
 
 def is_reserved(name: str) -> bool:

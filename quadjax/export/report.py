@@ -1,11 +1,13 @@
-"""The report that accompanies the C: what is proven and what was measured, as JSON and as text."""
+"""The report of a conversion: what was proven and what was measured, as JSON and as text."""
+
+import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core import mlp
 from quadjax.export import emulator
-from quadjax.export.conversion import Converted, Request
+from quadjax.export.conversion import Converted
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
 from quadjax.export.integers import WORD, enable_x64
 from quadjax.export.render import render
@@ -25,39 +27,53 @@ def float64_commands(policy: Policy, observations: np.ndarray) -> np.ndarray:
     return low + 0.5 * (high - low) * (np.clip(y, -1.0, 1.0) + 1.0)
 
 
-def make_report(converted: Converted, request: Request) -> Json:
-    """The report as JSON takes it; the verification reads the request from it."""
-    network, policy, rollouts = converted.network, converted.policy, converted.rollouts
-    box = network.box
-    rng = np.random.default_rng(0)
-    shape = (BOX_SAMPLES, network.inputs)
-    samples = (rng.uniform(-1.0, 1.0, shape) * box.ranges).astype(np.float32)
-    measured = {"the whole box": samples, "simulated": rollouts.observations}
-    unit = 2.0**network.fraction_bits
-    laps = rollouts.laps
+def uniform_samples(network: FixedNetwork, count: int, seed: int) -> np.ndarray:
+    """Observations (count, inputs) float32, uniform in the declared ranges."""
+    rng = np.random.default_rng(seed)
+    shape = (count, network.inputs)
+    return (rng.uniform(-1.0, 1.0, shape) * network.box.ranges).astype(np.float32)
+
+
+def make_report(converted: Converted, file: str) -> Json:
+    """The report as JSON takes it; the verification reads the options from it.
+
+    Args:
+        converted: the conversion.
+        file: name of the policy file.
+    """
+    network, rollouts, laps = converted.network, converted.rollouts, converted.rollouts.laps
+    assert laps is not None
+    box, tables, unit = network.box, converted.estimator, 2.0**network.fraction_bits
+    samples = {
+        "the whole box": uniform_samples(network, BOX_SAMPLES, 0),
+        "simulated": rollouts.observations,
+    }
     return {
         "format_version": FORMAT_VERSION,
-        "vehicle": network.vehicle,
+        "vehicle": network.model.name,
+        "unit": network.unit,
         "inputs": [
             {"name": name, "range": float(limit), "unit": unit}
-            for name, limit, unit in zip(box.names, box.ranges, box.units, strict=True)
+            for name, limit, unit in zip(box.layout.labels, box.ranges, box.units, strict=True)
         ],
         "fraction_bits": network.fraction_bits,
         "command_low": (network.command_low / unit).tolist(),
         "command_high": (network.command_high / unit).tolist(),
         "layers": [_layer(converted, index) for index in range(len(network.layers))],
         "error_bound": converted.proof.error_bound.tolist(),
-        "measured_error": {name: _measure(network, policy, x) for name, x in measured.items()},
-        "policy": request.policy.name,
+        "measured_error": {name: _measure(converted, x) for name, x in samples.items()},
+        "policy": file,
         "policy_sha256": converted.origin.policy_hash,
-        "source": policy.source,
-        "name": converted.origin.name,
-        "track": converted.own.config.track.name,
+        "source": converted.policy.source,
+        "track": converted.own.track,
         "config": converted.own.origin,
         "deterministic": True,
-        "ranges": request.ranges,
-        "allow_unfinished": request.allow_unfinished,
-        "estimator": _estimator(converted),
+        "options": dataclasses.asdict(converted.options),
+        "estimator": tables
+        and {
+            "residual_sha256": converted.residual_hash,
+            "channel_ranges": [2.0**e for e in tables.channel_exponents],
+        },
         "flights": {
             "runs": len(laps.crashes),
             "finished": laps.finished,
@@ -81,11 +97,10 @@ def _layer(converted: Converted, index: int) -> Json:
     }
 
 
-def _measure(network: FixedNetwork, policy: Policy, observations: np.ndarray) -> Json:
+def _measure(converted: Converted, observations: np.ndarray) -> Json:
     """Errors of the fixed-point policy over observations (n, inputs), in the command's unit."""
-    error = np.abs(
-        emulator.commands(network, observations) - float64_commands(policy, observations)
-    )
+    fixed = emulator.commands(converted.network, observations)
+    error = np.abs(fixed - float64_commands(converted.policy, observations))
     return {
         "samples": len(observations),
         "largest": error.max(axis=0).tolist(),
@@ -93,19 +108,6 @@ def _measure(network: FixedNetwork, policy: Policy, observations: np.ndarray) ->
     }
 
 
-def _estimator(converted: Converted) -> Json | None:
-    tables = converted.estimator
-    if tables is None:
-        return None
-    return {
-        "sample_rate": tables.sample_rate,
-        "cutoff": tables.cutoff,
-        "residual_sha256": converted.residual_hash,
-        "channel_ranges": [2.0**e for e in tables.channel_exponents],
-    }
-
-
 def report_text(report: Json, name: str) -> str:
     """The report as text."""
-    unit = "rpm" if report["vehicle"] == "motor" else "rad/s and m/s^2"
-    return render("report.txt", {"r": report, "name": name, "unit": unit})
+    return render("report.txt", {"r": report, "name": name, "unit": report["unit"]})

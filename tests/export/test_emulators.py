@@ -9,13 +9,9 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.export import emulator
-from quadjax.export.actor import (
-    fixed_point_action,
-    fixed_point_actor,
-    fixed_point_fly,
-    fixed_point_forward,
-)
+from quadjax.export.actor import fixed_point_actor, fixed_point_fly, fixed_point_forward
 from quadjax.export.proof import prove
+from quadjax.export.race_source import find_config, own_race
 from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
@@ -80,8 +76,10 @@ def test_actors_give_the_same_command():
     wanted = emulator.commands(network, x)
     commands = np.asarray(jax.vmap(fixed_point_actor(policy))(x))
     assert np.abs(commands - wanted).max() < 1e-3
-    act = fixed_point_action(network)
-    action = np.asarray(jax.vmap(lambda o: act(None, o, np.zeros(4)))(x))
+    config, origin = find_config(policy)
+    own = own_race(config, policy, origin).pilot
+    act = fixed_point_fly(policy)
+    action = np.asarray(jax.vmap(lambda o: act(own, o, np.zeros(4)))(x))
     assert np.abs(3000.0 + 4000.0 * (action + 1.0) - wanted).max() < 2e-3
 
 

@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quadjax import __version__
 from quadjax.cli import export as export_command
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export import convert
-from quadjax.export.conversion import sha256
+from quadjax.export.conversion import check_symbols, sha256
 from quadjax.export.convert import export_c
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import find_config, own_race
 from quadjax.export.verify import run, toolchain
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
@@ -42,14 +43,20 @@ gates:
 """
 
 
+def tree_of(config):
+    """A config as policy files contain it."""
+    return config.model_dump(mode="json", by_alias=True)
+
+
 def export(folder, vehicle="motor"):
     """A made-up policy exported; it does not finish its race, and its ranges are wide.
 
-    The motor-level one has a residual, a track of its own, the authors' gate test and a vehicle
-    without some effects.
+    The motor-level one was trained in another race than the one of the export, which has a
+    residual, a track of its own, the authors' gate test and a vehicle without some effects.
     """
     policy, out = folder / "policy.npz", folder / "c"
-    made_policy(24, vehicle, gain=0.5).save(policy)
+    trained = tree_of(load_config("e2e" if vehicle == "motor" else "indi"))
+    dataclasses.replace(made_policy(24, vehicle, gain=0.5), config=trained).save(policy)
     if vehicle == "rate":
         ranges = WIDE | {"rates": 8.0, "velocity": 32.0}
         export_c(policy, out, ranges=ranges, name="made", allow_unfinished=True)
@@ -61,7 +68,8 @@ def export(folder, vehicle="motor"):
         f"base: {CONFIGS / 'e2e.yaml'}\nrules: {{gate_test: world_box}}\nvehicle:\n"
         f"  residual: {folder / 'made_up.npz'}\n  constants: {{k_h: 0.0, k_r2: 0.0}}\n"
     )
-    export_c(policy, out, config, WIDE, "made", track=str(track), allow_unfinished=True)
+    allowed = {"allow_unfinished": True, "allow_other_race": True}
+    export_c(policy, out, config, WIDE, "made", track=str(track), **allowed)
     for path in (config, track, folder / "made_up.npz", policy):
         path.unlink()  # the folder needs nothing from outside
     return out
@@ -74,11 +82,12 @@ def exported(request, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def context(exported, tmp_path_factory):
-    return Context(read_folder(exported), tmp_path_factory.mktemp("work"), COUNT, 8, True)
+    return Context(read_folder(exported), tmp_path_factory.mktemp("work"), COUNT, 8, True, True)
 
 
 FAST = (
     "range proof",
+    "own race",
     "NumPy = JAX",
     "NumPy = C, host",
     "hostile inputs",
@@ -92,10 +101,12 @@ FAST = (
 
 def justified(reason, context):
     """Whether a check may be skipped: the tools that its reason names are not on this machine."""
-    if reason.startswith("a rate-level policy"):
+    if reason.startswith("the vehicle has no external"):
         return context.folder.estimator is None
     if reason.endswith("allowed by --allow-unfinished"):
         return context.allow_unfinished
+    if reason.endswith("allowed by --allow-other-race"):
+        return context.allow_other_race and context.folder.estimator is not None
     host = {"cc", "gcc", "clang"}
     arm = {"arm-linux-gnueabi-gcc", "arm-linux-gnueabihf-gcc"}
     several = {
@@ -115,7 +126,7 @@ def test_only_a_missing_tool_justifies_a_skipped_check(context):
     assert not justified("no sh on this machine", context)
     assert not justified("no numpy; pip install -e '.[verify]'", context)
     assert not justified("another reason", context)
-    rate = justified("a rate-level policy does not observe the disturbances", context)
+    rate = justified("the vehicle has no external disturbances", context)
     assert rate == (context.folder.estimator is None)
 
 
@@ -144,9 +155,8 @@ def test_a_tampered_source_fails_and_nothing_is_compiled(exported, tmp_path, mon
     source = copy / "made_race.c"
     source.write_text(source.read_text() + "\n#error planted\n")
     monkeypatch.setattr(toolchain.Compiler, "build", lambda *_: pytest.fail("compiled"))
-    results = run.verify(copy, COUNT)
-    assert [(result.check, result.verdict) for result in results] == [("sources", FAILED)]
-    assert "made_race.c is not what the converter writes" in results[0].figure
+    with pytest.raises(InputError, match="made_race.c: not what the converter writes .*compiled$"):
+        run.verify(copy, COUNT)
 
 
 def test_a_planted_header_is_not_compiled(exported, tmp_path):
@@ -157,8 +167,13 @@ def test_a_planted_header_is_not_compiled(exported, tmp_path):
     assert [result.verdict for result in results] == [PASSED, PASSED]
 
 
-@pytest.mark.parametrize("file", ["rollouts.npz", "made_report.json", "policy.npz", "config.yaml"])
-@pytest.mark.parametrize("damage", ["cut", "empty", "other", "missing"])
+INPUTS = ["rollouts.npz", "made_report.json", "policy.npz", "config.yaml"]
+DAMAGES = [(file, damage) for file in INPUTS for damage in ("cut", "empty", "other", "missing")]
+OUTPUTS = ["made.h", "made_race.c", "made_report.txt", "paparazzi/made.xml"]
+DAMAGES += [*zip(OUTPUTS, ("cut", "empty", "other", "missing"), strict=True)]
+
+
+@pytest.mark.parametrize("file, damage", [*DAMAGES, (".quadjax.json", "cut")])
 def test_a_damaged_file_is_one_line(exported, tmp_path, file, damage):
     copy = tmp_path / "copy"
     shutil.copytree(exported, copy)
@@ -170,8 +185,6 @@ def test_a_damaged_file_is_one_line(exported, tmp_path, file, damage):
         path.write_bytes(
             {"cut": content[: len(content) // 2], "empty": b"", "other": b"\0["}[damage]
         )
-    if (file, damage) in (("config.yaml", "cut"), ("config.yaml", "empty")):
-        return  # a shorter mapping may still be a config
     with pytest.raises(InputError, match=r"^[^\n]+$"):
         run.verify(copy, COUNT)
 
@@ -192,6 +205,19 @@ def test_an_unfinished_policy_fails_unless_allowed(exported):
     ]
     assert [result.verdict for result in found] == [FAILED, SKIPPED]
     assert "of 32 flights finish 6 laps" in found[0].figure
+
+
+def test_an_export_for_another_race_fails_unless_allowed(exported):
+    found = [
+        run.verify(exported, COUNT, only=("own race",), allow_other_race=allowed)[-1]
+        for allowed in (False, True)
+    ]
+    if read_folder(exported).estimator is None:  # the race of the policy file
+        assert [result.verdict for result in found] == [PASSED, PASSED]
+        assert "those of the policy file" in found[0].figure
+        return
+    assert [result.verdict for result in found] == [FAILED, SKIPPED]
+    assert "trained in another race than config.yaml: gate_test is square in" in found[0].figure
 
 
 def test_what_lies_in_the_folder(exported):
@@ -285,6 +311,8 @@ def test_refuses_a_range_that_its_own_flights_leave(tmp_path):
         (["policy.npz", "--name", "stdint"], "C keyword"),
         (["policy.npz", "--name", "while"], "C keyword"),
         (["policy.npz", "--name", "uint8"], "C keyword"),
+        (["policy.npz", "--name", "errno"], "C keyword"),
+        (["policy.npz", "--name", "_x"], "identifier"),
         (["policy.npz", "--name", "a" * 300], "identifier"),
         (["policy.npz", "--track", "nowhere.yaml"], "nowhere.yaml"),
         (["policy.npz"], r"policy.npz: 0 of 32 flights finish 6 laps of track square4"),
@@ -347,11 +375,14 @@ def test_the_race_is_the_one_of_the_config_next_to_the_policy(tmp_path):
     (tmp_path / "config.yaml").write_text(
         f"base: {CONFIGS / 'e2e.yaml'}\ntrack: {{file: {tmp_path / 'triangle.yaml'}}}\n"
     )
-    own = own_race(Policy.load(policy), policy)
-    assert own.origin == str(tmp_path / "config.yaml")
+    config, origin = find_config(Policy.load(policy), policy)
+    assert origin == str(tmp_path / "config.yaml")
+    own = own_race(config, Policy.load(policy), origin)
     assert own.params.track.yaw.shape == (3,)
-    with pytest.raises(InputError, match="of 32 flights finish 6 laps of track triangle"):
+    with pytest.raises(InputError, match="residual is null in training, a residual here; --allow"):
         export_c(policy, tmp_path / "c")
+    with pytest.raises(InputError, match="of 32 flights finish 6 laps of track triangle"):
+        export_c(policy, tmp_path / "c", allow_other_race=True)
 
 
 def test_the_default_race_has_the_residual_that_the_policy_names(tmp_path):
@@ -365,17 +396,73 @@ def test_the_default_race_has_the_residual_that_the_policy_names(tmp_path):
 
 def test_a_config_of_another_vehicle_is_refused(tmp_path):
     policy = shipped(tmp_path, "indi.npz")
-    with pytest.raises(InputError, match="e2e.yaml: vehicle.* is motor, but the policy.* rate"):
+    with pytest.raises(InputError, match="e2e.yaml: indi.npz: a policy for the rate .* is motor"):
         export_c(policy, tmp_path / "c", CONFIGS / "e2e.yaml")
 
 
 def test_the_race_is_the_one_in_the_policy_file(tmp_path):
     (tmp_path / "triangle.yaml").write_text(TRACK)
     config = load_config(CONFIGS / "e2e.yaml", [f"track={tmp_path / 'triangle.yaml'}"])
-    tree = json.loads(json.dumps(config.model_dump(mode="json", by_alias=True)))
-    policy = dataclasses.replace(Policy.load(PRETRAINED / "e2e_nominal.npz"), config=tree)
+    policy = dataclasses.replace(
+        Policy.load(PRETRAINED / "e2e_nominal.npz"), config=tree_of(config)
+    )
     (tmp_path / "triangle.yaml").unlink()
-    own = own_race(policy)
-    assert own.origin == "the policy file's config"
+    config, origin = find_config(policy)
+    assert origin == "the policy file's config"
+    own = own_race(config, policy, origin)
     assert own.params.track.yaw.shape == (3,)
     assert own.params.vehicle.residual is not None
+
+
+GATES = ", ".join(f"{{position: [{x}, 0, -1]}}" for x in (3, 0, 1, 2))
+
+
+@pytest.mark.parametrize(
+    "override, difference",
+    [
+        (f"track.gates=[{GATES}]", r"track.position.x is \[ 2.* in training, \[3.* here"),
+        ("track=figure8", "the number of gates is 4 in training, 6 here"),
+        ("vehicle.constants.k_w=4e-8", "vehicle.constants.k_w is .* in training, .*e-08 here"),
+        ("rules.time_step=0.005", "time_step is 0.0.* in training, 0.00.* here"),
+        ("rules.gate_test=world_box", "gate_test is square in training, world_box here"),
+        ("vehicle.residual=standin_residual.npz", "a residual is absent in training, used here"),
+    ],
+)
+def test_another_race_than_that_of_the_policy_file_is_refused(override, difference, tmp_path):
+    trained = load_config("e2e_shac")
+    policy = dataclasses.replace(Policy.load(PRETRAINED / "e2e.npz"), config=tree_of(trained))
+    config = load_config("e2e_shac", [override])
+    message = f"policy.npz: trained in another race than config: {difference}; --allow-other-race"
+    with pytest.raises(InputError, match=message):
+        export_c(policy, tmp_path / "c", config)
+
+
+def test_a_residual_that_the_policy_names_may_not_be_left_out(tmp_path):
+    policy = shipped(tmp_path, "e2e.npz")
+    with pytest.raises(InputError, match="standin_residual.npz in training, no residual here"):
+        export_c(policy, tmp_path / "c", "e2e_shac")
+
+
+@pytest.mark.parametrize("name, symbol", [("test", "test_command"), ("output", "output_command")])
+def test_a_name_that_makes_two_symbols_the_same_is_refused(exported, name, symbol):
+    folder = read_folder(exported)
+    check_symbols(folder)
+    renamed = dataclasses.replace(folder, origin=dataclasses.replace(folder.origin, name=name))
+    with pytest.raises(InputError, match=f"--name {name}: the C has another symbol {symbol}"):
+        check_symbols(renamed)
+
+
+def test_a_folder_of_another_kind_is_refused(tmp_path):
+    (tmp_path / "checkpoints").mkdir()
+    for use in (read_folder, lambda folder: export_c(made_policy(8), folder)):
+        with pytest.raises(InputError, match="holds a training"):
+            use(tmp_path)
+
+
+def test_the_report_says_what_was_exported(exported):
+    report = json.loads((exported / "made_report.json").read_text())
+    assert report["policy_sha256"] == sha256(exported / "policy.npz")
+    origin = report["provenance"]
+    assert origin["quadjax"] == __version__ and origin["seed"] == 0
+    assert origin["policy"]["sha256"] == report["policy_sha256"]
+    assert report["options"]["name"] == "made"

@@ -8,13 +8,23 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS
 from quadjax.export import estimator_emulator, flights, race_emulator
+from quadjax.export.emit import emit_network, emit_race
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import find_config
+from quadjax.export.race_source import own_race as race_in
 from quadjax.export.race_tables import make_tables
 from quadjax.export.verify import measurements
+from quadjax.export.verify.harness import load_library
+from quadjax.export.verify.toolchain import WARNINGS, host
+from quadjax.race.layout import Layout
 from quadjax.vehicle.protocol import VehicleParams
-from tests.export.support import WIDE, made_policy, made_residual
+from tests.export.support import ORIGIN, WIDE, made_policy, made_residual
+
+
+def own_race(policy, config=None, track=None):
+    found, origin = find_config(policy, None, config, track)
+    return race_in(found, policy, origin)
 
 
 def random_states(rng, count, vehicle):
@@ -38,7 +48,7 @@ def test_observation_is_the_environments(vehicle, track):
     own = own_race(policy, track=track)
     ranges = {k: v for k, v in WIDE.items() if k != "next_position"} | {"next_position": 16.0}
     network = convert(policy, ranges)
-    tables = make_tables(network, policy, own.params.track)
+    tables = make_tables(network.box, policy, own.choices, own.params)
     rng = np.random.default_rng(0)
     states, targets = random_states(rng, 2000, vehicle), rng.integers(0, tables.gates, 2000)
     observed = race_emulator.observe(tables, states, targets)
@@ -62,7 +72,7 @@ def test_yaw_wraps_at_any_turn_without_a_loop():
 def test_state_status_and_edges():
     policy = made_policy(8)
     own = own_race(policy)
-    tables = make_tables(convert(policy), policy, own.params.track)
+    tables = make_tables(convert(policy).box, policy, own.choices, own.params)
     states = random_states(np.random.default_rng(0), 3, "motor")
     states[0, 2], states[1, 8], states[2, 3] = np.nan, np.inf, 20.0
     observed = race_emulator.observe(tables, states, np.zeros(3, int))
@@ -75,7 +85,7 @@ def test_state_status_and_edges():
 def test_gates_are_passed_and_missed():
     policy = made_policy(8, "rate")
     own = own_race(policy)
-    tables = make_tables(convert(policy), policy, own.params.track)
+    tables = make_tables(convert(policy).box, policy, own.choices, own.params)
     unit = 2.0 ** (30 - tables.exponents[0])
     gate = np.array([2.0, -1.5, -1.5])
     ahead = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0])
@@ -102,7 +112,7 @@ def test_gates_along_a_wandering_path_are_the_simulators(config):
     world_box = own.choices.gate_test == "world_box"
     assert world_box == (config == "authors_code.yaml")
     network = convert(policy, {"next_yaw": 8.0})
-    tables = make_tables(network, policy, own.params.track, world_box)
+    tables = make_tables(network.box, policy, own.choices, own.params)
     positions, targets = flights.wander(own, 3000)
     q = np.trunc(positions.astype(np.float64) * 2.0 ** (30 - tables.exponents[0])).astype(np.int64)
     events = race_emulator.gate_event(tables, q[:-1], q[1:], targets[:-1])
@@ -123,10 +133,10 @@ def test_a_policys_own_limits_are_the_vehicles():
 
 def test_refuses_limits_that_no_vehicle_has():
     unequal = dataclasses.replace(made_policy(8), command_low=np.arange(4.0))
-    with pytest.raises(InputError, match="same for all motors"):
+    with pytest.raises(InputError, match="no motor vehicle has these limits.*rpm_min, rpm_max"):
         own_race(unequal)
     skewed = dataclasses.replace(made_policy(8, "rate"), command_low=np.full(4, -1.0))
-    with pytest.raises(InputError, match="rad/s"):
+    with pytest.raises(InputError, match="no rate vehicle has these limits"):
         own_race(skewed)
 
 
@@ -155,3 +165,55 @@ def test_estimator_refuses_a_cutoff_without_room():
     constants = own_race(made_policy(8)).params.vehicle.constants
     with pytest.raises(InputError, match="cut-off"):
         make_estimator(constants, None, 512.0, 200.0)
+
+
+def rearranged(policy, names, source="ground_truth"):
+    """A policy of other fields, in another order."""
+    fields = [policy.layout[name] for name in names]
+    fields = [dataclasses.replace(f, source=source if f.source else "") for f in fields]
+    layout = Layout(tuple(fields))
+    kernel, bias = made_policy(8).layers[0]
+    first = (np.resize(kernel, (layout.size, 8)), bias)
+    return dataclasses.replace(policy, layout=layout, layers=(first, *policy.layers[1:]))
+
+
+EVERY = ("next_yaw", "rates", "force_ext", "velocity", "next_position", "rpm", "attitude")
+LAYOUTS = {
+    "another order": (*EVERY, "moment_ext", "position"),
+    "one field": ("attitude",),
+    "no pose": ("rates", "rpm"),
+    "the gate": ("next_yaw", "next_position"),
+    "without a gate": ("force_ext", "rpm"),
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_any_order_and_subset_of_the_fields_has_c(name, tmp_path):
+    policy = rearranged(made_policy(8), LAYOUTS[name])
+    own = own_race(policy)
+    network = convert(policy)
+    tables = make_tables(network.box, policy, own.choices, own.params)
+    rng = np.random.default_rng(0)
+    states, targets = random_states(rng, 50, "motor"), rng.integers(0, tables.gates, 50)
+    states[:, 3:6] /= 4.0
+    files = emit_network(network, ORIGIN, None)
+    files |= emit_race(tables, network, ORIGIN, states, targets)
+    for file, text in files.items():
+        (tmp_path / file).write_text(text)
+    library = load_library(
+        host(), [tmp_path / "made.c", tmp_path / "made_race.c"], tmp_path / "made.so", WARNINGS
+    )
+    assert library.made_self_test() == 0 and library.made_race_self_test() == 0
+    observed = race_emulator.observe(tables, states, targets)
+    error = observed.q / 2.0**30 * network.box.ranges - flights.observe(own, states, targets)
+    assert np.abs(error).max() < 2e-5
+
+
+def test_the_estimate_is_observed_as_the_disturbance_of_the_state():
+    policy = rearranged(made_policy(8), ("moment_ext", "force_ext"), "estimated")
+    own = own_race(policy)
+    assert own.params.estimator is not None
+    states = random_states(np.random.default_rng(0), 20, "motor")
+    found = flights.observe(own, states, np.zeros(20, int))
+    half = np.array([0.03, 0.03, 0.01, 0.5])
+    assert np.allclose(found, states[:, [16, 17, 18, 21]] / half, atol=1e-6)

@@ -1,3 +1,4 @@
+{% import "helpers.c" as c %}
 /*
  * ${name}_estimator: see ${name}_estimator.h.
  *
@@ -35,13 +36,7 @@ static const int8_t exponent[MEASUREMENTS] = {${estimator.exponents | join(", ")
 
 /* ---- integers ----------------------------------------------------------------------------------- */
 
-static int64_t round_shift(int64_t value, int32_t shift) {
-  if (shift <= 0) {
-    return value * (INT64_C(1) << -shift);
-  }
-  return (value + (INT64_C(1) << (shift - 1))) >> shift;
-}
-
+${c.round_shift()}
 /* a b in Q30 */
 static int64_t product(int64_t a, int64_t b) { return round_shift(a * b, Q30); }
 
@@ -52,40 +47,15 @@ static int64_t scaled(int64_t value, int64_t factor, int32_t bits) {
   return round_shift(upper * factor + ((lower * factor) >> SPLIT), bits - SPLIT);
 }
 
-static float from_bits(uint32_t bits) {
-  union {
-    float value;
-    uint32_t bits;
-  } pun;
-  pun.bits = bits;
-  return pun.value;
-}
-
-static uint32_t to_bits(float value) {
-  union {
-    float value;
-    uint32_t bits;
-  } pun;
-  pun.value = value;
-  return pun.bits;
-}
-
+${c.float_of("from_bits")}
+${c.bits_of("to_bits")}
 static ${name}_status quantize(const ${name}_measurement *m, int32_t q[MEASUREMENTS]) {
   ${name}_status status = {0U, 0U};
   const float x[MEASUREMENTS] = {
       m->gyro[0], m->gyro[1], m->gyro[2], m->specific_force[0], m->specific_force[1],
       m->specific_force[2], m->rpm[0], m->rpm[1], m->rpm[2], m->rpm[3],
       m->velocity[0], m->velocity[1], m->velocity[2]};
-  for (uint32_t i = 0U; i < MEASUREMENTS; ++i) {
-    uint32_t clipped;
-    uint32_t nan;
-    q[i] = ${name}_quantize_one(to_bits(x[i]), exponent[i], &clipped, &nan);
-    status.clipped |= clipped << i;
-    status.nan |= nan << i;
-  }
-  return status;
-}
-
+${c.quantize_all("q", "MEASUREMENTS", name ~ "_quantize_one(to_bits(x[i]), exponent[i]")}
 {% if residuals %}
 /* ---- the residual networks ---------------------------------------------------------------------- */
 
@@ -121,11 +91,7 @@ static int64_t row_sum(const int32_t *weight, int64_t bias, const int32_t *x, ui
   return sum;
 }
 
-static int32_t relu_upper_word(int64_t sum) {
-  const int32_t upper = (int32_t)(sum >> WORD);
-  return (upper > 0) ? upper : 0;
-}
-
+${c.relu_upper_word("WORD")}
 /* A hidden layer: the upper word of each sum is its output if it is positive. */
 static void relu_layer(const int32_t *weight, const int64_t *bias, uint32_t rows, uint32_t columns,
                        const int32_t *x, int32_t *y) {

@@ -1,6 +1,6 @@
 #include "__fc_builtin.h"
 #include "${name}_race.h"
-{% if motor %}
+{% if estimator %}
 #include "${name}_estimator.h"
 {% endif %}
 
@@ -70,7 +70,7 @@ static void run_race(void) {
   /*@ assert ${low} <= out[${loop.index0}] <= ${high}; */
 {% endfor %}
 }
-{% if motor %}
+{% if estimator %}
 
 /* A sample from any memory that the filters can have: the converter has proven their outputs to
  * stay below ${memory}. The first number of a filter's memory is its next output should all inputs
@@ -96,7 +96,7 @@ void eva_main(void);
 void eva_main(void) {
   run_network();
   run_race();
-{% if motor %}
+{% if estimator %}
   run_estimator();
 {% endif %}
 }

@@ -1,7 +1,7 @@
 /* Batches for the checks: many vectors in one call. Not for flight. */
 #include "${name}.h"
 #include "${name}_race.h"
-{% if motor %}
+{% if estimator %}
 #include "${name}_estimator.h"
 {% endif %}
 void harness_infer(uint32_t kernel, const float *x, int32_t *out, uint32_t count);
@@ -54,7 +54,7 @@ void harness_events(const float *positions, uint32_t target, uint32_t *out, uint
     out += 2;
   }
 }
-{% if motor %}
+{% if estimator %}
 
 void harness_estimate(const float *measurements, float *out, uint32_t count);
 void harness_estimate(const float *measurements, float *out, uint32_t count) {
@@ -73,7 +73,7 @@ static void harness_step(uint32_t kernel, const float *x) {
   static ${name}_race race;
   ${command_type} command[${NAME}_OUTPUTS];
   ${name}_event event;
-{% if motor %}
+{% if estimator %}
   static ${name}_estimator estimator;
   float moment[3];
   float force[3];
@@ -111,7 +111,7 @@ int main(int argc, char **argv) {
   if (fclose(out) != 0) {
     return 2;
   }
-  const uint32_t wrong = ${name}_self_test_with((${name}_kernel)kernel) + ${name}_race_self_test()${" + " ~ name ~ "_estimator_self_test()" if motor else ""};
+  const uint32_t wrong = ${name}_self_test_with((${name}_kernel)kernel) + ${name}_race_self_test()${" + " ~ name ~ "_estimator_self_test()" if estimator else ""};
   return (wrong != 0U) ? 1 : 0;
 }
 #endif

@@ -17,7 +17,7 @@ ${origin.lines | comment}
 #if defined(PREFLIGHT_CHECKS) && PREFLIGHT_CHECKS
 #include "modules/checks/preflight_checks.h"
 #endif
-{% if motor %}
+{% if rpm %}
 #include "boards/bebop/actuators.h"
 
 #include "modules/${name}/${name}_estimator.h"
@@ -43,7 +43,7 @@ struct ${name}_log {
   uint32_t clipped_steps;
   uint32_t nan_steps;
   uint32_t outside_steps;
-{% if motor %}
+{% if estimator %}
   uint32_t estimator_steps; /* in which a measurement was clipped or not a number */
 {% endif %}
   ${name}_race_status last;
@@ -54,7 +54,7 @@ static struct {
   bool flying;
   ${name}_kernel kernel;
   ${name}_race race;
-{% if motor %}
+{% if estimator %}
   ${name}_estimator estimator;
 {% endif %}
   ${command_type} command[${NAME}_OUTPUTS];
@@ -80,7 +80,7 @@ static void read_state(${name}_state *state) {
   state->rates[0] = rates->p;
   state->rates[1] = rates->q;
   state->rates[2] = rates->r;
-{% if motor %}
+{% if rpm %}
   static const uint8_t motor[4] = ${NAME}_MOTORS;
   for (uint32_t i = 0U; i < 4U; ++i) {
     state->rpm[i] = (float)actuators_bebop.rpm_obs[motor[i]];
@@ -96,7 +96,7 @@ static void read_state(${name}_state *state) {
 {% endif %}
 }
 
-{% if motor %}
+{% if estimator %}
 /* The accelerometer less its bias, in the body frame. */
 static void estimate(${name}_state *state) {
   ${name}_measurement m;
@@ -134,8 +134,8 @@ static void send_status(struct transport_tx *trans, struct link_device *dev) {
                     (float)module.log.steps,           (float)module.log.clipped_steps,
                     (float)module.log.nan_steps,       (float)module.log.outside_steps,
                     (float)module.log.last.clipped,    (float)module.log.last.nan,
-                    (float)module.log.last.outside${"," if motor else "};"}
-{% if motor %}
+                    (float)module.log.last.outside${"," if estimator else "};"}
+{% if estimator %}
                     (float)module.log.estimator_steps};
 {% endif %}
   pprz_msg_send_PAYLOAD_FLOAT(trans, dev, AC_ID, (uint8_t)(sizeof(values) / sizeof(values[0])),
@@ -163,7 +163,7 @@ void ${name}_module_init(void) {
   module.mismatches = ${name}_self_test_with(${NAME}_SCALAR);
   module.mismatches += ${name}_self_test_with(module.kernel);
   module.mismatches += ${name}_race_self_test();
-{% if motor %}
+{% if estimator %}
   module.mismatches += ${name}_estimator_self_test();
 {% endif %}
   module.flying = false;
@@ -196,7 +196,7 @@ void ${name}_module_periodic(void) {
     return;
   }
   read_state(&state);
-{% if motor %}
+{% if estimator %}
   estimate(&state);
 {% endif %}
   if (wanted && !module.flying) {
@@ -212,7 +212,7 @@ bool ${name}_module_command(${command_type} command[4]) {
   if (!module.flying || (module.mismatches != 0U)) {
     return false;
   }
-{% if motor %}
+{% if rpm %}
   static const uint8_t motor[4] = ${NAME}_MOTORS;
   for (uint32_t i = 0U; i < 4U; ++i) {
     command[motor[i]] = module.command[i];

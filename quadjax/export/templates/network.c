@@ -1,3 +1,4 @@
+{% import "helpers.c" as c %}
 /*
  * ${name}: see ${name}.h.
  *
@@ -62,15 +63,7 @@ enum {
 #define HIDDEN_ONE UINT32_C(0x00800000)
 #define INFINITY_BITS UINT32_C(0x7F800000)
 
-static uint32_t float_bits(float value) {
-  union {
-    float value;
-    uint32_t bits;
-  } pun;
-  pun.value = value;
-  return pun.bits;
-}
-
+${c.bits_of("float_bits")}
 /* By the bits of the float, so that no compiler flag, rounding mode or missing FPU matters. */
 int32_t ${name}_quantize_one(uint32_t bits, int32_t exponent, uint32_t *clipped, uint32_t *nan) {
   const uint32_t limit = (uint32_t)(EXPONENT_BIAS + exponent) << EXPONENT_SHIFT;
@@ -96,16 +89,7 @@ int32_t ${name}_quantize_one(uint32_t bits, int32_t exponent, uint32_t *clipped,
 
 ${name}_status ${name}_quantize(const float x[${NAME}_INPUTS], int32_t q[${NAME}_INPUTS]) {
   ${name}_status status = {0U, 0U};
-  for (uint32_t i = 0U; i < ${NAME}_INPUTS; ++i) {
-    uint32_t clipped;
-    uint32_t nan;
-    q[i] = ${name}_quantize_one(float_bits(x[i]), range_exponent[i], &clipped, &nan);
-    status.clipped |= clipped << i;
-    status.nan |= nan << i;
-  }
-  return status;
-}
-
+${c.quantize_all("q", NAME ~ "_INPUTS", name ~ "_quantize_one(float_bits(x[i]), range_exponent[i]")}
 /* ---- one block of four rows ------------------------------------------------------------------- */
 
 /* For clang the kernels stay functions of their own: inlined, it would take their sums and what
@@ -224,11 +208,7 @@ static void digest_sums(uint32_t *trace, const int64_t *sums, uint32_t rows) {
 
 {% if network.hidden %}
 /* ReLU, rounding and requantisation in one: the upper word, or zero if it is negative. */
-static int32_t relu_upper_word(int64_t sum) {
-  const int32_t upper = (int32_t)(sum >> 32);
-  return (upper > 0) ? upper : 0;
-}
-
+${c.relu_upper_word(32)}
 /* rows is what the policy has: the sums of the padding are not digested. */
 static void hidden_layer(${name}_kernel kernel, const int32_t *weight, const int64_t *bias,
                          uint32_t rows, uint32_t padded_rows, uint32_t columns, const int32_t *x,
@@ -316,7 +296,7 @@ uint32_t ${name}_forward_traced(${name}_kernel kernel, const int32_t q[${NAME}_I
 
 void ${name}_command(const int32_t q[${NAME}_OUTPUTS], ${command_type} command[${NAME}_OUTPUTS]) {
   for (uint32_t i = 0U; i < ${NAME}_OUTPUTS; ++i) {
-{% if motor %}
+{% if rpm %}
     command[i] = (uint16_t)((q[i] + (INT32_C(1) << ${network.fraction_bits - 1})) >> ${network.fraction_bits});
 {% else %}
     command[i] = (float)q[i] * ${2.0 ** -network.fraction_bits}F; /* exact: 2^-${network.fraction_bits} */

@@ -32,7 +32,7 @@ extern "C" {
 
 /*
  * Inputs, in this order, each within its declared range:
-{% for name, limit, unit in zip(network.box.names, network.box.ranges, network.box.units) %}
+{% for name, limit, unit in zip(network.box.layout.labels, network.box.ranges, network.box.units) %}
  * ${"%3d  %-17s" % (loop.index0, name)} +-${limit | number} ${unit}
 {% endfor %}
  */
@@ -79,7 +79,7 @@ void ${name}_forward_q(const int32_t q[${NAME}_INPUTS], int32_t command[${NAME}_
 void ${name}_forward_q_with(${name}_kernel kernel, const int32_t q[${NAME}_INPUTS],
                            int32_t command[${NAME}_OUTPUTS]);
 
-/* Floats to commands, ${"rpm, to the nearest" if motor else "p, q, r in rad/s and specific thrust in m/s^2"}. */
+/* Floats to commands, ${"rpm, to the nearest" if rpm else "p, q, r in rad/s and specific thrust in m/s^2"}. */
 ${name}_status ${name}_forward(const float x[${NAME}_INPUTS], ${command_type} command[${NAME}_OUTPUTS]);
 ${name}_status ${name}_forward_with(${name}_kernel kernel, const float x[${NAME}_INPUTS],
                                   ${command_type} command[${NAME}_OUTPUTS]);

@@ -1,3 +1,4 @@
+{% import "helpers.c" as c %}
 /*
  * ${name}_race: see ${name}_race.h.
  *
@@ -11,12 +12,12 @@ ${origin.lines | comment}
 #include <stdbool.h>
 
 enum {
-  POSITION_EXPONENT = ${race.exponents[race.start("position")]},
-  VELOCITY_EXPONENT = ${race.exponents[race.start("velocity")]},
+  POSITION_EXPONENT = ${race.exponent("position")},
+  VELOCITY_EXPONENT = ${race.exponent("velocity")},
   /* Network inputs have their own ranges. */
-  INPUT_POSITION_EXPONENT = ${race.box.exponent("position")},
-  INPUT_VELOCITY_EXPONENT = ${race.box.exponent("velocity")},
-  INPUT_YAW_EXPONENT = ${race.box.exponent("attitude")},
+  INPUT_POSITION_EXPONENT = ${race.box.exponent["position"]},
+  INPUT_VELOCITY_EXPONENT = ${race.box.exponent["velocity"]},
+  INPUT_YAW_EXPONENT = ${race.box.exponent["attitude"]},
   YAW_EXPONENT = ${yaw_exponent},
   Q30 = 30,
   SELF_TESTS = ${race_test.states | length}
@@ -37,13 +38,17 @@ typedef struct {
   int32_t half_width;   /* of the opening, units of the position */
   int32_t half_height;  /* of the opening, units of the position */
   int64_t yaw;          /* rad, Q30 */
-  int32_t next[4];      /* inputs: the next gate's position and yaw from this one */
+{% if race.next_gate.shape[1] %}
+  int32_t next[${race.next_gate.shape[1]}];      /* inputs: the next gate's position and yaw from this one */
+{% endif %}
 } gate;
 
 static const gate track[${NAME}_GATES] = {
 {% for g in range(race.gates) %}
-    {{${race.gate_position[g] | join(", ")}}, ${race.gate_cos[g]}, ${race.gate_sin[g]}, ${race.half_size[g] | join(", ")}, ${race.gate_yaw[g] | int64},
+    {{${race.gate_position[g] | join(", ")}}, ${race.gate_cos[g]}, ${race.gate_sin[g]}, ${race.half_size[g] | join(", ")}, ${race.gate_yaw[g] | int64}${"," if race.next_gate.shape[1] else ("}" if loop.last else "},")}
+{% if race.next_gate.shape[1] %}
      {${race.next_gate[g] | join(", ")}}}${"" if loop.last else ","}
+{% endif %}
 {% endfor %}
 };
 
@@ -60,14 +65,11 @@ static int32_t quantize(float value, int32_t exponent, uint32_t *clipped, uint32
   return ${name}_quantize_one(pun.bits, exponent, clipped, nan);
 }
 
+{% if "round_shift" in race.helpers %}
 /* value / 2^shift to the nearest; a shift below one is one to the left. */
-static int64_t round_shift(int64_t value, int32_t shift) {
-  if (shift <= 0) {
-    return value * (INT64_C(1) << -shift);
-  }
-  return (value + (INT64_C(1) << (shift - 1))) >> shift;
-}
-
+${c.round_shift()}
+{% endif %}
+{% if "hold" in race.helpers %}
 /* Into the network's range, and whether it was outside. */
 static int32_t hold(int64_t value, uint32_t *outside, uint32_t input) {
   const int64_t held = (value > ${NAME}_INPUT_ONE)
@@ -77,10 +79,14 @@ static int32_t hold(int64_t value, uint32_t *outside, uint32_t input) {
   return (int32_t)held;
 }
 
+{% endif %}
 /* x through the gate, y to its right; the result before its shift, Q30 times the units of x. */
 static int64_t along(const gate *g, int64_t x, int64_t y) { return g->cosine * x + g->sine * y; }
+{% if "across" in race.helpers %}
 static int64_t across(const gate *g, int64_t x, int64_t y) { return g->cosine * y - g->sine * x; }
+{% endif %}
 
+{% if "wrap" in race.helpers %}
 /* Within half a turn, by one multiplication and no loop. */
 static int64_t wrap(int64_t yaw_q30) {
   const int64_t turns = ((yaw_q30 >> YAW_EXPONENT) * TURNS_PER_UNIT +
@@ -88,11 +94,14 @@ static int64_t wrap(int64_t yaw_q30) {
   return yaw_q30 - turns * TWO_PI;
 }
 
+{% endif %}
+{% if "rescale" in race.helpers %}
 /* (value - middle) factor / 2^shift: what is scaled to [-1, 1]. */
 static int64_t rescale(int32_t value, int32_t middle, int32_t factor, int32_t shift) {
   return round_shift(((int64_t)value - middle) * factor, shift);
 }
 
+{% endif %}
 /* ---- the observation ---------------------------------------------------------------------------- */
 
 static ${name}_race_status quantize_state(const ${name}_state *state,
@@ -100,26 +109,23 @@ static ${name}_race_status quantize_state(const ${name}_state *state,
   ${name}_race_status status = {0U, 0U, 0U};
   const float x[${NAME}_STATE_SIZE] = {
 ${state_values | wrapped}};
-  for (uint32_t i = 0U; i < ${NAME}_STATE_SIZE; ++i) {
-    uint32_t clipped;
-    uint32_t nan;
-    s[i] = quantize(x[i], state_exponent[i], &clipped, &nan);
-    status.clipped |= clipped << i;
-    status.nan |= nan << i;
-  }
-  return status;
-}
-
+${c.quantize_all("s", NAME ~ "_STATE_SIZE", "quantize(x[i], state_exponent[i]")}
 ${name}_race_status ${name}_observe(const ${name}_state *state, uint32_t target,
                                   int32_t q[${NAME}_INPUTS]) {
   int32_t s[${NAME}_STATE_SIZE];
   ${name}_race_status status = quantize_state(state, s);
   const gate *const g = &track[(target < ${NAME}_GATES) ? target : 0U];
   uint32_t *const outside = &status.outside;
-{% for field in race.box.groups %}
-{% set i = race.box.index(field) %}
-{% if field == "position" %}
-{% set s = race.start("position") %}
+{% if "hold" not in race.helpers %}
+  (void)outside;
+{% endif %}
+{% if "gate" not in race.helpers %}
+  (void)g;
+{% endif %}
+{% for field in race.inputs %}
+{% set i = field.index %}
+{% set s = field.sources[0] %}
+{% if field.kind == "position" %}
   const int64_t x = (int64_t)s[${s}] - g->position[0];
   const int64_t y = (int64_t)s[${s + 1}] - g->position[1];
   const int64_t z = (int64_t)s[${s + 2}] - g->position[2];
@@ -127,37 +133,29 @@ ${name}_race_status ${name}_observe(const ${name}_state *state, uint32_t target,
   q[${i}] = hold(round_shift(along(g, x, y), metres), outside, ${i}U);
   q[${i + 1}] = hold(round_shift(across(g, x, y), metres), outside, ${i + 1}U);
   q[${i + 2}] = hold(round_shift(z * (INT64_C(1) << Q30), metres), outside, ${i + 2}U);
-{% elif field == "velocity" %}
-{% set s = race.start("velocity") %}
+{% elif field.kind == "velocity" %}
   const int32_t speed = Q30 - VELOCITY_EXPONENT + INPUT_VELOCITY_EXPONENT;
   q[${i}] = hold(round_shift(along(g, s[${s}], s[${s + 1}]), speed), outside, ${i}U);
   q[${i + 1}] = hold(round_shift(across(g, s[${s}], s[${s + 1}]), speed), outside, ${i + 1}U);
   q[${i + 2}] = hold(round_shift(s[${s + 2}] * (INT64_C(1) << Q30), speed), outside, ${i + 2}U);
-{% elif field == "attitude" %}
-{% set s = race.start("euler") %}
+{% elif field.kind == "attitude" %}
   q[${i}] = s[${s}];
   q[${i + 1}] = s[${s + 1}];
   const int64_t yaw = s[${s + 2}] * (INT64_C(1) << YAW_EXPONENT) - g->yaw;
   q[${i + 2}] = hold(round_shift(wrap(yaw), INPUT_YAW_EXPONENT), outside, ${i + 2}U);
-{% elif field == "rates" %}
-{% for k in range(3) %}
-  q[${i + k}] = s[${race.start("rates") + k}];
-{% endfor %}
-{% elif field in race.scaled %}
-{% for scaled in race.scaled[field] %}
+{% elif field.kind == "scaled" %}
+{% for number, rescale in zip(field.sources, field.rescales) %}
 {% set k = i + loop.index0 %}
-{% if scaled.rescale %}
-  q[${k}] = hold(rescale(s[${scaled.number}], ${scaled.rescale.middle}, ${scaled.rescale.factor}, ${scaled.rescale.shift}), outside, ${k}U);
+{% if rescale %}
+  q[${k}] = hold(rescale(s[${number}], ${rescale.middle}, ${rescale.factor}, ${rescale.shift}), outside, ${k}U);
 {% else %}
   q[${k}] = 0; /* the policy was trained without it */
 {% endif %}
 {% endfor %}
-{% elif field == "next_position" %}
-{% for k in range(3) %}
-  q[${i + k}] = g->next[${k}];
+{% else %}
+{% for number in field.sources %}
+  q[${i + loop.index0}] = ${"s" if field.kind == "copy" else "g->next"}[${number}];
 {% endfor %}
-{% elif field in ("next_yaw", "next_yaw_unwrapped") %}
-  q[${i}] = g->next[3];
 {% endif %}
 {% endfor %}
   return status;
@@ -260,15 +258,7 @@ static const uint32_t test_status[SELF_TESTS][3] = {
 ${rows(race_test.status, "unsigned")}
 };
 
-static float float_of(uint32_t bits) {
-  union {
-    float value;
-    uint32_t bits;
-  } pun;
-  pun.bits = bits;
-  return pun.value;
-}
-
+${c.float_of("float_of")}
 static uint32_t state_fails(uint32_t number) {
   int32_t q[${NAME}_INPUTS];
   ${name}_state state;

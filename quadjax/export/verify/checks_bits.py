@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from quadjax.export.actor import fixed_point_forward
-from quadjax.export.report import float64_commands
+from quadjax.export.report import float64_commands, uniform_samples
 from quadjax.export.selftest import BLOCK, padded_layers
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.emitted import write_harness
@@ -16,7 +16,7 @@ from quadjax.export.verify.result import require
 from quadjax.export.verify.toolchain import WARNINGS, host
 
 ACCURACY_SAMPLES = 100_000
-LARGEST_ERROR = {"motor": 0.5, "rate": 1e-4}  # rpm; of the range
+LARGEST_ERROR = 1e-4  # of the range of a command
 RANDOM_BITS = 50
 
 
@@ -24,8 +24,8 @@ def check_proof(c: Context) -> str:
     """The proof is repeated when the folder is read; this reports it."""
     bits = max(c.folder.proof.accumulator_bits)
     bound = float(np.max(c.folder.proof.error_bound))
-    unit = "rpm" if c.folder.motor else "rad/s or m/s^2"
-    return f"largest sum 2^{bits:.3f} < 2^63 for every input; error at most {bound:.3g} {unit}"
+    text = f"largest sum 2^{bits:.3f} < 2^63 for every input; error at most {bound:.3g}"
+    return f"{text} {c.folder.network.unit}"
 
 
 def check_warnings(c: Context) -> str:
@@ -82,13 +82,9 @@ def check_hostile(c: Context) -> str:
 def check_accuracy(c: Context) -> str:
     """Largest error of the host's C against float64, next to that of float32 C."""
     folder = c.folder
-    rng = np.random.default_rng(3)
-    shape = (ACCURACY_SAMPLES, folder.network.inputs)
-    box = (rng.uniform(-1.0, 1.0, shape) * folder.network.box.ranges).astype(np.float32)
-    library = float_library(folder, host(), c.work)
-    span = np.ones(4) if folder.motor else folder.policy.command_high - folder.policy.command_low
-    unit = "rpm" if folder.motor else "of range"
-    limit, parts = LARGEST_ERROR[folder.policy.vehicle], []
+    box = uniform_samples(folder.network, ACCURACY_SAMPLES, 3)
+    library, parts = float_library(folder, host(), c.work), []
+    span = folder.policy.command_high - folder.policy.command_low
     for name, x in (("box", box), ("simulated", folder.rollouts.observations)):
         exact = float64_commands(folder.policy, x)
         commands = c.library.infer(x)[:, :4] / 2.0**folder.network.fraction_bits
@@ -96,8 +92,8 @@ def check_accuracy(c: Context) -> str:
             float(np.max(np.abs(found - exact) / span))
             for found in (commands, float_commands(library, x))
         )
-        parts.append(f"{name} {fixed:.2g} (float32 C: {single:.2g}) {unit}")
-        require(fixed <= limit, f"{parts[-1]}: above {limit}")
+        parts.append(f"{name} {fixed:.2g} (float32 C: {single:.2g}) of a command's range")
+        require(fixed <= LARGEST_ERROR, f"{parts[-1]}: above {LARGEST_ERROR:g}")
     return "; ".join(parts)
 
 
@@ -105,7 +101,7 @@ def _mutant(c: Context, old: str, new: str, name: str) -> int:
     """Mismatches that the self-test reports of a mutated source."""
     folder, work = c.folder, c.work / name
     work.mkdir(exist_ok=True)
-    text = folder.sources[f"{folder.name}.c"]
+    text = folder.expected[f"{folder.name}.c"]
     require(old in text, f"nothing to mutate: {old!r}")
     source = work / f"{folder.name}.c"
     source.write_text(_without_hash(text.replace(old, new, 1)))
@@ -155,7 +151,7 @@ class _Tables:
 
     def __init__(self, c: Context) -> None:
         folder = c.folder
-        text = folder.sources[f"{folder.name}.c"]
+        text = folder.expected[f"{folder.name}.c"]
         text = re.sub(r"static const (int\d\d_t (?:weight|bias)_\d+\[)", r"\1", text)
         text = _without_hash(text)
         work = c.work / "tables"

@@ -1,33 +1,53 @@
 """Checks against the simulator: own flights, observation, gates, estimator, closed loop."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.export import flights, race_emulator
+from quadjax.export.convert import POLICY_FILE
+from quadjax.export.race_source import check_race
 from quadjax.export.report import float64_commands
 from quadjax.export.verify import measurements
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.result import Failed, Skipped, require
 
 OBSERVATION_TOLERANCE = 1e-6  # of each input's range
-COMMAND_TOLERANCE = {"motor": 0.5, "rate": 1e-4}  # rpm; of the range
+COMMAND_TOLERANCE = 1e-4  # of the range of a command
 ESTIMATOR_TOLERANCE = (1e-6, 2e-5)  # moment, N m, and force, m/s^2
 LAP_TOLERANCE = 1e-3  # s
 
 
+def check_own_race(c: Context) -> str:
+    """The race in the C is the one that the policy was trained in, as far as its file says."""
+    folder = c.folder
+    allowed = c.allow_other_race and folder.options.allow_other_race
+    path = folder.path / POLICY_FILE
+    return _unless(
+        allowed,
+        lambda: check_race(folder.policy, folder.own, path),
+        "--allow-other-race",
+    )
+
+
 def check_own_flights(c: Context) -> str:
     """The policy finishes its own race: the flights of the conversion, repeated."""
-    folder = c.folder
-    laps = flights.simulate(folder.own, folder.policy).laps
-    assert laps is not None
-    result = f"{laps.finished} of {len(laps.crashes)} finish {laps.lap_times.shape[1]} laps"
+    laps, own = flights.simulate(c.folder.own).laps, c.folder.own
+    allowed = c.allow_unfinished and c.folder.options.allow_unfinished
+    return _unless(
+        allowed, lambda: flights.check_finished(laps, own, c.folder.name), "--allow-unfinished"
+    )
+
+
+def _unless(allowed: bool, check: Callable[[], str], option: str) -> str:
+    """The result of a check; a failed one that an option allows is skipped."""
     try:
-        flights.check_finished(laps, folder.own, folder.name)
+        return check()
     except InputError as error:
-        if folder.allow_unfinished and c.allow_unfinished:
-            raise Skipped(f"{result}; allowed by --allow-unfinished") from None
+        if allowed:
+            raise Skipped(f"{error}; allowed by {option}") from None
         raise Failed(str(error)) from None
-    return result
 
 
 def check_observation(c: Context) -> str:
@@ -41,20 +61,18 @@ def check_observation(c: Context) -> str:
     found = rows[:, : network.inputs] / 2.0**30 * network.box.ranges
     error = np.abs(found - shown) / network.box.ranges
     # A yaw within rounding of half a turn is the same angle on either side.
-    turn = network.box.index("attitude") + 2
-    error[:, turn] = np.minimum(
-        error[:, turn], np.abs(error[:, turn] - 2.0 * np.pi / network.box.ranges[turn])
-    )
+    if "attitude" in network.box.layout:
+        turn = network.box.layout.slice("attitude").start + 2
+        error[:, turn] = np.minimum(
+            error[:, turn], np.abs(error[:, turn] - 2.0 * np.pi / network.box.ranges[turn])
+        )
     worst = float(error.max())
     require(worst <= OBSERVATION_TOLERANCE, f"{worst:.2g} of an input's range")
     exact = float64_commands(folder.policy, found)
     trained = float64_commands(folder.policy, shown)
-    scale = 1.0
-    if folder.policy.vehicle == "rate":
-        scale = folder.policy.command_high - folder.policy.command_low
-    change = float(np.median(np.max(np.abs(exact - trained) / scale, axis=1)))
-    limit = COMMAND_TOLERANCE[folder.policy.vehicle]
-    require(change <= limit, f"commands move by {change:.2g}, median")
+    span = folder.policy.command_high - folder.policy.command_low
+    change = float(np.median(np.max(np.abs(exact - trained) / span, axis=1)))
+    require(change <= COMMAND_TOLERANCE, f"commands move by {change:.2g} of their range, median")
     return f"{len(rows)} simulated states: within {worst:.1e} of each input's range"
 
 
@@ -84,7 +102,7 @@ def check_estimator(c: Context) -> str:
     """
     tables, vehicle = c.folder.estimator, c.folder.own.params.vehicle
     if tables is None:
-        raise Skipped("a rate-level policy does not observe the disturbances")
+        raise Skipped("the vehicle has no external disturbances")
     rate, cutoff, rng = tables.sample_rate, tables.cutoff, np.random.default_rng(0)
     logs = measurements.simulated(rng, vehicle, c.trace, c.folder.own.time_step, rate)
     logs = np.concatenate([logs, measurements.tumbling(rng, rate, logs.shape[1] / rate)[None]])
@@ -110,7 +128,9 @@ def check_closed_loop(c: Context) -> str:
     folder, runs = c.folder, c.runs
     if not runs:
         raise Skipped("ask for it with --runs 200")
-    single, fixed = flights.fly_float_and_fixed(folder.own, folder.policy, folder.network, runs)
+    single, fixed = flights.fly_float_and_fixed(
+        folder.own, folder.policy, folder.options.ranges, runs
+    )
     require(single.crashes == fixed.crashes, "other finishes")
     both = np.isfinite(single.totals)
     if not both.any():

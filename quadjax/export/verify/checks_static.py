@@ -85,7 +85,7 @@ def check_eva(c: Context) -> str:
 def _corrupted_alarms(c: Context) -> int:
     """Alarms with the first row's weights at their largest: its sum may then overflow."""
     folder = c.folder
-    text = folder.sources[f"{folder.name}.c"]
+    text = folder.expected[f"{folder.name}.c"]
     start = text.index("{", text.index("weight_0[")) + 1
     end = text.index("}", start)
     numbers = text[start:end].replace("\n", " ").split(",")

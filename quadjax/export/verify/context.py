@@ -41,6 +41,7 @@ class Context:
     count: int  # vectors
     runs: int = 0  # of the closed loop
     allow_unfinished: bool = False  # accept a policy that does not finish its own race
+    allow_other_race: bool = False  # accept the C of another race than the policy's
 
     @functools.cached_property
     def vectors(self) -> np.ndarray:
@@ -70,7 +71,7 @@ class Context:
     @functools.cached_property
     def trace(self) -> Trace:
         """A few flights of the float policy, step by step."""
-        return flights.fly_traced(self.folder.own, self.folder.policy, TRACED_RUNS, TRACED_LAPS)
+        return flights.fly_traced(self.folder.own, TRACED_RUNS, TRACED_LAPS)
 
     def same(self, who: str, rows: np.ndarray, expected: np.ndarray) -> None:
         """Raise ``Failed`` unless rows are the emulator's, bit for bit."""

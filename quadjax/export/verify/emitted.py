@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from quadjax.export.emit import names_of
 from quadjax.export.estimator_tables import FINE_BITS
 from quadjax.export.render import render
 from quadjax.export.verify.folder import Folder
@@ -36,9 +37,8 @@ def write_eva_main(folder: Folder, work: Path) -> Path:
     network = folder.network
     unit = 2.0**network.fraction_bits
     ends = zip(network.command_low / unit, network.command_high / unit, strict=True)
-    number = "{:.0f}".format if folder.motor else repr
+    number = "{:.0f}".format if network.rpm else repr
     values = _common(folder) | {
-        "network": network,
         "limits": [tuple(number(float(end)) for end in pair) for pair in ends],
         "states": folder.race.state_size,
         "memory": 2**FINE_BITS,
@@ -47,12 +47,7 @@ def write_eva_main(folder: Folder, work: Path) -> Path:
 
 
 def _common(folder: Folder) -> dict[str, object]:
-    return {
-        "name": folder.name,
-        "NAME": folder.name.upper(),
-        "motor": folder.motor,
-        "command_type": "uint16_t" if folder.motor else "float",
-    }
+    return names_of(folder.network, folder.name) | {"estimator": folder.estimator}
 
 
 def _write(path: Path, values: dict[str, object]) -> Path:

@@ -1,108 +1,87 @@
 """An exported folder, read back: the conversion repeated from the inputs in it."""
 
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import read_npz
-from quadjax.export import conversion
-from quadjax.export.conversion import Converted, Request
+from quadjax.core.files import check_file, read_json, read_npz
+from quadjax.core.folders import check_kind
+from quadjax.export.conversion import Converted, Options, convert_policy, symbol_name
 from quadjax.export.convert import (
+    KIND,
     POLICY_FILE,
     ROLLOUTS_ARRAYS,
     ROLLOUTS_FILE,
     ROLLOUTS_FORMAT,
 )
-from quadjax.export.estimator_tables import EstimatorTables
-from quadjax.export.fixed import FixedNetwork
 from quadjax.export.flights import Rollouts
-from quadjax.export.proof import Proof
-from quadjax.export.race_source import CONFIG_FILE, OwnRace
-from quadjax.export.race_tables import RaceTables
+from quadjax.export.race_source import CONFIG_FILE, find_config, own_race
+from quadjax.export.report import report_text
 from quadjax.policy.file import Policy
 
 
 @dataclasses.dataclass(frozen=True)
-class Folder:
-    """An exported folder, and the conversion repeated from the inputs in it."""
+class Folder(Converted):
+    """An exported folder: the conversion repeated from the inputs in it."""
 
     path: Path
-    converted: Converted
-    sources: dict[str, str]  # what the converter writes, by file
-    allow_unfinished: bool  # as in the request
+    expected: dict[str, str]  # the sources that the converter writes, by file
 
     @property
     def name(self) -> str:
         """Prefix of every C symbol and file."""
-        return self.converted.origin.name
-
-    @property
-    def policy(self) -> Policy:
-        """The policy."""
-        return self.converted.policy
-
-    @property
-    def network(self) -> FixedNetwork:
-        """The policy as integers."""
-        return self.converted.network
-
-    @property
-    def proof(self) -> Proof:
-        """The proof of the network."""
-        return self.converted.proof
-
-    @property
-    def race(self) -> RaceTables:
-        """The observation and the gates as integers."""
-        return self.converted.race
-
-    @property
-    def estimator(self) -> EstimatorTables | None:
-        """The disturbance estimator as integers, of a motor-level policy."""
-        return self.converted.estimator
-
-    @property
-    def own(self) -> OwnRace:
-        """The race that the policy was trained in."""
-        return self.converted.own
-
-    @property
-    def rollouts(self) -> Rollouts:
-        """Rows of the simulated flights."""
-        return self.converted.rollouts
-
-    @property
-    def motor(self) -> bool:
-        """Whether commands are rpm."""
-        return self.policy.vehicle == "motor"
+        return self.options.name
 
     @property
     def files(self) -> list[Path]:
         """The C files that compile on any machine."""
-        return [self.path / f for f in self.sources if f.endswith(".c") and "/" not in f]
+        return [self.path / f for f in self.expected if f.endswith(".c") and "/" not in f]
 
 
 def read_folder(path: Path) -> Folder:
-    """Read an exported folder and convert its policy again.
+    """Read an exported folder, convert its policy again, and compare the files with the result.
 
     Raises:
-        InputError: no such folder, or a file in it that is missing or damaged.
+        InputError: no such folder, or a file in it that is missing, damaged or not what the
+            converter writes.
     """
+    check_kind(path, KIND)
     reports = sorted(path.glob("*_report.json"))
     if len(reports) != 1:
         raise InputError(f"{path}: expected one *_report.json, found {len(reports)}")
+    options, file, text = _read_report(reports[0])
+    policy = Policy.load(path / POLICY_FILE)
+    config, _ = find_config(policy, None, path / CONFIG_FILE)
+    own = own_race(config, policy, CONFIG_FILE, file)
+    rollouts = _rollouts(path / ROLLOUTS_FILE)
+    converted = convert_policy(policy, own, options, file, path / POLICY_FILE, rollouts)
+    _check_shapes(converted, path / ROLLOUTS_FILE)
+    expected = converted.sources()
+    texts = {f"{options.name}_report.txt": text, CONFIG_FILE: own.config}
+    for name, content in (expected | texts).items():
+        check_file(path / name)
+        if (path / name).read_bytes() != content.encode("utf-8"):
+            raise InputError(
+                f"{path / name}: not what the converter writes for this policy and race; nothing "
+                "is compiled"
+            )
+    return Folder(**vars(converted), path=path, expected=expected)
+
+
+def _read_report(path: Path) -> tuple[Options, str, str]:
+    """The options of an export, the name of the policy file, and the report as text."""
+    report = read_json(path)
     try:
-        report = json.loads(reports[0].read_text("utf-8"))
-        file, request = report["policy"], _request(path, report)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{reports[0]}: not a report of quadjax export ({error!r})") from error
-    converted = conversion.convert_again(request, file, _rollouts(path / ROLLOUTS_FILE))
-    folder = Folder(path, converted, {}, request.allow_unfinished)
-    _check_shapes(folder, path / ROLLOUTS_FILE)
-    return dataclasses.replace(folder, sources=conversion.sources(converted))
+        options, file = Options(**report["options"]), str(report["policy"])
+        ranges = {str(name): float(value) for name, value in options.ranges.items()}
+        numbers = {name: float(getattr(options, name)) for name in ("sample_rate", "cutoff")}
+        symbol_name(options.name, file)
+        text = report_text(report, options.name)
+    except Exception as error:  # of any kind, by values that are not those of a report
+        raise InputError(f"{path}: not a report of quadjax export ({error!r:.200})") from error
+    return dataclasses.replace(options, ranges=ranges, **numbers), file, text
 
 
 def _rollouts(path: Path) -> Rollouts:
@@ -113,27 +92,13 @@ def _rollouts(path: Path) -> Rollouts:
     return Rollouts(*(arrays[name] for name in ROLLOUTS_ARRAYS))
 
 
-def _check_shapes(folder: Folder, path: Path) -> None:
+def _check_shapes(converted: Converted, path: Path) -> None:
     """Raise an ``InputError`` for rollouts that do not fit the policy and its track."""
-    rows, race = folder.rollouts, folder.race
-    count = len(rows.targets) if rows.targets.ndim == 1 else 0
-    shapes = (rows.observations.shape, rows.states.shape)
-    if not count or shapes != ((count, folder.network.inputs), (count, race.state_size)):
+    rows, race = converted.rollouts, converted.race
+    parts = (rows.observations, rows.states, rows.targets)
+    count = rows.targets.size
+    wanted = [(count, converted.network.inputs), (count, race.state_size), (count,)]
+    fits = count > 0 and [part.shape for part in parts] == wanted
+    fits = fits and [part.dtype.kind for part in parts] == ["f", "f", "i"]
+    if not fits or not np.all((0 <= rows.targets) & (rows.targets < race.gates)):
         raise InputError(f"{path}: its arrays do not fit the policy")
-    kinds = [rows.observations.dtype.kind, rows.states.dtype.kind, rows.targets.dtype.kind]
-    if kinds != ["f", "f", "i"] or not np.all((0 <= rows.targets) & (rows.targets < race.gates)):
-        raise InputError(f"{path}: its arrays do not fit the policy")
-
-
-def _request(path: Path, report: dict) -> Request:
-    estimator = report["estimator"] or {}
-    return Request(
-        policy=path / POLICY_FILE,
-        folder=path,
-        ranges={str(name): float(value) for name, value in report["ranges"].items()},
-        name=str(report["name"]),
-        config=path / CONFIG_FILE,
-        sample_rate=float(estimator.get("sample_rate", 512.0)),
-        cutoff=float(estimator.get("cutoff", 8.0)),
-        allow_unfinished=report["allow_unfinished"] is True,
-    )

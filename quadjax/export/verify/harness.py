@@ -43,7 +43,7 @@ class HostLibrary:
     def command(self, x: np.ndarray) -> np.ndarray:
         """Commands (n, 4) of the forward function."""
         x = np.ascontiguousarray(x, np.float32)
-        kind = np.uint16 if self.folder.motor else np.float32
+        kind = np.uint16 if self.folder.network.rpm else np.float32
         out = np.zeros((len(x), 4), kind)
         self._call("harness_command", 0, x, out, len(x))
         return out

@@ -11,11 +11,11 @@ from quadjax.core.files import write_text
 from quadjax.export.verify import checks_arm, checks_bits, checks_flight, checks_static
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import Folder, read_folder
-from quadjax.export.verify.result import FAILED, Result, require, run_check
+from quadjax.export.verify.result import Result, run_check
 
 Check = Callable[[Context], str]
 
-SOURCES = "sources"  # runs always, and first
+SOURCES = "sources"
 CHECKS: dict[str, Check] = {
     "range proof": checks_bits.check_proof,
     "warnings, host": checks_bits.check_warnings,
@@ -24,6 +24,7 @@ CHECKS: dict[str, Check] = {
     "hostile inputs": checks_bits.check_hostile,
     "accuracy": checks_bits.check_accuracy,
     "mutations": checks_bits.check_mutations,
+    "own race": checks_flight.check_own_race,
     "own flights": checks_flight.check_own_flights,
     "observation": checks_flight.check_observation,
     "gate logic": checks_flight.check_gates,
@@ -51,35 +52,35 @@ def verify(
     announce: Callable[[str], None] = lambda _: None,
     only: Sequence[str] | None = None,
     allow_unfinished: bool = False,
+    allow_other_race: bool = False,
 ) -> list[Result]:
     """Verify an exported folder: build and run it with the tools of this machine.
-
-    If a file is not what the converter writes, that is the only result and nothing is compiled.
 
     Args:
         path: a folder that ``export_c`` wrote.
         vectors: number of vectors on which every build must agree.
         runs: flights of the closed loop, 0 for none.
         announce: called with the name of every check before it runs.
-        only: names of the checks to run besides the first, as in ``CHECKS``; all if not given.
+        only: names of the checks to run besides that of the sources, as in ``CHECKS``; all if
+            not given.
         allow_unfinished: accept a policy that was exported although it does not finish its race.
+        allow_other_race: accept an export for another race than the one in the policy file.
 
     Returns:
         A result for each check, in order.
 
     Raises:
-        InputError: no such folder, or a file in it that is missing or damaged.
+        InputError: no such folder, or a file in it that is missing, damaged or not what the
+            converter writes; nothing is compiled.
     """
     enable_compilation_cache()
     folder = read_folder(Path(path))
     chosen = [name for name in CHECKS if only is None or name in only]
     announce(SOURCES)
     results = [run_check(SOURCES, lambda: check_sources(folder))]
-    if results[0].verdict == FAILED:
-        return results
     with tempfile.TemporaryDirectory() as work:
         context = Context(_copied(folder, Path(work) / "c"), Path(work), vectors, runs)
-        context.allow_unfinished = allow_unfinished
+        context.allow_unfinished, context.allow_other_race = allow_unfinished, allow_other_race
         for name in chosen:
             announce(name)
             results.append(run_check(name, functools.partial(CHECKS[name], context)))
@@ -87,17 +88,12 @@ def verify(
 
 
 def check_sources(folder: Folder) -> str:
-    """Every C file is, byte for byte, what the converter writes for this policy."""
-    for file, text in folder.sources.items():
-        path = folder.path / file
-        require(path.is_file(), f"{file} is missing")
-        same = path.read_bytes() == text.encode("utf-8")
-        require(same, f"{file} is not what the converter writes; nothing is compiled")
-    return f"{len(folder.sources)} files as the converter writes them"
+    """Every file is, byte for byte, what the converter writes; ``read_folder`` checks it."""
+    return f"{len(folder.expected)} files as the converter writes them"
 
 
 def _copied(folder: Folder, path: Path) -> Folder:
     """The folder with its sources in ``path``: other files of the user's are not compiled."""
-    for file, text in folder.sources.items():
+    for file, text in folder.expected.items():
         write_text(path / file, text)
     return dataclasses.replace(folder, path=path)

@@ -1,0 +1,46 @@
+{# C functions that several files have. #}
+{% macro bits_of(name) %}
+static uint32_t ${name}(float value) {
+  union {
+    float value;
+    uint32_t bits;
+  } pun;
+  pun.value = value;
+  return pun.bits;
+}
+{% endmacro %}
+{% macro float_of(name) %}
+static float ${name}(uint32_t bits) {
+  union {
+    float value;
+    uint32_t bits;
+  } pun;
+  pun.bits = bits;
+  return pun.value;
+}
+{% endmacro %}
+{% macro round_shift() %}
+static int64_t round_shift(int64_t value, int32_t shift) {
+  if (shift <= 0) {
+    return value * (INT64_C(1) << -shift);
+  }
+  return (value + (INT64_C(1) << (shift - 1))) >> shift;
+}
+{% endmacro %}
+{% macro relu_upper_word(shift) %}
+static int32_t relu_upper_word(int64_t sum) {
+  const int32_t upper = (int32_t)(sum >> ${shift});
+  return (upper > 0) ? upper : 0;
+}
+{% endmacro %}
+{% macro quantize_all(to, count, number) %}
+  for (uint32_t i = 0U; i < ${count}; ++i) {
+    uint32_t clipped;
+    uint32_t nan;
+    ${to}[i] = ${number}, &clipped, &nan);
+    status.clipped |= clipped << i;
+    status.nan |= nan << i;
+  }
+  return status;
+}
+{% endmacro %}
