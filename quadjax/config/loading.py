@@ -5,7 +5,7 @@ from pathlib import Path
 
 from quadjax.config.checks import check, vehicle_model
 from quadjax.config.renamed import check_renamed
-from quadjax.config.schema import Config, Schedule
+from quadjax.config.schema import Config, Gate, Schedule
 from quadjax.config.vehicle_file import for_each_rotor, vehicle_values
 from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.imports import load_object
@@ -59,9 +59,12 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
     return config_of(tree, str(path))
 
 
-def _gates(tree: Tree) -> object:
-    track = tree.get("track")
-    return track.get("gates") if isinstance(track, dict) else None
+def _gates(tree: Tree) -> tuple[Gate, ...] | None:
+    """The gates of a tree with all their values; None if they are not valid."""
+    try:
+        return tuple(build(Gate, gate, "gates") for gate in tree["track"]["gates"])
+    except (InputError, KeyError, TypeError):
+        return None
 
 
 def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> Tree:

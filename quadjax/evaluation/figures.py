@@ -11,6 +11,7 @@ from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, PAPER, SERIES, SPEED_COLORS, head, new_figure, tidy
 from quadjax.evaluation.recording import Recording
+from quadjax.evaluation.scene import gate_outline
 from quadjax.evaluation.tables import counted
 
 MOTORS = ("1 front left", "2 front right", "3 rear right", "4 rear left")
@@ -152,7 +153,7 @@ def _number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) 
         bold = {"color": INK, "fontsize": 11, "fontweight": "bold"}
         above.annotate(numbers, place, xytext=(0, up), **bold, **style)
         above.annotate(heights, place, xytext=(0, -7), color=MUTED, fontsize=8, **style)
-    tops = np.array([(g.position[0], 0.5 * g.size[1] - g.position[2]) for g in gates])
+    tops = np.array([(g.position[0], -gate_outline(g)[:, 2].min()) for g in gates])
     for group in same_place(tops):
         numbers = gate_labels(gates, group)[0]
         place = tuple(tops[group[0]])
@@ -161,11 +162,8 @@ def _number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) 
 
 def _draw_gate_from_side(axes: Axes, gate: Gate) -> None:
     """Draw the outline of a gate seen from the side."""
-    reach = 0.5 * gate.size[0] * abs(np.sin(np.radians(gate.yaw_deg)))
-    x, height, half = gate.position[0], -gate.position[2], 0.5 * gate.size[1]
-    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]
-    outline = np.array([(x + a * reach, height + b * half) for a, b in corners])
-    axes.plot(*outline.T, color=INK, linewidth=1.8, zorder=2, alpha=0.6)
+    x, _, z = gate_outline(gate).T
+    axes.plot(x, -z, color=INK, linewidth=1.8, zorder=2, alpha=0.6)
 
 
 def _draw_gate(axes: Axes, gate: Gate, reach: float) -> None:
@@ -174,6 +172,9 @@ def _draw_gate(axes: Axes, gate: Gate, reach: float) -> None:
     ahead, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     across = 0.5 * gate.size[0] * right
     ends = np.array([center - across, center + across])
+    if gate.pitch_deg or gate.roll_deg:
+        x, y, _ = gate_outline(gate).T
+        axes.plot(x, y, color=INK, linewidth=1.8, zorder=4, alpha=0.6)
     axes.plot(*ends.T, color=INK, linewidth=4.0, solid_capstyle="butt", zorder=4, alpha=0.85)
     axes.plot(*ends.T, "o", color=INK, markersize=7, zorder=5)
     axes.annotate(

@@ -83,6 +83,16 @@ def gate_corners(gate: Gate) -> np.ndarray:
     return np.array([np.array(gate.position) + a * right + b * down for a, b in signs])
 
 
+def gate_outline(gate: Gate) -> np.ndarray:
+    """The closed outline (n, 3) of a gate's opening, m, world: four corners, or a circle."""
+    if gate.shape == "rectangle":
+        corners = gate_corners(gate)
+        return np.concatenate([corners, corners[:1]])
+    _, right, down = 0.5 * gate.size[0] * np.array(gate.axes).T
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)[:, None]
+    return np.array(gate.position) + np.cos(turn) * right + np.sin(turn) * down
+
+
 def polyline(
     draw: ImageDraw.ImageDraw, points: np.ndarray, color: tuple[int, int, int], width: int
 ) -> None:
@@ -101,13 +111,17 @@ def dot(
 def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[Gate]) -> None:
     """Draw gates as frames with an arrow in the direction of passage; in perspective on posts."""
     for gate in gates:
-        corners = view.project(gate_corners(gate))
+        outline = view.project(gate_outline(gate))
         if np.isfinite(view.distance):
-            for lower in gate_corners(gate)[2:]:
+            rim = gate_outline(gate)
+            lowest = (
+                gate_corners(gate)[2:] if gate.shape == "rectangle" else rim[[rim[:, 2].argmax()]]
+            )
+            for lower in lowest:
                 foot = lower * np.array([1.0, 1.0, 0.0])
                 polyline(draw, view.project(np.array([lower, foot])), SHADOW, 3)
-        polyline(draw, np.concatenate([corners, corners[:2]]), GATE, 8)
-        for corner in corners:
+        polyline(draw, np.concatenate([outline, outline[1:2]]), GATE, 8)
+        for corner in outline:
             dot(draw, corner, 4.0, GATE)
         ahead, right, _ = np.array(gate.axes).T
         center = np.array(gate.position)

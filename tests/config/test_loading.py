@@ -129,6 +129,12 @@ def test_other_tracks_than_the_papers(tmp_path):
     other = load_config("e2e_shac", ["track=figure8"])
     assert other.reward.gate_edge == 20.0
     assert other.schedules["learner.std"].linear == ("value", 0.1)
+    # No line outside the true openings pays: at the end of the widened one a collision is as good.
+    reward, wider = other.reward, other.training_limits.gate_inflation
+    for gate in other.track.gates:
+        passed = reward.gate - reward.gate_offset * (0.5 * gate.size[0] + wider)
+        passed -= reward.gate_edge * (reward.gate_edge_margin + wider)
+        assert passed <= -reward.collision
     path = tmp_path / "mine.yaml"
     path.write_text(
         "base: e2e_shac\ntrack: figure8\nreward: {gate_edge: 30, gate: 5}\n"

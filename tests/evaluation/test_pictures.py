@@ -75,6 +75,18 @@ def test_gates_have_numbers_and_heights_where_they_differ():
     assert {"1", "2"} <= set(level) and not any("m" in text for text in level)
 
 
+def test_tilted_and_round_gates_have_their_outline_from_both_sides():
+    straight_down = Gate(
+        position=(2.0, 0.0, -1.5), pitch_deg=-90.0, shape="circle", size=(2.0, 2.0)
+    )
+    figure = trajectory_figure([circle()], [GATES[1], straight_down])
+    above, side = ([np.array(line.get_data()).T for line in axes.lines] for axes in figure.axes[:2])
+    rim = next(points for points in above if len(points) > 10)
+    assert np.hypot(*(rim - [2.0, 0.0]).T) == pytest.approx(1.0)
+    edge = next(points for points in side if len(points) == len(rim))
+    assert np.ptp(edge, axis=0) == pytest.approx([2.0, 0.0], abs=1e-6)
+
+
 def test_a_legend_is_above_the_axes():
     for figure in (trajectory_figure([circle()], GATES, "title"), signals_figure(circle(), "t")):
         figure.canvas.draw()
