@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.signal import butter, lfilter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.axis_checks import Evidence, compare, inner_rows, listed
-from quadjax.fitting.signals import derivative
+from quadjax.fitting.nominal import ModelInputs, nominal
+from quadjax.fitting.signals import derivative, first_order
+from quadjax.vehicle.constants import MotorConstants, constant_names
 
 if TYPE_CHECKING:
     from quadjax.fitting.flight_log import FlightLog
@@ -23,8 +25,9 @@ if TYPE_CHECKING:
 BAND = (1.0, 16.0)  # Hz
 LAG = 0.05  # s, typical of propellers that follow their commands
 ENOUGH = 6.0  # difference of log-likelihoods that is evidence
-# Signs of roll, pitch and yaw of motors 1 to 4.
-SIGNS = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
+# Signs (3, 4) of roll, pitch and yaw of motors 1 to 4, by the nominal model.
+ONE = MotorConstants(**dict.fromkeys(constant_names(MotorConstants), 1.0))
+SIGNS = nominal(ONE, ModelInputs(np.eye(4), *(np.zeros((4, k)) for k in (4, 3, 3))))[:, 3:].T
 CORNERS = ("front left", "front right", "rear right", "rear left")
 ORDERS = tuple(itertools.permutations(range(4)))
 FLIPS = tuple(itertools.product((1.0, -1.0), repeat=3))
@@ -74,9 +77,7 @@ def check_commands(log: "FlightLog") -> list[str]:
     """Compare the commanded speeds with the measured ones; as ``check_motors``."""
     if log.rpm_command is None:
         return []
-    keep = np.exp(-1.0 / (LAG * log.sample_rate))
-    start = keep * log.rpm_command[:1]
-    followed, _ = lfilter([1.0 - keep], [1.0, -keep], log.rpm_command, axis=0, zi=start)
+    followed = first_order(log.rpm_command, log.rpm[0], LAG, 1.0 / log.sample_rate)
     own, theirs = (values - values.mean(axis=1, keepdims=True) for values in (followed, log.rpm))
     names, speeds = log.columns["rpm_command"], log.columns["rpm"]
     meanings = [f"speed {name!r}" for name in speeds]

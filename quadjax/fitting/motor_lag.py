@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.least_squares import BLOCK, UNCERTAIN
+from quadjax.fitting.signals import first_order
 
 SHORTEST, LONGEST = 0.002, 0.5  # s
 LEAST_CHANGE = 20.0  # rpm, of the commands
@@ -90,15 +90,8 @@ def _follow(
     tau: float, rpm: np.ndarray, command: np.ndarray, rate: float, starts: np.ndarray
 ) -> np.ndarray:
     """Simulated speeds (n, 4), each command held until the next sample."""
-    keep = np.exp(-1.0 / (rate * tau))
-    parts = []
-    for start, stop in zip(starts, [*starts[1:], len(rpm)], strict=True):
-        first = rpm[start]
-        tail, _ = lfilter(
-            [1.0 - keep], [1.0, -keep], command[start : stop - 1], axis=0, zi=keep * first[None, :]
-        )
-        parts.append(np.concatenate([first[None, :], tail]))
-    return np.concatenate(parts)
+    parts = zip(np.split(rpm, starts[1:]), np.split(command, starts[1:]), strict=True)
+    return np.concatenate([first_order(u, own[0], tau, 1.0 / rate) for own, u in parts])
 
 
 def _standard_error(

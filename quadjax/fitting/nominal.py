@@ -60,11 +60,16 @@ def regressors(motion: ModelInputs) -> dict[str, np.ndarray]:
     }
 
 
+def file_inputs(motion: ModelInputs, rpm_range: tuple[float, float]) -> np.ndarray:
+    """Inputs (n, 10) in the units of a residual file: rpm in [-1, 1], the rest in SI."""
+    low, high = rpm_range
+    rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0
+    return np.concatenate([rpm, motion.body_velocity, motion.rates], axis=1)
+
+
 def residual_output(residual: Residual, motion: ModelInputs) -> np.ndarray:
     """Output (n, 4) of the residual networks: az, m/s^2, and moments, N m."""
-    low, high = float(residual.rpm_min), float(residual.rpm_max)
-    rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0
-    inputs = np.concatenate([rpm, motion.body_velocity, motion.rates], axis=1)
+    inputs = file_inputs(motion, (float(residual.rpm_min), float(residual.rpm_max)))
     force = float(residual.thrust_sign) * evaluate(residual.thrust, inputs[:, :7])
     return np.concatenate([force, evaluate(residual.moment, inputs)], axis=1)
 

@@ -18,6 +18,7 @@ import numpy as np
 from quadjax.core.mlp import Layers
 from quadjax.fitting.config import NominalConfig, ResidualConfig
 from quadjax.fitting.distill import Ensemble, distill
+from quadjax.fitting.nominal import file_inputs
 from quadjax.fitting.prepare import Samples, thin
 from quadjax.fitting.selection import FoldMoments, Selection, reject_all, score_fold, select
 from quadjax.fitting.split import Split
@@ -25,7 +26,6 @@ from quadjax.fitting.tasks import (
     NETWORKS,
     ResidualNetwork,
     Task,
-    file_inputs,
     make_task,
     nominal_error,
     nominal_without,
@@ -150,11 +150,11 @@ class _Trained:
     def score(self, left_out: LeftOut, mirror: bool, held_out: int) -> FoldMoments:
         """Scores of one task's ensemble on a fold that it was trained without."""
         task, rows = self.tasks[left_out, mirror], self.fold == held_out
-        inputs = file_inputs(self.network, self.samples.motion[rows], self.rpm_range)
+        inputs = file_inputs(self.samples.motion[rows], self.rpm_range)
         errors = nominal_error(self.samples[rows], self.constants[left_out])
         return score_fold(
             self.layers((left_out, mirror)),
-            (inputs - task.center) / task.scale,
+            (inputs[:, : self.network.inputs] - task.center) / task.scale,
             errors[:, self.network.columns] / task.error_scale,
             self.longest,
         )

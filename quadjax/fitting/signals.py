@@ -5,7 +5,7 @@ from typing import Self, TypeVar
 
 import jax
 import numpy as np
-from scipy.signal import butter, sosfiltfilt, welch
+from scipy.signal import butter, lfilter, sosfiltfilt, welch
 
 from quadjax.core.errors import InputError
 
@@ -65,3 +65,14 @@ def noise_level(signal: np.ndarray, sample_rate: float, cutoff: float) -> np.nda
     frequency, power = welch(signal, sample_rate, nperseg=min(256, len(signal)), axis=0)
     band = (frequency > 0.3 * sample_rate) & (frequency < 0.48 * sample_rate)
     return np.sqrt(np.median(power[band], axis=0) * 0.5 * sample_rate)
+
+
+def first_order(command: np.ndarray, start: np.ndarray, tau: float, dt: float) -> np.ndarray:
+    """Response (n, k) of a first-order lag, of tau s, to commands (n, k) held for dt s each.
+
+    ``start`` (k,) is the response at the first sample.
+    """
+    kept = np.exp(-dt / tau)
+    start = np.asarray(start, np.float64)[None]
+    tail, _ = lfilter([1.0 - kept], [1.0, -kept], command[:-1], axis=0, zi=kept * start)
+    return np.concatenate([start, tail])

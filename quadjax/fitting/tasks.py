@@ -10,7 +10,7 @@ import numpy as np
 
 from quadjax.fitting.config import NominalConfig, ResidualConfig
 from quadjax.fitting.least_squares import fit_nominal, with_fit
-from quadjax.fitting.nominal import AXES, CONSTANTS, ModelInputs
+from quadjax.fitting.nominal import AXES, CONSTANTS, file_inputs
 from quadjax.fitting.prepare import Samples
 from quadjax.vehicle.constants import MotorConstants
 
@@ -69,16 +69,6 @@ class Task:
     error_scale: np.ndarray  # (o,) root mean square error of the nominal model
 
 
-def file_inputs(
-    network: ResidualNetwork, motion: ModelInputs, rpm_range: tuple[float, float]
-) -> np.ndarray:
-    """Inputs (n, 7 or 10) in the units of a residual file: rpm in [-1, 1], the rest in SI."""
-    low, high = rpm_range
-    rpm = 2.0 * (motion.rpm - low) / (high - low) - 1.0
-    parts = [rpm, motion.body_velocity, motion.rates]
-    return np.concatenate(parts, axis=1)[:, : network.inputs]
-
-
 def mirrored(network: ResidualNetwork, inputs: np.ndarray) -> np.ndarray:
     """Inputs (n, i) of the mirrored flight."""
     return inputs[:, list(network.mirror_order)] * np.array(network.mirror_sign)
@@ -124,7 +114,7 @@ def make_task(
 ) -> Task:
     """The rows of one training, standardized by themselves."""
     rows = learned_rows(fold, left_out)
-    inputs = file_inputs(network, samples.motion[rows], rpm_range)
+    inputs = file_inputs(samples.motion[rows], rpm_range)[:, : network.inputs]
     errors = nominal_error(samples[rows], constants)[:, network.columns]
     seen = np.concatenate([inputs, mirrored(network, inputs)]) if mirror else inputs
     center, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-6)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.signal import lfilter
 
 from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
+from quadjax.fitting.signals import first_order
 from quadjax.plant.flights import Flights, rows
 from quadjax.race.laps import Trace
 
@@ -66,14 +66,6 @@ def progress_figure(
     axes.set_ylabel(f"laps ahead of one in {1.0 / pace:.2f} s", color=INK)
     head(axes, title)
     return figure
-
-
-def first_order(command: np.ndarray, start: np.ndarray, tau: float, dt: float) -> np.ndarray:
-    """Response (n, k) of a first-order lag to held commands (n, k), from ``start`` (k,)."""
-    kept = np.exp(-dt / tau)
-    start = np.asarray(start, np.float64)[None]
-    tail, _ = lfilter([1.0 - kept], [1.0, -kept], command[:-1], axis=0, zi=kept * start)
-    return np.concatenate([start, tail])
 
 
 def rpm_figure(flights: Flights, tau: float, run: int = 0) -> tuple[Figure, np.ndarray]:

@@ -9,6 +9,7 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.vectors import Rotors
+from quadjax.fitting.signals import first_order
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights
 from quadjax.race.laps import Laps
@@ -22,7 +23,7 @@ from quadjax.studies.comparison import (
     lead,
     limit_fractions,
 )
-from quadjax.studies.comparison_figures import first_order, progress
+from quadjax.studies.comparison_figures import progress
 from quadjax.studies.comparison_run import best_recorded, table_text
 from tests import reference as ref
 from tests.commands import run
