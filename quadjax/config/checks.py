@@ -28,7 +28,7 @@ def check(config: Config) -> None:
     _check_run(config)
     _check_model(config)
     _check_schedules(config)
-    for test in (_check_constants, _check_gates, _check_start, _check_gate_edge):
+    for test in (_check_constants, _check_gates, _check_race_start, _check_start, _check_gate_edge):
         _check_values(config, test)
     _check_used(at_end(config))
 
@@ -191,6 +191,8 @@ def _check_gates(config: Config) -> None:
             )
         if z >= 0:
             refuse(f"{key}.position", gate.position, "z below 0 (above ground)")
+        if not _within(config, gate.position):
+            refuse(f"{key}.position", gate.position, f"within rules.bounds {config.rules.bounds}")
         if min(gate.size) + 2 * inflation <= 0:
             refuse(
                 f"{key}.size",
@@ -199,10 +201,28 @@ def _check_gates(config: Config) -> None:
             )
 
 
+def _within(config: Config, position: Sequence[float]) -> bool:
+    """Whether a position is within the rules' bounds."""
+    box = config.rules.bounds
+    return box is None or all(low < x < high for x, (low, high) in zip(position, box, strict=True))
+
+
+def _check_race_start(config: Config) -> None:
+    """Check that timed laps start in the air and within the bounds."""
+    start, limit = config.track.start, config.rules.position_limit
+    if start is None:
+        return
+    x, y, z = start.position
+    outside = limit is not None and max(abs(x), abs(y)) >= limit
+    if z >= 0 or outside or not _within(config, start.position):
+        refuse("track.start.position", start.position, "above ground and within the rules' limits")
+
+
 def _check_start(config: Config) -> None:
     """Check that starts are within the limits, and that the next gate can be reached in time."""
     start, training, gates = config.start, config.training_limits, config.track.gates
     limit, rates = config.rules.position_limit, config.rules.body_rate_limit
+    pitch = training.largest_pitch_deg(vehicle_model(config.vehicle.model))
     places = range(len(gates)) if start.gate == "random" else [len(gates) - 1]
     for index in places:
         x, y, z = gates[index].position
@@ -215,7 +235,7 @@ def _check_start(config: Config) -> None:
                 "rules.position_limit",
             )
     for key, value, name, most in (
-        ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.pitch_deg", training.pitch_deg),
+        ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.pitch_deg", pitch),
         ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.roll_deg", training.roll_deg),
         ("body_rates", start.body_rates, "rules.body_rate_limit", rates),
         ("body_rates", start.body_rates, "training_limits.yaw_rate", training.yaw_rate),
@@ -280,6 +300,8 @@ def _check_used(config: Config) -> None:
             unused[f"randomization.{group}"] = with_model
     if not model.uses_start_thrust:
         unused["start.thrust"] = with_model
+    if config.rules.gate_frame == 0:
+        unused["rules.gate_depth"] = "without rules.gate_frame"
     if config.reward.gate_edge == 0 and "reward.gate_edge" not in config.schedules:
         unused["reward.gate_edge_margin"] = "without reward.gate_edge"
     for key, reason in unused.items():

@@ -18,9 +18,9 @@ from quadjax.core.sections import Section
 from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout
-from quadjax.race.rules import Limits, RewardWeights
+from quadjax.race.rules import Frame, Limits, RewardWeights
 from quadjax.race.start import DisturbanceRange, StartRange
-from quadjax.race.track import Track, inside_turn, make_track
+from quadjax.race.track import Pose, Track, inside_turn, make_track
 from quadjax.vehicle.attitude import with_quaternions
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
@@ -97,13 +97,23 @@ def build_track(track: schema.Track) -> Track:
         jnp.asarray(np.array([g.size for g in track.gates], np.float32)),
         jnp.asarray(tilt) if tilt.any() else None,
         jnp.asarray(circle) if circle.any() else None,
+        None if track.start is None else _pose(track.start),
     )
+
+
+def _pose(start: schema.TrackStart) -> Pose:
+    return Pose(_vector(start.position), jnp.float32(math.radians(start.yaw_deg)))
+
+
+def _vector(values: Iterable[float]) -> Vec3:
+    return Vec3(*(jnp.float32(x) for x in values))
 
 
 def disturbance_range(section: Disturbance) -> DisturbanceRange:
     """The half-widths of the drawn disturbances, and the constant moment."""
-    bias = Vec3(*(jnp.float32(x) for x in section.moment_bias))
-    return DisturbanceRange(**_traced(section.half_widths), moment_bias=bias)
+    return DisturbanceRange(
+        **_traced(section.half_widths), moment_bias=_vector(section.moment_bias)
+    )
 
 
 def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:
@@ -153,19 +163,20 @@ def _limits(config: Config) -> Limits:
         "position": _or_none(rules.position_limit),
         "body_rate": _or_none(rules.body_rate_limit),
         "yaw_rate": _or_none(training.yaw_rate),
-        "pitch": _training_pitch(config),
+        "pitch": math.radians(
+            _or_none(config.training_limits.largest_pitch_deg(vehicle_model_of(config)))
+        ),
         "roll": math.radians(_or_none(training.roll_deg)),
         "gate_inflation": training.gate_inflation,
     }
     steps = jnp.asarray(training.episode_steps, jnp.int32)
-    return Limits(**_traced(limits), episode_steps=steps)
-
-
-def _training_pitch(config: Config) -> float:
-    """The largest pitch in training, rad: by default 85 deg where Euler angles are singular."""
-    if config.training_limits.pitch_deg is not None:
-        return math.radians(config.training_limits.pitch_deg)
-    return math.radians(85.0) if math.isfinite(vehicle_model_of(config).pitch_limit) else math.inf
+    box, solid = rules.bounds, {"width": rules.gate_frame, "depth": rules.gate_depth}
+    return Limits(
+        **_traced(limits),
+        episode_steps=steps,
+        bounds=None if box is None else (_vector(x[0] for x in box), _vector(x[1] for x in box)),
+        frame=Frame(**_traced(solid)) if rules.gate_frame else None,
+    )
 
 
 def _or_none(limit: float | None) -> float:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Constant = Annotated[float, Field(ge=-1e9, le=1e9)]
+Span = tuple[Coordinate, Coordinate]
 Fraction = Annotated[float, Field(ge=0, le=0.9)]
 Devices = Annotated[int, Field(ge=1, le=4096)]
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
@@ -128,6 +129,13 @@ class Gate(Section):
         ]
 
 
+class TrackStart(Section):
+    """Where a timed race starts."""
+
+    position: tuple[Coordinate, Coordinate, Coordinate] = Field(description="x, y, z, m")
+    yaw_deg: float = Field(0.0, ge=-720, le=720, description="heading, deg")
+
+
 class Track(Section):
     """The gates, in the order of passage."""
 
@@ -142,6 +150,11 @@ class Track(Section):
         min_length=1,
         max_length=100,
         description="list of {position, yaw_deg, size, pitch_deg, roll_deg, shape}",
+    )
+    start: TrackStart | None = Field(
+        None,
+        description="{position, yaw_deg} of the hover from which timed laps start; null: the last "
+        "gate's center, nose towards the first gate",
     )
 
 
@@ -207,6 +220,21 @@ class Rules(Section):
     position_limit: float | None = Field(
         10.0, gt=0, le=1e6, description="largest |x| and |y|, m; null: none"
     )
+    bounds: tuple[Span, Span, Span] | None = Field(
+        None,
+        description="[lowest, highest] x, y and z, m: leaving the box is a collision; z of -7 is a "
+        "ceiling at 7 m; null: none besides position_limit and the ground",
+    )
+    gate_frame: float = Field(
+        0.0,
+        ge=0,
+        le=10,
+        description="width of the solid frame around the opening of every gate, m; 0: a collision "
+        "only where the plane of the target gate is crossed outside its opening",
+    )
+    gate_depth: float = Field(
+        0.1, gt=0, le=10, description="depth of the frames, half of it on each side, m"
+    )
     body_rate_limit: float | None = Field(
         1000.0, gt=0, le=1e6, description="largest body rate about any axis, rad/s; null: none"
     )
@@ -234,6 +262,12 @@ class TrainingLimits(Section):
         le=50,
         description="widening of every gate's opening on each side, m; negative: narrowing",
     )
+
+    def largest_pitch_deg(self, model: "VehicleModel") -> float | None:
+        """The largest pitch in training with a vehicle model, deg; None: any."""
+        if self.pitch_deg is None and math.isfinite(model.pitch_limit):
+            return 85.0
+        return self.pitch_deg
 
 
 class Start(Section):

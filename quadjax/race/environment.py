@@ -217,6 +217,11 @@ def evaluate_rules(
         choices.gate_test == "world_box",
     )
     outside = (jnp.abs(position.x) > limits.position) | (jnp.abs(position.y) > limits.position)
+    if limits.bounds is not None:
+        outside = outside | rules.outside_box(position, limits.bounds)
+    if limits.frame is not None:
+        inflation = jnp.maximum(limits.gate_inflation, 0.0)
+        hit = hit | rules.inside_frame(position, params.track, limits.frame, inflation)
     fastest = jnp.maximum(jnp.maximum(jnp.abs(rates.x), jnp.abs(rates.y)), jnp.abs(rates.z))
     outcome = rules.Outcome(
         passed=passed,

@@ -5,7 +5,22 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
+from quadjax.race.track import (
+    Gate,
+    Track,
+    gate_at,
+    gate_count,
+    to_gate_frame,
+    to_opening_frame,
+)
+
+
+@struct.dataclass
+class Frame:
+    """The solid frames of all gates."""
+
+    width: jax.Array  # m, around the opening
+    depth: jax.Array  # m, half of it on each side of the opening's plane
 
 
 @struct.dataclass
@@ -20,6 +35,8 @@ class Limits:
     roll: jax.Array  # rad
     yaw_rate: jax.Array  # rad/s
     gate_inflation: jax.Array  # m added to each side of every gate's opening
+    bounds: tuple[Vec3, Vec3] | None = None  # lowest and highest position, m; None: none
+    frame: Frame | None = None  # None: only the target gate's plane is solid
 
 
 @struct.dataclass
@@ -102,6 +119,32 @@ def crossing(
     else:
         inside = inside_square(relative, g, inflation)
     return crossed & inside, crossed & ~inside
+
+
+def inside_frame(position: Vec3, track: Track, frame: Frame, inflation: jax.Array) -> jax.Array:
+    """Whether a position is inside the solid frame of any gate, a () bool.
+
+    Args:
+        position: m, world.
+        track: all gates.
+        frame: their width and depth.
+        inflation: () m by which openings are wider; the frames' outer edges stay.
+    """
+    hit = jnp.zeros((), bool)
+    for index in range(gate_count(track)):
+        g = gate_at(track, index)
+        relative = to_opening_frame(g, position - g.position)
+        solid = ~inside_square(relative, g, inflation) & inside_square(relative, g, frame.width)
+        hit = hit | (solid & (jnp.abs(relative.x) <= 0.5 * frame.depth))
+    return hit
+
+
+def outside_box(position: Vec3, bounds: tuple[Vec3, Vec3]) -> jax.Array:
+    """Whether a position is outside the box between two corners, a () bool."""
+    low, high = bounds
+    sides = zip(position.components(), low.components(), high.components(), strict=True)
+    out = [(x < least) | (x > most) for x, least, most in sides]
+    return out[0] | out[1] | out[2]
 
 
 def next_gate_progress(before: Vec3, after: Vec3, g: Gate) -> jax.Array:

@@ -100,7 +100,10 @@ def start(
 
 
 def hover(model: VehicleModel, c: Constants, track: Track) -> State:
-    """At rest and level at the last gate's center, nose towards the first gate."""
+    """At rest and level at the track's start, or the last gate, nose towards the first gate."""
+    if track.start is not None:
+        euler = Vec3.zero().replace(z=wrap_angle(track.start.yaw))
+        return model.hover(c, Motion(track.start.position, Vec3.zero(), euler, Vec3.zero()))
     last = jax.tree.map(lambda x: x[-1], track.position)
     first = jax.tree.map(lambda x: x[0], track.position)
     euler = Vec3.zero().replace(z=wrap_angle(_heading(last, first)))

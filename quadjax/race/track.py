@@ -1,11 +1,21 @@
 """Tracks: gates in a fixed cyclic order. World NED, m, rad."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.frames import Attitude, attitude, world_to_body, wrap_angle
 from quadjax.core.vectors import Vec3
+
+
+@struct.dataclass
+class Pose:
+    """A place and a heading."""
+
+    position: Vec3  # m, world
+    yaw: jax.Array  # () rad
 
 
 @struct.dataclass
@@ -22,6 +32,7 @@ class Track:
     next_yaw: jax.Array  # (gates,) the next gate's yaw relative to this gate's, in [-pi, pi], rad
     opening: Attitude | None = None  # of (gates,): roll, pitch and yaw; None: all upright
     circle: jax.Array | None = None  # (gates,) bool, round openings; None: all rectangles
+    start: Pose | None = None  # of timed laps; None: at the last gate
 
 
 @struct.dataclass
@@ -46,6 +57,7 @@ def make_track(
     size: jax.Array,
     tilt: jax.Array | None = None,
     circle: jax.Array | None = None,
+    start: Pose | None = None,
 ) -> Track:
     """A track of gates in flying order.
 
@@ -55,6 +67,7 @@ def make_track(
         size: (gates, 2) width and height of the opening, m.
         tilt: (gates, 2) roll and pitch of the gates, rad; None: all upright.
         circle: (gates,) whether the opening is round; None: all are rectangles.
+        start: of timed laps; None: at the last gate.
     """
     opening = None if tilt is None else attitude(Vec3(tilt[:, 0], tilt[:, 1], yaw))
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
@@ -75,6 +88,7 @@ def make_track(
         next_yaw=wrap_angle(next_yaw),
         opening=opening,
         circle=circle,
+        start=start,
     )
 
 
@@ -96,7 +110,17 @@ def pick(table: jax.Array, index: jax.Array) -> jax.Array:
 
 def gate(track: Track, index: jax.Array) -> Gate:
     """The gate at ``index`` ()."""
-    return Gate(**vars(jax.tree.map(lambda table: pick(table, index), track)))
+    return _gate(track, lambda table: pick(table, index))
+
+
+def gate_at(track: Track, index: int) -> Gate:
+    """The gate at a static index."""
+    return _gate(track, lambda table: table[index])
+
+
+def _gate(track: Track, of: Callable[[jax.Array], jax.Array]) -> Gate:
+    names = (name for name in vars(track) if name != "start")
+    return Gate(**{name: jax.tree.map(of, getattr(track, name)) for name in names})
 
 
 STRAIGHT = 0.2  # below this sum of the sines of the turns at a leg's ends, the leg is straight

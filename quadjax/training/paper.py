@@ -65,11 +65,13 @@ def is_paper_race(config: Config) -> bool:
 def _race_of(config: Config) -> tuple[object, ...]:
     """The settings that determine lap times, as comparable values."""
     vehicle, own = config.vehicle, config.rules
-    gates = [(*gate.position, gate.yaw_deg % 360.0, *gate.size) for gate in config.track.gates]
-    rules = (own.time_step, own.gate_test, own.position_limit, own.body_rate_limit, own.extra)
+    gates = (
+        [gate.replace(yaw_deg=gate.yaw_deg % 360.0) for gate in config.track.gates],
+        config.track.start,
+    )
     drawn = any(dict(config.randomization).values())
     model = (vehicle.residual, vehicle.integrator, dict(vehicle.mismatch))
-    return (vehicle.constants, gates, rules, drawn, model)
+    return (vehicle.constants, gates, own, drawn, model)
 
 
 def _disturbance_of(config: Config) -> dict[str, object]:

@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.config.race import build_track
+from quadjax.config.loading import load_config
+from quadjax.config.race import build_params, build_track, choices_of
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.race import rules
-from quadjax.race.environment import exact_rules
+from quadjax.race.environment import exact_rules, hover_start
 from quadjax.race.track import gate, make_track, to_opening_frame
 from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
@@ -449,3 +450,49 @@ def test_tilt_and_shape_of_a_config():
         with pytest.raises(InputError) as error:
             make_config(f"track.gates=[{below}]", override)
         assert message in str(error.value)
+
+
+def test_frames_of_all_gates_are_solid():
+    """A position in the frame of a gate that is not the target ends the episode."""
+    frames = ("rules.gate_frame=0.4", "rules.gate_depth=0.2")
+    offsets = [(0.0, 0.3), (0.0, 0.6), (0.09, -0.8), (0.0, 1.0), (0.12, 0.6), (-0.09, 0.6)]
+    solid = [False, True, True, False, False, True]
+    rows = level([through(2, *offset) for offset in offsets], 0.0)
+    _, _, outcome = step(make_race(*frames), rows, target=0)
+    np.testing.assert_array_equal(outcome.gate_collision, solid)
+    _, _, outcome = step(make_race(*frames, "training_limits.gate_inflation=0.2"), rows, target=0)
+    np.testing.assert_array_equal(outcome.gate_collision, [*solid[:1], False, *solid[2:5], False])
+
+
+def test_bounds_of_the_hall():
+    race = make_race("rules.bounds=[[-3, 4], [-2.5, 2], [-5, 0]]")
+    inside = [[-2.9, 0, -2], [3.9, 0, -2], [0, -2.4, -2], [0, 1.9, -2], [0, 0, -4.9]]
+    beyond = [[-3.1, 0, -2], [4.1, 0, -2], [0, -2.6, -2], [0, 2.1, -2], [0, 0, -5.1]]
+    _, _, outcome = step(race, level([*inside, *beyond], 0.0))
+    np.testing.assert_array_equal(outcome.out_of_bounds, [False] * 5 + [True] * 5)
+
+
+def test_start_of_timed_laps():
+    config = make_config("track.start={position: [0, 1, -2], yaw_deg: 200}")
+    begin = hover_start(choices_of(config), build_params(config)).drone
+    np.testing.assert_allclose(begin.position.array(), [0, 1, -2])
+    np.testing.assert_allclose(begin.euler.array(), [0, 0, np.radians(-160)], atol=1e-6)
+    assert load_config("e2e", ["track=figure8_tudelft"]).track.start.position == (1.5, -2.5, -1.5)
+    assert load_config("e2e", ["track=square4"]).track.start is None
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ("track.start={position: [0, 0, 0]}",),
+            "track.start.position is [0.0, 0.0, 0.0]",
+        ),
+        (("rules.bounds=[[-1, 4], [-2, 2], [-5, 0]]",), "within rules.bounds"),
+        (("rules.gate_depth=0.2",), "rules.gate_depth is 0.2, allowed: 0.1 without rules.gate_fr"),
+    ],
+)
+def test_impossible_rules_of_a_track(overrides, message):
+    with pytest.raises(InputError) as error:
+        make_config(*overrides)
+    assert message in str(error.value)
