@@ -22,7 +22,7 @@ from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.export.race_source import own_race
-from quadjax.learners import loop
+from quadjax.learners import loop, memory
 from quadjax.learners.networks import layers_of
 from quadjax.policy.file import Policy
 from quadjax.training import run as training
@@ -165,6 +165,14 @@ def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch
     assert not result.finished and result.summary["steps"] == 0
     monkeypatch.undo()
     assert training.train(config_of("e2e_ppo.yaml"), tmp_path / "run", resume=True).finished
+
+
+def test_a_run_that_needs_more_memory_than_there_is_is_refused_with_the_estimate(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(memory, "memory_bytes", lambda: 1000.0)
+    with pytest.raises(InputError, match=r"about \S+e-06 GiB .* has 9.31e-07 GiB: fewer environ"):
+        training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
 
 
 def test_interrupted_in_a_long_compilation_it_ends_at_once(tmp_path, monkeypatch):
