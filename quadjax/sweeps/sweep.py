@@ -40,17 +40,12 @@ class Dimension:
     given: Range
     known: optuna.distributions.BaseDistribution
 
-    @property
-    def whole(self) -> bool:
-        """Whether it is a range of whole numbers."""
-        return isinstance(self.known, optuna.distributions.IntDistribution)
-
     def suggest(self, trial: optuna.Trial) -> Plain:
         """The value of a trial."""
         x = self.known
         if self.given.choices is not None:
             return trial.suggest_categorical(self.key, x.choices)
-        pick = trial.suggest_int if self.whole else trial.suggest_float
+        pick = trial.suggest_int if isinstance(x.low, int) else trial.suggest_float
         return pick(self.key, x.low, x.high, step=x.step, log=x.log)
 
     def override(self, value: Plain) -> str:
@@ -67,15 +62,16 @@ class Dimension:
         given, ends = self.given, self.ends()
         if given.choices:
             return ends
+        whole = isinstance(ends[0], int)
         if given.points:
             spaced = np.geomspace if given.log else np.linspace
             values = [ends[0], *spaced(*ends, given.points)[1:-1].tolist(), ends[1]]
-        elif given.step or (self.whole and not given.log):
+        elif given.step or (whole and not given.log):
             step = max(given.step or 1.0, (ends[1] - ends[0]) / 1e6)
             values = np.arange(ends[0], ends[1] + 0.5 * step, step).tolist()
         else:
             raise InputError(f"space.{self.key}: a grid needs choices, step or points")
-        return sorted({round(value) for value in values}) if self.whole else values
+        return sorted({round(value) for value in values}) if whole else values
 
 
 def plain(value: object) -> Plain:
@@ -103,8 +99,8 @@ def read_dimension(key: str, given: object, config: object) -> Dimension:
             raise ValueError(f"expected whole numbers, found {given}")
         if isinstance(base, float) or not whole:
             return Dimension(key, known, kinds.FloatDistribution(low, high, log, step))
-        integers = kinds.IntDistribution(int(low), int(high), log, int(step or 1))
-        return Dimension(key, known, integers)
+        low, high = int(low), int(high)
+        return Dimension(key, known, kinds.IntDistribution(low, high, log, int(step or 1)))
 
 
 def draws(dimensions: Sequence[Dimension], count: int, seed: int) -> list[Params]:
