@@ -49,7 +49,8 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
     argv = list(sys.argv[1:] if arguments is None else arguments)
     status = run(argv if command is None else [command, *argv])
     if status == INTERRUPTED:  # without waiting for threads, which may be compiling
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
         os._exit(status)
     sys.exit(status)
 

@@ -62,7 +62,8 @@ def run_command(main: Callable[[], int | None]) -> int:
     """
     try:
         status = main()
-        sys.stdout.flush()
+        if sys.stdout is not None:  # it is closed where the caller has closed it
+            sys.stdout.flush()
         return status or 0
     except BrokenPipeError:
         # The reader (head, less) has exited. Nothing may be printed at exit either.

@@ -122,6 +122,11 @@ def test_memory_of_a_device_is_one_line():
     assert error_line(failure("INTERNAL: a fault")) is None
 
 
+def test_a_closed_output_is_no_fault(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert run_command(lambda: 0) == 0
+
+
 def test_faults_of_the_program_are_raised(monkeypatch):
     with pytest.raises(KeyError):
         run_command(raising(KeyError("x")))
