@@ -20,7 +20,7 @@ from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork, convert
 from quadjax.export.flights import Rollouts
 from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import OwnRace
-from quadjax.export.race_tables import RaceTables, make_tables
+from quadjax.export.race_tables import RaceTables, make_tables, track_ranges
 from quadjax.export.render import identifier, is_reserved, shared_symbols
 from quadjax.policy.file import Policy
 
@@ -92,7 +92,7 @@ def convert_policy(
     Raises:
         InputError: see ``convert.export_c``.
     """
-    network = convert(policy, options.ranges)
+    network = convert(policy, track_ranges(policy.layout, own.params.track) | options.ranges)
     proof = prove(network, policy)
     if rollouts is None:
         rollouts = flights.simulate(own)

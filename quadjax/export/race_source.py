@@ -183,22 +183,28 @@ def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
 
 def _difference(trained: OwnRace, own: OwnRace) -> str | None:
     """The first difference between two races, as text."""
-    pairs = [("vehicle.model", *(x.choices.model.name for x in (trained, own)))]
-    pairs.append(("gate_test", *(x.choices.gate_test for x in (trained, own))))
-    pairs.append(("the number of gates", *(len(x.params.track.yaw) for x in (trained, own))))
-    had = [x.params.vehicle.residual is not None for x in (trained, own)]
-    pairs.append(("a residual", *("used" if x else "absent" for x in had)))
-    for name, before, now in pairs:
-        if before != now:
-            return f"{name} is {before} in training, {now} here"
-    parts = (
-        {"vehicle": x.params.vehicle, "track": x.params.track, "time_step": x.time_step}
-        for x in (trained, own)
-    )
-    leaves = [jax.tree_util.tree_leaves_with_path(part) for part in parts]
-    for (path, before), (_, now) in zip(*leaves, strict=False):
-        if not np.array_equal(before, now):
-            where = jax.tree_util.keystr(path, simple=True, separator=".")
-            shown = "differs" if np.size(before) > 8 else f"is {before} in training, {now} here"
-            return f"{where} {shown}"
+    before, now = _facts(trained), _facts(own)
+    for name in before | now:
+        pair = [facts.get(name) for facts in (before, now)]
+        if not np.array_equal(*pair):
+            size = max(np.size(x) for x in pair)
+            shown = ["none" if x is None else x if size <= 8 else "other numbers" for x in pair]
+            return f"{name} is {shown[0]} in training, {shown[1]} here"
     return None
+
+
+def _facts(own: OwnRace) -> dict[str, object]:
+    """What two races are compared by."""
+    params = own.params
+    parts = {"vehicle": params.vehicle, "track": params.track, "time_step": own.time_step}
+    numbers = {
+        jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf)
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parts)
+    }
+    model, gates = own.choices.model.name, len(params.track.yaw)
+    words = {
+        "vehicle.model": model,
+        "gate_test": own.choices.gate_test,
+        "the number of gates": gates,
+    }
+    return words | numbers

@@ -16,11 +16,11 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.export.integers import ONE
-from quadjax.export.ranges import InputBox
+from quadjax.export.ranges import InputBox, next_power
 from quadjax.policy.file import Policy
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.layout import DISTURBANCES, NEXT_YAW, NEXT_YAW_UNWRAPPED, NONE, Field
+from quadjax.race.layout import DISTURBANCES, NEXT_YAW, NEXT_YAW_UNWRAPPED, NONE, Field, Layout
 from quadjax.race.track import Track
 from quadjax.vehicle.protocol import State
 
@@ -207,6 +207,20 @@ def next_gates(track: Track) -> dict[str, np.ndarray]:
         NEXT_YAW_UNWRAPPED.name: plain[:, None],
     }
     return {name: value.astype(np.float64) for name, value in values.items()}
+
+
+def track_ranges(layout: Layout, track: Track) -> dict[str, float]:
+    """The ranges by field that a track needs where they are above those of the layout.
+
+    A leg of the track begins about as far from its gate as the gate before is.
+    """
+    needed = {name: np.abs(value).max() for name, value in next_gates(track).items()}
+    needed["position"] = 1.25 * needed["next_position"]
+    return {
+        name: next_power(size)
+        for name, size in needed.items()
+        if name in layout and size > layout[name].range
+    }
 
 
 def _gate_constants(box: InputBox, track: Track) -> np.ndarray:

@@ -43,6 +43,11 @@ class InputBox:
         """The half-width of a field's range, in its unit."""
         return 2.0 ** self.exponent[field]
 
+    @property
+    def declared(self) -> dict[str, float]:
+        """The half-widths by field of the layout."""
+        return {name: self.limit(name) for name in self.layout.names}
+
     def check(self, observations: np.ndarray) -> None:
         """Raise an ``InputError`` if observations (n, inputs) leave the box."""
         largest = np.max(np.abs(observations), axis=0)

@@ -8,12 +8,13 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS
 from quadjax.export import estimator_emulator, flights, race_emulator
+from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.emit import emit_network, emit_race
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
 from quadjax.export.race_source import find_config
 from quadjax.export.race_source import own_race as race_in
-from quadjax.export.race_tables import make_tables
+from quadjax.export.race_tables import make_tables, track_ranges
 from quadjax.export.verify import measurements
 from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.toolchain import WARNINGS, host
@@ -217,3 +218,24 @@ def test_the_estimate_is_observed_as_the_disturbance_of_the_state():
     found = flights.observe(own, states, np.zeros(20, int))
     half = np.array([0.03, 0.03, 0.01, 0.5])
     assert np.allclose(found, states[:, [16, 17, 18, 21]] / half, atol=1e-6)
+
+
+def test_a_gate_far_away_widens_the_ranges(tmp_path):
+    (tmp_path / "far.yaml").write_text(
+        "gates:\n  - {position: [0, 0, -2]}\n  - {position: [20, 0, -2]}\n"
+    )
+    policy = made_policy(8)
+    own = own_race(policy, track=str(tmp_path / "far.yaml"))
+    assert track_ranges(policy.layout, own.params.track) == {
+        "position": 32.0,
+        "next_position": 32.0,
+    }
+    assert track_ranges(policy.layout, own_race(policy).params.track) == {}
+    rollouts = flights.Rollouts(*(np.zeros((0, 1)),) * 3)
+    path = tmp_path / "policy.npz"
+    policy.save(path)
+    converted = convert_policy(policy, own, Options("far"), "far", path, rollouts)
+    assert converted.network.box.declared["next_position"] == 32.0
+    narrow = Options("far", {"next_position": 16.0})
+    with pytest.raises(InputError, match="gate 0: next_position is 20, declared .-16"):
+        convert_policy(policy, own, narrow, "far", path, rollouts)

@@ -18,7 +18,6 @@ static void layer(const float *w, const float *b, int rows, int columns, const f
   }
 }
 
-void float_forward(const float *x, float *command);
 void float_forward(const float *x, float *command) {
   float a[${widest}];
   float b[${widest}];
@@ -33,7 +32,6 @@ void float_forward(const float *x, float *command) {
   }
 }
 
-void float_batch(const float *x, float *command, unsigned count);
 void float_batch(const float *x, float *command, unsigned count) {
   for (unsigned i = 0; i < count; ++i) {
     float_forward(x + i * ${inputs}, command + i * 4);

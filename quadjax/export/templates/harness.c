@@ -4,10 +4,7 @@
 {% if estimator %}
 #include "${name}_estimator.h"
 {% endif %}
-void harness_infer(uint32_t kernel, const float *x, int32_t *out, uint32_t count);
 void harness_command(uint32_t kernel, const float *x, ${command_type} *out, uint32_t count);
-void harness_observe(const float *states, const uint32_t *targets, int32_t *out, uint32_t count);
-void harness_events(const float *positions, uint32_t target, uint32_t *out, uint32_t count);
 
 /* Row: commands, trace, clipped, NaN. */
 void harness_infer(uint32_t kernel, const float *x, int32_t *out, uint32_t count) {
@@ -56,7 +53,6 @@ void harness_events(const float *positions, uint32_t target, uint32_t *out, uint
 }
 {% if estimator %}
 
-void harness_estimate(const float *measurements, float *out, uint32_t count);
 void harness_estimate(const float *measurements, float *out, uint32_t count) {
   ${name}_estimator estimator = {{0}, {0}, 0U};
   for (uint32_t i = 0U; i < count; ++i) {

@@ -1,19 +1,19 @@
 """Checks on an emulated Cortex-A9: bits, instructions, stack, writable data."""
 
 import contextlib
-import subprocess
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from quadjax.export.verify.checks_bits import check_warnings
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.emitted import write_float, write_harness, write_memory
 from quadjax.export.verify.harness import machine_infer
 from quadjax.export.verify.result import Skipped, require
 from quadjax.export.verify.toolchain import (
     FREESTANDING,
-    WARNINGS,
     Compiler,
     armhf,
     bebop,
@@ -103,24 +103,25 @@ def _arm_check(c: Context, compiler: Compiler, tag: str, kernel: int) -> str:
     )
 
 
-def check_zig_scalar(c: Context) -> str:
-    """Scalar kernel, compiled by zig for a Cortex-A9 without NEON."""
-    return _arm_check(c, zig_arm(neon=False), "zig_scalar", SCALAR)
+# Name of the check, compiler, tag of its build, and kernel.
+BUILDS: tuple[tuple[str, Callable[[], Compiler], str, int], ...] = (
+    ("Cortex-A9 scalar, zig", lambda: zig_arm(neon=False), "zig_scalar", SCALAR),
+    ("Cortex-A9 NEON, zig", lambda: zig_arm(neon=True), "zig_neon", NEON),
+    ("Cortex-A9 scalar, gcc", bebop, "bebop", SCALAR),
+    ("Cortex-A9 NEON, gcc", bebop, "bebop", NEON),
+)
 
 
-def check_zig_neon(c: Context) -> str:
-    """NEON kernel, compiled by zig."""
-    return _arm_check(c, zig_arm(neon=True), "zig_neon", NEON)
+def arm_checks() -> dict[str, Callable[[Context], str]]:
+    """A check of each kernel by each compiler: zig, and GCC with Paparazzi's flags."""
 
+    def check(c: Context, make: Callable[[], Compiler], tag: str, kernel: int) -> str:
+        return _arm_check(c, make(), tag, kernel)
 
-def check_bebop_scalar(c: Context) -> str:
-    """Scalar kernel, compiled by GCC with Paparazzi's flags."""
-    return _arm_check(c, bebop(), "bebop", SCALAR)
-
-
-def check_bebop_neon(c: Context) -> str:
-    """NEON kernel, compiled by GCC with Paparazzi's flags."""
-    return _arm_check(c, bebop(), "bebop", NEON)
+    return {
+        name: functools.partial(check, make=make, tag=tag, kernel=kernel)
+        for name, make, tag, kernel in BUILDS
+    }
 
 
 def float_instructions(c: Context, compiler: Compiler, tag: str) -> int:
@@ -135,17 +136,11 @@ def float_instructions(c: Context, compiler: Compiler, tag: str) -> int:
 
 
 def _compilers() -> list[tuple[str, Compiler, str, int]]:
-    """Those that are found: name, compiler, tag of its build and kernel."""
-    makers: tuple[tuple[str, Callable[[], Compiler], str, int], ...] = (
-        ("zig scalar", lambda: zig_arm(neon=False), "zig_scalar", SCALAR),
-        ("zig NEON", lambda: zig_arm(neon=True), "zig_neon", NEON),
-        ("gcc, Bebop's flags", bebop, "bebop", SCALAR),
-        ("gcc, Bebop's flags, NEON", bebop, "bebop", NEON),
-    )
+    """The builds whose compiler is found."""
     found = []
-    for name, make, tag, kernel in makers:
+    for name, make, tag, kernel in BUILDS:
         with contextlib.suppress(Skipped):
-            found.append((name, make(), tag, kernel))
+            found.append((name.removeprefix("Cortex-A9 "), make(), tag, kernel))
     if not found:
         raise Skipped("no compiler for ARM; pip install 'quadjax[verify]'")
     return found
@@ -196,39 +191,21 @@ def _count_step(c: Context, elf: Path, kernel: int) -> tuple[int, int, int]:
     return int(largest[0, 0]), int(largest[1, 0]), int(largest[:, 1].max())
 
 
-def _qemu(c: Context, compiler: Compiler, tag: str, kernels: str) -> str:
-    qemu = need_program("qemu-arm")
-    folder = c.folder
+def _qemu(c: Context, make: Callable[[], Compiler], tag: str) -> str:
+    folder, compiler, qemu = c.folder, make(), need_program("qemu-arm")
     extra = ["-DHARNESS_MAIN", f"-D{folder.name.upper()}_WITH_NEON=1", f"-I{folder.path}"]
-    program = compiler.build(
-        [*folder.files, write_harness(folder, c.work)], c.work / f"{tag}_main", extra
-    )
-    given, written = c.work / "vectors.bin", c.work / "rows.bin"
-    both = np.concatenate([c.vectors, c.hostile])
-    both.tofile(given)
-    for kernel in kernels:
-        command = [qemu, "-cpu", "cortex-a9", str(program), str(given), str(written), kernel]
-        done = subprocess.run(command, capture_output=True, text=True)
-        require(done.returncode == 0, f"exit status {done.returncode} {done.stderr[:200]}")
-        rows = np.fromfile(written, np.int32).reshape(-1, 7)
-        c.same(tag, rows, np.concatenate([c.expected, c.expected_hostile]))
-    return f"{len(both)} vectors the same, kernels {'scalar and NEON' if len(kernels) > 1 else '-'}"
+    sources = [*folder.files, write_harness(folder, c.work)]
+    program = compiler.build(sources, c.work / f"{tag}_main", extra)
+    for kernel in "sn":
+        count = c.run([qemu, "-cpu", "cortex-a9", str(program)], tag, kernel)
+    return f"{count} vectors the same, kernels scalar and NEON"
+
+
+# Paparazzi's flags and hard float, under QEMU's Cortex-A9.
+check_qemu_armel = functools.partial(_qemu, make=bebop, tag="armel")
+check_qemu_armhf = functools.partial(_qemu, make=armhf, tag="armhf")
 
 
 def check_warnings_bebop(c: Context) -> str:
     """No warning from the cross compiler under Paparazzi's flags."""
-    compiler = bebop()
-    for source in c.folder.files:
-        extra = [*WARNINGS, "-c", f"-D{c.folder.name.upper()}_WITH_NEON=1"]
-        compiler.build([source], c.work / "warnings_arm.o", extra)
-    return f"{compiler.name}, {len(WARNINGS) - 1} warning options, none raised"
-
-
-def check_qemu_armel(c: Context) -> str:
-    """Paparazzi's flags under QEMU's Cortex-A9."""
-    return _qemu(c, bebop(), "armel", "sn")
-
-
-def check_qemu_armhf(c: Context) -> str:
-    """Hard float under QEMU's Cortex-A9."""
-    return _qemu(c, armhf(), "armhf", "sn")
+    return check_warnings(c, bebop(), (f"-D{c.folder.name.upper()}_WITH_NEON=1",))

@@ -2,6 +2,7 @@
 
 import ctypes
 import re
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -10,10 +11,9 @@ from quadjax.export.actor import fixed_point_forward
 from quadjax.export.report import float64_commands, uniform_samples
 from quadjax.export.selftest import BLOCK, padded_layers
 from quadjax.export.verify.context import Context
-from quadjax.export.verify.emitted import write_harness
 from quadjax.export.verify.harness import float_commands, float_library, load_library
 from quadjax.export.verify.result import require
-from quadjax.export.verify.toolchain import WARNINGS, host
+from quadjax.export.verify.toolchain import WARNINGS, Compiler, host
 
 ACCURACY_SAMPLES = 100_000
 LARGEST_ERROR = 1e-4  # of the range of a command
@@ -28,11 +28,13 @@ def check_proof(c: Context) -> str:
     return f"{text} {c.folder.network.unit}"
 
 
-def check_warnings(c: Context) -> str:
-    """No warning under the strict set."""
-    compiler = host()
+def check_warnings(
+    c: Context, compiler: Compiler | None = None, extra: Sequence[str] = ("-O3",)
+) -> str:
+    """No warning under the strict set, from the host's compiler or another."""
+    compiler = compiler or host()
     for source in c.folder.files:
-        compiler.build([source], c.work / "warnings.o", [*WARNINGS, "-O3", "-c"])
+        compiler.build([source], c.work / "warnings.o", [*WARNINGS, *extra, "-c"])
     return f"{compiler.name}, {len(WARNINGS) - 1} warning options, none raised"
 
 
@@ -97,23 +99,13 @@ def check_accuracy(c: Context) -> str:
     return "; ".join(parts)
 
 
-def _mutant(c: Context, old: str, new: str, name: str) -> int:
-    """Mismatches that the self-test reports of a mutated source."""
-    folder, work = c.folder, c.work / name
+def _mutant(c: Context, text: str, name: str) -> ctypes.CDLL:
+    """A changed source, without the hash of the tables: only vectors and probes are left."""
+    work = c.work / name
     work.mkdir(exist_ok=True)
-    text = folder.expected[f"{folder.name}.c"]
-    require(old in text, f"nothing to mutate: {old!r}")
-    source = work / f"{folder.name}.c"
-    source.write_text(_without_hash(text.replace(old, new, 1)))
-    others = [f for f in folder.files if f.name != source.name]
-    sources = [source, *others, write_harness(folder, work)]
-    library = load_library(host(), sources, work / "mutant.so", [f"-I{folder.path}"])
-    return int(getattr(library, f"{folder.name}_self_test")())
-
-
-def _without_hash(text: str) -> str:
-    """The self-test without the hash of the tables: only vectors and probes are left."""
-    return text.replace("(tables_hash() != TABLES_HASH)", "(tables_hash() == 0U)")
+    source = work / f"{c.folder.name}.c"
+    source.write_text(text.replace("(tables_hash() != TABLES_HASH)", "(tables_hash() == 0U)"))
+    return load_library(host(), [source], work / "mutant.so", [f"-I{c.folder.path}"])
 
 
 def check_mutations(c: Context) -> str:
@@ -121,7 +113,10 @@ def check_mutations(c: Context) -> str:
     folder = c.folder
     shift = "sum >> 32" if folder.network.hidden else f"sum >> {folder.network.output_shift}"
     wrong = shift[:-2] + str(int(shift[-2:]) - 1)
-    caught_shift = _mutant(c, shift, wrong, "shift")
+    text = folder.expected[f"{folder.name}.c"]
+    require(shift in text, f"nothing to mutate: {shift!r}")
+    shifted = _mutant(c, text.replace(shift, wrong, 1), "shift")
+    caught_shift = int(getattr(shifted, f"{folder.name}_self_test")())
     require(caught_shift > 0, "a shift of 31 was not caught")
     tables, network = _Tables(c), folder.network
     halves = [2**31] * len(network.hidden) + [2 ** (network.output_shift - 1)]
@@ -153,12 +148,7 @@ class _Tables:
         folder = c.folder
         text = folder.expected[f"{folder.name}.c"]
         text = re.sub(r"static const (int\d\d_t (?:weight|bias)_\d+\[)", r"\1", text)
-        text = _without_hash(text)
-        work = c.work / "tables"
-        work.mkdir(exist_ok=True)
-        source = work / f"{folder.name}.c"
-        source.write_text(text)
-        self._library = load_library(host(), [source], work / "tables.so", [f"-I{folder.path}"])
+        self._library = _mutant(c, text, "tables")
         self._test = getattr(self._library, f"{folder.name}_self_test")
         self._network = folder.network
         require(int(self._test()) == 0, "the unmutated tables fail")

@@ -129,7 +129,7 @@ def check_closed_loop(c: Context) -> str:
     if not runs:
         raise Skipped("ask for it with --runs 200")
     single, fixed = flights.fly_float_and_fixed(
-        folder.own, folder.policy, folder.options.ranges, runs
+        folder.own, folder.policy, folder.network.box.declared, runs
     )
     require(single.crashes == fixed.crashes, "other finishes")
     both = np.isfinite(single.totals)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +73,26 @@ class Context:
     def trace(self) -> Trace:
         """A few flights of the float policy, step by step."""
         return flights.fly_traced(self.folder.own, TRACED_RUNS, TRACED_LAPS)
+
+    def run(self, command: list[str], who: str, kernel: str, most: int | None = None) -> int:
+        """Run a build of the harness on at most ``most`` vectors and the hostile ones.
+
+        Returns:
+            The number of vectors.
+
+        Raises:
+            Failed: another exit status than 0, or other rows than the emulator's.
+        """
+        given, written = self.work / "vectors.bin", self.work / "rows.bin"
+        pick = np.linspace(0, self.count - 1, min(self.count, most or self.count)).astype(int)
+        np.concatenate([self.vectors[pick], self.hostile]).tofile(given)
+        arguments = [*command, str(given), str(written), kernel]
+        done = subprocess.run(arguments, capture_output=True, text=True)
+        if done.returncode:
+            raise Failed(f"exit status {done.returncode} {done.stderr.strip()[:300]}")
+        rows = np.fromfile(written, np.int32).reshape(-1, 7)
+        self.same(who, rows, np.concatenate([self.expected[pick], self.expected_hostile]))
+        return len(rows)
 
     def same(self, who: str, rows: np.ndarray, expected: np.ndarray) -> None:
         """Raise ``Failed`` unless rows are the emulator's, bit for bit."""
