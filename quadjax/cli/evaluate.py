@@ -85,6 +85,7 @@ def _evaluate_all(
     config: "Config", policy: "Policy", options: argparse.Namespace
 ) -> "dict[str, Evaluation]":
     """Every line of the table by its label; the first is the one to save."""
+    from quadjax.config.race import race_of
     from quadjax.evaluation.evaluation import evaluate
 
     common = {
@@ -96,9 +97,12 @@ def _evaluate_all(
     }
     if options.fixed_point:
         from quadjax.export.actor import fixed_point_fly
+        from quadjax.export.race_tables import track_ranges
         from quadjax.export.ranges import parse_overrides
 
-        actor = fixed_point_fly(policy, parse_overrides(options.ranges))
+        _, params = race_of(config)
+        ranges = track_ranges(policy.layout, params.track) | parse_overrides(options.ranges)
+        actor = fixed_point_fly(policy, ranges)
         fixed = evaluate(policy, config, deterministic=True, actor=actor, **common)
         return {"fixed point, mean": fixed}
     evaluations = {}

@@ -20,6 +20,7 @@ from quadjax.export.conversion import (
     convert_policy,
     symbol_name,
 )
+from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, find_config, own_race
 from quadjax.export.report import Json, make_report, report_text
@@ -98,6 +99,7 @@ def export_c(
         options = Options(symbol, *numbers, allow_unfinished, allow_other_race)
         _check_folder(folder, symbol)
         own = Policy.load(path)
+        check_policy(own)
         found, origin = find_config(own, path, config, track)
         race = own_race(found, own, origin, path.name)
         if not allow_other_race:

@@ -20,7 +20,7 @@ from scipy.signal import butter, lfilter
 from quadjax.core.errors import InputError
 from quadjax.export.fixed import FixedLayer, convert_hidden, largest_power
 from quadjax.export.integers import INPUT_BITS, ONE
-from quadjax.export.race_tables import Rescale, rescale
+from quadjax.export.scaling import Rescale, rescale
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.residual import Residual
 

@@ -18,8 +18,8 @@ from quadjax.export.race_tables import (
     YAW_EXPONENT,
     Input,
     RaceTables,
-    Rescale,
 )
+from quadjax.export.scaling import Rescale
 
 NO_EVENT, PASSED, MISSED = 0, 1, 2
 

@@ -17,10 +17,11 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.export.integers import ONE
 from quadjax.export.ranges import InputBox, next_power
+from quadjax.export.scaling import Rescale, Spans, spans_of
 from quadjax.policy.file import Policy
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.layout import DISTURBANCES, NEXT_YAW, NEXT_YAW_UNWRAPPED, NONE, Field, Layout
+from quadjax.race.layout import DISTURBANCES, NEXT_YAW, NEXT_YAW_UNWRAPPED, Layout
 from quadjax.race.track import Track
 from quadjax.vehicle.protocol import State
 
@@ -29,7 +30,6 @@ WIND_EXPONENT = 2  # the state's velocity has four times the range of the networ
 TURN_BITS = 56  # one turn is 2^56 of (yaw * TURNS_PER_UNIT)
 TURNS_PER_UNIT = round(2.0**32 / (2.0 * math.pi))  # turns of a yaw in Q24 are its product in Q56
 TWO_PI = round(2.0 * math.pi * ONE)  # Q30
-LARGEST_SPAN = 1e6
 UNOBSERVED = 20  # exponent of numbers of the state that no input needs
 FARTHEST = 15  # exponent of the largest distance of a gate
 # How the C computes a field: from numbers of the state, or from the gate alone.
@@ -52,15 +52,6 @@ NOTES = {  # unit and frame of a field of the state, for the header
     "moment_ext": "external moment, N m, body",
     "force_ext": "external specific force, m/s^2, body",
 }
-
-
-@dataclasses.dataclass(frozen=True)
-class Rescale:
-    """One number of the state to one input: ``(q - middle) factor >> shift``, rounded."""
-
-    middle: int
-    factor: int  # below 2^31
-    shift: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,7 +172,7 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
     yaw = np.asarray(track.yaw, np.float64)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
     unit = ONE / 2.0**world
-    spans = {name: _spans(policy, box, name) for name in box.scaled if name in policy.layout}
+    spans = {name: spans_of(policy, box, name) for name in box.scaled if name in policy.layout}
     fields = _state_fields(box, example_state(choices, params), world, spans)
     return RaceTables(
         box=box,
@@ -237,9 +228,6 @@ def _gate_constants(box: InputBox, track: Track) -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
-Spans = list[tuple[int, Rescale | None]]  # of each number: exponent of the state's, and integers
-
-
 def _state_fields(
     box: InputBox, drone: State, world: int, spans: dict[str, Spans]
 ) -> tuple[StateField, ...]:
@@ -280,47 +268,3 @@ def _inputs(
         rescales = tuple(rescale for _, rescale in spans.get(name, ()))
         found.append(Input(name, kind, index, tuple(numbers), rescales))
     return tuple(found)
-
-
-def _spans(policy: Policy, box: InputBox, name: str) -> Spans:
-    """Exponent and integers of each number of a scaled field."""
-    field, exponent = policy.layout[name], box.exponent[name]
-    if name in DISTURBANCES:
-        return [
-            _external(field, exponent, high) for _, high in field.span or ((0, 0),) * field.size
-        ]
-    commands = zip(policy.command_low.tolist(), policy.command_high.tolist(), strict=True)
-    spans = field.span or tuple(commands)[-field.size :]
-    for low, high in spans:
-        if low == high:
-            allowed = "allowed: a width above zero"
-            raise InputError(f"the policy's layout: {name} has a span of {[low, high]}, {allowed}")
-    return [_span(low, high, exponent) for low, high in spans]
-
-
-def _span(low: float, high: float, network: int) -> tuple[int, Rescale]:
-    """[low, high] to [-1, 1]: the exponent of the state's number, and the integers."""
-    reach = max(abs(0.5 * (low + high) + s * 0.5 * (high - low) * 2.0**network) for s in (-1, 1))
-    exponent = math.ceil(math.log2(reach))
-    unit = ONE / 2.0**exponent
-    return exponent, rescale(
-        0.5 * (low + high) * unit, 2.0 / (high - low) * 2.0 ** (exponent - network)
-    )
-
-
-def _external(field: Field, network: int, half: float) -> tuple[int, Rescale | None]:
-    """A disturbance of half-width ``half``; ``None`` where the policy sees zero."""
-    if not 0 <= half < LARGEST_SPAN:
-        raise InputError(
-            f"the policy's layout: {field.name} has a span of {half:g}, allowed: 0..1e6"
-        )
-    if field.source == NONE or half == 0:
-        return 0, None
-    exponent = math.ceil(math.log2(half * 2.0**network))
-    return exponent, rescale(0.0, 2.0 ** (exponent - network) / half)
-
-
-def rescale(middle: float, factor: float) -> Rescale:
-    """Integers of ``(q - middle) factor``, the factor with 30 bits."""
-    shift = 30 - math.frexp(factor)[1]
-    return Rescale(round(middle), round(factor * 2.0**shift), shift)

@@ -455,6 +455,12 @@ def test_a_name_that_makes_two_symbols_the_same_is_refused(exported, name, symbo
         check_symbols(renamed)
 
 
+def test_a_vehicle_model_without_c_is_refused(tmp_path):
+    policy = dataclasses.replace(made_policy(8), vehicle="own")
+    with pytest.raises(InputError, match="vehicle model 'own' has no C"):
+        export_c(policy, tmp_path / "c")
+
+
 def test_a_folder_of_another_kind_is_refused(tmp_path):
     (tmp_path / "checkpoints").mkdir()
     for use in (read_folder, lambda folder: export_c(made_policy(8), folder)):
