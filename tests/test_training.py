@@ -170,7 +170,7 @@ def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch
 def test_a_run_that_needs_more_memory_than_there_is_is_refused_with_the_estimate(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(memory, "memory_bytes", lambda: 1000.0)
+    monkeypatch.setattr(memory, "memory_bytes", lambda devices: 1000.0)
     with pytest.raises(InputError, match=r"about \S+e-06 GiB .* has 9.31e-07 GiB: fewer environ"):
         training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
 

@@ -6,24 +6,25 @@ from pathlib import Path
 
 import jax
 import psutil
+from jax.sharding import Mesh
 
 from quadjax.core.errors import InputError
 
 
-def memory_bytes() -> float:
-    """Memory of a device: of one GPU, or of this machine (or container) for one of its CPUs."""
+def memory_bytes(devices: int = 1) -> float:
+    """Memory of a device: of a GPU, or the part of this machine's for each of some CPU devices."""
     stats = jax.local_devices()[0].memory_stats() or {}
     if "bytes_limit" in stats:
         return float(stats["bytes_limit"])
     limits = [float(psutil.virtual_memory().total)]
     with contextlib.suppress(OSError, ValueError):  # "max", or a system without control groups
         limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return min(limits) / jax.local_device_count()
+    return min(limits) / devices
 
 
-def check_memory(needed: float) -> None:
-    """Raise an ``InputError`` where a device has less memory than ``needed`` bytes."""
-    have = memory_bytes()
+def check_memory(needed: float, mesh: Mesh) -> None:
+    """Raise an ``InputError`` where a device of the mesh has less memory than ``needed`` bytes."""
+    have = memory_bytes(len(mesh.local_devices))
     if needed > have:
         raise InputError(
             f"training needs about {needed / 2**30:.3g} GiB of memory on each device, which has "

@@ -101,7 +101,7 @@ def compile_chunk(
         A function of the environment's parameters and the state, to the next state and the
         metrics of every update, each (updates,).
     """
-    check_memory(tree_bytes(state) / mesh.size)
+    check_memory(tree_bytes(state) / mesh.size, mesh)
     specs, shared = specs_of(state), PartitionSpec()
 
     def many(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
@@ -120,7 +120,7 @@ def compile_chunk(
     hyper, params = spread((learner.hyper, params), everywhere)
     jitted = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
     program = jitted.lower(hyper, params, state).compile()
-    check_memory(program_bytes(program))
+    check_memory(program_bytes(program), mesh)
 
     def chunk(params: object, state: TrainState) -> tuple[TrainState, Metrics]:
         return program(hyper, spread(params, everywhere), state)

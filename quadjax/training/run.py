@@ -256,7 +256,7 @@ def _compile(
     """
     learner, params, mesh = job.learner, job.params, job.mesh
     shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-    check_memory(tree_bytes(shapes) / mesh.size)
+    check_memory(tree_bytes(shapes) / mesh.size, mesh)
     pool = ThreadPoolExecutor(3)
     try:
         first = pool.submit(lambda: parallel.place(begin(), mesh))
