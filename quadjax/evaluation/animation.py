@@ -3,6 +3,7 @@
 Needs only Pillow. Frames are drawn at twice their size and halved, which smooths lines.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -118,14 +119,8 @@ class Film:
 
     def _choose_views(self) -> tuple[View, View]:
         low, high = self._lowest, self._highest
-        corners = np.array(
-            [
-                [x, y, z]
-                for x in (low[0], high[0])
-                for y in (low[1], high[1])
-                for z in (self._top, 0)
-            ]
-        )
+        ends = ((low[0], high[0]), (low[1], high[1]), (self._top, 0.0))
+        corners = np.array(list(itertools.product(*ends)))
         middle = 0.5 * (low + high) * np.array([1.0, 1.0, 0.5])
         spread = float(np.linalg.norm((high - low)[:2]))
         above, side = scene.from_above(), scene.from_the_side(middle, 1.3 * spread)
