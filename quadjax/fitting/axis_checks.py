@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 BAND = 5.0  # Hz, of the motion that is compared
 EDGE = 0.3  # s at either end of a log that the filters distort
+SHORTEST = 1.0  # s between them that show something
 GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s^2, world
 EXPLAINED = 0.5  # fraction of a column's variance that what it is taken for explains
 UNRELATED = 0.3  # correlation below which a column does not follow what it should be
@@ -36,7 +37,7 @@ class Evidence:
     shown: np.ndarray
     meanings: list[str]  # of the columns of ``shown``
     source: str  # the columns that show it
-    least: float  # standard deviation of ``shown`` that is motion and not noise
+    least: float | np.ndarray  # standard deviation of ``shown`` that is motion and not noise
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,10 @@ def compare(log: "FlightLog", candidates: list[Evidence]) -> list[str]:
 
     Results and errors as of ``check_axes``.
     """
-    verdicts = [_verdict(_moving(log, evidence)) for evidence in candidates]
+    rows = inner_rows(log)
+    if not len(rows):
+        return [repr(name) for evidence in candidates for name in evidence.columns]
+    verdicts = [_verdict(_moving(log, evidence, rows)) for evidence in candidates]
     # Columns that are wrong in one frame make more columns look wrong in the other.
     contradictions = sorted((v.contradictions for v in verdicts if v.contradictions), key=len)
     if contradictions:
@@ -81,10 +85,10 @@ def listed(names: list[str]) -> str:
 
 
 def inner_rows(log: "FlightLog") -> np.ndarray:
-    """Indices of the rows in flight, without the ends of the log."""
+    """Indices of the rows in flight, without the ends of the log; none of too short a flight."""
     edge = round(EDGE * log.sample_rate)
     rows = np.flatnonzero(log.flying[edge:-edge]) + edge
-    return rows if len(rows) else np.arange(len(log.time))
+    return rows if len(rows) > SHORTEST * log.sample_rate else rows[:0]
 
 
 def _gyro(log: "FlightLog") -> list[Evidence] | str:
@@ -153,15 +157,21 @@ def _attitude(log: "FlightLog") -> str:
     return listed(log.columns.get("quaternion") or log.columns["euler"])
 
 
-def _moving(log: "FlightLog", evidence: Evidence) -> Evidence:
-    """The evidence in flight, low-pass filtered, about its mean."""
-    rows = inner_rows(log)
+def _moving(log: "FlightLog", evidence: Evidence, rows: np.ndarray) -> Evidence:
+    """Some rows of the evidence, low-pass filtered, about its mean; noise raises ``least``."""
 
-    def passed(values: np.ndarray) -> np.ndarray:
-        smooth = low_pass(values, log.sample_rate, BAND)[rows]
+    def passed(values: np.ndarray, band: float = BAND) -> np.ndarray:
+        smooth = low_pass(values, log.sample_rate, band)[rows]
         return smooth - smooth.mean(axis=0)
 
-    return replace(evidence, measured=passed(evidence.measured), shown=passed(evidence.shown))
+    shown = passed(evidence.shown)
+    above = passed(evidence.shown, min(2.0 * BAND, 0.45 * log.sample_rate)) - shown
+    return replace(
+        evidence,
+        measured=passed(evidence.measured),
+        shown=shown,
+        least=np.maximum(evidence.least, 2.0 * above.std(axis=0)),
+    )
 
 
 def _verdict(evidence: Evidence) -> Verdict:
@@ -170,6 +180,7 @@ def _verdict(evidence: Evidence) -> Verdict:
     ratio = own[:, None] / theirs
     product = evidence.measured.T @ evidence.shown / len(evidence.shown)
     correlation = product / np.maximum(own[:, None] * theirs, 1e-24)
+    moves = theirs > evidence.least
     clauses, unchecked, hints = [], [], {}
     for i, name in enumerate(evidence.columns):
         signed = np.stack([correlation[i], -correlation[i]])
@@ -184,7 +195,7 @@ def _verdict(evidence: Evidence) -> Verdict:
         elif right < EXPLAINED and not 0.2 < ratio[i, i] < 5.0:
             clauses.append(f"column {name!r} is {ratio[i, i]:.3g} times the {evidence.meanings[i]}")
             hints[f"is logs.units.{UNIT_OF[evidence.quantity]} right?"] = None
-        elif right >= EXPLAINED and correlation[i, i] < UNRELATED and theirs[i] > evidence.least:
+        elif right >= EXPLAINED and correlation[i, i] < UNRELATED and moves[i]:
             clauses.append(f"column {name!r} does not follow the {evidence.meanings[i]}")
         elif right >= EXPLAINED:
             unchecked.append(repr(name))

@@ -11,6 +11,7 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig
 
 GRAVITY = 9.81
+LEAST_ROWS = 50  # of a log, which is filtered
 STEADY = {"time", "mode", "acceleration_bias", "rpm_command"}  # quantities that may be constant
 
 
@@ -20,11 +21,10 @@ def check_time(path: Path | str, column: str, time: np.ndarray, config: LogsConf
     def refuse(row: int, problem: str) -> InputError:
         return InputError(f"{path}: row {row}, column {column!r}: {problem}")
 
-    if len(time) < 2:
+    if len(time) < LEAST_ROWS:
         raise refuse(
             len(time) + 1,
-            f"the file ends after {len(time)} rows of data, expected at least "
-            f"{config.min_seconds:g} s of flight",
+            f"the file ends after {len(time)} rows of data, expected at least {LEAST_ROWS}",
         )
     steps = np.diff(time)
     row = int((steps <= 0.0).argmax())

@@ -42,6 +42,8 @@ def check_motors(log: "FlightLog") -> list[str]:
     Raises:
         InputError: another order of the motors, or another sign of a rate, fits better.
     """
+    if not len(inner_rows(log)):
+        return [f"the order of {listed(log.columns['rpm'])}"]
     likelihood = _likelihoods(log)  # (orders, axes, 2 signs)
     total = {
         (order, flips): sum(by_axis[axis, int(sign < 0.0)] for axis, sign in enumerate(flips))
