@@ -172,7 +172,8 @@ def test_a_run_that_needs_more_memory_than_there_is_is_refused_with_the_estimate
 ):
     monkeypatch.setattr(memory, "memory_bytes", lambda devices: 1000.0)
     with pytest.raises(InputError, match=r"about \S+e-06 GiB .* has 9.31e-07 GiB: fewer environ"):
-        training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
+        training.train(config_of("e2e_ppo.yaml"), tmp_path / "run", overwrite=True)
+    assert not (tmp_path / "run").exists()
 
 
 def test_interrupted_in_a_long_compilation_it_ends_at_once(tmp_path, monkeypatch):

@@ -116,6 +116,7 @@ class _Job:
     config: Config
     params: RaceParams
     learner: Learner
+    shapes: TrainState  # of the learner's state
     mesh: Mesh
     updates: int  # of a chunk
     chunks: int  # of the whole run
@@ -201,6 +202,8 @@ def _prepare(config: Config) -> _Job:
     learner = build_learner(config)
     mesh = parallel.make_mesh(choose_devices(config.run.devices, learner.num_shards))
     hosts.meet(mesh)
+    shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
+    check_memory(tree_bytes(shapes) / mesh.size, mesh)
     updates, chunks = plan(config, learner.steps_per_update)
     initial = initial_policy(config)
     if config.run.tensorboard:
@@ -212,7 +215,7 @@ def _prepare(config: Config) -> _Job:
         "seed": config.seed,
         "residual": config.vehicle.residual,
     }
-    return _Job(config, params, learner, mesh, updates, chunks, initial, source)
+    return _Job(config, params, learner, shapes, mesh, updates, chunks, initial, source)
 
 
 def _run(job: _Job, folder: Path, resume: bool, started: float, callbacks: _Callbacks) -> Position:
@@ -255,13 +258,11 @@ def _compile(
         KeyboardInterrupt: interrupted, and not compiled ``PATIENCE`` s later.
     """
     learner, params, mesh = job.learner, job.params, job.mesh
-    shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-    check_memory(tree_bytes(shapes) / mesh.size, mesh)
     pool = ThreadPoolExecutor(3)
     try:
         first = pool.submit(lambda: parallel.place(begin(), mesh))
         warm_up = pool.submit(lambda: score(first.result().evaluated))
-        abstract = parallel.abstract(shapes, mesh)
+        abstract = parallel.abstract(job.shapes, mesh)
         chunk = pool.submit(parallel.compile_chunk, learner, mesh, job.updates, params, abstract)
         _wait_for((chunk, warm_up), stop)
         return chunk.result(), first.result()
