@@ -210,7 +210,11 @@ def _within(config: Config, position: Sequence[float]) -> bool:
 def _check_race_start(config: Config) -> None:
     """Check that timed laps start in the air and within the bounds."""
     start, limit = config.track.start, config.rules.position_limit
+    if not config.track.closed and config.evaluate.laps != 1:
+        refuse("evaluate.laps", config.evaluate.laps, "1 with track.closed false")
     if start is None:
+        if not config.track.closed:
+            refuse("track.start", None, "{position, yaw_deg} with track.closed false")
         return
     x, y, z = start.position
     outside = limit is not None and max(abs(x), abs(y)) >= limit

@@ -28,7 +28,7 @@ from quadjax.vehicle.registry import MODELS
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 FROM_FILE = {
     "vehicle": ("file", "name", "width", "constants", "models"),
-    "track": ("file", "name", "gates", "start"),
+    "track": ("file", "name", "gates", "start", "closed"),
 }
 DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"))  # keys that name .npz files
 OTHER_TRACKS = "other_tracks"  # keys of a file that apply where the track is not the default one
@@ -201,8 +201,9 @@ def _file_values(section: str, path: Path) -> Tree:
     if section == "track":
         for key in tree:
             if key not in FROM_FILE["track"][1:]:
-                hint = close_match(key, FROM_FILE["track"][1:])
-                raise InputError(f"{path}: unknown key {key}{hint}; allowed: gates, name, start")
+                allowed = sorted(FROM_FILE["track"][1:])
+                hint = close_match(key, allowed)
+                raise InputError(f"{path}: unknown key {key}{hint}; allowed: {', '.join(allowed)}")
         return {"name": path.stem, "gates": [], **tree}
     return vehicle_values(path, tree)
 

@@ -98,6 +98,7 @@ def build_track(track: schema.Track) -> Track:
         jnp.asarray(tilt) if tilt.any() else None,
         jnp.asarray(circle) if circle.any() else None,
         None if track.start is None else _pose(track.start),
+        track.closed,
     )
 
 

@@ -156,6 +156,11 @@ class Track(Section):
         description="{position, yaw_deg} of the hover from which timed laps start; null: the last "
         "gate's center, nose towards the first gate",
     )
+    closed: bool = Field(
+        True,
+        description="whether the first gate follows the last; false: a course, which ends with the "
+        "last gate and needs a start",
+    )
 
 
 class Observation(Section):

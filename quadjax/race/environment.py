@@ -237,7 +237,10 @@ def evaluate_rules(
     )
     ended = outcome.terminated
     outcome = outcome.replace(passed=passed & ~ended, truncated=outcome.truncated & ~ended)
-    return outcome
+    if params.track.closed:
+        return outcome
+    finished = outcome.passed & (state.target == gate_count(params.track) - 1)
+    return outcome.replace(finished=finished, truncated=outcome.truncated & ~finished)
 
 
 def _extra_rule(
@@ -325,7 +328,7 @@ def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
         params: RaceParams, state: RaceState, action: jax.Array
     ) -> tuple[RaceState, jax.Array, jax.Array, jax.Array]:
         following, value, outcome = transition(choices, params, state, action)
-        return following, value, outcome.terminated, outcome.truncated
+        return following, value, outcome.over, outcome.truncated
 
     return Environment(
         reset=lambda params, key: reset(choices, params, key),

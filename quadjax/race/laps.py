@@ -110,7 +110,10 @@ def score(
     laps = race.lap_end.shape[0]
     passed = following.gates_passed - race.state.gates_passed
     lap = (following.gates_passed - 1) // gates
-    ended = (passed > 0) & (following.gates_passed % gates == 0) & ~race.over
+    complete = following.gates_passed % gates == 0
+    if outcome.finished is not None:  # a start in the middle of a course has fewer gates
+        complete, lap = outcome.finished, jnp.zeros_like(lap)
+    ended = (passed > 0) & complete & ~race.over
     # A start in the middle of the track has its lap where its gates add up to one.
     now = following.step.astype(dt.dtype) * dt
     lap_end = jnp.where(ended & (jnp.arange(laps) == lap), now, race.lap_end)

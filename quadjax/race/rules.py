@@ -67,6 +67,7 @@ class Outcome:
     non_finite: jax.Array
     truncated: jax.Array
     extra_rule: jax.Array | None = None  # ended by a user's rule; None where there is none
+    finished: jax.Array | None = None  # passed the last gate of a course; None on a closed track
 
     @property
     def terminated(self) -> jax.Array:
@@ -75,6 +76,11 @@ class Outcome:
             self.gate_collision | self.ground | self.out_of_bounds | self.attitude | self.non_finite
         )
         return ended if self.extra_rule is None else ended | self.extra_rule
+
+    @property
+    def over(self) -> jax.Array:
+        """Whether the episode ended by a collision or at the end of a course."""
+        return self.terminated if self.finished is None else self.terminated | self.finished
 
 
 def inside_square(relative: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:

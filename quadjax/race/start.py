@@ -1,5 +1,7 @@
 """Starts of episodes: states, disturbances and constants."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -61,12 +63,16 @@ def _pose(
     """Position, velocity, Euler angles and body rates around the gate before the target."""
     count = gate_count(track)
     before = gate(track, (target + count - 1) % count)
+    position = before.position
+    if not track.closed and track.start is not None:
+        first = functools.partial(jnp.where, target == 0)
+        position = jax.tree.map(first, track.start.position, position)
     angle = Vec3(span.roll_pitch, span.roll_pitch, span.yaw)
     euler = Vec3.of(drawn[6:9]) * angle
     if span.heading is not None:
         euler = euler.replace(z=wrap_angle(euler.z + pick(span.heading, target)))
     return (
-        before.position + Vec3.of(drawn[0:3]) * span.position,
+        position + Vec3.of(drawn[0:3]) * span.position,
         Vec3.of(drawn[3:6]) * span.velocity,
         euler,
         Vec3.of(drawn[9:12]) * span.rates,

@@ -9,6 +9,8 @@ from flax import struct
 from quadjax.core.frames import Attitude, attitude, world_to_body, wrap_angle
 from quadjax.core.vectors import Vec3
 
+AHEAD = 5.0  # m, from the last gate of a course to the gate that is observed after it
+
 
 @struct.dataclass
 class Pose:
@@ -33,6 +35,8 @@ class Track:
     opening: Attitude | None = None  # of (gates,): roll, pitch and yaw; None: all upright
     circle: jax.Array | None = None  # (gates,) bool, round openings; None: all rectangles
     start: Pose | None = None  # of timed laps; None: at the last gate
+    # Whether the first gate follows the last; else the race ends with the last gate.
+    closed: bool = struct.field(pytree_node=False, default=True)
 
 
 @struct.dataclass
@@ -58,6 +62,7 @@ def make_track(
     tilt: jax.Array | None = None,
     circle: jax.Array | None = None,
     start: Pose | None = None,
+    closed: bool = True,
 ) -> Track:
     """A track of gates in flying order.
 
@@ -68,11 +73,17 @@ def make_track(
         tilt: (gates, 2) roll and pitch of the gates, rad; None: all upright.
         circle: (gates,) whether the opening is round; None: all are rectangles.
         start: of timed laps; None: at the last gate.
+        closed: whether the first gate follows the last. Where it does not, the observed gate after
+            the last one is straight ahead, ``AHEAD`` m, in the same direction.
     """
     opening = None if tilt is None else attitude(Vec3(tilt[:, 0], tilt[:, 1], yaw))
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
     to_next = Vec3.of(jnp.roll(position, -1, axis=0) - position)
     next_yaw = jnp.roll(yaw, -1) - yaw
+    if not closed:
+        ahead = AHEAD * jnp.stack([cosine[-1], sine[-1], jnp.zeros_like(sine[-1])])
+        to_next = Vec3(*(x.at[-1].set(own) for x, own in zip(to_next, ahead, strict=True)))
+        next_yaw = next_yaw.at[-1].set(0.0)
     return Track(
         position=Vec3.of(position),
         yaw=yaw,
@@ -89,6 +100,7 @@ def make_track(
         opening=opening,
         circle=circle,
         start=start,
+        closed=closed,
     )
 
 
@@ -119,7 +131,7 @@ def gate_at(track: Track, index: int) -> Gate:
 
 
 def _gate(track: Track, of: Callable[[jax.Array], jax.Array]) -> Gate:
-    names = (name for name in vars(track) if name != "start")
+    names = (name for name in vars(track) if name not in ("start", "closed"))
     return Gate(**{name: jax.tree.map(of, getattr(track, name)) for name in names})
 
 

@@ -12,13 +12,15 @@ from quadjax.config.race import build_params, build_track, choices_of
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.race import rules
-from quadjax.race.environment import exact_rules, hover_start
+from quadjax.race.environment import exact_rules, hover_start, make_environment
+from quadjax.race.laps import begin, score
 from quadjax.race.track import gate, make_track, to_opening_frame
 from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
 from tests.convert import rows_of, vec3
 from tests.race.support import (
     HOVER,
+    compiled_reset,
     compiled_transition,
     level,
     make_config,
@@ -397,6 +399,7 @@ def test_one_compilation_serves_every_set_of_numbers(race):
     assert compiled._cache_size() == after and after - before <= 1
 
 
+COURSE = ("track.closed=false", "track.start={position: [-3, -1.5, -1.5]}", "evaluate.laps=1")
 TILTS = np.radians([[30.0, 0.0], [0.0, -90.0], [-20.0, 70.0]])  # roll, pitch
 
 
@@ -489,6 +492,8 @@ def test_start_of_timed_laps():
             "track.start.position is [0.0, 0.0, 0.0]",
         ),
         (("rules.bounds=[[-1, 4], [-2, 2], [-5, 0]]",), "within rules.bounds"),
+        (("track.closed=false", "evaluate.laps=1"), "track.start is None, allowed"),
+        (COURSE[:2], "evaluate.laps is 6, allowed: 1 with track.closed false"),
         (("rules.gate_depth=0.2",), "rules.gate_depth is 0.2, allowed: 0.1 without rules.gate_fr"),
     ],
 )
@@ -496,3 +501,37 @@ def test_impossible_rules_of_a_track(overrides, message):
     with pytest.raises(InputError) as error:
         make_config(*overrides)
     assert message in str(error.value)
+
+
+def test_a_course_ends_with_its_last_gate():
+    race = make_race(*COURSE)
+    rows = np.concatenate([level([through(index, -0.01)], 5.0 * normal(index)) for index in (2, 3)])
+    following, value, outcome = step(race, rows, target=[2, 3])
+    np.testing.assert_array_equal(outcome.passed, [True, True])
+    np.testing.assert_array_equal(outcome.finished, [False, True])
+    np.testing.assert_array_equal(outcome.terminated, [False, False])
+    assert np.all(value > 0)
+    ahead = gate(race[1].track, jnp.int32(3))
+    np.testing.assert_allclose(ahead.next_position.array(), [5, 0, 0], atol=1e-6)
+    assert float(ahead.next_yaw) == 0
+    state = jax.tree.map(lambda x: x[1], race_state("motor", rows, [2, 3]))
+    _, _, ended, truncated = make_environment(race[0]).step(race[1], state, jnp.zeros(4))
+    assert bool(ended) and not bool(truncated)
+    scored = score(
+        begin(race_state("motor", rows, [2, 3]), 1).replace(lap_end=jnp.zeros((1, 2))),
+        following,
+        outcome,
+        jnp.float32(0.01),
+        4,
+    )
+    np.testing.assert_allclose(scored.lap_end, [[0.0, 0.01]])
+    np.testing.assert_array_equal(scored.over, [False, True])
+
+
+def test_starts_of_a_course():
+    choices, params = make_race(*COURSE, "start.gate=random")
+    states = compiled_reset(choices)(params, jax.random.split(jax.random.key(0), 200))
+    position = states.drone.position.array()
+    for target, center in enumerate([[-3, -1.5, -1.5], *ref.GATES[:3]]):
+        near = np.asarray(position)[np.asarray(states.target) == target] - center
+        assert len(near) > 20 and np.abs(near).max() <= 0.5 + 1e-6
