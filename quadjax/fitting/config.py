@@ -144,7 +144,7 @@ class ResidualConfig(Section):
         0.01, ge=0.0, le=1.0, description="least relative gain on held-out data"
     )
     max_harm: NonNegative = Field(
-        0.1, description="largest relative increase of the error of any held-out flight"
+        0.1, description="largest relative increase of any held-out flight's error"
     )
     distill_epochs: int = Field(120, ge=1, le=10**5, description="of the exported network")
     margin: float = Field(

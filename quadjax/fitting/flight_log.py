@@ -22,6 +22,7 @@ from quadjax.fitting.motor_checks import check_commands, check_motors
 
 Quantities = dict[str, np.ndarray]
 MAX_BYTES = 2**30  # of one log: hours of flight
+WORLD = ("world_velocity", "position")  # quantities in world axes
 FLIP = np.array([1.0, -1.0, -1.0])  # FLU <-> FRD
 HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # the same as a rotation
 ENU_TO_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -129,6 +130,9 @@ def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) ->
         check_angles(path, wanted["euler"], quantities["euler"])
     quantities = _to_standard_frames(path, quantities, config)
     check_units(path, wanted, quantities)
+    if config.world_frame == "ENU":  # the names in the order of north, east, down
+        ordered = {quantity: wanted[quantity] for quantity in WORLD if quantity in wanted}
+        wanted |= {quantity: [names[i] for i in (1, 0, 2)] for quantity, names in ordered.items()}
     log = _assemble(path, quantities, wanted)
     return replace(log, unchecked=(*check_axes(log), *check_motors(log), *check_commands(log)))
 
@@ -258,7 +262,7 @@ def _to_standard_frames(path: Path | str, given: Quantities, config: LogsConfig)
         rotation = rotation * HALF_TURN
     if config.world_frame == "ENU":
         rotation = ENU_TO_NED * rotation
-        for name in ("world_velocity", "position"):
+        for name in WORLD:
             if name in result:
                 result[name] = ENU_TO_NED.apply(result[name])
     attitude = rotation.as_quat()  # scalar last

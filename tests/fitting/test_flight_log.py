@@ -4,7 +4,7 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.fitting import flight_log
 from quadjax.fitting.config import LogsConfig, UnitsConfig
-from quadjax.fitting.flight_log import read_log, read_logs, write_log
+from quadjax.fitting.flight_log import log_of_columns, read_log, read_logs, write_log
 from quadjax.fitting.simulate import simulate_flight
 from quadjax.vehicle.protocol import VehicleParams
 
@@ -91,6 +91,8 @@ def test_own_columns_units_and_frames(tmp_path, columns):
     write_log(path, other)
     log = read_log(path, config)
     assert not log.unchecked
+    with pytest.raises(InputError, match="column 'north' is minus the velocity north that 'to_n"):
+        log_of_columns(other | {"north": -other["north"]}, config, "flight")
     for name in ("rpm", "rates", "specific_force", "body_velocity", "position"):
         np.testing.assert_allclose(
             getattr(log, name), getattr(expected, name), rtol=1e-5, atol=1e-5
