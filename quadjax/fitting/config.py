@@ -49,7 +49,7 @@ class LogsConfig(Section):
     body_frame: Literal["FRD", "FLU"] = Field("FRD", description="axes of body-frame columns")
     world_frame: Literal["NED", "ENU"] = Field("NED", description="axes of world-frame columns")
     max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
-    min_seconds: float = Field(2.0, ge=0.5, description="s, shortest allowed flight")
+    min_seconds: float = Field(2.0, ge=0.5, le=3600, description="s, shortest allowed flight")
 
     @model_validator(mode="after")
     def _widths(self) -> Self:
