@@ -10,7 +10,7 @@ from quadjax.core.yaml_files import close_match, short
 from quadjax.vehicle.registry import model as vehicle_model
 
 MAX_THRUST, GRAVITY = 1000.0, 9.81  # times the weight; m/s^2
-RANDOMIZED = ("all", "constants")  # keys of randomization that are no group
+RANDOMIZED = ("all", "constants", "population")  # keys of randomization that are no group
 GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
 
 
@@ -85,7 +85,10 @@ def _check_constants(config: Config) -> None:
     model, constants = vehicle_model(vehicle.model), vehicle.constants
     for name in config.randomization.constants:
         _check_name(f"randomization.constants.{name}", name, model.constant_names)
-    spread = config.randomization.by_constant(model)
+    spread, population = config.randomization.by_constant(model), config.randomization.population
+    if population is not None and (population not in model.populations or any(spread.values())):
+        allowed = " or ".join(["null", *model.populations])
+        refuse("randomization.population", population, f"{allowed}, without fractions")
     for name in model.positive:
         if constants[name] <= 0:
             refuse(f"vehicle.constants.{name}", constants[name], "a positive number")

@@ -51,6 +51,7 @@ def choices_of(config: Config) -> Choices:
         stagger_clocks=start.stagger_clocks,
         randomize=any(dict(config.randomization).values())
         or any(key.startswith("randomization.") for key in config.schedules),
+        population=config.randomization.population,
         mismatch=bool(config.vehicle.mismatch),
         terms=_own("reward.terms", config.reward.terms),
         rules=_own("rules.extra", config.rules.extra),

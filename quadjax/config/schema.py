@@ -341,6 +341,12 @@ class Randomization(Section):
         description="single constants, in place of their group's fraction: {w_max: 0.15}",
     )
 
+    population: str | None = Field(
+        None,
+        description="population of the model that all constants are drawn from, in place of "
+        "fractions: all_racing_drones (model racing; arXiv 2504.21586)",
+    )
+
     def by_constant(self, model: "VehicleModel") -> dict[str, float]:
         """The fraction of each constant of a vehicle model."""
         found = dict.fromkeys(model.constant_names, 0.0)
