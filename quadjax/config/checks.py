@@ -221,8 +221,10 @@ def _check_race_start(config: Config) -> None:
         return
     x, y, z = start.position
     outside = limit is not None and max(abs(x), abs(y)) >= limit
-    if z >= 0 or outside or not _within(config, start.position):
-        refuse("track.start.position", start.position, "above ground and within the rules' limits")
+    beneath = z >= 0 if config.rules.ground_speed is None else z > 0
+    if beneath or outside or not _within(config, (x, y, min(z, -1e-6))):
+        allowed = "above ground (on it with rules.ground_speed) and within the rules' limits"
+        refuse("track.start.position", start.position, allowed)
 
 
 def _check_start(config: Config) -> None:
@@ -307,6 +309,8 @@ def _check_used(config: Config) -> None:
             unused[f"randomization.{group}"] = with_model
     if not model.uses_start_thrust:
         unused["start.thrust"] = with_model
+    if config.rules.ground_speed is None:
+        unused["rules.ground_height"] = "without rules.ground_speed"
     if config.rules.gate_frame == 0:
         unused["rules.gate_depth"] = "without rules.gate_frame"
     if config.reward.gate_edge == 0 and "reward.gate_edge" not in config.schedules:

@@ -231,7 +231,7 @@ def evaluate_rules(
     outcome = rules.Outcome(
         passed=passed,
         gate_collision=hit,
-        ground=position.z > 0,
+        ground=rules.hits_ground(position, model.velocity(after), limits.landing),
         out_of_bounds=outside | (fastest > limits.body_rate),
         attitude=(jnp.abs(euler.y) > limits.pitch)
         | (jnp.abs(euler.x) > limits.roll)
