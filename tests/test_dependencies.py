@@ -17,6 +17,7 @@ ALLOWED = {
     "evaluation": CONFIG | {"config", "policy", "training"},
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle"},
+    "limits": {"core", "vehicle", "race"},
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation"},

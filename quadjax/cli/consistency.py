@@ -47,10 +47,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     race, results = load_config(options.race), {}
     with Console(stderr=True).status("compiling") as status:
         for policy in map(Path, options.policy or [PRETRAINED / name for name in POLICIES]):
-
-            def report(seconds: float, name: str = policy.name) -> None:
-                status.update(f"{name}: {seconds:.0f} s simulated")
-
             results[policy.name] = evaluate_filter(
                 race,
                 plant,
@@ -58,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 options.runs,
                 options.seconds,
                 options.seed,
-                report,
+                lambda seconds, n=policy.name: status.update(f"{n}: {seconds:.0f} s simulated"),
             )
             print(table(policy.name, results[policy.name]) + "\n")
     if options.json:

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import sys
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -61,8 +60,6 @@ def run_command(main: Callable[[], int | None]) -> int:
     Bad input and system errors (disk full, no permission, no memory) are printed as one line on
     stderr. Every other exception is a fault of the program and is raised.
     """
-    # JAX compiles where its cache cannot be read or written, which needs no message.
-    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
     try:
         status = main()
         if sys.stdout is not None:  # it is closed where the caller has closed it

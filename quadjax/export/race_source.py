@@ -78,8 +78,7 @@ def find_config(
     else:
         found, origin = _default(policy), DEFAULT
     if track is not None:
-        overrides = [f"track={track}", "rules.position_limit=null"]
-        found = found.replace(track=load_config(DEFAULT_CONFIG, overrides).track)
+        found = found.replace(track=load_config(DEFAULT_CONFIG, [f"track={track}"]).track)
         origin = f"{origin}, track {track}"
     return found, origin
 

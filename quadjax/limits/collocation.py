@@ -1,0 +1,273 @@
+"""Direct collocation of a time-optimal flight: Hermite-Simpson, solved by IPOPT.
+
+Each leg, from one gate to the next, has its own duration and a number of equal intervals. States
+and commands at the nodes are the variables; commands are linear within an interval. The equations
+of motion hold at the ends and the middle of each interval.
+"""
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from quadjax.core.vectors import Vec3
+from quadjax.limits.extra import OPERATIONS, casadi
+from quadjax.limits.ipopt import Program, minimize
+from quadjax.limits.jaxpr import translate
+from quadjax.limits.problem import Problem, leaves
+
+SMOOTHNESS = 1e-5  # s, weight of the squared command differences, relative to the command range
+SLOWEST_PASSAGE = 0.2  # m/s, smallest speed through a gate
+LEG_SECONDS = (0.02, 60.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectory:
+    """States and commands at the nodes of a mesh."""
+
+    leg_times: np.ndarray  # (legs,) s
+    states: np.ndarray  # (nodes, state leaves)
+    commands: np.ndarray  # (nodes, commands)
+
+    @property
+    def intervals(self) -> int:
+        """Intervals of a leg."""
+        return (len(self.states) - 1) // len(self.leg_times)
+
+    @property
+    def total(self) -> float:
+        """Duration, s."""
+        return float(self.leg_times.sum())
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times of the nodes (nodes,), s."""
+        steps = np.repeat(self.leg_times / self.intervals, self.intervals)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    def resample(self, intervals: int) -> "Trajectory":
+        """The trajectory on another mesh, interpolated linearly."""
+        old = np.linspace(0, len(self.leg_times), len(self.states))
+        new = np.linspace(0, len(self.leg_times), len(self.leg_times) * intervals + 1)
+        columns = (
+            np.stack([np.interp(new, old, column) for column in table.T], axis=1)
+            for table in (self.states, self.commands)
+        )
+        return Trajectory(self.leg_times, *columns)
+
+
+@dataclasses.dataclass(frozen=True)
+class Solution:
+    """The result of one solve."""
+
+    trajectory: Trajectory
+    converged: bool
+    status: str  # IPOPT's
+    seconds: float
+
+
+class Dynamics:
+    """The vehicle's equations as CasADi functions of its state leaves and commands."""
+
+    def __init__(self, problem: Problem) -> None:
+        """Translate the model's ``derivative`` and what the rules read of a state."""
+        model, low = problem.model, problem.command_range[0]
+        self.state_count, self.command_count = len(leaves(problem.hover_state)), len(low)
+        x = [casadi.SX.sym(f"x{index}") for index in range(self.state_count)]
+        u = [casadi.SX.sym(f"u{index}") for index in range(self.command_count)]
+        slope = translate(
+            lambda state, command: model.derivative(
+                problem.vehicle, model.hold(state, command), command
+            ),
+            OPERATIONS,
+            problem.hover_state,
+            problem.command(low),
+        )(*x, *u)
+        seen = translate(_seen(model), OPERATIONS, problem.hover_state)(*x)
+        state, command = casadi.vertcat(*x), casadi.vertcat(*u)
+        self.slope = casadi.Function("slope", [state, command], [casadi.vertcat(*slope)])
+        self.seen = casadi.Function("seen", [state], [casadi.vertcat(*seen)])
+        self.constant = np.array([casadi.SX(each).is_zero() for each in slope])
+
+    def interval(self, scale: np.ndarray, command_scale: np.ndarray) -> Any:
+        """The defect of Hermite-Simpson collocation, of scaled states and commands."""
+        count = self.state_count
+        x0, x1 = casadi.SX.sym("x0", count), casadi.SX.sym("x1", count)
+        u0, u1 = (casadi.SX.sym(name, self.command_count) for name in ("u0", "u1"))
+        step = casadi.SX.sym("step")
+        slope0, slope1 = (
+            self.slope(x * scale, u * command_scale) / scale for x, u in ((x0, u0), (x1, u1))
+        )
+        middle = 0.5 * (x0 + x1) + step / 8.0 * (slope0 - slope1)
+        slope = self.slope(middle * scale, 0.5 * (u0 + u1) * command_scale) / scale
+        defect = x1 - x0 - step / 6.0 * (slope0 + 4.0 * slope + slope1)
+        moving = [index for index in range(count) if not self.constant[index]]
+        return casadi.Function("interval", [x0, u0, x1, u1, step], [defect[moving]])
+
+
+def _seen(model: Any) -> Callable[[Any], tuple]:
+    def seen(state: Any) -> tuple:
+        position, velocity, rates = model.position(state), model.velocity(state), model.rates(state)
+        return (*_xyz(position), *_xyz(velocity), *_xyz(rates), model.euler(state).y)
+
+    return seen
+
+
+def _xyz(vector: Vec3) -> tuple:
+    return vector.components()
+
+
+def solve(
+    problem: Problem,
+    dynamics: Dynamics,
+    guess: Trajectory,
+    *,
+    margin: float = 0.0,
+    seconds: float = 300.0,
+    stop: threading.Event | None = None,
+    report: Callable[[float], object] = lambda value: None,
+    max_iterations: int = 1000,
+) -> Solution:
+    """Solve the nonlinear program on the mesh of a first guess.
+
+    Args:
+        problem: the flight.
+        dynamics: of the problem.
+        guess: where to start, with a whole number of intervals a leg.
+        margin: m, further distance from the edges of the openings, the bounds and the ground.
+        seconds: time limit.
+        stop: if set, the solver returns the current iterate.
+        report: called at each iteration with the objective.
+        max_iterations: of IPOPT.
+    """
+    began = time.monotonic()
+    legs, nodes = len(guess.leg_times), len(guess.states)
+    low, high = problem.command_range
+    scale = np.maximum(np.abs(guess.states).max(axis=0), 1.0)
+    command_scale = np.maximum(np.abs(low), np.abs(high))
+    x = casadi.MX.sym("x", dynamics.state_count, nodes)
+    u = casadi.MX.sym("u", dynamics.command_count, nodes)
+    durations = casadi.MX.sym("t", legs)
+
+    program = Program()
+    step = casadi.reshape(casadi.repmat(durations.T / guess.intervals, guess.intervals, 1), 1, -1)
+    interval = dynamics.interval(scale, command_scale).map(nodes - 1)
+    program.add(interval(x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], step), 0.0, 0.0)
+    _add_rules(program, problem, dynamics, x * scale, guess.intervals, margin)
+    if problem.start == "periodic":
+        _add_period(program, problem, dynamics, x, u, guess, scale)
+    span = np.where(high > low, high - low, 1.0)
+    smooth = casadi.sumsqr((u[:, 1:] - u[:, :-1]) * (command_scale / span))
+    lowest, highest = _state_bounds(problem, dynamics, scale, nodes)
+    values, converged, status = minimize(
+        program,
+        casadi.vertcat(durations, casadi.vec(x), casadi.vec(u)),
+        casadi.sum1(durations) + SMOOTHNESS * smooth,
+        tuple(
+            np.concatenate(
+                [np.full(legs, leg), states.ravel(), np.tile(end / command_scale, nodes)]
+            )
+            for leg, states, end in zip(LEG_SECONDS, (lowest, highest), (low, high), strict=True)
+        ),
+        np.concatenate(
+            [
+                guess.leg_times,
+                (guess.states / scale).ravel(),
+                (guess.commands / command_scale).ravel(),
+            ]
+        ),
+        seconds=seconds,
+        max_iterations=max_iterations,
+        stop=stop or threading.Event(),
+        report=report,
+    )
+    states, commands = np.split(values[legs:], [dynamics.state_count * nodes])
+    commands = np.clip(commands.reshape(nodes, -1) * command_scale, low, high)
+    trajectory = Trajectory(values[:legs], states.reshape(nodes, -1) * scale, commands)
+    return Solution(trajectory, converged, status, time.monotonic() - began)
+
+
+def _state_bounds(
+    problem: Problem, dynamics: Dynamics, scale: np.ndarray, nodes: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds (nodes, leaves) of the scaled states: fixed constants and the start."""
+    low = np.full((nodes, dynamics.state_count), -np.inf)
+    high = -low
+    start = leaves(problem.hover_state)
+    low[:, dynamics.constant] = high[:, dynamics.constant] = (start / scale)[dynamics.constant]
+    if problem.start == "hover":
+        low[0] = high[0] = start / scale
+    return low, high
+
+
+def _add_rules(
+    program: Program, problem: Problem, dynamics: Dynamics, x: Any, count: int, margin: float
+) -> None:
+    """Gates at the ends of the legs; bounds, ground, rates and speed at all nodes."""
+    nodes = x.shape[1]
+    seen = dynamics.seen.map(nodes)(x)
+    position, velocity, rates, pitch = seen[:3, :], seen[3:6, :], seen[6:9, :], seen[9, :]
+    for axis, (low, high) in enumerate(problem.bounds.T):
+        program.add(position[axis, 1:], low + margin, high - margin)
+    if np.isfinite(problem.rate_limit):
+        program.add(rates[:, 1:], -problem.rate_limit, problem.rate_limit)
+    if np.isfinite(problem.pitch_limit):
+        program.add(pitch[:, 1:], -problem.pitch_limit, problem.pitch_limit)
+    program.add(casadi.sum1(velocity[:, 1:] ** 2), 0.0, problem.speed_limit**2)
+    gates = problem.gates
+    for leg, gate in enumerate(problem.order):
+        node = (leg + 1) * count
+        offset = position[:, node] - gates.position[gate]
+        through, right = gates.through[gate], gates.right[gate]
+        program.add(casadi.dot(through, offset), margin, margin)  # just beyond the plane
+        program.add(casadi.dot(through, velocity[:, node]), SLOWEST_PASSAGE, np.inf)
+        half = np.zeros(2)
+        if problem.clearance is not None:
+            half = np.maximum(gates.half_size[gate] - problem.clearance - margin, 0.0)
+        program.add(offset[2], -half[1], half[1])
+        if gates.world_box and problem.clearance is not None:
+            program.add(offset[:2], -half[0], half[0])
+        else:
+            program.add(casadi.dot(right, offset), -half[0], half[0])
+
+
+def _add_period(
+    program: Program,
+    problem: Problem,
+    dynamics: Dynamics,
+    x: Any,
+    u: Any,
+    guess: Trajectory,
+    scale: np.ndarray,
+) -> None:
+    """The end is the start, with whole turns of angles and either sign of a quaternion."""
+    factor, offset, kept = period(problem, guess)
+    kept &= ~dynamics.constant
+    rows = [index for index in range(dynamics.state_count) if kept[index]]
+    program.add((x[:, -1] - factor * x[:, 0] - offset / scale)[rows], 0.0, 0.0)
+    program.add(u[:, -1] - u[:, 0], 0.0, 0.0)
+    quaternion = [index for index in range(dynamics.state_count) if problem.normalized[index]]
+    if quaternion:
+        program.add(casadi.sumsqr((x[:, 0] * scale)[quaternion]), 1.0, 1.0)
+
+
+def period(problem: Problem, guess: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How the last state of a periodic flight follows from its first.
+
+    Returns:
+        Factor, offset and mask, each (leaves,): ``last = factor * first + offset``, where the mask
+        is true. Of a quaternion, the largest component is left out: the norm determines it.
+    """
+    first, last = guess.states[0], guess.states[-1]
+    angle, quaternion = problem.angles, problem.normalized
+    turns = np.where(angle, 2.0 * np.pi * np.round((last - first) / (2.0 * np.pi)), 0.0)
+    same = first[quaternion] @ last[quaternion] >= 0.0
+    factor = np.where(quaternion & ~np.bool_(same), -1.0, 1.0)
+    kept = np.ones(len(first), bool)
+    if quaternion.any():
+        indices = np.flatnonzero(quaternion)
+        kept[indices[np.argmax(np.abs(first[quaternion]))]] = False
+    return factor, turns, kept

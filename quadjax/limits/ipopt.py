@@ -1,0 +1,117 @@
+"""What a nonlinear program for IPOPT is made of."""
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from quadjax.limits.extra import casadi
+
+
+class Monitor(casadi.Callback):
+    """Stops IPOPT on request, and reports its iterations."""
+
+    def __init__(
+        self, sizes: tuple[int, int], stop: threading.Event, report: Callable[[float], object]
+    ) -> None:
+        casadi.Callback.__init__(self)
+        self.sizes, self.stop, self.report = sizes, stop, report
+        self.construct("monitor", {})
+
+    def get_n_in(self) -> int:
+        """The number of arguments of ``eval``."""
+        return casadi.nlpsol_n_out()
+
+    def get_n_out(self) -> int:
+        """The number of its results."""
+        return 1
+
+    def get_name_in(self, index: int) -> str:
+        """The name of an argument."""
+        return casadi.nlpsol_out(index)
+
+    def get_sparsity_in(self, index: int) -> Any:
+        """The shape of an argument."""
+        variables, constraints = self.sizes
+        size = {"f": 1, "x": variables, "lam_x": variables, "g": constraints}
+        name = casadi.nlpsol_out(index)
+        size["lam_g"] = constraints
+        return casadi.Sparsity.dense(size[name], 1) if name in size else casadi.Sparsity(0, 0)
+
+    def eval(self, arguments: list[Any]) -> list[int]:
+        """Report the objective; 1 stops the solver."""
+        self.report(float(arguments[1]))
+        return [1 if self.stop.is_set() else 0]
+
+
+class Program:
+    """The variables, constraints and bounds of one nonlinear program."""
+
+    def __init__(self) -> None:
+        self.constraints: list[Any] = []
+        self.low: list[np.ndarray] = []
+        self.high: list[np.ndarray] = []
+
+    def add(self, expression: Any, low: Any, high: Any) -> None:
+        """Add ``low <= expression <= high``; columns of a matrix one after the other."""
+        size = expression.numel()
+        self.constraints.append(casadi.vec(expression))
+        self.low.append(np.broadcast_to(np.asarray(low, float), (size,)))
+        self.high.append(np.broadcast_to(np.asarray(high, float), (size,)))
+
+
+def minimize(
+    program: Program,
+    variables: Any,
+    objective: Any,
+    bounds: tuple[np.ndarray, np.ndarray],
+    first: np.ndarray,
+    *,
+    seconds: float,
+    max_iterations: int,
+    stop: threading.Event,
+    report: Callable[[float], object],
+) -> tuple[np.ndarray, bool, str]:
+    """Solve a program by IPOPT.
+
+    Args:
+        program: its constraints.
+        variables: (n, 1) symbols.
+        objective: to be minimized.
+        bounds: lowest and highest variables, (n,) each.
+        first: (n,) where to start.
+        seconds: time limit.
+        max_iterations: of IPOPT.
+        stop: if set, the current iterate is returned.
+        report: called at each iteration with the objective.
+
+    Returns:
+        The variables (n,), whether IPOPT converged, and its status.
+    """
+    constraints = casadi.vertcat(*program.constraints)
+    monitor = Monitor((variables.numel(), constraints.numel()), stop, report)
+    options = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": 1e-6,
+        "acceptable_tol": 1e-5,
+        "max_iter": max_iterations,
+        "max_wall_time": max(0.1, seconds),
+        "mu_init": 1e-2,
+    }
+    solver = casadi.nlpsol(
+        "flight",
+        "ipopt",
+        {"x": variables, "f": objective, "g": constraints},
+        {"print_time": False, "iteration_callback": monitor, "ipopt": options},
+    )
+    result = solver(
+        x0=first,
+        lbx=bounds[0],
+        ubx=bounds[1],
+        lbg=np.concatenate(program.low),
+        ubg=np.concatenate(program.high),
+    )
+    stats = solver.stats()
+    return np.array(result["x"]).ravel(), bool(stats["success"]), str(stats["return_status"])

@@ -1,0 +1,70 @@
+"""Results as JSON and as arrays."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pydantic
+
+from quadjax.core.provenance import provenance
+from quadjax.limits.bound import LowerBound
+from quadjax.limits.compare import Comparison
+from quadjax.limits.guess import positions, velocities
+from quadjax.limits.problem import Problem
+from quadjax.limits.solve import BestKnown
+
+
+def to_json(
+    config: pydantic.BaseModel,
+    problem: Problem,
+    best: BestKnown,
+    bound: LowerBound | str,
+    flown: Comparison | None,
+    policy: str | None,
+) -> dict[str, Any]:
+    """The result with what it was computed for."""
+    check, proven = best.check, isinstance(bound, LowerBound)
+    return {
+        "best_known": best.total,
+        "lower_bound": bound.time if isinstance(bound, LowerBound) else None,
+        "lower_bound_below_speed": bound.mass.speed if isinstance(bound, LowerBound) else None,
+        "lower_bound_error": None if proven else bound,
+        "leg_times": check.leg_times.tolist(),
+        "top_speed": check.top_speed,
+        "clearance": check.clearance,
+        "closure": check.closure,
+        "mesh_change": best.mesh_change if np.isfinite(best.mesh_change) else None,
+        "intervals": best.trajectory.intervals,
+        "guess": best.guess,
+        "attempts": [dataclasses.asdict(each) for each in best.attempts],
+        "notes": list(best.notes),
+        "seconds": best.seconds,
+        "laps": problem.laps,
+        "start": problem.start,
+        "required_clearance": problem.clearance,
+        "speed_limit": problem.speed_limit,
+        "policy": flown
+        and {
+            "leg_times": flown.flown.tolist(),
+            "gap": flown.gap,
+            "lost_per_meter": flown.lost_per_meter.tolist(),
+        },
+        "provenance": provenance(config, policy),
+    }
+
+
+def arrays(problem: Problem, best: BestKnown) -> dict[str, np.ndarray]:
+    """Times, states and commands at the nodes of the mesh.
+
+    ``time`` (n,) s; ``position``, ``velocity`` (n, 3) m, m/s, world NED; ``state`` (n, k), the
+    leaves of the model's state in order; ``command`` (n, commands); ``leg_times`` (legs,) s.
+    """
+    trajectory = best.trajectory
+    return {
+        "time": trajectory.times,
+        "position": positions(problem, trajectory.states),
+        "velocity": velocities(problem, trajectory.states),
+        "state": trajectory.states,
+        "command": trajectory.commands,
+        "leg_times": trajectory.leg_times,
+    }

@@ -1,0 +1,175 @@
+"""The best of several solves: mesh refinement, verification, time limit."""
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.limits.collocation import Dynamics, Trajectory, solve
+from quadjax.limits.problem import Problem
+from quadjax.limits.verify import Check, verify
+
+INTERVALS = 20  # of a leg, on the first mesh
+FINEST, NODES = 80, 640  # intervals of a leg, and of all legs, at most
+SAME = 1e-3  # relative change of the time below which the mesh is fine enough
+MARGIN = 1e-4  # m, first distance from the edges; more where the flown path drifts
+WIDENINGS = 4
+MISSED = 0.05  # m, by which a flown path may miss before the margin is widened
+
+
+@dataclasses.dataclass(frozen=True)
+class Attempt:
+    """What became of one first guess."""
+
+    guess: str
+    time: float | None  # s, None where the solver did not converge
+    status: str
+
+
+@dataclasses.dataclass(frozen=True)
+class BestKnown:
+    """A verified flight: an upper bound of the shortest time, not proven to be the shortest.
+
+    Attributes:
+        trajectory: states and commands at the nodes.
+        check: the flight by the commands.
+        guess: where the solver started.
+        margin: m, kept from the edges of the openings and the bounds.
+        mesh_change: relative change of the time between the last two meshes.
+        attempts: one for each first guess.
+        seconds: wall time.
+        notes: what to know about the result, one sentence each.
+    """
+
+    trajectory: Trajectory
+    check: Check
+    guess: str
+    margin: float
+    mesh_change: float
+    attempts: tuple[Attempt, ...]
+    seconds: float
+    notes: tuple[str, ...]
+
+    @property
+    def total(self) -> float:
+        """Time of the verified flight, s."""
+        return self.check.total
+
+
+class Search:
+    """Solves from first guesses, one after the other; keeps the best that is verified."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        seconds: float = 300.0,
+        stop: threading.Event | None = None,
+        report: Callable[[str], object] = lambda text: None,
+    ) -> None:
+        """Prepare a search.
+
+        Args:
+            problem: the flight.
+            seconds: time limit of the search.
+            stop: if set, the search ends with the best so far.
+            report: called with one line on the progress.
+        """
+        self.problem, self.report = problem, report
+        self.began, self.seconds = time.monotonic(), seconds
+        self.stop = stop or threading.Event()
+        self.dynamics = Dynamics(problem)
+        self.attempts: list[Attempt] = []
+        self.best: BestKnown | None = None
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is up, or a stop was requested."""
+        return self.stop.is_set() or self._left() <= 0.0
+
+    def _left(self) -> float:
+        return self.seconds - (time.monotonic() - self.began)
+
+    def run(self, guesses: Iterable[tuple[str, Trajectory]]) -> BestKnown:
+        """Solve from each first guess, until the time is up.
+
+        Raises:
+            InputError: no guess led to a verified flight.
+        """
+        for name, guess in guesses:
+            if self.over:
+                break
+            self._attempt(name, guess)
+        if self.best is None:
+            tried = "; ".join(f"{each.guess}: {each.status}" for each in self.attempts)
+            raise InputError(f"no flight was found ({tried or 'no time'})")
+        seconds = time.monotonic() - self.began
+        best = dataclasses.replace(self.best, attempts=tuple(self.attempts), seconds=seconds)
+        return dataclasses.replace(best, notes=self._notes(best))
+
+    def _solve(self, name: str, guess: Trajectory, margin: float) -> tuple[Trajectory, bool, str]:
+        best = "" if self.best is None else f", best {self.best.total:.4f} s"
+        text = f"{name}, {guess.intervals} intervals a leg{best}"
+        solution = solve(
+            self.problem,
+            self.dynamics,
+            guess,
+            margin=margin,
+            seconds=self._left(),
+            stop=self.stop,
+            report=lambda value: self.report(f"{text}: {value:.4f} s"),
+        )
+        return solution.trajectory, solution.converged, solution.status
+
+    def _attempt(self, name: str, guess: Trajectory) -> None:
+        first, converged, status = self._solve(name, guess, MARGIN)
+        time_found = first.total if converged else None
+        if converged and (self.best is None or first.total < self.best.total * (1.0 - 1e-5)):
+            status = self._refine(name, first)
+        self.attempts.append(Attempt(name, time_found, status))
+
+    def _refine(self, name: str, trajectory: Trajectory) -> str:
+        """Refine the mesh until the time is settled and the flight is verified."""
+        margin, widened, change, refine = MARGIN, 0, np.inf, True
+        finest = min(FINEST, max(INTERVALS, NODES // len(trajectory.leg_times)))
+        while not self.over:
+            refine = refine and 2 * trajectory.intervals <= finest
+            mesh = trajectory.resample(2 * trajectory.intervals) if refine else trajectory
+            finer, converged, status = self._solve(name, mesh, margin)
+            if not converged:
+                return status
+            if refine:
+                change = abs(finer.total - trajectory.total) / finer.total
+            trajectory = finer
+            check = verify(self.problem, trajectory, MISSED)
+            drift = max(0.0, -min(check.clearance, check.margin), 5e-4 * bool(check.error))
+            if drift == 0.0:
+                self._keep(name, trajectory, check, margin, change)
+                if change <= SAME or not refine:
+                    return "verified"
+            elif not np.isfinite(drift) or widened == WIDENINGS:
+                return f"refused: {check.error or 'it misses a gate'}"
+            refine = 2 * trajectory.intervals <= finest
+            if drift > 0.0 and not refine:
+                widened += 1
+                margin += 1.2 * drift + 2e-5
+        return "no time"
+
+    def _keep(
+        self, name: str, trajectory: Trajectory, check: Check, margin: float, change: float
+    ) -> None:
+        if self.best is None or check.total < self.best.total:
+            self.best = BestKnown(trajectory, check, name, margin, change, (), 0.0, ())
+
+    def _notes(self, best: BestKnown) -> tuple[str, ...]:
+        notes = []
+        if best.check.top_speed > 0.99 * self.problem.speed_limit:
+            notes.append(
+                f"the flight reaches the speed limit of {self.problem.speed_limit:g} m/s; the "
+                "vehicle model may not hold there"
+            )
+        if best.mesh_change > SAME:
+            notes.append("the mesh was not refined until the time settled")
+        return tuple(notes)

@@ -1,0 +1,72 @@
+"""Lower bounds of the time of a flight."""
+
+import math
+
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.core.vectors import Vec3
+from quadjax.limits.bound import Course, PointMass, maximize
+from quadjax.limits.intervals import gravity, largest_force
+from quadjax.limits.problem import make_problem
+
+FREE = PointMass(force=10.0, drag=1e-3, gravity=np.zeros(3), speed=100.0)
+
+
+def _point(*place):
+    return np.array([place])
+
+
+def test_a_straight_line_from_rest_to_rest():
+    course = Course((_point(8.0, 0.0, 0.0),), start=np.zeros(3), stops=True)
+    exact = 2.0 * math.sqrt(8.0 / 10.0)
+    found, _ = maximize(course, FREE, longest=10.0)
+    assert 0.99 * exact < found <= exact * 1.001  # the relaxation has a little drag
+
+
+def test_a_circle():
+    angles = 2.0 * np.pi * np.arange(12) / 12
+    course = Course(tuple(_point(2.0 * math.cos(a), 2.0 * math.sin(a), 0.0) for a in angles))
+    exact = 2.0 * math.pi * math.sqrt(2.0 / 10.0)
+    found, _ = maximize(course, FREE, longest=10.0)
+    assert 0.99 * exact < found <= exact * 1.001
+
+
+@pytest.mark.parametrize("preset", ["e2e_shac", "indi"])
+def test_no_sampled_force_exceeds_the_largest(preset):
+    choices, params = race_of(load_config(preset))
+    problem = make_problem(choices.model, params)
+    speed, drag = 6.0, 1.0
+    largest = largest_force(problem, speed, drag)
+    low, high = (np.array(list(map(float, _flat(end)))) for end in _actuators(problem))
+    rng, found = np.random.default_rng(0), 0.0
+    for _ in range(200):
+        velocity = rng.normal(size=3)
+        velocity *= speed / np.linalg.norm(velocity)
+        actuators = np.where(rng.uniform(size=low.shape) < 0.9, high, low)
+        state = problem.state(problem.hover_at(np.zeros(3), velocity, np.zeros(3)))
+        name = problem.model.actuators.name
+        own = getattr(state, name)
+        state = state.replace(
+            **{name: type(own)(*actuators) if hasattr(own, "components") else actuators[0]}
+        )
+        force = problem.model.specific_force(problem.vehicle, state) + Vec3.of(velocity) * drag
+        found = max(found, float(np.linalg.norm([float(x) for x in force.components()])))
+    assert 0.9 * largest < found <= largest
+
+
+def test_gravity_of_a_model():
+    choices, params = race_of(load_config("e2e_shac"))
+    np.testing.assert_allclose(
+        gravity(make_problem(choices.model, params)), [0.0, 0.0, 9.81], atol=1e-5
+    )
+
+
+def _actuators(problem):
+    return problem.model.actuator_range(problem.vehicle.constants)
+
+
+def _flat(end):
+    return end.components() if hasattr(end, "components") else [end]

@@ -1,0 +1,53 @@
+"""The equations that the solver uses are those of the vehicle models."""
+
+import jax
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.limits.jaxpr import translate
+from quadjax.limits.problem import leaves, make_problem
+
+casadi = pytest.importorskip("casadi")
+RACES = {
+    "motor": ("e2e_shac",),
+    "motor with residual": ("e2e",),
+    "rate": ("indi",),
+    "5-inch": ("e2e_fastest", "vehicle=5inch"),
+    "A2RL": ("e2e_fastest", "vehicle=a2rl"),
+    "CPC": ("e2e_fastest", "vehicle=cpc"),
+}
+
+
+def _problem(name, **options):
+    choices, params = race_of(load_config(RACES[name][0], list(RACES[name][1:])))
+    return make_problem(choices.model, params, **options)
+
+
+@pytest.mark.parametrize("name", RACES)
+def test_the_equations_agree_with_jax(name):
+    from quadjax.limits.collocation import Dynamics
+
+    problem = _problem(name)
+    model, rng = problem.model, np.random.default_rng(0)
+    slope = Dynamics(problem).slope
+    low, high = problem.command_range
+    for _ in range(5):
+        start = leaves(problem.hover_state)
+        state = start * rng.uniform(0.5, 1.5, len(start)) + rng.uniform(-1.0, 1.0, len(start))
+        command = rng.uniform(low, high)
+        with jax.enable_x64(True):
+            held = model.hold(problem.state(map(np.float64, state)), problem.command(command))
+            expected = leaves(model.derivative(problem.vehicle, held, problem.command(command)))
+        found = np.array(slope(state, command)).ravel()
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * abs(expected).max())
+
+
+def test_an_unknown_operation_is_named():
+    from quadjax.core.errors import InputError
+    from quadjax.limits.extra import OPERATIONS
+
+    function = translate(jax.lax.erf_inv, OPERATIONS, 0.5)
+    with pytest.raises(InputError, match="erf_inv"):
+        function(casadi.SX.sym("x"))

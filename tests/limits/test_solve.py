@@ -1,0 +1,60 @@
+"""Best known laps: found, verified, refused."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.core.errors import InputError
+from quadjax.limits.problem import make_problem
+from tests.commands import run
+
+pytest.importorskip("casadi")
+
+
+def _problem(*overrides, **options):
+    choices, params = race_of(load_config("indi", list(overrides)))
+    return make_problem(choices.model, params, **options)
+
+
+def test_a_gate_outside_the_bounds_is_named():
+    with pytest.raises(InputError, match="gate 1: unreachable"):
+        _problem(speed_limit=10.0, bounds=np.array([[-1.0, -1.0, -3.0], [1.0, 1.0, 0.0]]))
+
+
+def test_a_clearance_that_leaves_no_opening_is_named():
+    with pytest.raises(InputError, match=r"gate 1: a clearance of 0.5 m"):
+        _problem(clearance=0.5)
+
+
+def test_options_that_exclude_each_other(capsys):
+    assert run("limit", "indi", "--laps", "3") == 2
+    assert "--start hover" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
+    from quadjax.limits.guess import from_spline
+    from quadjax.limits.solve import INTERVALS, Search
+    from quadjax.limits.verify import verify
+
+    problem = _problem()
+    best = Search(problem, seconds=120).run([("spline", from_spline(problem, INTERVALS, 4.0))])
+    assert best.total <= 2.60
+    assert best.check.error == "" and best.check.clearance >= 0.0
+    slower = dataclasses.replace(best.trajectory, commands=0.98 * best.trajectory.commands)
+    assert verify(problem, slower).error
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_bracket(tmp_path, capsys):
+    path, table = tmp_path / "limit.json", tmp_path / "limit.npz"
+    assert run("limit", "indi", "--starts", 1, "--json", path, "--npz", table) == 0
+    report = json.loads(path.read_text())
+    assert 0.8 * report["best_known"] < report["lower_bound"] < report["best_known"]
+    with np.load(table) as arrays:
+        assert arrays["time"][-1] == pytest.approx(report["best_known"], rel=5e-3)
+    assert "best known" in capsys.readouterr().out
