@@ -158,6 +158,7 @@ def _policy_laps(config: "Config", problem: "Problem", path: str) -> "list[Traje
     """Laps of a policy as trajectories, the fastest first."""
     import numpy as np
 
+    from quadjax.config.race import race_of
     from quadjax.limits.guess import from_flight
     from quadjax.limits.solve import INTERVALS
     from quadjax.policy import pilot
@@ -165,8 +166,9 @@ def _policy_laps(config: "Config", problem: "Problem", path: str) -> "list[Traje
 
     policy = Policy.load(path)
     laps = problem.laps if problem.start == "hover" else POLICY_LAPS
-    race = pilot.Race(laps, 1, True, 0)
-    result, trace = pilot.fly_policy(config, policy, race, True, True, path)
+    result, trace = pilot.fly_policy(
+        *race_of(config), policy, laps=laps, runs=1, deterministic=True, trace=True, name=path
+    )
     assert trace is not None
     steps = round(float(result.seconds[0]) / config.rules.time_step)
     commands = np.asarray(trace.command, np.float64)[:steps, :, 0]
