@@ -75,7 +75,6 @@ def figure(problem: Problem, flights: dict[str, Trajectory]) -> Figure:
     path = whole.add_subplot(layout[:3, 0])
     axes = [whole.add_subplot(layout[row, 1]) for row in range(4)]
     lost = whole.add_subplot(layout[3, 0])
-    names = list(flights)
     for (name, flight), color in zip(flights.items(), SERIES, strict=False):
         _draw(problem, flight, (path, axes), color, f"{name}, {flight.total:.3f} s")
     _gates(problem, path)
@@ -83,7 +82,6 @@ def figure(problem: Problem, flights: dict[str, Trajectory]) -> Figure:
     for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label, color=INK)
     axes[-1].set_xlabel("time [s]", color=INK)
-    path.set_title(", ".join(names), color=INK)
     path.legend(frameon=False)
     if len(flights) > 1:
         result = compare(problem, *list(flights.values())[:2])

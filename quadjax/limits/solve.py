@@ -55,8 +55,8 @@ class BestKnown:
 
     @property
     def total(self) -> float:
-        """Time of the verified flight, s."""
-        return self.check.total
+        """Time, s: the longer of the solution's and of the flight by its commands."""
+        return max(self.trajectory.total, self.check.total)
 
 
 class Search:
@@ -160,8 +160,9 @@ class Search:
     def _keep(
         self, name: str, trajectory: Trajectory, check: Check, margin: float, change: float
     ) -> None:
-        if self.best is None or check.total < self.best.total:
-            self.best = BestKnown(trajectory, check, name, margin, change, (), 0.0, ())
+        found = BestKnown(trajectory, check, name, margin, change, (), 0.0, ())
+        if self.best is None or found.total < self.best.total or found.guess == self.best.guess:
+            self.best = found
 
     def _notes(self, best: BestKnown) -> tuple[str, ...]:
         notes = []
