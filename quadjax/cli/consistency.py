@@ -47,6 +47,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     race, results = load_config(options.race), {}
     with Console(stderr=True).status("compiling") as status:
         for policy in map(Path, options.policy or [PRETRAINED / name for name in POLICIES]):
+
+            def show(seconds: float, name: str = policy.name) -> None:
+                status.update(f"{name}: {seconds:.0f} s simulated")
+
             results[policy.name] = evaluate_filter(
                 race,
                 plant,
@@ -54,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 options.runs,
                 options.seconds,
                 options.seed,
-                lambda seconds, n=policy.name: status.update(f"{n}: {seconds:.0f} s simulated"),
+                show,
             )
             print(table(policy.name, results[policy.name]) + "\n")
     if options.json:

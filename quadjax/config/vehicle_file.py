@@ -38,7 +38,7 @@ def vehicle_values(path: Path, tree: Tree) -> Tree:
                 "of each model as a mapping (motor, rate, ..)"
             )
         models[key] = _with_rotors(value, order, f"{path}: {key}")
-    own = {key: tree[key] for key in ("name", "width", "model") if key in tree}
+    own: Tree = {key: tree[key] for key in ("name", "width", "model") if key in tree}
     return {"name": path.stem, **own, "models": models}
 
 

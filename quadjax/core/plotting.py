@@ -2,6 +2,7 @@
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -65,8 +66,13 @@ def head(axes: Axes, title: str = "", columns: int = 4) -> None:
     """
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        place = {"loc": "lower left", "bbox_to_anchor": (-0.01, 0.99)}
-        style = {"frameon": False, "labelcolor": INK, "fontsize": 9, "borderaxespad": 0.2}
+        place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.01, 0.99)}
+        style: dict[str, Any] = {
+            "frameon": False,
+            "labelcolor": INK,
+            "fontsize": 9,
+            "borderaxespad": 0.2,
+        }
         axes.legend(handles, labels, ncols=columns, **place, **style)
     rows = -(-len(handles) // columns)
     axes.set_title(title, color=INK, fontsize=13, loc="left", pad=8 + 17 * rows)

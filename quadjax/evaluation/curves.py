@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -99,8 +100,8 @@ def lap_axis(axes: Axes, times: np.ndarray, references: Sequence[tuple[str, floa
     if shown:
         axes.set_ylim(0.97 * min(shown), min(1.03 * max(shown), LAP_RANGE * min(shown)))
     if not np.isfinite(times).any():
-        note, middle = "no run completed its laps", {"ha": "center", "va": "center"}
-        axes.text(0.5, 0.5, note, transform=axes.transAxes, color=MUTED, fontsize=10, **middle)
+        middle: dict[str, Any] = {"ha": "center", "va": "center", "transform": axes.transAxes}
+        axes.text(0.5, 0.5, "no run completed its laps", color=MUTED, fontsize=10, **middle)
         axes.set_yticks([] if not shown else axes.get_yticks())
 
 

@@ -1,6 +1,7 @@
 """Matplotlib figures of flights; they need not be closed."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -145,12 +146,13 @@ def gate_labels(gates: Sequence[Gate], group: Sequence[int]) -> tuple[str, str]:
 
 def _number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) -> None:
     """Write numbers and heights next to the gates; gates at the same place share a label."""
-    style = {"ha": "center", "va": "center", "zorder": 6, "textcoords": "offset points"}
+    style: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
+    style["textcoords"] = "offset points"
     places = label_places(gates, 0.9 * reach)
     for group in same_place(places):
         numbers, heights = gate_labels(gates, group)
         up, place = (5 if heights else 0), tuple(places[group[0]])
-        bold = {"color": INK, "fontsize": 11, "fontweight": "bold"}
+        bold: dict[str, Any] = {"color": INK, "fontsize": 11, "fontweight": "bold"}
         above.annotate(numbers, place, xytext=(0, up), **bold, **style)
         above.annotate(heights, place, xytext=(0, -7), color=MUTED, fontsize=8, **style)
     tops = np.array([(g.position[0], -gate_outline(g)[:, 2].min()) for g in gates])

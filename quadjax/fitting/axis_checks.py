@@ -187,7 +187,7 @@ def _verdict(evidence: Evidence) -> Verdict:
         unexplained = 1.0 - np.maximum(signed, 0.0) ** 2
         right = unexplained[0, i]
         unexplained[:, (ratio[i] < 0.5) | (ratio[i] > 2.0)] = 1.0
-        sign, axis = np.unravel_index(int(unexplained.argmin()), unexplained.shape)
+        sign, axis = divmod(int(unexplained.argmin()), unexplained.shape[1])
         least = unexplained[sign, axis]
         if (sign, axis) != (0, i) and least < EXPLAINED and least < 0.25 * right:
             clauses.append(f"column {name!r} is {'minus ' * sign}the {evidence.meanings[axis]}")

@@ -1,7 +1,7 @@
 """What a nonlinear program for IPOPT is made of."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ class Monitor(casadi.Callback):
         size["lam_g"] = constraints
         return casadi.Sparsity.dense(size[name], 1) if name in size else casadi.Sparsity(0, 0)
 
-    def eval(self, arguments: list[Any]) -> list[int]:
+    def eval(self, arguments: Sequence[Any]) -> list[int]:
         """Report the objective; 1 stops the solver."""
         self.report(float(arguments[1]))
         return [1 if self.stop.is_set() else 0]

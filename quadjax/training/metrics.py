@@ -34,7 +34,7 @@ class MetricsFile:
     def write(self, row: Row) -> None:
         """Add a row."""
         if not self._started:
-            write_csv(self._path, [list(row), *(each.values() for each in self._rows)])
+            write_csv(self._path, [list(row), *(list(each.values()) for each in self._rows)])
             self._started = True
         with (
             writing(self._path),
