@@ -19,7 +19,7 @@ from quadjax.limits.ipopt import Program, minimize
 from quadjax.limits.jaxpr import translate
 from quadjax.limits.problem import Problem, leaves
 
-SMOOTHNESS = 1e-5  # s, weight of the squared command differences, relative to the command range
+SMOOTHNESS = 1e-4  # s, weight of the squared command differences, relative to the command range
 SLOWEST_PASSAGE = 0.2  # m/s, smallest speed through a gate
 LEG_SECONDS = (0.02, 60.0)
 

@@ -17,6 +17,7 @@ FINEST, NODES = 80, 640  # intervals of a leg, and of all legs, at most
 SAME = 1e-3  # relative change of the time below which the mesh is fine enough
 MARGIN = 1e-4  # m, first distance from the edges; more where the flown path drifts
 WIDENINGS = 4
+FIRST_SHARE = 0.4  # of the time that is left, for the first mesh of a guess
 MISSED = 0.05  # m, by which a flown path may miss before the margin is widened
 
 
@@ -109,7 +110,10 @@ class Search:
         best = dataclasses.replace(self.best, attempts=tuple(self.attempts), seconds=seconds)
         return dataclasses.replace(best, notes=self._notes(best))
 
-    def _solve(self, name: str, guess: Trajectory, margin: float) -> tuple[Trajectory, bool, str]:
+    def _solve(
+        self, name: str, guess: Trajectory, margin: float, share: float = 1.0
+    ) -> tuple[Trajectory, bool, str]:
+        """Solve in at most a share of the time that is left."""
         best = "" if self.best is None else f", best {self.best.total:.4f} s"
         text = f"{name}, {guess.intervals} intervals a leg{best}"
         solution = solve(
@@ -117,14 +121,14 @@ class Search:
             self.dynamics,
             guess,
             margin=margin,
-            seconds=self._left(),
+            seconds=share * self._left(),
             stop=self.stop,
             report=lambda value: self.report(f"{text}: {value:.4f} s"),
         )
         return solution.trajectory, solution.converged, solution.status
 
     def _attempt(self, name: str, guess: Trajectory) -> None:
-        first, converged, status = self._solve(name, guess, MARGIN)
+        first, converged, status = self._solve(name, guess, MARGIN, FIRST_SHARE)
         time_found = first.total if converged else None
         if converged and (self.best is None or first.total < self.best.total * (1.0 - 1e-5)):
             status = self._refine(name, first)
@@ -133,6 +137,9 @@ class Search:
     def _refine(self, name: str, trajectory: Trajectory) -> str:
         """Refine the mesh until the time is settled and the flight is verified."""
         margin, widened, change, refine = MARGIN, 0, np.inf, True
+        check = verify(self.problem, trajectory)
+        if not check.error and min(check.clearance, check.margin) >= 0.0:
+            self._keep(name, trajectory, check, margin, change)
         finest = min(FINEST, max(INTERVALS, NODES // len(trajectory.leg_times)))
         while not self.over:
             refine = refine and 2 * trajectory.intervals <= finest
