@@ -21,7 +21,7 @@ STARTED = time.monotonic()  # training time counts from here: imports and compil
 COMMANDS = {  # name, which is that of the module: one line of help
     "train": "train a racing policy",
     "evaluate": "time the laps of a policy, draw them",
-    "limit": ("quadjax.cli.limit", "bracket the shortest lap of a track"),
+    "limit": "bracket the shortest lap of a track",
     "seeds": "train over several seeds and compare them",
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",
