@@ -166,6 +166,8 @@ def test_an_interrupt_during_imports_is_quiet(module, tmp_path):
     except subprocess.TimeoutExpired:  # on a busy machine it was past the imports: it saves first
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=120)
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert "Traceback" not in error
 
