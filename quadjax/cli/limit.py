@@ -9,7 +9,7 @@ the config are left out. key=value overrides change the race.
 
 import argparse
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -50,14 +50,18 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     opening = parser.add_mutually_exclusive_group()
     opening.add_argument("--centers", action="store_true", help="through the gates' centers")
     opening.add_argument(
-        "--clearance", type=_positive, default=0.0, metavar="M", help="from the edges, m"
+        "--clearance", type=_number(0.0), default=0.0, metavar="M", help="from the edges, m"
     )
     parser.add_argument(
-        "--speed", type=_positive, default=30.0, metavar="M/S", help="speed limit (default: 30)"
+        "--speed",
+        type=_number(0.1),
+        default=30.0,
+        metavar="M/S",
+        help="speed limit (default: 30)",
     )
     parser.add_argument(
         "--bound-speed",
-        type=_positive,
+        type=_number(0.1),
         metavar="M/S",
         help="the lower bound holds for flights below this speed (default: 1.2 times the top "
         "speed of the best known lap)",
@@ -86,15 +90,19 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     return arguments
 
 
-def _positive(text: str) -> float:
-    """A number from 0 to 1000, for ``type=``."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = -1.0
-    if not 0.0 <= number <= 1000.0:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a number, 0 to 1000")
-    return number
+def _number(least: float) -> Callable[[str], float]:
+    """A number from ``least`` to 1000, for ``type=``."""
+
+    def read(text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            number = -1.0
+        if not least <= number <= 1000.0:
+            raise argparse.ArgumentTypeError(f"{text!r}, expected a number, {least:g} to 1000")
+        return number
+
+    return read
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -107,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     config = _nominal(load_config(options.config, options.overrides))
     problem = _problem(config, options)
     with interruptions() as stop, console.status("compiling") as status:
-        laps = _policy_laps(config, problem, options.policy) if options.policy else []
+        laps = _policy_laps(config, problem, options.policy) if options.policy is not None else []
         search = Search(problem, options.seconds, stop, lambda text: _show(status, stop, text))
         best = search.run(_guesses(problem, laps, options.starts))
         status.update("lower bound")

@@ -35,6 +35,12 @@ def test_options_that_exclude_each_other(capsys):
     assert "--start hover" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("option", ["--speed=0", "--bound-speed=0", "--clearance=-1", "--policy="])
+def test_numbers_that_have_no_meaning(option, capsys):
+    assert run("limit", "e2e", option, "--seconds", "1") == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("error: ")
+
+
 @pytest.mark.slow
 def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
     from quadjax.limits.guess import from_spline
