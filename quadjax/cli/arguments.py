@@ -1,6 +1,7 @@
 """Common options and checks of the subcommands."""
 
 import argparse
+import os
 import re
 import sys
 import tempfile
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from quadjax.core.errors import InputError, writing
+from quadjax.core.files import check_file
 from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.sections import FOLDER_NAME
 from quadjax.core.yaml_files import close_match, short
@@ -53,6 +55,9 @@ def parse(parser: Parser, arguments: Sequence[str] | None = None) -> argparse.Na
         InputError: unknown options (the first one is named), missing or bad values.
     """
     argv = list(sys.argv[1:] if arguments is None else arguments)
+    for text in argv:
+        if re.fullmatch(r"-{1,2}[A-Za-z][^=]*=--", text):  # which argparse takes for no value
+            raise InputError(f"{text}: expected a value after the = (try --help)")
     known = [name for action in parser._actions for name in action.option_strings]
     for option in (text.partition("=")[0] for text in argv if re.match("-{1,2}[A-Za-z]", text)):
         if option not in known:
@@ -130,11 +135,12 @@ def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> Non
     """Refuse an output path before any work is done; None is accepted.
 
     Args:
-        path: of a file to write; its folder is created.
+        path: of a file to write.
         suffixes: the allowed ones; any if empty.
 
     Raises:
-        InputError: a wrong suffix, a directory, or a place that cannot be written.
+        InputError: a wrong suffix, a directory, a pipe, a device, or a place that cannot be
+            written.
     """
     if path is None:
         return
@@ -144,6 +150,40 @@ def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> Non
     with writing(path):
         if path.is_dir():
             raise InputError(f"{path}: is a directory, expected the name of a file")
+        if path.exists():
+            check_file(path)
+        new = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent):
             pass
+        for folder in new:  # the deepest first; made again when the file is written
+            folder.rmdir()
+
+
+def check_outputs(arguments: argparse.Namespace, **suffixes: Sequence[str]) -> None:
+    """Refuse output files before any work is done, each as ``check_writable``.
+
+    Args:
+        arguments: of a command.
+        suffixes: the allowed suffixes of each output, by the option's name.
+
+    Raises:
+        InputError: also for an output that is the file of another argument.
+    """
+    for option, allowed in suffixes.items():
+        path = getattr(arguments, option)
+        check_writable(path, allowed)
+        others = {key: value for key, value in vars(arguments).items() if key != option}
+        for key, value in others.items() if path else ():
+            for text in value if isinstance(value, list) else [value]:
+                _check_other(option, path, key, text)
+
+
+def _check_other(option: str, path: Path | str, key: str, value: object) -> None:
+    """Refuse an output that is also another argument, or the value of an override."""
+    if not isinstance(value, (str, Path)) or not str(value):
+        return
+    for text in {str(value), str(value).rpartition("=")[2]}:
+        with writing(path):
+            if os.path.realpath(text) == os.path.realpath(path):
+                raise InputError(f"--{option} {path}: is also {key}, expected a file of its own")

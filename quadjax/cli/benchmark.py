@@ -16,7 +16,9 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
 
 from quadjax.cli import STARTED
 from quadjax.cli.arguments import Parser, check_writable, count, parse
@@ -41,11 +43,12 @@ TITLES = {
 class Job:
     """One measurement: of the environment, or of a preset's training."""
 
-    kind: str  # a key of TITLES, or "quadjax" | "sb3" for one side of --sb3
+    # of TITLES, or one side of --sb3
+    kind: Literal["environment", "residual", "observed", "training", "quadjax", "sb3"]
     config: str
-    num_envs: int
-    repeats: int
-    seconds: float = 0.0  # of one side of --sb3
+    num_envs: Annotated[int, Field(ge=0, le=2**20)]  # 0 for the preset's own
+    repeats: Annotated[int, Field(ge=1, le=10**6)]
+    seconds: Annotated[float, Field(ge=0, le=10**6)] = 0.0  # of one side of --sb3
     devices: str = "auto"  # of a preset's training
 
     def describe(self) -> str:
@@ -74,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print, and write the numbers if --json is given."""
     options = _arguments(arguments)
     if options.job:
-        print(json.dumps(_run_job(Job(**json.loads(options.job)))))
+        print(json.dumps(_run_job(_read_job(options.job))))
         return 0
     if options.sb3:
         return _side_by_side(options.sb3, options.json)
@@ -129,6 +132,16 @@ def _measure(job: Job) -> dict[str, Any]:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise InputError(f"measuring {job.describe()} failed: {last}")
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def _read_job(text: str) -> Job:
+    """A job from JSON, which a process gets from the one that started it."""
+    try:
+        return TypeAdapter(Job).validate_json(text, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise InputError(f"--job: {where or 'not a job'}: {first['msg']}") from None
 
 
 def _run_job(job: Job) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, check_writable, count, parse, runs, seed
+from quadjax.cli.arguments import Parser, add_config, check_outputs, count, parse, runs, seed
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
 
@@ -27,7 +27,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
     arguments = parse(parser, argv)
-    check_writable(arguments.json)
+    check_outputs(arguments, json=())
     return arguments
 
 

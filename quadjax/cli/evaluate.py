@@ -16,7 +16,7 @@ from quadjax.cli.arguments import (
     add_config,
     add_races,
     add_ranges,
-    check_writable,
+    check_outputs,
     parse,
 )
 from quadjax.core.errors import InputError
@@ -53,11 +53,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parse(parser, argv)
     if arguments.ranges and not arguments.fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
-    check_writable(arguments.json)
-    check_writable(arguments.states, (".npz", ".csv"))
-    check_writable(arguments.figure, PICTURES)
-    check_writable(arguments.signals, PICTURES)
-    check_writable(arguments.animation, (".gif",))
+    pictures = {"figure": PICTURES, "signals": PICTURES, "animation": (".gif",)}
+    check_outputs(arguments, json=(), states=(".npz", ".csv"), **pictures)
     return arguments
 
 

@@ -41,6 +41,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         action="store_true",
         help="export for another race than the one that the policy file contains",
     )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace files of the same names in a folder that no export made",
+    )
     return parse(parser, argv)
 
 
@@ -62,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         cutoff=options.cutoff,
         allow_unfinished=options.allow_unfinished,
         allow_other_race=options.allow_other_race,
+        overwrite=options.overwrite,
     )
     print(export.text)
     print(f"Written to {options.output}. Next: quadjax verify {options.output}")

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     console = Console(stderr=True)
     quiet = not console.is_terminal
     bar = Progress(*columns, console=console, transient=True, disable=quiet)
-    with claim(folder, "fit"), bar as progress:
+    with claim(folder, "fit", PATTERNS, options.overwrite), bar as progress:
         if present_files(folder, PATTERNS) and not options.overwrite:
             raise InputError(
                 f"{folder} holds a fit already: replace it (--overwrite) or choose another name"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from quadjax.cli.arguments import Parser, add_config, check_writable, parse, whole
+from quadjax.cli.arguments import Parser, add_config, check_outputs, parse, whole
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions, loading
 
@@ -84,9 +84,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parse(parser, argv)
     if arguments.laps is not None and arguments.start == "periodic" and arguments.laps > 1:
         raise InputError("--laps is allowed only with --start hover; a periodic lap is one lap")
-    check_writable(arguments.json, (".json",))
-    check_writable(arguments.npz, (".npz",))
-    check_writable(arguments.figure, PICTURES)
+    check_outputs(arguments, json=(".json",), npz=(".npz",), figure=PICTURES)
     return arguments
 
 

@@ -17,6 +17,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--laps", type=laps, default=6, help="of each flight (6)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace files of the same names in a folder that holds no such logs",
+    )
     return parse(parser, argv)
 
 
@@ -27,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from rich.console import Console
 
         from quadjax.config.loading import load_config
+        from quadjax.core.folders import claim
         from quadjax.plant.config import load_plant_config
         from quadjax.plant.logs import write_logs
         from quadjax.studies.plant_races import plan_logs
@@ -34,7 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     plant = load_plant_config(options.config, options.overrides)
     race = load_config(options.race)
     plans = plan_logs(race, plant, options.policy, options.flights, options.laps)
-    with Console(stderr=True).status("compiling") as status:
+    files = [f"{name}_*.csv" for name in plans]
+    with (
+        claim(options.output, "logs", files, options.overwrite),
+        Console(stderr=True).status("compiling") as status,
+    ):
         written = write_logs(plans, options.output, options.seed, status.update)
     for log in written:
         print(f"wrote {log.path}, {log.rows} rows {log.crash}".rstrip())

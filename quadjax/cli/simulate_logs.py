@@ -4,9 +4,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, check_writable, count, parse, seed
+from quadjax.cli.arguments import Parser, count, parse, seed
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
+
+RESIDUAL = "residual.npz"
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -22,12 +24,16 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=30.0, help="of each flight (30)")
     parser.add_argument("--seed", type=seed, default=0, help="of the first flight (0)")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the logs")
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace files of the same names in a folder that holds no such logs",
+    )
     arguments = parse(parser, argv)
     if not 1.0 <= arguments.seconds <= 3600.0:
         raise InputError(f"--seconds is {arguments.seconds}, expected 1 to 3600")
     if arguments.residual and arguments.random_residual is not None:
         raise InputError("--residual and --random-residual exclude each other")
-    check_writable(arguments.output / "flight_0.csv")
     return arguments
 
 
@@ -37,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with loading():
         import numpy as np
 
+        from quadjax.core.folders import claim
         from quadjax.fitting.flight_log import write_log
         from quadjax.fitting.simulate import random_residual, simulate_flight
         from quadjax.fitting.vehicle_file import read_vehicle
@@ -44,18 +51,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.vehicle.residual_file import read_residual, write_residual
 
     residual = read_residual(options.residual) if options.residual else None
-    if options.random_residual is not None:
-        residual = random_residual(options.random_residual, options.thrust_std, options.moment_std)
-        source = {"random": True, "seed": options.random_residual}
-        write_residual(options.output / "residual.npz", residual, source)
+    drawn, new = options.random_residual, {}
+    if drawn is not None:
+        residual = random_residual(drawn, options.thrust_std, options.moment_std)
+        new = {RESIDUAL: {"random": True, "seed": drawn}}
     vehicle = VehicleParams(read_vehicle(options.vehicle).motor, residual)
-    for index in range(options.flights):
-        columns = simulate_flight(vehicle, options.seed + index, options.seconds)
-        if not all(np.isfinite(values).all() for values in columns.values()):
-            raise InputError(
-                f"flight {index} with seed {options.seed + index} is not finite; is the residual "
-                "stronger than the motors?"
-            )
-        path = options.output / f"flight_{index}.csv"
-        write_log(path, columns)
-        print(f"wrote {path}")
+    with claim(options.output, "logs", ("flight_*.csv", *new), options.overwrite):
+        for index in range(options.flights):
+            columns = simulate_flight(vehicle, options.seed + index, options.seconds)
+            if not all(np.isfinite(values).all() for values in columns.values()):
+                raise InputError(
+                    f"flight {index} with seed {options.seed + index} is not finite; is the "
+                    "residual stronger than the motors?"
+                )
+            path = options.output / f"flight_{index}.csv"
+            write_log(path, columns)
+            print(f"wrote {path}")
+        for name, source in new.items():
+            write_residual(options.output / name, residual, source)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from quadjax.cli.arguments import Parser, add_config, add_output, count, parse
 from quadjax.core.errors import INTERRUPTED
-from quadjax.core.folders import claim, remove_files
+from quadjax.core.folders import check_free, check_kind, claim, remove_files
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
@@ -58,12 +58,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{options.config}: {sweep.trials} trials of {seeds} seeds can run")
         return 0
     if options.report:
+        check_kind(directory, "sweep")
+        if not options.overwrite:
+            check_free(directory, "sweep", FILES)
         study = studies.open_study(sweep, directory, run=False)
         print(write_report(study, sweep, directory))
         return 0
     from quadjax.sweeps.run import make_executor, run_sweep
 
-    with claim(directory, "sweep"):
+    with claim(directory, "sweep", FILES, options.overwrite):
         if options.overwrite:
             studies.delete_study(sweep, directory)
             remove_files(directory, FILES)

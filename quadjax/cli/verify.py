@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, check_writable, count, parse, runs
+from quadjax.cli.arguments import Parser, check_outputs, count, parse, runs
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
@@ -38,7 +38,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parse(parser, argv)
     if arguments.vectors < 100:
         raise InputError(f"--vectors {arguments.vectors}: expected at least 100")
-    check_writable(arguments.json, (".json",))
+    check_outputs(arguments, json=(".json",))
     return arguments
 
 

@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import re
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from quadjax.core.secrets import redact
 
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
+MAX_WORD, MAX_LINE = 200, 1000  # characters of a word and of a line that a command prints
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
 
 
@@ -60,6 +63,8 @@ def run_command(main: Callable[[], int | None]) -> int:
     Bad input and system errors (disk full, no permission, no memory) are printed as one line on
     stderr. Every other exception is a fault of the program and is raised.
     """
+    # JAX compiles where its cache cannot be read or written, which needs no message.
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
     try:
         status = main()
         if sys.stdout is not None:  # it is closed where the caller has closed it
@@ -77,8 +82,18 @@ def run_command(main: Callable[[], int | None]) -> int:
         line = error_line(error)
         if line is None or os.environ.get(DEBUG):
             raise
-        print(f"error: {line}", file=sys.stderr)
+        print(f"error: {_cut(line)}", file=sys.stderr)
         return BAD_INPUT
+
+
+def _cut(line: str) -> str:
+    """The line without the middles of long words, such as values, and of a long whole."""
+    words = re.sub(rf"\S{{{MAX_WORD + 1},}}", lambda word: _middle_out(word[0], 100), line)
+    return _middle_out(words, MAX_LINE) if len(words) > MAX_LINE else words
+
+
+def _middle_out(text: str, most: int) -> str:
+    return f"{text[: most // 2]}...{text[-most // 2 :]}"
 
 
 def error_line(error: BaseException) -> str | None:

@@ -30,13 +30,16 @@ MAX_BYTES = 2**28  # of one array of an .npz file, and of a text file
 def whole_file(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path of the same suffix; on success it becomes ``path``.
 
-    Temporary files that killed processes left in the folder are removed.
+    Temporary files that killed processes left in the folder are removed. A link is followed.
 
     Raises:
-        InputError: a system error: disk full, no permission, a name that is too long.
+        InputError: a system error: disk full, no permission, a name that is too long; a directory,
+            a pipe or a device.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))
     with writing(path):
+        if path.exists():
+            check_file(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_stale(path.parent)
         own = f"{TEMPORARY}{platform.node()}-{os.getpid()}-"

@@ -16,6 +16,7 @@ from quadjax.core.files import read_json, remove_stale, write_json
 
 MARKER = ".quadjax.json"
 LOCK = ".lock"
+NO_RESULTS = {MARKER, LOCK, "config.yaml", "inputs"}  # in the folder of a failed command
 EVIDENCE = {  # patterns of files in folders without a marker, which earlier versions wrote
     "training": "checkpoints",
     "sweep": "study.journal",
@@ -26,22 +27,43 @@ EVIDENCE = {  # patterns of files in folders without a marker, which earlier ver
 
 
 @contextlib.contextmanager
-def claim(folder: Path | str, kind: str) -> Iterator[None]:
+def claim(
+    folder: Path | str, kind: str, files: Iterable[str] = (), overwrite: bool = False
+) -> Iterator[None]:
     """Create a folder, or take one of the same kind, and lock it for the duration of the block.
 
     The operating system releases the lock when the process ends. Temporary files that a killed
-    process left are removed, and so is a new folder if the block fails before it writes a file.
+    process left are removed. If the block fails before it writes more than copies of its inputs,
+    whatever is new is removed: these copies, the folder's kind and lock, and new folders.
 
     Args:
         folder: created if needed.
-        kind: a key of ``EVIDENCE``.
+        kind: a key of ``EVIDENCE``, or ``logs``.
+        files: patterns of the files that the block writes; see ``check_free``.
+        overwrite: accept such files in a folder without a kind.
 
     Raises:
-        InputError: the folder is of another kind, cannot be written, or is locked.
+        InputError: the folder is of another kind, has files of somebody else that the block would
+            replace, cannot be written, or is locked.
     """
     folder = Path(folder)
     check_kind(folder, kind)
-    new, lock = not folder.exists(), FileLock(folder / LOCK, timeout=0)
+    if not overwrite:
+        check_free(folder, kind, files)
+    with writing(folder):
+        new = [path for path in (folder, *folder.parents) if not path.exists()]
+        before = set() if new else {path.name for path in folder.iterdir()}
+    with _locked(folder), _undone(folder, new, before):
+        check_kind(folder, kind)
+        remove_stale(folder)
+        if not (folder / MARKER).exists():
+            write_json(folder / MARKER, {"kind": kind})
+        yield
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    lock = FileLock(folder / LOCK, timeout=0)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -51,17 +73,38 @@ def claim(folder: Path | str, kind: str) -> Iterator[None]:
                 f"{folder} is in use by another process: choose another name"
             ) from None
     try:
-        check_kind(folder, kind)
-        remove_stale(folder)
-        if not (folder / MARKER).exists():
-            write_json(folder / MARKER, {"kind": kind})
         yield
-    except BaseException:
-        if new and not {path.name for path in folder.iterdir()} - {MARKER, LOCK}:
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
     finally:
         lock.release()
+
+
+@contextlib.contextmanager
+def _undone(folder: Path, new: list[Path], before: set[str]) -> Iterator[None]:
+    """Remove what a failed block added to a folder, if that is no result, and new folders."""
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            added = {path.name for path in folder.iterdir()} - before
+            if added <= NO_RESULTS:
+                remove_files(folder, added)
+            for path in new:  # the deepest first; a folder that is not empty stays
+                path.rmdir()
+        raise
+
+
+def check_free(folder: Path | str, kind: str, files: Iterable[str]) -> None:
+    """Refuse a folder without a kind that has files which a program of this kind would replace.
+
+    Raises:
+        InputError: with the files' names.
+    """
+    if kind_of(folder) is None and (found := present_files(folder, files)):
+        names = ", ".join(path.name for path in found[:3]) + (", .." if found[3:] else "")
+        raise InputError(
+            f"{folder} holds no {kind}, but {names}: choose another folder, or replace these files "
+            "(--overwrite)"
+        )
 
 
 def kind_of(folder: Path | str) -> str | None:

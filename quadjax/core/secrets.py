@@ -8,7 +8,8 @@ DATABASE = re.compile(  # a PostgreSQL URL, of which the place may be shown
     r"(\?(?P<query>[^@?#\s]*))?"
 )
 _SECRET = re.compile(
-    r"(?P<url>://[^\s:/@]*:)(?:\S*(?=@)|(?!\d{1,5}(?:[^\w.]|$))\S+)"  # a port is shown
+    r"(?P<url>(?!://USER:PASSWORD@HOST:PORT/)://[^\s:/@]*:)"  # not of the message of the form
+    r"(?:\S*(?=@)|(?!\d{1,5}(?:[^\w.]|$))\S+)"  # a port is shown
     r"|(?P<key>\b(?:pass|pwd|secret|token)\w*\s*=\s*)(?:'[^']*'?|\"[^\"]*\"?|[^\s&'\"]+)",
     re.IGNORECASE,
 )

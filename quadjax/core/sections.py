@@ -278,7 +278,9 @@ def _type_text(hint: object, plural: bool = False) -> str:
     inner = typing.get_args(hint)
     if typing.get_origin(hint) in (tuple, list):
         count = f"{len(inner)} " if inner[-1] is not Ellipsis and len(inner) > 1 else ""
-        return f"a list of {count}{_type_text(inner[0], plural=True)}"
+        bounds = getattr(inner[0], "__metadata__", None)
+        each = _bounds(bounds[0]).replace(", ", ", each ", 1) if bounds else ""
+        return f"a list of {count}{_type_text(inner[0], plural=True)}{each}"
     if typing.get_origin(hint) is dict:
         return f"a mapping of names to {_type_text(inner[-1], plural=True)}"
     names: dict[Any, tuple[str, str]] = {

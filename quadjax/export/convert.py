@@ -62,6 +62,7 @@ def export_c(
     cutoff: float = 8.0,
     allow_unfinished: bool = False,
     allow_other_race: bool = False,
+    overwrite: bool = False,
 ) -> Export:
     """Write a policy as fixed-point C: network, observation, estimator and a Paparazzi module.
 
@@ -82,6 +83,7 @@ def export_c(
         cutoff: of the estimator's low-pass, Hz.
         allow_unfinished: export a policy although it does not finish its own race.
         allow_other_race: export for another race than the one in the policy file.
+        overwrite: replace files of the same names in a folder that no export made.
 
     Returns:
         The integers, the proof and the report.
@@ -93,8 +95,10 @@ def export_c(
     """
     enable_compilation_cache()
     folder = Path(folder)
-    with _policy_file(policy) as path, claim(folder, KIND):
-        symbol = symbol_name(name, path.name)
+    given = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
+    symbol = symbol_name(name, given)
+    files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, f"{symbol}[._]*", "paparazzi")
+    with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, sample_rate, cutoff)
         options = Options(symbol, *numbers, allow_unfinished, allow_other_race)
         _check_folder(folder, symbol)

@@ -78,11 +78,15 @@ def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
 
 
 def _expand(folder: Path, pattern: str) -> list[Path]:
-    whole = folder / Path(pattern).expanduser()
-    if whole.is_file() or not pattern:
-        return [whole] if pattern else []
-    anchor = Path(whole.anchor)
-    return sorted(path for path in anchor.glob(str(whole.relative_to(anchor))) if path.is_file())
+    try:
+        whole = folder / Path(pattern).expanduser()
+        if whole.is_file() or not pattern:
+            return [whole] if pattern else []
+        anchor = Path(whole.anchor)
+        found = anchor.glob(str(whole.relative_to(anchor)))
+        return sorted(path for path in found if path.is_file())
+    except (IndexError, RuntimeError, ValueError):  # the root, ~ of no user, or no pattern
+        return []
 
 
 def read_logs(config: LogsConfig, folder: Path) -> list[FlightLog]:

@@ -35,7 +35,7 @@ from quadjax.race.environment import RaceParams
 from quadjax.training.advice import no_lap
 from quadjax.training.build import build_learner, initial_policy, plan, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints
-from quadjax.training.folder import KIND, prepare_folder
+from quadjax.training.folder import FILES, KIND, prepare_folder
 from quadjax.training.metrics import MetricsFile, check_tensorboard, timed
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, read_summary, write_summary
@@ -88,7 +88,7 @@ def train(
         enable_compilation_cache()
     prepare_devices(config.run.devices)
     job = _prepare(config)
-    with _claimed(folder):
+    with _claimed(folder, overwrite):
         if hosts.is_first():
             config = prepare_folder(config, folder, resume, overwrite)
             job = dataclasses.replace(job, config=config)
@@ -104,9 +104,11 @@ def train(
         return Run(job.config, folder, job.best(position), finished, summary)
 
 
-def _claimed(folder: Path) -> AbstractContextManager[None]:
+def _claimed(folder: Path, overwrite: bool) -> AbstractContextManager[None]:
     """The lock of a run's folder, which the first process of several holds."""
-    return claim(folder, KIND) if hosts.is_first() else contextlib.nullcontext()
+    if not hosts.is_first():
+        return contextlib.nullcontext()
+    return claim(folder, KIND, FILES, overwrite)
 
 
 @dataclasses.dataclass(frozen=True)

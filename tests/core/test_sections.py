@@ -3,7 +3,7 @@
 import re
 import subprocess
 import sys
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 
@@ -35,6 +35,7 @@ class Example(Section):
     widths: tuple[int, ...] = Field((64,), min_length=1, max_length=3)
     factors: dict[str, float] = {}
     limit: float | None = Field(None, gt=0)
+    sizes: tuple[Annotated[float, Field(gt=0, le=5)], ...] = ()
     points: tuple[Point, ...] = ()
     span: Span = Span()
     spans: dict[str, Span] = {}
@@ -56,6 +57,7 @@ def test_build_takes_what_is_meant():
 
 
 REFUSED = [
+    ({"sizes": [9]}, "sizes[0] is 9, allowed: a list of numbers, each above 0, at most 5"),
     ({"count": 2.5}, "count is 2.5, allowed: a whole number, at least 1, at most 4096"),
     ({"count": True}, "count is True, allowed: a whole number"),
     ({"count": "2"}, "count is '2', allowed: a whole number"),

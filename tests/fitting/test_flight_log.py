@@ -261,3 +261,9 @@ def test_uneven_sampling_is_made_even(tmp_path, columns):
     log = read_log(_write(tmp_path, noisy | still | swing), PAPARAZZI)
     assert np.ptp(np.diff(log.time)) < 1e-9
     np.testing.assert_allclose(log.body_velocity[:, 0], np.sin(3.0 * log.time), atol=1e-4)
+
+
+@pytest.mark.parametrize("pattern", ["/", "~nobody_of_this_name/x.csv", "a**b"])
+def test_a_pattern_without_files_is_refused(tmp_path, pattern):
+    with pytest.raises(InputError, match="no such file"):
+        read_logs(LogsConfig(files=[pattern]), tmp_path)

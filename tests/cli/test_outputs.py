@@ -1,0 +1,147 @@
+"""What commands refuse before any work: outputs that would replace other files, and bad options."""
+
+import os
+import warnings
+
+import pytest
+
+from quadjax.core.errors import InputError, run_command
+from quadjax.core.folders import claim
+from quadjax.core.resources import PRETRAINED
+from tests.commands import run
+
+
+def refusal(capsys, *arguments):
+    """The one line on stderr of a refused command."""
+    assert run(*arguments) == 2
+    error = capsys.readouterr().err.lstrip("\n")  # which a progress bar prints
+    assert error.startswith("error: ") and error.count("\n") == 1
+    return error
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("train", "e2e_shac", "--output=--"),
+        ("seeds", "e2e_shac", "--seeds=--"),
+        ("evaluate", "e2e", "--policy=--"),
+        ("export", "p.npz", "--output", "o", "--range=--"),
+    ],
+    ids=lambda words: words[-1],
+)
+def test_an_option_of_two_dashes_is_refused(arguments, capsys):
+    assert f"{arguments[-1]}: expected a value" in refusal(capsys, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("x", "not a job"),
+        ("[]", "not a job"),
+        ('{"kind": "nap", "config": "e2e", "num_envs": 1, "repeats": 1}', "kind"),
+        ('{"kind": "training", "config": "e2e", "num_envs": -1, "repeats": 1}', "num_envs"),
+    ],
+)
+def test_a_bad_job_of_the_benchmark_is_refused(text, says, capsys):
+    assert f"--job: {says}" in refusal(capsys, "benchmark", "--job", text)
+
+
+@pytest.mark.parametrize(
+    "arguments", [["x" * 5000], ["e2e", "--name", "x" * 5000], ["e2e", "=" + "x, " * 3000]]
+)
+def test_long_values_are_cut(arguments, capsys):
+    assert len(refusal(capsys, "train", *arguments)) < 1100
+
+
+def test_the_url_of_a_database_is_told_with_its_password(tmp_path, capsys):
+    error = refusal(
+        capsys, "sweep", "learning_rate", "storage=postgres://bob:x@h/db", "--output", tmp_path
+    )
+    assert "USER:PASSWORD@HOST:PORT" in error and "bob:x" not in error
+
+
+def test_messages_about_the_compilation_cache_are_not_shown(capsys):
+    with warnings.catch_warnings(record=True) as shown:
+        text = "Error reading persistent compilation cache entry for 'f': truncated"
+        run_command(lambda: warnings.warn(text, stacklevel=2))
+    assert not shown
+
+
+@pytest.mark.parametrize("other", ["policy", "config", "figure", "override", "link"])
+def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys, other):
+    policy, config, states = tmp_path / "p.npz", tmp_path / "c.yaml", tmp_path / "s.npz"
+    policy.write_text("mine")
+    config.write_text("base: e2e")
+    (tmp_path / "l.npz").symlink_to(policy)
+    extra = {
+        "policy": ("--states", policy),
+        "config": ("--json", config),
+        "figure": ("--figure", tmp_path / "a.png", "--signals", tmp_path / "." / "a.png"),
+        "override": (f"vehicle.residual={states}", "--states", states),
+        "link": ("--states", tmp_path / "l.npz"),
+    }[other]
+    error = refusal(capsys, "evaluate", config, "--policy", policy, *extra)
+    assert "is also" in error
+    assert policy.read_text() == "mine" and config.read_text() == "base: e2e"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+def test_an_output_does_not_replace_a_pipe(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe")
+    error = refusal(capsys, "evaluate", "e2e", "--policy", "p.npz", "--json", tmp_path / "pipe")
+    assert "not a regular file" in error and (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "file"),
+    [
+        (("export", PRETRAINED / "e2e.npz", "--output"), "policy.npz"),
+        (("export", PRETRAINED / "e2e.npz", "--name", "mine", "--output"), "mine.c"),
+        (("simulate-logs", "--output"), "flight_0.csv"),
+        (("simulate-logs", "--random-residual", "1", "--output"), "residual.npz"),
+        (("sweep", "learning_rate", "name=one", "--report", "--output"), "report.md"),
+        (("sweep", "learning_rate", "name=one", "--output"), "trials"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value[0],
+)
+def test_somebody_s_files_are_not_replaced(tmp_path, capsys, arguments, file):
+    folder = tmp_path / "one"
+    folder.mkdir()
+    (folder / file).write_text("mine")
+    output = tmp_path if arguments[0] == "sweep" else folder
+    error = refusal(capsys, *arguments, output)
+    assert file in error and "--overwrite" in error
+    assert [path.name for path in folder.iterdir()] == [file]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("export", "nosuch.npz", "--output", "one"),
+        ("simulate-logs", "--vehicle", "abc", "--output", "one"),
+        ("evaluate", "e2e", "--policy", "nosuch.npz", "--json", "one/a.json"),
+        ("compare", "standin", "--ablation", "n" * 300, "--output", "one"),
+        ("compare", "standin", "--parts", "nap", "--output", "one"),
+    ],
+    ids=lambda words: " ".join(words)[:24],
+)
+@pytest.mark.parametrize("existing", [False, True])
+def test_a_refused_command_leaves_nothing(tmp_path, capsys, monkeypatch, arguments, existing):
+    monkeypatch.chdir(tmp_path)
+    if existing:
+        (tmp_path / "one").mkdir()
+        (tmp_path / "one" / "notes").write_text("mine")
+    refusal(capsys, *arguments)
+    left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*"))
+    assert left == (["one", "one/notes"] if existing else [])
+
+
+def test_a_failure_removes_copies_of_inputs_and_nothing_else(tmp_path):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "config.yaml").write_text("mine")
+    for folder, file in ((tmp_path / "a" / "new", "config.yaml"), (tmp_path / "old", "inputs")):
+        with pytest.raises(InputError), claim(folder, "training"):
+            (folder / file).write_text("a copy")
+            raise InputError("refused")
+    assert [path.name for path in tmp_path.iterdir()] == ["old"]
+    assert [path.name for path in (tmp_path / "old").iterdir()] == ["config.yaml"]
