@@ -203,6 +203,7 @@ POLICY_DAMAGE = {
     "three limits": (lambda a: a, {"command_low": [0, 0, 0]}, "command_low"),
     "word limits": (lambda a: a, {"command_low": "low"}, "command_low"),
     "nan limits": (lambda a: a, {"command_high": [1, 2, 3, float("nan")]}, "command_high"),
+    "huge limits": (lambda a: a, {"command_high": [3, 3, 3, 10**400]}, "command_high"),
     "no limits": (lambda a: a, {"command_high": None}, "command_high"),
     "crossed limits": (lambda a: a, {"command_high": [-3, 3, 3, 15]}, "command_low"),
     "observation": (lambda a: a, {"observation": [1, 2]}, "observation"),
@@ -240,6 +241,8 @@ RESIDUAL_DAMAGE = {
     "truth for a sign": (lambda a: a, {"thrust_sign": True}, "thrust_sign"),
     "word for rpm": (lambda a: a, {"rpm_min": "3000"}, "rpm_min"),
     "nan rpm": (lambda a: a, {"rpm_max": float("nan")}, "rpm_max"),
+    "huge rpm": (lambda a: a, {"rpm_max": 10**4000}, "rpm_max"),
+    "large rpm": (lambda a: a, {"rpm_min": 10**20, "rpm_max": 10**19}, "rpm_min"),
     "crossed rpm": (lambda a: a, {"rpm_max": 2000}, "rpm_min"),
     "a policy": (lambda a: a, {"format": "quadjax-policy/1"}, "quadjax-policy/1"),
 }
@@ -396,9 +399,31 @@ def test_an_array_that_the_format_does_not_name_is_not_read(tmp_path):
 
 
 @READERS
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"format": ' + "1" * 5000 + "}"])
-def test_meta_that_json_cannot_parse(tmp_path, read, text):
-    assert "not JSON" in refusal(read, save(tmp_path / "p.npz", policy_arrays(), text))
+@pytest.mark.parametrize(
+    "text, says", [("[" * 100_000, "not JSON"), ('{"format": ' + "1" * 5000 + "}", "format is inf")]
+)
+def test_meta_that_json_cannot_parse(tmp_path, read, text, says):
+    assert says in refusal(read, save(tmp_path / "p.npz", policy_arrays(), text))
+
+
+@READERS
+def test_an_array_that_is_in_a_file_twice(tmp_path, read):
+    path = save(tmp_path / "p.npz", policy_arrays() | residual_arrays(), POLICY_META)
+    with zipfile.ZipFile(path) as archive:
+        again = archive.read("kernel_0.npy")
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("kernel_0.npy", again)
+    assert "kernel_0 is in the file more than once" in refusal(read, path)
+
+
+@READERS
+def test_a_header_of_thousands_of_digits_is_a_short_message(tmp_path, read):
+    path = tmp_path / "p.npz"
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"9" * 5000 + b",)}\n"
+    with zipfile.ZipFile(path, "w") as archive:
+        data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+        archive.writestr("kernel_0.npy", data)
+    assert len(refusal(read, path)) < 400 + len(str(path))
 
 
 def test_stale_temporary_files_are_removed(tmp_path):

@@ -2,6 +2,7 @@
 
 import warnings
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -21,8 +22,9 @@ N = 6
 
 
 def short(*overrides: str):
-    """Episodes of five steps, if nobody crashes first."""
-    return load_config(BLANK, ["training_limits.episode_steps=5", *overrides])
+    """A race of episodes of five steps, if nobody crashes first."""
+    environment, params = make_race(load_config(BLANK, overrides))
+    return environment, params.replace(limits=params.limits.replace(episode_steps=jnp.int32(5)))
 
 
 def hover(n: int = N) -> np.ndarray:
@@ -43,7 +45,8 @@ def test_gymnasiums_own_checker_passes(kind):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_spaces_and_shapes(mode):
-    env = gymnasium.make_vec(ID, num_envs=N, config=short(), autoreset_mode=mode).unwrapped
+    config = load_config(BLANK)
+    env = gymnasium.make_vec(ID, num_envs=N, config=config, autoreset_mode=mode).unwrapped
     assert isinstance(env, RaceVectorEnv) and env.metadata["autoreset_mode"] == mode
     observation, infos = env.reset(seed=3)
     assert observation in env.observation_space and observation.shape == (N, 24) and infos == {}
@@ -59,9 +62,9 @@ def test_spaces_and_shapes(mode):
 
 def test_a_truncation_is_no_crash_and_shows_where_it_ended():
     """The final observation is the step's own, before the reset: it equals the race's."""
-    config = short("start.position=0", "start.velocity=0", "start.roll_pitch_deg=0")
-    same = RaceVectorEnv(*make_race(config), N, "SameStep")
-    off = RaceVectorEnv(*make_race(config), N, "Disabled")
+    race = short("start.position=0", "start.velocity=0", "start.roll_pitch_deg=0")
+    same = RaceVectorEnv(*race, N, "SameStep")
+    off = RaceVectorEnv(*race, N, "Disabled")
     same.reset(seed=1)
     off.reset(seed=1)
     for step in range(5):
@@ -85,9 +88,9 @@ def test_a_truncation_is_no_crash_and_shows_where_it_ended():
 
 def test_a_crash_is_no_truncation():
     """Upside down from the start: the roll limit ends every episode at its first step."""
-    env = RaceVectorEnv(
-        *make_race(load_config(BLANK, ["training_limits.roll_deg=1"])), N, "SameStep"
-    )
+    environment, params = make_race(load_config(BLANK))
+    params = params.replace(limits=params.limits.replace(roll=jnp.float32(0.02)))
+    env = RaceVectorEnv(environment, params, N, "SameStep")
     env.reset(seed=0)
     _, reward, terminated, truncated, infos = env.step(hover())
     assert terminated.any() and not truncated.any()
@@ -97,7 +100,7 @@ def test_a_crash_is_no_truncation():
 
 
 def test_the_next_episode_begins_a_step_later_where_asked():
-    env = RaceVectorEnv(*make_race(short()), N, "NextStep")
+    env = RaceVectorEnv(*short(), N, "NextStep")
     env.reset(seed=1)
     for _ in range(5):
         ended = env.step(hover())
@@ -110,7 +113,7 @@ def test_the_next_episode_begins_a_step_later_where_asked():
 
 
 def test_a_wrapper_counts_episodes():
-    env = RecordEpisodeStatistics(RaceVectorEnv(*make_race(short()), N, "SameStep"))
+    env = RecordEpisodeStatistics(RaceVectorEnv(*short(), N, "SameStep"))
     env.reset(seed=1)
     for _ in range(5):
         _, _, terminated, truncated, infos = env.step(hover())
@@ -140,7 +143,7 @@ def test_stable_baselines_learns_on_it():
     pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
     from quadjax.integrations.sb3 import RaceVecEnv, make_ppo, policy_of_ppo
 
-    env = RaceVecEnv(*make_race(short()), N, seed=0)
+    env = RaceVecEnv(*short(), N, seed=0)
     env.reset()
     for _ in range(5):
         observation, _, done, infos = env.step(hover())
@@ -156,7 +159,7 @@ def test_stable_baselines_learns_on_it():
         "learner.num_minibatches=2",
         "network.hidden=[8]",
     ]
-    config = short(*overrides)
+    config = load_config(BLANK, overrides)
     model = make_ppo(*make_race(config), config.learner, config.network, seed=0)
     before = [p.detach().clone() for p in model.policy.parameters()]
     model.learn(128)

@@ -124,6 +124,16 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_policy_without_its_checkpoints_is_a_run(tmp_path):
+    config = config_of("e2e_ppo.yaml")
+    (tmp_path / "policy.npz").write_bytes(b"of another training")
+    for resume, says in ((False, "already contains a run"), (True, "no checkpoint")):
+        with pytest.raises(InputError, match=says):
+            training.train(config, tmp_path, resume=resume)
+    assert (tmp_path / "policy.npz").read_bytes() == b"of another training"
+    assert not (tmp_path / "config.yaml").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
 def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):

@@ -1,10 +1,10 @@
 """Measure the speed of the environment and of training, without compilation.
 
 Environment steps a second (a step and the reset of finished episodes) against the number of
-environments, with and without residual networks; training steps a second of the presets; and the
-peak memory of each. Every measurement runs in a process of its own and is the median of its
-repeats. With --sb3, quadjax and Stable-Baselines3 train the published hyperparameters for equal
-time.
+environments, with and without residual networks; the same with the observation for each vehicle
+model; training steps a second of the presets; and the peak memory of each. Every measurement runs
+in a process of its own and is the median of its repeats. With --sb3, quadjax and Stable-Baselines3
+train the published hyperparameters for equal time.
 """
 
 import argparse
@@ -29,6 +29,7 @@ NUM_ENVS = tuple(4**power for power in range(9))  # 1 to 65,536
 QUICK_NUM_ENVS = (1, 64, 4096, 65_536)
 OBSERVED = 4096  # environments of the measurement with the observation
 ENVIRONMENT = "e2e_shac"
+VEHICLES = ("bebop1", "5inch", "a2rl", "cpc")  # of the measurement with the observation
 PRESETS = ("e2e_shac", "e2e_ppo", "e2e_paper")
 SIDE_BY_SIDE = "e2e_paper"
 TITLES = {
@@ -50,10 +51,12 @@ class Job:
     repeats: Annotated[int, Field(ge=1, le=10**6)]
     seconds: Annotated[float, Field(ge=0, le=10**6)] = 0.0  # of one side of --sb3
     devices: str = "auto"  # of a preset's training
+    vehicle: str = VEHICLES[0]
 
     def describe(self) -> str:
         """A short description of the job."""
-        return f"{Path(self.config).stem} {self.kind} {self.num_envs or ''}".strip()
+        name = self.vehicle if self.kind == "observed" else Path(self.config).stem
+        return f"{name} {self.kind} {self.num_envs or ''}".strip()
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -100,7 +103,7 @@ def _jobs(quick: bool, repeats: int) -> list[Job]:
         for kind in ("environment", "residual")
         for num_envs in (QUICK_NUM_ENVS if quick else NUM_ENVS)
     ]
-    jobs.append(Job("observed", ENVIRONMENT, OBSERVED, repeats))
+    jobs += [Job("observed", ENVIRONMENT, OBSERVED, repeats, vehicle=name) for name in VEHICLES]
     few = max(2, repeats // 2)
     jobs += [Job("training", preset, 0, few) for preset in PRESETS]
     return [*jobs, Job("training", ENVIRONMENT, 0, few, devices="1")]
@@ -152,7 +155,8 @@ def _run_job(job: Job) -> dict[str, Any]:
 
     if job.kind in ("quadjax", "sb3"):
         return _run_side(job)
-    config = load_config(job.config, [f"run.devices={job.devices}"])
+    vehicle = [f"vehicle={job.vehicle}"] if job.kind == "observed" else []
+    config = load_config(job.config, [f"run.devices={job.devices}", *vehicle])
     prepare_devices("auto")
     with loading():
         from quadjax.studies import benchmark
@@ -227,7 +231,7 @@ def _print_results(results: list[dict[str, Any]]) -> None:
         )
         for row in (row for row in results if row["kind"] == kind):
             memory = "-" if row["peak_memory_mib"] is None else f"{row['peak_memory_mib']:.0f} MiB"
-            name = row["config"] if kind == "training" else ""
+            name = {"training": row["config"], "observed": row["vehicle"]}.get(kind, "")
             print(
                 f"{name:>10} {row['num_envs']:>8,} {row['devices']:>7} "
                 f"{row['steps_per_second']:>12,.0f} {row['slowest']:>12,.0f} "

@@ -51,12 +51,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.vehicle.residual_file import read_residual, write_residual
 
     residual = read_residual(options.residual) if options.residual else None
-    drawn, new = options.random_residual, {}
+    drawn, own = options.random_residual, None
     if drawn is not None:
-        residual = random_residual(drawn, options.thrust_std, options.moment_std)
-        new = {RESIDUAL: {"random": True, "seed": drawn}}
+        residual = own = random_residual(drawn, options.thrust_std, options.moment_std)
     vehicle = VehicleParams(read_vehicle(options.vehicle).motor, residual)
-    with claim(options.output, "logs", ("flight_*.csv", *new), options.overwrite):
+    files = ("flight_*.csv", *([RESIDUAL] if own else []))
+    with claim(options.output, "logs", files, options.overwrite):
         for index in range(options.flights):
             columns = simulate_flight(vehicle, options.seed + index, options.seconds)
             if not all(np.isfinite(values).all() for values in columns.values()):
@@ -67,5 +67,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
             path = options.output / f"flight_{index}.csv"
             write_log(path, columns)
             print(f"wrote {path}")
-        for name, source in new.items():
-            write_residual(options.output / name, residual, source)
+        if own:
+            write_residual(options.output / RESIDUAL, own, {"random": True, "seed": drawn})

@@ -10,7 +10,7 @@ from quadjax.core.yaml_files import close_match, short
 from quadjax.vehicle.registry import model as vehicle_model
 
 MAX_THRUST, GRAVITY = 1000.0, 9.81  # times the weight; m/s^2
-RANDOMIZED = ("all", "constants")  # keys of randomization that are no group
+RANDOMIZED = ("all", "constants", "population")  # keys of randomization that are no group
 GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
 
 
@@ -85,7 +85,10 @@ def _check_constants(config: Config) -> None:
     model, constants = vehicle_model(vehicle.model), vehicle.constants
     for name in config.randomization.constants:
         _check_name(f"randomization.constants.{name}", name, model.constant_names)
-    spread = config.randomization.by_constant(model)
+    spread, population = config.randomization.by_constant(model), config.randomization.population
+    if population is not None and (population not in model.populations or any(spread.values())):
+        allowed = " or ".join(["null", *model.populations])
+        refuse("randomization.population", population, f"{allowed}, without fractions")
     for name in model.positive:
         if constants[name] <= 0:
             refuse(f"vehicle.constants.{name}", constants[name], "a positive number")
@@ -218,8 +221,10 @@ def _check_race_start(config: Config) -> None:
         return
     x, y, z = start.position
     outside = limit is not None and max(abs(x), abs(y)) >= limit
-    if z >= 0 or outside or not _within(config, start.position):
-        refuse("track.start.position", start.position, "above ground and within the rules' limits")
+    beneath = z >= 0 if config.rules.ground_speed is None else z > 0
+    if beneath or outside or not _within(config, (x, y, min(z, -1e-6))):
+        allowed = "above ground (on it with rules.ground_speed) and within the rules' limits"
+        refuse("track.start.position", start.position, allowed)
 
 
 def _check_start(config: Config) -> None:
@@ -304,6 +309,8 @@ def _check_used(config: Config) -> None:
             unused[f"randomization.{group}"] = with_model
     if not model.uses_start_thrust:
         unused["start.thrust"] = with_model
+    if config.rules.ground_speed is None:
+        unused["rules.ground_height"] = "without rules.ground_speed"
     if config.rules.gate_frame == 0:
         unused["rules.gate_depth"] = "without rules.gate_frame"
     if config.reward.gate_edge == 0 and "reward.gate_edge" not in config.schedules:

@@ -133,7 +133,7 @@ def _defaults(tree: Tree) -> Tree:
     absent = {
         section: value
         for section, value in DEFAULTS.items()
-        if not {"models", "gates"} & set(tree.get(section) or ())
+        if not (isinstance(tree.get(section), dict) and {"models", "gates"} & set(tree[section]))
     }
     return _merge({}, absent, CONFIGS, "defaults")
 
@@ -169,7 +169,13 @@ def _merge(under: Tree, over: Tree, folder: Path, source: str) -> Tree:
             continue
         if not isinstance(own["file"], str):
             raise InputError(f"{section}.file is {short(own['file'])}, allowed: name of a file")
-        values = _file_values(section, find_file(own["file"], folder, f"{section}s"))
+        with prefixed(f"{source}: {section}.file"):
+            path = find_file(own["file"], folder, f"{section}s")
+        values = _file_values(section, path)
+        if "rules" in values:  # of a track: those of its hall
+            own_rules = over.get("rules")
+            rules = values.pop("rules")
+            over = {**over, "rules": merge_trees(rules, own_rules) if own_rules else rules}
         lower = under.get(section, {})
         under[section] = {k: v for k, v in lower.items() if k not in keys}
         over = {**over, section: merge_trees(values, {**own, "file": None})}
@@ -200,8 +206,8 @@ def _file_values(section: str, path: Path) -> Tree:
     tree = read_tree_with_bases(path)
     if section == "track":
         for key in tree:
-            if key not in FROM_FILE["track"][1:]:
-                allowed = sorted(FROM_FILE["track"][1:])
+            allowed = sorted((*FROM_FILE["track"][1:], "rules"))
+            if key not in allowed:
                 hint = close_match(key, allowed)
                 raise InputError(f"{path}: unknown key {key}{hint}; allowed: {', '.join(allowed)}")
         return {"name": path.stem, "gates": [], **tree}

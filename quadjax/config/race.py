@@ -18,7 +18,7 @@ from quadjax.core.sections import Section
 from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout
-from quadjax.race.rules import Frame, Limits, RewardWeights
+from quadjax.race.rules import Frame, Landing, Limits, RewardWeights
 from quadjax.race.start import DisturbanceRange, StartRange
 from quadjax.race.track import Pose, Track, inside_turn, make_track
 from quadjax.vehicle.attitude import with_quaternions
@@ -51,6 +51,7 @@ def choices_of(config: Config) -> Choices:
         stagger_clocks=start.stagger_clocks,
         randomize=any(dict(config.randomization).values())
         or any(key.startswith("randomization.") for key in config.schedules),
+        population=config.randomization.population,
         mismatch=bool(config.vehicle.mismatch),
         terms=_own("reward.terms", config.reward.terms),
         rules=_own("rules.extra", config.rules.extra),
@@ -103,7 +104,8 @@ def build_track(track: schema.Track) -> Track:
 
 
 def _pose(start: schema.TrackStart) -> Pose:
-    return Pose(_vector(start.position), jnp.float32(math.radians(start.yaw_deg)))
+    on_ground = start.position[2] == 0
+    return Pose(_vector(start.position), jnp.float32(math.radians(start.yaw_deg)), on_ground)
 
 
 def _vector(values: Iterable[float]) -> Vec3:
@@ -176,8 +178,15 @@ def _limits(config: Config) -> Limits:
         **_traced(limits),
         episode_steps=steps,
         bounds=None if box is None else (_vector(x[0] for x in box), _vector(x[1] for x in box)),
+        landing=_landing(rules),
         frame=Frame(**_traced(solid)) if rules.gate_frame else None,
     )
+
+
+def _landing(rules: schema.Rules) -> Landing | None:
+    if rules.ground_speed is None:
+        return None
+    return Landing(**_traced({"height": rules.ground_height, "speed": rules.ground_speed}))
 
 
 def _or_none(limit: float | None) -> float:

@@ -230,6 +230,14 @@ class Rules(Section):
         description="[lowest, highest] x, y and z, m: leaving the box is a collision; z of -7 is a "
         "ceiling at 7 m; null: none besides position_limit and the ground",
     )
+    ground_speed: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="largest speed within ground_height of the ground, m/s, so that races can "
+        "start on it; null: touching the ground is a collision",
+    )
+    ground_height: float = Field(0.4, ge=0, le=100, description="see ground_speed, m")
     gate_frame: float = Field(
         0.0,
         ge=0,
@@ -339,6 +347,12 @@ class Randomization(Section):
         {},
         max_length=100,
         description="single constants, in place of their group's fraction: {w_max: 0.15}",
+    )
+
+    population: str | None = Field(
+        None,
+        description="population of the model that all constants are drawn from, in place of "
+        "fractions: all_racing_drones (model racing; arXiv 2504.21586)",
     )
 
     def by_constant(self, model: "VehicleModel") -> dict[str, float]:

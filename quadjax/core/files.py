@@ -105,12 +105,17 @@ def read_json(path: Path | str) -> dict[str, Any]:
     """
     text = read_text(path)
     try:
-        value = json.loads(text)
+        value = _parse_json(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: damaged, not a JSON file ({error})") from error
     if not isinstance(value, dict):
         raise InputError(f"{path}: expected a JSON object")
     return value
+
+
+def _parse_json(text: str) -> Any:
+    """The value of a JSON text; an integer of more than 18 digits is a float, perhaps infinite."""
+    return json.loads(text, parse_int=lambda digits: (int if len(digits) < 19 else float)(digits))
 
 
 def write_npz(path: Path | str, arrays: dict[str, np.ndarray], meta: dict[str, object]) -> None:
@@ -173,6 +178,8 @@ def read_npz(
     try:
         with zipfile.ZipFile(path) as archive:
             found = [name.removesuffix(".npy") for name in archive.namelist()]
+            if twice := sorted({name for name in found if found.count(name) > 1}):
+                raise InputError(f"{path}: {twice[0]} is in the file more than once")
             arrays = {
                 name: _read_entry(path, archive, name)
                 for name in found
@@ -181,11 +188,11 @@ def read_npz(
     except InputError:
         raise
     except Exception as error:  # zipfile, zlib and NumPy raise many kinds for a damaged file
-        raise InputError(f"{path}: not a readable .npz file ({error})") from error
+        raise InputError(f"{path}: not a readable .npz file ({str(error)[:200]})") from error
     if "meta" not in arrays:
         raise InputError(f"{path}: no 'meta' entry; expected a JSON string")
     try:
-        meta = json.loads(str(arrays.pop("meta")))
+        meta = _parse_json(str(arrays.pop("meta")))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: 'meta' is not JSON ({error})") from error
     stated = meta.get("format") if isinstance(meta, dict) else None

@@ -5,6 +5,8 @@ quaternion; the functions of its result are for both. Everything here is for one
 ``jax.vmap``.
 """
 
+from typing import overload
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -39,6 +41,14 @@ class Attitude:
     cos_pitch: jax.Array
     sin_yaw: jax.Array
     cos_yaw: jax.Array
+
+
+@overload
+def attitude(euler: Vec3) -> Attitude: ...
+
+
+@overload
+def attitude(euler: Quaternion) -> QuaternionAttitude: ...
 
 
 def attitude(euler: Vec3 | Quaternion) -> Attitude | QuaternionAttitude:
@@ -76,6 +86,14 @@ def world_to_body(a: Attitude | QuaternionAttitude, vector: Vec3) -> Vec3:
     x, z = a.cos_pitch * x - a.sin_pitch * z, a.sin_pitch * x + a.cos_pitch * z
     y, z = a.cos_roll * y + a.sin_roll * z, -a.sin_roll * y + a.cos_roll * z
     return Vec3(x, y, z)
+
+
+@overload
+def euler_rates(a: Attitude, body_rates: Vec3) -> Vec3: ...
+
+
+@overload
+def euler_rates(a: QuaternionAttitude, body_rates: Vec3) -> Quaternion: ...
 
 
 def euler_rates(a: Attitude | QuaternionAttitude, body_rates: Vec3) -> Vec3 | Quaternion:

@@ -9,6 +9,7 @@ from types import FrameType
 
 from quadjax.core.errors import INTERRUPTED
 
+STOPPING = b"\nstopping: saved after the next evaluation; Ctrl-C again ends without saving\n"
 Handler = Callable[[int, FrameType | None], object] | int | None
 
 
@@ -16,6 +17,7 @@ Handler = Callable[[int, FrameType | None], object] | int | None
 def interruptions() -> Iterator[threading.Event]:
     """An event that Ctrl-C or SIGTERM sets; a second one raises ``KeyboardInterrupt``.
 
+    The first one prints a line to stderr.
     The handler that was installed before is called at the first signal, too.
     """
     stop = threading.Event()
@@ -27,6 +29,7 @@ def interruptions() -> Iterator[threading.Event]:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
+        os.write(2, STOPPING)
         handler = before[number]
         if callable(handler) and handler is not signal.default_int_handler:
             handler(number, frame)

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
@@ -23,7 +24,8 @@ SERIES = ("#1f6feb", "#d1495b", "#2a9d8f", "#e9a23b")
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure, inches, on a canvas of its own."""
-    figure = Figure(figsize=(width, height), layout="constrained", facecolor=PAPER)
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)  # inches
+    figure = Figure(figsize=(width, height), layout=layout, facecolor=PAPER)
     FigureCanvasAgg(figure)
     return figure
 

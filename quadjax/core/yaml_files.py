@@ -11,7 +11,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from quadjax.core.errors import InputError, reading
+from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.files import read_text
 from quadjax.core.resources import CONFIGS
 
@@ -115,7 +115,8 @@ def _with_bases(under: Tree, path: Path, chain: tuple[Path, ...], merge: Merge) 
     if len(chain) > MAX_DEPTH:
         raise InputError(f"{path}: a chain of more than {MAX_DEPTH} bases")
     for name in names:
-        base = find_file(name, path.parent)
+        with prefixed(f"{path}: base"):
+            base = find_file(name, path.parent)
         if base.resolve() in chain:
             raise InputError(f"{path}: base {name} leads back to itself")
         under = _with_bases(under, base, chain, merge)

@@ -49,25 +49,25 @@ def prove(network: FixedNetwork, policy: Policy) -> Proof:
         InputError: a row whose accumulator may overflow or whose output may leave its range, or
             a table of the wrong shape, by layer and row.
     """
-    low = [-ONE] * network.inputs
-    high = [ONE] * network.inputs
+    high = np.array([ONE] * network.inputs, object)
+    low = -high
     layers, inactive = [], []
     for index, layer in enumerate(network.layers):
         hidden = index < len(network.hidden)
         rows = prove_layer(index, layer, low, high, hidden)
         layers.append(rows)
         if hidden:
-            low = [max(0, row.low >> WORD) for row in rows]
-            high = [max(0, row.high >> WORD) for row in rows]
-            inactive.append(sum(value == 0 for value in high))
+            low = np.array([max(0, row.low >> WORD) for row in rows], object)
+            high = np.array([max(0, row.high >> WORD) for row in rows], object)
+            inactive.append(int(np.sum(high == 0)))
     _prove_output(network, layers[-1])
     return Proof(tuple(layers), error_bound(network, policy), tuple(inactive))
 
 
 def prove_layer(
-    index: int, layer: FixedLayer, low: list[int], high: list[int], hidden: bool
+    index: int, layer: FixedLayer, low: np.ndarray, high: np.ndarray, hidden: bool
 ) -> tuple[RowRange, ...]:
-    """Exact ranges of a layer's rows for integer inputs in [low, high].
+    """Exact ranges of a layer's rows for Python integers as inputs in [low, high].
 
     Raises:
         InputError: a row that fails.
@@ -77,11 +77,13 @@ def prove_layer(
             f"layer {index}: weights of shape {layer.weights.shape} do not fit {len(low)} inputs "
             f"and {len(layer.bias)} rows"
         )
-    rows = []
-    for number, (weights, bias) in enumerate(
-        zip(layer.weights.tolist(), layer.bias.tolist(), strict=True)
-    ):
-        row = _row_range(weights, bias, low, high)
+    weights, bias = layer.weights.astype(object), layer.bias.astype(object)
+    positive, negative = np.maximum(weights, 0), np.minimum(weights, 0)
+    bottoms = positive @ low + negative @ high + bias
+    tops = positive @ high + negative @ low + bias
+    magnitudes = abs(weights) @ np.maximum(-low, high) + abs(bias)
+    rows = tuple(RowRange(*ends) for ends in zip(bottoms, tops, magnitudes, strict=True))
+    for number, row in enumerate(rows):
         if row.magnitude >= ACCUMULATOR:
             raise InputError(
                 f"layer {index}, row {number}: the accumulator may reach "
@@ -92,18 +94,7 @@ def prove_layer(
                 f"layer {index}, row {number}: the output may reach {row.high >> WORD}, "
                 f"allowed: {LARGEST_HIDDEN}"
             )
-        rows.append(row)
-    return tuple(rows)
-
-
-def _row_range(weights: list[int], bias: int, low: list[int], high: list[int]) -> RowRange:
-    bottom = top = bias
-    magnitude = abs(bias)
-    for w, a, b in zip(weights, low, high, strict=True):
-        bottom += w * (a if w > 0 else b)
-        top += w * (b if w > 0 else a)
-        magnitude += abs(w) * max(-a, b)
-    return RowRange(bottom, top, magnitude)
+    return rows
 
 
 def _prove_output(network: FixedNetwork, rows: tuple[RowRange, ...]) -> None:

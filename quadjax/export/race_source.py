@@ -78,7 +78,8 @@ def find_config(
     else:
         found, origin = _default(policy), DEFAULT
     if track is not None:
-        found = found.replace(track=load_config(DEFAULT_CONFIG, [f"track={track}"]).track)
+        overrides = [f"track={track}", "rules.position_limit=null"]
+        found = found.replace(track=load_config(DEFAULT_CONFIG, overrides).track)
         origin = f"{origin}, track {track}"
     return found, origin
 

@@ -1,6 +1,7 @@
 """The report of a conversion: what was proven and what was measured, as JSON and as text."""
 
 import dataclasses
+import hashlib
 
 import jax.numpy as jnp
 import numpy as np
@@ -67,6 +68,7 @@ def make_report(converted: Converted, file: str) -> Json:
         "source": converted.policy.source,
         "track": converted.own.track,
         "config": converted.own.origin,
+        "config_sha256": hashlib.sha256(converted.own.config.encode()).hexdigest(),
         "deterministic": True,
         "options": dataclasses.asdict(converted.options),
         "estimator": tables

@@ -4,7 +4,8 @@ Rows are numbered as in an editor or a spreadsheet: the header is row 1.
 """
 
 import csv
-import warnings
+import math
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -163,11 +164,11 @@ def _check_wanted(path: Path | str, wanted: dict[str, list[str]], header: list[s
             raise InputError(f"{path}: row 1, column {name!r} {problem}")
 
 
-def _rows(path: Path | str, **options: str) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path | str) -> Iterator[tuple[int, list[str]]]:
     """Numbered rows of a CSV file, from 1."""
     row = 1
     try:
-        with open(path, newline="", encoding="utf-8-sig", **options) as stream:
+        with open(path, newline="", encoding="utf-8-sig") as stream:
             for row, cells in enumerate(csv.reader(stream), start=1):
                 yield row, cells
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -188,34 +189,10 @@ def _header(path: Path | str) -> list[str]:
 
 def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
     """The named columns (n, k) as float64, every one a finite number."""
-    _check_rows(path, header)
-    columns = [header.index(name) for name in names]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # no rows: ``check_time`` reports it
-            table = np.loadtxt(
-                path,
-                delimiter=",",
-                skiprows=1,
-                usecols=columns,
-                ndmin=2,
-                comments=None,
-                quotechar='"',
-                encoding="utf-8-sig",
-            )
-    except (ValueError, UnicodeDecodeError):
-        raise _bad_cell(path, header, names) from None
-    if not np.isfinite(table).all():
-        raise _bad_cell(path, header, names)
-    return table
-
-
-def _check_rows(path: Path | str, header: list[str]) -> None:
-    """Reject empty rows before the end, and rows with more cells than there are columns."""
-    empty = None
-    for row, cells in _rows(path, errors="replace"):
-        if not any(cells):
-            empty = empty or row
+    columns, numbers, empty = [header.index(name) for name in names], array("d"), None
+    for row, cells in _rows(path):
+        if row == 1 or not any(cells):
+            empty = empty or (row if row > 1 else None)
             continue
         if empty:
             raise InputError(f"{path}: row {empty}, column {header[0]!r} and on is empty")
@@ -225,25 +202,28 @@ def _check_rows(path: Path | str, header: list[str]) -> None:
                 f"{path}: row {row} continues after the last column, {header[-1]!r}, with "
                 f"{beyond[0]!r:.80}"
             )
+        try:
+            values = [float(cells[column]) for column in columns]
+        except (IndexError, ValueError):
+            values = [math.nan]
+        if not math.isfinite(sum(values)):
+            _check_cells(path, row, cells, dict(zip(names, columns, strict=True)))
+        numbers.extend(values)
+    return np.frombuffer(numbers).reshape(-1, len(names))
 
 
-def _bad_cell(path: Path | str, header: list[str], names: list[str]) -> InputError:
-    """An error that names the first cell that is not a finite number."""
-    for row, cells in _rows(path, errors="replace"):
-        if row == 1 or not cells:
-            continue
-        for name in names:
-            index = header.index(name)
-            where = f"{path}: row {row}, column {name!r}"
-            if index >= len(cells):
-                return InputError(f"{where} is missing: the row has {len(cells)} cells")
-            try:
-                number = float(cells[index])
-            except ValueError:
-                return InputError(f"{where} is {cells[index]!r:.80}, expected a number")
-            if not np.isfinite(number):
-                return InputError(f"{where} is {number}, expected a finite number")
-    return InputError(f"{path}: row 2 and after cannot be read as numbers")
+def _check_cells(path: Path | str, row: int, cells: list[str], columns: dict[str, int]) -> None:
+    """Refuse the first cell of a row that is not a finite number."""
+    for name, column in columns.items():
+        where = f"{path}: row {row}, column {name!r}"
+        if column >= len(cells):
+            raise InputError(f"{where} is missing: the row has {len(cells)} cells")
+        try:
+            number = float(cells[column])
+        except ValueError:
+            raise InputError(f"{where} is {cells[column]!r:.80}, expected a number") from None
+        if not math.isfinite(number):
+            raise InputError(f"{where} is {number}, expected a finite number")
 
 
 def _to_standard_frames(path: Path | str, given: Quantities, config: LogsConfig) -> Quantities:

@@ -46,6 +46,7 @@ class Choices:
     random_gate: bool = False  # start at any gate rather than the last
     stagger_clocks: bool = False  # episodes start at a random step of their clock
     randomize: bool = False  # draw new constants for every episode
+    population: str | None = None  # of the model, that they are drawn from
     mismatch: bool = False  # the simulated drone has other constants than the policy's model
     terms: tuple[Term, ...] = ()  # reward terms besides those of RewardWeights
     rules: tuple[Rule, ...] = ()  # rules besides those of Limits
@@ -123,7 +124,11 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     if choices.mismatch:
         own = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
     if choices.randomize:
-        own = constants = start.draw_constants(constants, params.randomization, drawn[own_draws:])
+        numbers = drawn[own_draws:]
+        if choices.population is None:
+            own = constants = start.draw_constants(constants, params.randomization, numbers)
+        else:
+            own = constants = choices.model.populations[choices.population](constants, numbers)
     drone = start.start(
         choices.model,
         constants,
@@ -226,7 +231,7 @@ def evaluate_rules(
     outcome = rules.Outcome(
         passed=passed,
         gate_collision=hit,
-        ground=position.z > 0,
+        ground=rules.hits_ground(position, model.velocity(after), limits.landing),
         out_of_bounds=outside | (fastest > limits.body_rate),
         attitude=(jnp.abs(euler.y) > limits.pitch)
         | (jnp.abs(euler.x) > limits.roll)

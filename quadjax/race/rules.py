@@ -24,6 +24,14 @@ class Frame:
 
 
 @struct.dataclass
+class Landing:
+    """Where slow flight near the ground is no collision."""
+
+    height: jax.Array  # m above the ground
+    speed: jax.Array  # m/s
+
+
+@struct.dataclass
 class Limits:
     """Where an episode ends."""
 
@@ -36,6 +44,7 @@ class Limits:
     yaw_rate: jax.Array  # rad/s
     gate_inflation: jax.Array  # m added to each side of every gate's opening
     bounds: tuple[Vec3, Vec3] | None = None  # lowest and highest position, m; None: none
+    landing: Landing | None = None  # None: touching the ground is a collision
     frame: Frame | None = None  # None: only the target gate's plane is solid
 
 
@@ -151,6 +160,17 @@ def outside_box(position: Vec3, bounds: tuple[Vec3, Vec3]) -> jax.Array:
     sides = zip(position.components(), low.components(), high.components(), strict=True)
     out = [(x < least) | (x > most) for x, least, most in sides]
     return out[0] | out[1] | out[2]
+
+
+BENEATH = 0.5  # m, deepest position of a take-off: the ground itself is not simulated
+
+
+def hits_ground(position: Vec3, velocity: Vec3, landing: Landing | None) -> jax.Array:
+    """Whether a position or a velocity near the ground is a collision, a () bool."""
+    if landing is None:
+        return position.z > 0
+    fast = (position.z > -landing.height) & (safe_norm(velocity) > landing.speed)
+    return fast | (position.z > BENEATH)
 
 
 def next_gate_progress(before: Vec3, after: Vec3, g: Gate) -> jax.Array:

@@ -106,10 +106,17 @@ def start(
 
 
 def hover(model: VehicleModel, c: Constants, track: Track) -> State:
-    """At rest and level at the track's start, or the last gate, nose towards the first gate."""
+    """At rest and level at the track's start, or the last gate, nose towards the first gate.
+
+    On the ground the actuators are at their lowest, elsewhere those of a hover.
+    """
     if track.start is not None:
         euler = Vec3.zero().replace(z=wrap_angle(track.start.yaw))
-        return model.hover(c, Motion(track.start.position, Vec3.zero(), euler, Vec3.zero()))
+        motion = Motion(track.start.position, Vec3.zero(), euler, Vec3.zero())
+        if not track.start.on_ground:
+            return model.hover(c, motion)
+        lowest = -jnp.ones(max(4, model.actuators.size))
+        return model.start(c, motion, lowest, (jnp.zeros(()), jnp.zeros(())))
     last = jax.tree.map(lambda x: x[-1], track.position)
     first = jax.tree.map(lambda x: x[0], track.position)
     euler = Vec3.zero().replace(z=wrap_angle(_heading(last, first)))

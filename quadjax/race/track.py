@@ -18,6 +18,7 @@ class Pose:
 
     position: Vec3  # m, world
     yaw: jax.Array  # () rad
+    on_ground: bool = struct.field(pytree_node=False, default=False)  # at rest, not in hover
 
 
 @struct.dataclass

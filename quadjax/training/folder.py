@@ -9,6 +9,7 @@ from quadjax.core.files import check_file, whole_file, write_text
 from quadjax.core.folders import check_kind, kind_of, remove_files
 from quadjax.core.sections import value_at
 from quadjax.core.yaml_files import flatten, parse_yaml, read_yaml
+from quadjax.training.result import is_finished
 from quadjax.vehicle.residual_file import is_shipped
 
 KIND = "training"
@@ -52,19 +53,29 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
     contents = _inputs(config)
     if overwrite:
         remove_files(folder, FILES)
-    latest = folder / "checkpoints" / "latest"
-    if latest.exists() and any(latest.iterdir()):
+    saved = _has_checkpoint(folder)
+    if saved or (folder / "policy.npz").exists():
         if not resume:
             raise InputError(
                 f"{folder} already contains a run: resume it (--resume), replace it (--overwrite) "
                 "or choose another name"
             )
         check_same(config, folder)
+        if not saved and not is_finished(folder):
+            raise InputError(
+                f"{folder} has a policy but no checkpoint to resume from: replace the run "
+                "(--overwrite) or choose another name"
+            )
     for key, content in contents.items():
         with whole_file(folder / INPUTS[key]) as temporary:
             temporary.write_bytes(content)
     write_text(folder / "config.yaml", _with_inputs(config, contents).to_yaml())
     return _with_inputs(config, contents, folder)
+
+
+def _has_checkpoint(folder: Path) -> bool:
+    latest = folder / "checkpoints" / "latest"
+    return latest.exists() and any(latest.iterdir())
 
 
 def _inputs(config: Config) -> dict[str, bytes]:

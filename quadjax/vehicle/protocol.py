@@ -105,6 +105,8 @@ class VehicleModel:
             body.
         groups: names of constants by the group of ``randomization`` that scales them; a group is a
             key of that section.
+        populations: ``(nominal, drawn) -> constants`` by name, for ``randomization.population``: a
+            drone of a population, of one number in [-1, 1] for each constant.
         positive: names of constants that must be above zero.
         nonnegative: names of constants that no drone has below zero in the model's frame.
         ranges: pairs of names of constants: 0 <= first < second.
@@ -138,6 +140,9 @@ class VehicleModel:
     hover: Callable[[Constants, Motion], State]
     specific_force: Callable[[VehicleParams, State], Vec3]
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    populations: Mapping[str, Callable[[Constants, jax.Array], Constants]] = dataclasses.field(
+        default_factory=dict
+    )
     positive: tuple[str, ...] = ()
     nonnegative: tuple[str, ...] = ()
     ranges: tuple[tuple[str, str], ...] = ()

@@ -12,7 +12,7 @@ from flax import struct
 
 from quadjax.core.gradients import bounded_sqrt
 from quadjax.core.trigonometry import arctan2
-from quadjax.core.vectors import Rotors, Vec3
+from quadjax.core.vectors import Rotors, Vec3, between
 from quadjax.vehicle.protocol import Signal
 from quadjax.vehicle.rigid_body import per_rotor, rigid_body_model
 
@@ -183,6 +183,44 @@ def hover_speed(c: RacingConstants) -> Rotors:
     return Rotors.of(jnp.clip(speed, c.w_min, c.w_max))
 
 
+# The distribution of "One Net to Rule Them All": lowest and highest values; k_w, k_p and k_q times
+# w_max^2, k_x, k_y, k_r and k_rd times w_max. Roll and pitch moments differ among the rotors.
+ALL_RACING_DRONES = {
+    "w_min": (0.0, 500.0),
+    "w_max": (3000.0, 5000.0),
+    "k": (0.0, 1.0),
+    "tau": (0.01, 0.1),
+    "k_w": (10.0, 30.0),
+    "k_x": (0.1, 0.3),
+    "k_y": (0.1, 0.3),
+    "k_r": (20.0, 80.0),
+    "k_rd": (2.0, 8.0),
+    "k_p": (200.0, 800.0),
+    "k_q": (200.0, 800.0),
+}
+ROTOR_DIFFERENCE = 50.0
+
+
+def all_racing_drones(nominal: RacingConstants, drawn: jax.Array) -> RacingConstants:
+    """A drone of ``ALL_RACING_DRONES``, of at least 19 numbers in [-1, 1]; ``g`` as given."""
+    count = len(ALL_RACING_DRONES)
+    found = {
+        name: between(*span, drawn[index])
+        for index, (name, span) in enumerate(ALL_RACING_DRONES.items())
+    }
+    w = found["w_max"]
+    for name in ("k_w", "k_p", "k_q"):
+        found[name] = found[name] / (w * w)
+    for name in ("k_x", "k_y", "k_r", "k_rd"):
+        found[name] = found[name] / w
+    for axis, name in enumerate(("k_p", "k_q", "k_r", "k_rd")):
+        value = found.pop(name)
+        for rotor in range(4):
+            own = ROTOR_DIFFERENCE * drawn[count + 4 * axis + rotor] / (w * w) if axis < 2 else 0.0
+            found[f"{name}{rotor + 1}"] = value + own
+    return nominal.replace(**found)
+
+
 GROUPS = {
     "gravity": ("g",),
     "thrust": ("k_w",),
@@ -205,7 +243,14 @@ COMMON = {
     "lags": ("tau",),
     "thrust_to_weight": lambda c: 4.0 * c["k_w"] * c["w_max"] ** 2 / c["g"],
 }
-MODEL = rigid_body_model("racing", RacingConstants, forces=forces, groups=GROUPS, **COMMON)
+MODEL = rigid_body_model(
+    "racing",
+    RacingConstants,
+    forces=forces,
+    groups=GROUPS,
+    populations={"all_racing_drones": all_racing_drones},
+    **COMMON,
+)
 A2RL = rigid_body_model(
     "a2rl",
     A2RLConstants,

@@ -207,6 +207,23 @@ def test_names_that_are_no_config(tmp_path):
     assert "empty; write at least the preset to start from" in refusal(tmp_path / "c.yaml")
 
 
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("vehicle: {file: nuld}", "vehicle.file: 'nuld': no such file"),
+        ("track: figure9", "track.file: 'figure9': no such file"),
+        ("base: par", "base: 'par': no such file"),
+        ("track: 3", "track is 3, allowed: a mapping"),
+        ("vehicle: true", "vehicle is True, allowed: a mapping"),
+    ],
+)
+def test_a_file_or_section_that_a_config_names_wrongly(tmp_path, text, says):
+    path = tmp_path / "c.yaml"
+    path.write_text(text if text.startswith("base") else f"base: e2e\n{text}\n")
+    message = refusal(path)
+    assert message.startswith(str(path)) and says in message
+
+
 REFUSED = [
     ("sede=1", "unknown key sede; did you mean seed?"),
     ("learner.rate=1", "unknown key learner.rate"),

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from quadjax.studies.ppo_against_sb3 import Clock
 from tests.commands import run
 from tests.evaluation.support import random_policy
 
@@ -88,3 +89,12 @@ def test_the_benchmark_measures_in_a_process(monkeypatch, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["steps_per_second"] > 0 and result["devices"] == 2
     assert result["machine"]["cores"] >= 1
+
+
+def test_the_speed_of_a_single_update_counts_from_the_start(monkeypatch):
+    now = iter([20.0, 30.0, 35.0])
+    monkeypatch.setattr("quadjax.studies.ppo_against_sb3.time.monotonic", lambda: next(now))
+    clock = Clock(started=0.0, seconds=25.0)
+    assert not clock.over(steps=1000) and clock.speed == 50.0 and clock.seconds == 20.0
+    assert clock.over(steps=3000) and clock.speed == 200.0  # without the first: compilation
+    assert clock.over(steps=4000) and clock.speed == 200.0

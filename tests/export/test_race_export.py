@@ -222,7 +222,7 @@ def test_the_estimate_is_observed_as_the_disturbance_of_the_state():
 
 def test_a_gate_far_away_widens_the_ranges(tmp_path):
     (tmp_path / "far.yaml").write_text(
-        "gates:\n  - {position: [0, 0, -2]}\n  - {position: [20, 0, -2]}\n"
+        "gates:\n  - {position: [-9, 0, -2]}\n  - {position: [9, 0, -2]}\n"
     )
     policy = made_policy(8)
     own = own_race(policy, track=str(tmp_path / "far.yaml"))
@@ -237,5 +237,5 @@ def test_a_gate_far_away_widens_the_ranges(tmp_path):
     converted = convert_policy(policy, own, Options("far"), "far", path, rollouts)
     assert converted.network.box.declared["next_position"] == 32.0
     narrow = Options("far", {"next_position": 16.0})
-    with pytest.raises(InputError, match="gate 0: next_position is 20, declared .-16"):
+    with pytest.raises(InputError, match="gate 0: next_position is 18, declared .-16"):
         convert_policy(policy, own, narrow, "far", path, rollouts)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.race import environment
 from quadjax.vehicle.protocol import Motion
@@ -131,3 +132,36 @@ def test_every_rotor_has_its_own_draw():
         [factors[f"{name}{i}"] for name in ("k_p", "k_q", "k_r") for i in (1, 2, 3, 4)]
     )
     assert np.abs(np.corrcoef(table) - np.eye(12)).max() < 0.08
+
+
+def test_population_of_all_racing_drones():
+    """The ranges of arXiv 2504.21586, with the sums and products that it draws."""
+    choices, params = make_race(
+        "vehicle=5inch", TRACK, "randomization.population=all_racing_drones"
+    )
+    drawn = compiled_reset(choices)(params, jax.random.split(jax.random.key(1), 4000)).constants
+    c = {name: np.asarray(value, float) for name, value in vars(drawn).items()}
+    w = c["w_max"]
+    for values, low, high in (
+        (c["w_min"], 0, 500),
+        (w, 3000, 5000),
+        (c["k"], 0, 1),
+        (c["tau"], 0.01, 0.1),
+        (c["k_w"] * w**2, 10, 30),
+        (c["k_x"] * w, 0.1, 0.3),
+        (c["k_y"] * w, 0.1, 0.3),
+        (c["k_r3"] * w, 20, 80),
+        (c["k_rd2"] * w, 2, 8),
+        ((c["k_p1"] - c["k_p4"]) * w**2, -100, 100),
+        (np.mean([c[f"k_q{i}"] for i in (1, 2, 3, 4)], axis=0) * w**2, 200, 800),
+    ):
+        assert abs(values.min() - low) < 0.06 * (high - low)
+        assert abs(values.max() - high) < 0.06 * (high - low)
+    np.testing.assert_array_equal(c["k_r1"], c["k_r4"])
+    np.testing.assert_array_equal(c["turning2"], 1.0)
+    with pytest.raises(InputError, match="allowed: null or all_racing_drones, without fractions"):
+        make_race("vehicle=5inch", "randomization={population: all_racing_drones, lag: 0.1}")
+    with pytest.raises(
+        InputError, match="randomization.population is 'all', allowed: null, without"
+    ):
+        make_race("randomization.population=all")

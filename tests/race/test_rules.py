@@ -1,6 +1,7 @@
 """Gates, collisions, ends of an episode and the reward, one step at a time."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from quadjax.config.race import build_params, build_track, choices_of
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.race import rules
-from quadjax.race.environment import exact_rules, hover_start, make_environment
+from quadjax.race.environment import exact_rules, hover_start, make_environment, transition
 from quadjax.race.laps import begin, score
 from quadjax.race.track import gate, make_track, to_opening_frame
 from quadjax.vehicle.motor import MODEL
@@ -537,3 +538,30 @@ def test_starts_of_a_course():
     for target, center in enumerate([[-3, -1.5, -1.5], *ref.GATES[:3]]):
         near = np.asarray(position)[np.asarray(states.target) == target] - center
         assert len(near) > 20 and np.abs(near).max() <= 0.5 + 1e-6
+
+
+def test_slow_flight_near_the_ground_is_allowed_by_rule():
+    race = make_race("rules.ground_speed=5", "rules.ground_height=0.4")
+    places, speeds = (
+        [[0, 0, -0.3], [0, 0, -0.3], [0, 0, -0.5], [0, 0, 0.1], [0, 0, 0.6]],
+        [4, 6, 6, 1, 1],
+    )
+    _, _, outcome = step(race, level(places, [[v, 0, 0] for v in speeds]))
+    np.testing.assert_array_equal(outcome.ground, [False, True, False, False, True])
+
+
+def test_a_track_with_rules_and_a_start_on_the_ground():
+    config = load_config(
+        "e2e_shac", ["track=grand_challenge", "vehicle=a2rl", "rules.gate_frame=0.5"]
+    )
+    assert config.rules.position_limit is None and config.rules.ground_speed == 10
+    assert config.rules.gate_frame == 0.5
+    choices, params = choices_of(config), build_params(config)
+    begin = hover_start(choices, params).drone
+    np.testing.assert_allclose(begin.position.array(), [8, -22, 0])
+    np.testing.assert_allclose(begin.rotors.array(), 341.75)
+    step_once = jax.jit(functools.partial(transition, choices))
+    state = hover_start(choices, params)
+    for _ in range(20):  # full thrust takes off
+        state, _, outcome = step_once(params, state, jnp.ones(4))
+    assert not outcome.terminated and float(state.drone.position.z) < 0

@@ -20,6 +20,7 @@ def test_a_policy_flies_after_two_million_steps(tmp_path):
         f"track={tmp_path / 'wide.yaml'}",
         "start.heading=north",
         "training_limits.gate_inflation=0",
+        "reward.gate_edge=0",
         "schedules=null",
         "run.steps=2000000",
         "run.evaluate_every=500000",

@@ -53,3 +53,13 @@ def test_without_a_lap_it_says_what_ended_the_flights_and_what_to_change():
     assert "reward.gate_edge" in changes and "When it does not learn" in changes
     assert set(CHANGES) == set(CRASHES) - {""}  # every reason has its advice
     assert no_lap(["", ""]) == ""
+
+
+def test_a_note_is_printed_whole_above_the_progress():
+    stream = io.StringIO()
+    console = Console(file=stream, force_terminal=True, width=80, color_system=None)
+    with TrainingProgress(20_000_000, "run", console) as progress:
+        progress.show(ROW)
+        progress.note(no_lap(["hit the ground"]))
+    printed = " ".join(stream.getvalue().split())
+    assert "hit the ground (1 of 1)" in printed and "lower start.position" in printed

@@ -4,10 +4,10 @@
 {% if estimator %}
 #include "${name}_estimator.h"
 {% endif %}
-void harness_command(uint32_t kernel, const float *x, ${command_type} *out, uint32_t count);
+void harness_command(const float *x, uint32_t kernel, ${command_type} *out, uint32_t count);
 
 /* Row: commands, trace, clipped, NaN. */
-void harness_infer(uint32_t kernel, const float *x, int32_t *out, uint32_t count) {
+void harness_infer(const float *x, uint32_t kernel, int32_t *out, uint32_t count) {
   for (uint32_t i = 0U; i < count; ++i) {
     int32_t q[${NAME}_INPUTS];
     const ${name}_status status = ${name}_quantize(x, q);
@@ -19,7 +19,7 @@ void harness_infer(uint32_t kernel, const float *x, int32_t *out, uint32_t count
   }
 }
 
-void harness_command(uint32_t kernel, const float *x, ${command_type} *out, uint32_t count) {
+void harness_command(const float *x, uint32_t kernel, ${command_type} *out, uint32_t count) {
   for (uint32_t i = 0U; i < count; ++i) {
     (void)${name}_forward_with((${name}_kernel)kernel, x, out);
     x += ${NAME}_INPUTS;
@@ -97,7 +97,7 @@ int main(int argc, char **argv) {
     return 2;
   }
   while (fread(x, sizeof(x), 1, in) == 1) {
-    harness_infer(kernel, x, row, 1U);
+    harness_infer(x, kernel, row, 1U);
     harness_step(kernel, x);
     if (fwrite(row, sizeof(row), 1, out) != 1) {
       return 2;

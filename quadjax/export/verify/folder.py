@@ -8,7 +8,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json, read_npz
 from quadjax.core.folders import check_kind
-from quadjax.export.conversion import Converted, Options, convert_policy, symbol_name
+from quadjax.export.conversion import Converted, Options, convert_policy, sha256, symbol_name
 from quadjax.export.convert import (
     KIND,
     POLICY_FILE,
@@ -51,16 +51,17 @@ def read_folder(path: Path) -> Folder:
     reports = sorted(path.glob("*_report.json"))
     if len(reports) != 1:
         raise InputError(f"{path}: expected one *_report.json, found {len(reports)}")
-    options, file, text = _read_report(reports[0])
+    options, file, text, config_hash = _read_report(reports[0])
     policy = Policy.load(path / POLICY_FILE)
     config, _ = find_config(policy, None, path / CONFIG_FILE)
+    if sha256(path / CONFIG_FILE) != config_hash:
+        raise InputError(f"{path / CONFIG_FILE}: not the one that {reports[0].name} names")
     own = own_race(config, policy, CONFIG_FILE, file)
     rollouts = _rollouts(path / ROLLOUTS_FILE)
     converted = convert_policy(policy, own, options, file, path / POLICY_FILE, rollouts)
     _check_shapes(converted, path / ROLLOUTS_FILE)
     expected = converted.sources()
-    texts = {f"{options.name}_report.txt": text, CONFIG_FILE: own.config}
-    for name, content in (expected | texts).items():
+    for name, content in (expected | {f"{options.name}_report.txt": text}).items():
         check_file(path / name)
         if (path / name).read_bytes() != content.encode("utf-8"):
             raise InputError(
@@ -70,18 +71,18 @@ def read_folder(path: Path) -> Folder:
     return Folder(**vars(converted), path=path, expected=expected)
 
 
-def _read_report(path: Path) -> tuple[Options, str, str]:
-    """The options of an export, the name of the policy file, and the report as text."""
+def _read_report(path: Path) -> tuple[Options, str, str, str]:
+    """The options, the name of the policy file, the report as text, the config's SHA-256."""
     report = read_json(path)
     try:
         options, file = Options(**report["options"]), str(report["policy"])
         ranges = {str(name): float(value) for name, value in options.ranges.items()}
         numbers = {name: float(getattr(options, name)) for name in ("sample_rate", "cutoff")}
         symbol_name(options.name, file)
-        text = report_text(report, options.name)
+        text, config_hash = report_text(report, options.name), str(report["config_sha256"])
     except Exception as error:  # of any kind, by values that are not those of a report
         raise InputError(f"{path}: not a report of quadjax export ({error!r:.200})") from error
-    return dataclasses.replace(options, ranges=ranges, **numbers), file, text
+    return dataclasses.replace(options, ranges=ranges, **numbers), file, text, config_hash
 
 
 def _rollouts(path: Path) -> Rollouts:

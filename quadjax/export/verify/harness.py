@@ -24,7 +24,7 @@ class HostLibrary:
     library: ctypes.CDLL
     folder: Folder
 
-    def _call(self, name: str, *arguments: object) -> int:
+    def _call(self, name: str, *arguments: np.ndarray | int) -> int:
         values = [
             a.ctypes.data_as(ctypes.c_void_p) if isinstance(a, np.ndarray) else ctypes.c_uint32(a)
             for a in arguments
@@ -33,43 +33,36 @@ class HostLibrary:
         function.restype = ctypes.c_uint32
         return int(function(*values))
 
+    def _rows(
+        self, name: str, columns: int, kind: type, x: np.ndarray, *between: np.ndarray | int
+    ) -> np.ndarray:
+        """Rows (n, columns) of a harness function of floats ``x`` (n, ..)."""
+        x = np.ascontiguousarray(x, np.float32)
+        out = np.zeros((len(x), columns), kind)
+        self._call(f"harness_{name}", x, *between, out, len(x))
+        return out
+
     def infer(self, x: np.ndarray, kernel: int = 0) -> np.ndarray:
         """Rows (n, 7) int32 of observations (n, inputs)."""
-        x = np.ascontiguousarray(x, np.float32)
-        out = np.zeros((len(x), ROW), np.int32)
-        self._call("harness_infer", kernel, x, out, len(x))
-        return out
+        return self._rows("infer", ROW, np.int32, x, kernel)
 
     def command(self, x: np.ndarray) -> np.ndarray:
         """Commands (n, 4) of the forward function."""
-        x = np.ascontiguousarray(x, np.float32)
-        kind = np.uint16 if self.folder.network.rpm else np.float32
-        out = np.zeros((len(x), 4), kind)
-        self._call("harness_command", 0, x, out, len(x))
-        return out
+        return self._rows("command", 4, np.uint16 if self.folder.network.rpm else np.float32, x, 0)
 
     def observe(self, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Rows (n, inputs + 3) int32 of states and targets."""
-        states = np.ascontiguousarray(states, np.float32)
-        out = np.zeros((len(states), self.folder.network.inputs + 3), np.int32)
-        self._call(
-            "harness_observe", states, np.ascontiguousarray(targets, np.uint32), out, len(states)
-        )
-        return out
+        columns = self.folder.network.inputs + 3
+        goals = np.ascontiguousarray(targets, np.uint32)
+        return self._rows("observe", columns, np.int32, states, goals)
 
     def events(self, positions: np.ndarray, target: int) -> np.ndarray:
         """Rows (n, 2): event and target along positions (n, 3)."""
-        positions = np.ascontiguousarray(positions, np.float32)
-        out = np.zeros((len(positions), 2), np.uint32)
-        self._call("harness_events", positions, target, out, len(positions))
-        return out
+        return self._rows("events", 2, np.uint32, positions, target)
 
     def estimate(self, measurements: np.ndarray) -> np.ndarray:
         """Moments and forces (n, 6) along measurements (n, 13)."""
-        measurements = np.ascontiguousarray(measurements, np.float32)
-        out = np.zeros((len(measurements), 6), np.float32)
-        self._call("harness_estimate", measurements, out, len(measurements))
-        return out
+        return self._rows("estimate", 6, np.float32, measurements)
 
     def self_test(self) -> int:
         """Mismatches of the network's self-test."""
@@ -118,6 +111,6 @@ def machine_infer(machine: Machine, kernel: int, x: np.ndarray) -> np.ndarray:
         machine.release()
         source = machine.place(part)
         target = machine.reserve(len(part) * ROW * 4)
-        machine.call("harness_infer", kernel, source, target, len(part))
+        machine.call("harness_infer", source, kernel, target, len(part))
         rows.append(machine.read(target, np.int32, (len(part), ROW)))
     return np.concatenate(rows)
