@@ -3,20 +3,19 @@
 import math
 from collections.abc import Callable, Sequence
 
+import jax
+
+from quadjax.config.drone_checks import GRAVITY, LEAST_TURN, check_drone, episode_seconds, refuse
 from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import value_at
-from quadjax.core.yaml_files import close_match, short
+from quadjax.core.yaml_files import short
+from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.registry import model as vehicle_model
 
-MAX_THRUST, GRAVITY = 1000.0, 9.81  # times the weight; m/s^2
 RANDOMIZED = ("all", "constants", "population")  # keys of randomization that are no group
+RATE, SMALLEST_LEG = "learner.learning_rate", 0.01  # m
 GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
-
-
-def refuse(key: str, value: object, allowed: str) -> None:
-    """Raise the one-line error of a value."""
-    raise InputError(f"{key} is {short(value)}, allowed: {allowed}")
 
 
 def check(config: Config) -> None:
@@ -28,7 +27,8 @@ def check(config: Config) -> None:
     _check_run(config)
     _check_model(config)
     _check_schedules(config)
-    for test in (_check_constants, _check_gates, _check_race_start, _check_start, _check_gate_edge):
+    _check_learner(config)
+    for test in TESTS:
         _check_values(config, test)
     _check_used(at_end(config))
 
@@ -79,52 +79,20 @@ def _check_run(config: Config) -> None:
         refuse("start.thrust", config.start.thrust, "[lowest, highest]")
 
 
-def _check_constants(config: Config) -> None:
-    """Check that the drone can hover and that the integration is stable."""
-    vehicle = config.vehicle
-    model, constants = vehicle_model(vehicle.model), vehicle.constants
-    for name in config.randomization.constants:
-        _check_name(f"randomization.constants.{name}", name, model.constant_names)
-    spread, population = config.randomization.by_constant(model), config.randomization.population
-    if population is not None and (population not in model.populations or any(spread.values())):
-        allowed = " or ".join(["null", *model.populations])
-        refuse("randomization.population", population, f"{allowed}, without fractions")
-    for name in model.positive:
-        if constants[name] <= 0:
-            refuse(f"vehicle.constants.{name}", constants[name], "a positive number")
-    for low, high in model.ranges:
-        if not 0 <= constants[low] * (1 + spread[low]) < constants[high] * (1 - spread[high]):
-            drawn = f", also as randomization.limits {spread[low]} draws them"
-            refuse(
-                f"vehicle.constants.{low}",
-                constants[low],
-                f"at least 0 and below {high} {constants[high]}{drawn if spread[low] else ''}",
-            )
-    for name in model.lags:
-        least = 0.5 * config.rules.time_step / (1 - spread[name])
-        if constants[name] <= least:
-            refuse(
-                f"vehicle.constants.{name}",
-                constants[name],
-                f"above {least:g} s, half of rules.time_step {config.rules.time_step} s "
-                "(integration is unstable below)",
-            )
-    if model.thrust_to_weight is not None:
-        lowest = {**constants, **{high: constants[low] for low, high in model.ranges}}
-        least, most = model.thrust_to_weight(lowest), model.thrust_to_weight(constants)
-        if not least < 1 < most <= MAX_THRUST:
-            raise InputError(
-                f"vehicle.constants give a thrust of {least:.3g} to {most:.3g} times the weight, "
-                f"allowed: a range around 1, up to {MAX_THRUST:g}, so that the drone can hover"
-            )
-    for name in vehicle.mismatch:
-        _check_name(f"vehicle.mismatch.{name}", name, model.constant_names)
-
-
-def _check_name(key: str, name: str, names: Sequence[str]) -> None:
-    if name not in names:
-        raise InputError(
-            f"unknown key {key}{close_match(name, names)}; allowed there: {', '.join(names)}"
+def _check_learner(config: Config) -> None:
+    """Check that the policy is trained at all."""
+    own = value_at(config, RATE, missing=None)
+    rates = config.schedules[RATE].linear if RATE in config.schedules else ("value",)
+    if own is not None and not any(own if rate == "value" else rate for rate in rates):
+        refuse(RATE, own, "above 0, as the policy learns nothing")
+    warmup = value_at(config, "learner.critic_warmup", missing=None) or 0
+    sizes = (getattr(config.learner, key, 1) for key in ("num_envs", "horizon", "rollout_length"))
+    updates = max(1, math.ceil(config.run.steps / math.prod(sizes)))
+    if warmup > updates:
+        refuse(
+            "learner.critic_warmup",
+            warmup,
+            f"at most {updates}, the updates of run.steps {config.run.steps}",
         )
 
 
@@ -251,21 +219,76 @@ def _check_start(config: Config) -> None:
     ):
         if most is not None and value >= most:
             refuse(f"start.{key}", value, f"below {name} {most:g}")
-    model = vehicle_model(config.vehicle.model)
+
+
+def _check_motion(config: Config) -> None:
+    """Check the start's velocity and thrust, and the limit of body rates, against the drone."""
+    model, constants = vehicle_model(config.vehicle.model), config.vehicle.constants
+    start, limit, seconds = config.start, config.rules.body_rate_limit, episode_seconds(config)
     if model.thrust_to_weight is not None:
-        most_thrust = model.thrust_to_weight(config.vehicle.constants)
-        seconds = training.episode_steps * config.rules.time_step
-        reach = math.sqrt(3) * (start.position + start.velocity * seconds)
-        reach += 0.5 * (most_thrust + 1.0) * GRAVITY * seconds**2
-        nearest = min(
-            math.dist(gates[i].position, gates[i - len(gates) + 1].position) for i in places
+        fastest = (model.thrust_to_weight(constants) + 1.0) * GRAVITY * seconds
+        if start.velocity > fastest:
+            refuse(
+                "start.velocity",
+                start.velocity,
+                f"at most {fastest:.3g} m/s, to which the drone accelerates in an episode",
+            )
+    own = model.constants(**constants)
+    if model.uses_start_thrust:
+        low, high = (float(x) for x in model.actuator_range(own))
+        if start.thrust[0] < low or start.thrust[1] > high:
+            refuse("start.thrust", start.thrust, f"within {low:g} to {high:g} m/s², the commands")
+    if limit is None:
+        return
+    commanded = _largest_rate(model, own)
+    if limit <= commanded:
+        refuse("rules.body_rate_limit", limit, f"above {commanded:g}, the largest command")
+    if limit * seconds < LEAST_TURN:
+        refuse(
+            "rules.body_rate_limit",
+            limit,
+            f"at least {LEAST_TURN / seconds:.2g} rad/s (the drone cannot turn below)",
         )
-        if reach < nearest:
+
+
+def _largest_rate(model: VehicleModel, constants: Constants) -> float:
+    """The largest commanded body rate, rad/s; 0 of a model that commands none."""
+    begin = 0
+    for signal in model.commands:
+        if signal.name == "body_rates":
+            _, high = model.command_range(constants)
+            return max(float(x) for x in jax.tree.leaves(high)[begin : begin + signal.size])
+        begin += signal.size
+    return 0.0
+
+
+def _check_legs(config: Config) -> None:
+    """Check that following gates are apart, and within reach in the time of an episode."""
+    start, training, track = config.start, config.training_limits, config.track
+    gates, model = track.gates, vehicle_model(config.vehicle.model)
+    first = 0 if track.closed else 1
+    seconds = training.episode_steps * config.rules.time_step
+    for index in range(first, len(gates)):
+        here, there = gates[index - 1].position, gates[index].position
+        leg = math.dist(here, there)
+        if leg < SMALLEST_LEG:
+            refuse(
+                f"track.gates[{index}].position",
+                there,
+                "another place than the gate before it" + (" (itself)" * (len(gates) == 1)),
+            )
+        if model.thrust_to_weight is None:
+            continue
+        fall = 0.5 * GRAVITY * seconds**2
+        thrust = model.thrust_to_weight(config.vehicle.constants)
+        reach = math.sqrt(3) * (start.position + start.velocity * seconds) + thrust * fall
+        # Thrust and gravity carry the drone into a ball about the point of free fall.
+        if math.dist((here[0], here[1], here[2] + fall), there) > reach:
             refuse(
                 "training_limits.episode_steps",
                 training.episode_steps,
-                f"more: in {seconds:g} s the drone gets {reach:.2g} m far, and the next gate is "
-                f"{nearest:.2g} m away",
+                f"more: in {seconds:g} s the drone gets {reach:.2g} m far, and track.gates[{index}]"
+                f" is {leg:.2g} m from the gate before it",
             )
 
 
@@ -324,3 +347,14 @@ def _check_used(config: Config) -> None:
             refuse(key, value, f"{shown} {reason}, as it would have no effect")
     if config.observation.disturbance == "estimated" and model.balance is None:
         refuse("observation.disturbance", "estimated", f"ground_truth or none {with_model}")
+
+
+TESTS = (
+    check_drone,
+    _check_gates,
+    _check_race_start,
+    _check_start,
+    _check_motion,
+    _check_legs,
+    _check_gate_edge,
+)

@@ -20,6 +20,7 @@ from quadjax.export.conversion import (
     convert_policy,
     symbol_name,
 )
+from quadjax.export.estimator_tables import check_cutoff
 from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, find_config, own_race
@@ -89,10 +90,11 @@ def export_c(
         The integers, the proof and the report.
 
     Raises:
-        InputError: a policy that cannot be converted, that leaves its declared ranges, or of which
-            less than 90% of the simulated flights finish; a race that differs from that of the
-            policy file; a folder that cannot be written.
+        InputError: a sample rate or cut-off out of range; a policy that cannot be converted, that
+            leaves its declared ranges, or of which less than 90% of the simulated flights finish; a
+            race that differs from that of the policy file; a folder that cannot be written.
     """
+    check_cutoff(sample_rate, cutoff)
     enable_compilation_cache()
     folder = Path(folder)
     given = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name

@@ -27,6 +27,7 @@ from quadjax.vehicle.residual import Residual
 MODEL_BITS, DIFFERENCE_BITS = 14, 10  # of a monomial's constant beyond the fine unit's
 FINE_BITS = 46  # a channel's range is 2^46 fine units
 Q30 = INPUT_BITS
+SAMPLE_RATES = (1.0, 1e5)  # Hz
 LOW_PASS_BITS = 32  # of the gain
 RESIDUAL_LIMIT = 1 << (FINE_BITS - 1)  # its output is held to half a channel's range
 GYRO_EXPONENT, FORCE_EXPONENT, VELOCITY_EXPONENT = 5, 7, 5  # +-32 rad/s, 128 m/s^2, 32 m/s
@@ -87,10 +88,10 @@ def make_estimator(
     """The integers of the estimator of one vehicle.
 
     Raises:
-        InputError: a cut-off that is not between a thousandth and a quarter of the sample rate;
-            constants that leave no room for the proof.
+        InputError: a sample rate outside 1 Hz to 100 kHz; a cut-off that is not between a
+            thousandth and a quarter of it; constants that leave no room for the proof.
     """
-    _check_cutoff(sample_rate, cutoff)
+    check_cutoff(sample_rate, cutoff)
     rpm_exponent = math.ceil(math.log2(1.25 * float(constants.rpm_max)))
     exponents = (GYRO_EXPONENT,) * 3 + (FORCE_EXPONENT,) * 3
     exponents += (rpm_exponent,) * 4 + (VELOCITY_EXPONENT,) * 3
@@ -119,7 +120,17 @@ def make_estimator(
     return tables
 
 
-def _check_cutoff(sample_rate: float, cutoff: float) -> None:
+def check_cutoff(sample_rate: float, cutoff: float) -> None:
+    """Check the estimator's numbers, Hz.
+
+    Raises:
+        InputError: a sample rate or a cut-off that is not allowed.
+    """
+    low, high = SAMPLE_RATES
+    if not low <= sample_rate <= high:
+        raise InputError(
+            f"estimator sample rate {sample_rate:g} Hz, allowed: {low:g} to {high:g} Hz"
+        )
     if not 0.001 * sample_rate <= cutoff <= 0.25 * sample_rate:
         raise InputError(
             f"estimator cut-off {cutoff:g} Hz, allowed: {0.001 * sample_rate:g} to "

@@ -6,6 +6,8 @@ of the published code. Forces and moments are specific (no mass, no inertia), ro
 Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left.
 """
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -221,6 +223,13 @@ def all_racing_drones(nominal: RacingConstants, drawn: jax.Array) -> RacingConst
     return nominal.replace(**found)
 
 
+def _angular_acceleration(c: Mapping[str, float]) -> tuple[float, float, float]:
+    squares, speeds = c["w_max"] ** 2 - c["w_min"] ** 2, c["w_max"] - c["w_min"]
+    totals = (sum(c[f"{name}{rotor}"] for rotor in (1, 2, 3, 4)) for name in ("k_p", "k_q", "k_r"))
+    roll, pitch, yaw = totals
+    return 0.5 * roll * squares, 0.5 * pitch * squares, 0.5 * yaw * speeds
+
+
 GROUPS = {
     "gravity": ("g",),
     "thrust": ("k_w",),
@@ -237,11 +246,13 @@ COMMON = {
     "rotor_range": speed_range,
     "hover": hover_speed,
     "command_range": command_range,
-    "positive": ("g", "k_w", "tau"),
-    "nonnegative": ("k_x", "k_y", *GROUPS["moment"], *GROUPS["yaw"]),
+    "positive": ("g", "k_w", "tau", *GROUPS["moment"], *GROUPS["yaw"][:4]),
+    "nonnegative": ("k_x", "k_y", *GROUPS["yaw"][4:]),
     "ranges": (("w_min", "w_max"),),
     "lags": ("tau",),
     "thrust_to_weight": lambda c: 4.0 * c["k_w"] * c["w_max"] ** 2 / c["g"],
+    "angular_acceleration": _angular_acceleration,
+    "damping": lambda c: {name: 4.0 * c["w_max"] * c[name] for name in ("k_x", "k_y")},
 }
 MODEL = rigid_body_model(
     "racing",

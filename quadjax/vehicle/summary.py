@@ -148,7 +148,8 @@ def warnings(
     inertia = [values[name] for name in model.groups.get("inertia", ())]
     if len(inertia) == 3 and 2.0 * max(inertia) > 1.001 * sum(inertia):
         found.append("inertia: one moment exceeds the sum of the others, which no body has")
-    for name in model.nonnegative:
+    damping = model.damping(values) if model.damping else ()
+    for name in dict.fromkeys((*model.positive, *model.nonnegative, *damping)):
         if values[name] < 0:
             found.append(f"{name} {values[name]:g}: at least 0 in the frame of the model")
     return found

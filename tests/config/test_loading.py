@@ -11,8 +11,10 @@ from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
 from quadjax.core.yaml_files import read_yaml
+from quadjax.sweeps.sweep import load_sweep
 from tests import reference as ref
 
+EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 BLANK = Path(__file__).parent.parent / "blank.yaml"
 OWN_GROUP = "vehicle.model=tests.config.models:OWN_GROUP"
 NO_THRUST = "vehicle.model=tests.config.models:NO_THRUST"
@@ -33,6 +35,34 @@ def test_every_preset_loads_and_its_dump_needs_no_other_file(name, tmp_path):
     (tmp_path / "config.yaml").write_text(config.to_yaml())
     assert load_config(tmp_path / "config.yaml") == config
     assert config.vehicle.file is None and config.track.file is None
+
+
+@pytest.mark.parametrize("name", ["3inch", "5inch", "a2rl", "cpc"])
+def test_every_shipped_vehicle_loads(name):
+    assert load_config("e2e_fastest", [f"vehicle={name}"]).vehicle.constants
+
+
+@pytest.mark.parametrize("path", sorted((CONFIGS / "tracks").glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_shipped_track_loads(path):
+    far = ["rules.position_limit=null"]
+    assert load_config("e2e_fastest", [f"track={path.stem}", *far]).track.gates
+
+
+@pytest.mark.parametrize("path", sorted((CONFIGS / "sweeps").glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_shipped_sweep_loads(path):
+    assert load_sweep(path)
+
+
+@pytest.mark.parametrize("override", ["vehicle=own_drone.yaml", "track=own_track.yaml"])
+def test_the_files_of_the_examples_load(override):
+    key, file = override.split("=")
+    assert load_config("e2e_shac", [f"{key}={EXAMPLES / file}"])
+
+
+def test_constants_of_a_fit_load():
+    """A fit may write slightly negative constants of small effects."""
+    small = {"k_z": -1e-6, "k_h": -0.01, "k_rr": -1e-4}
+    assert load_config("e2e_shac", [f"vehicle.constants.{k}={v}" for k, v in small.items()])
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
@@ -151,12 +181,12 @@ def test_other_tracks_than_the_papers(tmp_path):
 def test_a_vehicle_and_a_track_next_to_the_config(tmp_path):
     text = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(text.split("rate:")[0].replace("g: 9.81", "g: 9.7"))
-    (tmp_path / "hall.yaml").write_text("gates:\n  - {position: [1, 2, -3]}\n")
+    (tmp_path / "hall.yaml").write_text("gates: [{position: [1, 2, -3]}, {position: [3, 2, -3]}]\n")
     path = tmp_path / "c.yaml"
     path.write_text("base: e2e_shac\nvehicle:\n  file: mine.yaml\ntrack: hall\n")
     config = load_config(path)
     assert config.vehicle.constants["g"] == 9.7 and config.vehicle.models == {}
-    assert config.track.name == "hall" and len(config.track.gates) == 1
+    assert config.track.name == "hall" and len(config.track.gates) == 2
     (tmp_path / "runs").mkdir()
     saved = tmp_path / "runs" / "config.yaml"
     saved.write_text(config.to_yaml())
@@ -308,6 +338,46 @@ REFUSED = [
     ),
     ("randomization.drag=1", "randomization.drag is 1, allowed: a number, at least 0, at most 0.9"),
     ("randomization.limits=0.9", "vehicle.constants.rpm_min is 3000.0, allowed: at least 0 and"),
+    ("vehicle.constants.k_p=0", "vehicle.constants.k_p is 0.0, allowed: a positive number"),
+    ("vehicle.constants.k_p=-1e-9", "vehicle.constants.k_p is -1e-09, allowed: a positive number"),
+    ("vehicle.constants.k_q=0", "vehicle.constants.k_q is 0.0, allowed: a positive number"),
+    ("vehicle.constants.k_r1=0", "vehicle.constants.k_r1 is 0.0, allowed: a positive number"),
+    ("vehicle.constants.k_p=1e-20", "about x at full command: above 0.0028 rad/s² (the drone can"),
+    ("vehicle.constants.i_zz=1.0", "vehicle.constants.i_zz is 1.0, allowed: at most 0.002148, the"),
+    ("vehicle.constants.tau=1e6", "vehicle.constants.tau is 1000000.0, allowed: above 0.005 s"),
+    (
+        "vehicle.constants.k_x=1",
+        "vehicle.constants.k_x is 1.0, allowed: other values, as it gives 4.4e+04",
+    ),
+    ("vehicle.constants.k_x=-1e-4", "vehicle.constants.k_x is -0.0001, allowed: at least 0"),
+    ("vehicle.constants.k_z=-1e-4", "as it gives -4.4 1/s as the damping by k_z: above -1/s (the"),
+    ("vehicle.mismatch={k_w: 0.1}", "vehicle.mismatch.k_w is 0.1, allowed: other values, as it"),
+    ("vehicle.mismatch={tau: 0.01}", "vehicle.mismatch.tau is 0.01, allowed: other values, as it"),
+    (
+        "randomization.thrust=0.9",
+        "randomization.thrust is 0.9, allowed: other values, as it gives 0",
+    ),
+    ("randomization.gravity=0.9", "randomization.gravity is 0.9, allowed: other values"),
+    ("randomization.constants={tau: 0.9167}", "randomization.constants.tau is 0.9167, allowed"),
+    ("disturbance.force_z=12", "disturbance.force_z is 12.0, allowed: below 11.3 m/s²"),
+    ("disturbance.moment_x=1", "disturbance.moment_x is 1.0, allowed: below 0.316 N m about x"),
+    ("disturbance.moment_bias=[1, 0, 0]", "disturbance.moment_bias is [1.0, 0.0, 0.0], allowed"),
+    ("start.velocity=1e6", "start.velocity is 1000000.0, allowed: at most 371 m/s, to"),
+    (
+        "track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1], yaw_deg: 180}]",
+        "track.gates[0].position is [0.0, 0.0, -1.0], allowed: another place than the gate before",
+    ),
+    ("track.gates=[{position: [0, 0, -1]}]", "another place than the gate before it (itself)"),
+    (
+        "track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1000]}]",
+        "training_limits.episode_steps is 1200, allowed: more",
+    ),
+    ("learner.learning_rate=0", "learner.learning_rate is 0.0, allowed: above 0"),
+    ("learner.critic_warmup=1e9", "learner.critic_warmup is 1000000000, allowed: at most"),
+    (
+        "track.gates=[{position: [0, 0, -1], size: [1000, 1]}]",
+        "track.gates[0].size[0] is 1000, allowed: a list of 2 numbers, each above 0, at most 100",
+    ),
     ("network.hidden=[]", "network.hidden is [], allowed: a list of whole numbers"),
     ("network.hidden=[1e8]", "network.hidden[0] is 100000000, allowed: a list of whole numbers"),
     ("network.activation=gelu", "network.activation is 'gelu', allowed: one of relu, tanh"),
@@ -391,6 +461,22 @@ def test_refused(override, message):
         (["vehicle.model=rate", "randomization.thrust=0.1"], "randomization.thrust is 0.1"),
         (["vehicle.model=rate", "observation.disturbance=estimated"], "observation.disturbance is"),
         (["vehicle.model=rate", "vehicle.constants.thrust_max=9"], "give a thrust of 0 to 0.917"),
+        (["vehicle.model=rate", "vehicle.constants.d_x=250"], "d_x is 250.0, allowed: above -1/s"),
+        (["vehicle.model=rate", "vehicle.constants.d_x=-1"], "d_x is -1.0, allowed: at least 0"),
+        (["vehicle.model=rate", "vehicle.constants.tau_rate=1000"], "tau_rate is 1000.0, allowed"),
+        (["vehicle.model=rate", "start.thrust=[50, 60]"], "allowed: within 0 to 15 m/s²"),
+        (
+            ["vehicle.model=rate", "rules.body_rate_limit=2"],
+            "rules.body_rate_limit is 2.0, allowed: above 3, the largest command",
+        ),
+        (
+            ["rules.body_rate_limit=1e-6", "start.body_rates=0"],
+            "rules.body_rate_limit is 1e-06, allowed: at least 0.0083 rad/s",
+        ),
+        (
+            ["disturbance.force_z=5", "randomization.thrust=0.3"],
+            "disturbance.force_z is 5.0, allowed: below 4.97 m/s²",
+        ),
         (["learner.std=0.2", "learner.algorithm=ppo"], "unknown key learner.std"),
         (
             ["run.steps=1000000", "schedules.reward.gate={linear: [0, value], until: 2e6}"],
@@ -420,7 +506,7 @@ def test_a_schedule_without_effect_says_how_to_remove_it(override):
 
 def test_a_schedule_may_start_where_the_last_values_are_needed():
     """A key's own value that its schedule never takes is not checked."""
-    far = "track.gates=[{position: [15, 0, -1]}]"
+    far = "track.gates=[{position: [15, 0, -1]}, {position: [12, 0, -1]}]"
     limit = "schedules.rules.position_limit={linear: [20, 30]}"
     rates = "schedules.reward.body_rates={linear: [0.1, value]}"
     assert load_config(BLANK, [far, limit, rates])
@@ -464,7 +550,8 @@ def test_a_short_form_keeps_the_other_overrides_of_its_section():
 ROTOR_FILE = """
 model: racing
 rotors: [rear_left, rear_right, front_right, front_left]
-racing: {g: 9.81, k_w: 2.0e-6, k_x: 0, k_y: 0, k_p: [4, 3, 2, 1], k_p3: 30, k_q: 5, k_r: 6, k_rd: 7,
+racing: {g: 9.81, k_w: 2.0e-6, k_x: 0, k_y: 0, k_p: [4.0e-6, 3.0e-6, 2.0e-6, 1.0e-6],
+  k_p3: 3.0e-5, k_q: 5.0e-6, k_r: 6.0e-3, k_rd: 7.0e-3,
   turning: [ccw, cw, ccw, cw], w_min: 200, w_max: 4000, k: 0.5, tau: 0.03}
 """
 
@@ -475,12 +562,12 @@ def test_vehicle_file_with_a_model_and_constants_of_rotors(tmp_path):
     vehicle = load_config("e2e_shac", [f"vehicle={tmp_path / 'mine.yaml'}"]).vehicle
     assert vehicle.model == "racing" and vehicle.name == "mine"
     found = {name: vehicle.constants[name] for name in vehicle.constants if name[-1] in "1234"}
-    assert [found[f"k_p{i}"] for i in (1, 2, 3, 4)] == [1, 2, 30, 4]
+    assert [found[f"k_p{i}"] for i in (1, 2, 3, 4)] == [1e-6, 2e-6, 3e-5, 4e-6]
     assert [found[f"turning{i}"] for i in (1, 2, 3, 4)] == [-1, 1, -1, 1]
-    assert [found[f"k_q{i}"] for i in (1, 2, 3, 4)] == [5, 5, 5, 5]
-    over = [f"vehicle={tmp_path / 'mine.yaml'}", "vehicle.constants={k_q: 8, k_q2: 9}"]
+    assert [found[f"k_q{i}"] for i in (1, 2, 3, 4)] == [5e-6] * 4
+    over = [f"vehicle={tmp_path / 'mine.yaml'}", "vehicle.constants={k_q: 8.0e-6, k_q2: 9.0e-6}"]
     constants = load_config("e2e_shac", over).vehicle.constants
-    assert [constants[f"k_q{i}"] for i in (1, 2, 3, 4)] == [8, 9, 8, 8]
+    assert [constants[f"k_q{i}"] for i in (1, 2, 3, 4)] == [8e-6, 9e-6, 8e-6, 8e-6]
 
 
 @pytest.mark.parametrize(
@@ -491,11 +578,15 @@ def test_vehicle_file_with_a_model_and_constants_of_rotors(tmp_path):
             "middle,",
             "rotors is ['middle', 'rear_right', 'front_right', 'front_left']",
         ),
-        ("[4, 3, 2, 1]", "[4, 3]", "racing.k_p is [4, 3], allowed: one value for each rotor"),
+        (
+            "[4.0e-6, 3.0e-6, 2.0e-6, 1.0e-6]",
+            "[4, 3]",
+            "racing.k_p is [4, 3], allowed: one value for each rotor",
+        ),
         ("[ccw, cw, ccw, cw]", "[left, cw, ccw, cw]", "allowed: cw or ccw for each"),
-        ("k_q: 5", "k_qq: 5", "unknown key vehicle.constants.k_qq"),
-        ("k_q: 5", "k_q1: 5", "vehicle.constants.k_q2 is missing"),
-        ("k_q: 5", "k_q: [5, 5, 5, a]", "vehicle.constants.k_q1 is 'a', allowed"),
+        ("k_q: 5.0e-6", "k_qq: 5", "unknown key vehicle.constants.k_qq"),
+        ("k_q: 5.0e-6", "k_q1: 5", "vehicle.constants.k_q2 is missing"),
+        ("k_q: 5.0e-6", "k_q: [5, 5, 5, a]", "vehicle.constants.k_q1 is 'a', allowed"),
         ("model: racing", "model: fast", "vehicle.model is 'fast', allowed: motor, rate"),
         (
             "model: racing",

@@ -1,6 +1,7 @@
 """The observation, the gate logic and the estimator in fixed point, beside the Python."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.conversion import Options, convert_policy
+from quadjax.export.convert import export_c
 from quadjax.export.emit import emit_network, emit_race
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
@@ -166,6 +168,15 @@ def test_estimator_refuses_a_cutoff_without_room():
     constants = own_race(made_policy(8)).params.vehicle.constants
     with pytest.raises(InputError, match="cut-off"):
         make_estimator(constants, None, 512.0, 200.0)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.inf, math.nan, 1e300, 1e-300])
+def test_impossible_sample_rates_are_refused_before_anything_is_read(rate, tmp_path):
+    with pytest.raises(InputError, match="sample rate .* allowed: 1 to 100000 Hz"):
+        export_c(tmp_path / "none.npz", tmp_path / "out", sample_rate=rate, cutoff=rate)
+    with pytest.raises(InputError, match="cut-off .* allowed: 0.512 to 128 Hz"):
+        export_c(tmp_path / "none.npz", tmp_path / "out", cutoff=rate)
+    assert not (tmp_path / "out").exists()
 
 
 def rearranged(policy, names, source="ground_truth"):

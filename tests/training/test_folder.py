@@ -37,7 +37,8 @@ NAMED = {  # key of a config: name of its file
 
 def write_files(folder):
     """A track, a vehicle, a residual and a policy; returns the residual's bytes."""
-    write_text(folder / "mine.yaml", "name: mine\ngates: [{position: [1, 0, -1.5]}]\n")
+    gates = "[{position: [1, 0, -1.5]}, {position: [3, 0, -1.5]}]"
+    write_text(folder / "mine.yaml", f"name: mine\ngates: {gates}\n")
     motor = load_config("e2e").vehicle.constants | {"tau": 0.05}
     write_text(folder / "drone.yaml", to_yaml({"name": "drone", "motor": motor}))
     random_policy().save(folder / "p.npz")
