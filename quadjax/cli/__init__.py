@@ -18,10 +18,10 @@ from quadjax.core.interruptions import loading
 
 STARTED = time.monotonic()  # training time counts from here: imports and compilation included
 
-COMMANDS = {  # name, which is that of the module: one line of help
+COMMANDS = {  # by name, which is that of the module: one line of help
     "train": "train a racing policy",
-    "evaluate": "time the laps of a policy, draw them",
-    "limit": "bracket the shortest lap of a track",
+    "evaluate": "time the laps of a policy and draw them",
+    "limit": "compute the best known lap of a track and a lower bound",
     "seeds": "train over several seeds and compare them",
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",
@@ -34,7 +34,7 @@ COMMANDS = {  # name, which is that of the module: one line of help
     "identify": "identify the inner loop's time constants",
     "consistency": "check the navigation filter's covariance",
     "benchmark": "measure the speed of this machine",
-    "vehicle": "describe a vehicle file, or write one",
+    "vehicle": "describe a vehicle file or write one",
     "config": "print a resolved config",
     "presets": "list the presets",
 }

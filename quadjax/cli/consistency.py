@@ -1,9 +1,9 @@
 """Check the consistency of the navigation filter: its errors against its standard deviations.
 
-Flies policies on the plant without unmodeled effects and delays, and counts how often every
+Simulates policies on the plant without unmodeled effects and delays, and computes how often each
 component of the estimate is within three of its standard deviations and on how many flights the
-filter diverged (an error above 0.5 m, 0.5 rad or 2 m/s, or not finite). Exit status 1 where a
-component is within less than 99% of the time or a flight diverged.
+filter diverges (an error above 0.5 m, 0.5 rad or 2 m/s, or not finite). Exit status 1 where a
+component is within them less than 99% of the time or a flight diverges.
 """
 
 import argparse

@@ -39,7 +39,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--allow-other-race",
         action="store_true",
-        help="export for another race than the one that the policy file contains",
+        help="export for a race that differs from the one in the policy file",
     )
     parser.add_argument(
         "--overwrite",

@@ -10,7 +10,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Identify and print."""
     parser = Parser("identify", description=__doc__)
     add_config(parser, "a YAML file of configs/plant")
-    parser.add_argument("--effects", action="store_true", help="with the plant's effects, delays")
+    parser.add_argument(
+        "--effects", action="store_true", help="with the unmodeled effects and delays of the plant"
+    )
     options = parse(parser, arguments)
     with loading():
         from quadjax.plant.config import load_plant_config, without_effects

@@ -1,10 +1,10 @@
-"""Bracket the shortest lap: the best known lap, and a lower bound of every lap.
+"""Compute the best known lap of a track and a lower bound of the lap time.
 
-The best known lap is a local optimum, found by direct collocation from several first guesses and
-flown again in the model. It is an upper bound of the shortest lap. The lower bound holds for every
+The best known lap is a local optimum, found by direct collocation from several initial guesses
+and verified in the model. It is an upper bound of the shortest lap. The lower bound holds for every
 flight that stays below --bound-speed. With --policy, the policy's fastest lap is compared with the
-best known one, and is one of the first guesses. Disturbances, randomization and model mismatch of
-the config are left out. key=value overrides change the race.
+best known one, and is one of the initial guesses. Disturbances, randomization and model mismatch
+of the config are ignored. key=value overrides change the race.
 """
 
 import argparse
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".svg", ".pdf")
 MOST_LAPS, MOST_SECONDS = 20, 86_400
-SPLINE_SPEEDS = (4.0, 2.5, 6.0)  # m/s, of the first guesses without a policy
-RANDOM_SPREAD = 0.8  # of the openings
+SPLINE_SPEEDS = (4.0, 2.5, 6.0)  # m/s, of the initial guesses without a policy
+RANDOM_SPREAD = 0.8  # fraction of the openings
 POLICY_LAPS = 4
 FASTER = 1.2  # default of --bound-speed, times the top speed of the best known lap
 
@@ -50,7 +50,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     opening = parser.add_mutually_exclusive_group()
     opening.add_argument("--centers", action="store_true", help="through the gates' centers")
     opening.add_argument(
-        "--clearance", type=_number(0.0), default=0.0, metavar="M", help="from the edges, m"
+        "--clearance",
+        type=_number(0.0),
+        default=0.0,
+        metavar="M",
+        help="distance from the edges, m",
     )
     parser.add_argument(
         "--speed",
@@ -70,7 +74,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--starts",
         type=whole(1, 100),
         default=2,
-        help="number of first guesses besides the policy's laps (default: 2)",
+        help="number of initial guesses in addition to the policy's laps (default: 2)",
     )
     parser.add_argument(
         "--seconds",
@@ -104,7 +108,7 @@ def _number(least: float) -> Callable[[str], float]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Search the best known lap, and bound it."""
+    """Compute the best known lap and the lower bound."""
     options, console = _arguments(arguments), Console(stderr=True)
     with loading():
         from quadjax.config.loading import load_config
@@ -148,7 +152,7 @@ def _problem(config: "Config", options: argparse.Namespace) -> "Problem":
 
     choices, params = race_of(config)
     if choices.rules:
-        raise InputError("rules.extra: time-optimal laps do not support own rules")
+        raise InputError("rules.extra: time-optimal laps do not support extra rules")
     return make_problem(
         choices.model,
         params,
@@ -189,7 +193,7 @@ def _policy_laps(config: "Config", problem: "Problem", path: str) -> "list[Traje
 def _guesses(
     problem: "Problem", laps: "list[Trajectory]", starts: int
 ) -> "Iterator[tuple[str, Trajectory]]":
-    """First guesses: the policy's fastest lap, splines, and random ones."""
+    """Initial guesses: the policy's fastest lap, splines, and random ones."""
     from quadjax.limits.guess import from_spline
     from quadjax.limits.solve import INTERVALS
 

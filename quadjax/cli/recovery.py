@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _standard_errors(path: Path) -> dict[str, float]:
-    """Of each constant; infinity for those that the logs do not excite, which have none."""
+    """Standard error of each constant; infinity for constants that the logs do not excite."""
     from quadjax.core.files import read_json
 
     try:

@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if not all(np.isfinite(values).all() for values in columns.values()):
                 raise InputError(
                     f"flight {index} with seed {options.seed + index} is not finite; is the "
-                    "residual stronger than the motors?"
+                    "residual too strong for the motors?"
                 )
             path = options.output / f"flight_{index}.csv"
             write_log(path, columns)

@@ -15,7 +15,7 @@ from quadjax.core.folders import check_free, check_kind, claim, remove_files
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
-FILES = (  # that a sweep writes
+FILES = (  # written by a sweep
     "study.journal*",
     "trials",
     "trials.csv",

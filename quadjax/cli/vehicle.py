@@ -1,7 +1,7 @@
-"""Print what follows from a vehicle file, or write one from data of an airframe.
+"""Print quantities derived from a vehicle file, or write one from data of an airframe.
 
-Prints the hover command, the thrust-to-weight ratio, the fastest turns and the time constants of
-each model in the file, and warns of what no drone has. With key=value data (mass, wheelbase,
+Prints the hover command, the thrust-to-weight ratio, the largest body rates and the time constants
+of each model in the file, and warns of implausible values. With key=value data (mass, wheelbase,
 propeller, and motor_kv with battery_volts, or rpm_max) FILE is written first.
 """
 
@@ -24,13 +24,16 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         "vehicle",
         description=__doc__,
-        epilog=f"Data, null where estimated as given:\n{keys}\n\nExample: quadjax vehicle "
+        epilog=f"Data (null: estimated as described):\n{keys}\n\nExample: quadjax vehicle "
         "my_drone.yaml mass=0.6 wheelbase=0.226 propeller=0.127 motor_kv=1900 battery_volts=14.8 "
         "thrust_to_weight=4",
     )
     parser.add_argument("file", metavar="FILE.yaml", help="vehicle file")
     parser.add_argument(
-        "data", nargs="*", metavar="key=value", help="data of the airframe, to write FILE from"
+        "data",
+        nargs="*",
+        metavar="key=value",
+        help="data of the airframe, from which FILE is written",
     )
     parser.add_argument(
         "--model", metavar="module:OBJECT", help="your own VehicleModel (default: those in FILE)"

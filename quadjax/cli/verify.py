@@ -32,7 +32,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--allow-other-race",
         action="store_true",
-        help="accept an export with --allow-other-race",
+        help="accept an export for a race that differs from the one in the policy file",
     )
     parser.add_argument("--json", type=Path, metavar="FILE.json", help="write the table")
     arguments = parse(parser, argv)

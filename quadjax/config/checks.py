@@ -13,7 +13,11 @@ from quadjax.core.yaml_files import short
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.registry import model as vehicle_model
 
-RANDOMIZED = ("all", "constants", "population")  # keys of randomization that are no group
+RANDOMIZED = (
+    "all",
+    "constants",
+    "population",
+)  # keys of randomization that are not groups of constants
 RATE, SMALLEST_LEG = "learner.learning_rate", 0.01  # m
 GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
 
@@ -149,10 +153,10 @@ def _check_gates(config: Config) -> None:
     for index, gate in enumerate(config.track.gates):
         key = f"track.gates[{index}]"
         if min(gate.size) <= width:
-            refuse(f"{key}.size", gate.size, f"above vehicle.width {width:g}, that of the drone")
+            refuse(f"{key}.size", gate.size, f"above vehicle.width {width:g}")
         upright = gate.shape == "rectangle" and gate.pitch_deg == gate.roll_deg == 0
         if config.rules.gate_test == "world_box" and not upright:
-            refuse("rules.gate_test", "world_box", f"square, as {key} is tilted or round")
+            refuse("rules.gate_test", "world_box", f"square, because {key} is tilted or round")
         if gate.shape == "circle" and gate.size[0] != gate.size[1]:
             refuse(f"{key}.size", gate.size, "[diameter, diameter] of a circle")
         x, y, z = gate.position
@@ -287,7 +291,7 @@ def _check_legs(config: Config) -> None:
             refuse(
                 "training_limits.episode_steps",
                 training.episode_steps,
-                f"more: in {seconds:g} s the drone gets {reach:.2g} m far, and track.gates[{index}]"
+                f"more: in {seconds:g} s the drone can move {reach:.2g} m, and track.gates[{index}]"
                 f" is {leg:.2g} m from the gate before it",
             )
 

@@ -78,7 +78,7 @@ def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> Tree:
 
     def merge(under: Tree, over: Tree, file: Path) -> Tree:
         own = {key: value for key, value in over.items() if key != OTHER_TRACKS}
-        under = _merge(under, _beside(own, file.parent), file.parent, str(file))
+        under = _merge(under, _with_data_paths(own, file.parent), file.parent, str(file))
         other = over.get(OTHER_TRACKS, {})
         if not isinstance(other, dict) or "track" in other:
             given = f"{OTHER_TRACKS} is {short(other)}"
@@ -94,7 +94,7 @@ def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> Tree:
     return _merge(tree, over, here, "overrides")
 
 
-def _beside(tree: Tree, folder: Path) -> Tree:
+def _with_data_paths(tree: Tree, folder: Path) -> Tree:
     """The config of a file in ``folder``, with the paths of the data files next to it."""
     for section, key in DATA_FILES:
         own = tree.get(section)
@@ -107,14 +107,14 @@ def _beside(tree: Tree, folder: Path) -> Tree:
 
 
 def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
-    """A config for each model that a vehicle file has constants of, checked.
+    """A checked config for each model whose constants are in a vehicle file.
 
     Args:
         file: next to the current folder, or in ``configs/vehicles``.
         model: only this one: ``motor``, ``rate`` or ``module:OBJECT``.
 
     Raises:
-        InputError: a file that cannot be read, no known model in it, or constants that cannot fly.
+        InputError: an unreadable file, no known model in it, or invalid constants.
     """
     known = list(_file_values("vehicle", find_file(str(file), Path(), "vehicles"))["models"])
     names = [model] if model else [name for name in known if name in MODELS]
@@ -122,7 +122,7 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
         raise InputError(f"{file}: has {', '.join(known) or 'no model'}; name its VehicleModel")
     configs = []
     for name in names:
-        own = {"file": str(file), "model": name, "width": 0.0}  # no gates to fit through
+        own = {"file": str(file), "model": name, "width": 0.0}  # no check of the gates
         tree = _merge(_defaults({}), {"vehicle": own}, Path(), str(file))
         configs.append(config_of(tree, str(file)))
     return configs

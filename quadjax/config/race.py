@@ -30,7 +30,7 @@ from quadjax.vehicle.residual_file import read_residual
 
 
 def vehicle_model_of(config: Config) -> VehicleModel:
-    """The vehicle model, with quaternions where the config asks for them."""
+    """The vehicle model, with quaternions if ``vehicle.quaternion`` is set."""
     own = model(config.vehicle.model)
     return with_quaternions(own) if config.vehicle.quaternion else own
 

@@ -49,7 +49,7 @@ class Vehicle(Section):
         0.0,
         ge=0,
         le=100,
-        description="of the drone from edge to edge, m: every gate's opening must be larger",
+        description="width of the drone from edge to edge, m: every gate's opening must be larger",
     )
     constants: dict[str, Constant] = Field(
         {},
@@ -111,10 +111,10 @@ class Gate(Section):
         0.0, ge=-90, le=90, description="upward slope of the passage, deg: -90 is straight down"
     )
     roll_deg: float = Field(
-        0.0, ge=-180, le=180, description="turn of the opening about the passage, deg"
+        0.0, ge=-180, le=180, description="rotation of the opening about the passage, deg"
     )
     shape: Literal["rectangle", "circle"] = Field(
-        "rectangle", description="of the opening; a circle has size [diameter, diameter]"
+        "rectangle", description="shape of the opening; a circle has size [diameter, diameter]"
     )
 
     @property
@@ -158,7 +158,7 @@ class Track(Section):
     )
     closed: bool = Field(
         True,
-        description="whether the first gate follows the last; false: a course, which ends with the "
+        description="whether the first gate follows the last; false: a course, which ends at the "
         "last gate and needs a start",
     )
 
@@ -227,8 +227,8 @@ class Rules(Section):
     )
     bounds: tuple[Span, Span, Span] | None = Field(
         None,
-        description="[lowest, highest] x, y and z, m: leaving the box is a collision; z of -7 is a "
-        "ceiling at 7 m; null: none besides position_limit and the ground",
+        description="[lowest, highest] x, y and z, m: leaving the box is a collision; a z of -7 is "
+        "a ceiling at 7 m; null: only position_limit and the ground",
     )
     ground_speed: float | None = Field(
         None,
@@ -325,10 +325,10 @@ class Disturbance(Section):
 class Randomization(Section):
     """Domain randomization: largest relative error of each constant, drawn in every episode.
 
-    A constant has the fraction of its group, or that of ``all`` where it is larger.
+    A constant has the fraction of its group or that of ``all``, whichever is larger.
     """
 
-    all: Fraction = Field(0.0, description="every constant of the groups but gravity")
+    all: Fraction = Field(0.0, description="every constant of the groups except gravity")
     gravity: Fraction = Field(0.0, description="g")
     inertia: Fraction = Field(0.0, description="moments of inertia")
     thrust: Fraction = Field(0.0, description="thrust coefficient, or mass")
@@ -346,7 +346,7 @@ class Randomization(Section):
     constants: dict[str, Fraction] = Field(
         {},
         max_length=100,
-        description="single constants, in place of their group's fraction: {w_max: 0.15}",
+        description="fractions of single constants, which override their group: {w_max: 0.15}",
     )
 
     population: str | None = Field(

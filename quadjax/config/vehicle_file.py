@@ -6,7 +6,7 @@ from pathlib import Path
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import Tree, short
 
-KEYS = ("name", "mass", "width", "model", "rotors")  # besides the models
+KEYS = ("name", "mass", "width", "model", "rotors")  # in addition to the models
 ROTORS = ("front_left", "front_right", "rear_right", "rear_left")  # the order of Rotors
 TURNING = {"ccw": 1.0, "cw": -1.0}  # seen from above
 
@@ -22,7 +22,7 @@ def vehicle_values(path: Path, tree: Tree) -> Tree:
         tree: its keys: ``KEYS``, and a mapping of constants for each model.
 
     Raises:
-        InputError: another kind of value.
+        InputError: a value of the wrong kind.
     """
     order = tree.get("rotors", list(ROTORS))
     if not isinstance(order, list) or sorted(map(str, order)) != sorted(ROTORS):
@@ -55,7 +55,7 @@ def _with_rotors(values: Tree, order: list[str], where: str) -> Tree:
                 raise InputError(f"{where}.turning is {short(value)}, allowed: cw or ccw for each")
             number = TURNING[item] if key == "turning" else item
             name = f"{key}{ROTORS.index(place) + 1}"
-            found[name] = values.get(name, number)  # a name with a rotor's number comes first
+            found[name] = values.get(name, number)  # a name with a rotor's number has precedence
     return found
 
 

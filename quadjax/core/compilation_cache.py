@@ -27,7 +27,7 @@ def enable_compilation_cache() -> None:
         found = folder.stat()
     except OSError:
         return
-    # Cached programs are executed: the folder must be the user's alone.
+    # Cached programs are executed, so only the user may have write access to the folder.
     owner = os.getuid() if hasattr(os, "getuid") else found.st_uid
     if found.st_uid != owner or found.st_mode & 0o022 or not os.access(folder, os.W_OK):
         return

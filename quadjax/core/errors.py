@@ -67,7 +67,7 @@ def run_command(main: Callable[[], int | None]) -> int:
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
     try:
         status = main()
-        if sys.stdout is not None:  # it is closed where the caller has closed it
+        if sys.stdout is not None:  # None if the caller has closed it
             sys.stdout.flush()
         return status or 0
     except BrokenPipeError:

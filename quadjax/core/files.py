@@ -125,7 +125,7 @@ def write_npz(path: Path | str, arrays: dict[str, np.ndarray], meta: dict[str, o
 
 
 def check_file(path: Path | str) -> None:
-    """Raise an ``InputError`` for a path that is no file, a directory, a pipe or a device."""
+    """Raise an ``InputError`` for a path that is not a regular file (a directory, a pipe, ..)."""
     with reading(path):
         mode = Path(path).stat().st_mode
     if stat.S_ISDIR(mode):

@@ -52,7 +52,7 @@ def attitude(euler: Quaternion) -> QuaternionAttitude: ...
 
 
 def attitude(euler: Vec3 | Quaternion) -> Attitude | QuaternionAttitude:
-    """What the functions below take, of Euler angles (roll, pitch, yaw), rad, or a quaternion."""
+    """The argument of the functions below, from roll, pitch and yaw, rad, or a quaternion."""
     if isinstance(euler, Quaternion):
         return QuaternionAttitude(euler, quaternion.matrix(euler))
     return Attitude(*sincos(euler.x), *sincos(euler.y), *sincos(euler.z))
@@ -97,10 +97,10 @@ def euler_rates(a: QuaternionAttitude, body_rates: Vec3) -> Quaternion: ...
 
 
 def euler_rates(a: Attitude | QuaternionAttitude, body_rates: Vec3) -> Vec3 | Quaternion:
-    """The attitude's derivative, 1/s, of body rates (p, q, r), rad/s.
+    """The attitude's derivative, 1/s, for body rates (p, q, r), rad/s.
 
-    Of Euler angles ``Q(lambda) Omega``, singular at pitch +-90 deg; the race ends an episode before
-    that. Of a quaternion ``q * (0, Omega) / 2``.
+    For Euler angles ``Q(lambda) Omega``, which is singular at pitch +-90 deg; the race ends an
+    episode before that. For a quaternion ``q * (0, Omega) / 2``.
     """
     if isinstance(a, QuaternionAttitude):
         return quaternion.rate(a.quaternion, body_rates)

@@ -1,4 +1,4 @@
-"""Largest numbers of an evaluation and of a seed, and a check of integers."""
+"""Upper limits of laps, runs and seeds, and a check of integers."""
 
 from numbers import Integral
 

@@ -57,12 +57,10 @@ def save_figure(figure: Figure, path: Path | str, dpi: int = 150) -> None:
 
 
 def head(axes: Axes, title: str = "", columns: int = 4) -> None:
-    """Set the title and, between it and the axes, a legend of what has a label.
-
-    There the legend covers no data.
+    """Set the title and place the legend between it and the axes, where it covers no data.
 
     Args:
-        axes: after everything has been drawn.
+        axes: with everything drawn that has a label.
         title: above the legend.
         columns: of the legend.
     """

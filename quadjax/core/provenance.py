@@ -59,7 +59,7 @@ def file_record(path: Path | str) -> dict[str, str | None]:
 
 
 def hash_of_config(config: pydantic.BaseModel) -> str:
-    """SHA-256 of a config's values; those that name an ``.npz`` file count by its content."""
+    """SHA-256 of a config's values; ``.npz`` files are hashed by their content."""
     values = _by_content(config.model_dump(mode="json", by_alias=True))
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 

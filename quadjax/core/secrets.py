@@ -3,7 +3,7 @@
 import re
 from urllib.parse import unquote, unquote_plus
 
-DATABASE = re.compile(  # a PostgreSQL URL, of which the place may be shown
+DATABASE = re.compile(  # a PostgreSQL URL; host and database may be shown
     r"postgresql://([^@/?#\s]*@)?(?P<place>(\[[\da-fA-F:.]+\]|[^@/?#:\s]*)(:\d+)?(/[^@/?#\s]*)?)"
     r"(\?(?P<query>[^@?#\s]*))?"
 )
@@ -16,7 +16,7 @@ _SECRET = re.compile(
 
 
 def redact(text: str) -> str:
-    """The text with ``***`` for the password of a URL, and for values of ``password`` and so on."""
+    """The text with ``***`` in place of passwords in URLs and values such as ``password=..``."""
     return _SECRET.sub(lambda found: f"{found['url'] or found['key']}***", text)
 
 
@@ -24,7 +24,7 @@ def hide(text: str, url: str) -> str:
     """The text without the password of a database's URL, its parameters, and the URL itself.
 
     Args:
-        text: of an error, say.
+        text: for example of an error.
         url: of the form ``DATABASE``.
     """
     found = DATABASE.fullmatch(url)

@@ -50,7 +50,7 @@ from quadjax.core.yaml_files import (
     short,
 )
 
-LARGEST = 1e9  # bound of numbers that have no other
+LARGEST = 1e9  # default bound of numbers
 MAX_TEXT = 1000  # characters of a text
 Positive = Annotated[float, Field(gt=0, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
@@ -188,7 +188,7 @@ def _refuse_long(text: str, source: str, key: str) -> NoReturn:
 
 
 def _check_values(value: object, source: str, key: str) -> None:
-    """Refuse numbers that single precision does not have, and long texts."""
+    """Reject numbers outside the range of single precision, and long texts."""
     if isinstance(value, Mapping):
         for name, item in value.items():
             if len(str(name)) > MAX_TEXT:

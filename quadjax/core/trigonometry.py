@@ -62,8 +62,8 @@ def arctan2(y: jax.Array, x: jax.Array) -> jax.Array:
 
     One division and a short polynomial (the coefficients of the Cephes library's single-precision
     arctangent); the float32 error is below 5e-7. Float64 goes to the library function. The
-    derivative is the true one at a distance from the origin of 0.01 or more, bounded by 100 within
-    it, and zero at the origin.
+    derivative is exact at distances of 0.01 or more from the origin, bounded by 100 closer to it,
+    and zero at the origin.
     """
     if y.dtype != jnp.float32:
         return jnp.arctan2(y, x)

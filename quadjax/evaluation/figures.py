@@ -128,7 +128,7 @@ def same_place(points: np.ndarray, reach: float = 0.3) -> list[list[int]]:
 
 
 def label_places(gates: Sequence[Gate], reach: float) -> np.ndarray:
-    """Where the gates' labels are, seen from above (gates, 2), m: beyond the outer post."""
+    """Positions (gates, 2), m, of the gates' labels, seen from above: beyond the outer post."""
     center = np.array([gate.position[:2] for gate in gates])
     yaw = np.radians([gate.yaw_deg for gate in gates])
     right = np.stack([-np.sin(yaw), np.cos(yaw)], axis=1)

@@ -87,7 +87,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def describe_crashes(laps: Laps) -> str:
-    """One line for every way in which runs ended early, in each lap; or nothing.
+    """One line for each reason and lap in which runs ended early; empty if none did.
 
     Up to ``LISTED`` runs are given by their numbers, from 1.
     """

@@ -26,7 +26,7 @@ from quadjax.policy.file import Policy
 
 COMMENT_WIDTH = 96
 LONGEST_NAME = 60
-PLACEHOLDER = "placeholder"  # a name that no symbol of the C contains
+PLACEHOLDER = "placeholder"  # a prefix that no symbol of the C code contains
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,13 +119,14 @@ def convert_policy(
 
 
 def check_symbols(converted: Converted) -> None:
-    """Raise an ``InputError`` for a name with which two symbols of the C would be the same."""
+    """Raise an ``InputError`` for a name that makes two symbols of the C code identical."""
     origin = dataclasses.replace(converted.origin, name=PLACEHOLDER)
     sources = dataclasses.replace(converted, origin=origin).sources()
     shared = shared_symbols(sources.values(), converted.origin.name, PLACEHOLDER)
     if shared:
         raise InputError(
-            f"--name {converted.origin.name}: the C has another symbol {shared[0]}; choose another"
+            f"--name {converted.origin.name}: the C code has another symbol {shared[0]}; "
+            "choose another name"
         )
 
 

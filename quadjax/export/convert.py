@@ -83,7 +83,7 @@ def export_c(
         sample_rate: of the disturbance estimator on board, Hz.
         cutoff: of the estimator's low-pass, Hz.
         allow_unfinished: export a policy although it does not finish its own race.
-        allow_other_race: export for another race than the one in the policy file.
+        allow_other_race: export for a race that differs from the one in the policy file.
         overwrite: replace files of the same names in a folder that no export made.
 
     Returns:

@@ -1,14 +1,14 @@
 """A bound of the error of a fixed-point network against real arithmetic, for every input.
 
-Layer ``l`` has real weights ``W``, and integers that stand for ``V = W + D``. With real activations
+Layer ``l`` has real weights ``W``, and integers that represent ``V = W + D``. With real activations
 ``y`` and errors ``e`` of the integer ones, ``e_l = S (V e_(l-1) + r_l)`` with the local error
 ``r_l = D y_(l-1) + c + h``: rounded weights, rounded bias and the rounding of the result, which is
 at most half a unit. ``S`` is diagonal, with the slopes in [0, 1] of the ReLU. So the error of the
-commands is ``sum_l M_l r_l``, where ``M_l`` is a product of the ``V`` and ``S`` behind layer ``l``.
+commands is ``sum_l M_l r_l``, where ``M_l`` is a product of the ``V`` and ``S`` after layer ``l``.
 
-``r_l`` is bounded in two ways: each number by linear bounds of the network (``LinearBounds``), and
+``r_l`` is bounded in two ways: each element by linear bounds of the network (``LinearBounds``), and
 its 2-norm by ``|D u z + c| <= |c| + |D u|_2 sqrt(n)`` with ``y = m + u z``, ``|z_i| <= 1``. The
-rows of ``M_l`` are bounded likewise: each number by an interval from the output backwards, and the
+rows of ``M_l`` are bounded likewise: each element by an interval from the output backwards, and the
 2-norm by spectral norms. Each product ``M_l r_l`` takes the smaller of both bounds.
 """
 
@@ -30,7 +30,7 @@ Interval = tuple[np.ndarray, np.ndarray]  # lowest and highest
 
 @dataclasses.dataclass(frozen=True)
 class _Layer:
-    """A layer in real numbers, and what its integers differ by."""
+    """A layer in real numbers, and the rounding errors of its integers."""
 
     weights: np.ndarray  # W (rows, columns)
     bias: np.ndarray  # (rows,)
@@ -66,7 +66,7 @@ def error_bound(network: FixedNetwork, policy: Policy) -> np.ndarray:
 
 
 def _layers(network: FixedNetwork, policy: Policy) -> list[_Layer]:
-    """The real layers, the last one to commands, and what their integers differ by."""
+    """The real layers, the last one to commands, and the rounding errors of their integers."""
     exact = [tuple(np.asarray(x, np.float32).astype(np.float64) for x in p) for p in policy.layers]
     half = 0.5 * (policy.command_high - policy.command_low)
     kernel, bias = exact[-1]
@@ -145,7 +145,7 @@ class LinearBounds:
 
 
 def _local_error(layer: _Layer, bounds: LinearBounds, index: int) -> tuple[Interval, float]:
-    """The local error of a layer: the interval (rows,) of each number, and the 2-norm."""
+    """The local error of a layer: the interval (rows,) of each element, and the 2-norm."""
     low, high = bounds.inputs(index)
     largest = np.maximum(np.abs(low), np.abs(high))
     slack = SLACK * (np.abs(layer.weights) @ largest + np.abs(layer.bias)) + layer.half

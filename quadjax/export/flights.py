@@ -103,7 +103,7 @@ def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray
 
 
 def _estimate(own: OwnRace, drone: State) -> Estimate | None:
-    """The disturbances of the state as the estimate on board, where the race has an estimator."""
+    """The disturbances of the state as the onboard estimate; None for a race without estimator."""
     model = own.choices.model
     if own.params.estimator is None or model.disturbance is None:
         return None
@@ -111,13 +111,13 @@ def _estimate(own: OwnRace, drone: State) -> Estimate | None:
 
 
 def check_finished(laps: Laps | None, own: OwnRace, who: str) -> str:
-    """Check that at least ``FINISHED`` of a policy's flights finish.
+    """Check that at least the fraction ``FINISHED`` of a policy's flights finish.
 
     Returns:
-        How many do, for a report.
+        The number of flights that finish, as text for a report.
 
     Raises:
-        InputError: too few.
+        InputError: too few flights finish.
     """
     assert laps is not None
     said = f"{laps.finished} of {len(laps.crashes)} flights finish {laps.lap_times.shape[1]} laps"

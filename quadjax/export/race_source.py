@@ -93,9 +93,9 @@ def _default(policy: Policy) -> Config:
 
 
 def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") -> OwnRace:
-    """The race of a configuration, observed and commanded as by the policy in training.
+    """The race of a configuration, with the observation and command range of a policy.
 
-    Drones start at any yaw around north: the same flights for every preset.
+    Start headings are drawn around north, so that the flights are the same for every preset.
 
     Args:
         config: of the race.
@@ -104,8 +104,8 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
         name: the policy file, for messages.
 
     Raises:
-        InputError: a config for another vehicle, an observation that the race lacks, or limits
-            that no vehicle of the policy's kind has.
+        InputError: a config for another vehicle, an observation that the race lacks, or command
+            limits that the vehicle model cannot have.
     """
     residual = config.vehicle.residual and located(config.vehicle.residual)
     text = (config.at("vehicle.residual", RESIDUAL_FILE) if residual else config).to_yaml()
@@ -149,7 +149,7 @@ def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> C
 
 
 def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
-    """Check that a race is the one that the policy was trained in, as far as its file says.
+    """Check that a race is the one in the policy file, where the policy was trained.
 
     Vehicle, residual, track, gate test and time step are compared.
 
@@ -159,7 +159,7 @@ def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
         file: the policy file.
 
     Returns:
-        What was compared, for a report.
+        The properties that were compared, as text for a report.
 
     Raises:
         InputError: the first difference.
@@ -195,7 +195,7 @@ def _difference(trained: OwnRace, own: OwnRace) -> str | None:
 
 
 def _facts(own: OwnRace) -> dict[str, object]:
-    """What two races are compared by."""
+    """The properties by which two races are compared."""
     params = own.params
     parts = {"vehicle": params.vehicle, "track": params.track, "time_step": own.time_step}
     numbers = {

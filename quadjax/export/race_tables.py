@@ -125,7 +125,7 @@ class RaceTables:
 
     @property
     def helpers(self) -> set[str]:
-        """What the C needs for these inputs: names of its functions, and ``gate``."""
+        """Names of the C functions that these inputs need, and ``gate`` if they need the gate."""
         kinds = {x.kind for x in self.inputs if x.kind != SCALED or any(x.rescales)}
         rotated, own_axes = kinds & {POSITION, VELOCITY}, set() if self.world_box else {"own axes"}
         needed = {
@@ -203,7 +203,7 @@ def next_gates(track: Track) -> dict[str, np.ndarray]:
 def track_ranges(layout: Layout, track: Track) -> dict[str, float]:
     """The ranges by field that a track needs where they are above those of the layout.
 
-    A leg of the track begins about as far from its gate as the gate before is.
+    At the start of a leg, the distance to its gate is about that between the two gates.
     """
     needed = {name: np.abs(value).max() for name, value in next_gates(track).items()}
     needed["position"] = 1.25 * needed["next_position"]

@@ -1,4 +1,4 @@
-"""The report of a conversion: what was proven and what was measured, as JSON and as text."""
+"""The report of a conversion, with proven bounds and measurements, as JSON and as text."""
 
 import dataclasses
 import hashlib

@@ -1,10 +1,10 @@
-"""Signs and order of a flight log's columns, from what the columns show about one another.
+"""Checks of signs and order of a flight log's columns by comparing them with one another.
 
-Kinematics relate the quantities of a log: the change of the attitude is the gyro's, that of the
-position is the velocity, that of the velocity less gravity is the accelerometer's specific force,
-and the propellers' speeds turn the drone. A column that is negated, swapped with another, scaled
-or unrelated contradicts the others. Where a flight does not move about an axis there is no
-evidence, and the column is reported as not checked.
+Kinematics relate the quantities of a log: the derivative of the attitude gives the body rates, that
+of the position the velocity, that of the velocity minus gravity the specific force, and the
+propeller speeds the angular accelerations. A column that is negated, swapped with another, scaled
+or unrelated is inconsistent with the others. Where a flight has too little motion along or about
+an axis there is no evidence, and the column is reported as not checked.
 """
 
 from dataclasses import dataclass, replace
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
     from quadjax.fitting.flight_log import FlightLog
 
 BAND = 5.0  # Hz, of the motion that is compared
-EDGE = 0.3  # s at either end of a log that the filters distort
-SHORTEST = 1.0  # s between them that show something
+EDGE = 0.3  # s, left out at either end of a log, where the filters distort the signals
+SHORTEST = 1.0  # s, least duration without the ends
 GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s^2, world
-EXPLAINED = 0.5  # fraction of a column's variance that what it is taken for explains
-UNRELATED = 0.3  # correlation below which a column does not follow what it should be
+EXPLAINED = 0.5  # least fraction of a column's variance that a matching signal explains
+UNRELATED = 0.3  # correlation with its own signal below which a column is unrelated
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Columns of one quantity, and what other columns show them to be: (n, k) each."""
+    """Columns of one quantity, and the same signals computed from other columns: (n, k) each."""
 
     quantity: str
     columns: list[str]
     measured: np.ndarray
     shown: np.ndarray
-    meanings: list[str]  # of the columns of ``shown``
-    source: str  # the columns that show it
+    meanings: list[str]  # names of the columns of ``shown``
+    source: str  # the columns that ``shown`` is computed from
     least: float | np.ndarray  # standard deviation of ``shown`` that is motion and not noise
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What contradicts the evidence, clause by clause, and what lacks evidence."""
+    """Columns that contradict the evidence, one clause each, and columns without evidence."""
 
     contradictions: list[str]
     unchecked: list[str]
@@ -52,7 +52,7 @@ def check_axes(log: "FlightLog") -> list[str]:
     """Compare gyro, velocity and accelerometer of a log with its other columns.
 
     Returns:
-        What could not be checked for want of evidence, as text.
+        The columns that could not be checked because of missing evidence, as text.
 
     Raises:
         InputError: a column that contradicts the others, in one line.
@@ -72,7 +72,7 @@ def compare(log: "FlightLog", candidates: list[Evidence]) -> list[str]:
     if not len(rows):
         return [repr(name) for evidence in candidates for name in evidence.columns]
     verdicts = [_verdict(_moving(log, evidence, rows)) for evidence in candidates]
-    # Columns that are wrong in one frame make more columns look wrong in the other.
+    # A wrong column in one frame makes several columns appear wrong in the other.
     contradictions = sorted((v.contradictions for v in verdicts if v.contradictions), key=len)
     if contradictions:
         raise InputError(f"{log.path}: {', '.join(contradictions[0])}")
@@ -85,7 +85,7 @@ def listed(names: list[str]) -> str:
 
 
 def inner_rows(log: "FlightLog") -> np.ndarray:
-    """Indices of the rows in flight, without the ends of the log; none of too short a flight."""
+    """Indices of the rows in flight, without the ends of the log; empty for a short flight."""
     edge = round(EDGE * log.sample_rate)
     rows = np.flatnonzero(log.flying[edge:-edge]) + edge
     return rows if len(rows) > SHORTEST * log.sample_rate else rows[:0]
@@ -147,7 +147,7 @@ def _acceleration(log: "FlightLog") -> list[Evidence] | str:
         slope = derivative(log.attitude.apply(log.body_velocity), log.sample_rate)
         shown, source = log.attitude.inv().apply(slope - GRAVITY), f"{velocity}, {_attitude(log)}"
         return [Evidence("acceleration", names, force, shown, meanings, source, 0.3)]
-    # Without an attitude there is the drag of the propellers, of unknown size.
+    # Without an attitude: the drag of the propellers, whose magnitude is unknown.
     drag = -log.body_velocity[:, :2] * log.rpm.sum(axis=1, keepdims=True)
     drag *= force[:, :2].std() / max(drag.std(), 1e-12)
     return [Evidence("acceleration", names[:2], force[:, :2], drag, meanings[:2], velocity, np.inf)]
@@ -175,7 +175,7 @@ def _moving(log: "FlightLog", evidence: Evidence, rows: np.ndarray) -> Evidence:
 
 
 def _verdict(evidence: Evidence) -> Verdict:
-    """Find what each column is: its own meaning, another column's, or minus one of them."""
+    """Match each column to its own signal, another column's, or the negative of one of them."""
     own, theirs = evidence.measured.std(axis=0), np.maximum(evidence.shown.std(axis=0), 1e-12)
     ratio = own[:, None] / theirs
     product = evidence.measured.T @ evidence.shown / len(evidence.shown)
@@ -200,6 +200,6 @@ def _verdict(evidence: Evidence) -> Verdict:
         elif right >= EXPLAINED:
             unchecked.append(repr(name))
     if clauses:
-        clauses[-1] += f" that {evidence.source} show"
+        clauses[-1] += f" from {evidence.source}"
         clauses[-1] += f" (correlation {correlation.diagonal().min():.2f}); {' '.join(hints)}"
     return Verdict([clause.rstrip("; ") for clause in clauses], unchecked)

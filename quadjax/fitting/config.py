@@ -103,7 +103,7 @@ class NominalConfig(Section):
         max_length=6,
         description="axes whose constants are fitted",
     )
-    any_sign: bool = Field(False, description="accept constants below zero that should not be")
+    any_sign: bool = Field(False, description="accept constants of an impossible sign")
 
 
 class SplitConfig(Section):
@@ -113,7 +113,7 @@ class SplitConfig(Section):
         "auto", description="auto is flight for two or more flights"
     )
     test_flights: tuple[str, ...] = Field(
-        (), max_length=1000, description="test flights, used only to limit harm"
+        (), max_length=1000, description="test flights, used only for residual.max_harm"
     )
     test_fraction: float = Field(
         0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight"

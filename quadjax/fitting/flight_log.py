@@ -172,7 +172,7 @@ def _rows(path: Path | str) -> Iterator[tuple[int, list[str]]]:
             for row, cells in enumerate(csv.reader(stream), start=1):
                 yield row, cells
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: row {row} and on is not readable CSV text ({error})") from None
+        raise InputError(f"{path}: not readable as CSV text from row {row} on ({error})") from None
 
 
 def _header(path: Path | str) -> list[str]:
@@ -250,7 +250,7 @@ def _to_standard_frames(path: Path | str, given: Quantities, config: LogsConfig)
             if name in result:
                 result[name] = ENU_TO_NED.apply(result[name])
     attitude = rotation.as_quat()  # scalar last
-    # Of the two quaternions of an attitude the one nearer to that of the sample before.
+    # Of the two quaternions of an attitude, the one nearer to that of the previous sample.
     nearer = np.sign((attitude[1:] * attitude[:-1]).sum(axis=1))
     attitude[1:] *= np.cumprod(np.where(nearer < 0.0, -1.0, 1.0))[:, None]
     result["quaternion"] = attitude

@@ -19,7 +19,7 @@ from quadjax.vehicle.constants import MotorConstants
 
 BLOCK = 0.5  # s
 UNCERTAIN = 0.05  # relative standard error above which a constant has a warning
-LITTLE = 0.1  # R^2 below which an axis has a warning
+LOW_R2 = 0.1  # below which an axis has a warning
 # Constants that are positive on every drone: those that drive an axis, and small ones, which may
 # absorb what the model lacks.
 DRIVING, SMALL = ("k_x", "k_y", "k_w", "k_p", "k_q", "k_r1", "k_r2"), ("k_z", "k_h", "k_rr")
@@ -46,8 +46,8 @@ def fit_nominal(samples: Samples, base: MotorConstants, any_sign: bool = False) 
 
     Args:
         samples: see ``prepare``.
-        base: values of constants that the logs do not excite, or that come out of an impossible
-            sign although they are small or within their uncertainty of zero.
+        base: values for constants that the logs do not excite, and for those with an estimate of an
+            impossible sign that is small or within its uncertainty of zero.
         any_sign: accept constants of an impossible sign.
     """
     blocks = _blocks(samples)
@@ -91,7 +91,7 @@ def fit_axis(
             break
         excited &= ~doubtful
         lines += [
-            f"{names[i]} ({axis}): {values[i]:.2g} +- {errors[i]:.1g}, which is impossible below 0"
+            f"{names[i]} ({axis}): {values[i]:.2g} +- {errors[i]:.1g} is impossible below 0"
             for i in np.flatnonzero(doubtful)
         ]
     error = target - columns @ values
@@ -110,7 +110,7 @@ def fit_axis(
 
 
 def check_signs(fits: list[AxisFit]) -> None:
-    """Refuse constants of an impossible sign.
+    """Reject constants of an impossible sign.
 
     Raises:
         InputError: a constant that is significantly negative and cannot be.
@@ -123,7 +123,7 @@ def check_signs(fits: list[AxisFit]) -> None:
     ]
     if wrong:
         raise InputError(
-            f"the logs fit only with {', '.join(wrong)}, expected above 0: a column of that axis "
+            f"the fit has {', '.join(wrong)}, expected above 0: a column of that axis "
             "is negated or swapped; nominal.any_sign=true accepts it"
         )
 
@@ -180,7 +180,7 @@ def _warnings(
     r2: float,
 ) -> tuple[str, ...]:
     lines = []
-    if r2 < LITTLE:
+    if r2 < LOW_R2:
         lines.append(f"{axis}: R^2 is {r2:.2f}: the nominal model explains little of the logs")
     for name, value, error, known in zip(names, values, errors, excited, strict=True):
         if not known:

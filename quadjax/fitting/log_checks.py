@@ -11,8 +11,8 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig
 
 GRAVITY = 9.81
-LEAST_ROWS = 50  # of a log, which is filtered
-STEADY = {"time", "mode", "acceleration_bias", "rpm_command"}  # quantities that may be constant
+LEAST_ROWS = 50  # of a log, for the filters
+MAY_BE_CONSTANT = {"time", "mode", "acceleration_bias", "rpm_command"}
 
 
 def check_time(path: Path | str, column: str, time: np.ndarray, config: LogsConfig) -> None:
@@ -53,9 +53,9 @@ def check_time(path: Path | str, column: str, time: np.ndarray, config: LogsConf
 def check_constant(
     path: Path | str, columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
 ) -> None:
-    """Refuse a column with one value throughout the flight: no sensor is that exact."""
+    """Reject a column with one value throughout the flight, which no measurement has."""
     rows = _flying(quantities)
-    for quantity in set(quantities) - STEADY:
+    for quantity in set(quantities) - MAY_BE_CONSTANT:
         for name, values in zip(columns[quantity], quantities[quantity].T, strict=True):
             if np.ptp(values[rows]) == 0.0:
                 raise InputError(

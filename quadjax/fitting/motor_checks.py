@@ -2,8 +2,8 @@
 
 Each order of the four motors, with each sign of the gyro's axes, predicts the angular
 accelerations by the nominal model, with non-negative constants. The likelihoods of these
-hypotheses, relative to that of the log as it is, are the evidence. Steady speeds are left out:
-at low frequencies the propellers' moments balance others that the model lacks.
+hypotheses, relative to that of the log as it is, are the evidence. Low frequencies are
+left out, because there the propellers' moments balance others that the model lacks.
 """
 
 import itertools
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 BAND = (1.0, 16.0)  # Hz
 LAG = 0.05  # s, typical of propellers that follow their commands
-ENOUGH = 6.0  # difference of log-likelihoods that is evidence
+EVIDENCE = 6.0  # least difference of log-likelihoods that is evidence
 # Signs (3, 4) of roll, pitch and yaw of motors 1 to 4, by the nominal model.
 ONE = MotorConstants(**dict.fromkeys(constant_names(MotorConstants), 1.0))
 SIGNS = nominal(ONE, ModelInputs(np.eye(4), *(np.zeros((4, k)) for k in (4, 3, 3))))[:, 3:].T
@@ -37,7 +37,7 @@ def check_motors(log: "FlightLog") -> list[str]:
     """Compare the motors' speeds with the angular accelerations.
 
     Returns:
-        What could not be checked for want of evidence, as text.
+        The columns that could not be checked because of missing evidence, as text.
 
     Raises:
         InputError: another order of the motors, or another sign of a rate, fits better.
@@ -50,8 +50,8 @@ def check_motors(log: "FlightLog") -> list[str]:
         for order, by_axis in zip(ORDERS, likelihood, strict=True)
         for flips in FLIPS
     }
-    # Some hypotheses are the same, such as mirrored motors and negated p and r. The signs of a
-    # gyro that was compared with the attitude are less in doubt than the order of the motors.
+    # Some hypotheses are equivalent, such as mirrored motors and negated p and r. The signs of a
+    # gyro that was compared with the attitude are more certain than the order of the motors.
     doubt = 1 if log.attitude is None else 3
     changes = {
         (order, flips): np.count_nonzero(np.subtract(order, ORDERS[0])) + doubt * flips.count(-1.0)
@@ -59,17 +59,17 @@ def check_motors(log: "FlightLog") -> list[str]:
     }
     best = max(total, key=lambda key: (round(total[key], 3), -changes[key]))
     logged = total[ORDERS[0], FLIPS[0]]
-    if total[best] > logged + ENOUGH:
+    if total[best] > logged + EVIDENCE:
         raise InputError(f"{log.path}: {_contradiction(log, *best)}")
     unsure = [
         name
         for i, name in enumerate(log.columns["rpm"])
-        if logged < ENOUGH + max(total[order, FLIPS[0]] for order in ORDERS if order[i] != i)
+        if logged < EVIDENCE + max(total[order, FLIPS[0]] for order in ORDERS if order[i] != i)
     ]
     turns = [
         name
         for axis, name in enumerate(log.columns["gyro"])
-        if likelihood[0][axis, 0] < ENOUGH + likelihood[0][axis, 1]
+        if likelihood[0][axis, 0] < EVIDENCE + likelihood[0][axis, 1]
     ]
     lines = [f"the order of {listed(unsure)}"] if unsure else []
     return lines + [f"{name!r} against the motors" for name in turns]
@@ -88,17 +88,19 @@ def check_commands(log: "FlightLog") -> list[str]:
 
 
 def _contradiction(log: "FlightLog", order: tuple[int, ...], flips: tuple[float, ...]) -> str:
-    """What another hypothesis says about the columns of a log."""
+    """The columns of a log that differ from another hypothesis, as text."""
     names, rates, parts = log.columns["rpm"], log.columns["gyro"], []
     if order != ORDERS[0]:
         moved = [names[i] for i in range(4) if order[i] != i]
         fits = ", ".join(f"{names[i]!r} {corner}" for i, corner in zip(order, CORNERS, strict=True))
-        parts.append(f"columns {listed(moved)} swapped? the angular accelerations show {fits}")
+        parts.append(
+            f"columns {listed(moved)} swapped? by the angular accelerations they are {fits}"
+        )
     for name, sign in zip(rates, flips, strict=True):
         if sign < 0.0:
             parts.append(
-                f"column {name!r} turns against the moments of {listed(names)}: negated, or "
-                "propellers of the other direction?"
+                f"column {name!r} has the opposite sign of the moments of {listed(names)}: "
+                "negated, or propellers of the other direction?"
             )
     return "; ".join(parts)
 
@@ -111,7 +113,7 @@ def _likelihoods(log: "FlightLog") -> list[np.ndarray]:
     rows = inner_rows(log)
 
     def passed(values: np.ndarray, slope: bool = False) -> np.ndarray:
-        # The derivative of the filtered signal: noise in a derivative rings from the log's ends.
+        # Filter first: the filter rings at the ends of the log where a derivative is noisy.
         smooth = sosfiltfilt(filter_, values, axis=0)
         return (derivative(smooth, rate) if slope else smooth)[rows]
 

@@ -134,7 +134,7 @@ def _with_rpm_range(
 def _without_harmful_constants(
     config: FitConfig, samples: Samples, split: Split, flights: list[str], base: BaseVehicle
 ) -> tuple[FitConfig, list[str]]:
-    """The config with only the axes whose fitted constants harm no held-out flight."""
+    """The config with only the axes whose fitted constants suit every held-out flight."""
 
     def fitted(left_out: LeftOut) -> MotorConstants:
         return nominal_without(samples, split.fold, left_out, base.motor, config.nominal)
@@ -179,7 +179,7 @@ def _held_out_rows(
 
 
 def _limits(held_out: list[Prediction], gains: np.ndarray) -> list[str]:
-    """A line for each of the residual's outputs that is limited because it harms a flight."""
+    """A line for each of the residual's outputs that is scaled down to limit a flight's error."""
     lines = []
     for axis, gain in zip(AXES[2:], gains, strict=True):
         if gain < 1.0:
@@ -187,8 +187,8 @@ def _limits(held_out: list[Prediction], gains: np.ndarray) -> list[str]:
             harm = 100.0 * worst.change[AXES.index(axis)]
             what = f"scaled by {gain:.2f}" if gain else "written as zero"
             lines.append(
-                f"{axis}: the residual is {what}, since without that the error on {worst.name}, "
-                f"held out, changes by {harm:+.0f}%"
+                f"{axis}: the residual is {what}, because the full one changes the error on "
+                f"{worst.name}, held out, by {harm:+.0f}%"
             )
     return lines
 
@@ -197,7 +197,7 @@ def _warnings(logs: list[FlightLog], axes: list[AxisFit], lag: LagFit) -> list[s
     lines = [line for axis in axes for line in axis.warnings]
     lines += [lag.warning] if lag.warning else []
     return lines + [
-        f"{log.name}: not checked, without motion or columns to compare with: "
+        f"{log.name}: not checked for lack of motion or of columns to compare with: "
         + ", ".join(log.unchecked)
         for log in logs
         if log.unchecked

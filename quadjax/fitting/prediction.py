@@ -1,4 +1,4 @@
-"""Predictions of a fitted model on some rows, and the limit of the harm that a residual does."""
+"""Predictions of a fitted model, and limits on how much it may increase a flight's error."""
 
 from typing import Self
 
@@ -56,7 +56,7 @@ def pooled(predictions: list[Prediction]) -> Prediction:
 
 
 def harmless_gains(held_out: list[Prediction], max_harm: float, min_gain: float) -> np.ndarray:
-    """Factors (4,) of at most one on the residual's outputs that harm no held-out flight.
+    """Factors (4,), at most 1, on the residual's outputs that limit each held-out flight's error.
 
     With ``e`` the error of the nominal model on a flight and ``r`` the output of the residual, the
     error with a factor ``g`` is within ``1 + max_harm`` of the nominal one for
@@ -108,7 +108,7 @@ def harmful_constants(
             if change > max_harm:
                 found[axis] = (
                     f"{axis}: the base vehicle's constants are kept: those fitted without {name} "
-                    f"are {100.0 * change:.0f}% worse on it"
+                    f"have a {100.0 * change:.0f}% larger error on it"
                 )
     return found
 

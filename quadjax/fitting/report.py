@@ -20,7 +20,7 @@ from quadjax.vehicle.residual_file import write_residual
 RESIDUAL_AXES = AXES[2:]
 FILES = ("config.yaml", "vehicle.yaml", "residual.npz", "report.json", "report.txt")
 FIGURES = ("held_out_*.png", "training_*.png", "errors.png")  # see ``figures.write_figures``
-PATTERNS = (*FILES, *FIGURES)  # of everything that a fit writes
+PATTERNS = (*FILES, *FIGURES)  # of all files that a fit writes
 
 
 def tables(result: FitResult) -> str:
@@ -29,7 +29,7 @@ def tables(result: FitResult) -> str:
     if result.held_out:
         parts += [_change_table("held out", pooled(result.held_out)), _by_flight(result.held_out)]
         if (result.gains < 1.0).any():
-            parts.append(_by_flight(result.unlimited, ", without the limit of harm"))
+            parts.append(_by_flight(result.unlimited, ", without residual.max_harm"))
     else:
         parts.append("held out: none (split.leave_one_out is off, split.test_flights is empty)")
     if result.fits[ALL].choices:

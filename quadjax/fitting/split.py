@@ -2,7 +2,7 @@
 
 The training rows are split into *folds*: groups of whole flights, or, by time, consecutive blocks.
 A choice (early stopping, shrinkage, rejection) is validated on a fold that was not trained on. Test
-rows are used for neither, only to limit the harm that the result does.
+rows are used for neither, only for ``residual.max_harm``.
 """
 
 from dataclasses import dataclass

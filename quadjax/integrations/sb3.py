@@ -22,7 +22,7 @@ try:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
-    PPO, VecEnv = None, object  # the module can be imported, and documented, without them
+    PPO, VecEnv = None, object  # so that the module can be imported and documented without them
 
 Indices = None | int | Iterable[int]
 
@@ -149,7 +149,7 @@ def policy_of_ppo(model: PPO, like: Policy) -> Policy:
     """The policy of Stable-Baselines3 as a quadjax policy.
 
     Args:
-        model: with an MLP policy, such as ``make_ppo`` returns.
+        model: with an MLP policy, for example from ``make_ppo``.
         like: a policy of the same race, such as ``quadjax.training.build.untrained_policy(config)``
             returns: the vehicle, the observation and the commands.
     """

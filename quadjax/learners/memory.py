@@ -1,4 +1,4 @@
-"""The memory that a run needs, and the memory that there is."""
+"""Required and available memory of a training run."""
 
 import contextlib
 import math
@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError
 
 
 def memory_bytes(devices: int = 1) -> float:
-    """Memory of a device: of a GPU, or the part of this machine's for each of some CPU devices."""
+    """Memory of one device: that of a GPU, or an equal part of the machine's for a CPU device."""
     stats = jax.local_devices()[0].memory_stats() or {}
     if "bytes_limit" in stats:
         return float(stats["bytes_limit"])
@@ -39,9 +39,9 @@ def tree_bytes(shapes: object) -> int:
 
 
 def program_bytes(program: jax.stages.Compiled) -> int:
-    """Memory of a compiled program on each device: arguments, results and what is between."""
+    """Memory of a compiled program on each device: arguments, results and temporaries."""
     found = program.memory_analysis()
-    if found is None:  # a backend that does not know
+    if found is None:  # not available on this backend
         return 0
     return (
         found.argument_size_in_bytes

@@ -102,13 +102,13 @@ def schedule_learner(
     Args:
         learner: any learner.
         schedules: by the key of a number.
-        numbers_at: ``(key, value) -> (hyperparameters, environment parameters)`` with the key at a
-            value; None is its own value.
-        steps: wanted environment steps of the run, of which fractions are taken.
+        numbers_at: ``(key, value) -> (hyperparameters, environment parameters)`` with the key set
+            to a value; None keeps its own value.
+        steps: requested environment steps of the run, to which fractions refer.
         total: environment steps of the run, a whole number of updates.
 
     Raises:
-        InputError: a schedule without effect, or of what is no number.
+        InputError: a schedule without effect, or of a key that is not a number.
     """
     built = {}
     for key, schedule in schedules.items():

@@ -53,8 +53,8 @@ class Schedule(Section):
         """Environment steps of the values.
 
         Args:
-            run_steps: ``run.steps``, of which fractions are taken.
-            total: steps of the run, a whole number of chunks: its end.
+            run_steps: ``run.steps``, to which fractions refer.
+            total: steps at the end of the run, a whole number of chunks.
         """
         begin, end = (
             float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)

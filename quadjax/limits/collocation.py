@@ -73,7 +73,7 @@ class Dynamics:
     """The vehicle's equations as CasADi functions of its state leaves and commands."""
 
     def __init__(self, problem: Problem) -> None:
-        """Translate the model's ``derivative`` and what the rules read of a state."""
+        """Translate the model's ``derivative`` and the quantities of a state that the rules use."""
         model, low = problem.model, problem.command_range[0]
         self.state_count, self.command_count = len(leaves(problem.hover_state)), len(low)
         x = [casadi.SX.sym(f"x{index}") for index in range(self.state_count)]
@@ -131,12 +131,12 @@ def solve(
     report: Callable[[float], object] = lambda value: None,
     max_iterations: int = 1000,
 ) -> Solution:
-    """Solve the nonlinear program on the mesh of a first guess.
+    """Solve the nonlinear program on the mesh of an initial guess.
 
     Args:
         problem: the flight.
         dynamics: of the problem.
-        guess: where to start, with a whole number of intervals a leg.
+        guess: the initial guess, with the same number of intervals for each leg.
         margin: m, further distance from the edges of the openings, the bounds and the ground.
         seconds: time limit.
         stop: if set, the solver returns the current iterate.
@@ -243,7 +243,7 @@ def _add_period(
     guess: Trajectory,
     scale: np.ndarray,
 ) -> None:
-    """The end is the start, with whole turns of angles and either sign of a quaternion."""
+    """The end equals the start, up to multiples of 2 pi of angles and the sign of a quaternion."""
     factor, offset, kept = period(problem, guess)
     kept &= ~dynamics.constant
     rows = [index for index in range(dynamics.state_count) if kept[index]]

@@ -1,4 +1,4 @@
-"""Two flights of the same gates: where on the lap one of them loses time."""
+"""Comparison of two flights through the same gates: where one of them loses time."""
 
 import dataclasses
 
@@ -23,8 +23,8 @@ class Comparison:
         best, flown: (legs,) s, the legs' times.
         length: (legs,) m, of the best known flight.
         distance: (points,) m, along the best known flight.
-        lost: (points,) s, that the flight has lost up to there. Within a leg, both flights are
-            compared at equal shares of their lengths.
+        lost: (points,) s, time lost up to that point. Within a leg, both flights are compared at
+            equal fractions of their lengths.
     """
 
     best: np.ndarray
@@ -78,7 +78,7 @@ def figure(problem: Problem, flights: dict[str, Trajectory]) -> Figure:
     for (name, flight), color in zip(flights.items(), SERIES, strict=False):
         _draw(problem, flight, (path, axes), color, f"{name}, {flight.total:.3f} s")
     _gates(problem, path)
-    labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands, share of range")
+    labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands, fraction of range")
     for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label, color=INK)
     axes[-1].set_xlabel("time [s]", color=INK)

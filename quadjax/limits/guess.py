@@ -1,4 +1,4 @@
-"""First guesses of a flight: a flown one cut at its gates, a spline through the gates."""
+"""Initial guesses: a simulated flight, divided at its gates, or a spline through the gates."""
 
 import functools
 import math
@@ -173,13 +173,13 @@ def _clearance(problem: Problem, gate: int, place: np.ndarray) -> float:
 def from_spline(
     problem: Problem, intervals: int, speed: float, spread: float = 0.0, seed: int = 0
 ) -> Trajectory:
-    """A guess along a cubic spline through the gates, tilted as its acceleration demands.
+    """A guess along a cubic spline through the gates, tilted as its acceleration requires.
 
     Args:
         problem: the flight.
         intervals: of a leg.
         speed: m/s, mean of each leg.
-        spread: share of the opening within which random points replace the centers.
+        spread: fraction of the opening within which random points replace the centers.
         seed: of these points, and of the yaw.
     """
     rng = np.random.default_rng(seed)
@@ -209,7 +209,7 @@ def from_spline(
 
 
 def _heading(velocity: np.ndarray, rng: np.random.Generator, spread: float) -> np.ndarray:
-    """Yaw (n,), rad: along the flight, or at random constant."""
+    """Yaw (n,), rad: along the velocity, or constant and random."""
     if spread and rng.uniform() < 0.5:
         return np.full(len(velocity), rng.uniform(-np.pi, np.pi))
     return np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))

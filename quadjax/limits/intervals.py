@@ -1,4 +1,4 @@
-"""Interval arithmetic, and the largest specific force of a vehicle with a proof."""
+"""Interval arithmetic, and a proven bound of a vehicle's largest specific force."""
 
 import dataclasses
 import math

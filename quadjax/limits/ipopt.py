@@ -1,4 +1,4 @@
-"""What a nonlinear program for IPOPT is made of."""
+"""Nonlinear programs, and their solution by IPOPT."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -80,7 +80,7 @@ def minimize(
         variables: (n, 1) symbols.
         objective: to be minimized.
         bounds: lowest and highest variables, (n,) each.
-        first: (n,) where to start.
+        first: (n,) initial values.
         seconds: time limit.
         max_iterations: of IPOPT.
         stop: if set, the current iterate is returned.

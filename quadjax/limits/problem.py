@@ -79,7 +79,7 @@ class Problem:
         rate_limit: largest body rate about any axis, rad/s.
         pitch_limit: rad.
         speed_limit: m/s.
-        frame: solid frames around the openings; only the verification knows them.
+        frame: solid frames around the openings; used only by the verification.
     """
 
     model: VehicleModel

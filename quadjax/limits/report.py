@@ -22,7 +22,7 @@ def to_json(
     flown: Comparison | None,
     policy: str | None,
 ) -> dict[str, Any]:
-    """The result with what it was computed for."""
+    """The result, with the settings that it was computed with."""
     check, proven = best.check, isinstance(bound, LowerBound)
     return {
         "best_known": best.total,

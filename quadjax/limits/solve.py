@@ -23,7 +23,7 @@ MISSED = 0.05  # m, by which a flown path may miss before the margin is widened
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """What became of one first guess."""
+    """The result from one initial guess."""
 
     guess: str
     time: float | None  # s, None where the solver did not converge
@@ -32,7 +32,7 @@ class Attempt:
 
 @dataclasses.dataclass(frozen=True)
 class BestKnown:
-    """A verified flight: an upper bound of the shortest time, not proven to be the shortest.
+    """A verified flight. Its time is an upper bound of the shortest time; it may not be optimal.
 
     Attributes:
         trajectory: states and commands at the nodes.
@@ -40,9 +40,9 @@ class BestKnown:
         guess: where the solver started.
         margin: m, kept from the edges of the openings and the bounds.
         mesh_change: relative change of the time between the last two meshes.
-        attempts: one for each first guess.
+        attempts: one for each initial guess.
         seconds: wall time.
-        notes: what to know about the result, one sentence each.
+        notes: remarks on the result, one sentence each.
     """
 
     trajectory: Trajectory
@@ -61,7 +61,7 @@ class BestKnown:
 
 
 class Search:
-    """Solves from first guesses, one after the other; keeps the best that is verified."""
+    """Solves from initial guesses in turn and keeps the best verified result."""
 
     def __init__(
         self,
@@ -94,7 +94,7 @@ class Search:
         return self.seconds - (time.monotonic() - self.began)
 
     def run(self, guesses: Iterable[tuple[str, Trajectory]]) -> BestKnown:
-        """Solve from each first guess, until the time is up.
+        """Solve from each initial guess until the time limit.
 
         Raises:
             InputError: no guess led to a verified flight.
@@ -135,7 +135,7 @@ class Search:
         self.attempts.append(Attempt(name, time_found, status))
 
     def _refine(self, name: str, trajectory: Trajectory) -> str:
-        """Refine the mesh until the time is settled and the flight is verified."""
+        """Refine the mesh until the time converges and the flight is verified."""
         margin, widened, change, refine = MARGIN, 0, np.inf, True
         check = verify(self.problem, trajectory)
         if not check.error and min(check.clearance, check.margin) >= 0.0:
@@ -157,7 +157,7 @@ class Search:
                 if change <= SAME or not refine:
                     return "verified"
             elif not np.isfinite(drift) or widened == WIDENINGS:
-                return f"refused: {check.error or 'it misses a gate'}"
+                return f"rejected: {check.error or 'it misses a gate'}"
             refine = 2 * trajectory.intervals <= finest
             if drift > 0.0 and not refine:
                 widened += 1
@@ -179,5 +179,5 @@ class Search:
                 "vehicle model may not hold there"
             )
         if best.mesh_change > SAME:
-            notes.append("the mesh was not refined until the time settled")
+            notes.append("the mesh was not refined until the time converged")
         return tuple(notes)

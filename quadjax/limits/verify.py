@@ -1,4 +1,4 @@
-"""A solution flown again in the project's own model, by its commands."""
+"""Verification of a solution: simulation of its commands in the vehicle model."""
 
 import dataclasses
 
@@ -13,16 +13,16 @@ from quadjax.limits.problem import Problem
 from quadjax.race.rules import inside_frame
 
 TIME_STEP = 1e-3  # s, for which each command is held
-TIME_TOLERANCE = 0.005  # of the claimed time
-OVERRUN = 1.01  # the flight goes on after the claimed time, to reach the last gate
+TIME_TOLERANCE = 0.005  # relative to the time of the solution
+OVERRUN = 1.01  # the simulation is longer than the solution, to reach the last gate
 
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """The result of flying a solution's commands: held for 1 ms, RK4, float64.
+    """The result of simulating a solution's commands: held for 1 ms, RK4, float64.
 
     Attributes:
-        error: why the solution is refused; "" where it is verified.
+        error: why the solution is rejected; "" if it is verified.
         leg_times: (legs,) s, between the gates.
         clearance: smallest distance from an edge of an opening, m; negative: outside.
         margin: smallest distance from the bounds and the ground, m; negative: outside.
@@ -44,7 +44,7 @@ class Check:
 
 
 def verify(problem: Problem, trajectory: Trajectory, tolerance: float = 0.0) -> Check:
-    """Fly the commands of a solution and apply the rules.
+    """Simulate the commands of a solution and apply the rules.
 
     Args:
         problem: the flight.

@@ -41,7 +41,7 @@ class EkfParams:
     lag: int = struct.field(pytree_node=False, default=0)  # samples in the buffer
 
     def growth(self, time: jax.Array) -> Growth:
-        """Variances that the sensors' noise adds over some time, s."""
+        """Variances that the sensors' noise adds over ``time``, s."""
         densities = (self.force_density, self.gyro_density, self.gyro_walk, self.force_walk)
         return Growth(*(density * time for density in densities))
 

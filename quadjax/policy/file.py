@@ -92,7 +92,9 @@ class Policy:
         config, residual = config if isinstance(config, dict) else None, None
         if "residual" in meta:
             residual = residual_file.from_arrays(path, arrays, meta["residual"])
-            if config and isinstance(config.get("vehicle"), dict):  # it is read from this file
+            if config and isinstance(
+                config.get("vehicle"), dict
+            ):  # the residual is read from this file
                 config["vehicle"]["residual"] = str(path)
         return cls(
             layers=layers,

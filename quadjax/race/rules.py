@@ -143,7 +143,7 @@ def inside_frame(position: Vec3, track: Track, frame: Frame, inflation: jax.Arra
         position: m, world.
         track: all gates.
         frame: their width and depth.
-        inflation: () m by which openings are wider; the frames' outer edges stay.
+        inflation: () m by which openings are wider; the outer edges do not change.
     """
     hit = jnp.zeros((), bool)
     for index in range(gate_count(track)):

@@ -61,7 +61,7 @@ def plan_logs(
         for file in policies
     }
     if len(plans) < len(policies):
-        raise InputError(f"two of the policies have one name: {', '.join(map(str, policies))}")
+        raise InputError(f"two of the policies have the same name: {', '.join(map(str, policies))}")
     return plans
 
 

@@ -32,7 +32,7 @@ class Mailbox:
         return trial in self._stopped
 
     def take(self, trial: str, stop: bool) -> list[tuple[int, float]]:
-        """The reports since the last call; with ``stop`` the trial is to stop from now on."""
+        """The reports since the last call; with ``stop`` the trial stops."""
         self._stopped |= {trial} if stop else set()
         return self._reports.pop(trial, [])
 

@@ -1,4 +1,4 @@
-"""What to change when a training run completes no lap."""
+"""Advice for a training run that completes no lap."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ CHANGES = {  # by the reason of CRASHES
 
 
 def no_lap(crashes: Iterable[str]) -> str:
-    """Two lines: what ended the flights of a policy that completes no race, and what to change.
+    """Why the flights of a policy that completes no race ended, and what to change: two lines.
 
     Args:
         crashes: why each flight ended: a reason of ``quadjax.race.result.CRASHES``, or "".

@@ -79,7 +79,7 @@ def _has_checkpoint(folder: Path) -> bool:
 
 
 def _inputs(config: Config) -> dict[str, bytes]:
-    """The contents of the files that a config names, except for those of the package, by key."""
+    """The contents of the files that a config names, except files of the package, by key."""
     named = {key: value_at(config, key) for key in INPUTS}
     paths = {key: str(path) for key, path in named.items() if path and not is_shipped(str(path))}
     for path in paths.values():

@@ -97,7 +97,7 @@ class TrainingProgress:
             print(line, file=sys.stderr, flush=True)
 
     def note(self, text: str) -> None:
-        """Print lines above the progress."""
+        """Print lines above the progress bar."""
         if self._live:
             self._console.print(text, highlight=False, markup=False)
         else:

@@ -41,7 +41,7 @@ from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, read_summary, write_summary
 from quadjax.training.score import Score
 
-PATIENCE = 5.0  # s that a run waits for its compilation after Ctrl-C, to save and end as always
+PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
 POLL = 0.2  # s
 ADVISE_AFTER = 1 / 3  # of a run in which no lap is completed
 
@@ -76,8 +76,8 @@ def train(
             another config, or that another process uses; a file of the config that cannot be
             used. Nothing is written or compiled before.
         NonFiniteError: a metric became infinite or NaN.
-        KeyboardInterrupt: a second Ctrl-C, or one during a long compilation: there is nothing to
-            save yet.
+        KeyboardInterrupt: a second Ctrl-C, or one during a long compilation, when there is
+            nothing to save yet.
     """
     if resume and overwrite:
         raise InputError("resume and overwrite exclude each other")

@@ -15,7 +15,7 @@ RPM = 2.0 * math.pi / 60.0  # rad/s
 
 
 class Airframe(Section):
-    """Data of a quadcopter in X configuration; null: estimated from the rest."""
+    """Data of a quadcopter in X configuration; null: estimated from the other data."""
 
     mass: float = Field(gt=0, le=100, description="ready to fly, kg")
     wheelbase: float = Field(gt=0, le=10, description="distance of diagonally opposite motors, m")
@@ -23,7 +23,10 @@ class Airframe(Section):
         None, gt=0, le=10, description="motor ahead of the center of gravity, m; wheelbase / 2.83"
     )
     arm_y: float | None = Field(
-        None, gt=0, le=10, description="motor to the right of it, m; wheelbase / 2.83"
+        None,
+        gt=0,
+        le=10,
+        description="motor to the right of the center of gravity, m; wheelbase / 2.83",
     )
     propeller: float = Field(gt=0, le=2, description="diameter of a propeller, m")
     rpm_max: float | None = Field(
@@ -35,7 +38,10 @@ class Airframe(Section):
     motor_kv: float | None = Field(None, gt=0, le=1e5, description="rpm per V")
     battery_volts: float | None = Field(None, gt=0, le=1000, description="nominal voltage, V")
     thrust_to_weight: float | None = Field(
-        None, gt=1, le=100, description="of all four motors at rpm_max; from thrust_coefficient"
+        None,
+        gt=1,
+        le=100,
+        description="thrust of all four motors at rpm_max over weight; from thrust_coefficient",
     )
     thrust_coefficient: float = Field(
         0.13, gt=0, le=1, description="C_T of T = C_T rho n^2 D^4; unused with thrust_to_weight"
@@ -44,10 +50,11 @@ class Airframe(Section):
         None, gt=0, le=1, description="torque over thrust of a propeller, m; 0.1 propeller"
     )
     rotor_inertia: float | None = Field(
-        None, gt=0, le=1, description="of propeller and rotor, kg m^2; 0.02 propeller^4"
+        None, gt=0, le=1, description="inertia of propeller and rotor, kg m^2; 0.02 propeller^4"
     )
     inertia: tuple[Moment, Moment, Moment] | None = Field(
-        None, description="about x, y, z, kg m^2; 0.45 mass times the motors' squared distance"
+        None,
+        description="inertia about x, y, z, kg m^2; 0.45 mass times the motors' squared distance",
     )
     drag: float = Field(0.3, ge=0, le=10, description="linear drag over mass, 1/s")
     tau: float = Field(0.03, gt=0, le=1, description="time constant of motor and controller, s")
@@ -60,7 +67,7 @@ class Airframe(Section):
         hover = math.sqrt(c["g"] / (4.0 * c["k_w"]))
         if not c["rpm_min"] < hover < c["rpm_max"]:
             raise ValueError(
-                f"propellers carry the mass at {hover:.0f} rpm, allowed: rpm_min {c['rpm_min']:.0f}"
+                f"the hover speed is {hover:.0f} rpm, allowed: rpm_min {c['rpm_min']:.0f}"
                 f" to rpm_max {c['rpm_max']:.0f}"
             )
         return self

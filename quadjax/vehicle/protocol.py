@@ -108,7 +108,7 @@ class VehicleModel:
         populations: ``(nominal, drawn) -> constants`` by name, for ``randomization.population``: a
             drone of a population, of one number in [-1, 1] for each constant.
         positive: names of constants that must be above zero.
-        nonnegative: names of constants that no drone has below zero in the model's frame.
+        nonnegative: names of constants that must not be negative.
         ranges: pairs of names of constants: 0 <= first < second.
         lags: names of the time constants, s.
         thrust_to_weight: ``(values by name) -> float``, or None where unknown.
@@ -120,7 +120,7 @@ class VehicleModel:
         to_body: ``(state, vector) -> Vec3``: a world-frame vector in the body frame.
         wrap: ``(state) -> state`` with angles wrapped or a quaternion normalized, after each step.
         hold: ``(state, command) -> state``: called after each step with its command, for actuators
-            that follow a command without a lag.
+            without a lag.
         pitch_limit: rad; the largest pitch at which the state is valid, inf if any.
         uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
         has_residual: whether ``VehicleParams.residual`` is used.

@@ -1,4 +1,4 @@
-"""Racing quadcopters: normalized motor commands in, rigid-body flight with per-rotor constants out.
+"""Racing quadcopters: rigid bodies with normalized motor commands and constants for each rotor.
 
 Equations and constants of ``racing``: Ferede et al., "One Net to Rule Them All" (arXiv 2504.21586);
 of ``a2rl``, which adds aerodynamic and gyroscopic terms: "MonoRace" (arXiv 2601.15222), in the form

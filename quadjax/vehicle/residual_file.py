@@ -68,7 +68,7 @@ def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -
     """The residual of a file's arrays and of its ``meta``.
 
     Raises:
-        InputError: there is none, or it is damaged or inconsistent.
+        InputError: no residual, or a damaged or inconsistent one.
     """
     if not isinstance(meta, dict):
         raise InputError(f"{path}: a policy file without a residual")

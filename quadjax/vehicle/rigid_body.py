@@ -1,4 +1,4 @@
-"""A rigid body with four rotors and a quaternion attitude: what the racing models share.
+"""A rigid body with four rotors and a quaternion attitude, common to the racing models.
 
 A model adds its constants and one function ``forces``. World NED, body FRD; forces and moments are
 specific (m/s^2, rad/s^2). Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left.

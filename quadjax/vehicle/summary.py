@@ -1,4 +1,4 @@
-"""What follows from the constants of a vehicle model, and what no drone has."""
+"""Quantities derived from the constants of a vehicle model, and warnings of implausible ones."""
 
 import dataclasses
 import functools
@@ -14,17 +14,17 @@ from quadjax.vehicle.protocol import Command, Motion, State, VehicleModel, Vehic
 
 AXES = ("roll", "pitch", "yaw")
 STEPS = 100  # of a simulated command
-SECONDS = 0.1  # of it
+SECONDS = 0.1  # duration of that command
 
 
 @dataclasses.dataclass(frozen=True)
 class VehicleSummary:
-    """What follows from the constants of a vehicle.
+    """Quantities derived from the constants of a vehicle.
 
     Attributes:
-        hover: actuators of a hover, in units of the model.
+        hover: state of the actuators in hover, in units of the model.
         lowest, highest: their range.
-        thrust_to_weight: at the highest command; None where the model does not say.
+        thrust_to_weight: at the highest command; None if the model does not define it.
         angular_acceleration: largest about x, y and z in hover, rad/s^2.
         body_rates: largest about x, y and z that 0.1 s of one command reach from hover, rad/s.
         lags: time constants by name, s.
@@ -43,7 +43,7 @@ def summarize(model: VehicleModel, values: Mapping[str, float]) -> VehicleSummar
     """The summary of a model with constants by name.
 
     Every combination of lowest and highest commands is simulated from hover (for more than six
-    commands each alone), and the largest rates are reported: this needs no knowledge of the model.
+    commands each alone), and the largest rates are reported. This works for any model.
     """
     constants = model.constants(**{name: jnp.float32(value) for name, value in values.items()})
     zero = Vec3.zero()
@@ -131,23 +131,23 @@ def _span(values: np.ndarray, form: str) -> str:
 def warnings(
     model: VehicleModel, summary: VehicleSummary, values: Mapping[str, float]
 ) -> list[str]:
-    """What no drone has: values that are probably in a wrong unit or of a wrong sign."""
+    """Implausible values, which are probably in a wrong unit or of a wrong sign."""
     found = []
     ratio = summary.thrust_to_weight
     if ratio is not None and not 1.3 <= ratio <= 20.0:
-        found.append(f"thrust-to-weight {ratio:.3g}: drones have 1.3 to 20")
+        found.append(f"thrust-to-weight {ratio:.3g}: typical are 1.3 to 20")
     for name, value in summary.lags.items():
         if not 0.005 <= value <= 0.3:
-            found.append(f"{name} {value:g} s: drones have 0.005 to 0.3 s")
+            found.append(f"{name} {value:g} s: typical are 0.005 to 0.3 s")
     for axis, rate in zip(AXES, summary.body_rates, strict=True):
         least, most = (0.05, 60.0) if axis == "yaw" else (0.5, 150.0)
         if not least <= rate <= most:
             found.append(
-                f"{axis}: {rate:.3g} rad/s within {SECONDS:g} s: drones reach {least:g} to {most:g}"
+                f"{axis}: {rate:.3g} rad/s within {SECONDS:g} s: typical are {least:g} to {most:g}"
             )
     inertia = [values[name] for name in model.groups.get("inertia", ())]
     if len(inertia) == 3 and 2.0 * max(inertia) > 1.001 * sum(inertia):
-        found.append("inertia: one moment exceeds the sum of the others, which no body has")
+        found.append("inertia: one moment exceeds the sum of the others, which is impossible")
     damping = model.damping(values) if model.damping else ()
     for name in dict.fromkeys((*model.positive, *model.nonnegative, *damping)):
         if values[name] < 0:

@@ -451,7 +451,7 @@ def test_a_name_that_makes_two_symbols_the_same_is_refused(exported, name, symbo
     folder = read_folder(exported)
     check_symbols(folder)
     renamed = dataclasses.replace(folder, origin=dataclasses.replace(folder.origin, name=name))
-    with pytest.raises(InputError, match=f"--name {name}: the C has another symbol {symbol}"):
+    with pytest.raises(InputError, match=f"--name {name}: the C code has another symbol {symbol}"):
         check_symbols(renamed)
 
 

@@ -85,8 +85,8 @@ def minus(*names):
 @pytest.mark.parametrize(
     ("message", "wrong"),
     [
-        ("column 'rate_q' is minus the pitch rate that 'att_phi', ", minus("rate_q")),
-        ("column 'vel_x' is minus the velocity north that 'pos_x', ", minus("vel_x")),
+        ("column 'rate_q' is minus the pitch rate from 'att_phi', ", minus("rate_q")),
+        ("column 'vel_x' is minus the velocity north from 'pos_x', ", minus("vel_x")),
         (
             "column 'rate_p' is the pitch rate, column 'rate_q' is the roll rate .* swapped?",
             lambda columns: {"rate_p": columns["rate_q"], "rate_q": columns["rate_p"]},
@@ -134,7 +134,7 @@ def test_without_attitude_and_position_the_drag_shows_the_accelerometer(flown):
     assert "'p', 'q', 'r' (no attitude)" in lines
     for name, message in (
         ("ax", "column 'ax' is minus the specific force"),
-        ("r", "column 'r' turns against the moments of 'rpm_1', "),
+        ("r", "column 'r' has the opposite sign of the moments of 'rpm_1', "),
     ):
         with pytest.raises(InputError, match=message):
             log_of_columns(plain | {name: -plain[name]}, LogsConfig(), "flight")

@@ -1,4 +1,4 @@
-"""The limit of the harm that a residual does to flights that it has not seen."""
+"""Limits on how much a residual may increase the error of flights that it has not seen."""
 
 from dataclasses import replace
 

@@ -450,7 +450,7 @@ def test_tilt_and_shape_of_a_config():
         np.testing.assert_allclose([x.array(), y.array(), z.array()], own.axes, atol=1e-6)
     assert build_track(make_config().track).opening is None
     for override, message in (
-        ("rules.gate_test=world_box", "allowed: square, as track.gates[0] is tilted or round"),
+        ("rules.gate_test=world_box", "allowed: square, because track.gates[0] is tilted or round"),
         ("track.gates=[{position: [0, 0, -2], size: [2, 1], shape: circle}]", "of a circle"),
     ):
         with pytest.raises(InputError) as error:

@@ -1,4 +1,4 @@
-"""What follows from a vehicle file, and files written from data of an airframe."""
+"""What is derived from a vehicle file, and files written from data of an airframe."""
 
 import math
 

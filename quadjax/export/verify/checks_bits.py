@@ -100,7 +100,7 @@ def check_accuracy(c: Context) -> str:
 
 
 def _mutant(c: Context, text: str, name: str) -> ctypes.CDLL:
-    """A changed source, without the hash of the tables: only vectors and probes are left."""
+    """A mutated source without the check of the tables' hash; vectors and probes still apply."""
     work = c.work / name
     work.mkdir(exist_ok=True)
     source = work / f"{c.folder.name}.c"

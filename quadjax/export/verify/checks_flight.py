@@ -20,7 +20,7 @@ LAP_TOLERANCE = 1e-3  # s
 
 
 def check_own_race(c: Context) -> str:
-    """The race in the C is the one that the policy was trained in, as far as its file says."""
+    """The race in the C code is the one in the policy file."""
     folder = c.folder
     allowed = c.allow_other_race and folder.options.allow_other_race
     path = folder.path / POLICY_FILE
@@ -72,7 +72,7 @@ def check_observation(c: Context) -> str:
     trained = float64_commands(folder.policy, shown)
     span = folder.policy.command_high - folder.policy.command_low
     change = float(np.median(np.max(np.abs(exact - trained) / span, axis=1)))
-    require(change <= COMMAND_TOLERANCE, f"commands move by {change:.2g} of their range, median")
+    require(change <= COMMAND_TOLERANCE, f"commands change by {change:.2g} of their range, median")
     return f"{len(rows)} simulated states: within {worst:.1e} of each input's range"
 
 
@@ -127,7 +127,7 @@ def check_closed_loop(c: Context) -> str:
     """The fixed-point policy finishes where the float policy does, in the same times."""
     folder, runs = c.folder, c.runs
     if not runs:
-        raise Skipped("ask for it with --runs 200")
+        raise Skipped("run it with --runs 200")
     single, fixed = flights.fly_float_and_fixed(
         folder.own, folder.policy, folder.network.box.declared, runs
     )

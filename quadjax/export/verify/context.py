@@ -42,7 +42,7 @@ class Context:
     count: int  # vectors
     runs: int = 0  # of the closed loop
     allow_unfinished: bool = False  # accept a policy that does not finish its own race
-    allow_other_race: bool = False  # accept the C of another race than the policy's
+    allow_other_race: bool = False  # accept C code for another race than the policy's
 
     @functools.cached_property
     def vectors(self) -> np.ndarray:

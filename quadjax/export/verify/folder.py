@@ -80,7 +80,7 @@ def _read_report(path: Path) -> tuple[Options, str, str, str]:
         numbers = {name: float(getattr(options, name)) for name in ("sample_rate", "cutoff")}
         symbol_name(options.name, file)
         text, config_hash = report_text(report, options.name), str(report["config_sha256"])
-    except Exception as error:  # of any kind, by values that are not those of a report
+    except Exception as error:  # of any type, because the values can be anything
         raise InputError(f"{path}: not a report of quadjax export ({error!r:.200})") from error
     return dataclasses.replace(options, ranges=ranges, **numbers), file, text, config_hash
 

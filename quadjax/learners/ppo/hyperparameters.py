@@ -59,7 +59,7 @@ class PPO(LearnerSection):
         "is larger is skipped; null: none is",
     )
     reward_scale: float = Field(
-        1.0, gt=0, le=LARGEST, description="factor on the reward that is learned from"
+        1.0, gt=0, le=LARGEST, description="factor on the reward in training"
     )
     critic_warmup: int = Field(
         0, ge=0, le=10**9, description="updates at the start that train the value only"

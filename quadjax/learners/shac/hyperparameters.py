@@ -77,7 +77,7 @@ class SHAC(LearnerSection):
         0.3, gt=0, le=100, description="standard deviation of the action noise (actions: -1 to 1)"
     )
     reward_scale: float = Field(
-        0.1, gt=0, le=LARGEST, description="factor on the reward that is learned from"
+        0.1, gt=0, le=LARGEST, description="factor on the reward in training"
     )
     ema_rate: float = Field(
         1.0,
