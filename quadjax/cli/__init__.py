@@ -71,7 +71,10 @@ def _run(argv: list[str]) -> int | None:
         print(f"quadjax {__version__}")
         return 0
     if argv[0] not in COMMANDS:
-        raise InputError(f"{argv[0]!r} is not a subcommand, allowed: {', '.join(COMMANDS)}")
+        from quadjax.core.yaml_files import close_match
+
+        hint = close_match(argv[0], list(COMMANDS))
+        raise InputError(f"{argv[0]!r} is not a subcommand{hint}; allowed: {', '.join(COMMANDS)}")
     with loading():
         module = importlib.import_module(f"quadjax.cli.{argv[0].replace('-', '_')}")
     return module.main(argv[1:])

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, whole_file, write_text
@@ -104,7 +105,8 @@ def check_same(config: Config, folder: Path) -> None:
         return
     contents = _inputs(config)
     own: Any = parse_yaml(_with_inputs(config, contents).to_yaml(), "config")
-    before, now = flatten(read_yaml(path)), flatten(own)
+    now, complete = flatten(own), parse_yaml(load_config(path).to_yaml(), str(path))
+    before = {**flatten(complete), **flatten(read_yaml(path))}  # keys that were added later
     for key in [*now, *before]:
         if key not in FREE and before.get(key) != now.get(key):
             raise InputError(

@@ -20,19 +20,22 @@ from quadjax.policy.file import Policy
 from quadjax.training.metrics import read_metrics, saved_rows
 from quadjax.training.paper import published_total
 
-SUMMARY = (  # keys of summary.json
-    "name",
-    "seed",
-    "finished",
-    "steps",
-    "devices",
-    "seconds",
-    "best_lap_total",
-    "best_steps",
-    "last_lap_total",
-    "first_under",
-    "peak_memory_mib",
-)
+NUMBER, MAYBE = (int, float), (int, float, type(None))
+SUMMARY: dict[
+    str, type | tuple[type, ...]
+] = {  # keys of summary.json and the types of their values
+    "name": str,
+    "seed": int,
+    "finished": bool,
+    "steps": int,
+    "devices": int,
+    "seconds": NUMBER,
+    "best_lap_total": MAYBE,
+    "best_steps": MAYBE,
+    "last_lap_total": MAYBE,
+    "first_under": (dict, type(None)),
+    "peak_memory_mib": MAYBE,
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,10 +88,9 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / "summary.json"
     summary = read_json(path)
-    missing = [key for key in SUMMARY if key not in summary]
-    if missing or not isinstance(summary["finished"], bool):
-        what = ", ".join(missing) or "finished"
-        raise InputError(f"{path}: damaged ({what}); remove it and resume the run")
+    wrong = [key for key, kinds in SUMMARY.items() if not isinstance(summary.get(key, ...), kinds)]
+    if wrong:
+        raise InputError(f"{path}: damaged ({', '.join(wrong)}); remove it and resume the run")
     return summary
 
 

@@ -38,7 +38,7 @@ def test_the_version_is_that_of_the_package(capsys):
 @pytest.mark.parametrize(
     ("arguments", "names"),
     [
-        (["fly"], "'fly' is not a subcommand, allowed: train"),
+        (["fly"], "'fly' is not a subcommand; allowed: train"),
         (["train"], "error: the following arguments are required: CONFIG (try --help)"),
         (["train", "--overwite"], "unknown option --overwite; did you mean --overwrite?"),
         (["train", "e2e", "--resum"], "unknown option --resum; did you mean --resume?"),

@@ -163,6 +163,12 @@ def test_a_run_of_another_config_names_the_key(tmp_path):
     prepare_folder(config, tmp_path, resume=False, overwrite=False)
     check_same(config, tmp_path)
     check_same(load_config(BLANK, ["run.devices=1", "run.compilation_cache=false"]), tmp_path)
+    saved = (tmp_path / "config.yaml").read_text()
+    older = "".join(x for x in saved.splitlines(keepends=True) if "compilation_cache" not in x)
+    older = "".join(x for x in older.splitlines(keepends=True) if "quaternion" not in x)
+    assert older != saved  # written before the two keys existed
+    (tmp_path / "config.yaml").write_text(older)
+    check_same(config, tmp_path)
     with pytest.raises(InputError, match="seed: 0, the new config seed: 3"):
         check_same(load_config(BLANK, ["seed=3"]), tmp_path)
 
@@ -224,9 +230,18 @@ def test_a_damaged_summary_is_one_line(tmp_path, text):
 
 def test_a_summary_says_whether_the_run_has_finished(tmp_path):
     assert not is_finished(tmp_path)
-    whole = dict.fromkeys(SUMMARY, 1) | {"finished": True}
+    whole = dict.fromkeys(SUMMARY, 1) | {"finished": True, "name": "run", "first_under": None}
     (tmp_path / "summary.json").write_text(json.dumps(whole))
     assert is_finished(tmp_path) and read_summary(tmp_path) == whole
+    for key, value in {
+        "steps": "x",
+        "first_under": 3,
+        "peak_memory_mib": "x",
+        "seed": None,
+    }.items():
+        (tmp_path / "summary.json").write_text(json.dumps(whole | {key: value}))
+        with pytest.raises(InputError, match=f"damaged \\({key}\\)"):
+            read_summary(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["", "\n", "steps,seconds\n", "steps,seconds\r\n12"])

@@ -48,6 +48,8 @@ def read_folder(path: Path) -> Folder:
             converter writes.
     """
     check_kind(path, KIND)
+    if not path.is_dir():
+        raise InputError(f"{path}: no such folder")
     reports = sorted(path.glob("*_report.json"))
     if len(reports) != 1:
         raise InputError(f"{path}: expected one *_report.json, found {len(reports)}")

@@ -5,13 +5,16 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quadjax.export.verify.emitted import write_float, write_harness, write_memory
 from quadjax.export.verify.folder import Folder
-from quadjax.export.verify.machine import Machine
 from quadjax.export.verify.toolchain import Compiler
+
+if TYPE_CHECKING:
+    from quadjax.export.verify.machine import Machine  # needs packages of an extra
 
 ROW = 7  # commands, trace, clipped, NaN
 CHUNK = 20_000  # vectors that go into the emulated machine at a time
@@ -103,7 +106,7 @@ def float_commands(library: ctypes.CDLL, x: np.ndarray) -> np.ndarray:
     return out
 
 
-def machine_infer(machine: Machine, kernel: int, x: np.ndarray) -> np.ndarray:
+def machine_infer(machine: "Machine", kernel: int, x: np.ndarray) -> np.ndarray:
     """Rows (n, 7) int32 of observations (n, inputs), on the emulated processor."""
     rows = []
     for start in range(0, len(x), CHUNK):
