@@ -105,7 +105,8 @@ def check_same(config: Config, folder: Path) -> None:
         return
     contents = _inputs(config)
     own: Any = parse_yaml(_with_inputs(config, contents).to_yaml(), "config")
-    now, complete = flatten(own), parse_yaml(load_config(path).to_yaml(), str(path))
+    complete: Any = parse_yaml(load_config(path).to_yaml(), str(path))
+    now = flatten(own)
     before = {**flatten(complete), **flatten(read_yaml(path))}  # keys that were added later
     for key in [*now, *before]:
         if key not in FREE and before.get(key) != now.get(key):
