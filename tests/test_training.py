@@ -20,6 +20,7 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
+from quadjax.core.folders import MARKER
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.export.race_source import own_race
 from quadjax.learners import loop, memory
@@ -113,6 +114,7 @@ def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
     assert loaded.finished and loaded.metrics["steps"].tolist() == [128]
 
 
+@pytest.mark.slow
 def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
     for word in ("run.initial_policy=none.npz", "vehicle.residual=none.npz"):
         with pytest.raises(InputError, match="none.npz"):
@@ -126,6 +128,7 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
 
 def test_a_policy_without_its_checkpoints_is_a_run(tmp_path):
     config = config_of("e2e_ppo.yaml")
+    (tmp_path / MARKER).write_text('{"kind": "training"}')
     (tmp_path / "policy.npz").write_bytes(b"of another training")
     for resume, says in ((False, "already contains a run"), (True, "no checkpoint")):
         with pytest.raises(InputError, match=says):

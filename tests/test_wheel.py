@@ -67,8 +67,9 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
         done = run(installed, tmp_path, "-m", "quadjax", *arguments)
         assert done.returncode == 0, done.stdout + done.stderr
     laps = json.loads((tmp_path / "laps.json").read_text())
-    assert laps["runs"] == 2 and laps["policy"] == "runs/first/policy.npz"
-    assert laps["config"] == "e2e_shac" and laps["version"]
+    origin = laps["provenance"]
+    assert laps["runs"] == 2 and origin["policy"]["file"] == "runs/first/policy.npz"
+    assert origin["config"]["name"] == "e2e_shac" and origin["quadjax"]
     assert (tmp_path / "lap.png").stat().st_size > 1000
 
 

@@ -298,7 +298,7 @@ REFUSED = [
     ("training_limits.yaw_rate=1", "start.body_rates is 1.0, allowed: below training_limits.yaw_"),
     (
         "training_limits.episode_steps=10",
-        "training_limits.episode_steps is 10, allowed: more: the drone can move 1.1 m in 0.1 s",
+        "training_limits.episode_steps is 10, allowed: more: in 0.1 s the drone can move 1.1 m",
     ),
     ("track.gates=[{position: [1e30, 0, -1]}]", "track.gates[0].position[0] is 1e+30, allowed"),
     ("disturbance.moment_bias=[1e30, 0, 0]", "disturbance.moment_bias[0] is 1e+30, allowed"),

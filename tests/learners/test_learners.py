@@ -242,6 +242,7 @@ def test_the_moving_average_follows_the_parameters():
 
 
 @BOTH
+@pytest.mark.slow
 def test_a_schedule_reaches_the_hyperparameters(name):
     scheduled = ["learning_rate"] if name == "ppo" else ["learning_rate", "std"]
     learner, plain_params = make(name), probe(best=1.0)

@@ -52,6 +52,7 @@ def test_steps_and_seed_have_bounds(wrong):
         DEFAULTS["ppo"].train(ENVIRONMENT, probe(), network=NETWORK, **wrong)
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_run():
     def rewards(seed):
         learner = DEFAULTS["shac"]

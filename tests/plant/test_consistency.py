@@ -66,6 +66,7 @@ def test_delayed_poses_correct_the_instant_at_which_they_were_taken():
     assert (deviations > 0).all()
 
 
+@pytest.mark.slow
 def test_pitch_of_90_deg_is_no_singularity():
     truth = loop(801, DRONES)
     assert np.abs(truth.euler.y).max() > 1.56

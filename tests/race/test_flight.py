@@ -139,7 +139,8 @@ def test_drawn_constants_are_flown_and_limit_the_command(kind):
 @pytest.mark.parametrize(("kind", "size"), [("motor", 24), ("rate", 17)])
 def test_the_seam(kind, size):
     """Three functions of one drone; the outcome's two ends stay apart."""
-    choices, params = make_race(f"vehicle.model={kind}", "training_limits.episode_steps=2")
+    choices, params = make_race(f"vehicle.model={kind}")
+    params = params.replace(limits=params.limits.replace(episode_steps=jnp.int32(2)))
     env = make_environment(choices)
     assert (env.observation_size, env.action_size) == (size, 4)
     state = env.reset(params, jax.random.key(0))

@@ -35,6 +35,7 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
     assert outcome.values == (8.0, 8.0)  # the time limit of the one lap
 
 
+@pytest.mark.slow
 def test_a_whole_sweep_by_its_command(tmp_path, capfd):
     path = sweep_file(tmp_path, budget={"trials": 2}, search={"method": "tpe"})
     arguments = ["sweep", path, "--workers", 1, "--output", tmp_path / "runs"]
