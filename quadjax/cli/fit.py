@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        from quadjax.core.folders import claim, present_files, remove_files
+        from quadjax.core.folders import claim, present_files, replacement
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.figures import write_figures
         from quadjax.fitting.flight_log import find_logs
@@ -60,9 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         result = run_fit(config, path.parent, report)
         report("writing")
-        remove_files(folder, PATTERNS)
-        written = write_results(result, folder)
-        if config.figures:
-            written += write_figures(result, folder)
+        with replacement(folder, PATTERNS) as new:
+            written = write_results(result, new)
+            if config.figures:
+                written += write_figures(result, new)
     print(tables(result))
     print(f"wrote {len(written)} files to {folder}/ in {time.monotonic() - started:.1f} s")

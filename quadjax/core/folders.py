@@ -6,6 +6,7 @@ program writes only to a folder of its own kind, and removes only the files that
 
 import contextlib
 import shutil
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from quadjax.core.files import read_json, remove_stale, write_json
 
 MARKER = ".quadjax.json"
 LOCK = ".lock"
+NEW = ".new-"  # prefix of folders of results that are not complete
 NO_RESULTS = {MARKER, LOCK, "config.yaml", "inputs"}  # in the folder of a failed command
 EVIDENCE = {  # patterns of files in folders without a marker, which earlier versions wrote
     "training": "checkpoints",
@@ -150,3 +152,25 @@ def remove_files(folder: Path | str, patterns: Iterable[str]) -> None:
             shutil.rmtree(path)
         else:
             path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def replacement(folder: Path | str, patterns: Iterable[str]) -> Iterator[Path]:
+    """A temporary folder, whose files replace those of a locked folder if the block succeeds.
+
+    Args:
+        folder: of the results.
+        patterns: of the files that are removed from it, as in ``remove_files``.
+    """
+    folder = Path(folder)
+    for stale in folder.glob(f"{NEW}*"):  # of a killed process
+        shutil.rmtree(stale)
+    with writing(folder):
+        temporary = Path(tempfile.mkdtemp(dir=folder, prefix=NEW))
+    try:
+        yield temporary
+        remove_files(folder, patterns)
+        for path in temporary.iterdir():
+            path.replace(folder / path.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

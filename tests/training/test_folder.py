@@ -14,7 +14,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import build_vehicle
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
-from quadjax.core.folders import claim, kind_of, remove_files
+from quadjax.core.folders import claim, kind_of, remove_files, replacement
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.yaml_files import to_yaml
 from quadjax.fitting.report import PATTERNS as FIT_FILES
@@ -156,6 +156,20 @@ def test_overwriting_removes_only_the_files_of_the_program(tmp_path, patterns):
         (tmp_path / name).write_text("mine")
     remove_files(tmp_path, patterns)
     assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == others
+
+
+def test_results_replace_earlier_ones_only_when_they_are_complete(tmp_path):
+    for name in ("report.txt", "notes.txt"):
+        (tmp_path / name).write_text("before")
+    (tmp_path / ".new-killed").mkdir()
+    with pytest.raises(OSError), replacement(tmp_path, ["report.*"]) as new:
+        (new / "report.txt").write_text("half")
+        raise OSError("no space left")
+    assert {path.name for path in tmp_path.iterdir()} == {"report.txt", "notes.txt"}
+    assert (tmp_path / "report.txt").read_text() == "before"
+    with replacement(tmp_path, ["report.*"]) as new:
+        (new / "report.json").write_text("{}")
+    assert {path.name for path in tmp_path.iterdir()} == {"report.json", "notes.txt"}
 
 
 def test_a_run_of_another_config_names_the_key(tmp_path):
