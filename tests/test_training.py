@@ -22,7 +22,7 @@ from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
 from quadjax.core.folders import MARKER
 from quadjax.evaluation.evaluation import evaluate
-from quadjax.export.race_source import own_race
+from quadjax.export.race_source import find_config, own_race
 from quadjax.learners import loop, memory
 from quadjax.learners.networks import layers_of
 from quadjax.policy.file import Policy
@@ -351,11 +351,13 @@ def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     for key, value in first.items():
         np.testing.assert_array_equal(value, second[key], err_msg=key)
     laps = evaluate(moved / "policy.npz", moved / "config.yaml", runs=1, deterministic=True)
-    assert laps.lap_times.shape == (1, 1) and len(laps.gates) == 1
+    assert laps.lap_times.shape == (1, 1) and len(laps.gates) == 2
     alone = (moved / "policy.npz").rename(tmp_path / "alone.npz")
     shutil.rmtree(moved)
-    race = own_race(Policy.load(alone), alone)
-    assert race.params.vehicle.residual is not None and race.config.track.name == "mine"
+    policy = Policy.load(alone)
+    found, origin = find_config(policy, alone)
+    race = own_race(found, policy, origin, alone.name)
+    assert race.params.vehicle.residual is not None and race.track == "mine"
 
 
 @pytest.mark.slow

@@ -61,7 +61,10 @@ def test_killed_and_interrupted_sweeps_resume_and_run_every_trial_once(tmp_path)
         (signal.SIGTERM, 3, 130),
         (signal.SIGINT, 4, 130),
     ):
+        begun = len(lines(folder, "workers"))
         process = start(path, tmp_path / "runs", "executor.workers=2")
+        # As many may have finished before; this process handles signals once its workers run.
+        wait_for(lambda n=begun: len(lines(folder, "workers")) > n, process)
         wait_for(lambda n=after: len(lines(folder, "finished")) >= n, process)
         process.send_signal(number)
         output, _ = process.communicate(timeout=LIMIT)
