@@ -186,4 +186,4 @@ def _check_other(option: str, path: Path | str, key: str, value: object) -> None
     for text in {str(value), str(value).rpartition("=")[2]}:
         with writing(path):
             if os.path.realpath(text) == os.path.realpath(path):
-                raise InputError(f"--{option} {path}: is also {key}, expected a file of its own")
+                raise InputError(f"--{option} {path}: is also {key}, expected a different file")

@@ -3,7 +3,7 @@
 Environment steps a second (a step and the reset of finished episodes) against the number of
 environments, with and without residual networks; the same with the observation for each vehicle
 model; training steps a second of the presets; and the peak memory of each. Every measurement runs
-in a process of its own and is the median of its repeats. With --sb3, quadjax and Stable-Baselines3
+in a separate process and is the median of its repeats. With --sb3, quadjax and Stable-Baselines3
 train the published hyperparameters for equal time.
 """
 
@@ -123,7 +123,7 @@ def _measure_all(jobs: Sequence[Job]) -> list[dict[str, Any]]:
 
 
 def _measure(job: Job) -> dict[str, Any]:
-    """Measure in a process of its own, so that the peak memory is this measurement's."""
+    """Measure in a separate process, so that the peak memory is this measurement's."""
     text = json.dumps(dataclasses.asdict(job))
     done = subprocess.run(
         [sys.executable, "-m", "quadjax", "benchmark", "--job", text],

@@ -108,7 +108,7 @@ def configs_of(argv: Sequence[str]) -> tuple[dict[str, str], list[str]]:
 def train_seed(
     config: str, overrides: Sequence[str], seed: int, runs: Path, overwrite: bool = False
 ) -> Path:
-    """Train one seed in a process of its own; returns the folder of its run.
+    """Train one seed in a separate process; returns the folder of its run.
 
     Resumes a run that was stopped, and leaves a finished one of the same config as it is.
 

@@ -1,7 +1,7 @@
 """Folders of results: each has a kind, a lock while a process writes to it, and known files.
 
 A folder's kind (training, fit, sweep, export, comparison) is in its file ``.quadjax.json``. A
-program writes only to a folder of its own kind, and removes only the files that it writes itself.
+program writes only to a folder of the same kind, and removes only the files that it writes itself.
 """
 
 import contextlib
@@ -45,7 +45,7 @@ def claim(
         overwrite: accept such files in a folder without a kind.
 
     Raises:
-        InputError: the folder is of another kind, has files of somebody else that the block would
+        InputError: the folder is of another kind, has files of the user that the block would
             replace, cannot be written, or is locked.
     """
     folder = Path(folder)

@@ -23,7 +23,7 @@ SERIES = ("#1f6feb", "#d1495b", "#2a9d8f", "#e9a23b")
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches, on a canvas of its own."""
+    """An empty figure, inches, on a separate canvas."""
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)  # inches
     figure = Figure(figsize=(width, height), layout=layout, facecolor=PAPER)
     FigureCanvasAgg(figure)

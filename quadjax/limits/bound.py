@@ -153,6 +153,7 @@ class _Legs:
 
     @property
     def count(self) -> int:
+        """The number of legs."""
         return len(self.after)
 
     def first(self) -> np.ndarray:
