@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import check_file
-from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.sections import FOLDER_NAME
 from quadjax.core.yaml_files import close_match, short
 
@@ -30,6 +30,7 @@ def whole(least: int, most: int) -> Callable[[str], int]:
 
 
 seed, laps, runs = whole(0, MAX_SEED), whole(1, MAX_LAPS), whole(1, MAX_RUNS)
+gates = whole(1, MAX_GATES)
 count = whole(1, 10**6)
 
 
@@ -95,8 +96,12 @@ def add_name(parser: argparse.ArgumentParser) -> None:
 
 
 def add_races(parser: argparse.ArgumentParser, start: str = "hover") -> None:
-    """Add --laps, --runs, --start and --seed: how a policy is evaluated."""
-    parser.add_argument("--laps", type=laps, help="laps of a run (default: evaluate.laps)")
+    """Add --laps, --gates, --runs, --start and --seed: how a policy is evaluated."""
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--laps", type=laps, help="laps of a run (default: evaluate.laps)")
+    length.add_argument(
+        "--gates", type=gates, help="gates of a run, in place of laps (default: evaluate.gates)"
+    )
     parser.add_argument("--runs", type=runs, help="number of runs (default: evaluate.runs)")
     parser.add_argument(
         "--start",

@@ -88,6 +88,7 @@ def _evaluate_all(
     common = {
         "runs": options.runs,
         "laps": options.laps,
+        "gates": options.gates,
         "start": options.start,
         "seed": options.seed,
         "name": options.policy,

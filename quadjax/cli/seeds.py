@@ -90,7 +90,7 @@ def configs_of(argv: Sequence[str]) -> tuple[dict[str, str], list[str]]:
             be compared.
     """
     from quadjax.config.loading import load_config
-    from quadjax.evaluation.curves import check_laps
+    from quadjax.evaluation.curves import check_lengths
 
     overrides = [each for each in argv if "=" in each and "/" not in each.partition("=")[0]]
     files = [str(find_config(each)) for each in argv if each not in overrides]
@@ -101,7 +101,7 @@ def configs_of(argv: Sequence[str]) -> tuple[dict[str, str], list[str]]:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"two of the configs are named {name}, expected names that differ")
-    check_laps({config.name: config.evaluate.laps for config in configs})
+    check_lengths({config.name: config.evaluate.length for config in configs})
     return dict(zip(names, files, strict=True)), overrides
 
 

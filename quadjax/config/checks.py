@@ -187,6 +187,8 @@ def _check_race_start(config: Config) -> None:
     start, limit = config.track.start, config.rules.position_limit
     if not config.track.closed and config.evaluate.laps != 1:
         refuse("evaluate.laps", config.evaluate.laps, "1 with track.closed false")
+    if not config.track.closed and config.evaluate.gates is not None:
+        refuse("evaluate.gates", config.evaluate.gates, "null with track.closed false")
     if start is None:
         if not config.track.closed:
             refuse("track.start", None, "{position, yaw_deg} with track.closed false")
@@ -336,6 +338,8 @@ def _check_used(config: Config) -> None:
             unused[f"randomization.{group}"] = with_model
     if not model.uses_start_thrust:
         unused["start.thrust"] = with_model
+    if config.evaluate.gates is not None:
+        unused["evaluate.laps"] = "with evaluate.gates"
     if config.rules.ground_speed is None:
         unused["rules.ground_height"] = "without rules.ground_speed"
     if config.rules.gate_frame == 0:

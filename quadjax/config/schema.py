@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import SerializeAsAny
 
 from quadjax.core.errors import InputError
-from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.sections import Field, FolderName, Section
 from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
@@ -402,7 +402,19 @@ class Evaluate(Section):
     """Timed laps after training."""
 
     laps: int = Field(6, ge=1, le=MAX_LAPS, description="laps of a run")
+    gates: int | None = Field(
+        None,
+        ge=1,
+        le=MAX_GATES,
+        description="gates of a run in place of laps: 19 on split_s are two laps and five gates",
+    )
     runs: int = Field(5, ge=1, le=MAX_RUNS, description="runs")
+
+    @property
+    def length(self) -> str:
+        """The length of a run as text: 6 laps, or 19 gates."""
+        number, unit = (self.laps, "lap") if self.gates is None else (self.gates, "gate")
+        return f"{number} {unit}{'s' * (number != 1)}"
 
 
 class Config(Section):

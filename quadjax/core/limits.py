@@ -1,10 +1,14 @@
-"""Upper limits of laps, runs and seeds, and a check of integers."""
+"""Upper limits of laps, gates, runs and seeds, and a check of integers."""
 
 from numbers import Integral
 
 from quadjax.core.errors import InputError
 
-MAX_LAPS, MAX_RUNS = 1000, 100_000  # of one evaluation, which is simulated all at once
+MAX_LAPS, MAX_GATES, MAX_RUNS = (
+    1000,
+    10_000,
+    100_000,
+)  # of one evaluation, which is simulated all at once
 MAX_SEED = 2**31 - 1
 
 

@@ -111,7 +111,7 @@ class Group:
 
     name: str
     runs: tuple[Mapping[str, np.ndarray], ...]  # columns of each run's metrics, (rows,) each
-    laps: int  # that a flight has
+    length: str  # of a flight: 6 laps
     published: tuple[str, float] | None  # label and time, s, where it is the published race
 
 
@@ -133,7 +133,7 @@ def learning_figure(groups: Mapping[str, Sequence[Path]]) -> Figure:
     if not 0 < len(groups) <= len(COLORS):
         raise InputError(f"{len(groups)} groups of runs to draw, allowed: 1 to {len(COLORS)}")
     drawn = [read_group(name, folders) for name, folders in groups.items()]
-    check_laps({group.name: group.laps for group in drawn})
+    check_lengths({group.name: group.length for group in drawn})
     figure = new_figure(9.8, 4.2)
     panels = figure.subplots(1, len(ACROSS), sharey=True)
     references = list(dict.fromkeys(group.published for group in drawn if group.published))
@@ -145,15 +145,15 @@ def learning_figure(groups: Mapping[str, Sequence[Path]]) -> Figure:
         lap_axis(axes, times, references)
         axes.set_xlabel(label, color=INK)
         axes.set_xlim(left=0.0)
-    panels[0].set_ylabel(f"{counted(drawn[0].laps, 'lap')}, deterministic (s)", color=INK)
+    panels[0].set_ylabel(f"{drawn[0].length}, deterministic (s)", color=INK)
     head(panels[0], "median over seeds; shaded from the fastest to the slowest")
     return figure
 
 
-def check_laps(laps: Mapping[str, int]) -> None:
-    """Raise an ``InputError`` if the numbers of laps, by name, differ."""
-    if len(set(laps.values())) > 1:
-        each = ", ".join(f"{name} {counted(number, 'lap')}" for name, number in laps.items())
+def check_lengths(lengths: Mapping[str, str]) -> None:
+    """Raise an ``InputError`` if the lengths of races, by name, differ."""
+    if len(set(lengths.values())) > 1:
+        each = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise InputError(f"times of different numbers of laps cannot be compared: {each}")
 
 
@@ -174,7 +174,7 @@ def read_group(name: str, folders: Sequence[Path]) -> Group:
         if missing:
             raise InputError(f"{path}: no column {', '.join(missing)}")
         runs.append(columns)
-    return Group(name, tuple(runs), config.evaluate.laps, published_total(config))
+    return Group(name, tuple(runs), config.evaluate.length, published_total(config))
 
 
 def spread(

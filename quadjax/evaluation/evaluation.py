@@ -15,7 +15,7 @@ from quadjax.config.schema import Config, Gate
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_npz
-from quadjax.core.limits import MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
+from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
 from quadjax.core.plotting import show_figure
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
@@ -165,6 +165,7 @@ def evaluate(
     *,
     runs: int | None = None,
     laps: int | None = None,
+    gates: int | None = None,
     deterministic: bool = False,
     start: Literal["hover", "random"] = "hover",
     seed: int = 0,
@@ -177,7 +178,8 @@ def evaluate(
         policy: a policy, or the path of its file.
         config: of the race: a config, a preset's name or a YAML file.
         runs: number of runs; ``evaluate.runs`` of the config if not given.
-        laps: of a run; ``evaluate.laps`` of the config if not given.
+        laps: of a run; ``evaluate.laps`` of the config if neither is given.
+        gates: of a run, in place of laps; ``evaluate.gates`` of the config if neither is given.
         deterministic: apply the mean action; samples otherwise.
         start: from hover before the first gate, or from the random starts of training.
         seed: of the noise, the disturbances and the starts.
@@ -193,11 +195,16 @@ def evaluate(
     config = config if isinstance(config, Config) else load_config(config)
     if config.run.compilation_cache:
         enable_compilation_cache()
+    if laps is None and gates is None:
+        gates = config.evaluate.gates
+    elif laps is not None and gates is not None:
+        raise InputError(f"gates is {gates}, allowed: null with laps")
     laps = config.evaluate.laps if laps is None else laps
     runs = config.evaluate.runs if runs is None else runs
     if start not in ("hover", "random"):
         raise InputError(f"start is {start!r}, allowed: hover, random")
     check_integer("laps", laps, 1, MAX_LAPS)
+    check_integer("gates", 1 if gates is None else gates, 1, MAX_GATES)
     check_integer("runs", runs, 1, MAX_RUNS)
     check_integer("seed", seed, 0, MAX_SEED)
     choices, params = race_of(config)
@@ -208,6 +215,7 @@ def evaluate(
         params,
         own,
         laps=laps,
+        gates=gates,
         runs=runs,
         from_hover=hover,
         seed=seed,
@@ -222,7 +230,7 @@ def evaluate(
         gates=config.track.gates,
         time_step=config.rules.time_step,
         model=choices.model,
-        published=published_rows(config, laps, hover),
+        published=() if gates else published_rows(config, laps, hover),
         provenance=provenance(config, name, seed),
         fly=fly,
     )

@@ -57,7 +57,7 @@ def evaluate_seed(run: Path, runs: int) -> SeedResult:
         first_steps=first["steps"],
         last=summary["last_lap_total"],
         best=summary["best_lap_total"],
-        flying_lap=_lowest(mean.lap_times),
+        flying_lap=_lowest(mean.whole_laps),
         sampled=float(done.mean()) if done.size else None,
         sampled_finished=random.finished,
         sampled_runs=runs,

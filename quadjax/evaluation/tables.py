@@ -23,7 +23,7 @@ def lap_row(label: str, laps: Laps) -> Row:
     means = tuple(_mean(times[:, lap]) for lap in range(times.shape[1]))
     totals = laps.totals[done]
     best = float(totals.min()) if done.any() else np.nan
-    return Row(label, means, _mean(totals), best, laps.finished, len(laps.crashes))
+    return Row(label, means, _mean(totals), best, laps.finished, len(laps.crashes), laps.last_gates)
 
 
 def _mean(values: np.ndarray) -> float:
@@ -69,7 +69,8 @@ def _columns(rows: Sequence[Row]) -> list[list[str]]:
     columns = []
     for lap in range(laps):
         cells = [_time(row.laps[lap] if lap < len(row.laps) else np.nan) for row in rows]
-        columns.append([f"lap {lap + 1}", *cells])
+        part = next((row.last_gates for row in rows if row.last_gates and lap + 1 == laps), 0)
+        columns.append([counted(part, "gate") if part else f"lap {lap + 1}", *cells])
     columns.append(["total", *(_time(row.total) for row in rows)])
     columns.append(["best", *(_time(row.best) for row in rows)])
     finished = ["-" if row.runs is None else f"{row.finished}/{row.runs}" for row in rows]

@@ -146,6 +146,7 @@ def fly_policy(
     trace: bool = False,
     actor: Actor = fly,
     name: str = "policy",
+    gates: int | None = None,
 ) -> tuple[Laps, Trace | None]:
     """Time a policy's laps; the observation is the one that it was trained with.
 
@@ -161,6 +162,7 @@ def fly_policy(
         trace: whether to record states and commands.
         actor: ``(pilot, observation, noise) -> action``, which computes the commands; static.
         name: the policy's file, for messages.
+        gates: number of gates of the race in place of ``laps``.
 
     Raises:
         InputError: the policy does not fit the vehicle.
@@ -168,4 +170,4 @@ def fly_policy(
     choices, params = fit_race(choices, params, policy, name)
     pilot = make_pilot(choices, params, policy, deterministic)
     key = jax.random.key(seed)
-    return fly_laps(choices, params, actor, pilot, key, laps, runs, from_hover, trace)
+    return fly_laps(choices, params, actor, pilot, key, laps, runs, from_hover, trace, gates)

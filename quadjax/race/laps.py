@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams, RaceState
@@ -88,15 +90,21 @@ def _crash_code(outcome: Outcome) -> jax.Array:
 
 
 def _step_one(
-    choices: Choices, params: RaceParams, race: LapState, action: jax.Array, gates: int
+    choices: Choices, params: RaceParams, race: LapState, action: jax.Array, last: int | None
 ) -> LapState:
     """One step of one drone; a race that is over does not change."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
-    return score(race, following, outcome, params.limits.time_step, gates)
+    gates = gate_count(params.track)
+    return score(race, following, outcome, params.limits.time_step, gates, last)
 
 
 def score(
-    race: LapState, following: RaceState, outcome: Outcome, dt: jax.Array, gates: int
+    race: LapState,
+    following: RaceState,
+    outcome: Outcome,
+    dt: jax.Array,
+    gates: int,
+    last: int | None = None,
 ) -> LapState:
     """One drone's race after a step: its laps, whether it is over, and why.
 
@@ -106,11 +114,14 @@ def score(
         outcome: events of the step.
         dt: () s, of a step.
         gates: of the track.
+        last: number of gates after which the race ends within a lap; None: with a lap.
     """
     laps = race.lap_end.shape[0]
     passed = following.gates_passed - race.state.gates_passed
     lap = (following.gates_passed - 1) // gates
     complete = following.gates_passed % gates == 0
+    if last is not None:
+        complete = complete | (following.gates_passed == last)
     if outcome.finished is not None:  # a start in the middle of a course has fewer gates
         complete, lap = outcome.finished, jnp.zeros_like(lap)
     ended = (passed > 0) & complete & ~race.over
@@ -132,7 +143,7 @@ def begin(state: RaceState, laps: int) -> LapState:
     )
 
 
-@functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace"))
+@functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace", "gates"))
 def fly_race(
     choices: Choices,
     actor: Actor,
@@ -143,9 +154,10 @@ def fly_race(
     policy: object,
     state: RaceState,
     key: jax.Array,
+    gates: int | None = None,
 ) -> tuple[LapState, Trace | None]:
     """Fly from given states for at most ``steps`` steps; see ``fly_laps``."""
-    one = _stepper(choices, actor, params, policy)
+    one = _stepper(choices, actor, params, policy, gates)
 
     def record(carry: Carry, _: None) -> tuple[Carry, Trace]:
         following, action = one(carry)
@@ -168,10 +180,9 @@ def fly_race(
 
 
 def _stepper(
-    choices: Choices, actor: Actor, params: RaceParams, policy: object
+    choices: Choices, actor: Actor, params: RaceParams, policy: object, gates: int | None
 ) -> Callable[[Carry], tuple[Carry, jax.Array]]:
     """One step of all drones: to the race after it, and the actions (runs, actions)."""
-    gates = gate_count(params.track)
     observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
     act = jax.vmap(actor, in_axes=(None, 0, 0))
     step = jax.vmap(
@@ -221,6 +232,7 @@ def fly_laps(
     runs: int = 5,
     from_hover: bool = True,
     trace: bool = False,
+    gates: int | None = None,
 ) -> tuple[Laps, Trace | None]:
     """Fly a timed race by the exact rules.
 
@@ -235,25 +247,44 @@ def fly_laps(
         runs: number of independent drones.
         from_hover: from hover at the last gate, else from the training's random starts.
         trace: whether to record states and commands.
+        gates: number of gates of the race in place of ``laps``; the last lap may be a part of one.
 
     Returns:
         The result, and the trace if ``trace`` is true.
     """
+    length = race_length(params.track, laps, gates)
+    laps = math.ceil(length)
     params = environment.exact_rules(choices.model, params)
     choices = dataclasses.replace(choices, stagger_clocks=False)
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)
-    steps = step_limit(params, laps)
-    race, kept = fly_race(choices, actor, laps, steps, trace, params, policy, states, noise_key)
-    return laps_of(race, float(params.limits.time_step), time_limit(params.track, laps)), kept
+    steps = step_limit(params, length)
+    race, kept = fly_race(
+        choices, actor, laps, steps, trace, params, policy, states, noise_key, gates=gates
+    )
+    result = laps_of(race, float(params.limits.time_step), time_limit(params.track, length))
+    return dataclasses.replace(result, last_gates=(gates or 0) % gate_count(params.track)), kept
 
 
-def time_limit(track: Track, laps: int) -> float:
+def race_length(track: Track, laps: int, gates: int | None = None) -> float:
+    """The length of a race in laps: ``laps``, or that of a number of gates.
+
+    Raises:
+        InputError: ``gates`` of a course, which ends with its last gate.
+    """
+    if gates is None:
+        return laps
+    if not track.closed:
+        raise InputError(f"gates is {gates}, allowed: null on a course (track.closed false)")
+    return gates / gate_count(track)
+
+
+def time_limit(track: Track, laps: float) -> float:
     """The time limit of a race of some laps, s."""
     return laps * SLOWEST_LAP * max(1.0, lap_length(track) / ITS_LENGTH)
 
 
-def step_limit(params: RaceParams, laps: int) -> int:
+def step_limit(params: RaceParams, laps: float) -> int:
     """The time limit of a race, steps."""
     return round(time_limit(params.track, laps) / float(params.limits.time_step))
 

@@ -25,6 +25,7 @@ class Laps:
     crashes: tuple[str, ...]  # why each run ended early; "" where it did not
     seconds: np.ndarray  # (runs,) s from the start to the end of the run
     time_limit: float  # s; no run lasts longer
+    last_gates: int = 0  # gates of the last lap where it is a part of one; 0: it is whole
 
     @property
     def totals(self) -> np.ndarray:
@@ -56,6 +57,11 @@ class Laps:
         penalty = self.time_limit / self.lap_times.shape[1]
         return float(np.nan_to_num(self.lap_times, nan=penalty).sum(axis=1).mean())
 
+    @property
+    def whole_laps(self) -> np.ndarray:
+        """Lap times (runs, laps), s, without a last lap of fewer gates."""
+        return self.lap_times[:, :-1] if self.last_gates else self.lap_times
+
     def laps_completed(self) -> np.ndarray:
         """Number of laps that each run completed, (runs,)."""
         return np.isfinite(self.lap_times).sum(axis=1)
@@ -71,7 +77,8 @@ class Laps:
             return round(float(x), 4) if np.isfinite(x) else None
 
         completed = self.laps_completed()
-        return {
+        part = {"last_lap_gates": self.last_gates} if self.last_gates else {}
+        return part | {
             "laps": [[number(x) for x in run] for run in self.lap_times],
             "totals": [number(x) for x in self.totals],
             "finished": self.finished,

@@ -60,11 +60,12 @@ def _run_seed(
     from quadjax.config.race import build_params
     from quadjax.evaluation.evaluation import evaluate
     from quadjax.learners.loop import NonFiniteError
-    from quadjax.race.laps import time_limit
+    from quadjax.race.laps import race_length, time_limit
     from quadjax.training.run import train
 
     config, asked, folder = job.configs[seed], job.objective, job.folder / f"seed{seed}"
-    penalty = time_limit(build_params(config).track, config.evaluate.laps)
+    track, race = build_params(config).track, config.evaluate
+    penalty = time_limit(track, race_length(track, race.laps, race.gates))
 
     def enough(row: dict[str, float]) -> bool:
         done = int(min(row["steps"] / config.run.steps, 1.0) * job.reports + 1e-9)

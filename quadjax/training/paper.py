@@ -25,6 +25,7 @@ class Row:
     best: float
     finished: int | None = None  # runs that completed every lap
     runs: int | None = None
+    last_gates: int = 0  # gates of the last lap where it is a part of one
 
 
 PUBLISHED = (
@@ -85,6 +86,7 @@ def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[
 
 def published_total(config: Config) -> tuple[str, float] | None:
     """Label and time, s, of the published policy; None where the race is not the paper's."""
-    if config.evaluate.laps == LAPS and is_paper_race(config):
+    own = config.evaluate
+    if own.laps == LAPS and own.gates is None and is_paper_race(config):
         return TOTALS[config.vehicle.model]
     return None

@@ -20,7 +20,7 @@ class Score:
     def __init__(self, config: Config, params: RaceParams) -> None:
         """Prepare the timed laps; nothing is simulated."""
         self._choices, self._params = choices_of(config), params
-        self._activation, self._laps = config.network.activation, config.evaluate.laps
+        self._activation, self._race = config.network.activation, config.evaluate
         self._runs = score_runs(config)
         self.crashes: tuple[str, ...] = ()  # of the latest runs
 
@@ -33,8 +33,9 @@ class Score:
             act_deterministic,
             network_policy(local, self._activation),
             jax.random.key(0),
-            self._laps,
+            self._race.laps,
             self._runs,
+            gates=self._race.gates,
         )
         self.crashes = laps.crashes
         return laps.score

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.evaluation import tables
 from quadjax.evaluation.recording import choose, distinct, recordings
 from quadjax.race.laps import fly_laps
@@ -49,6 +50,32 @@ def test_a_lap_ends_where_the_path_crosses_the_last_gate(flown):
     near = (np.abs(side) < 0.5) & (np.abs(relative[:, 2]) < 0.5)
     crossed = (ahead[:-1] < 0) & (ahead[1:] >= 0) & near[1:]
     np.testing.assert_allclose(flight.time[1:][crossed], np.cumsum(laps.lap_times[0]), atol=1e-4)
+
+
+def test_a_race_of_some_gates_ends_within_a_lap(flown):
+    _, whole, _ = flown
+    _, choices, params = rate_race()
+    own, key = script(), jax.random.key(0)
+    laps, _ = fly_laps(choices, params, scripted, own, key, runs=2, gates=5)
+    assert laps.finished == 2 and laps.lap_times.shape == (2, 2) and laps.last_gates == 1
+    np.testing.assert_array_equal(laps.lap_times[:, 0], whole.lap_times[:, 0])
+    assert np.all(laps.lap_times[:, 1] < 0.5 * whole.lap_times[:, 1])
+    assert laps.whole_laps.shape == (2, 1) and laps.to_json()["last_lap_gates"] == 1
+    assert laps.time_limit == pytest.approx(whole.time_limit * 5 / 8)
+    text = tables.format_table([tables.lap_row("own", laps)])
+    assert "1 gate" in text and "lap 2" not in text and "lap 1" in text
+    even, _ = fly_laps(choices, params, scripted, own, key, runs=2, gates=8)
+    np.testing.assert_array_equal(even.lap_times, whole.lap_times)
+    assert even.last_gates == 0
+
+
+def test_races_of_some_gates_are_checked():
+    with pytest.raises(InputError, match="evaluate.laps is 2, allowed: 6 with evaluate.gates"):
+        load_config(BLANK, ["evaluate.gates=5", "evaluate.laps=2"])
+    course = ["track.closed=false", "track.start={position: [0, 0, -1]}", "evaluate.laps=1"]
+    with pytest.raises(InputError, match="evaluate.gates is 3, allowed: null with track.closed"):
+        load_config(BLANK, [*course, "evaluate.gates=3"])
+    assert load_config(BLANK, ["evaluate.gates=5"]).evaluate.length == "5 gates"
 
 
 def test_a_recording_ends_with_its_run(flown):
