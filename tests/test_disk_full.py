@@ -16,7 +16,7 @@ from tests.sweeps.support import TINY
 resource = pytest.importorskip("resource", reason="limits of a process need POSIX")
 
 ROOT = Path(__file__).resolve().parents[1]
-SIZES = os.environ.get("QUADJAX_TEST_SIZES", "0 40 400 4000").split()  # largest files, bytes
+SIZES = os.environ.get("QUADJAX_TEST_SIZES", "0 400 4000 20000").split()  # largest files, bytes
 OVERRIDES = [f"learner.{key}={value}" for key, value in TINY["learner"].items()]
 OVERRIDES += ["network.hidden=[8]", "run.steps=512", "run.evaluate_every=128", "evaluate.laps=1"]
 OVERRIDES += ["run.checkpoint_seconds=0", "run.compilation_cache=false", "run.devices=1"]

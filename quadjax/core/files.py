@@ -67,6 +67,20 @@ def remove_stale(folder: Path | str) -> None:
                 path.unlink()
 
 
+def check_space(folder: Path | str, size: int) -> None:
+    """Check that a file of ``size`` bytes fits on the disk, where the system can tell.
+
+    For libraries that report a full disk late, or from several threads.
+
+    Raises:
+        OSError: no space, or another system error.
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return
+    with tempfile.TemporaryFile(dir=folder, prefix=TEMPORARY) as file:
+        os.posix_fallocate(file.fileno(), 0, size)
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)

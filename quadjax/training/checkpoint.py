@@ -13,6 +13,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from quadjax.core.errors import InputError
+from quadjax.core.files import check_space
 from quadjax.learners import hosts
 from quadjax.learners.loop import Position
 from quadjax.learners.networks import ActorCritic
@@ -42,6 +43,7 @@ class Checkpoints:
         if manager is None or manager.latest_step() == position.chunks:
             return
         try:
+            check_space(manager.directory, _most_bytes(tree))
             manager.save(position.chunks, args=ocp.args.StandardSave(tree))
             manager.wait_until_finished()
         except Exception as error:  # Orbax and TensorStore raise many kinds
@@ -97,6 +99,11 @@ def _tree(position: Position) -> dict[str, Any]:
     }
 
 
+def _most_bytes(tree: dict[str, Any]) -> int:
+    """More bytes than a checkpoint takes: twice its arrays, and the files that describe them."""
+    return 2 * sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(tree)) + 2**17
+
+
 def _make_manager(path: Path) -> ocp.CheckpointManager:
     """A manager of one checkpoint, in this process only."""
     path.mkdir(parents=True, exist_ok=True)
@@ -126,7 +133,7 @@ def _read(manager: ocp.CheckpointManager, tree: dict[str, Any]) -> dict[str, Any
 
 def _reason(error: Exception) -> str:
     """One line: the system's own words for a full disk, or the start of the message."""
-    text = str(error).strip() or type(error).__name__
+    text = str(getattr(error, "strerror", None) or error).strip() or type(error).__name__
     full = os.strerror(errno.ENOSPC)
     return full if full in text else text.splitlines()[0][:200]
 
