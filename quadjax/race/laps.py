@@ -143,7 +143,7 @@ def begin(state: RaceState, laps: int) -> LapState:
     )
 
 
-@functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace", "gates"))
+@functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace", "last"))
 def fly_race(
     choices: Choices,
     actor: Actor,
@@ -154,10 +154,10 @@ def fly_race(
     policy: object,
     state: RaceState,
     key: jax.Array,
-    gates: int | None = None,
+    last: int | None = None,
 ) -> tuple[LapState, Trace | None]:
     """Fly from given states for at most ``steps`` steps; see ``fly_laps``."""
-    one = _stepper(choices, actor, params, policy, gates)
+    one = _stepper(choices, actor, params, policy, last)
 
     def record(carry: Carry, _: None) -> tuple[Carry, Trace]:
         following, action = one(carry)
@@ -180,13 +180,13 @@ def fly_race(
 
 
 def _stepper(
-    choices: Choices, actor: Actor, params: RaceParams, policy: object, gates: int | None
+    choices: Choices, actor: Actor, params: RaceParams, policy: object, last: int | None
 ) -> Callable[[Carry], tuple[Carry, jax.Array]]:
     """One step of all drones: to the race after it, and the actions (runs, actions)."""
     observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
     act = jax.vmap(actor, in_axes=(None, 0, 0))
     step = jax.vmap(
-        lambda race, action: _step_one(choices, params, race, action, gates),
+        lambda race, action: _step_one(choices, params, race, action, last),
         in_axes=(-1, 0),
         out_axes=-1,
     )
@@ -259,11 +259,13 @@ def fly_laps(
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)
     steps = step_limit(params, length)
+    part = (gates or 0) % gate_count(params.track)
+    last = gates if part else None
     race, kept = fly_race(
-        choices, actor, laps, steps, trace, params, policy, states, noise_key, gates=gates
+        choices, actor, laps, steps, trace, params, policy, states, noise_key, last
     )
     result = laps_of(race, float(params.limits.time_step), time_limit(params.track, length))
-    return dataclasses.replace(result, last_gates=(gates or 0) % gate_count(params.track)), kept
+    return dataclasses.replace(result, last_gates=part), kept
 
 
 def race_length(track: Track, laps: int, gates: int | None = None) -> float:

@@ -64,7 +64,7 @@ def test_a_race_of_some_gates_ends_within_a_lap(flown):
     assert laps.time_limit == pytest.approx(whole.time_limit * 5 / 8)
     text = tables.format_table([tables.lap_row("own", laps)])
     assert "1 gate" in text and "lap 2" not in text and "lap 1" in text
-    even, _ = fly_laps(choices, params, scripted, own, key, runs=2, gates=8)
+    even, _ = fly_laps(choices, params, scripted, own, key, runs=2, trace=True, gates=8)
     np.testing.assert_array_equal(even.lap_times, whole.lap_times)
     assert even.last_gates == 0
 
