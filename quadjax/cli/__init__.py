@@ -35,6 +35,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "consistency": "check the navigation filter's covariance",
     "benchmark": "measure the speed of this machine",
     "vehicle": "describe a vehicle file or write one",
+    "track": "describe a track or write a random one",
     "config": "print a resolved config",
     "presets": "list the presets",
 }

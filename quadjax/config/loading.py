@@ -23,12 +23,13 @@ from quadjax.core.yaml_files import (
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac.hyperparameters import SHAC
+from quadjax.race.random_track import RandomTrack, generate
 from quadjax.vehicle.registry import MODELS
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 FROM_FILE = {
     "vehicle": ("file", "name", "width", "constants", "models"),
-    "track": ("file", "name", "gates", "start", "closed"),
+    "track": ("file", "generate", "name", "gates", "start", "closed"),
 }
 DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"))  # keys that name .npz files
 OTHER_TRACKS = "other_tracks"  # keys of a file that apply where the track is not the default one
@@ -91,7 +92,34 @@ def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> Tree:
     tree = merge_trees(_defaults(tree), tree)
     over = parse_overrides([_expand(override) for override in overrides])
     here = Path() if _exists(over, Path()) else path.parent
-    return _merge(tree, over, here, "overrides")
+    return generated(_merge(tree, over, here, "overrides"), str(path))
+
+
+def generated(tree: Tree, source: str) -> Tree:
+    """A tree with the gates and the rules of the random track that it asks for, if it does.
+
+    Rules of the tree have precedence.
+
+    Raises:
+        InputError: settings that are not allowed, or of which no track was found.
+    """
+    track = tree.get("track")
+    if not isinstance(track, dict) or track.get("generate") is None:
+        return tree
+    for key in ("gates", "start", "closed"):
+        if key in track:
+            raise InputError(f"{source}: track.{key} has no effect with track.generate")
+    if not isinstance(track["generate"], dict):
+        allowed = f"a mapping of {', '.join(RandomTrack.model_fields)}"
+        given = short(track["generate"])
+        raise InputError(f"{source}: track.generate is {given}, allowed: {allowed}")
+    own = build(RandomTrack, track["generate"], source, "track.generate.")
+    with prefixed(source):
+        values = generate(own)
+    name = track.get("name") or f"random_{own.gates}_{own.seed}"
+    track = {**track, "generate": None, "name": name, "gates": values["gates"]}
+    rules = merge_trees(values["rules"], tree.get("rules") or {})
+    return {**tree, "track": track, "rules": rules}
 
 
 def _with_data_paths(tree: Tree, folder: Path) -> Tree:
@@ -133,7 +161,10 @@ def _defaults(tree: Tree) -> Tree:
     absent = {
         section: value
         for section, value in DEFAULTS.items()
-        if not (isinstance(tree.get(section), dict) and {"models", "gates"} & set(tree[section]))
+        if not (
+            isinstance(tree.get(section), dict)
+            and {"models", "gates", "generate"} & set(tree[section])
+        )
     }
     return _merge({}, absent, CONFIGS, "defaults")
 
@@ -180,6 +211,7 @@ def _merge(under: Tree, over: Tree, folder: Path, source: str) -> Tree:
         under[section] = {k: v for k, v in lower.items() if k not in keys}
         over = {**over, section: merge_trees(values, {**own, "file": None})}
     _switch_model(under, over)
+    _switch_gates(under, over)
     learner = over.get("learner")
     if isinstance(learner, dict) and "algorithm" in learner:
         lower = under.get("learner", {})
@@ -201,6 +233,19 @@ def _switch_model(under: Tree, over: Tree) -> None:
         under["vehicle"] = merge_trees(lower, {"models": {model: constants}})
 
 
+def _switch_gates(under: Tree, over: Tree) -> None:
+    """Drop the gates below where ``over`` asks for a random track, and the other way around."""
+    lower, own = under.get("track"), over.get("track")
+    if not (isinstance(lower, dict) and isinstance(own, dict)):
+        return
+    replaced: tuple[str, ...] = ()
+    if own.get("generate") is not None:
+        replaced = tuple(key for key in FROM_FILE["track"] if key != "generate")
+    elif "gates" in own:
+        replaced = ("generate",)
+    under["track"] = {key: value for key, value in lower.items() if key not in replaced}
+
+
 def _file_values(section: str, path: Path) -> Tree:
     """The keys that a track or vehicle file sets in its section."""
     tree = read_tree_with_bases(path)
@@ -210,7 +255,7 @@ def _file_values(section: str, path: Path) -> Tree:
             if key not in allowed:
                 hint = close_match(key, allowed)
                 raise InputError(f"{path}: unknown key {key}{hint}; allowed: {', '.join(allowed)}")
-        return {"name": path.stem, "gates": [], **tree}
+        return {"name": path.stem, **({} if "generate" in tree else {"gates": []}), **tree}
     return vehicle_values(path, tree)
 
 

@@ -15,6 +15,7 @@ from quadjax.core.sections import Field, FolderName, Section
 from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection, Network, Schedule
+from quadjax.race.random_track import RandomTrack
 
 if TYPE_CHECKING:
     from quadjax.vehicle.protocol import VehicleModel
@@ -144,6 +145,11 @@ class Track(Section):
         description="YAML file with the name and the gates, next to the config or in "
         "configs/tracks; loading copies its values into the config and sets this to null "
         "(default: square4.yaml)",
+    )
+    generate: RandomTrack | None = Field(
+        None,
+        description="random track in place of gates: {seed, gates, leg, turn_deg, height, size, "
+        "frame, split_s}; loading writes its gates into the config and sets this to null",
     )
     name: str = Field("", description="name of the track, for tables and figures")
     gates: tuple[Gate, ...] = Field(

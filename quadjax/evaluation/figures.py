@@ -9,7 +9,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from quadjax.config.schema import Gate
-from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, PAPER, SERIES, SPEED_COLORS, head, new_figure, tidy
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import gate_outline
@@ -27,22 +26,17 @@ def trajectory_figure(
     scale is the same on all axes.
 
     Args:
-        flights: one or more.
+        flights: none draws the track alone.
         gates: of the track, in order of passage.
         title: of the figure.
-
-    Raises:
-        InputError: no flight.
     """
-    if not flights:
-        raise InputError("no flight to draw")
     lowest, highest = _extent(flights, gates)
     size = highest - lowest
     scale = min(8.0 / size[0], 7.0 / (size[1] + size[2]))
     figure = new_figure(scale * size[0] + 1.9, scale * (size[1] + size[2]) + 1.6)
     above, side = figure.subplots(2, 1, sharex=True, height_ratios=[size[1], size[2]])
-    shown, width = speed_range(flights), 2.2 if len(flights) == 1 else 1.3
     for flight in flights:
+        shown, width = speed_range(flights), 2.2 if len(flights) == 1 else 1.3
         heights = flight.position * np.array([1.0, 1.0, -1.0])
         lines = _speed_line(above, heights[:, :2], flight.speed, shown, width)
         _speed_line(side, heights[:, [0, 2]], flight.speed, shown, width)
@@ -59,9 +53,10 @@ def trajectory_figure(
         axes.set_ylabel(label, color=INK)
     side.set_xlabel("x, north (m)", color=INK)
     head(above, title)
-    bar = figure.colorbar(lines, ax=[above, side], pad=0.02, aspect=28, extend="min")
-    bar.set_label("speed (m/s)", color=INK)
-    bar.outline.set_visible(False)
+    if flights:
+        bar = figure.colorbar(lines, ax=[above, side], pad=0.02, aspect=28, extend="min")
+        bar.set_label("speed (m/s)", color=INK)
+        bar.outline.set_visible(False)
     return figure
 
 
@@ -189,6 +184,8 @@ def _draw_gate(axes: Axes, gate: Gate, reach: float) -> None:
 
 
 def _draw_ends(axes: Axes, flights: Sequence[Recording]) -> None:
+    if not flights:
+        return
     starts = np.array([flight.position[0, :2] for flight in flights])
     axes.plot(
         *starts.T,

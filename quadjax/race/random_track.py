@@ -1,0 +1,218 @@
+"""Random closed tracks of upright gates, reproducible from a seed.
+
+Every condition of a track is a condition on distances in the horizontal plane: the length of a leg,
+the turn at a gate (which gives the distance between the gates before and after it), and the room
+for the frames. The generator draws lengths, turns and heights, and moves the gates until every
+distance is allowed (position-based dynamics, Mueller et al. 2007). World NED, m, deg.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import model_validator
+
+from quadjax.core.errors import InputError
+from quadjax.core.sections import Field, Section
+from quadjax.core.yaml_files import Tree
+
+Length = Annotated[float, Field(gt=0, le=1000)]
+ATTEMPTS, ROUNDS = 40, 600
+FAR = 1e6  # m, no largest distance
+SLACK = 0.03  # m and fraction by which drawn values are inside the allowed ones
+DEPTH = 0.2  # m, room for the depth of two frames
+BETWEEN = 0.3  # m between the frames of two gates that are one above the other
+MARGIN = 5.0  # m from the outermost gate to the position limit
+
+
+class RandomTrack(Section):
+    """Settings of a random track."""
+
+    seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of all random numbers of the track")
+    gates: int = Field(8, ge=3, le=100, description="number of gates")
+    leg: tuple[Length, Length] = Field(
+        (3.0, 8.0), description="shortest and longest horizontal distance to the next gate, m"
+    )
+    turn_deg: float = Field(
+        120.0, ge=1, le=170, description="largest turn between the legs before and after a gate"
+    )
+    height: tuple[Length, Length] = Field(
+        (1.2, 2.5), description="lowest and highest center of a gate above ground, m"
+    )
+    size: tuple[Length, Length] = Field(
+        (1.5, 1.5), description="width and height of the openings, m"
+    )
+    frame: float = Field(
+        0.3, ge=0, le=10, description="width of the frames, which do not touch each other, m"
+    )
+    split_s: float = Field(
+        0.0,
+        ge=0,
+        le=0.5,
+        description="share of gates that have the next gate below them, in opposite direction",
+    )
+
+    @property
+    def pairs(self) -> int:
+        """The number of gates with the next gate below them."""
+        return round(self.split_s * self.gates)
+
+    @model_validator(mode="after")
+    def _check(self) -> "RandomTrack":
+        low, high = self.height
+        for key, (least, most) in (("leg", self.leg), ("height", self.height)):
+            if least > most:
+                raise ValueError(f"{key} is {[least, most]}, allowed: [lowest, highest]")
+        outer = [side + 2.0 * self.frame for side in self.size]
+        if low < 0.5 * outer[1]:
+            raise ValueError(
+                f"height is {[low, high]}, allowed: at least {0.5 * outer[1]:g}, half of the height"
+                " of a gate with its frame"
+            )
+        if self.leg[1] < outer[0] + DEPTH:
+            raise ValueError(
+                f"leg is {list(self.leg)}, allowed: a longest of at least {outer[0] + DEPTH:g}, the"
+                " width of a gate with its frame"
+            )
+        if self.pairs and high - low < outer[1] + BETWEEN:
+            raise ValueError(
+                f"height is {[low, high]}, allowed with split_s: a range of at least "
+                f"{outer[1] + BETWEEN:g} m, for two gates one above the other"
+            )
+        if 2 * self.pairs > self.gates - self.pairs or self.gates - self.pairs < 3:
+            raise ValueError(
+                f"split_s is {self.split_s:g}, allowed with {self.gates} gates: fewer, so that at "
+                "least three places remain, every other one with two gates"
+            )
+        return self
+
+
+def generate(track: RandomTrack) -> Tree:
+    """The keys ``gates`` and ``rules`` of a random track, as in a track file.
+
+    The center of the track is at the origin, and ``rules.position_limit`` has room around it.
+
+    Raises:
+        InputError: no track found with these settings.
+    """
+    rng = np.random.default_rng(track.seed)
+    for _ in range(ATTEMPTS):
+        double = _doubled(rng, track)
+        places = np.round(_solve(rng, track, double), 2)
+        if _allowed(track, places, double):
+            gates = _gates(rng, track, places, double)
+            limit = float(np.ceil(np.abs(places).max() + MARGIN))
+            return {"gates": gates, "rules": {"position_limit": limit}}
+    raise InputError(
+        f"track.generate: found no track with gates {track.gates}, leg {list(track.leg)} and "
+        f"turn_deg {track.turn_deg:g}, allowed: larger turn_deg, a wider range of leg, or fewer "
+        "gates"
+    )
+
+
+def _doubled(rng: np.random.Generator, track: RandomTrack) -> np.ndarray:
+    """Which places (n,) have two gates; no two following ones."""
+    count = track.gates - track.pairs
+    gaps = np.ones(track.pairs, int)  # places without a pair after each place with one
+    rest = count - 2 * track.pairs
+    if track.pairs:
+        gaps += rng.multinomial(rest, np.full(track.pairs, 1.0 / track.pairs))
+    double = np.zeros(count, bool)
+    double[np.cumsum(gaps + 1) - gaps - 1] = track.pairs > 0
+    return np.roll(double, rng.integers(count))
+
+
+def _solve(rng: np.random.Generator, track: RandomTrack, double: np.ndarray) -> np.ndarray:
+    """Places (n, 2) whose distances are near the allowed ones."""
+    count, (short, long) = len(double), track.leg
+    least = max(short, _room(track))
+    inside = min(SLACK, 0.25 * (long - least))
+    legs = rng.uniform(least + inside, max(long - inside, least + inside), count)
+    turns = rng.uniform(-track.turn_deg, track.turn_deg, count) + 180.0 * double
+    heading = np.radians(np.cumsum(turns))
+    steps = legs[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    places = np.cumsum(steps - steps.mean(axis=0), axis=0)
+    low, high = _distances(track, legs, double)
+    for _ in range(ROUNDS):
+        apart = places[:, None] - places[None]
+        distance = np.sqrt((apart**2).sum(axis=2)) + 1e-9
+        wrong = np.clip(distance, low, high) - distance
+        np.fill_diagonal(wrong, 0.0)
+        if np.abs(wrong).max() < 0.1 * SLACK:
+            break
+        active = np.maximum((np.abs(wrong) > 1e-9).sum(axis=1), 1)
+        moves = (0.5 * wrong / distance)[..., None] * apart
+        places = places + 1.5 * moves.sum(axis=1) / active[:, None]
+    return places - 0.5 * (places.max(axis=0) + places.min(axis=0))
+
+
+def _room(track: RandomTrack) -> float:
+    """Distance of two gates whose frames cannot touch in any direction, m."""
+    return track.size[0] + 2.0 * track.frame + DEPTH
+
+
+def _distances(
+    track: RandomTrack, legs: np.ndarray, double: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest distance (n, n) of each two places, m; ``legs`` lead to each place."""
+    count, turn = len(legs), math.radians(track.turn_deg) * (1.0 - SLACK)
+    low, high = np.full((count, count), _room(track) + SLACK), np.full((count, count), FAR)
+    for index in range(count):
+        before, after = index - 1, (index + 1) % count
+        come, go = legs[index], legs[after]
+        angle = np.pi - turn if double[index] else turn
+        across = math.sqrt(come**2 + go**2 + 2.0 * come * go * math.cos(angle))
+        if double[index]:
+            high[before, after] = high[after, before] = max(across, low[before, after])
+        else:
+            low[before, after] = low[after, before] = max(across, low[before, after])
+    for index in range(count):  # after the turns: of three places, every two follow each other
+        for bound in (low, high):
+            bound[index - 1, index] = bound[index, index - 1] = legs[index]
+    return low, high
+
+
+def _turns(places: np.ndarray, double: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Heading (n,) of the leg to each place and the turn (n,) there, rad, within half a turn."""
+    legs = places - np.roll(places, 1, axis=0)
+    heading = np.arctan2(legs[:, 1], legs[:, 0])
+    turn = np.roll(heading, -1) - heading + np.pi * double
+    return heading, (turn + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def _allowed(track: RandomTrack, places: np.ndarray, double: np.ndarray) -> bool:
+    """Whether places (n, 2) are a track."""
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    legs = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=1)
+    others = distance[~np.eye(len(places), dtype=bool)]
+    _, turn = _turns(places, double)
+    return bool(
+        np.all((legs >= track.leg[0]) & (legs <= track.leg[1]))
+        and np.all(others >= _room(track))
+        and np.all(np.abs(turn) <= math.radians(track.turn_deg))
+    )
+
+
+def _gates(
+    rng: np.random.Generator, track: RandomTrack, places: np.ndarray, double: np.ndarray
+) -> list[Tree]:
+    """The gates of places (n, 2): halfway between the headings before and after."""
+    heading, turn = _turns(places, double)
+    low, high = track.height
+    below = track.size[1] + 2.0 * track.frame + BETWEEN
+    gates = []
+    for (x, y), yaw, two in zip(places, heading + 0.5 * turn, double, strict=True):
+        heights = [rng.uniform(low, high)]
+        if two:
+            lower = rng.uniform(low, high - below)
+            heights = [rng.uniform(lower + below, high), lower]
+        for index, height in enumerate(heights):
+            angle = (math.degrees(yaw) + 180.0 * index + 180.0) % 360.0 - 180.0
+            gates.append(
+                {
+                    "position": [float(x), float(y), -round(float(height), 2)],
+                    "yaw_deg": round(angle, 1) + 0.0,  # without the sign of zero
+                    "size": list(track.size),
+                }
+            )
+    return gates

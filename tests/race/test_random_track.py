@@ -1,0 +1,180 @@
+"""Random tracks: every condition is checked in float64, from the gates of the loaded config."""
+
+import functools
+import itertools
+
+import jax
+import numpy as np
+import pytest
+
+from quadjax.cli import run
+from quadjax.config.loading import load_config
+from quadjax.config.race import make_race
+from quadjax.core.errors import InputError
+
+PRESET = "e2e_shac"
+SETTINGS = [
+    {},
+    {"gates": 4, "turn_deg": 100, "leg": [2.5, 4]},
+    {"gates": 25, "height": [1.05, 6], "frame": 0.2, "size": [1.2, 1.0]},
+    {"gates": 12, "split_s": 0.25, "height": [1.2, 5]},
+    {"gates": 10, "turn_deg": 60, "leg": [4, 12]},
+]
+
+
+def generate(seed=0, **settings):
+    overrides = [f"track.generate.{key}={value}" for key, value in settings.items()]
+    return load_config(PRESET, [f"track.generate.seed={seed}", *overrides])
+
+
+def rectangle(gate, frame):
+    """Corners (4, 3) of a gate's frame, and its normal (3,)."""
+    yaw = np.radians(gate.yaw_deg)
+    normal = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    width, height = (0.5 * side + frame for side in gate.size)
+    sides = [(a * width, b * height) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    return np.array([np.array(gate.position) + a * right + [0, 0, b] for a, b in sides]), normal
+
+
+def separated(first, second, depth):
+    """Whether two plates have a separating axis: normals and cross products of edges."""
+    plates = []
+    for corners, normal in (first, second):
+        half = 0.5 * depth * normal
+        plates.append(np.concatenate([corners + half, corners - half]))
+    edges = [[c[1] - c[0], c[3] - c[0], n] for c, n in (first, second)]
+    axes = [*edges[0], *edges[1], *(np.cross(a, b) for a in edges[0] for b in edges[1])]
+    for axis in (a / np.linalg.norm(a) for a in axes if np.linalg.norm(a) > 1e-9):
+        low, high = plates[0] @ axis, plates[1] @ axis
+        if low.max() < high.min() or high.max() < low.min():
+            return True
+    return False
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=lambda s: "-".join(s) or "defaults")
+def test_a_random_track_keeps_to_its_settings(settings):
+    for seed in range(2):
+        config = generate(seed, **settings)  # which checks that the race is possible
+        gates = config.track.gates
+        assert len(gates) == settings.get("gates", 8) and config.track.generate is None
+        places = np.array([gate.position for gate in gates])
+        low, high = settings.get("height", [1.2, 2.5])
+        assert np.all((-places[:, 2] >= low - 0.01) & (-places[:, 2] <= high + 0.01))
+        frame = settings.get("frame", 0.3)
+        plates = [rectangle(gate, frame) for gate in gates]
+        assert all(separated(a, b, 0.2) for a, b in itertools.combinations(plates, 2))
+        assert all(corners[:, 2].max() <= 1e-6 for corners, _ in plates)  # above ground
+        below = [
+            np.allclose(a[:2], b[:2]) for a, b in zip(places, np.roll(places, -1, 0), strict=True)
+        ]
+        assert sum(below) == round(settings.get("split_s", 0) * len(gates))
+        for index in np.flatnonzero(below):
+            after = (index + 1) % len(gates)
+            assert places[index, 2] < places[after, 2] - 1.0
+            turned = (gates[after].yaw_deg - gates[index].yaw_deg) % 360
+            assert turned == pytest.approx(180, abs=0.11)
+        _check_legs(settings, gates, places, np.array(below))
+
+
+def _check_legs(settings, gates, places, below):
+    """Lengths and turns, and that a drone meets each gate from behind it."""
+    kept = places[~np.roll(below, 1)][:, :2]  # without the lower gate of a pair
+    upper = below[~np.roll(below, 1)]
+    yaw = np.radians([gate.yaw_deg for gate in gates])[~np.roll(below, 1)]
+    legs = kept - np.roll(kept, 1, axis=0)
+    length = np.linalg.norm(legs, axis=1)
+    short, long = settings.get("leg", [3, 8])
+    assert np.all((length >= short - 1e-6) & (length <= long + 1e-6))
+    unit = legs / length[:, None]
+    cosine = np.sum(unit * np.roll(unit, -1, axis=0), axis=1) * np.where(upper, -1, 1)
+    limit = np.radians(settings.get("turn_deg", 120))
+    assert np.all(np.arccos(np.clip(cosine, -1, 1)) <= limit + 1e-6)
+    through = np.sum(unit * np.stack([np.cos(yaw), np.sin(yaw)], axis=1), axis=1)
+    assert np.all(through >= np.cos(0.5 * limit) - 0.01)
+
+
+def test_the_seed_and_the_settings_determine_the_track():
+    assert generate(3).track == generate(3).track
+    assert generate(3).track != generate(4).track
+    assert generate(3).track.name == "random_8_3"
+
+
+def test_settings_come_from_files_and_overrides(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("generate: {seed: 4, gates: 6}\n")
+    track = load_config(PRESET, [f"track={file}"]).track
+    assert len(track.gates) == 6 and track.name == "mine"
+    assert track.gates == generate(4, gates=6).track.gates
+    more = load_config(PRESET, [f"track={file}", "track.generate.gates=5"]).track
+    assert more.gates == generate(4, gates=5).track.gates
+    config = tmp_path / "config.yaml"
+    config.write_text(f"base: {PRESET}\ntrack: {{generate: {{seed: 4}}}}\n")
+    assert load_config(config).track.gates == generate(4).track.gates
+    assert load_config(config, ["track=square4"]).track.name == "square4"
+    assert load_config(config, ["rules.position_limit=40"]).rules.position_limit == 40
+    saved = tmp_path / "saved.yaml"
+    saved.write_text(load_config(config).to_yaml())
+    assert load_config(saved) == load_config(config)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["track.generate=3"], "track.generate is 3, allowed: a mapping of seed, gates"),
+        (["track.generate.sed=3"], "unknown key track.generate.sed; did you mean seed?"),
+        (["track.generate.gates=2"], "track.generate.gates is 2, allowed: a whole number, at leas"),
+        (["track.generate.leg=[5, 3]"], "leg is [5.0, 3.0], allowed: [lowest, highest]"),
+        (["track.generate.leg=[1, 2]"], "leg is [1.0, 2.0], allowed: a longest of at least 2.3"),
+        (["track.generate.height=[1, 2]"], "height is [1.0, 2.0], allowed: at least 1.05"),
+        (["track.generate.split_s=0.2"], "allowed with split_s: a range of at least 2.4 m"),
+        (
+            ["track.generate={split_s: 0.4, height: [1.2, 5]}"],
+            "split_s is 0.4, allowed with 8 gates: fewer",
+        ),
+        (["track.generate.turn_deg=20"], "found no track with gates 8, leg [3.0, 8.0] and turn_d"),
+        (["track.generate.seed=1", "track.closed=false"], "track.closed has no effect"),
+        (["track=square4", "track.generate.seed=1"], "track.gates has no effect"),
+        (["track.generate.seed=1", "rules.position_limit=3"], "track.gates[0].position is"),
+    ],
+)
+def test_impossible_settings_are_one_line(overrides, message):
+    with pytest.raises(InputError) as error:
+        load_config(PRESET, overrides)
+    assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_the_command_writes_and_describes_a_track(tmp_path, capsys):
+    file, figure = str(tmp_path / "new.yaml"), tmp_path / "new.png"
+    assert run(["track", file, "seed=4", "gates=6", "--figure", str(figure)]) in (0, None)
+    text = capsys.readouterr().out
+    assert "new: 6 gates, a lap of" in text and figure.stat().st_size > 1000
+    loaded = load_config(PRESET, [f"track={file}"])
+    own = generate(4, gates=6)
+    assert loaded.track.gates == own.track.gates and loaded.rules == own.rules
+    assert run(["track", file, "seed=5"]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert run(["track", "grand_challenge"]) in (0, None)
+    text = capsys.readouterr().out
+    assert "11 gates" in text and text.splitlines()[7].split()[-3:] == ["22.09", "0", "-"]
+
+
+@pytest.mark.slow
+def test_tracks_with_the_same_number_of_gates_share_a_compilation():
+    races = [make_race(generate(seed, gates=5)) for seed in (1, 2, 3)]
+    environment = races[0][0]
+
+    @jax.jit
+    @functools.partial(jax.vmap, in_axes=(0, None))
+    def observe(params, key):
+        return environment.observe(params, environment.reset(params, key))
+
+    def of(*seeds):
+        every = [races[seed - 1][1] for seed in seeds]
+        return observe(jax.tree.map(lambda *x: np.stack(x), *every), jax.random.key(0))
+
+    first, second = of(1, 2), of(2, 3)
+    assert observe._cache_size() == 1
+    np.testing.assert_array_equal(first[1], second[0])
+    next_gate = races[0][0].observation_size - 8  # next_position, next_yaw, moment, force
+    assert not np.allclose(first[0, next_gate:], first[1, next_gate:])
