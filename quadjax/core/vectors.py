@@ -90,6 +90,11 @@ def dot(a: Vec3, b: Vec3) -> jax.Array:
     return a.x * b.x + a.y * b.y + a.z * b.z
 
 
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    """Cross product."""
+    return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
 def safe_norm(vector: Vec3) -> jax.Array:
     """Euclidean length (), with a gradient of zero instead of NaN at the origin."""
     square = dot(vector, vector)

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.core.vectors import Rotors
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.vehicle_file import BaseVehicle, read_vehicle
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.effects import FlexParams, RotorParams
+from quadjax.plant.effects import FlexParams, ImuParams, RotorParams
 from quadjax.plant.gusts import gust_params
 from quadjax.plant.plant import PlantParams
 from quadjax.plant.power import PowerParams
@@ -51,6 +51,8 @@ def build_plant(config: PlantConfig, residual: Residual | None = None) -> PlantP
         rotors=_rotors(config, own["g"]),
         power=_power(config, nominal),
         flex=_flex(config),
+        imu=_imu(config, nominal),
+        gyroscopic=jnp.float32(config.effects.gyroscopic),
         gusts=gust_params(
             gusts.wind, gusts.altitude, gusts.least_airspeed, step, config.effects.gusts
         ),
@@ -101,7 +103,7 @@ def _power(config: PlantConfig, nominal: dict[str, float]) -> PowerParams:
     numbers = {
         "lag": on.motors * m.lag,
         "shortfall": on.motors * m.shortfall,
-        "hover": np.sqrt(nominal["g"] / (4.0 * nominal["k_w"])),
+        "hover": _hover_rpm(nominal),
         "sags": on.battery,
         "drop": b.drop / b.voltage,
         "resistance": b.resistance * b.hover_current / b.voltage,
@@ -119,3 +121,17 @@ def _flex(config: PlantConfig) -> FlexParams:
         "participation": config.effects.flex * f.participation,
     }
     return FlexParams(**_traced(numbers))
+
+
+def _imu(config: PlantConfig, nominal: dict[str, float]) -> ImuParams:
+    imu, on = config.imu, config.effects
+    return ImuParams(
+        offset=Vec3(*(jnp.float32(on.offset * x) for x in imu.offset)),
+        vibration=jnp.float32(on.vibration * imu.vibration),
+        turning=jnp.float32(on.vibration * imu.turning),
+        hover=jnp.float32(_hover_rpm(nominal)),
+    )
+
+
+def _hover_rpm(nominal: dict[str, float]) -> float:
+    return float(np.sqrt(nominal["g"] / (4.0 * nominal["k_w"])))

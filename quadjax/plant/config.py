@@ -38,6 +38,9 @@ class EffectsConfig(Section):
     battery: NonNegative = Field(1.0, description="sag of the battery")
     gusts: NonNegative = Field(1.0, description="turbulence")
     constants: NonNegative = Field(1.0, description="deviation of the drone's constants")
+    gyroscopic: NonNegative = Field(1.0, description="moments of the turning rotors")
+    vibration: NonNegative = Field(1.0, description="rotor imbalance at the inertial unit")
+    offset: NonNegative = Field(1.0, description="inertial unit off the center of gravity")
 
 
 class RotorConfig(Section):
@@ -72,6 +75,18 @@ class FlexConfig(Section):
     participation: NonNegative = Field(
         0.15, description="fraction of the angular acceleration that excites the mode; assumed"
     )
+
+
+class ImuConfig(Section):
+    """Place of the inertial unit and the vibration that reaches it; assumed."""
+
+    offset: tuple[float, float, float] = Field(
+        (0.01, 0.005, -0.01), description="m, body FRD, from the center of gravity; assumed"
+    )
+    vibration: NonNegative = Field(
+        0.5, description="m/s^2, amplitude of one rotor at its hover speed; assumed"
+    )
+    turning: NonNegative = Field(0.01, description="rad/s, likewise; assumed")
 
 
 class BatteryConfig(Section):
@@ -237,6 +252,7 @@ class PlantConfig(Section):
     rotors: RotorConfig = RotorConfig()
     motors: MotorsConfig = MotorsConfig()
     flex: FlexConfig = FlexConfig()
+    imu: ImuConfig = ImuConfig()
     battery: BatteryConfig = BatteryConfig()
     gusts: GustsConfig = GustsConfig()
     constants: ConstantsConfig = ConstantsConfig()

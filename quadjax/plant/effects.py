@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.vectors import Rotors, Vec3
+from quadjax.core.vectors import Rotors, Vec3, cross
 from quadjax.vehicle.constants import MotorConstants
 
 RPM_PER_RAD_S = 60.0 / (2.0 * jnp.pi)
@@ -39,6 +39,16 @@ class FlexParams:
     frequency: jax.Array  # rad/s
     damping: jax.Array  # of critical
     participation: jax.Array  # fraction of the angular acceleration that excites it
+
+
+@struct.dataclass
+class ImuParams:
+    """Inertial unit on a vibrating frame, off the center of gravity."""
+
+    offset: Vec3  # m, body, from the center of gravity
+    vibration: jax.Array  # m/s^2, amplitude of one rotor at its hover speed
+    turning: jax.Array  # rad/s, likewise
+    hover: jax.Array  # rpm
 
 
 def advance_loss(r: RotorParams, c: MotorConstants, air_velocity: Vec3) -> jax.Array:
@@ -121,3 +131,43 @@ def flex_acceleration(f: FlexParams, angle: Vec3, rate: Vec3, driving: Vec3) -> 
     """
     stiffness, damper = f.frequency * f.frequency, 2.0 * f.damping * f.frequency
     return driving * (-f.participation) - angle * stiffness - rate * damper
+
+
+def gyroscopic_moment(c: MotorConstants, rpm: Rotors, rates: Vec3) -> Vec3:
+    """Moment, N m, body, of rotors whose axes turn with the body: ``-Omega x h``.
+
+    Greenwood, "Principles of dynamics", 1988, chapter 8. The angular momentum ``h`` along body z is
+    the one whose change is the nominal model's reaction ``k_r2 omega'``: rotors 1 and 3 turn about
+    body z, 2 and 4 against it.
+    """
+    momentum = c.k_r2 * (rpm.w1 - rpm.w2 + rpm.w3 - rpm.w4)
+    return Vec3(-rates.y * momentum, rates.x * momentum, jnp.zeros_like(momentum))
+
+
+def lever_acceleration(imu: ImuParams, rates: Vec3, turning: Vec3) -> Vec3:
+    """Acceleration, m/s^2, of the unit relative to the center of gravity, body.
+
+    ``alpha x r + Omega x (Omega x r)`` of a rigid body, with rates, rad/s, and angular acceleration
+    ``turning``, rad/s^2.
+    """
+    return cross(turning, imu.offset) + cross(rates, cross(rates, imu.offset))
+
+
+def vibration(imu: ImuParams, rpm: Rotors, phase: Rotors) -> tuple[Vec3, Vec3]:
+    """Specific force, m/s^2, and rates, rad/s, at the unit, of rotors out of balance.
+
+    An imbalance pulls with the square of the rotor's speed in a direction that turns with the
+    rotor: two components across the rotor's axis, and one along it from the frame's response.
+
+    Args:
+        imu: the unit.
+        rpm: propeller speeds, rpm.
+        phase: angles of the rotors, rad.
+    """
+    size = rpm * rpm * (1.0 / (imu.hover * imu.hover))
+    along, across = Vec3.zero(), Vec3.zero()
+    for weight, angle in zip(size.components(), phase.components(), strict=True):
+        sine, cosine = jnp.sin(angle), jnp.cos(angle)
+        along = along + Vec3(cosine, sine, sine) * weight
+        across = across + Vec3(sine, -cosine, cosine) * weight
+    return along * imu.vibration, across * imu.turning

@@ -19,7 +19,7 @@ from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, power
-from quadjax.plant.effects import FlexParams, RotorParams
+from quadjax.plant.effects import FlexParams, ImuParams, RotorParams
 from quadjax.plant.gusts import GustParams, GustState
 from quadjax.plant.power import PowerParams
 from quadjax.plant.sensors import GroundTruth
@@ -37,6 +37,8 @@ class PlantParams:
     rotors: RotorParams
     power: PowerParams
     flex: FlexParams
+    imu: ImuParams
+    gyroscopic: jax.Array  # strength of the rotors' gyroscopic moments
     gusts: GustParams
     step: jax.Array  # s, of one sample
     command_delay: int = struct.field(pytree_node=False, default=0)  # samples
@@ -61,6 +63,8 @@ class PlantState:
     """One drone."""
 
     physics: Physics
+    turning: Vec3  # mean angular acceleration of the last sample, rad/s^2, body
+    phase: Rotors  # angles of the rotors, rad
     gusts: GustState
     commands: tuple[Rotors, ...]  # on their way to the motors, rpm, the oldest first
 
@@ -77,7 +81,9 @@ def begin(params: PlantParams, body: MotorState, charge: jax.Array, drawn: jax.A
     physics = Physics(
         body, jax.tree.map(jnp.zeros_like, body.rpm), Vec3.zero(), Vec3.zero(), charge
     )
-    return PlantState(physics, gusts.init(drawn), (body.rpm,) * params.command_delay)
+    still, phase = Vec3.zero(), Rotors.of(jnp.zeros(4))
+    line = (body.rpm,) * params.command_delay
+    return PlantState(physics, still, phase, gusts.init(drawn), line)
 
 
 def forces(
@@ -97,7 +103,8 @@ def forces(
     lost = effects.advance_loss(params.rotors, c, air_velocity)
     lift = effects.ground_gain(params.rotors, c, rpm, air_velocity, -body.position.z)
     flapping = effects.flapping_moment(params.rotors, c, rpm, air_velocity, body.rates)
-    return force.replace(z=force.z + (lost + lift)), moment + flapping
+    turning = effects.gyroscopic_moment(c, rpm, body.rates) * params.gyroscopic
+    return force.replace(z=force.z + (lost + lift)), moment + flapping + turning
 
 
 def derivative(
@@ -167,20 +174,28 @@ def update(
         physics = jax.lax.fori_loop(0, params.substeps, advance, physics)
     euler = physics.body.euler
     body = physics.body.replace(euler=euler.replace(z=wrap_angle(euler.z)))
+    turning = (body.rates - state.physics.body.rates) * (1.0 / params.step)
+    phase = jax.tree.map(
+        lambda angle, w: wrap_angle(angle + w * (params.step / effects.RPM_PER_RAD_S)),
+        state.phase,
+        body.rpm,
+    )
     following = gusts.update(params.gusts, state.gusts, body.velocity, drawn)
-    return PlantState(physics.replace(body=body), following, tuple(waiting))
+    return PlantState(physics.replace(body=body), turning, phase, following, tuple(waiting))
 
 
 def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
-    """The true motion at the sensors; a deflecting frame adds its own rate."""
+    """The true motion at the sensors: of the center of gravity, and of the unit on its frame."""
     physics, body = state.physics, state.physics.body
     force, _ = loads(params, state)
+    lever = effects.lever_acceleration(params.imu, body.rates, state.turning)
+    shaking, turning = effects.vibration(params.imu, body.rpm, state.phase)
     return GroundTruth(
         position=body.position,
         velocity=body.velocity,
         euler=body.euler,
-        rates=body.rates + physics.flex_rate,
-        specific_force=force + body.force_ext,
+        rates=body.rates + physics.flex_rate + turning,
+        specific_force=force + body.force_ext + lever + shaking,
         rpm=body.rpm,
     )
 

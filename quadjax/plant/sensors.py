@@ -43,7 +43,7 @@ class GroundTruth:
     velocity: Vec3  # m/s, world NED
     euler: Vec3  # roll, pitch, yaw, rad
     rates: Vec3  # p, q, r, rad/s, body FRD
-    specific_force: Vec3  # m/s^2, body FRD, at the center of gravity
+    specific_force: Vec3  # m/s^2, body FRD, at the inertial unit
     rpm: Rotors  # propeller speeds, rpm
 
 

@@ -30,6 +30,16 @@ def flapping(c: dict, r: dict, rpm: np.ndarray, v: np.ndarray, rates: np.ndarray
     return np.cross(arm, force) + hubs
 
 
+def gyroscopic(c: dict, rpm: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Minus Omega x h, with the momentum h of four rotors that turn in alternating directions."""
+    inertia = c["k_r2"] * 60.0 / (2.0 * np.pi)  # kg m^2, of the reaction to acceleration
+    direction = np.array([1.0, -1.0, 1.0, -1.0])  # about body z, down
+    omega = rpm * 2.0 * np.pi / 60.0
+    momentum = np.zeros((len(rpm), 3))
+    momentum[:, 2] = inertia * (omega * direction).sum(axis=1)
+    return -np.cross(rates, momentum)
+
+
 def second_order(tau: float, lag: float, time: np.ndarray) -> np.ndarray:
     """Step response of 1 / ((a s + 1)(b s + 1)) with a + b = tau and a b = tau lag."""
     root = np.sqrt(tau * tau - 4.0 * tau * lag + 0j)

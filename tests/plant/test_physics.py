@@ -163,6 +163,61 @@ def test_discs_tilt_back_and_lag_behind(rows, commands):
     assert float(on.body.rates.y[0] - off.body.rates.y[0]) > 0.1
 
 
+def test_rotors_resist_turning_as_gyroscopes(rows, commands):
+    found = slope(only(gyroscopic=1.0), rows, commands).body.rates.array()
+    without = slope(OFF, rows, commands).body.rates.array()
+    moment = source.gyroscopic(ref.MOTOR, rows[:, ref.RPM], rows[:, ref.RATES])
+    inertia = np.array([ref.MOTOR[name] for name in ("i_xx", "i_yy", "i_zz")])
+    assert np.abs(moment / inertia).max() > 1.0
+    agree(np.asarray(found - without), moment / inertia, 2e-5)
+
+
+def test_a_unit_off_the_center_feels_the_rotation():
+    params = build_plant(only(offset=1.0))
+    r = np.array(PlantConfig().imu.offset)
+    rates, turning = np.random.default_rng(3).normal(0.0, 5.0, (2, COUNT, 3))
+    found = jax.vmap(effects.lever_acceleration, (None, 0, 0))(
+        params.imu, vec3(rates), vec3(turning)
+    )
+    agree(found.array(), np.cross(turning, r) + np.cross(rates, np.cross(rates, r)), 1e-5)
+
+
+def test_a_turning_drone_measures_it_at_its_unit():
+    """A steady turn about z at 4 rad/s: the unit's centripetal acceleration, inwards."""
+    config = only(offset=1.0)
+    params = build_plant(config)
+    row = np.zeros((1, 22), np.float32)
+    row[0, 2], row[0, ref.RPM], row[0, ref.RATES] = -5.0, 7497.0, (0.0, 0.0, 4.0)
+    body = jax.tree.map(lambda x: x[0], state_of("motor", row))
+    state = plant.begin(params, body, jnp.ones(()), jnp.zeros(gusts.START_DRAWS))
+    exact = plant.truth_of(build_plant(OFF), state).specific_force
+    found = (plant.truth_of(params, state).specific_force - exact).array()
+    x, y, _ = config.imu.offset
+    np.testing.assert_allclose(found, [-16.0 * x, -16.0 * y, 0.0], atol=1e-5)
+
+
+def test_vibration_has_the_frequency_and_size_of_the_rotors():
+    config = only(vibration=1.0)
+    params = build_plant(config)
+    row = np.zeros((1, 22), np.float32)
+    row[0, 2], row[0, ref.RPM] = -5.0, 6000.0
+    body = jax.tree.map(lambda x: x[0], state_of("motor", row))
+    state = plant.begin(params, body, jnp.ones(()), jnp.zeros(gusts.START_DRAWS))
+    hover = float(params.imu.hover)
+    shaking = []
+    update = jax.jit(plant.update)
+    for _ in range(50):  # 100 turns a second: a period is five samples
+        state = update(params, state, Rotors.same(jnp.float32(6000.0)), jnp.zeros(gusts.DRAWS))
+        force, rates = effects.vibration(params.imu, state.physics.body.rpm, state.phase)
+        shaking.append([*force.array(), *rates.array()])
+    measured = np.array(shaking)
+    size = 4.0 * (6000.0 / hover) ** 2 * np.array([config.imu.vibration, config.imu.turning])
+    spectrum = np.abs(np.fft.rfft(measured, axis=0)) / 25.0
+    assert np.all(spectrum.argmax(axis=0) == 10)  # 10 periods in 50 samples
+    np.testing.assert_allclose(spectrum[10], np.repeat(size, 3), rtol=1e-3)
+    assert not np.any(effects.vibration(build_plant(OFF).imu, body.rpm, state.phase)[0].array())
+
+
 def test_commands_arrive_late():
     config = OFF.replace(delay=OFF.delay.replace(command=0.006))
     params = build_plant(config)
