@@ -21,6 +21,7 @@ STARTED = time.monotonic()  # training time counts from here: imports and compil
 COMMANDS = {  # by name, which is that of the module: one line of help
     "train": "train a racing policy",
     "evaluate": "time the laps of a policy and draw them",
+    "results": "tabulate mean and sampled flights of policies",
     "limit": "compute the best known lap of a track and a lower bound",
     "seeds": "train over several seeds and compare them",
     "sweep": "search hyperparameters",

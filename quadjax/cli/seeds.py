@@ -1,12 +1,11 @@
 """Train configs over several seeds, one after the other, and print the results.
 
-A finished run of the same config is not trained again. Laps are deterministic from hover;
-'sampled' is the mean of sampled runs from hover, 'random starts' the number of sampled runs from
-random starts that completed every lap. The figure shows the learning curves of all configs.
+A finished run of the same config is not trained again. The first table is of the trainings; 'last'
+and 'best' are lap times as run.score says. The second one is of flights of the best policies, as
+'quadjax results' flies them. The figure shows the learning curves of all configs.
 """
 
 import argparse
-import dataclasses
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -39,7 +38,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--seeds", type=seed, nargs="+", default=[0, 1, 2, 3, 4], help="(default: 0 1 2 3 4)"
     )
-    parser.add_argument("--runs", type=run_count, default=100, help="number of sampled runs (100)")
+    parser.add_argument("--runs", type=run_count, default=100, help="flights of each kind (100)")
     add_name(parser)
     add_output(parser)
     parser.add_argument("--figure", metavar="FILE", help="default: DIR/NAMES_seeds.png")
@@ -75,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         results = [evaluate_seed(folder, options.runs) for folder in folders]
         print(f"\n{name}\n\n{format_seeds(results)}\n")
         path = runs / f"{name}_seeds.json"
-        rows = [dataclasses.asdict(result) for result in results]
+        rows = [result.to_json() for result in results]
         config = load_config(configs[name], overrides)
         write_json(path, {"results": rows, "provenance": provenance(config)})
         print(f"wrote {path}")

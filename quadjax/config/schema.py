@@ -393,6 +393,11 @@ class Run(Section):
     evaluate_every: int = Field(
         500_000, ge=1, le=10**12, description="environment steps between evaluations (one chunk)"
     )
+    score: Literal["mean", "sampled"] = Field(
+        "mean",
+        description="flights by which the best policy is chosen and that metrics.csv reports: of "
+        "the mean action, or sampled with the noise of training",
+    )
     checkpoint_seconds: float = Field(
         20.0, ge=0, le=1e6, description="least time between two checkpoints, s"
     )

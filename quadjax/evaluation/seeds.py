@@ -4,13 +4,16 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from quadjax.config.loading import load_config
 from quadjax.core.markdown import table
 from quadjax.evaluation.evaluation import evaluate
+from quadjax.evaluation.protocols import Protocols, fly_protocols, protocol_table
 from quadjax.policy.file import Policy
+from quadjax.training.paper import published_sampled
 from quadjax.training.result import read_summary
 
 
@@ -22,15 +25,17 @@ class SeedResult:
     seconds: float  # of training, imports and compilation included
     steps: int
     reference: float | None  # s for all laps, of the published policy of this race
-    first_seconds: float | None  # of training until the first run under the reference
+    first_seconds: float | None  # of training until the first score under the reference
     first_steps: int | None
-    last: float | None  # all laps, deterministic from hover, the last policy
+    last: float | None  # score of the last policy, see run.score
     best: float | None  # the same, the best policy
-    flying_lap: float | None  # fastest lap of the best policy
-    sampled: float | None  # all laps, mean of the sampled runs from hover
-    sampled_finished: int  # of the sampled runs from random starts
-    sampled_runs: int
+    flying_lap: float | None  # fastest lap of the mean flights of the best policy
+    flights: Protocols  # of the best policy
     memory_mib: float | None  # None where the system does not report it
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as JSON takes it."""
+        return vars(self) | {"flights": self.flights.to_json()}
 
 
 def evaluate_seed(run: Path, runs: int) -> SeedResult:
@@ -38,16 +43,14 @@ def evaluate_seed(run: Path, runs: int) -> SeedResult:
 
     Args:
         run: the folder of the training.
-        runs: number of sampled runs from each kind of start.
+        runs: number of flights of each kind.
     """
     config = load_config(run / "config.yaml")
     summary = read_summary(run)
     policy = Policy.load(run / "policy.npz")
     fly = functools.partial(evaluate, policy, config, runs=runs)
-    mean = fly(runs=1, deterministic=True).laps
-    hover, random = fly(seed=1).laps, fly(seed=2, start="random").laps
+    flights = fly_protocols(fly, run.name, policy.log_std, published_sampled(config))
     first = summary["first_under"] or {"total": None, "seconds": None, "steps": None}
-    done = hover.totals[np.isfinite(hover.totals)]
     return SeedResult(
         seed=summary["seed"],
         seconds=summary["seconds"],
@@ -57,10 +60,8 @@ def evaluate_seed(run: Path, runs: int) -> SeedResult:
         first_steps=first["steps"],
         last=summary["last_lap_total"],
         best=summary["best_lap_total"],
-        flying_lap=_lowest(mean.whole_laps),
-        sampled=float(done.mean()) if done.size else None,
-        sampled_finished=random.finished,
-        sampled_runs=runs,
+        flying_lap=_lowest(flights.mean["hover"].lap_times),
+        flights=flights,
         memory_mib=summary["peak_memory_mib"],
     )
 
@@ -79,8 +80,6 @@ COLUMNS = (
     ("last", lambda r: _cell(r.last, 2)),
     ("best", lambda r: _cell(r.best, 2)),
     ("best lap", lambda r: _cell(r.flying_lap, 2)),
-    ("sampled", lambda r: _cell(r.sampled, 2)),
-    ("random starts", lambda r: f"{r.sampled_finished}/{r.sampled_runs}"),
     ("MiB", lambda r: _cell(r.memory_mib, 0)),
 )
 
@@ -90,8 +89,12 @@ def _cell(value: float | None, digits: int) -> str:
 
 
 def format_seeds(results: Sequence[SeedResult]) -> str:
-    """A Markdown table, one line per seed; the published time only where there is one."""
+    """Markdown tables of training and of flights, one line per seed.
+
+    The published time is there only where there is one.
+    """
     reference = results[0].reference
     columns = [c for c in COLUMNS if reference is not None or not c[0].startswith(("<", "at"))]
     titles = [title.format(reference=_cell(reference, 2)) for title, _ in columns]
-    return table([titles, *([show(result) for _, show in columns] for result in results)])
+    training = table([titles, *([show(result) for _, show in columns] for result in results)])
+    return f"{training}\n\n{protocol_table([result.flights for result in results])}"

@@ -147,9 +147,10 @@ def _scaled(layers: Sequence[tuple], factor: float) -> list[tuple]:
     return [*layers[:-1], (factor * kernel, factor * bias)]
 
 
-def network_policy(params: ActorCritic, activation: str) -> PolicyParams:
+def network_policy(config: Config, params: ActorCritic) -> PolicyParams:
     """Networks in training as parameters for inference."""
-    return PolicyParams(tuple(layers_of(params.policy)), params.log_std, activation)
+    layers = tuple(layers_of(params.policy))
+    return PolicyParams(layers, params.log_std, config.network.activation, noise_on(config))
 
 
 def untrained_policy(config: Config) -> Policy:

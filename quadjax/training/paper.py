@@ -84,6 +84,15 @@ def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[
     return PUBLISHED if from_hover and laps == LAPS and is_paper_race(config) else ()
 
 
+def published_sampled(config: Config) -> Row | None:
+    """The published simulated flight where race, model and protocol (sampled, hover) are equal.
+
+    None for E2E: its published flights are with the residual of a real drone, which is not public.
+    """
+    rate = config.vehicle.model == "rate"
+    return PUBLISHED[1] if rate and published_total(config) else None
+
+
 def published_total(config: Config) -> tuple[str, float] | None:
     """Label and time, s, of the published policy; None where the race is not the paper's."""
     own = config.evaluate

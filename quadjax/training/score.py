@@ -5,23 +5,23 @@ import jax
 from quadjax.config.race import choices_of
 from quadjax.config.schema import Config
 from quadjax.learners.networks import ActorCritic
-from quadjax.policy.inference import act_deterministic
+from quadjax.policy.inference import act_deterministic, act_sampled
 from quadjax.race.environment import RaceParams
 from quadjax.race.laps import fly_laps
 from quadjax.training.build import network_policy
 
 
 class Score:
-    """``Laps.score`` of deterministic runs from hover.
+    """``Laps.score`` of runs from hover: of the mean action, or sampled (``run.score``).
 
-    One run where every run is the same; sixteen where disturbances or constants are drawn.
+    One run where every run is the same; sixteen where noise, disturbances or constants are drawn.
     """
 
     def __init__(self, config: Config, params: RaceParams) -> None:
         """Prepare the timed laps; nothing is simulated."""
-        self._choices, self._params = choices_of(config), params
-        self._activation, self._race = config.network.activation, config.evaluate
+        self._config, self._choices, self._params = config, choices_of(config), params
         self._runs = score_runs(config)
+        self._act = act_sampled if config.run.score == "sampled" else act_deterministic
         self.crashes: tuple[str, ...] = ()  # of the latest runs
 
     def __call__(self, params: ActorCritic) -> float:
@@ -30,12 +30,12 @@ class Score:
         laps, _ = fly_laps(
             self._choices,
             self._params,
-            act_deterministic,
-            network_policy(local, self._activation),
+            self._act,
+            network_policy(self._config, local),
             jax.random.key(0),
-            self._race.laps,
+            self._config.evaluate.laps,
             self._runs,
-            gates=self._race.gates,
+            gates=self._config.evaluate.gates,
         )
         self.crashes = laps.crashes
         return laps.score
@@ -44,4 +44,5 @@ class Score:
 def score_runs(config: Config) -> int:
     """Number of runs that a score is the mean of."""
     drawn = any(value > 0 for value in config.disturbance.half_widths.values())
-    return 16 if drawn or choices_of(config).randomize else 1
+    sampled = config.run.score == "sampled"
+    return 16 if sampled or drawn or choices_of(config).randomize else 1

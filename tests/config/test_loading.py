@@ -153,7 +153,8 @@ def test_schedules_are_merged_and_removed():
 def test_other_tracks_than_the_papers(tmp_path):
     """The section ``other_tracks`` is above its own file and below all that is merged over it."""
     paper = load_config("e2e_shac")
-    assert paper.reward.gate_edge == 0.0 and "learner.std" not in paper.schedules
+    assert paper.reward.gate_edge == 0.0
+    assert paper.schedules["learner.std"].linear == ("value", 0.05)
     inline = [gate.model_dump(mode="json") for gate in paper.track.gates]
     assert load_config("e2e_shac", [f"track.gates={inline}"]) == paper
     other = load_config("e2e_shac", ["track=figure8"])
