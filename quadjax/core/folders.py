@@ -13,7 +13,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from quadjax.core.errors import InputError, writing
-from quadjax.core.files import read_json, remove_stale, write_json
+from quadjax.core.files import check_file, read_json, remove_stale, write_json
 
 MARKER = ".quadjax.json"
 LOCK = ".lock"
@@ -148,10 +148,14 @@ def present_files(folder: Path | str, patterns: Iterable[str]) -> list[Path]:
 def remove_files(folder: Path | str, patterns: Iterable[str]) -> None:
     """Remove the files and subfolders that match a pattern; everything else stays."""
     for path in present_files(folder, patterns):
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
+        _remove(path)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -160,7 +164,10 @@ def replacement(folder: Path | str, patterns: Iterable[str]) -> Iterator[Path]:
 
     Args:
         folder: of the results.
-        patterns: of the files that are removed from it, as in ``remove_files``.
+        patterns: of files that are removed from it unless they are replaced; see ``remove_files``.
+
+    Raises:
+        InputError: a directory, a pipe or a device in the place of a file.
     """
     folder = Path(folder)
     for stale in folder.glob(f"{NEW}*"):  # of a killed process
@@ -169,8 +176,22 @@ def replacement(folder: Path | str, patterns: Iterable[str]) -> Iterator[Path]:
         temporary = Path(tempfile.mkdtemp(dir=folder, prefix=NEW))
     try:
         yield temporary
-        remove_files(folder, patterns)
-        for path in temporary.iterdir():
-            path.replace(folder / path.name)
+        with writing(folder):
+            _move(temporary, folder, patterns)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _move(source: Path, folder: Path, patterns: Iterable[str]) -> None:
+    """Move the files of a folder into another one, and remove other files of the patterns."""
+    files = [path.relative_to(source) for path in source.rglob("*") if not path.is_dir()]
+    for file in files:
+        if (folder / file).exists():
+            check_file(folder / file)
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+    for file in files:
+        (source / file).replace(folder / file)
+    kept = {folder / file for file in files}
+    for path in present_files(folder, patterns):
+        if path not in kept and not any(path in other.parents for other in kept):
+            _remove(path)

@@ -11,7 +11,7 @@ from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import whole_file, write_json, write_npz, write_text
-from quadjax.core.folders import claim
+from quadjax.core.folders import claim, replacement
 from quadjax.core.provenance import provenance
 from quadjax.export.conversion import (
     Converted,
@@ -114,8 +114,8 @@ def export_c(
         check_symbols(converted)
         report = make_report(converted, path.name)
         report["provenance"] = provenance(found, path, SEED)
-        with writing(folder):
-            _write(converted, folder, report, path)
+        with writing(folder), replacement(folder, _optional(symbol)) as new:
+            _write(converted, new, report, path)
     return Export(folder, converted, report)
 
 
@@ -140,6 +140,11 @@ def _check_folder(folder: Path, name: str) -> None:
         )
 
 
+def _optional(name: str) -> tuple[str, ...]:
+    """Files that not every export writes; those of an earlier export are removed."""
+    return (f"{name}_estimator.c", f"{name}_estimator.h", RESIDUAL_FILE)
+
+
 def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:
     """The C, the report, and the inputs from which the verification repeats the conversion."""
     name = converted.options.name
@@ -147,14 +152,10 @@ def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> No
         f"{name}_report.txt": report_text(report, name),
         CONFIG_FILE: converted.own.config,
     }
-    copies = {POLICY_FILE: policy, RESIDUAL_FILE: converted.own.residual}
-    unused = {f"{name}_estimator.c", f"{name}_estimator.h"} - texts.keys()
-    for file in unused | {file for file, source in copies.items() if source is None}:
-        (folder / file).unlink(missing_ok=True)  # of an earlier export of another policy
     for file, text in texts.items():
         write_text(folder / file, text)
-    for file, source in copies.items():
-        if source is not None and source.resolve() != (folder / file).resolve():
+    for file, source in ((POLICY_FILE, policy), (RESIDUAL_FILE, converted.own.residual)):
+        if source is not None:
             with whole_file(folder / file) as temporary:
                 shutil.copyfile(source, temporary)
     arrays = {name: getattr(converted.rollouts, name) for name in ROLLOUTS_ARRAYS}

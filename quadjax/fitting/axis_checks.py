@@ -1,19 +1,23 @@
-"""Checks of signs and order of a flight log's columns by comparing them with one another.
+"""Checks of a flight log's columns by comparing them with one another.
 
 Kinematics relate the quantities of a log: the derivative of the attitude gives the body rates, that
 of the position the velocity, that of the velocity minus gravity the specific force, and the
-propeller speeds the angular accelerations. A column that is negated, swapped with another, scaled
-or unrelated is inconsistent with the others. Where a flight has too little motion along or about
-an axis there is no evidence, and the column is reported as not checked.
+propeller speeds the angular accelerations. A column that is negated, swapped with another, scaled,
+late, turned or unrelated is inconsistent with the others. Where a flight has too little motion
+along or about an axis there is no evidence, and the column is reported as not checked.
 """
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
+from quadjax.fitting.alignment import delay_of, late, wrong_angle, wrong_factor
 from quadjax.fitting.columns import UNIT_OF
+from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.gravity_checks import check_gravity
 from quadjax.fitting.signals import derivative, low_pass
 
 if TYPE_CHECKING:
@@ -38,6 +42,8 @@ class Evidence:
     meanings: list[str]  # names of the columns of ``shown``
     source: str  # the columns that ``shown`` is computed from
     least: float | np.ndarray  # standard deviation of ``shown`` that is motion and not noise
+    slack: float = 0.0  # s, that the columns may be late for another reason
+    vectors: bool = True  # three columns along perpendicular axes
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,12 @@ class Verdict:
     unchecked: list[str]
 
 
-def check_axes(log: "FlightLog") -> list[str]:
+def check_axes(log: "FlightLog", config: LogsConfig) -> list[str]:
     """Compare gyro, velocity and accelerometer of a log with its other columns.
+
+    Args:
+        log: the columns.
+        config: with the largest allowed errors of scale, time and angle.
 
     Returns:
         The columns that could not be checked because of missing evidence, as text.
@@ -57,13 +67,16 @@ def check_axes(log: "FlightLog") -> list[str]:
     Raises:
         InputError: a column that contradicts the others, in one line.
     """
+    if log.attitude is None:
+        return check_gravity(log, config)
     unchecked: list[str] = []
-    for candidates in (_gyro(log), _velocity(log), _acceleration(log)):
-        unchecked += [candidates] if isinstance(candidates, str) else compare(log, candidates)
+    for evidence_of in (_gyro, _velocity, _acceleration):
+        found = evidence_of(log, log.attitude)
+        unchecked += [found] if isinstance(found, str) else compare(log, found, config)
     return unchecked
 
 
-def compare(log: "FlightLog", candidates: list[Evidence]) -> list[str]:
+def compare(log: "FlightLog", candidates: list[Evidence], config: LogsConfig) -> list[str]:
     """Check the columns of one quantity, by evidence in one frame or in several.
 
     Results and errors as of ``check_axes``.
@@ -71,9 +84,12 @@ def compare(log: "FlightLog", candidates: list[Evidence]) -> list[str]:
     rows = inner_rows(log)
     if not len(rows):
         return [repr(name) for evidence in candidates for name in evidence.columns]
-    verdicts = [_verdict(_moving(log, evidence, rows)) for evidence in candidates]
+    moving = [_moving(log, evidence, rows) for evidence in candidates]
+    rate = log.sample_rate
+    verdicts = [_verdict(evidence, rate, config) for evidence in moving]
     # A wrong column in one frame makes several columns appear wrong in the other.
     contradictions = sorted((v.contradictions for v in verdicts if v.contradictions), key=len)
+    contradictions += [clauses for each in moving if (clauses := _misaligned(each, config))]
     if contradictions:
         raise InputError(f"{log.path}: {', '.join(contradictions[0])}")
     return [line for verdict in verdicts for line in verdict.unchecked]
@@ -91,10 +107,8 @@ def inner_rows(log: "FlightLog") -> np.ndarray:
     return rows if len(rows) > SHORTEST * log.sample_rate else rows[:0]
 
 
-def _gyro(log: "FlightLog") -> list[Evidence] | str:
-    names, attitude = log.columns["gyro"], log.attitude
-    if attitude is None:
-        return f"{listed(names)} (no attitude)"
+def _gyro(log: "FlightLog", attitude: Rotation) -> list[Evidence]:
+    names = log.columns["gyro"]
     span = max(1, round(0.02 * log.sample_rate))
 
     def padded(values: np.ndarray) -> np.ndarray:
@@ -118,39 +132,35 @@ def _gyro(log: "FlightLog") -> list[Evidence] | str:
     shown = np.stack([rolling, pitching * np.cos(pitch), yawing], axis=1)
     meanings = [f"derivative of {angle}" for angle in ("roll", "pitch", "yaw")]
     own = log.columns["euler"]
-    return [*result, Evidence("euler", own, slopes, shown, meanings, listed(names), 0.05)]
+    euler = Evidence("euler", own, slopes, shown, meanings, listed(names), 0.05, vectors=False)
+    return [*result, euler]
 
 
-def _velocity(log: "FlightLog") -> list[Evidence] | str:
+def _velocity(log: "FlightLog", attitude: Rotation) -> list[Evidence] | str:
     quantity = "world_velocity" if "world_velocity" in log.columns else "body_velocity"
     names = log.columns[quantity]
-    if log.position is None or log.attitude is None:
-        return f"{listed(names)} (no {'attitude' if log.position is not None else 'position'})"
-    moved, speed = derivative(log.position, log.sample_rate), log.attitude.apply(log.body_velocity)
+    if log.position is None:
+        return f"{listed(names)} (no position)"
+    moved, speed = derivative(log.position, log.sample_rate), attitude.apply(log.body_velocity)
     of_position = listed(log.columns["position"])
     world = [f"velocity {direction}" for direction in ("north", "east", "down")]
     if quantity == "world_velocity":
         return [Evidence(quantity, names, speed, moved, world, of_position, 0.1)]
     own = [f"velocity along body {axis}" for axis in "xyz"]
-    seen = log.attitude.inv().apply(moved)
+    seen = attitude.inv().apply(moved)
     return [
         Evidence(quantity, names, log.body_velocity, seen, own, of_position, 0.1),
         Evidence("position", log.columns["position"], moved, speed, world, listed(names), 0.1),
     ]
 
 
-def _acceleration(log: "FlightLog") -> list[Evidence] | str:
+def _acceleration(log: "FlightLog", attitude: Rotation) -> list[Evidence]:
     names, force = log.columns["acceleration"], log.specific_force
     velocity = listed(log.columns.get("body_velocity") or log.columns["world_velocity"])
     meanings = [f"specific force along body {axis}" for axis in "xyz"]
-    if log.attitude is not None:
-        slope = derivative(log.attitude.apply(log.body_velocity), log.sample_rate)
-        shown, source = log.attitude.inv().apply(slope - GRAVITY), f"{velocity}, {_attitude(log)}"
-        return [Evidence("acceleration", names, force, shown, meanings, source, 0.3)]
-    # Without an attitude: the drag of the propellers, whose magnitude is unknown.
-    drag = -log.body_velocity[:, :2] * log.rpm.sum(axis=1, keepdims=True)
-    drag *= force[:, :2].std() / max(drag.std(), 1e-12)
-    return [Evidence("acceleration", names[:2], force[:, :2], drag, meanings[:2], velocity, np.inf)]
+    slope = derivative(attitude.apply(log.body_velocity), log.sample_rate)
+    shown, source = attitude.inv().apply(slope - GRAVITY), f"{velocity}, {_attitude(log)}"
+    return [Evidence("acceleration", names, force, shown, meanings, source, 0.3)]
 
 
 def _attitude(log: "FlightLog") -> str:
@@ -174,8 +184,8 @@ def _moving(log: "FlightLog", evidence: Evidence, rows: np.ndarray) -> Evidence:
     )
 
 
-def _verdict(evidence: Evidence) -> Verdict:
-    """Match each column to its own signal, another column's, or the negative of one of them."""
+def _verdict(evidence: Evidence, rate: float, config: LogsConfig) -> Verdict:
+    """Match each column to its own signal, late or not, to another's, or the negative of one."""
     own, theirs = evidence.measured.std(axis=0), np.maximum(evidence.shown.std(axis=0), 1e-12)
     ratio = own[:, None] / theirs
     product = evidence.measured.T @ evidence.shown / len(evidence.shown)
@@ -189,7 +199,15 @@ def _verdict(evidence: Evidence) -> Verdict:
         unexplained[:, (ratio[i] < 0.5) | (ratio[i] > 2.0)] = 1.0
         sign, axis = divmod(int(unexplained.argmin()), unexplained.shape[1])
         least = unexplained[sign, axis]
-        if (sign, axis) != (0, i) and least < EXPLAINED and least < 0.25 * right:
+        delay = delay_of(evidence.measured[:, i], evidence.shown[:, i], rate)
+        if delay.unexplained < least and late(delay, right, evidence.slack, config):
+            word = "later" if delay.seconds > 0.0 else "earlier"
+            clauses.append(
+                f"column {name!r} is {abs(delay.seconds):.3g} s {word} than the "
+                f"{evidence.meanings[i]}"
+            )
+            hints["allowed: logs.max_delay"] = None
+        elif (sign, axis) != (0, i) and least < EXPLAINED and least < 0.25 * right:
             clauses.append(f"column {name!r} is {'minus ' * sign}the {evidence.meanings[axis]}")
             hints["swapped?" if axis != i else "negated?"] = None
         elif right < EXPLAINED and not 0.2 < ratio[i, i] < 5.0:
@@ -203,3 +221,28 @@ def _verdict(evidence: Evidence) -> Verdict:
         clauses[-1] += f" from {evidence.source}"
         clauses[-1] += f" (correlation {correlation.diagonal().min():.2f}); {' '.join(hints)}"
     return Verdict([clause.rstrip("; ") for clause in clauses], unchecked)
+
+
+def _misaligned(evidence: Evidence, config: LogsConfig) -> list[str]:
+    """Columns that are turned or scaled by more than allowed."""
+    measured, shown = evidence.measured, evidence.shown
+    if evidence.vectors and (turned := wrong_angle(measured, shown, config)):
+        i, k, angle = turned
+        return [
+            f"columns {listed([evidence.columns[i], evidence.columns[k]])} are turned by "
+            f"{angle:.0f} deg from the {evidence.meanings[i]} and {evidence.meanings[k]} from "
+            f"{evidence.source}; allowed: {config.max_angle:g} deg (logs.max_angle)"
+        ]
+    moves = shown.std(axis=0) > evidence.least
+    factors = {
+        i: factor
+        for i in range(len(evidence.columns))
+        if moves[i] and (factor := wrong_factor(measured[:, i], shown[:, i], config))
+    }
+    clauses = [
+        f"column {evidence.columns[i]!r} is {factor:.3g} times the {evidence.meanings[i]}"
+        for i, factor in factors.items()
+    ]
+    if clauses:
+        clauses[-1] += f" from {evidence.source} (logs.units, logs.max_scale_error)"
+    return clauses

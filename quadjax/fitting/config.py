@@ -50,6 +50,15 @@ class LogsConfig(Section):
     world_frame: Literal["NED", "ENU"] = Field("NED", description="axes of world-frame columns")
     max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
     min_seconds: float = Field(2.0, ge=0.5, le=3600, description="s, shortest allowed flight")
+    max_scale_error: float = Field(
+        0.25, gt=0.0, le=1e6, description="largest allowed error of a column's scale"
+    )
+    max_delay: float = Field(
+        0.05, gt=0.0, le=1e6, description="s, between columns; looked for up to 0.6 s"
+    )
+    max_angle: float = Field(
+        15.0, gt=0.0, le=180.0, description="deg, between the axes of two quantities"
+    )
 
     @model_validator(mode="after")
     def _widths(self) -> Self:

@@ -4,6 +4,7 @@ Rows are numbered as in an editor or a spreadsheet: the header is row 1.
 """
 
 import csv
+import itertools
 import math
 from array import array
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, reading
 from quadjax.core.files import check_file, whole_file
 from quadjax.fitting.axis_checks import check_axes
 from quadjax.fitting.columns import REQUIRED, scale_of, wanted_columns
@@ -45,6 +46,7 @@ class FlightLog:
     position: np.ndarray | None  # (n, 3) m, world
     attitude: Rotation | None  # n, body to world
     columns: dict[str, list[str]]  # names by quantity
+    cut_row: int | None = None  # the last row of the file, left out because no line break ends it
     unchecked: tuple[str, ...] = ()  # columns without evidence of sign and order
 
     @property
@@ -98,6 +100,8 @@ def read_logs(config: LogsConfig, folder: Path) -> list[FlightLog]:
 def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
     """Read one CSV flight log.
 
+    A last row that no line break ends is left out: its last number may be cut.
+
     Raises:
         InputError: a missing column, a cell that is no finite number, a time that does not increase
             or has a gap, an implausible unit, a column that contradicts the others, a file that is
@@ -107,8 +111,9 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
     wanted = wanted_columns(config, header)
     _check_wanted(path, wanted, header)
     names = [name for group in wanted.values() for name in group]
-    table = _table(path, header, names)
-    return log_of_columns(dict(zip(names, table.T, strict=True)), config, path)
+    table, cut_row = _table(path, header, names)
+    log = log_of_columns(dict(zip(names, table.T, strict=True)), config, path)
+    return replace(log, cut_row=cut_row)
 
 
 def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) -> FlightLog:
@@ -139,7 +144,8 @@ def log_of_columns(columns: Quantities, config: LogsConfig, path: Path | str) ->
         ordered = {quantity: wanted[quantity] for quantity in WORLD if quantity in wanted}
         wanted |= {quantity: [names[i] for i in (1, 0, 2)] for quantity, names in ordered.items()}
     log = _assemble(path, quantities, wanted)
-    return replace(log, unchecked=(*check_axes(log), *check_motors(log), *check_commands(log)))
+    checks = (check_axes, check_motors, check_commands)
+    return replace(log, unchecked=tuple(line for check in checks for line in check(log, config)))
 
 
 def write_log(path: Path | str, columns: Quantities) -> None:
@@ -187,10 +193,24 @@ def _header(path: Path | str) -> list[str]:
     return header
 
 
-def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
-    """The named columns (n, k) as float64, every one a finite number."""
+def _ended_rows(path: Path | str) -> Iterator[tuple[int, list[str], bool]]:
+    """As ``_rows``, each with whether a line break ends it, which only the last row may lack."""
+    with reading(path), open(path, "rb") as stream:
+        stream.seek(-1, 2)
+        ended = stream.read(1) in b"\r\n"
+    for here, following in itertools.pairwise(itertools.chain(_rows(path), [None])):
+        if here is not None:
+            yield *here, ended or following is not None
+
+
+def _table(path: Path | str, header: list[str], names: list[str]) -> tuple[np.ndarray, int | None]:
+    """The named columns (n, k) as float64, every one a finite number, and the row that is cut."""
     columns, numbers, empty = [header.index(name) for name in names], array("d"), None
-    for row, cells in _rows(path):
+    cut_row = None
+    for row, cells, ended in _ended_rows(path):
+        if not ended and row > 1:
+            cut_row = row
+            continue
         if row == 1 or not any(cells):
             empty = empty or (row if row > 1 else None)
             continue
@@ -209,7 +229,7 @@ def _table(path: Path | str, header: list[str], names: list[str]) -> np.ndarray:
         if not math.isfinite(sum(values)):
             _check_cells(path, row, cells, dict(zip(names, columns, strict=True)))
         numbers.extend(values)
-    return np.frombuffer(numbers).reshape(-1, len(names))
+    return np.frombuffer(numbers).reshape(-1, len(names)), cut_row
 
 
 def _check_cells(path: Path | str, row: int, cells: list[str], columns: dict[str, int]) -> None:

@@ -1,4 +1,4 @@
-"""Order of a flight log's motors, from the angular accelerations that their speeds cause.
+"""Order, delay and scale of a flight log's motors, from the angular accelerations they cause.
 
 Each order of the four motors, with each sign of the gyro's axes, predicts the angular
 accelerations by the nominal model, with non-negative constants. The likelihoods of these
@@ -7,6 +7,7 @@ left out, because there the propellers' moments balance others that the model la
 """
 
 import itertools
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,9 @@ from scipy.optimize import nnls
 from scipy.signal import butter, sosfiltfilt
 
 from quadjax.core.errors import InputError
+from quadjax.fitting.alignment import correlations
 from quadjax.fitting.axis_checks import Evidence, compare, inner_rows, listed
+from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.nominal import ModelInputs, nominal
 from quadjax.fitting.signals import derivative, first_order
 from quadjax.vehicle.constants import MotorConstants, constant_names
@@ -33,18 +36,21 @@ ORDERS = tuple(itertools.permutations(range(4)))
 FLIPS = tuple(itertools.product((1.0, -1.0), repeat=3))
 
 
-def check_motors(log: "FlightLog") -> list[str]:
+def check_motors(log: "FlightLog", config: LogsConfig) -> list[str]:
     """Compare the motors' speeds with the angular accelerations.
 
     Returns:
         The columns that could not be checked because of missing evidence, as text.
 
     Raises:
-        InputError: another order of the motors, or another sign of a rate, fits better.
+        InputError: another order of the motors, another sign of a rate or a delay fits better, or
+            one motor's speed is far from that of the others.
     """
     if not len(inner_rows(log)):
         return [f"the order of {listed(log.columns['rpm'])}"]
-    likelihood = _likelihoods(log)  # (orders, axes, 2 signs)
+    _check_each_speed(log, config)
+    motion = _motion(log)
+    likelihood = _likelihoods(motion)  # (orders, axes, 2 signs)
     total = {
         (order, flips): sum(by_axis[axis, int(sign < 0.0)] for axis, sign in enumerate(flips))
         for order, by_axis in zip(ORDERS, likelihood, strict=True)
@@ -59,6 +65,7 @@ def check_motors(log: "FlightLog") -> list[str]:
     }
     best = max(total, key=lambda key: (round(total[key], 3), -changes[key]))
     logged = total[ORDERS[0], FLIPS[0]]
+    _check_delay(log, motion, total[best] - logged, config)
     if total[best] > logged + EVIDENCE:
         raise InputError(f"{log.path}: {_contradiction(log, *best)}")
     unsure = [
@@ -75,7 +82,7 @@ def check_motors(log: "FlightLog") -> list[str]:
     return lines + [f"{name!r} against the motors" for name in turns]
 
 
-def check_commands(log: "FlightLog") -> list[str]:
+def check_commands(log: "FlightLog", config: LogsConfig) -> list[str]:
     """Compare the commanded speeds with the measured ones; as ``check_motors``."""
     if log.rpm_command is None:
         return []
@@ -83,8 +90,51 @@ def check_commands(log: "FlightLog") -> list[str]:
     own, theirs = (values - values.mean(axis=1, keepdims=True) for values in (followed, log.rpm))
     names, speeds = log.columns["rpm_command"], log.columns["rpm"]
     meanings = [f"speed {name!r}" for name in speeds]
-    evidence = Evidence("rpm_command", names, own, theirs, meanings, listed(speeds), np.inf)
-    return compare(log, [evidence])
+    evidence = Evidence(
+        "rpm_command",
+        names,
+        own,
+        theirs,
+        meanings,
+        listed(speeds),
+        least=100.0,
+        slack=2.0 * LAG,
+        vectors=False,
+    )
+    return compare(log, [evidence], config)
+
+
+def _check_each_speed(log: "FlightLog", config: LogsConfig) -> None:
+    """The motors of a flying quadcopter turn at about the same speed."""
+    medians = np.median(log.rpm[inner_rows(log)], axis=0)
+    for i, name in enumerate(log.columns["rpm"]):
+        factor = medians[i] / np.delete(medians, i).mean()
+        most = 1.0 + config.max_scale_error
+        if not 1.0 / most <= factor <= most:
+            raise InputError(
+                f"{log.path}: column {name!r} is {factor:.3g} times the other motors' speeds "
+                f"(median {medians[i]:.4g} rpm); allowed: logs.max_scale_error"
+            )
+
+
+def _check_delay(log: "FlightLog", motion: "Motion", rival: float, config: LogsConfig) -> None:
+    """Refuse speeds that are late, if that is more likely than another order of the motors."""
+    likelihood: np.ndarray | float = 0.0
+    for axis in (0, 1):
+        delays, correlation = correlations(
+            motion.whole_squares @ SIGNS[axis], motion.whole_turning[:, axis], log.sample_rate
+        )
+        explained = np.minimum(np.maximum(correlation, 0.0) ** 2, 1.0 - 1e-9)
+        likelihood = likelihood - 0.5 * motion.independent * np.log1p(-explained)
+    best = int(np.argmax(likelihood))
+    gain = likelihood[best] - likelihood[len(delays) // 2]
+    if abs(delays[best]) > config.max_delay and gain > max(rival, 0.0) + EVIDENCE:
+        word = "later" if delays[best] > 0.0 else "earlier"
+        raise InputError(
+            f"{log.path}: columns {listed(log.columns['rpm'])} are {abs(delays[best]):.3g} s "
+            f"{word} than the angular accelerations from {listed(log.columns['gyro'])}; allowed: "
+            f"{config.max_delay:g} s (logs.max_delay)"
+        )
 
 
 def _contradiction(log: "FlightLog", order: tuple[int, ...], flips: tuple[float, ...]) -> str:
@@ -105,11 +155,22 @@ def _contradiction(log: "FlightLog", order: tuple[int, ...], flips: tuple[float,
     return "; ".join(parts)
 
 
-def _likelihoods(log: "FlightLog") -> list[np.ndarray]:
-    """Log-likelihoods (3 axes, 2 signs) of each of ``ORDERS``, relative to no effect of motors."""
+@dataclass(frozen=True)
+class Motion:
+    """Band-passed signals (n, k); all but the first two less what velocity and rates explain."""
+
+    whole_turning: np.ndarray  # angular accelerations, 3 axes
+    whole_squares: np.ndarray  # of the 4 motors' speeds, relative to their mean
+    turning: np.ndarray
+    squares: np.ndarray
+    speeds: np.ndarray
+    changes: np.ndarray  # their derivatives
+    independent: float  # number of independent samples
+
+
+def _motion(log: "FlightLog") -> Motion:
     rate = log.sample_rate
     filter_ = butter(2, (BAND[0], min(BAND[1], 0.4 * rate)), "band", fs=rate, output="sos")
-
     rows = inner_rows(log)
 
     def passed(values: np.ndarray, slope: bool = False) -> np.ndarray:
@@ -126,21 +187,35 @@ def _likelihoods(log: "FlightLog") -> list[np.ndarray]:
         own = passed(values, slope)
         return own - basis @ (basis.T @ own)
 
-    turning = freed(log.rates, slope=True)
     rpm = log.rpm / log.rpm.mean()
-    squares, speeds, changes = freed(rpm**2), freed(rpm), freed(rpm, slope=True)
-    independent = 0.25 * 2.0 * (BAND[1] - BAND[0]) * len(rows) / rate
+    return Motion(
+        whole_turning=passed(log.rates, slope=True),
+        whole_squares=passed(rpm**2),
+        turning=freed(log.rates, slope=True),
+        squares=freed(rpm**2),
+        speeds=freed(rpm),
+        changes=freed(rpm, slope=True),
+        independent=0.25 * 2.0 * (BAND[1] - BAND[0]) * len(rows) / rate,
+    )
+
+
+def _likelihoods(motion: Motion) -> list[np.ndarray]:
+    """Log-likelihoods (3 axes, 2 signs) of each of ``ORDERS``, relative to no effect of motors."""
     result = []
     for order in ORDERS:
         signs = np.empty((3, 4))
         signs[:, list(order)] = SIGNS
         roll, pitch, yaw = signs
-        effects = ([squares @ roll], [squares @ pitch], [speeds @ yaw, changes @ yaw])
+        effects = (
+            [motion.squares @ roll],
+            [motion.squares @ pitch],
+            [motion.speeds @ yaw, motion.changes @ yaw],
+        )
         gains = [
-            [_explained(sign * turning[:, axis], columns) for sign in (1.0, -1.0)]
+            [_explained(sign * motion.turning[:, axis], columns) for sign in (1.0, -1.0)]
             for axis, columns in enumerate(effects)
         ]
-        result.append(-0.5 * independent * np.log1p(-np.array(gains)))
+        result.append(-0.5 * motion.independent * np.log1p(-np.array(gains)))
     return result
 
 

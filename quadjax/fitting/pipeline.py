@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.core.compilation_cache import enable_compilation_cache
+from quadjax.core.errors import InputError
 from quadjax.fitting.config import BodyConfig, FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_logs
 from quadjax.fitting.least_squares import AxisFit, check_signs, fit_nominal, with_fit
@@ -95,7 +96,7 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
     }
     training = predict("training", samples, learned_rows(split.fold, ALL), fits[ALL])
     limited = [part.scaled(gains) for part in held_out]
-    warnings = _warnings(logs, axes, lag) + kept + _limits(held_out, gains)
+    warnings = _warnings(logs, axes, lag, config.body.rpm_range) + kept + _limits(held_out, gains)
     data = (config, logs, samples, split, vehicle, axes, lag)
     return FitResult(*data, fits, training, limited, held_out, gains, warnings)
 
@@ -109,7 +110,8 @@ def _read(
     logs = read_logs(config.logs, folder)
     report("preparing the samples")
     samples = prepare(logs, base.motor, config.prepare, config.logs.min_seconds)
-    return _with_rpm_range(base, config.body, logs, samples), logs, samples
+    most = config.logs.max_scale_error
+    return _with_rpm_range(base, config.body, most, logs, samples), logs, samples
 
 
 def _fit_lag(config: FitConfig, logs: list[FlightLog], base: BaseVehicle) -> LagFit:
@@ -119,10 +121,26 @@ def _fit_lag(config: FitConfig, logs: list[FlightLog], base: BaseVehicle) -> Lag
 
 
 def _with_rpm_range(
-    base: BaseVehicle, body: BodyConfig, logs: list[FlightLog], samples: Samples
+    base: BaseVehicle,
+    body: BodyConfig,
+    max_scale_error: float,
+    logs: list[FlightLog],
+    samples: Samples,
 ) -> BaseVehicle:
-    """The range of the flights, rounded outwards to hundreds, unless the config has one."""
+    """The range of the flights, rounded outwards to hundreds, unless the config has one.
+
+    Raises:
+        InputError: a flight faster than the config's range by more than the allowed scale error.
+    """
     if body.rpm_range is not None:
+        most = body.rpm_range[1] * (1.0 + max_scale_error)
+        for log in logs:
+            fastest = float(np.percentile(log.rpm, 99.0))
+            if fastest > most:
+                raise InputError(
+                    f"{log.path}: speeds of up to {fastest:.5g} rpm, body.rpm_range is "
+                    f"{list(body.rpm_range)}; is logs.units.rpm right?"
+                )
         return base
     used = [samples.motion.rpm] + [log.rpm_command for log in logs if log.rpm_command is not None]
     low = 100.0 * np.floor(min(float(part.min()) for part in used) / 100.0)
@@ -193,9 +211,21 @@ def _limits(held_out: list[Prediction], gains: np.ndarray) -> list[str]:
     return lines
 
 
-def _warnings(logs: list[FlightLog], axes: list[AxisFit], lag: LagFit) -> list[str]:
+def _warnings(
+    logs: list[FlightLog], axes: list[AxisFit], lag: LagFit, rpm_range: tuple[float, float] | None
+) -> list[str]:
     lines = [line for axis in axes for line in axis.warnings]
     lines += [lag.warning] if lag.warning else []
+    if rpm_range is None and all(log.rpm_command is None for log in logs):
+        lines.append(
+            "the common scale of the propeller speeds is not checked: the logs have no commanded "
+            "speeds; body.rpm_range, if given, bounds it"
+        )
+    lines += [
+        f"{log.name}: row {log.cut_row} is left out: no line break ends it, so it may be cut"
+        for log in logs
+        if log.cut_row
+    ]
     return lines + [
         f"{log.name}: not checked for lack of motion or of columns to compare with: "
         + ", ".join(log.unchecked)

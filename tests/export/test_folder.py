@@ -341,13 +341,28 @@ def test_a_folder_without_permission_is_one_line(tmp_path):
         export_c(made_policy(8), tmp_path / "c", ranges=WIDE, allow_unfinished=True)
 
 
-def test_a_full_disk_is_one_line(tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
+def test_a_full_disk_is_one_line_and_leaves_the_earlier_export(tmp_path, monkeypatch):
+    policy, out, write = made_policy(8), tmp_path / "c", convert.write_text
+    for left in (0, 9):  # files that the disk has room for
+        count = iter(range(left))
 
-    monkeypatch.setattr(convert, "write_text", full)
-    with pytest.raises(InputError, match="c: cannot be written .No space left on device.$"):
-        export_c(made_policy(8), tmp_path / "c", ranges=WIDE, allow_unfinished=True)
+        def limited(path, text, count=count):
+            if next(count, None) is None:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            write(path, text)
+
+        monkeypatch.setattr(convert, "write_text", limited)
+        with pytest.raises(InputError, match="c: cannot be written .No space left on device.$"):
+            export_c(policy, out, ranges=WIDE, allow_unfinished=True)
+        assert not out.exists()
+    monkeypatch.setattr(convert, "write_text", write)
+    export_c(policy, out, ranges=WIDE, allow_unfinished=True)
+    (out / "paparazzi" / "notes.txt").write_text("mine")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    monkeypatch.setattr(convert, "write_npz", lambda *_: limited(out, ""))
+    with pytest.raises(InputError):
+        export_c(made_policy(8, gain=2.0), out, ranges=WIDE, allow_unfinished=True)
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
 def test_some_checks_alone(exported):

@@ -173,11 +173,10 @@ def test_bad_files_are_one_line(tmp_path, columns):
         "missing column": (None, ["row 1", "'rpm_obs_3'", "missing"]),
         "empty": ("", ["row 1", "empty"]),
         "header only": (lines[0] + "\n", ["row 1", "'time'", "0 rows"]),
-        "one row": ("\n".join(lines[:2]), ["row 2", "'time'", "1 rows"]),
+        "one row": ("\n".join([*lines[:2], ""]), ["row 2", "'time'", "1 rows"]),
         "empty row": ("\n".join([*lines[:50], "", *lines[50:]]), ["row 51", "'time'", "empty"]),
         "long row": ("\n".join([*lines[:50], lines[50] + ",7", *lines[51:]]), ["row 51", "'7'"]),
-        "short": ("\n".join(lines[:100]), ["row 100", "ends after"]),
-        "cut short": ("\n".join(lines)[: -len(lines[-1]) // 2], ["row", "column"]),
+        "short": ("\n".join([*lines[:100], ""]), ["row 100", "ends after"]),
         "text": (text.replace(lines[5].split(",")[6], "abc", 1), ["column", "'abc'"]),
         "twice": ("time," + lines[0] + "\n" + "\n".join("0," + x for x in lines[1:]), ["twice"]),
     }
@@ -192,6 +191,17 @@ def test_bad_files_are_one_line(tmp_path, columns):
         assert "\n" not in message and str(path) in message, name
         for word in arguments:
             assert word in message, (name, message)
+
+
+def test_a_last_row_without_a_line_break_is_left_out(tmp_path, columns):
+    path = _write(tmp_path, columns)
+    whole, text = read_log(path, PAPARAZZI), path.read_text()
+    assert whole.cut_row is None
+    for cut in (1, 3, len(text.splitlines()[-1]) // 2):  # in the last number, and in an earlier one
+        path.write_text(text[:-cut])
+        log = read_log(path, PAPARAZZI)
+        assert log.cut_row == len(whole.time) + 1
+        np.testing.assert_array_equal(log.rates, whole.rates[:-1])
 
 
 def test_damaged_bytes_are_one_short_line(tmp_path, columns, monkeypatch):
