@@ -17,12 +17,12 @@ ALLOWED = {
     "evaluation": CONFIG | {"config", "policy", "training"},
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle"},
-    "limits": {"core", "vehicle", "race"},
+    "limits": {"core", "vehicle", "race", "policy"},
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation"},
     "studies": CONFIG
-    | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations"},
+    | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"},
 }
 
 

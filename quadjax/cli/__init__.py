@@ -23,6 +23,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "evaluate": "time the laps of a policy and draw them",
     "results": "tabulate mean and sampled flights of policies",
     "limit": "compute the best known lap of a track and a lower bound",
+    "limit-table": "compute best known laps and lower bounds of several drones",
     "seeds": "train over several seeds and compare them",
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",

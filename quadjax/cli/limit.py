@@ -1,80 +1,53 @@
-"""Compute the best known lap of a track and a lower bound of the lap time.
+"""Compute the best known flight of a race and a lower bound of its time.
 
-The best known lap is a local optimum, found by direct collocation from several initial guesses
-and verified in the model. It is an upper bound of the shortest lap. The lower bound holds for every
-flight that stays below --bound-speed. With --policy, the policy's fastest lap is compared with the
-best known one, and is one of the initial guesses. Disturbances, randomization and model mismatch
-of the config are ignored. key=value overrides change the race.
+The best known flight is a local optimum, found by direct collocation from several initial guesses
+and verified in the model. It is an upper bound of the shortest time. The lower bound holds for
+every flight that stays below --bound-speed. With --policy, the policy's fastest lap is compared
+with the best known one, and is one of the initial guesses. Disturbances, randomization and model
+mismatch of the config are ignored. key=value overrides change the race.
 """
 
 import argparse
+import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
 from quadjax.cli.arguments import Parser, add_config, check_outputs, parse, whole
-from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions, loading
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
     from quadjax.limits.bound import LowerBound
-    from quadjax.limits.collocation import Trajectory
     from quadjax.limits.compare import Comparison
     from quadjax.limits.problem import Problem
+    from quadjax.limits.run import Race
     from quadjax.limits.solve import BestKnown
+    from quadjax.limits.trajectory import Trajectory
 
 PICTURES = (".png", ".svg", ".pdf")
-MOST_LAPS, MOST_SECONDS = 20, 86_400
-SPLINE_SPEEDS = (4.0, 2.5, 6.0)  # m/s, of the initial guesses without a policy
-RANDOM_SPREAD = 0.8  # fraction of the openings
-POLICY_LAPS = 4
-FASTER = 1.2  # default of --bound-speed, times the top speed of the best known lap
+MOST_LAPS, MOST_GATES, MOST_SECONDS = 20, 200, 86_400
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("limit", description=__doc__)
     add_config(parser)
     parser.add_argument("--policy", metavar="FILE.npz", help="compare with this policy's lap")
-    parser.add_argument(
-        "--laps", type=whole(1, MOST_LAPS), help="laps of a flight from hover (default: 1)"
-    )
-    parser.add_argument(
-        "--start",
-        choices=("periodic", "hover"),
-        default="periodic",
-        help="a lap that ends in the state in which it starts, or laps from hover",
-    )
-    opening = parser.add_mutually_exclusive_group()
-    opening.add_argument("--centers", action="store_true", help="through the gates' centers")
-    opening.add_argument(
-        "--clearance",
-        type=_number(0.0),
-        default=0.0,
-        metavar="M",
-        help="distance from the edges, m",
-    )
-    parser.add_argument(
-        "--speed",
-        type=_number(0.1),
-        default=30.0,
-        metavar="M/S",
-        help="speed limit (default: 30)",
-    )
+    _add_race(parser)
     parser.add_argument(
         "--bound-speed",
         type=_number(0.1),
         metavar="M/S",
         help="the lower bound holds for flights below this speed (default: 1.2 times the top "
-        "speed of the best known lap)",
+        "speed of the best known flight)",
     )
     parser.add_argument(
         "--starts",
         type=whole(1, 100),
         default=2,
-        help="number of initial guesses in addition to the policy's laps (default: 2)",
+        help="number of initial guesses in addition to the policy's lap (default: 2)",
     )
     parser.add_argument(
         "--seconds",
@@ -86,10 +59,55 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--npz", metavar="FILE.npz", help="write states and commands")
     parser.add_argument("--figure", metavar="FILE.png", help="draw path, speed and commands")
     arguments = parse(parser, argv)
-    if arguments.laps is not None and arguments.start == "periodic" and arguments.laps > 1:
-        raise InputError("--laps is allowed only with --start hover; a periodic lap is one lap")
     check_outputs(arguments, json=(".json",), npz=(".npz",), figure=PICTURES)
     return arguments
+
+
+def _add_race(parser: argparse.ArgumentParser) -> None:
+    """The flight: its length, its end, how gates are passed, and limits."""
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument(
+        "--laps",
+        type=whole(1, MOST_LAPS),
+        help="laps from the start of timed laps, in place of a periodic lap",
+    )
+    length.add_argument(
+        "--gates", type=whole(1, MOST_GATES), help="gates from the start of timed laps"
+    )
+    parser.add_argument(
+        "--stop",
+        action="store_true",
+        help="end at rest in the center of the last gate; the flight begins at the start",
+    )
+    opening = parser.add_mutually_exclusive_group()
+    opening.add_argument("--centers", action="store_true", help="through the gates' centers")
+    opening.add_argument(
+        "--clearance",
+        type=_number(0.0),
+        default=0.0,
+        metavar="M",
+        help="distance from the edges, m",
+    )
+    opening.add_argument(
+        "--waypoint",
+        type=_number(0.001),
+        metavar="M",
+        help="pass within this distance of the gates' centers, in any direction",
+    )
+    parser.add_argument(
+        "--speed",
+        type=_number(0.1),
+        default=60.0,
+        metavar="M/S",
+        help="speed limit (default: 60)",
+    )
+    parser.add_argument(
+        "--rates",
+        type=_number(0.01),
+        nargs=3,
+        metavar="RAD/S",
+        help="limits of the body rates about x, y, z (default: rules.body_rate_limit)",
+    )
 
 
 def _number(least: float) -> Callable[[str], float]:
@@ -108,22 +126,40 @@ def _number(least: float) -> Callable[[str], float]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Compute the best known lap and the lower bound."""
+    """Compute the best known flight and the lower bound."""
     options, console = _arguments(arguments), Console(stderr=True)
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.limits.solve import Search
+        from quadjax.config.race import race_of
+        from quadjax.limits import run
+        from quadjax.limits.compare import compare
+        from quadjax.limits.solve import NotFoundError
+        from quadjax.policy.file import Policy
 
-    config = _nominal(load_config(options.config, options.overrides))
-    problem = _problem(config, options)
+    config = nominal(load_config(options.config, options.overrides))
+    choices, params = race_of(config)
+    problem = run.problem_of(choices, params, _race(options))
+    laps: list[Trajectory] = []
     with interruptions() as stop, console.status("compiling") as status:
-        laps = _policy_laps(config, problem, options.policy) if options.policy is not None else []
-        search = Search(problem, options.seconds, stop, lambda text: _show(status, stop, text))
-        best = search.run(_guesses(problem, laps, options.starts))
+        if options.policy is not None:
+            policy = Policy.load(options.policy)
+            laps = run.policy_laps(choices, params, problem, policy, options.policy)
+        try:
+            best = run.search(
+                problem,
+                laps,
+                starts=options.starts,
+                seconds=options.seconds,
+                stop=stop,
+                report=lambda text: _show(status, stop, text),
+            )
+        except NotFoundError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
         status.update("lower bound")
-        bound = _bound(problem, best, options.bound_speed)
-    flown = _compare(problem, best, laps)
-    print(_summary(problem, best, bound, flown, options.policy))
+        bound = run.bound_of(problem, best, options.bound_speed)
+    flown = compare(problem, best.trajectory, laps[0]) if laps else None
+    print(run.summary(best, bound, flown, options.policy))
     _write(config, problem, options, best, bound, flown, laps)
     for path in (options.json, options.npz, options.figure):
         if path:
@@ -131,11 +167,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _race(options: argparse.Namespace) -> "Race":
+    from quadjax.limits.run import Race
+
+    return Race(
+        gates=options.gates,
+        laps=options.laps,
+        stops=options.stop,
+        waypoint=options.waypoint,
+        clearance=None if options.centers else options.clearance,
+        speed=options.speed,
+        rates=None if options.rates is None else tuple(options.rates),
+    )
+
+
 def _show(status: Any, stop: threading.Event, text: str) -> None:
     status.update("stopping" if stop.is_set() else text)
 
 
-def _nominal(config: "Config") -> "Config":
+def nominal(config: "Config") -> "Config":
     """The config without disturbances, randomization and model mismatch."""
     from quadjax.config.schema import Disturbance
 
@@ -144,122 +194,6 @@ def _nominal(config: "Config") -> "Config":
     return config.replace(
         vehicle=vehicle, disturbance=Disturbance(), randomization=randomization, schedules={}
     )
-
-
-def _problem(config: "Config", options: argparse.Namespace) -> "Problem":
-    from quadjax.config.race import race_of
-    from quadjax.limits.problem import make_problem
-
-    choices, params = race_of(config)
-    if choices.rules:
-        raise InputError("rules.extra: time-optimal laps do not support extra rules")
-    return make_problem(
-        choices.model,
-        params,
-        choices.gate_test == "world_box",
-        laps=options.laps or 1,
-        start=options.start,
-        clearance=None if options.centers else options.clearance,
-        speed_limit=options.speed,
-    )
-
-
-def _policy_laps(config: "Config", problem: "Problem", path: str) -> "list[Trajectory]":
-    """Laps of a policy as trajectories, the fastest first."""
-    import numpy as np
-
-    from quadjax.config.race import race_of
-    from quadjax.limits.guess import from_flight
-    from quadjax.limits.solve import INTERVALS
-    from quadjax.policy import pilot
-    from quadjax.policy.file import Policy
-
-    policy = Policy.load(path)
-    laps = problem.laps if problem.start == "hover" else POLICY_LAPS
-    result, trace = pilot.fly_policy(
-        *race_of(config), policy, laps=laps, runs=1, deterministic=True, trace=True, name=path
-    )
-    assert trace is not None
-    steps = round(float(result.seconds[0]) / config.rules.time_step)
-    commands = np.asarray(trace.command, np.float64)[:steps, :, 0]
-    found = from_flight(
-        problem, commands, config.rules.time_step, config.vehicle.integrator, INTERVALS
-    )
-    if not found:
-        raise InputError(f"{path}: no whole lap to compare ({result.crashes[0] or 'too few laps'})")
-    return found
-
-
-def _guesses(
-    problem: "Problem", laps: "list[Trajectory]", starts: int
-) -> "Iterator[tuple[str, Trajectory]]":
-    """Initial guesses: the policy's fastest lap, splines, and random ones."""
-    from quadjax.limits.guess import from_spline
-    from quadjax.limits.solve import INTERVALS
-
-    if laps:
-        yield "policy's lap", laps[0]
-    for index in range(starts):
-        if index < len(SPLINE_SPEEDS) and index < 2:
-            speed = SPLINE_SPEEDS[index]
-            yield f"spline at {speed:g} m/s", from_spline(problem, INTERVALS, speed)
-        else:
-            speed = SPLINE_SPEEDS[index % len(SPLINE_SPEEDS)]
-            guess = from_spline(problem, INTERVALS, speed, RANDOM_SPREAD, seed=index)
-            yield f"random spline {index}", guess
-
-
-def _bound(problem: "Problem", best: "BestKnown", speed: float | None) -> "LowerBound | str":
-    """The lower bound, or why there is none."""
-    from quadjax.limits.bound import lower_bound
-
-    try:
-        return lower_bound(problem, speed or FASTER * best.check.top_speed, best.total)
-    except InputError as error:
-        return str(error)
-
-
-def _compare(
-    problem: "Problem", best: "BestKnown", laps: "list[Trajectory]"
-) -> "Comparison | None":
-    from quadjax.limits.compare import compare
-
-    return compare(problem, best.trajectory, laps[0]) if laps else None
-
-
-def _summary(
-    problem: "Problem",
-    best: "BestKnown",
-    bound: "LowerBound | str",
-    flown: "Comparison | None",
-    policy: str | None,
-) -> str:
-    lines = [
-        f"best known: {best.total:.4f} s, top speed {best.check.top_speed:.1f} m/s, from the "
-        f"{best.guess} ({best.seconds:.0f} s of computing)"
-    ]
-    if isinstance(bound, str):
-        lines.append(f"lower bound: none ({bound})")
-    else:
-        width = 100.0 * (best.total - bound.time) / best.total
-        lines.append(
-            f"lower bound: {bound.time:.4f} s for flights below {bound.mass.speed:.1f} m/s; "
-            f"the bracket is {width:.1f}% wide"
-        )
-    if flown is not None:
-        lines.append(
-            f"{policy}: {flown.flown.sum():.4f} s, {100 * flown.gap:.1f}% above best known"
-        )
-        lines.append(
-            f"{'leg':>5} {'best known':>11} {'policy':>8} {'lost':>8} {'lost per meter':>15}"
-        )
-        rows = zip(flown.best, flown.flown, flown.lost_per_meter, strict=True)
-        for leg, (ours, theirs, per_meter) in enumerate(rows, 1):
-            lines.append(
-                f"{leg:>5} {ours:>9.3f} s {theirs:>6.3f} s {theirs - ours:>6.3f} s "
-                f"{1e3 * per_meter:>10.1f} ms/m"
-            )
-    return "\n".join([*lines, *(f"note: {note}" for note in best.notes)])
 
 
 def _write(

@@ -59,20 +59,13 @@ class LowerBound:
 
 def course_of(problem: Problem) -> Course:
     """The gates of a flight as convex sets."""
-    gates, order = problem.gates, problem.order
-    points = []
-    for index in order:
-        corners, center = gates.corners(index), gates.position[index]
-        if problem.clearance is None:
-            corners = center[None]
-        elif problem.clearance:
-            half = gates.half_size[index]
-            corners = center + (corners - center) * (1.0 - problem.clearance / half.max())
-        points.append(corners)
+    points = [problem.gates.shrunk(index, problem.clearance) for index in problem.order]
     start = None
     if problem.start == "hover":
         start = leaves(problem.model.position(problem.hover_state))
-    return Course(tuple(points), start)
+    if problem.stops:
+        points[-1] = problem.gates.position[problem.order[-1]][None]
+    return Course(tuple(points), start, problem.stops)
 
 
 def lower_bound(problem: Problem, speed: float, longest: float) -> LowerBound:

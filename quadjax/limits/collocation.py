@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import numpy as np
 
 from quadjax.core.vectors import Vec3
@@ -18,45 +19,11 @@ from quadjax.limits.extra import OPERATIONS, casadi
 from quadjax.limits.ipopt import Program, minimize
 from quadjax.limits.jaxpr import translate
 from quadjax.limits.problem import Problem, leaves
+from quadjax.limits.rules import Wall, add_rules
+from quadjax.limits.trajectory import Trajectory
 
 SMOOTHNESS = 1e-4  # s, weight of the squared command differences, relative to the command range
-SLOWEST_PASSAGE = 0.2  # m/s, smallest speed through a gate
 LEG_SECONDS = (0.02, 60.0)
-
-
-@dataclasses.dataclass(frozen=True)
-class Trajectory:
-    """States and commands at the nodes of a mesh."""
-
-    leg_times: np.ndarray  # (legs,) s
-    states: np.ndarray  # (nodes, state leaves)
-    commands: np.ndarray  # (nodes, commands)
-
-    @property
-    def intervals(self) -> int:
-        """Intervals of a leg."""
-        return (len(self.states) - 1) // len(self.leg_times)
-
-    @property
-    def total(self) -> float:
-        """Duration, s."""
-        return float(self.leg_times.sum())
-
-    @property
-    def times(self) -> np.ndarray:
-        """Times of the nodes (nodes,), s."""
-        steps = np.repeat(self.leg_times / self.intervals, self.intervals)
-        return np.concatenate([[0.0], np.cumsum(steps)])
-
-    def resample(self, intervals: int) -> "Trajectory":
-        """The trajectory on another mesh, interpolated linearly."""
-        old = np.linspace(0, len(self.leg_times), len(self.states))
-        new = np.linspace(0, len(self.leg_times), len(self.leg_times) * intervals + 1)
-        columns = (
-            np.stack([np.interp(new, old, column) for column in table.T], axis=1)
-            for table in (self.states, self.commands)
-        )
-        return Trajectory(self.leg_times, *columns)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +47,7 @@ class Dynamics:
         u = [casadi.SX.sym(f"u{index}") for index in range(self.command_count)]
         slope = translate(
             lambda state, command: model.derivative(
-                problem.vehicle, model.hold(state, command), command
+                problem.vehicle, model.hold(_unit(problem, state), command), command
             ),
             OPERATIONS,
             problem.hover_state,
@@ -108,6 +75,15 @@ class Dynamics:
         return casadi.Function("interval", [x0, u0, x1, u1, step], [defect[moving]])
 
 
+def _unit(problem: Problem, state: Any) -> Any:
+    """The state with its quaternion normalized: its length on a coarse mesh changes no force."""
+    if not problem.normalized.any():
+        return state
+    kept, wrapped = (jax.tree.leaves(x) for x in (state, problem.model.wrap(state)))
+    pairs = zip(kept, wrapped, problem.normalized, strict=True)
+    return problem.state([unit if chosen else own for own, unit, chosen in pairs])
+
+
 def _seen(model: Any) -> Callable[[Any], tuple]:
     def seen(state: Any) -> tuple:
         position, velocity, rates = model.position(state), model.velocity(state), model.rates(state)
@@ -126,6 +102,7 @@ def solve(
     guess: Trajectory,
     *,
     margin: float = 0.0,
+    walls: tuple[Wall, ...] = (),
     seconds: float = 300.0,
     stop: threading.Event | None = None,
     report: Callable[[float], object] = lambda value: None,
@@ -138,6 +115,7 @@ def solve(
         dynamics: of the problem.
         guess: the initial guess, with the same number of intervals for each leg.
         margin: m, further distance from the edges of the openings, the bounds and the ground.
+        walls: sides of solid frames.
         seconds: time limit.
         stop: if set, the solver returns the current iterate.
         report: called at each iteration with the objective.
@@ -156,7 +134,9 @@ def solve(
     step = casadi.reshape(casadi.repmat(durations.T / guess.intervals, guess.intervals, 1), 1, -1)
     interval = dynamics.interval(scale, command_scale).map(nodes - 1)
     program.add(interval(x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], step), 0.0, 0.0)
-    _add_rules(program, problem, dynamics, x * scale, guess.intervals, margin)
+    seen = dynamics.seen.map(nodes)(x * scale)
+    add_rules(program, problem, seen[:3, :], seen[3:6, :], guess.intervals, margin, walls)
+    _add_limits(program, problem, seen)
     if problem.start == "periodic":
         _add_period(program, problem, dynamics, x, u, guess, scale)
     span = np.where(high > low, high - low, 1.0)
@@ -203,35 +183,13 @@ def _state_bounds(
     return low, high
 
 
-def _add_rules(
-    program: Program, problem: Problem, dynamics: Dynamics, x: Any, count: int, margin: float
-) -> None:
-    """Gates at the ends of the legs; bounds, ground, rates and speed at all nodes."""
-    nodes = x.shape[1]
-    seen = dynamics.seen.map(nodes)(x)
-    position, velocity, rates, pitch = seen[:3, :], seen[3:6, :], seen[6:9, :], seen[9, :]
-    for axis, (low, high) in enumerate(problem.bounds.T):
-        program.add(position[axis, 1:], low + margin, high - margin)
-    if np.isfinite(problem.rate_limit):
-        program.add(rates[:, 1:], -problem.rate_limit, problem.rate_limit)
+def _add_limits(program: Program, problem: Problem, seen: Any) -> None:
+    """Body rates and pitch at all nodes."""
+    for axis, limit in enumerate(problem.rate_limit):
+        if np.isfinite(limit):
+            program.add(seen[6 + axis, 1:], -limit, limit)
     if np.isfinite(problem.pitch_limit):
-        program.add(pitch[:, 1:], -problem.pitch_limit, problem.pitch_limit)
-    program.add(casadi.sum1(velocity[:, 1:] ** 2), 0.0, problem.speed_limit**2)
-    gates = problem.gates
-    for leg, gate in enumerate(problem.order):
-        node = (leg + 1) * count
-        offset = position[:, node] - gates.position[gate]
-        through, right = gates.through[gate], gates.right[gate]
-        program.add(casadi.dot(through, offset), margin, margin)  # just beyond the plane
-        program.add(casadi.dot(through, velocity[:, node]), SLOWEST_PASSAGE, np.inf)
-        half = np.zeros(2)
-        if problem.clearance is not None:
-            half = np.maximum(gates.half_size[gate] - problem.clearance - margin, 0.0)
-        program.add(offset[2], -half[1], half[1])
-        if gates.world_box and problem.clearance is not None:
-            program.add(offset[:2], -half[0], half[0])
-        else:
-            program.add(casadi.dot(right, offset), -half[0], half[0])
+        program.add(seen[9, 1:], -problem.pitch_limit, problem.pitch_limit)
 
 
 def _add_period(

@@ -1,18 +1,19 @@
 """Comparison of two flights through the same gates: where one of them loses time."""
 
 import dataclasses
+from collections.abc import Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, tidy
-from quadjax.limits.collocation import Trajectory
-from quadjax.limits.guess import positions, velocities
 from quadjax.limits.problem import Problem
+from quadjax.limits.simulation import positions, vectors, velocities
+from quadjax.limits.trajectory import Trajectory
 
 POINTS = 50  # of a leg
+STYLES = ("-", "--", "-.", ":")  # of the commands
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,31 +67,47 @@ def _progress(
 
 
 def figure(problem: Problem, flights: dict[str, Trajectory]) -> Figure:
-    """Path, speed, attitude and commands of flights by name; time lost, of two flights.
+    """Path, speed, attitude and commands of flights by name; where one loses time to the other.
 
-    The first flight is the best known one.
+    The first flight is the best known one. The time lost is drawn if there are two.
     """
     whole = new_figure(11.0, 9.0)
     layout = whole.add_gridspec(4, 2, width_ratios=[1.1, 1.0])
-    path = whole.add_subplot(layout[:3, 0])
+    two = len(flights) > 1
+    path = whole.add_subplot(layout[: 2 if two else 4, 0])
     axes = [whole.add_subplot(layout[row, 1]) for row in range(4)]
-    lost = whole.add_subplot(layout[3, 0])
     for (name, flight), color in zip(flights.items(), SERIES, strict=False):
         _draw(problem, flight, (path, axes), color, f"{name}, {flight.total:.3f} s")
     _gates(problem, path)
-    labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands, fraction of range")
+    labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands, fraction")
     for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label, color=INK)
     axes[-1].set_xlabel("time [s]", color=INK)
-    path.legend(frameon=False)
-    if len(flights) > 1:
-        result = compare(problem, *list(flights.values())[:2])
-        lost.plot(result.distance, result.lost, color=SERIES[1])
-    lost.set_xlabel("distance along the best known flight [m]", color=INK)
-    lost.set_ylabel("time lost [s]", color=INK)
-    for axis in (path, lost, *axes):
+    _name_commands(problem, axes[-1])
+    path.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    lost = [whole.add_subplot(layout[row, 0]) for row in (2, 3)] if two else []
+    if two:
+        _draw_lost(compare(problem, *list(flights.values())[:2]), lost)
+    for axis in (path, *lost, *axes):
         tidy(axis)
     return whole
+
+
+def _draw_lost(result: Comparison, axes: Sequence[Axes]) -> None:
+    """The time lost along the best known flight, and per meter of it."""
+    total, rate = axes
+    total.plot(result.distance, 1e3 * result.lost, color=SERIES[1])
+    total.set_ylabel("time lost [ms]", color=INK)
+    steps = np.maximum(np.diff(result.distance), 1e-9)
+    middle = 0.5 * (result.distance[1:] + result.distance[:-1])
+    rate.plot(middle, 1e3 * np.diff(result.lost) / steps, color=SERIES[1])
+    rate.set_ylabel("lost per meter [ms/m]", color=INK)
+    rate.set_xlabel("distance along the best known flight [m]", color=INK)
+    gates = np.cumsum(result.length)[:-1]
+    for axis in axes:
+        axis.axhline(0.0, color=INK, linewidth=0.7)
+        for gate in gates:
+            axis.axvline(gate, color=MUTED, linewidth=0.7, linestyle=":")
 
 
 def _draw(problem: Problem, flight: Trajectory, axes: tuple, color: str, label: str) -> None:
@@ -99,25 +116,46 @@ def _draw(problem: Problem, flight: Trajectory, axes: tuple, color: str, label: 
     path.plot(place[:, 0], place[:, 1], color=color, label=label)
     time = flight.times
     speed.plot(time, np.linalg.norm(velocities(problem, flight.states), axis=1), color=color)
-    with jax.enable_x64(True):
-        euler = problem.model.euler(problem.state(jnp.asarray(flight.states).T))
-        angles = [np.degrees(np.asarray(x)) for x in (euler.x, euler.y)]
-    roll.plot(time, (angles[0] + 180.0) % 360.0 - 180.0, color=color)
-    pitch.plot(time, angles[1], color=color)
+    angles = np.degrees(vectors(problem, flight.states, "euler"))
+    for axis, column in ((roll, angles[:, 0]), (pitch, angles[:, 1])):
+        turned = (column + 180.0) % 360.0 - 180.0
+        jumps = np.flatnonzero(np.abs(np.diff(turned)) > 180.0) + 1
+        axis.plot(np.insert(time, jumps, np.nan), np.insert(turned, jumps, np.nan), color=color)
     low, high = problem.command_range
     shares = (flight.commands - low) / np.where(high > low, high - low, 1.0)
     for index, row in enumerate(shares.T):
-        style = ("-", "--", "-.", ":")[index % 4]
-        command.plot(time, row, color=color, linewidth=0.9, linestyle=style)
+        command.plot(time, row, color=color, linewidth=0.9, linestyle=STYLES[index % 4])
 
 
-def _gates(problem: Problem, path: object) -> None:
+def _name_commands(problem: Problem, axis: Axes) -> None:
+    """A legend of the line styles."""
+    names = []
+    for signal in problem.model.commands:
+        single = signal.size == 1
+        names += [signal.name if single else f"{signal.name} {i + 1}" for i in range(signal.size)]
+    for index, name in enumerate(names):
+        axis.plot([], [], color=INK, linewidth=0.9, linestyle=STYLES[index % 4], label=name)
+    axis.set_ylim(-0.05, 1.45)  # room for the legend
+    axis.legend(frameon=False, loc="upper center", ncols=2, fontsize="x-small")
+
+
+def _gates(problem: Problem, path: Axes) -> None:
+    """Gates from above, each with its number beyond its right end."""
     gates = problem.gates
     for index, center in enumerate(gates.position):
-        side = gates.right[index] * gates.half_size[index, 0]
+        side = gates.axes[index, 1] * gates.half_size[index, 0]
         ends = np.stack([center - side, center + side])
         path.plot(ends[:, 0], ends[:, 1], color=INK, linewidth=2.5)
-        path.annotate(str(index + 1), center[:2], color=MUTED)
+        away = 9.0 * gates.axes[index, 1, :2] * [1.0, -1.0]  # points; the axis of y is inverted
+        path.annotate(
+            str(index + 1),
+            ends[1, :2],
+            xytext=away,
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            color=MUTED,
+        )
     path.set_aspect("equal")
     path.invert_yaxis()
     path.set_xlabel("x, north [m]", color=INK)

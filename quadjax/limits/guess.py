@@ -1,19 +1,19 @@
-"""Initial guesses: a simulated flight, divided at its gates, or a spline through the gates."""
+"""Initial guesses: a simulated flight, divided at its gates, or the flight of a point mass."""
 
-import functools
-import math
+import threading
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
-from quadjax.core.integrators import INTEGRATORS
-from quadjax.limits.collocation import Trajectory
 from quadjax.limits.problem import Problem, leaves
+from quadjax.limits.simulation import crossings, positions, simulate
+from quadjax.limits.trajectory import Trajectory
 
-GRAVITY = 9.81  # m/s^2, for the attitude of a guess only
-STEEPEST = math.radians(75.0)  # largest tilt of a guess
+FASTEST_RATES = 12.0  # rad/s, body rates of a guess at most
+SLOW_YAW = 2.0  # rad/s, limit of the yaw rate below which a guess has none
+FITTED = 3  # least-squares steps to the commands of a guess
 
 
 def from_flight(
@@ -33,7 +33,8 @@ def from_flight(
         start from hover one guess. None if the flight passed too few gates.
     """
     states = simulate(problem, commands, time_step, integrator)
-    times, _ = crossings(problem, states, time_step, np.tile(problem.order, 50))
+    repeated = np.arange(50 * len(problem.order)) % problem.gate_count
+    times, _ = crossings(problem, positions(problem, states), time_step, repeated)
     legs = len(problem.order)
     if problem.start == "hover":
         begins = [0] if len(times) >= legs else []
@@ -61,179 +62,149 @@ def _cut(
     return Trajectory(np.diff(times), *np.split(rows, [states.shape[1]], axis=1))
 
 
-@functools.partial(jax.jit, static_argnames=("problem", "integrator"))
-def _simulate(
+def from_point_mass(
     problem: Problem,
-    first: jax.Array,
-    commands: jax.Array,
-    time_step: float,
-    integrator: str,
-    quaternion: np.ndarray,
-) -> jax.Array:
-    def advance(state: jax.Array, command: jax.Array) -> tuple[jax.Array, jax.Array]:
-        held = problem.command(command)
-        after = INTEGRATORS[integrator](
-            lambda drone: problem.model.derivative(problem.vehicle, drone, held),
-            problem.model.hold(problem.state(state), held),
-            time_step,
-        )
-        kept, wrapped = (jnp.stack(jax.tree.leaves(x)) for x in (after, problem.model.wrap(after)))
-        row = jnp.where(quaternion, wrapped, kept)
-        return row, row
-
-    return jax.lax.scan(advance, first, commands)[1]
-
-
-def simulate(
-    problem: Problem,
-    commands: np.ndarray,
-    time_step: float,
-    integrator: str = "rk4",
-    first: np.ndarray | None = None,
-) -> np.ndarray:
-    """States (steps + 1, leaves) in float64 of commands (steps, commands), each held for a step.
-
-    From hover, or from the leaves ``first``. Angles are not wrapped.
-    """
-    first = leaves(problem.hover_state) if first is None else first
-    with jax.enable_x64(True):
-        rows = _simulate(
-            problem,
-            jnp.asarray(first),
-            jnp.asarray(commands),
-            time_step,
-            integrator,
-            problem.normalized,
-        )
-        return np.concatenate([first[None], np.asarray(rows)])
-
-
-def positions(problem: Problem, states: np.ndarray) -> np.ndarray:
-    """Positions (n, 3), m, of state leaves (n, leaves)."""
-    return _vectors(problem, states, "position")
-
-
-def velocities(problem: Problem, states: np.ndarray) -> np.ndarray:
-    """Velocities (n, 3), m/s, of state leaves (n, leaves)."""
-    return _vectors(problem, states, "velocity")
-
-
-def _vectors(problem: Problem, states: np.ndarray, name: str) -> np.ndarray:
-    with jax.enable_x64(True):
-        vector = getattr(problem.model, name)(problem.state(jnp.asarray(states).T))
-        parts = [np.broadcast_to(np.asarray(x), len(states)) for x in vector.components()]
-    return np.stack(parts, axis=1)
-
-
-def crossings(
-    problem: Problem,
-    states: np.ndarray,
-    time_step: float,
-    order: np.ndarray,
-    tolerance: float = 0.0,
-) -> tuple[np.ndarray, float]:
-    """When a flight passes its gates, missing none by more than ``tolerance``, m.
-
-    Returns:
-        The times (gates passed,), s, where straight lines between the samples cross the planes, and
-        the smallest distance from an edge, m, negative where a gate was missed; times end there.
-    """
-    flown = positions(problem, states)
-    times: list[float] = []
-    clearance = np.inf
-    step = 0
-    for gate in order:
-        ahead = (flown - problem.gates.position[gate]) @ problem.gates.through[gate]
-        (found,) = np.nonzero((ahead[step:-1] < 0) & (ahead[step + 1 :] >= 0))
-        if not len(found):
-            break
-        step += int(found[0])
-        fraction = -ahead[step] / (ahead[step + 1] - ahead[step])
-        place = flown[step] + fraction * (flown[step + 1] - flown[step])
-        clearance = min(clearance, _clearance(problem, gate, place))
-        if clearance < -tolerance:
-            break
-        times.append((step + fraction) * time_step)
-        step += 1
-        if step + 1 >= len(flown):
-            break
-    return np.array(times), clearance
-
-
-def _clearance(problem: Problem, gate: int, place: np.ndarray) -> float:
-    """Distance of a place in the gate's plane from the nearest edge, m; negative outside."""
-    offset = place - problem.gates.position[gate]
-    width, height = problem.gates.half_size[gate]
-    lateral = np.abs(problem.gates.right[gate] @ offset)
-    if problem.gates.world_box:
-        lateral = np.abs(offset[:2]).max()
-    return float(min(width - lateral, height - np.abs(offset[2])))
-
-
-def from_spline(
-    problem: Problem, intervals: int, speed: float, spread: float = 0.0, seed: int = 0
+    intervals: int,
+    speed: float,
+    *,
+    heading: bool = False,
+    spread: float = 0.0,
+    seed: int = 0,
+    seconds: float = 60.0,
+    stop: threading.Event | None = None,
 ) -> Trajectory:
-    """A guess along a cubic spline through the gates, tilted as its acceleration requires.
+    """A guess along the time-optimal flight of a point mass.
 
     Args:
         problem: the flight.
         intervals: of a leg.
-        speed: m/s, mean of each leg.
+        speed: m/s, mean of each leg of the spline that the point mass starts from.
+        heading: the nose points along the velocity; otherwise in a constant direction, or, where
+            the yaw rate has a limit, wherever it turns without yaw rate.
         spread: fraction of the opening within which random points replace the centers.
-        seed: of these points, and of the yaw.
+        seed: of these points, and of the constant direction.
+        seconds: time limit.
+        stop: if set, the solver ends.
     """
+    from quadjax.limits.point_mass import optimize, spline
+
     rng = np.random.default_rng(seed)
-    gates, order = problem.gates, problem.order
-    sides = spread * rng.uniform(-1.0, 1.0, (problem.gate_count, 2)) * gates.half_size
-    across = sides[:, :1] * gates.right + sides[:, 1:] * np.array([0.0, 0.0, 1.0])
-    points = (gates.position + across)[np.concatenate([[problem.gate_count - 1], order])]
-    periodic = problem.start == "periodic"
-    if not periodic:
-        points[0] = positions(problem, leaves(problem.hover_state)[None])[0]
-    lengths = np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.5)
-    times = np.concatenate([[0.0], np.cumsum(lengths / speed)])
-    ends = "periodic" if periodic else ((1, np.zeros(3)), "not-a-knot")
-    if periodic:
-        points[-1] = points[0]
-    curve = CubicSpline(times, points, bc_type=ends)
-    nodes = np.interp(
-        np.arange(len(order) * intervals + 1) / intervals, np.arange(len(times)), times
+    first = spline(problem, intervals, speed, spread, rng)
+    path = optimize(problem, first, seconds, stop or threading.Event())
+    constant = _start_yaw(problem) if problem.start == "hover" else spread * rng.uniform(-3.0, 3.0)
+    yaw = np.full(len(path.position), constant)
+    transported = problem.start == "hover" and problem.rate_limit[2] < SLOW_YAW
+    if heading:
+        yaw = np.unwrap(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
+    return from_path(
+        problem, path.leg_times, path.position, path.velocity, path.force, yaw, transported
     )
-    heading = _heading(curve(nodes, 1), rng, spread)
-    attitudes = _attitudes(curve(nodes, 2), heading)
-    motions = zip(curve(nodes), curve(nodes, 1), attitudes, strict=True)
+
+
+def _start_yaw(problem: Problem) -> float:
+    with jax.enable_x64(True):
+        return float(problem.model.euler(problem.hover_state).z)
+
+
+def from_path(
+    problem: Problem,
+    leg_times: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    force: np.ndarray,
+    yaw: np.ndarray,
+    transported: bool = False,
+) -> Trajectory:
+    """States and commands along a path: tilted along the force, with its thrust.
+
+    Args:
+        problem: the flight.
+        leg_times: (legs,) s.
+        position: (nodes, 3) m.
+        velocity: (nodes, 3) m/s.
+        force: (nodes, 3) m/s^2, world.
+        yaw: (nodes,) rad, without jumps.
+        transported: from the first yaw on without yaw rate.
+    """
+    steps = np.repeat(
+        leg_times * len(leg_times) / (len(position) - 1), (len(position) - 1) // len(leg_times)
+    )
+    matrices = _transported(force, yaw[0]) if transported else _attitudes(force, yaw)
+    rotations = Rotation.from_matrix(matrices)
+    euler = np.unwrap(rotations.as_euler("ZYX"), axis=0)[:, ::-1]
+    euler[:, 2] += 2.0 * np.pi * np.round((yaw[0] - euler[0, 2]) / (2.0 * np.pi))
+    turned = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / steps[:, None]
+    rates = np.clip(np.vstack([turned, turned[-1:]]), -FASTEST_RATES, FASTEST_RATES)
+    rates = np.clip(rates, -0.9 * problem.rate_limit, 0.9 * problem.rate_limit)
+    motions = zip(position, velocity, euler, rates, strict=True)
     states = np.array([problem.hover_at(*motion) for motion in motions])
+    states[:, problem.actuator_leaves] = _actuators(problem, np.linalg.norm(force, axis=1))
+    mask = problem.normalized
+    if mask.any():  # a quaternion without jumps of its sign
+        same = np.sign(np.sum(states[1:, mask] * states[:-1, mask], axis=1))
+        states[1:, mask] *= np.cumprod(np.where(same < 0.0, -1.0, 1.0))[:, None]
+    if problem.start == "hover":
+        states[0] = leaves(problem.hover_state)
+    return Trajectory(leg_times, states, _commands(problem, states, steps))
+
+
+def _attitudes(force: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Body-to-world rotations (n, 3, 3) whose thrust is along a force (n, 3), by yaw (n,)."""
+    down = -force / np.linalg.norm(force, axis=1, keepdims=True)
+    nose = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
+    right = np.cross(down, nose)
+    right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-6)
+    return np.stack([np.cross(right, down), right, down], axis=2)
+
+
+def _transported(force: np.ndarray, yaw: float) -> np.ndarray:
+    """Body-to-world rotations (n, 3, 3) along a force (n, 3), each by the shortest turn."""
+    down = -force / np.linalg.norm(force, axis=1, keepdims=True)
+    found = [Rotation.from_matrix(_attitudes(force[:1], np.array([yaw]))[0])]
+    for before, after in zip(down[:-1], down[1:], strict=True):
+        axis = np.cross(before, after)
+        sine = np.linalg.norm(axis)
+        angle = np.arctan2(sine, before @ after)
+        found.append(Rotation.from_rotvec(axis / max(sine, 1e-12) * angle) * found[-1])
+    return Rotation.concatenate(found).as_matrix()
+
+
+def _actuators(problem: Problem, thrust: np.ndarray) -> np.ndarray:
+    """Equal fractions of the actuators' ranges (n, actuators) that give a thrust (n,), m/s^2."""
+    model, start = problem.model, problem.hover_at(*np.zeros((3, 3)))
+    low, high = (leaves(end) for end in model.actuator_range(problem.vehicle.constants))
+    shares = np.linspace(0.0, 1.0, 41)
+    given = []
+    for share in shares:
+        start[problem.actuator_leaves] = low + share * (high - low)
+        given.append(-leaves(model.specific_force(problem.vehicle, problem.state(start)))[2])
+    return low + np.interp(thrust, given, shares)[:, None] * (high - low)
+
+
+def _commands(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Commands (nodes, commands) whose derivatives fit the change of the states best."""
     low, high = problem.command_range
-    hovering = np.clip(_hover_command(problem, states[0]), low, high)
-    return Trajectory(np.diff(times), states, np.tile(hovering, (len(nodes), 1)))
+    scale = np.maximum(np.abs(states).max(axis=0), 1.0)
+    wanted = np.diff(states, axis=0) / steps[:, None] / scale
 
+    def slope(state: jax.Array, command: jax.Array) -> jax.Array:
+        held = problem.command(command)
+        full = problem.model.hold(problem.state(state), held)
+        rows = jax.tree.leaves(problem.model.derivative(problem.vehicle, full, held))
+        return jnp.stack([jnp.asarray(x) for x in rows]) / scale
 
-def _heading(velocity: np.ndarray, rng: np.random.Generator, spread: float) -> np.ndarray:
-    """Yaw (n,), rad: along the velocity, or constant and random."""
-    if spread and rng.uniform() < 0.5:
-        return np.full(len(velocity), rng.uniform(-np.pi, np.pi))
-    return np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+    def fit(state: jax.Array, change: jax.Array) -> jax.Array:
+        command = jnp.asarray(0.5 * (low + high))
+        for _ in range(FITTED):
+            jacobian = jax.jacfwd(slope, argnums=1)(state, command) * (high - low)
+            wrong = change - slope(state, command)
+            size = jnp.sum(jacobian**2) + 1e-12
+            square = jacobian.T @ jacobian + 1e-4 * size * jnp.eye(len(low))
+            move = jnp.linalg.solve(square, jacobian.T @ wrong)
+            command = jnp.clip(command + (high - low) * move, low, high)
+        return command
 
-
-def _attitudes(acceleration: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (n, 3) at which thrust gives an acceleration, m/s^2, as far as allowed."""
-    up = -(acceleration - np.array([0.0, 0.0, GRAVITY]))  # body z, world
-    up[:, 2] = np.maximum(up[:, 2], 0.3 * GRAVITY)
-    forward = np.cos(yaw) * up[:, 0] + np.sin(yaw) * up[:, 1]
-    right = -np.sin(yaw) * up[:, 0] + np.cos(yaw) * up[:, 1]
-    pitch = np.clip(np.arctan2(forward, up[:, 2]), -STEEPEST, STEEPEST)
-    roll = np.arctan2(-right * np.cos(pitch), up[:, 2])
-    return np.stack([np.clip(roll, -STEEPEST, STEEPEST), pitch, yaw], axis=1)
-
-
-def _hover_command(problem: Problem, state: np.ndarray) -> np.ndarray:
-    """The middle of the command range, or where the actuators of a hover are."""
-    low, high = problem.command_range
-    actuators = np.array(
-        [float(x) for x in jax.tree.leaves(problem.model.actuator_state(problem.state(state)))]
-    )
-    command = 0.5 * (low + high)
-    if len(actuators) == len(command):
-        return actuators
-    command[len(command) - len(actuators) :] = actuators
-    return command
+    with jax.enable_x64(True):
+        pairs = map(jnp.asarray, (states[:-1], wanted))
+        commands = np.asarray(jax.jit(jax.vmap(fit))(*pairs))
+    return np.vstack([commands, commands[-1:]])

@@ -204,10 +204,7 @@ def _squared_force(
     """``|F + drag v|^2`` of boxes of velocity and actuators, its gradient, and their ranges."""
     model = problem.model
     start = problem.hover_at(*np.zeros((3, 3)))
-    reads = {
-        name: _leaf_indices(problem, start, getattr(model, name))
-        for name in ("velocity", "actuator_state")
-    }
+    reads = {name: problem.leaf_indices(name) for name in ("velocity", "actuator_state")}
     ends = model.actuator_range(problem.vehicle.constants)
     low = np.concatenate([np.full(3, -speed), leaves(ends[0])])
     high = np.concatenate([np.full(3, speed), leaves(ends[1])])
@@ -240,16 +237,3 @@ def _squared_force(
 
 def _interval(value: Number) -> Interval:
     return value if isinstance(value, Interval) else Interval(*map(np.asarray, (value, value)))
-
-
-def _leaf_indices(problem: Problem, start: np.ndarray, read: Callable) -> list[int]:
-    """Indices of the state's leaves that ``read`` returns, in its order."""
-    base = leaves(read(problem.state(start)))
-    found: dict[int, int] = {}
-    for index in range(len(start)):
-        moved = start.copy()
-        moved[index] += 1.0
-        (changed,) = np.nonzero(np.abs(leaves(read(problem.state(moved))) - base) > 0.5)
-        if len(changed) == 1:
-            found[int(changed[0])] = index
-    return [found[row] for row in range(len(base))]

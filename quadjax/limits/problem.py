@@ -9,57 +9,15 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
+from quadjax.limits.gates import Gates, gates_of
 from quadjax.race.environment import RaceParams
-from quadjax.race.rules import Frame
+from quadjax.race.rules import BENEATH, Frame, Landing
 from quadjax.race.start import hover
 from quadjax.race.track import Track
 from quadjax.vehicle.protocol import Motion, State, VehicleModel, VehicleParams
 
 NO_BOUNDS = ((-np.inf,) * 3, (np.inf, np.inf, 0.0))  # the ground is at z = 0
 Start = Literal["periodic", "hover"]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Gates:
-    """Gates in the order of passage, in float64. World NED."""
-
-    position: np.ndarray  # (gates, 3) m
-    yaw: np.ndarray  # (gates,) rad
-    half_size: np.ndarray  # (gates, 2) half width, half height, m
-    world_box: bool = False  # the opening is the box |dx|, |dy|, |dz| of the authors' code
-
-    @property
-    def through(self) -> np.ndarray:
-        """Unit vectors (gates, 3) of the direction of passage."""
-        return np.stack([np.cos(self.yaw), np.sin(self.yaw), np.zeros_like(self.yaw)], axis=1)
-
-    @property
-    def right(self) -> np.ndarray:
-        """Unit vectors (gates, 3) to the gate's right."""
-        return np.stack([-np.sin(self.yaw), np.cos(self.yaw), np.zeros_like(self.yaw)], axis=1)
-
-    def corners(self, index: int) -> np.ndarray:
-        """Corners (4, 3) of a rectangle in the gate's plane that contains the opening, m."""
-        width, height = self.half_size[index]
-        if self.world_box:  # the largest lateral distance that the box allows
-            width = width / max(abs(self.right[index][:2]))
-        sides = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * [width, height]
-        across = sides[:, :1] * self.right[index] + sides[:, 1:] * [0.0, 0.0, 1.0]
-        return self.position[index] + across
-
-
-def gates_of(track: Track, world_box: bool = False) -> Gates:
-    """The gates of a track.
-
-    Raises:
-        InputError: tilted or round gates, which are not supported.
-    """
-    if track.opening is not None or (track.circle is not None and bool(track.circle.any())):
-        raise InputError("track.gates: time-optimal laps support upright rectangular gates only")
-    columns = [np.asarray(x, np.float64) for x in track.position.components()]
-    sizes = [np.asarray(x, np.float64) for x in (track.half_width, track.half_height)]
-    yaw = np.asarray(track.yaw, np.float64)
-    return Gates(np.stack(columns, 1), yaw, np.stack(sizes, 1), world_box)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,54 +29,64 @@ class Problem:
         vehicle: its constants and residual, in float64.
         track: gates and start.
         gates: of the track, in float64.
-        laps: number of laps.
+        passages: number of gates to pass, in the track's order, again from its first after its
+            last; a periodic flight passes each gate once.
         start: ``periodic``: the state at the end is the state at the start, in the last gate;
-            ``hover``: from the hover of timed laps.
+            ``hover``: from the start of timed laps, at rest.
+        stops: whether the flight ends at rest in the center of the last gate.
         clearance: distance from every edge of the openings, m; None: through the centers.
         bounds: lowest and highest position, m, (2, 3).
-        rate_limit: largest body rate about any axis, rad/s.
+        rate_limit: largest body rates about x, y and z, rad/s, (3,).
         pitch_limit: rad.
         speed_limit: m/s.
-        frame: solid frames around the openings; used only by the verification.
+        frame: solid frames around the openings.
+        landing: largest speed near the ground; None: no flight below the ground.
     """
 
     model: VehicleModel
     vehicle: VehicleParams
     track: Track
     gates: Gates
-    laps: int = 1
+    passages: int
     start: Start = "periodic"
+    stops: bool = False
     clearance: float | None = 0.0
     bounds: np.ndarray = dataclasses.field(default_factory=lambda: np.array(NO_BOUNDS))
-    rate_limit: float = np.inf
+    rate_limit: np.ndarray = dataclasses.field(default_factory=lambda: np.full(3, np.inf))
     pitch_limit: float = np.inf
     speed_limit: float = 30.0
     frame: Frame | None = None
+    landing: Landing | None = None
 
     def __post_init__(self) -> None:
         """Raise an ``InputError`` for a gate that no flight can pass."""
+        _ = self.normalized  # computed here, outside of traced functions
+        low, high = self.bounds
         for index in range(self.gate_count):
-            corners, half = self.gates.corners(index), self.gates.half_size[index].min()
+            half = self.gates.smallest(index)
             if self.clearance is not None and self.clearance >= half:
                 raise InputError(
                     f"gate {index + 1}: a clearance of {self.clearance:g} m leaves no opening "
                     f"(half of its smaller side is {half:g} m)"
                 )
-            low, high = self.bounds
-            if np.any(corners.max(axis=0) < low) or np.any(corners.min(axis=0) > high):
+            inside = self.gates.shrunk(index, self.clearance)
+            if np.any(inside.max(axis=0) < low) or np.any(inside.min(axis=0) > high):
                 raise InputError(
                     f"gate {index + 1}: unreachable, outside the bounds of the race and the ground"
                 )
+        start = leaves(self.model.position(self.hover_state))
+        if self.start == "hover" and np.any((start < low) | (start > high)):
+            raise InputError(f"the start at {start.round(3).tolist()} is outside the bounds")
 
     @property
     def gate_count(self) -> int:
         """Number of gates of the track."""
-        return len(self.gates.yaw)
+        return len(self.gates.position)
 
     @property
     def order(self) -> np.ndarray:
         """Indices of the gates to pass, one for each leg."""
-        return np.tile(np.arange(self.gate_count), self.laps)
+        return np.arange(self.passages) % self.gate_count
 
     @functools.cached_property
     def hover_state(self) -> State:
@@ -126,12 +94,35 @@ class Problem:
         with jax.enable_x64(True):
             return wide(hover(self.model, self.vehicle.constants, wide(self.track)))
 
-    def hover_at(self, position: np.ndarray, velocity: np.ndarray, euler: np.ndarray) -> np.ndarray:
-        """Leaves of a state with the actuators of a hover and a given motion, each (3,)."""
-        vectors = (Vec3.of(np.asarray(x, np.float64)) for x in (position, velocity, euler))
+    def hover_at(self, *motion: np.ndarray) -> np.ndarray:
+        """Leaves of a state with the actuators of a hover.
+
+        Args:
+            motion: position, velocity, Euler angles and, if not zero, body rates, each (3,).
+        """
+        parts = [*motion, np.zeros(3)][:4]
+        vectors = (Vec3.of(np.asarray(x, np.float64)) for x in parts)
         with jax.enable_x64(True):
-            motion = Motion(*vectors, Vec3.of(np.zeros(3)))
-            return leaves(self.model.hover(self.vehicle.constants, motion))
+            return leaves(self.model.hover(self.vehicle.constants, Motion(*vectors)))
+
+    @functools.cached_property
+    def actuator_leaves(self) -> list[int]:
+        """Indices of the leaves that are the actuators' state, in its order."""
+        return self.leaf_indices("actuator_state")
+
+    def leaf_indices(self, name: str) -> list[int]:
+        """Indices of the leaves that a function of the model returns, in its order."""
+        start = self.hover_at(*np.zeros((3, 3)))
+        read = getattr(self.model, name)
+        base = leaves(read(self.state(start)))
+        found: dict[int, int] = {}
+        for index in range(len(start)):
+            moved = start.copy()
+            moved[index] += 1.0
+            (changed,) = np.nonzero(np.abs(leaves(read(self.state(moved))) - base) > 0.5)
+            if len(changed) == 1:
+                found[int(changed[0])] = index
+        return [found[row] for row in range(len(base))]
 
     @functools.cached_property
     def command_range(self) -> tuple[np.ndarray, np.ndarray]:
@@ -148,14 +139,15 @@ class Problem:
     @functools.cached_property
     def angles(self) -> np.ndarray:
         """Which leaves of the state are angles (leaves,): ``model.wrap`` wraps them."""
-        start = leaves(self.hover_state)
-        found = np.zeros(len(start), bool)
-        for index in range(len(start)):
-            turned = start.copy()
+        moved = leaves(self.hover_state) + 0.3
+        base = leaves(self.model.wrap(self.state(moved)))
+        found = np.zeros(len(moved), bool)
+        for index in range(len(moved)):
+            turned = moved.copy()
             turned[index] += 2.0 * np.pi
             wrapped = leaves(self.model.wrap(self.state(turned)))
             found[index] = abs(wrapped[index] - turned[index]) > 1.0 and np.allclose(
-                wrapped, start, atol=1e-4
+                wrapped, base, atol=1e-4
             )
         return found
 
@@ -187,7 +179,13 @@ def wide(tree: Any) -> Any:
 
 
 def make_problem(
-    model: VehicleModel, params: RaceParams, world_box: bool = False, **options: Any
+    model: VehicleModel,
+    params: RaceParams,
+    world_box: bool = False,
+    *,
+    passages: int | None = None,
+    waypoint: float | None = None,
+    **options: Any,
 ) -> Problem:
     """The time-optimal flight of a race.
 
@@ -195,6 +193,8 @@ def make_problem(
         model: the vehicle model.
         params: the numbers of the race; training limits are ignored.
         world_box: the rule ``gate_test: world_box``.
+        passages: number of gates to pass; None: each of the track once.
+        waypoint: as of ``gates_of``.
         options: further fields of ``Problem``.
 
     Raises:
@@ -202,20 +202,25 @@ def make_problem(
     """
     limits = params.limits
     bounds = np.array(NO_BOUNDS)
+    if limits.landing is not None:
+        bounds[1, 2] = BENEATH
     edge = float(limits.position)
     bounds[:, :2] = [[-edge] * 2, [edge] * 2]
     if limits.bounds is not None:
         low, high = (leaves(end) for end in limits.bounds)
         bounds = np.array([np.maximum(bounds[0], low), np.minimum(bounds[1], high)])
+    gates = gates_of(params.track, world_box, waypoint)
     if not params.track.closed:
         options["start"] = "hover"
-    fields = {"bounds": bounds, "frame": limits.frame} | options
+    fields = {"bounds": bounds, "frame": limits.frame, "landing": limits.landing} | options
+    rate = fields.pop("rate_limit", None)
     return Problem(
         model,
         wide(params.vehicle),
         params.track,
-        gates_of(params.track, world_box),
-        rate_limit=float(limits.body_rate),
+        gates,
+        len(gates.position) if passages is None else passages,
+        rate_limit=np.full(3, float(limits.body_rate)) if rate is None else rate,
         pitch_limit=float(model.pitch_limit),
         **fields,
     )

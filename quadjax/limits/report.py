@@ -9,8 +9,8 @@ import pydantic
 from quadjax.core.provenance import provenance
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.compare import Comparison
-from quadjax.limits.guess import positions, velocities
 from quadjax.limits.problem import Problem
+from quadjax.limits.simulation import positions, velocities
 from quadjax.limits.solve import BestKnown
 
 
@@ -39,8 +39,10 @@ def to_json(
         "attempts": [dataclasses.asdict(each) for each in best.attempts],
         "notes": list(best.notes),
         "seconds": best.seconds,
-        "laps": problem.laps,
+        "gates": problem.passages,
         "start": problem.start,
+        "stops": problem.stops,
+        "feedback": check.feedback,
         "required_clearance": problem.clearance,
         "speed_limit": problem.speed_limit,
         "policy": flown
@@ -57,7 +59,9 @@ def arrays(problem: Problem, best: BestKnown) -> dict[str, np.ndarray]:
     """Times, states and commands at the nodes of the mesh.
 
     ``time`` (n,) s; ``position``, ``velocity`` (n, 3) m, m/s, world NED; ``state`` (n, k), the
-    leaves of the model's state in order; ``command`` (n, commands); ``leg_times`` (legs,) s.
+    leaves of the model's state in order; ``command`` (n, commands); ``leg_times`` (legs,) s;
+    ``flown_position`` (m + 1, 3) and ``flown_command`` (m, commands), of the verification, each
+    command held for 1 ms.
     """
     trajectory = best.trajectory
     return {
@@ -67,4 +71,6 @@ def arrays(problem: Problem, best: BestKnown) -> dict[str, np.ndarray]:
         "state": trajectory.states,
         "command": trajectory.commands,
         "leg_times": trajectory.leg_times,
+        "flown_position": positions(problem, best.check.states),
+        "flown_command": best.check.commands,
     }

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from quadjax.core.errors import InputError
-from quadjax.limits.collocation import Dynamics, Trajectory, solve
+from quadjax.limits.collocation import Dynamics, solve
 from quadjax.limits.problem import Problem
+from quadjax.limits.rules import Wall
+from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import Check, verify
 
-INTERVALS = 20  # of a leg, on the first mesh
-FINEST, NODES = 80, 640  # intervals of a leg, and of all legs, at most
+FINEST, NODES = 80, 800  # intervals of a leg, and of all legs, at most
 SAME = 1e-3  # relative change of the time below which the mesh is fine enough
 MARGIN = 1e-4  # m, first distance from the edges; more where the flown path drifts
 WIDENINGS = 4
@@ -60,6 +60,10 @@ class BestKnown:
         return max(self.trajectory.total, self.check.total)
 
 
+class NotFoundError(Exception):
+    """No initial guess led to a verified flight: one line that says what was tried."""
+
+
 class Search:
     """Solves from initial guesses in turn and keeps the best verified result."""
 
@@ -84,6 +88,7 @@ class Search:
         self.dynamics = Dynamics(problem)
         self.attempts: list[Attempt] = []
         self.best: BestKnown | None = None
+        self.walls: tuple[Wall, ...] = ()
 
     @property
     def over(self) -> bool:
@@ -97,7 +102,7 @@ class Search:
         """Solve from each initial guess until the time limit.
 
         Raises:
-            InputError: no guess led to a verified flight.
+            NotFoundError: no guess led to a verified flight.
         """
         for name, guess in guesses:
             if self.over:
@@ -105,7 +110,7 @@ class Search:
             self._attempt(name, guess)
         if self.best is None:
             tried = "; ".join(f"{each.guess}: {each.status}" for each in self.attempts)
-            raise InputError(f"no flight was found ({tried or 'no time'})")
+            raise NotFoundError(f"no flight was found ({tried or 'no time'})")
         seconds = time.monotonic() - self.began
         best = dataclasses.replace(self.best, attempts=tuple(self.attempts), seconds=seconds)
         return dataclasses.replace(best, notes=self._notes(best))
@@ -121,6 +126,7 @@ class Search:
             self.dynamics,
             guess,
             margin=margin,
+            walls=self.walls,
             seconds=share * self._left(),
             stop=self.stop,
             report=lambda value: self.report(f"{text}: {value:.4f} s"),
@@ -128,48 +134,57 @@ class Search:
         return solution.trajectory, solution.converged, solution.status
 
     def _attempt(self, name: str, guess: Trajectory) -> None:
+        self.walls = ()
         first, converged, status = self._solve(name, guess, MARGIN, FIRST_SHARE)
-        time_found = first.total if converged else None
         if converged and (self.best is None or first.total < self.best.total * (1.0 - 1e-5)):
             status = self._refine(name, first)
-        self.attempts.append(Attempt(name, time_found, status))
+        elif not converged:  # a flight that is verified counts, wherever it comes from
+            self._keep(name, first, verify(self.problem, first), MARGIN, np.inf)
+        self.attempts.append(Attempt(name, first.total if converged else None, status))
 
     def _refine(self, name: str, trajectory: Trajectory) -> str:
         """Refine the mesh until the time converges and the flight is verified."""
         margin, widened, change, refine = MARGIN, 0, np.inf, True
-        check = verify(self.problem, trajectory)
-        if not check.error and min(check.clearance, check.margin) >= 0.0:
-            self._keep(name, trajectory, check, margin, change)
-        finest = min(FINEST, max(INTERVALS, NODES // len(trajectory.leg_times)))
+        check = verify(self.problem, trajectory, MISSED)
+        self._keep(name, trajectory, check, margin, change)
+        finest = min(FINEST, max(trajectory.intervals, NODES // len(trajectory.leg_times)))
         while not self.over:
+            self.walls += check.walls
             refine = refine and 2 * trajectory.intervals <= finest
             mesh = trajectory.resample(2 * trajectory.intervals) if refine else trajectory
             finer, converged, status = self._solve(name, mesh, margin)
             if not converged:
+                self._keep(name, finer, verify(self.problem, finer), margin, np.inf)
                 return status
             if refine:
                 change = abs(finer.total - trajectory.total) / finer.total
             trajectory = finer
             check = verify(self.problem, trajectory, MISSED)
-            drift = max(0.0, -min(check.clearance, check.margin), 5e-4 * bool(check.error))
-            if drift == 0.0:
-                self._keep(name, trajectory, check, margin, change)
+            if self._keep(name, trajectory, check, margin, change):
                 if change <= SAME or not refine:
                     return "verified"
-            elif not np.isfinite(drift) or widened == WIDENINGS:
+            elif not np.isfinite(check.drift) or widened == WIDENINGS:
                 return f"rejected: {check.error or 'it misses a gate'}"
             refine = 2 * trajectory.intervals <= finest
-            if drift > 0.0 and not refine:
+            if check.drift > 0.0 and not refine:
                 widened += 1
-                margin += 1.2 * drift + 2e-5
+                margin += 1.2 * check.drift + 2e-5
         return "no time"
 
     def _keep(
         self, name: str, trajectory: Trajectory, check: Check, margin: float, change: float
-    ) -> None:
+    ) -> bool:
+        """Keep a verified flight if it is the best, and whether it is verified."""
+        if check.drift > 0.0:
+            return False
         found = BestKnown(trajectory, check, name, margin, change, (), 0.0, ())
-        if self.best is None or found.total < self.best.total or found.guess == self.best.guess:
+        if (
+            self.best is None
+            or found.total < self.best.total
+            or (found.guess == self.best.guess and np.isfinite(change))
+        ):
             self.best = found
+        return True
 
     def _notes(self, best: BestKnown) -> tuple[str, ...]:
         notes = []

@@ -7,19 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.vectors import Vec3
-from quadjax.limits.collocation import Trajectory
-from quadjax.limits.guess import crossings, positions, simulate, velocities
 from quadjax.limits.problem import Problem
-from quadjax.race.rules import inside_frame
+from quadjax.limits.rules import Wall
+from quadjax.limits.simulation import crossings, positions, simulate, vectors, velocities
+from quadjax.limits.tracking import follow, reference
+from quadjax.limits.trajectory import Trajectory
+from quadjax.race.rules import hits_ground, inside_frame
 
 TIME_STEP = 1e-3  # s, for which each command is held
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
 OVERRUN = 1.01  # the simulation is longer than the solution, to reach the last gate
+AT_REST = 0.02, 0.05  # m from the center of the last gate, and m/s, at the end of a flight at rest
+RATE_TOLERANCE, PITCH_TOLERANCE = 1.001, 1e-3  # a factor, and rad
 
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """The result of simulating a solution's commands: held for 1 ms, RK4, float64.
+    """The result of simulating a solution: commands held for 1 ms, RK4, float64.
 
     Attributes:
         error: why the solution is rejected; "" if it is verified.
@@ -28,6 +32,10 @@ class Check:
         margin: smallest distance from the bounds and the ground, m; negative: outside.
         top_speed: m/s.
         closure: m, distance between the start and the end of a periodic flight.
+        feedback: whether a regulator corrected the solution's commands.
+        states: (steps + 1, leaves) of the simulation.
+        commands: (steps, commands) that it flew.
+        walls: sides of frames that a flight that hit them should keep to.
     """
 
     error: str
@@ -36,59 +44,136 @@ class Check:
     margin: float
     top_speed: float
     closure: float
+    feedback: bool
+    states: np.ndarray
+    commands: np.ndarray
+    walls: tuple[Wall, ...] = ()
 
     @property
     def total(self) -> float:
         """Time of the flight, s."""
         return float(self.leg_times.sum())
 
+    @property
+    def drift(self) -> float:
+        """By how much the flight leaves the openings and the bounds, m; inf if it fails."""
+        return max(0.0, -min(self.clearance, self.margin), 5e-4 * bool(self.error))
+
 
 def verify(problem: Problem, trajectory: Trajectory, tolerance: float = 0.0) -> Check:
     """Simulate the commands of a solution and apply the rules.
+
+    The commands are flown as they are; if this flight is rejected, also with a regulator that
+    corrects them.
 
     Args:
         problem: the flight.
         trajectory: the solution.
         tolerance: m, by which an edge of an opening may be missed.
     """
-    total = trajectory.total
-    middle = (np.arange(int(np.ceil(OVERRUN * total / TIME_STEP))) + 0.5) * TIME_STEP
-    if problem.start == "periodic":
-        middle %= total
-    nodes = trajectory.times
-    commands = np.stack([np.interp(middle, nodes, row) for row in trajectory.commands.T], axis=1)
+    steps = int(np.ceil(OVERRUN * trajectory.total / TIME_STEP))
+    _, commands = reference(problem, trajectory, TIME_STEP, steps)
     states = simulate(problem, commands, TIME_STEP, "rk4", trajectory.states[0])
-    times, clearance = crossings(problem, states, TIME_STEP, problem.order, tolerance)
+    check = _check(problem, trajectory, states, commands, tolerance, False)
+    if not check.drift and not check.error:
+        return check
+    states, commands = follow(problem, trajectory, TIME_STEP, steps)
+    corrected = _check(problem, trajectory, states, commands, tolerance, True)
+    better = (bool(corrected.error), corrected.drift) < (bool(check.error), check.drift)
+    return corrected if better else check
+
+
+def _check(
+    problem: Problem,
+    trajectory: Trajectory,
+    states: np.ndarray,
+    commands: np.ndarray,
+    tolerance: float,
+    feedback: bool,
+) -> Check:
+    flown = positions(problem, states)
+    order = problem.order[:-1] if problem.stops else problem.order
+    times, clearance = crossings(problem, flown, TIME_STEP, order, tolerance)
+    if problem.stops and len(times) == len(order):
+        times = np.append(times, trajectory.total)
     if problem.clearance is None:
         clearance = 0.0 if len(times) == len(problem.order) else clearance
-    last = round(times[-1] / TIME_STEP) if len(times) else 0
-    margin = _margin(problem, states[: last + 1])
-    flown = positions(problem, states)
+    last = min(round(times[-1] / TIME_STEP), len(flown) - 1) if len(times) else 0
+    margin, error, walls = _margin(problem, states[: last + 1], times)
+    if problem.stops and not error and len(times) == len(problem.order):
+        error = _at_rest(problem, states[last])
+    error = _error(problem, trajectory.total, times, clearance, margin, tolerance) or error
     return Check(
-        error=_error(problem, total, times, clearance, margin, tolerance),
+        error=error,
         leg_times=np.diff(times, prepend=0.0),
-        clearance=float(clearance),
+        clearance=float(min(clearance, 1e3)),
         margin=margin,
         top_speed=float(np.linalg.norm(velocities(problem, states[: last + 1]), axis=1).max()),
         closure=float(np.linalg.norm(flown[last] - flown[0])),
+        feedback=feedback,
+        states=states[: last + 1],
+        commands=commands[:last],
+        walls=walls,
     )
 
 
-def _margin(problem: Problem, states: np.ndarray) -> float:
-    """Smallest distance from the bounds, m; -inf where a rate, the pitch or a frame is hit."""
+def _at_rest(problem: Problem, state: np.ndarray) -> str:
+    place = positions(problem, state[None])[0] - problem.gates.position[problem.order[-1]]
+    speed = np.linalg.norm(velocities(problem, state[None]))
+    if np.linalg.norm(place) > AT_REST[0] or speed > AT_REST[1]:
+        return f"ends {np.linalg.norm(place):.3f} m from the last gate at {speed:.2f} m/s"
+    return ""
+
+
+def _margin(
+    problem: Problem, states: np.ndarray, times: np.ndarray
+) -> tuple[float, str, tuple[Wall, ...]]:
+    """Smallest distance from the bounds, m, what else is hit, and sides of frames to keep to."""
     flown = positions(problem, states)[1:]
     low, high = problem.bounds
-    margin = min((flown - low).min(), (high - flown).min())
+    margin = float(min((flown - low).min(initial=np.inf), (high - flown).min(initial=np.inf)))
+    if not np.isfinite(states).all():
+        return -np.inf, "leaves the bounds of the race", ()
+    rates = np.abs(vectors(problem, states, "rates")).max(axis=0)
+    if np.any(rates > problem.rate_limit * RATE_TOLERANCE):
+        return margin, "exceeds the limit of the body rates", ()
+    if (
+        np.abs(vectors(problem, states, "euler")[:, 1]).max()
+        > problem.pitch_limit + PITCH_TOLERANCE
+    ):
+        return margin, "exceeds the limit of the pitch", ()
     with jax.enable_x64(True):
-        tree = problem.state(jnp.asarray(states[1:]).T)
-        rates = [np.abs(np.asarray(x)).max() for x in problem.model.rates(tree).components()]
-        pitch = np.abs(np.asarray(problem.model.euler(tree).y)).max()
-    inside = max(rates) <= problem.rate_limit * 1.001 and pitch <= problem.pitch_limit + 1e-3
-    if problem.frame is not None:
-        with jax.enable_x64(True):
-            hit = jax.vmap(lambda place: inside_frame(place, problem.track, problem.frame, 0.0))
-            inside &= not np.any(hit(Vec3.of(jnp.asarray(flown))))
-    return float(margin) if inside and np.isfinite(states).all() else -np.inf
+        place = Vec3.of(jnp.asarray(flown))
+        if problem.landing is not None:
+            speed = Vec3.of(jnp.asarray(velocities(problem, states)[1:]))
+            hit = jax.vmap(lambda p, v: hits_ground(p, v, problem.landing))(place, speed)
+            if np.any(hit):
+                return margin, "flies too fast near the ground", ()
+        if problem.frame is not None:
+            hit = jax.vmap(lambda p: inside_frame(p, problem.track, problem.frame, 0.0))(place)
+            if np.any(hit):
+                return margin, "hits the frame of a gate", _walls(problem, flown, hit, times)
+    return margin, "", ()
+
+
+def _walls(
+    problem: Problem, flown: np.ndarray, hit: np.ndarray, times: np.ndarray
+) -> tuple[Wall, ...]:
+    """For each part of a flight inside a frame, its nearest outer side."""
+    (found,) = np.nonzero(np.asarray(hit))
+    nodes, walls = np.concatenate([[0.0], times]), []
+    size = np.array([0.5 * float(problem.frame.depth), 0.0, 0.0])
+    for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
+        offset = flown[part][:, None] - problem.gates.position  # (n, gates, 3)
+        local = np.einsum("gij,ngj->ngi", problem.gates.axes, offset)
+        gate = int(np.argmin(np.abs(local[:, :, 0]).max(axis=0) + np.abs(local).max(axis=(0, 2))))
+        size[1:] = problem.gates.half_size[gate] + float(problem.frame.width)
+        depth = size - np.abs(local[:, gate]).max(axis=0)
+        axis = 1 + int(np.argmin(depth[1:]))
+        sign = float(np.sign(local[:, gate, axis].mean()))
+        legs = np.interp(TIME_STEP * (part[[0, -1]] + 1), nodes, np.arange(len(nodes)))
+        walls.append(Wall((legs[0] - 0.1, legs[1] + 0.1), gate, axis, sign, float(size[axis])))
+    return tuple(walls)
 
 
 def _error(
@@ -104,7 +189,7 @@ def _error(
         return f"misses gate {problem.order[len(times)] + 1} by {-1e3 * clearance:.1f} mm"
     if len(times) < legs:
         return f"passes {len(times)} of {legs} gates"
-    if margin < 0.0:
+    if margin < -tolerance:
         return "leaves the bounds of the race"
     if abs(times[-1] - claimed) > TIME_TOLERANCE * claimed:
         return f"takes {times[-1]:.3f} s instead of {claimed:.3f} s"

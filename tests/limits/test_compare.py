@@ -11,13 +11,16 @@ pytest.importorskip("casadi")
 
 
 def test_a_slower_leg_is_where_the_time_is_lost():
-    from quadjax.limits.collocation import Trajectory
     from quadjax.limits.compare import compare
-    from quadjax.limits.guess import from_spline
+    from quadjax.limits.guess import from_path
+    from quadjax.limits.point_mass import spline
+    from quadjax.limits.trajectory import Trajectory
 
     choices, params = race_of(load_config("indi"))
     problem = make_problem(choices.model, params)
-    best = from_spline(problem, 10, 4.0)
+    times, place, velocity, _ = spline(problem, 10, 4.0, 0.0, np.random.default_rng(0))
+    up = np.tile([0.0, 0.0, -9.81], (len(place), 1))
+    best = from_path(problem, times, place, velocity, up, np.zeros(len(place)))
     slower = best.leg_times + np.array([0.0, 0.3, 0.0, 0.0])
     result = compare(problem, best, Trajectory(slower, best.states, best.commands))
     assert result.gap == pytest.approx(0.3 / best.total)

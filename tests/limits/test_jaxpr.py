@@ -36,6 +36,8 @@ def test_the_equations_agree_with_jax(name):
     for _ in range(5):
         start = leaves(problem.hover_state)
         state = start * rng.uniform(0.5, 1.5, len(start)) + rng.uniform(-1.0, 1.0, len(start))
+        unit = leaves(model.wrap(problem.state(state)))  # of a quaternion; angles as they are
+        state = np.where(problem.normalized, unit, state)
         command = rng.uniform(low, high)
         with jax.enable_x64(True):
             held = model.hold(problem.state(map(np.float64, state)), problem.command(command))
@@ -51,3 +53,9 @@ def test_an_unknown_operation_is_named():
     function = translate(jax.lax.erf_inv, OPERATIONS, 0.5)
     with pytest.raises(InputError, match="erf_inv"):
         function(casadi.SX.sym("x"))
+
+
+def test_the_components_of_the_attitude():
+    euler, quaternion = _problem("rate"), _problem("CPC")
+    assert euler.angles.sum() in (2, 3) and not euler.normalized.any()
+    assert not quaternion.angles.any() and quaternion.normalized.sum() == 4

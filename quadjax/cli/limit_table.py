@@ -1,0 +1,46 @@
+"""Compute best known laps and lower bounds of the published tracks for several drones.
+
+Each pair of a track and a drone is written to FOLDER as .json and .npz when it is done. The command
+continues where it was interrupted: a pair with a .json file is not computed again. The table is
+printed as Markdown.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from quadjax.cli.arguments import Parser, parse, whole
+from quadjax.core.interruptions import interruptions, loading
+
+DEFAULT_SECONDS, MOST_SECONDS = 300, 86_400
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("limit-table", description=__doc__)
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of the results")
+    parser.add_argument(
+        "--tracks", nargs="+", metavar="TRACK", help="names of tracks (default: the table's five)"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=whole(1, MOST_SECONDS),
+        default=DEFAULT_SECONDS,
+        help=f"time limit of a pair (default: {DEFAULT_SECONDS})",
+    )
+    return parse(parser, argv)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Compute what is missing and print the table."""
+    options, console = _arguments(arguments), Console(stderr=True)
+    with loading():
+        from quadjax.core.resources import PRETRAINED
+        from quadjax.studies import limits_table
+
+    tracks = options.tracks or list(limits_table.TRACKS)
+    with interruptions() as stop, console.status("compiling") as status:
+        limits_table.make(options.folder, tracks, options.seconds, PRETRAINED, stop, status.update)
+    print(limits_table.markdown(options.folder, tracks))
+    return 1 if stop.is_set() else 0

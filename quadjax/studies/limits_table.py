@@ -1,0 +1,164 @@
+"""Best known laps and lower bounds of several tracks and drones: one JSON file for each pair."""
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.files import write_json, write_npz
+from quadjax.core.provenance import provenance
+from quadjax.limits import run
+from quadjax.limits.bound import LowerBound
+from quadjax.limits.problem import Problem
+from quadjax.limits.report import arrays
+from quadjax.limits.trajectory import Trajectory
+from quadjax.policy.file import Policy
+
+TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s", "grand_challenge")
+DRONES = {  # by name: a preset and overrides
+    "Bebop E2E": ("e2e_fastest",),
+    "Bebop INDI": ("indi_fastest",),
+    "5-inch": ("e2e_fastest", "vehicle=5inch"),
+    "3-inch": ("e2e_fastest", "vehicle=3inch"),
+    "A2RL": ("e2e_fastest", "vehicle=a2rl"),
+}
+POLICIES = {("square4", "Bebop E2E"): "e2e_fastest", ("square4", "Bebop INDI"): "indi"}
+SHARES = 0.6, 0.2  # of a cell's time: the best known lap, and that through the centers
+STARTS = 3
+
+
+def file_of(folder: Path, track: str, drone: str) -> Path:
+    """The result of one cell."""
+    return folder / f"{track}_{drone.lower().replace(' ', '_')}.json"
+
+
+def make(
+    folder: Path,
+    tracks: list[str],
+    seconds: float,
+    policies: Path,
+    stop: threading.Event,
+    report: Callable[[str], object],
+) -> None:
+    """Compute the cells that the folder lacks.
+
+    Args:
+        folder: where each cell has its ``.json`` and its best known lap as ``.npz``.
+        tracks: names of tracks.
+        seconds: time limit of a cell.
+        policies: folder of the policies to compare with.
+        stop: if set, the current cell ends with the best so far, and no other begins.
+        report: called with one line on the progress.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for track in tracks:
+        for drone in DRONES:
+            path = file_of(folder, track, drone)
+            if path.exists() or stop.is_set():
+                continue
+            result = cell(track, drone, seconds, policies, path.with_suffix(".npz"), stop, report)
+            if not stop.is_set():
+                write_json(path, result)
+
+
+def cell(
+    track: str,
+    drone: str,
+    seconds: float,
+    policies: Path,
+    table: Path,
+    stop: threading.Event,
+    report: Callable[[str], object],
+) -> dict[str, Any]:
+    """One track and drone: best known lap, lower bound, lap through the centers, policy."""
+    from quadjax.limits.solve import NotFoundError, Search
+
+    began = time.monotonic()
+    preset, *overrides = DRONES[drone]
+    config = load_config(preset, [f"track={track}", *overrides])
+    choices, params = race_of(config)
+    result: dict[str, Any] = {"track": track, "drone": drone, "provenance": provenance(config)}
+    problem = run.problem_of(choices, params, run.Race())
+    laps = _laps(config, problem, policies, POLICIES.get((track, drone)))
+    show = lambda text: report(f"{track}, {drone}: {text}")  # noqa: E731
+    try:
+        best = run.search(
+            problem, laps, starts=STARTS, seconds=SHARES[0] * seconds, stop=stop, report=show
+        )
+    except NotFoundError as error:
+        return result | {"error": str(error), "seconds": time.monotonic() - began}
+    write_npz(table, arrays(problem, best), result)
+    bound = run.bound_of(problem, best, None)
+    result |= {
+        "best_known": best.total,
+        "lower_bound": bound.time if isinstance(bound, LowerBound) else None,
+        "lower_bound_below_speed": bound.mass.speed if isinstance(bound, LowerBound) else None,
+        "lower_bound_error": None if isinstance(bound, LowerBound) else bound,
+        "top_speed": best.check.top_speed,
+        "mesh_change": best.mesh_change if np.isfinite(best.mesh_change) else None,
+        "guess": best.guess,
+        "notes": list(best.notes),
+        "policy": laps[0].total if laps else None,
+        "gap": laps[0].total / best.total - 1.0 if laps else None,
+    }
+    centers = run.problem_of(choices, params, run.Race(clearance=None))
+    try:
+        again = Search(centers, SHARES[1] * seconds, stop, show)
+        result["centers"] = again.run(
+            [("best known lap", best.trajectory.resample(run.INTERVALS))]
+        ).total
+    except NotFoundError as error:
+        result |= {"centers": None, "centers_error": str(error)}
+    return result | {"seconds": time.monotonic() - began}
+
+
+def _laps(config: Config, problem: Problem, folder: Path, name: str | None) -> list[Trajectory]:
+    """The laps of a shipped policy, if there is one."""
+    if name is None:
+        return []
+    path = folder / f"{name}.npz"
+    return run.policy_laps(*race_of(config), problem, Policy.load(path), str(path))
+
+
+def markdown(folder: Path, tracks: list[str]) -> str:
+    """The table of the cells in a folder."""
+    lines = [
+        "| track, drone | lower bound | best known | centers | policy | gap | seconds |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for track in tracks:
+        for drone in DRONES:
+            path = file_of(folder, track, drone)
+            if path.exists():
+                lines.append(_row(f"{track}, {drone}", _read(path)))
+    return "\n".join(lines)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path}: not a result of this command ({error})") from None
+
+
+def _row(name: str, result: dict[str, Any]) -> str:
+    def seconds(key: str) -> str:
+        value = result.get(key)
+        return "" if value is None else f"{value:.3f} s"
+
+    gap = result.get("gap")
+    cells = [
+        name,
+        *(seconds(key) for key in ("lower_bound", "best_known", "centers", "policy")),
+        "" if gap is None else f"{100.0 * gap:.1f}%",
+        f"{result['seconds']:.0f}",
+    ]
+    return f"| {' | '.join(cells)} |"

@@ -1,0 +1,96 @@
+"""Tilted and round gates in the solver are those of the race."""
+
+import jax
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.core.vectors import Vec3
+from quadjax.limits.gates import gates_of
+from quadjax.limits.problem import make_problem
+from quadjax.race.rules import inside_square, inside_world_box
+from quadjax.race.track import gate_at, make_track, to_opening_frame
+
+
+def _track():
+    return make_track(
+        np.array([[0.0, 0.0, -2.0], [2.0, 1.0, -1.5], [1.0, -1.0, -1.0]]),
+        np.array([0.3, 2.0, -1.0]),
+        np.array([[1.0, 0.6], [0.8, 0.8], [1.2, 1.0]]),
+        np.array([[0.5, -0.3], [0.0, 0.4], [0.0, 0.0]]),
+        np.array([False, True, False]),
+    )
+
+
+@pytest.mark.parametrize("world_box", [False, True])
+def test_a_place_has_clearance_where_the_rules_let_it_pass(world_box):
+    track, rng = _track(), np.random.default_rng(0)
+    gates = gates_of(track, world_box)
+    for index in range(3):
+        g = gate_at(track, index)
+        across = rng.uniform(-1.2, 1.2, (300, 2))
+        places = gates.position[index] + across @ gates.axes[index, 1:]
+        with jax.enable_x64(True):
+            offset = Vec3.of(places) - g.position
+            local = to_opening_frame(g, offset)
+            inside = inside_world_box(offset, g, 0.0) if world_box else inside_square(local, g, 0.0)
+        np.testing.assert_allclose(local.x, 0.0, atol=1e-6)
+        found = np.array([gates.clearance(index, place) for place in places])
+        np.testing.assert_array_equal(found > 0.0, np.asarray(inside))
+        assert 0.02 < np.mean(found > 0.0) < 0.9
+
+
+@pytest.mark.parametrize("waypoint", [None, 0.4])
+def test_the_corners_contain_the_opening(waypoint):
+    gates, rng = gates_of(_track(), waypoint=waypoint), np.random.default_rng(0)
+    for index in range(3):
+        axes = gates.axes[index]
+        places = gates.position[index] + rng.uniform(-0.7, 0.7, (500, 3)) @ (
+            axes if waypoint else axes * [[0.0], [1.0], [1.0]]
+        )
+        inside = [place for place in places if gates.clearance(index, place) >= 0.0]
+        ways = rng.normal(size=(50, 3))  # a convex set contains a point if all its supports do
+        for kept in (0.0, 0.1):
+            reached = (gates.shrunk(index, kept) @ ways.T).max(axis=0)
+            clear = [place for place in inside if gates.clearance(index, place) >= kept]
+            assert len(clear) > 10
+            assert np.all(np.array(clear) @ ways.T <= reached + 1e-9)
+
+
+def _crossing(*gate):
+    """Where a point mass passes a gate that is above and beside the way, in the gate's frame."""
+    pytest.importorskip("casadi")
+    import threading
+
+    from quadjax.limits.point_mass import optimize, spline
+
+    choices, params = race_of(load_config("e2e_shac", list(gate)))
+    problem = make_problem(choices.model, params, start="hover", passages=2, stops=True)
+    first = spline(problem, 6, 3.0, 0.0, np.random.default_rng(0))
+    path = optimize(problem, first, 20.0, threading.Event())
+    gates = problem.gates
+    return gates.axes[0] @ (path.position[6] - gates.position[0]), gates.half_size[0]
+
+
+GATES = (
+    "track={name: two, start: {position: [0, 0, -1], yaw_deg: 0}, gates: ["
+    "{position: [3, 1.5, -2.5], yaw_deg: 0, size: [1, 1]%s}, "
+    "{position: [6, 0, -1], yaw_deg: 0, size: [1, 1]}]}"
+)
+KEPT = 0.01  # m, margin of a guess
+
+
+def test_a_round_gate_is_passed_at_its_edge():
+    place, half = _crossing(GATES % ", shape: circle")
+    assert np.hypot(*place[1:]) == pytest.approx(half[0] - KEPT, abs=1e-3)
+    assert min(abs(place[1:])) > 0.1  # inside of the square's corner
+
+
+def test_a_tilted_gate_is_passed_at_its_edge():
+    upright, half = _crossing(GATES % "")
+    np.testing.assert_allclose(upright[1:], [KEPT - half[0], half[1] - KEPT], atol=1e-3)
+    tilted, _ = _crossing(GATES % ", roll_deg: 45")  # a corner to the side
+    assert max(abs(tilted[1:])) == pytest.approx(half[0] - KEPT, abs=1e-3)
+    world = np.array([(tilted[1] - tilted[2]), (tilted[1] + tilted[2])]) / np.sqrt(2.0)
+    assert abs(world).sum() == pytest.approx(np.sqrt(2.0) * (half[0] - KEPT), abs=0.05)
