@@ -107,6 +107,7 @@ def solve(
     stop: threading.Event | None = None,
     report: Callable[[float], object] = lambda value: None,
     max_iterations: int = 1000,
+    warm: bool = False,
 ) -> Solution:
     """Solve the nonlinear program on the mesh of an initial guess.
 
@@ -120,6 +121,7 @@ def solve(
         stop: if set, the solver returns the current iterate.
         report: called at each iteration with the objective.
         max_iterations: of IPOPT.
+        warm: the guess is a solution on another mesh.
     """
     began = time.monotonic()
     legs, nodes = len(guess.leg_times), len(guess.states)
@@ -161,6 +163,7 @@ def solve(
         ),
         seconds=seconds,
         max_iterations=max_iterations,
+        warm=warm,
         stop=stop or threading.Event(),
         report=report,
     )

@@ -70,6 +70,7 @@ def minimize(
     *,
     seconds: float,
     max_iterations: int,
+    warm: bool = False,
     stop: threading.Event,
     report: Callable[[float], object],
 ) -> tuple[np.ndarray, bool, str]:
@@ -83,6 +84,7 @@ def minimize(
         first: (n,) initial values.
         seconds: time limit.
         max_iterations: of IPOPT.
+        warm: the first values are close to a solution, as from a coarser mesh.
         stop: if set, the current iterate is returned.
         report: called at each iteration with the objective.
 
@@ -98,8 +100,10 @@ def minimize(
         "acceptable_tol": 1e-5,
         "max_iter": max_iterations,
         "max_wall_time": max(0.1, seconds),
-        "mu_init": 1e-2,
+        "mu_init": 1e-4 if warm else 1e-2,
     }
+    if warm:
+        options |= {"bound_push": 1e-5, "bound_frac": 1e-5}
     solver = casadi.nlpsol(
         "flight",
         "ipopt",

@@ -116,7 +116,7 @@ class Search:
         return dataclasses.replace(best, notes=self._notes(best))
 
     def _solve(
-        self, name: str, guess: Trajectory, margin: float, share: float = 1.0
+        self, name: str, guess: Trajectory, margin: float, share: float = 1.0, warm: bool = False
     ) -> tuple[Trajectory, bool, str]:
         """Solve in at most a share of the time that is left."""
         best = "" if self.best is None else f", best {self.best.total:.4f} s"
@@ -127,6 +127,7 @@ class Search:
             guess,
             margin=margin,
             walls=self.walls,
+            warm=warm,
             seconds=share * self._left(),
             stop=self.stop,
             report=lambda value: self.report(f"{text}: {value:.4f} s"),
@@ -152,7 +153,7 @@ class Search:
             self.walls += check.walls
             refine = refine and 2 * trajectory.intervals <= finest
             mesh = trajectory.resample(2 * trajectory.intervals) if refine else trajectory
-            finer, converged, status = self._solve(name, mesh, margin)
+            finer, converged, status = self._solve(name, mesh, margin, warm=True)
             if not converged:
                 self._keep(name, finer, verify(self.problem, finer), margin, np.inf)
                 return status

@@ -36,8 +36,9 @@ def test_the_equations_agree_with_jax(name):
     for _ in range(5):
         start = leaves(problem.hover_state)
         state = start * rng.uniform(0.5, 1.5, len(start)) + rng.uniform(-1.0, 1.0, len(start))
-        unit = leaves(model.wrap(problem.state(state)))  # of a quaternion; angles as they are
-        state = np.where(problem.normalized, unit, state)
+        with jax.enable_x64(True):
+            unit = leaves(model.wrap(problem.state(map(np.float64, state))))
+        state = np.where(problem.normalized, unit, state)  # angles as they are
         command = rng.uniform(low, high)
         with jax.enable_x64(True):
             held = model.hold(problem.state(map(np.float64, state)), problem.command(command))
