@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from quadjax.limits.solve import BestKnown
     from quadjax.limits.trajectory import Trajectory
 
+STOPPING = b"\nstopping: the best flight so far is kept; Ctrl-C again ends without it\n"
 PICTURES = (".png", ".svg", ".pdf")
 MOST_LAPS, MOST_GATES, MOST_SECONDS = 20, 200, 86_400
 
@@ -140,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     choices, params = race_of(config)
     problem = run.problem_of(choices, params, _race(options))
     laps: list[Trajectory] = []
-    with interruptions() as stop, console.status("compiling") as status:
+    with interruptions(STOPPING) as stop, console.status("compiling") as status:
         if options.policy is not None:
             policy = Policy.load(options.policy)
             laps = run.policy_laps(choices, params, problem, policy, options.policy)

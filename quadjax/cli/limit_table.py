@@ -14,6 +14,7 @@ from rich.console import Console
 from quadjax.cli.arguments import Parser, parse, whole
 from quadjax.core.interruptions import interruptions, loading
 
+STOPPING = b"\nstopping: the table is continued by the same command\n"
 DEFAULT_SECONDS, MOST_SECONDS = 300, 86_400
 
 
@@ -40,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.studies import limits_table
 
     tracks = options.tracks or list(limits_table.TRACKS)
-    with interruptions() as stop, console.status("compiling") as status:
+    with interruptions(STOPPING) as stop, console.status("compiling") as status:
         limits_table.make(options.folder, tracks, options.seconds, PRETRAINED, stop, status.update)
     print(limits_table.markdown(options.folder, tracks))
     return 1 if stop.is_set() else 0

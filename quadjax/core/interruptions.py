@@ -14,10 +14,10 @@ Handler = Callable[[int, FrameType | None], object] | int | None
 
 
 @contextmanager
-def interruptions() -> Iterator[threading.Event]:
+def interruptions(message: bytes = STOPPING) -> Iterator[threading.Event]:
     """An event that Ctrl-C or SIGTERM sets; a second one raises ``KeyboardInterrupt``.
 
-    The first one prints a line to stderr.
+    The first one prints a line, ``message``, to stderr.
     The handler that was installed before is called at the first signal, too.
     """
     stop = threading.Event()
@@ -29,7 +29,7 @@ def interruptions() -> Iterator[threading.Event]:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
-        os.write(2, STOPPING)
+        os.write(2, message)
         handler = before[number]
         if callable(handler) and handler is not signal.default_int_handler:
             handler(number, frame)
