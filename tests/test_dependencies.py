@@ -14,13 +14,16 @@ ALLOWED = {
     "config": CONFIG,
     "policy": CONFIG - {"learners"} | {"config"},
     "training": CONFIG | {"config", "policy"},
-    "evaluation": CONFIG | {"config", "policy", "training"},
+    "view": {"core"},
+    "evaluation": CONFIG | {"config", "policy", "training", "view"},
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle"},
     "limits": {"core", "vehicle", "race", "policy"},
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation"},
+    "dashboard": CONFIG
+    | {"config", "policy", "training", "view", "evaluation", "fitting", "limits", "sweeps"},
     "studies": CONFIG
     | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"},
 }

@@ -22,6 +22,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "train": "train a racing policy",
     "evaluate": "time the laps of a policy and draw them",
     "results": "tabulate mean and sampled flights of policies",
+    "view": "write flights as an interactive 3D page",
     "limit": "compute the best known lap of a track and a lower bound",
     "limit-table": "compute best known laps and lower bounds of several drones",
     "seeds": "train over several seeds and compare them",

@@ -209,13 +209,15 @@ def _write(
     from quadjax.core.files import write_json, write_npz
     from quadjax.core.plotting import save_figure
     from quadjax.limits.compare import figure
-    from quadjax.limits.report import arrays, to_json
+    from quadjax.limits.report import LIMIT, arrays, to_json
 
     report = to_json(config, problem, best, bound, flown, options.policy)
     if options.json:
         write_json(options.json, report)
     if options.npz:
-        write_npz(options.npz, arrays(problem, best), report)
+        track = [gate.model_dump(mode="json") for gate in config.track.gates]
+        meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track": track}
+        write_npz(options.npz, arrays(problem, best), report | meta)
     if options.figure:
         flights = {"best known": best.trajectory}
         if laps:

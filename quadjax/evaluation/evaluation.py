@@ -16,8 +16,8 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_npz
 from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
-from quadjax.core.plotting import show_figure
 from quadjax.core.provenance import provenance
+from quadjax.evaluation import viewing
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
 from quadjax.evaluation.recording import (
     Recording,
@@ -34,6 +34,9 @@ from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps, Trace
 from quadjax.training.paper import Row, published_rows
 from quadjax.vehicle.protocol import VehicleModel
+from quadjax.view.notebook import show
+
+STATES = "quadjax-states/1"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,12 +115,13 @@ class Evaluation:
         """Actuators and body rates of the best run over time."""
         return signals_figure(self.best, flight_title(self.best))
 
-    def show(self) -> None:
-        """Show the figure of ``plot``: in a notebook, or in a window until it is closed.
+    def show(self, path: Path | str | None = None) -> None:
+        """Show the runs in 3D: in a notebook, or as a page in the browser.
 
-        Without a display nothing is shown: write the figure with ``plot().savefig(path)``.
+        Args:
+            path: of the page, an HTML file that needs no network; a temporary file if not given.
         """
-        show_figure(self.plot())
+        show(viewing.scene_of(self, self.label()).record(), path)
 
     def animate(self, path: Path | str, advance: Callable[[], object] = lambda: None) -> None:
         """Write an animation of all runs in real time.
@@ -136,8 +140,8 @@ class Evaluation:
         Arrays: ``time`` (steps,) s; ``position``, ``velocity`` (runs, steps, 3) m, m/s, world NED;
         ``euler``, ``rates`` (runs, steps, 3) rad, rad/s; ``actuators`` (runs, steps, 4 or 1) rpm or
         m/s^2; ``command`` (runs, steps, 4); NaN after the end of a run; ``lap_times`` (runs, laps)
-        s; ``meta``, the JSON of ``to_json``. The table has the same signals with their units in the
-        header, and a line for each time of each run.
+        s; ``meta``, the JSON of ``to_json``, with the vehicle model and the gates. The table has
+        the same signals with their units in the header, and a line for each time of each run.
 
         Raises:
             InputError: another suffix.
@@ -146,7 +150,9 @@ class Evaluation:
             write_table(path, self.flights, self.model)
         elif Path(path).suffix == ".npz":
             more = {"lap_times": self.lap_times}
-            write_npz(path, state_arrays(self.flights) | more, self.to_json())
+            track = [gate.model_dump(mode="json") for gate in self.gates]
+            meta = {"format": STATES, "vehicle": self.model.name, "track": track}
+            write_npz(path, state_arrays(self.flights) | more, self.to_json() | meta)
         else:
             raise InputError(f"{path}: suffix is {Path(path).suffix!r}, allowed: .npz, .csv")
 

@@ -3,6 +3,8 @@
 import dataclasses
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pydantic
 
@@ -10,8 +12,10 @@ from quadjax.core.provenance import provenance
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.compare import Comparison
 from quadjax.limits.problem import Problem
-from quadjax.limits.simulation import positions, velocities
+from quadjax.limits.simulation import positions, vectors, velocities
 from quadjax.limits.solve import BestKnown
+
+LIMIT = "quadjax-limit/1"
 
 
 def to_json(
@@ -58,16 +62,23 @@ def to_json(
 def arrays(problem: Problem, best: BestKnown) -> dict[str, np.ndarray]:
     """Times, states and commands at the nodes of the mesh.
 
-    ``time`` (n,) s; ``position``, ``velocity`` (n, 3) m, m/s, world NED; ``state`` (n, k), the
-    leaves of the model's state in order; ``command`` (n, commands); ``leg_times`` (legs,) s;
+    ``time`` (n,) s; ``position``, ``velocity`` (n, 3) m, m/s, world NED; ``euler``, ``rates``
+    (n, 3) rad, rad/s; ``actuators`` (n, actuators); ``state`` (n, k), the leaves of the model's
+    state in order; ``command`` (n, commands); ``leg_times`` (legs,) s;
     ``flown_position`` (m + 1, 3) and ``flown_command`` (m, commands), of the verification, each
     command held for 1 ms.
     """
     trajectory = best.trajectory
+    with jax.enable_x64(True):
+        state = problem.state(jnp.asarray(trajectory.states).T)
+        actuators = [np.asarray(x) for x in jax.tree.leaves(problem.model.actuator_state(state))]
     return {
         "time": trajectory.times,
         "position": positions(problem, trajectory.states),
         "velocity": velocities(problem, trajectory.states),
+        "euler": vectors(problem, trajectory.states, "euler"),
+        "rates": vectors(problem, trajectory.states, "rates"),
+        "actuators": np.stack(actuators, axis=1),
         "state": trajectory.states,
         "command": trajectory.commands,
         "leg_times": trajectory.leg_times,

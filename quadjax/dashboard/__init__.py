@@ -1,0 +1,1 @@
+"""What the pages show: flights of any source, training runs while they train, and sweeps."""

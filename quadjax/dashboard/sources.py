@@ -1,0 +1,289 @@
+"""Flights from runs, policies, recorded states, best known laps, flight logs and JSON."""
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadjax.config.loading import load_config
+from quadjax.config.schema import Config, Gate
+from quadjax.core.errors import InputError
+from quadjax.core.files import check_file, read_json, read_npz
+from quadjax.core.folders import kind_of
+from quadjax.core.resources import PRETRAINED, preset_names
+from quadjax.core.sections import build
+from quadjax.evaluation.evaluation import STATES, Evaluation, evaluate
+from quadjax.evaluation.viewing import RATES, flights_of, marker_of, split
+from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.flight_log import FlightLog, read_log
+from quadjax.limits.report import LIMIT
+from quadjax.policy.file import FORMATS, Policy
+from quadjax.vehicle.registry import model
+from quadjax.view.data import FORMAT, Scene, check_record, gate_record
+from quadjax.view.flight import MOTORS, Flight, Marker, passages, strip
+
+SIGNALS = ("time", "position", "velocity", "euler", "rates", "actuators", "command")
+RECORDED = (*SIGNALS, "lap_times", "leg_times")
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """How sources are read.
+
+    Attributes:
+        race: that policies fly, and whose gates files without gates get; None: a policy's own.
+        laps: of policies; ``evaluate.laps`` of the race if not given.
+        runs: of each policy.
+        sampled: sampled actions rather than the mean action.
+        seed: of the noise and the disturbances.
+        logs: columns and frames of flight logs.
+    """
+
+    race: Config | None = None
+    laps: int | None = None
+    runs: int = 1
+    sampled: bool = False
+    seed: int = 0
+    logs: LogsConfig = dataclasses.field(default_factory=LogsConfig)
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """What one source gives: flights or lap times, and their gates, if it knows them."""
+
+    gates: tuple[Gate, ...]
+    flights: tuple[Flight, ...] = ()
+    markers: tuple[Marker, ...] = ()
+    record: dict[str, Any] | None = None  # of a file of records
+
+
+def read_source(source: Path | str, name: str, options: Options) -> Source:
+    """Flights of one source.
+
+    Args:
+        source: a training run's folder; a policy file, or the name of one that comes with the
+            package; recorded states (``.npz``, of ``quadjax evaluate --states``); a best known lap
+            (``.npz``, of ``quadjax limit --npz``); a flight log (``.csv``); records or lap times
+            (``.json``).
+        name: of the flights.
+        options: how they are read.
+
+    Raises:
+        InputError: no such file, an unknown kind, or one that cannot be read.
+    """
+    path = Path(source)
+    if path.is_dir():
+        return _read_run(path, name, options)
+    if not path.exists():
+        shipped = PRETRAINED / path.with_suffix(".npz")
+        path = shipped if shipped.exists() else path
+    check_file(path)
+    readers = {".npz": _read_npz, ".csv": _read_csv, ".json": _read_json}
+    if path.suffix not in readers:
+        raise InputError(
+            f"{source}: suffix is {path.suffix!r}, allowed: a run's folder, {', '.join(readers)}"
+        )
+    return readers[path.suffix](path, name, options)
+
+
+def _read_run(folder: Path, name: str, options: Options) -> Source:
+    kind = kind_of(folder)
+    if kind != "training" or not (folder / "policy.npz").exists():
+        raise InputError(f"{folder}: expected the folder of a training run with a policy.npz")
+    config = options.race or load_config(folder / "config.yaml")
+    return fly(folder / "policy.npz", config, name, options)
+
+
+def _read_npz(path: Path, name: str, options: Options) -> Source:
+    arrays, meta = read_npz(path, (*FORMATS, STATES, LIMIT), RECORDED)
+    if meta["format"] in FORMATS:
+        return fly(path, options.race or _own_race(path), name, options)
+    gates = tuple(_gates_of(path, meta)) or _gates(options)
+    missing = [key for key in SIGNALS if key not in arrays]
+    if missing:
+        raise InputError(f"{path}: no array {missing[0]}")
+    flights = _limit if meta["format"] == LIMIT else _states
+    return Source(gates, tuple(flights(arrays, meta, gates, name)))
+
+
+def _own_race(path: Path) -> Config:
+    policy = Policy.load(path)
+    own, preset = policy.config, re.sub(r"_seed\d+$", "", str(policy.source.get("config")))
+    if own is None and preset in preset_names():
+        return load_config(preset)
+    if own is None:
+        raise InputError(f"{path}: does not contain its config, name the race: --race CONFIG")
+    return build(Config, own, f"{path}: config")
+
+
+def fly(path: Path, config: Config, name: str, options: Options) -> Source:
+    """Flights of a policy file in a race."""
+    evaluation = evaluate(
+        path,
+        config,
+        runs=options.runs,
+        laps=options.laps,
+        deterministic=not options.sampled,
+        seed=options.seed,
+        name=str(path),
+    )
+    return of_evaluation(evaluation, name)
+
+
+def of_evaluation(evaluation: Evaluation, name: str) -> Source:
+    """Flights of an evaluation, and published lap times where it is the paper's race."""
+    markers = tuple(marker_of(row) for row in evaluation.published)
+    return Source(tuple(evaluation.gates), tuple(flights_of(evaluation, name)), markers)
+
+
+def _gates(options: Options) -> tuple[Gate, ...]:
+    return tuple(options.race.track.gates) if options.race else ()
+
+
+def _gates_of(path: Path, meta: dict[str, Any]) -> list[Gate]:
+    gates = meta.get("track") or []
+    if not isinstance(gates, list):
+        raise InputError(f"{path}: track is {gates!r:.80}, expected a list")
+    return [build(Gate, each, f"{path}: track[{index}]") for index, each in enumerate(gates)]
+
+
+def _states(
+    arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[Gate, ...], name: str
+) -> list[Flight]:
+    """Flights of ``Evaluation.save_states``."""
+    flights, reasons = [], {each["run"]: each["reason"] for each in meta.get("crashes", [])}
+    for run, position in enumerate(arrays["position"]):
+        count = int(np.isfinite(position[:, 0]).sum())
+        own = {key: arrays[key][run, :count] for key in SIGNALS[1:]}
+        times = arrays["lap_times"][run]
+        label = name if len(arrays["position"]) == 1 else f"{name} {run + 1}"
+        ends = np.cumsum(times[np.isfinite(times)])
+        flight = _flight(arrays["time"][:count], own, meta, gates, label)
+        flights.append(dataclasses.replace(flight, lap_ends=ends, crash=reasons.get(run, "")))
+    return flights
+
+
+def _limit(
+    arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[Gate, ...], name: str
+) -> list[Flight]:
+    """The flight of ``quadjax limit --npz``."""
+    periodic = meta.get("start") == "periodic"
+    note = "best known lap, flying start" if periodic else "best known flight from hover"
+    flight = _flight(arrays["time"], arrays, meta, gates, name)
+    ends = np.cumsum(arrays["leg_times"])[len(gates) - 1 :: len(gates)] if gates else np.zeros(0)
+    return [dataclasses.replace(flight, lap_ends=ends, note=note, periodic=periodic)]
+
+
+def _flight(
+    time: np.ndarray,
+    arrays: dict[str, np.ndarray],
+    meta: dict[str, Any],
+    gates: tuple[Gate, ...],
+    name: str,
+) -> Flight:
+    vehicle = model(str(meta.get("vehicle", "motor")))
+    return Flight(
+        name,
+        time,
+        arrays["position"],
+        arrays["velocity"],
+        Rotation.from_euler("ZYX", arrays["euler"][:, ::-1]),
+        (
+            *split(vehicle.commands, arrays["command"], "commanded "),
+            *split((vehicle.actuators,), arrays["actuators"], ""),
+            strip("body rates", "rad/s", RATES, arrays["rates"]),
+        ),
+        passages(time, arrays["position"], gates),
+    )
+
+
+def _read_csv(path: Path, name: str, options: Options) -> Source:
+    log, gates = read_log(path, options.logs), _gates(options)
+    if log.position is None or log.attitude is None:
+        raise InputError(f"{path}: position and attitude are needed to show a flight log")
+    return Source(gates, (flight_of_log(log, gates, name),))
+
+
+def flight_of_log(log: FlightLog, gates: tuple[Gate, ...], name: str) -> Flight:
+    """The flying part of a flight log; laps end where the first gate that it passes is passed."""
+    (going,) = np.nonzero(log.flying)
+    part = slice(int(going[0]), int(going[-1]) + 1) if len(going) else slice(None)
+    assert log.position is not None and log.attitude is not None
+    time, attitude = log.time[part] - log.time[part][0], log.attitude[part]
+    strips = [strip("rotor speed", "rpm", MOTORS, log.rpm[part])]
+    if log.rpm_command is not None:
+        strips.insert(0, strip("commanded rotor speed", "rpm", MOTORS, log.rpm_command[part]))
+    strips.append(strip("body rates", "rad/s", RATES, log.rates[part]))
+    position = log.position[part]
+    passed = passages(time, position, gates)
+    ends = passed[passed[:, 1] == passed[0, 1], 0][1:] if len(passed) else np.zeros(0)
+    velocity = attitude.apply(log.body_velocity[part])
+    return Flight(
+        name, time, position, velocity, attitude, tuple(strips), passed, ends, note="flight log"
+    )
+
+
+def _read_json(path: Path, name: str, options: Options) -> Source:
+    value = read_json(path)
+    if "format" in value:
+        return Source((), record=check_record(path, value))
+    if "best_known" in value and value.get("start") == "periodic":
+        return Source((), markers=(Marker(name, np.array([float(value["best_known"])])),))
+    laps = value.get("laps")
+    try:
+        rows = [np.array(row, np.float64) for row in laps] if isinstance(laps, list) else []
+    except (TypeError, ValueError):
+        rows = []
+    whole = [row for row in rows if row.ndim == 1 and len(row) and np.isfinite(row).all()]
+    if not whole:
+        raise InputError(
+            f"{path}: expected format {FORMAT}, or laps: lists of times of complete runs"
+        )
+    best = min(whole, key=lambda row: float(row.sum()))
+    return Source((), markers=(Marker(name, np.cumsum(best)),))
+
+
+def scene_record(
+    sources: list[Path | str], names: list[str], title: str, options: Options
+) -> dict[str, Any]:
+    """The record of a page with all sources; laps that can be repeated are, as often as others fly.
+
+    Args:
+        sources: as for ``read_source``.
+        names: of the first of them; the others are named after their files.
+        title: of the page.
+        options: how they are read.
+
+    Raises:
+        InputError: as ``read_source``; no flight; or flights on different tracks.
+    """
+    labels = [*names, *(_label(source) for source in sources[len(names) :])]
+    read = [read_source(*each, options) for each in zip(sources, labels, strict=True)]
+    gates: list[dict[str, Any]] = []
+    for source, each in zip(sources, read, strict=True):
+        own = each.record["gates"] if each.record else [gate_record(g) for g in each.gates]
+        if gates and own and own != gates:
+            raise InputError(f"{source}: is on another track than {sources[0]}")
+        gates = gates or own
+    laps = max((len(f.lap_ends) for each in read for f in each.flights), default=1)
+    flights = tuple(f.repeated(laps) for each in read for f in each.flights)
+    markers = {marker.name: marker for each in read for marker in each.markers}
+    records = [each.record for each in read if each.record]
+    record = (
+        records[0]
+        if records and not flights
+        else Scene(title, (), flights, tuple(markers.values())).record()
+    )
+    more = records if flights else records[1:]
+    record = record | {"title": title, "gates": gates}
+    for key in ("flights", "markers"):
+        record[key] = [*record[key], *(item for each in more for item in each[key])]
+    return record
+
+
+def _label(source: Path | str) -> str:
+    path = Path(source)
+    return path.resolve().name if path.is_dir() else path.stem

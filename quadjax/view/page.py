@@ -1,0 +1,86 @@
+"""Self-contained pages: HTML with the program, the style and the data inside."""
+
+import base64
+import functools
+import hashlib
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from quadjax import __version__
+from quadjax.core.files import write_text
+
+ASSETS = Path(__file__).parent / "assets"
+HEIGHT = 560  # px, of a page in a notebook
+
+
+def page(record: dict[str, Any], server: bool = False) -> str:
+    """The HTML of a page.
+
+    The page loads nothing: its security policy allows only its own script and style, identified by
+    their hashes, and, for a page of a server, requests to that server. Text of the record is shown
+    as text.
+
+    Args:
+        record: of a ``Scene``, or the settings of a live page.
+        server: whether the page asks the server that it came from for data.
+    """
+    script, css = _asset("viewer.js"), _asset("viewer.css")
+    source = "'self'" if server else "'none'"
+    policy = (
+        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(css)}; "
+        f"img-src data: blob:; connect-src {source}"
+    )
+    data = json.dumps(record, allow_nan=False, separators=(",", ":"))
+    for letter in "<>&\u2028\u2029":  # no tag or comment begins or ends in the data
+        data = data.replace(letter, f"\\u{ord(letter):04x}")
+    return _template().render(
+        version=__version__,
+        policy=policy,
+        title=html.escape(str(record.get("title", "quadjax"))),
+        css=css,
+        data=data,
+        script=script,
+        license=_asset("three.LICENSE").partition("\n\n")[2].partition("\n")[0],
+    )
+
+
+def write_page(path: Path | str, record: dict[str, Any]) -> None:
+    """Write a page as one HTML file.
+
+    Raises:
+        InputError: a path that cannot be written.
+    """
+    write_text(path, page(record))
+
+
+def frame(record: dict[str, Any], height: int = HEIGHT) -> str:
+    """The page as an ``iframe`` for a notebook or another page.
+
+    Args:
+        record: of a ``Scene``.
+        height: px.
+    """
+    source = html.escape(page(record), quote=True)
+    return (
+        f'<iframe srcdoc="{source}" sandbox="allow-scripts" allow="fullscreen" '
+        f'style="width: 100%; height: {height}px; border: 0"></iframe>'
+    )
+
+
+@functools.cache
+def _asset(name: str) -> str:
+    return (ASSETS / name).read_text(encoding="utf-8")
+
+
+@functools.cache
+def _template() -> jinja2.Template:
+    return jinja2.Template(_asset("page.html"), keep_trailing_newline=True)
+
+
+def _hash(text: str) -> str:
+    digest = hashlib.sha256(text.encode()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode('ascii')}'"

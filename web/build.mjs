@@ -1,0 +1,22 @@
+// Bundle src/main.js with three.js into quadjax/view/assets, with the license of three.js.
+import { copyFileSync, readFileSync, statSync, writeFileSync } from "node:fs";
+import { build } from "esbuild";
+
+const assets = new URL("../quadjax/view/assets/", import.meta.url).pathname;
+await build({
+  absWorkingDir: new URL(".", import.meta.url).pathname,
+  entryPoints: ["src/main.js"],
+  bundle: true,
+  minify: true,
+  format: "iife",
+  target: "es2022",
+  charset: "ascii",
+  legalComments: "inline",
+  outfile: `${assets}viewer.js`,
+});
+// The bundle stands inside an HTML script element, which the text </script would end.
+const text = readFileSync(`${assets}viewer.js`, "utf8").replaceAll("</script", "<\\/script");
+writeFileSync(`${assets}viewer.js`, text);
+copyFileSync(new URL("node_modules/three/LICENSE", import.meta.url).pathname,
+  `${assets}three.LICENSE`);
+console.log(`viewer.js: ${(statSync(`${assets}viewer.js`).size / 1024).toFixed(0)} KiB`);

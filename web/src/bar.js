@@ -1,0 +1,71 @@
+// The bar below the scene: play, step, scrub, rate.
+import { RATES } from "./clock.js";
+import { flightColor } from "./colors.js";
+import { el, seconds } from "./dom.js";
+
+const ICONS = { play: "M7 4v16l13-8z", pause: "M6 4h4v16H6zM14 4h4v16h-4z",
+  back: "M18 5v14l-10-7zM5 5h2.5v14H5z", ahead: "M6 5v14l10-7zM16.500 5H19v14h-2.500z" };
+
+function icon(name) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  svg.setAttribute("viewBox", "0 0 24 24");
+  svg.setAttribute("aria-hidden", "true");
+  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  path.setAttribute("d", ICONS[name]);
+  svg.append(path);
+  return svg;
+}
+
+export class Bar {
+  constructor(clock, flights, markers, step) {
+    this.clock = clock;
+    this.button = el("button", { class: "play", onclick: () => clock.play(!clock.playing) });
+    this.scrub = el("input", { type: "range", min: 0, max: clock.end, step: 0.001, value: 0,
+      "aria-label": "time", oninput: () => clock.seek(Number(this.scrub.value)) });
+    this.time = el("output", { class: "time" });
+    this.rate = el("select", { "aria-label": "playback speed",
+      onchange: () => clock.setRate(Number(this.rate.value)) },
+    ...RATES.map((rate) => el("option", { value: rate, text: `${rate}×` })));
+    this.ticks = this.lapTicks(flights, markers);
+    const button = (name, label, action) =>
+      el("button", { title: label, "aria-label": label, onclick: action }, icon(name));
+    this.element = el("div", { class: "bar" },
+      button("back", "one step back (←)", () => clock.step(-step)), this.button,
+      button("ahead", "one step ahead (→)", () => clock.step(step)), this.time,
+      el("div", { class: "scrub" }, el("div", { class: "ticks" }, ...this.ticks.map((t) => t.element)),
+        this.scrub), this.rate);
+    clock.onChange(() => this.update());
+    this.update();
+  }
+
+  // Ends of laps on the time line: of the flights above it, of the markers below.
+  lapTicks(flights, markers) {
+    const all = [...flights.slice(0, 8).map((f) => [f.name, f.lapEnds]),
+      ...markers.map((m) => [m.name, m.lap_ends])];
+    return all.flatMap(([name, ends], index) => ends.map((end, lap) => {
+      const marker = index >= Math.min(flights.length, 8);
+      const element = el("i", { class: marker ? "marker" : "",
+        title: `${name}: lap ${lap + 1} ends at ${seconds(end)} s` });
+      element.style.left = `${(100 * end) / this.clock.end}%`;
+      return { element, index: marker ? index - 8 + Math.max(flights.length, 8) : index };
+    }));
+  }
+
+  setTheme(theme) {
+    for (const { element, index } of this.ticks) element.style.background = flightColor(index, theme);
+  }
+
+  update() {
+    const { clock } = this;
+    const state = clock.playing ? "pause" : "play";
+    if (this.button.dataset.state !== state) {
+      this.button.dataset.state = state;
+      this.button.replaceChildren(icon(state));
+      this.button.title = `${state} (space)`;
+      this.button.setAttribute("aria-label", state);
+    }
+    this.scrub.value = clock.time;
+    this.time.textContent = `${clock.time.toFixed(2)} / ${clock.end.toFixed(2)} s`;
+    this.rate.value = clock.rate;
+  }
+}

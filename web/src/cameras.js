@@ -1,0 +1,100 @@
+// Orbit, chase, on-board and top views of one perspective camera.
+import { MathUtils, PerspectiveCamera, Quaternion, Vector3 } from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+export const VIEWS = ["orbit", "chase", "on-board", "top"];
+const UP = new Vector3(0, 1, 0);
+
+export class Cameras {
+  constructor(element, bounds) {
+    this.camera = new PerspectiveCamera(45, 1, 0.03, 2000);
+    this.bounds = bounds;
+    this.view = "orbit";
+    this.fieldOfView = 100; // deg, horizontal, of the on-board camera
+    this.tilt = 25; // deg, upwards from the body's x axis
+    this.controls = new OrbitControls(this.camera, element);
+    this.controls.maxPolarAngle = 0.495 * Math.PI;
+    this.controls.minDistance = 0.4;
+    this.controls.maxDistance = 12 * bounds.radius;
+    this.scratch = { a: new Vector3(), b: new Vector3(), turn: new Quaternion() };
+    this.setView("orbit");
+  }
+
+  setView(view) {
+    this.view = view;
+    this.controls.enabled = view === "orbit" || view === "top";
+    this.controls.enableRotate = view === "orbit";
+    this.controls.screenSpacePanning = view === "top";
+    this.camera.up.copy(UP);
+    this.reset();
+  }
+
+  // Place the orbit or top camera so that the whole track is visible.
+  reset() {
+    const { center, low, high, radius } = this.bounds;
+    this.setLens(this.view === "top" ? 20 : 40);
+    const half = Math.tan(MathUtils.degToRad(this.camera.fov / 2));
+    if (this.view === "top") {
+      const wide = (high.x - low.x) / 2 + 0.8;
+      const deep = (high.z - low.z) / 2 + 0.8;
+      const distance = Math.max(deep, wide / this.camera.aspect) / half + high.y;
+      this.controls.target.set(center.x, 0, center.z);
+      this.camera.position.set(center.x, distance, center.z + 1e-3);
+    } else {
+      const narrow = Math.min(1, this.camera.aspect * 0.92);
+      const distance = (0.86 * radius) / (half * narrow);
+      this.controls.target.set(center.x, 0.6 * center.y, center.z);
+      this.camera.position.set(-0.34, 0.52, 0.78).normalize().multiplyScalar(distance)
+        .add(this.controls.target);
+    }
+    this.controls.update();
+  }
+
+  setLens(degrees) {
+    this.camera.fov = degrees;
+    this.camera.updateProjectionMatrix();
+  }
+
+  resize(width, height) {
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    if (this.controls.enabled && !this.touched) this.reset();
+  }
+
+  // Follow a flight at a time; nothing to do in orbit and top view.
+  update(flight, time) {
+    if (this.view === "chase") this.chase(flight, time);
+    if (this.view === "on-board") this.onBoard(flight, time);
+  }
+
+  chase(flight, time) {
+    const { a, b } = this.scratch;
+    this.setLens(60);
+    flight.vectorAt(flight.position, time, a);
+    b.set(0, 0, 0);
+    for (const offset of [-0.45, -0.3, -0.15, 0, 0.15]) {
+      const v = flight.vectorAt(flight.velocity, Math.max(time + offset, 0), new Vector3());
+      b.add(v.setY(0.25 * v.y));
+    }
+    if (b.length() < 0.5) b.set(1, 0, 0).applyQuaternion(flight.attitudeAt(time,
+      this.scratch.turn, new Quaternion())).setY(0);
+    b.normalize();
+    this.camera.up.copy(UP);
+    this.camera.position.copy(a).addScaledVector(b, -1.7).addScaledVector(UP, 0.55);
+    this.camera.position.y = Math.max(this.camera.position.y, 0.15);
+    this.camera.lookAt(a.addScaledVector(b, 0.8));
+  }
+
+  onBoard(flight, time) {
+    const { a, b, turn } = this.scratch;
+    const vertical = 2 * Math.atan(
+      Math.tan(MathUtils.degToRad(this.fieldOfView / 2)) / this.camera.aspect);
+    this.setLens(Math.min(MathUtils.radToDeg(vertical), 150));
+    flight.attitudeAt(time, turn, new Quaternion());
+    const tilt = MathUtils.degToRad(this.tilt);
+    b.set(Math.cos(tilt), Math.sin(tilt), 0).applyQuaternion(turn);
+    this.camera.up.set(-Math.sin(tilt), Math.cos(tilt), 0).applyQuaternion(turn);
+    flight.vectorAt(flight.position, time, this.camera.position);
+    this.camera.lookAt(a.copy(this.camera.position).add(b));
+  }
+}
