@@ -1,9 +1,14 @@
 // Bundle src/main.js with three.js into quadjax/view/assets, with the license of three.js.
-import { copyFileSync, readFileSync, statSync, writeFileSync } from "node:fs";
+import { createHash } from "node:crypto";
+import { copyFileSync, readFileSync, readdirSync, statSync, writeFileSync } from "node:fs";
 import { build } from "esbuild";
 
 const assets = new URL("../quadjax/view/assets/", import.meta.url).pathname;
+const source = new URL("src/", import.meta.url).pathname;
+const hash = createHash("sha256");
+for (const name of readdirSync(source).sort()) hash.update(readFileSync(source + name));
 await build({
+  banner: { js: `// quadjax viewer, built by web/build.mjs from sources ${hash.digest("hex")}` },
   absWorkingDir: new URL(".", import.meta.url).pathname,
   entryPoints: ["src/main.js"],
   bundle: true,

@@ -82,9 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         write_page(options.output, record)
     count, size = len(record["flights"]), Path(options.output).stat().st_size
-    console.print(
-        f"wrote {options.output}: {count} flights, {size / 2**20:.1f} MiB", highlight=False
-    )
+    flights = f"{count} flight{'' if count == 1 else 's'}"
+    console.print(f"wrote {options.output}: {flights}, {size / 2**20:.1f} MiB", highlight=False)
     if options.open:
         webbrowser.open(Path(options.output).resolve().as_uri())
     return 0

@@ -21,9 +21,10 @@ from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.limits.report import LIMIT
 from quadjax.policy.file import FORMATS, Policy
-from quadjax.vehicle.registry import model
+from quadjax.vehicle.protocol import Signal
+from quadjax.vehicle.registry import MODELS
 from quadjax.view.data import FORMAT, Scene, check_record, gate_record
-from quadjax.view.flight import MOTORS, Flight, Marker, passages, strip
+from quadjax.view.flight import MOTORS, Flight, Marker, passages, passages_at, strip
 
 SIGNALS = ("time", "position", "velocity", "euler", "rates", "actuators", "command")
 RECORDED = (*SIGNALS, "lap_times", "leg_times")
@@ -170,11 +171,17 @@ def _limit(
     arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[Gate, ...], name: str
 ) -> list[Flight]:
     """The flight of ``quadjax limit --npz``."""
+    if not gates or "leg_times" not in arrays:
+        raise InputError(f"{name}: a best known lap without gates or leg_times")
     periodic = meta.get("start") == "periodic"
     note = "best known lap, flying start" if periodic else "best known flight from hover"
     flight = _flight(arrays["time"], arrays, meta, gates, name)
-    ends = np.cumsum(arrays["leg_times"])[len(gates) - 1 :: len(gates)] if gates else np.zeros(0)
-    return [dataclasses.replace(flight, lap_ends=ends, note=note, periodic=periodic)]
+    when = np.cumsum(arrays["leg_times"])
+    ends = when[len(gates) - 1 :: len(gates)]
+    passed = passages_at(flight.time, flight.position, gates, when)
+    return [
+        dataclasses.replace(flight, passages=passed, lap_ends=ends, note=note, periodic=periodic)
+    ]
 
 
 def _flight(
@@ -184,7 +191,16 @@ def _flight(
     gates: tuple[Gate, ...],
     name: str,
 ) -> Flight:
-    vehicle = model(str(meta.get("vehicle", "motor")))
+    vehicle = MODELS.get(str(meta.get("vehicle")))  # code that a file names is not imported
+    commands, actuators = arrays["command"], arrays["actuators"]
+    own = (
+        (vehicle.commands, (vehicle.actuators,))
+        if vehicle
+        else (
+            (Signal("command", commands.shape[1], ""),),
+            (Signal("actuators", actuators.shape[1], ""),),
+        )
+    )
     return Flight(
         name,
         time,
@@ -192,8 +208,8 @@ def _flight(
         arrays["velocity"],
         Rotation.from_euler("ZYX", arrays["euler"][:, ::-1]),
         (
-            *split(vehicle.commands, arrays["command"], "commanded "),
-            *split((vehicle.actuators,), arrays["actuators"], ""),
+            *split(own[0], commands, "commanded "),
+            *split(own[1], actuators, ""),
             strip("body rates", "rad/s", RATES, arrays["rates"]),
         ),
         passages(time, arrays["position"], gates),

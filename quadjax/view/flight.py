@@ -183,13 +183,26 @@ def passages(
     return every[np.argsort(every[:, 0], kind="stable")]
 
 
+def passages_at(
+    time: np.ndarray, position: np.ndarray, gates: Sequence[Gate], when: np.ndarray
+) -> np.ndarray:
+    """As ``passages``, of a flight that passes the gates in order at known times (k,), s."""
+    order = np.arange(len(when)) % max(len(gates), 1)
+    places = np.stack([np.interp(when, time, column) for column in position.T], axis=1)
+    clear = [
+        clearance(gates[index], ((place - gates[index].position) @ np.array(gates[index].axes))[1:])
+        for index, place in zip(order, places, strict=True)
+    ]
+    return np.stack([when, order, np.array(clear)], axis=1)
+
+
 def clearance(gate: Gate, place: np.ndarray) -> np.ndarray:
-    """Distance (k,) from the edge of a gate's opening, m, negative outside.
+    """Distance (..) from the edge of a gate's opening, m, negative outside.
 
     Args:
         gate: the gate.
-        place: (k, 2) along its width and its height, from its center, m.
+        place: (.., 2) along its width and its height, from its center, m.
     """
     if gate.shape == "circle":
-        return 0.5 * gate.size[0] - np.linalg.norm(place, axis=1)
-    return (0.5 * np.array(gate.size) - np.abs(place)).min(axis=1)
+        return 0.5 * gate.size[0] - np.linalg.norm(place, axis=-1)
+    return (0.5 * np.array(gate.size) - np.abs(place)).min(axis=-1)

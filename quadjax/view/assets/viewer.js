@@ -1,3 +1,4 @@
+// quadjax viewer, built by web/build.mjs from sources fb4be2f536c8961a06bf87162e41df157ba2fb0b57b1190ab2a0ac58eefd331e
 (()=>{/**
  * @license
  * Copyright 2010-2025 Three.js Authors

@@ -1,0 +1,210 @@
+"""Pages of flights in a real browser."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from quadjax.view.flight import Marker
+from quadjax.view.page import frame
+from tests.view.browser import DESK, PHONE, browser, open_scene
+from tests.view.scenes import AHEAD, RADIUS, circle, scene
+
+pytestmark = pytest.mark.slow
+fixtures = (browser, open_scene)
+RACE = scene(
+    circle("fast", lap=2.5),
+    circle("slow", lap=3.0, offset=0.2),
+    circle("lost", lap=2.8, laps=1, crash="hit a gate"),
+    markers=(Marker("published", np.array([2.9, 5.8])),),
+)
+# NED to the axes of three.js: north to x, down to -y, east to z.
+AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def picture(page) -> np.ndarray:
+    """The 3D view (height, width, 3), settled."""
+    page.page.wait_for_timeout(300)
+    shot = page.page.locator("canvas.world").screenshot()
+    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), np.float64)
+
+
+def busy(image: np.ndarray, rows: int = 6, columns: int = 8) -> np.ndarray:
+    """How much each cell (rows, columns) of a picture differs from the commonest color."""
+    colors, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
+    differs = np.abs(image - colors[counts.argmax()]).sum(axis=2) > 60
+    cells = [np.array_split(row, columns, axis=1) for row in np.array_split(differs, rows, axis=0)]
+    return np.array([[cell.mean() for cell in row] for row in cells])
+
+
+def test_a_page_loads_from_disk_and_plays_without_network(open_scene):
+    with open_scene(RACE) as page:
+        assert [url.split(":")[0] for url in page.requests] == ["file"]
+        page.page.wait_for_function("quadjax.viewer.clock.time > 0.2")
+        assert page.state()["playing"]
+        assert page.page.inner_text("h1") == "Circle"
+        assert page.page.inner_text("tbody tr.selected .label") == "fast"
+
+
+def test_positions_and_attitudes_agree_with_float64(open_scene):
+    flight = circle("one", lap=3.0)
+    with open_scene(scene(flight)) as page:
+        for time in (0.0, 0.537, 2.004, 6.0):
+            (drone,) = page.state(time)["drones"]
+            angle = 2.0 * np.pi * time / 3.0 + AHEAD
+            place = np.array([RADIUS * np.cos(angle), RADIUS * np.sin(angle), -1.5])
+            np.testing.assert_allclose(drone["position"], AXES @ place, atol=1e-3)
+            euler = [angle + np.pi / 2, 0.3, 0.5 * np.sin(angle)]
+            turn = AXES @ Rotation.from_euler("ZYX", euler).as_matrix() @ AXES.T
+            shown = Rotation.from_quat(drone["attitude"]).as_matrix()
+            np.testing.assert_allclose(shown, turn, atol=1e-3)
+
+
+def test_keys_play_step_and_choose(open_scene):
+    with open_scene(RACE) as page:
+        press = page.page.keyboard.press
+        page.still(1.0)
+        press("ArrowRight")
+        assert page.state()["time"] == pytest.approx(1.02)
+        press("Shift+ArrowLeft")
+        assert page.state()["time"] == pytest.approx(0.52)
+        press("ArrowDown")
+        assert page.state()["rate"] == 0.5
+        for key, view in zip("1234", ("orbit", "chase", "on-board", "top"), strict=True):
+            press(key)
+            assert page.state()["view"] == view
+        press("n")
+        page.page.wait_for_function(
+            "document.querySelector('tr.selected .label').textContent == 'slow'"
+        )
+        press(" ")
+        assert page.state()["playing"]
+        press("0")
+        press(" ")
+        assert page.state()["time"] < 0.5
+        before = page.page.get_attribute("html", "data-theme")
+        press("t")
+        assert page.page.get_attribute("html", "data-theme") != before
+
+
+def test_the_time_line_and_the_buttons(open_scene):
+    with open_scene(RACE) as page:
+        page.still(0.0)
+        page.page.get_by_label("time", exact=True).fill("3.1")
+        assert page.state()["time"] == pytest.approx(3.1)
+        page.page.get_by_label("playback speed").select_option("0.1")
+        assert page.state()["rate"] == 0.1
+        page.page.get_by_role("button", name="on-board").click()
+        page.page.get_by_label("field of view").fill("70")
+        assert page.do("return viewer.cameras.fieldOfView") == 70
+        assert page.page.locator(".lens").is_visible()
+        assert page.page.locator(".ticks .marker").count() == 2
+
+
+def test_the_panel_shows_order_gap_laps_and_clearance(open_scene):
+    with open_scene(RACE) as page:
+        page.still(4.0)
+        page.page.get_by_role("button", name="slow").click()
+        # At the same angle, the slower one is 3.0 / 2.5 times as long under way.
+        page.page.wait_for_function("document.querySelector('.numbers').innerText.includes('+')")
+        gap = page.do(
+            "return Number(document.querySelector('.numbers').innerText.match(/\\+([\\d.]+)/)[1])"
+        )
+        assert gap == pytest.approx(4.0 - 4.0 * 2.5 / 3.0, abs=0.1)
+        assert page.state()["order"][0] == "fast"
+        rows = page.page.locator("section table tbody").first.inner_text()
+        assert "hit a gate" in rows
+        assert "3.00 s" in page.page.inner_text(".laps")
+        assert "gate 1: 0.40 m" in page.page.inner_text(".gates")
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE])
+def test_every_control_is_on_the_screen(open_scene, size):
+    with open_scene(RACE, size=size) as page:
+        page.still(1.0)
+        for control in [*page.page.get_by_role("button").all(), page.page.get_by_label("time")]:
+            if not control.is_visible() or control.get_attribute("role") == "button":
+                continue
+            box = control.bounding_box()
+            assert box["x"] >= 0 and box["x"] + box["width"] <= size[0] + 1
+        assert page.do("return document.documentElement.scrollWidth") <= size[0]
+
+
+def test_views_and_themes_show_the_scene(open_scene):
+    for scheme in ("dark", "light"):
+        with open_scene(RACE, scheme=scheme) as page:
+            page.still(1.3)
+            shapes = {}
+            for view in ("orbit", "chase", "on-board", "top"):
+                page.do(f"viewer.setView('{view}')")
+                image = picture(page)
+                shapes[view] = busy(image)
+                assert 0.005 < shapes[view].mean() < 0.9
+                dark = image.mean() < 100
+                assert dark == (scheme == "dark")
+            assert np.abs(shapes["orbit"] - shapes["top"]).max() > 0.05
+
+
+def test_from_above_the_drones_are_where_they_fly(open_scene):
+    with open_scene(scene(circle("one", lap=4.0))) as page:
+        page.do("viewer.setView('top'); viewer.setTrail(0); viewer.toggleLabels()")
+        pictures = []
+        for quarter in range(4):  # north, east, south, west
+            page.still(quarter - 2 * AHEAD / np.pi + 4.0)
+            pictures.append(picture(page))
+        still = np.median(pictures, axis=0)
+        height, width = still.shape[:2]
+        for image, ahead in zip(pictures, ((1, 0), (0, 1), (-1, 0), (0, -1)), strict=True):
+            y, x = np.nonzero(np.abs(image - still).sum(axis=2) > 90)
+            place = np.array([np.median(x) - width / 2, np.median(y) - height / 2])
+            assert place @ ahead > 0.8 * np.linalg.norm(place) > 60
+
+
+def test_hostile_names_are_shown_as_text(open_scene):
+    name = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
+    hostile = scene(
+        circle(name, crash=name, note=name),
+        circle("two", lap=2.0),
+        title=name,
+        markers=(Marker(name, np.array([1.0])),),
+    )
+    with open_scene(hostile) as page:
+        page.still(6.0)
+        assert page.page.inner_text("h1") == name
+        assert name in page.page.inner_text("section table")
+        assert page.do("return window.hacked") is None
+        assert page.do("return document.images.length") == 0
+
+
+def test_ten_megabytes_of_flights(open_scene):
+    many = scene(*(circle(f"flight {k}", lap=3.0 + 0.01 * k, laps=6) for k in range(90)))
+    assert len(str(many.record())) > 9e6
+    with open_scene(many) as page:
+        assert len(page.state(5.0)["drones"]) == 90
+        page.still(5.0)
+        assert busy(picture(page)).mean() > 0.005
+
+
+def test_a_notebook_shows_the_page_in_a_frame(browser, tmp_path):
+    path = tmp_path / "notebook.html"
+    path.write_text(f"<!doctype html><p>cell</p>{frame(RACE.record())}", encoding="utf-8")
+    page = browser.new_page()
+    page.goto(path.as_uri())
+    inner = page.frames[1]
+    inner.wait_for_function("window.quadjax?.viewer?.clock.time > 0")
+    assert inner.inner_text("h1") == "Circle"
+    page.close()
+
+
+def test_without_webgl_the_page_says_so(browser, tmp_path):
+    from quadjax.view.page import write_page
+
+    path = tmp_path / "flights.html"
+    write_page(path, RACE.record())
+    page = browser.new_page()
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.goto(path.as_uri())
+    assert "WebGL 2" in page.inner_text(".message")
+    page.close()
