@@ -1,12 +1,13 @@
 """The command ``quadjax``: one module of this package for each subcommand.
 
 A subcommand is a module with a function ``main(arguments)``, which takes the arguments after
-the subcommand's name and returns the exit status (None is 0). Modules are imported when they are
-needed. Exit status: 0 for success, 1 for a failed check or training, 2 for bad input or a system
-error, 130 for Ctrl-C.
+the subcommand's name and returns the exit status (None is 0). A module whose name is a keyword of
+Python ends with an underscore. Modules are imported when they are needed. Exit status: 0 for
+success, 1 for a failed check or training, 2 for bad input or a system error, 130 for Ctrl-C.
 """
 
 import importlib
+import keyword
 import os
 import sys
 import time
@@ -29,6 +30,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",
     "export": "convert a policy to fixed-point C",
+    "import": "convert a network of another project to a policy or residual file",
     "verify": "build, run and check exported C",
     "compare": "compare E2E with INDI, in simulation and on the plant",
     "simulate-logs": "write flight logs of a known model",
@@ -80,7 +82,8 @@ def _run(argv: list[str]) -> int | None:
         hint = close_match(argv[0], list(COMMANDS))
         raise InputError(f"{argv[0]!r} is not a subcommand{hint}; allowed: {', '.join(COMMANDS)}")
     with loading():
-        module = importlib.import_module(f"quadjax.cli.{argv[0].replace('-', '_')}")
+        name = argv[0].replace("-", "_") + "_" * keyword.iskeyword(argv[0])
+        module = importlib.import_module(f"quadjax.cli.{name}")
     return module.main(argv[1:])
 
 

@@ -29,6 +29,17 @@ def whole(least: int, most: int) -> Callable[[str], int]:
     return number
 
 
+def positive(text: str) -> float:
+    """A number above 0, at most 50, for ``type=``."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value <= 50:
+        raise argparse.ArgumentTypeError(f"{short(text)}, expected a number above 0, at most 50")
+    return value
+
+
 seed, laps, runs = whole(0, MAX_SEED), whole(1, MAX_LAPS), whole(1, MAX_RUNS)
 gates = whole(1, MAX_GATES)
 count = whole(1, 10**6)

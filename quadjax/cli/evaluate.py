@@ -18,6 +18,7 @@ from quadjax.cli.arguments import (
     add_ranges,
     check_outputs,
     parse,
+    positive,
 )
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -38,6 +39,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--deterministic", action="store_true", help="mean actions only")
     parser.add_argument(
         "--fixed-point", action="store_true", help="use the arithmetic of the exported C"
+    )
+    parser.add_argument(
+        "--body",
+        type=positive,
+        metavar="RADIUS",
+        help="radius of the drone, m: gates, bounds and ground are closer by it, and gates are "
+        "tested where the flight crosses their planes",
     )
     add_ranges(
         parser, "with --fixed-point: the ranges that the C was exported with, if not the default"
@@ -69,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.policy.file import Policy
 
     config = load_config(options.config, options.overrides)
-    policy = Policy.load(options.policy)
+    policy = Policy.load(options.policy, config)
     pilot.fit_race(*race_of(config), policy, options.policy)
     with console.status("compiling and simulating"):
         evaluations = _evaluate_all(config, policy, options)
@@ -92,6 +100,7 @@ def _evaluate_all(
         "start": options.start,
         "seed": options.seed,
         "name": options.policy,
+        "body_radius": options.body,
     }
     if options.fixed_point:
         from quadjax.export.actor import fixed_point_fly

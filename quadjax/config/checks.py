@@ -168,12 +168,12 @@ def _check_gates(config: Config) -> None:
             refuse(f"{key}.position", gate.position, "z below 0 (above ground)")
         if not _within(config, gate.position):
             refuse(f"{key}.position", gate.position, f"within rules.bounds {config.rules.bounds}")
-        if min(gate.size) + 2 * inflation <= 0:
-            refuse(
-                f"{key}.size",
-                gate.size,
-                f"above {-2 * inflation:g} with training_limits.gate_inflation {inflation}",
-            )
+        radius = config.rules.body_radius
+        least = 2 * (radius - min(inflation, 0.0))
+        if min(gate.size) <= least:
+            allowed = f"above {least:g} with training_limits.gate_inflation {inflation}"
+            body = f" and rules.body_radius {radius}" if radius else ""
+            refuse(f"{key}.size", gate.size, allowed + body)
 
 
 def _within(config: Config, position: Sequence[float]) -> bool:

@@ -180,6 +180,7 @@ def _limits(config: Config) -> Limits:
         bounds=None if box is None else (_vector(x[0] for x in box), _vector(x[1] for x in box)),
         landing=_landing(rules),
         frame=Frame(**_traced(solid)) if rules.gate_frame else None,
+        body_radius=jnp.float32(rules.body_radius) if rules.body_radius else None,
     )
 
 

@@ -223,10 +223,17 @@ class Rules(Section):
     time_step: float = Field(
         0.01, ge=1e-4, le=0.1, description="time between two commands and of the simulation, s"
     )
-    gate_test: Literal["square", "world_box"] = Field(
+    gate_test: Literal["square", "world_box", "interpolated"] = Field(
         "square",
-        description="what counts as passing: within the opening (the paper), or within a box along "
-        "the world axes (the authors' code)",
+        description="what counts as passing: within the opening at the first sample past its plane "
+        "(the paper), within a box along the world axes there (the authors' code), or within the "
+        "opening where the line between two samples crosses the plane",
+    )
+    body_radius: float = Field(
+        0.0,
+        ge=0,
+        le=50,
+        description="radius of the drone, m: openings, bounds and ground are closer by it",
     )
     position_limit: float | None = Field(
         10.0, gt=0, le=1e6, description="largest |x| and |y|, m; null: none"

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.figure import Figure
 
+from quadjax.config.checks import check
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Gate
@@ -176,6 +177,7 @@ def evaluate(
     start: Literal["hover", "random"] = "hover",
     seed: int = 0,
     name: str | None = None,
+    body_radius: float | None = None,
     actor: Actor = pilot.fly,
 ) -> Evaluation:
     """Time the laps of a policy by the rules of a race.
@@ -190,15 +192,21 @@ def evaluate(
         start: from hover before the first gate, or from the random starts of training.
         seed: of the noise, the disturbances and the starts.
         name: of the policy, for messages and JSON; its path if not given.
+        body_radius: of the drone, m, in place of ``rules.body_radius``; gates are then tested where
+            the line between two samples crosses their planes (``rules.gate_test: interpolated``).
         actor: computes the actions; see ``quadjax.policy.pilot.fly_policy``.
 
     Raises:
         InputError: a file that cannot be read, a policy for another vehicle model, or a number out
             of range.
     """
-    own = policy if isinstance(policy, Policy) else Policy.load(policy)
-    name = name or ("policy" if isinstance(policy, Policy) else str(policy))
     config = config if isinstance(config, Config) else load_config(config)
+    own = policy if isinstance(policy, Policy) else Policy.load(policy, config)
+    name = name or ("policy" if isinstance(policy, Policy) else str(policy))
+    if body_radius is not None:
+        body = config.rules.replace(body_radius=body_radius, gate_test="interpolated")
+        config = config.replace(rules=body)
+        check(config)
     if config.run.compilation_cache:
         enable_compilation_cache()
     if laps is None and gates is None:

@@ -168,12 +168,12 @@ def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndar
     ahead = np.stack([np.asarray(track.cos_yaw), np.asarray(track.sin_yaw)], axis=1)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
 
-    world_box = own.choices.gate_test == "world_box"
+    test = "world_box" if own.choices.gate_test == "world_box" else "square"
 
     def follow(carry: Carry, after: jax.Array) -> tuple[Carry, jax.Array]:
         before, target = carry
         ends = (Vec3.of(before), Vec3.of(after))
-        passed, _ = rules.crossing(*ends, gate(track, target), jnp.zeros(()), world_box)
+        passed, _ = rules.crossing(*ends, gate(track, target), jnp.zeros(()), test)
         following = (target + passed.astype(jnp.int32)) % len(centers)
         return (after, following), following
 

@@ -11,18 +11,21 @@ the residual that the policy was trained with, as in ``quadjax.vehicle.residual_
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
-from quadjax.policy import inference
+from quadjax.policy import foreign, inference
 from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.layout import DISTURBANCES, Layout
 from quadjax.vehicle import residual_file
 from quadjax.vehicle.residual import Residual
+
+if TYPE_CHECKING:
+    from quadjax.config.schema import Config
 
 FORMAT, RELEASE_1 = FORMATS = ("quadjax-policy/2", "quadjax-policy/1")
 VALUE = "value_"  # prefix of the critic's arrays
@@ -68,12 +71,35 @@ class Policy:
     residual: Residual | None = None
 
     @classmethod
-    def load(cls, path: Path | str) -> Self:
-        """Read and check a policy file.
+    def load(
+        cls,
+        path: Path | str,
+        config: "Config | Path | str | None" = None,
+        *,
+        activation: str | None = None,
+        std: float | None = None,
+    ) -> "Policy":
+        """Read and check a policy file, or import one of another project.
+
+        Args:
+            path: a policy file (``.npz``); or a model of Stable-Baselines3 (``.zip``), a PyTorch
+                state dict (``.pt``, ``.pth``) or C arrays (``.c``, ``.h``), which need a config.
+                Nothing in them is executed.
+            config: of the race that a file of another project was trained in: a config, a preset's
+                name or a YAML file. A policy file does not need it.
+            activation: of an imported network whose file does not say, "relu" or "tanh".
+            std: standard deviation of the noise of an imported network whose file has none.
 
         Raises:
             InputError: a missing, damaged or inconsistent file, in one line.
         """
+        if foreign.is_foreign(path):
+            if config is None:
+                raise InputError(
+                    f"{path}: not a policy file, expected a config too, of the race that the "
+                    "network was trained in"
+                )
+            return foreign.policy_of(path, config, activation, std)
         arrays, meta = read_npz(path, FORMATS)
         layers = tuple(read_layers(path, arrays))
         actions = layers[-1][0].shape[1]
@@ -88,14 +114,12 @@ class Policy:
             )
         if meta.get("output", "clip") != "clip":
             raise InputError(f"{path}: meta 'output' is {meta['output']!r}, allowed: ['clip']")
-        source, config = meta.get("source") or {}, meta.get("config")
-        config, residual = config if isinstance(config, dict) else None, None
+        source, own = meta.get("source") or {}, meta.get("config")
+        own, residual = own if isinstance(own, dict) else None, None
         if "residual" in meta:
             residual = residual_file.from_arrays(path, arrays, meta["residual"])
-            if config and isinstance(
-                config.get("vehicle"), dict
-            ):  # the residual is read from this file
-                config["vehicle"]["residual"] = str(path)
+            if own and isinstance(own.get("vehicle"), dict):  # the residual is read from this file
+                own["vehicle"]["residual"] = str(path)
         return cls(
             layers=layers,
             log_std=_log_std(path, arrays, actions),
@@ -107,7 +131,7 @@ class Policy:
             source=source if isinstance(source, dict) else {"source": source},
             noise_on=_choice(path, {"noise_on": "mean"} | meta, "noise_on", NOISE),
             value=_value(path, arrays, layout.size),
-            config=config,
+            config=own,
             residual=residual,
         )
 

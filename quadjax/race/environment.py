@@ -42,7 +42,7 @@ class Choices:
     model: VehicleModel = motor.MODEL
     layout: Layout = make_layout(motor.MODEL)  # of the observation
     integrator: str = "euler"  # "euler" | "rk4"
-    gate_test: str = "square"  # "square" | "world_box"
+    gate_test: str = "square"  # "square" | "world_box" | "interpolated"
     random_gate: bool = False  # start at any gate rather than the last
     stagger_clocks: bool = False  # episodes start at a random step of their clock
     randomize: bool = False  # draw new constants for every episode
@@ -214,24 +214,21 @@ def evaluate_rules(
     limits = params.limits
     model = choices.model
     position, rates, euler = model.position(after), model.rates(after), model.euler(after)
-    passed, hit = rules.crossing(
-        model.position(state.drone),
-        position,
-        g,
-        limits.gate_inflation,
-        choices.gate_test == "world_box",
-    )
+    inflation, radius = limits.gate_inflation, limits.body_radius
+    opening, radius = (inflation, 0.0) if radius is None else (inflation - radius, radius)
+    before = model.position(state.drone)
+    passed, hit = rules.crossing(before, position, g, opening, choices.gate_test)
     outside = (jnp.abs(position.x) > limits.position) | (jnp.abs(position.y) > limits.position)
     if limits.bounds is not None:
-        outside = outside | rules.outside_box(position, limits.bounds)
+        outside = outside | rules.outside_box(position, limits.bounds, radius)
     if limits.frame is not None:
-        inflation = jnp.maximum(limits.gate_inflation, 0.0)
-        hit = hit | rules.inside_frame(position, params.track, limits.frame, inflation)
+        wider = jnp.maximum(inflation, 0.0)
+        hit = hit | rules.inside_frame(position, params.track, limits.frame, wider, radius)
     fastest = jnp.maximum(jnp.maximum(jnp.abs(rates.x), jnp.abs(rates.y)), jnp.abs(rates.z))
     outcome = rules.Outcome(
         passed=passed,
         gate_collision=hit,
-        ground=rules.hits_ground(position, model.velocity(after), limits.landing),
+        ground=rules.hits_ground(position, model.velocity(after), limits.landing, radius),
         out_of_bounds=outside | (fastest > limits.body_rate),
         attitude=(jnp.abs(euler.y) > limits.pitch)
         | (jnp.abs(euler.x) > limits.roll)
@@ -276,8 +273,11 @@ def transition(
     drone = jax.tree.map(
         lambda new, old: jnp.where(outcome.non_finite, old, new), after, state.drone
     )
+    weights, radius = params.reward, params.limits.body_radius
+    if radius is not None:  # the required clearance is that of the drone's edge
+        weights = weights.replace(gate_edge_margin=weights.gate_edge_margin + radius)
     value = rules.reward(
-        params.reward,
+        weights,
         outcome,
         choices.model.position(state.drone),
         choices.model.position(drone),

@@ -46,6 +46,7 @@ class Limits:
     bounds: tuple[Vec3, Vec3] | None = None  # lowest and highest position, m; None: none
     landing: Landing | None = None  # None: touching the ground is a collision
     frame: Frame | None = None  # None: only the target gate's plane is solid
+    body_radius: jax.Array | None = None  # m, of the drone; None: a point
 
 
 @struct.dataclass
@@ -113,62 +114,83 @@ def inside_world_box(offset: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
 
 
 def crossing(
-    before: Vec3, after: Vec3, g: Gate, inflation: jax.Array, world_box: bool
+    before: Vec3, after: Vec3, g: Gate, inflation: jax.Array, test: str = "square"
 ) -> tuple[jax.Array, jax.Array]:
     """Whether a step passed the gate, and whether it hit it: two () bools.
 
     A gate is crossed when the position goes from behind its plane to in front of it within one
-    step. Where it is at the first sample past the plane decides between the two.
+    step. Where it is decides between the two: at the first sample past the plane (``square``, as
+    in the paper, and ``world_box``, as in the authors' code), or where the straight line between
+    the two samples meets the plane (``interpolated``).
 
     Args:
         before: position before the step, m, world.
         after: position after it.
         g: the target gate.
         inflation: () m added to each side of the opening; negative narrows it.
-        world_box: take the authors' code's test instead of the paper's.
+        test: ``square``, ``world_box`` or ``interpolated``; static.
     """
     relative = to_opening_frame(g, after - g.position)
-    crossed = (to_opening_frame(g, before - g.position).x < 0) & (relative.x >= 0)
-    if world_box:
+    behind = to_opening_frame(g, before - g.position)
+    crossed = (behind.x < 0) & (relative.x >= 0)
+    if test == "world_box":
         inside = inside_world_box(after - g.position, g, inflation)
+    elif test == "interpolated":
+        fraction = -behind.x / jnp.where(crossed, relative.x - behind.x, 1.0)
+        inside = inside_square(behind + fraction * (relative - behind), g, inflation)
     else:
         inside = inside_square(relative, g, inflation)
     return crossed & inside, crossed & ~inside
 
 
-def inside_frame(position: Vec3, track: Track, frame: Frame, inflation: jax.Array) -> jax.Array:
-    """Whether a position is inside the solid frame of any gate, a () bool.
+def inside_frame(
+    position: Vec3,
+    track: Track,
+    frame: Frame,
+    inflation: jax.Array,
+    radius: jax.Array | float = 0.0,
+) -> jax.Array:
+    """Whether a drone touches the solid frame of any gate, a () bool.
 
     Args:
         position: m, world.
         track: all gates.
         frame: their width and depth.
         inflation: () m by which openings are wider; the outer edges do not change.
+        radius: () m of the drone.
     """
     hit = jnp.zeros((), bool)
     for index in range(gate_count(track)):
         g = gate_at(track, index)
         relative = to_opening_frame(g, position - g.position)
-        solid = ~inside_square(relative, g, inflation) & inside_square(relative, g, frame.width)
-        hit = hit | (solid & (jnp.abs(relative.x) <= 0.5 * frame.depth))
+        solid = ~inside_square(relative, g, inflation - radius)
+        solid = solid & inside_square(relative, g, frame.width + radius)
+        hit = hit | (solid & (jnp.abs(relative.x) <= 0.5 * frame.depth + radius))
     return hit
 
 
-def outside_box(position: Vec3, bounds: tuple[Vec3, Vec3]) -> jax.Array:
-    """Whether a position is outside the box between two corners, a () bool."""
+def outside_box(
+    position: Vec3, bounds: tuple[Vec3, Vec3], radius: jax.Array | float = 0.0
+) -> jax.Array:
+    """Whether a drone of a radius, m, leaves the box between two corners, a () bool."""
     low, high = bounds
     sides = zip(position.components(), low.components(), high.components(), strict=True)
-    out = [(x < least) | (x > most) for x, least, most in sides]
+    out = [(x < least + radius) | (x > most - radius) for x, least, most in sides]
     return out[0] | out[1] | out[2]
 
 
 BENEATH = 0.5  # m, deepest position of a take-off: the ground itself is not simulated
 
 
-def hits_ground(position: Vec3, velocity: Vec3, landing: Landing | None) -> jax.Array:
-    """Whether a position or a velocity near the ground is a collision, a () bool."""
+def hits_ground(
+    position: Vec3, velocity: Vec3, landing: Landing | None, radius: jax.Array | float = 0.0
+) -> jax.Array:
+    """Whether a position or a velocity near the ground is a collision, a () bool.
+
+    Where the drone can take off from the ground, its radius, m, does not matter.
+    """
     if landing is None:
-        return position.z > 0
+        return position.z > -radius
     fast = (position.z > -landing.height) & (safe_norm(velocity) > landing.speed)
     return fast | (position.z > BENEATH)
 

@@ -6,7 +6,9 @@ specific force; -1: subtracted) and what it was fitted on. A policy file can hol
 and the numbers under the key ``residual`` of its ``meta``.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +16,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_layers, read_npz, write_npz
 from quadjax.core.resources import PRETRAINED
+from quadjax.core.torch_files import linear_layers, read_state_dict
 from quadjax.vehicle.residual import Residual
 
 FORMAT, POLICY_FORMAT = FORMATS = ("quadjax-residual/1", "quadjax-policy/2")
@@ -64,6 +67,43 @@ def read_residual(path: Path | str) -> Residual:
     return from_arrays(path, arrays, meta if meta["format"] == FORMAT else meta.get("residual"))
 
 
+def import_residual(
+    thrust: Path | str,
+    moment: Path | str,
+    rpm_range: tuple[float, float],
+    thrust_sign: int,
+) -> Residual:
+    """A residual from two PyTorch state dicts of linear layers with ReLU between them.
+
+    Args:
+        thrust: network of 7 inputs and 1 output; see ``quadjax.vehicle.residual``.
+        moment: network of 10 inputs and 3 outputs.
+        rpm_range: propeller speeds that enter as -1 and 1, rpm.
+        thrust_sign: +1 if the first network's output is added to the body-z specific force, -1 if
+            it is subtracted, as printed in the paper.
+
+    Raises:
+        InputError: a file that cannot be read, or networks of other sizes; in one line.
+    """
+    meta = {"rpm_min": rpm_range[0], "rpm_max": rpm_range[1], "thrust_sign": thrust_sign}
+    found = {}
+    for name, path in (("thrust", thrust), ("moment", moment)):
+        layers = linear_layers(path, read_state_dict(path))
+        _check_shape(path, name, layers)
+        for index, (kernel, bias) in enumerate(layers):
+            found |= {f"{name}_kernel_{index}": kernel, f"{name}_bias_{index}": bias}
+    return from_arrays(thrust, found, meta)
+
+
+def _check_shape(path: Path | str, name: str, layers: Sequence[tuple[Any, Any]]) -> None:
+    expected, found = SHAPES[name], (layers[0][0].shape[0], layers[-1][0].shape[1])
+    if found != expected:
+        raise InputError(
+            f"{path}: the {name} network maps {found[0]} inputs to {found[1]} outputs, "
+            f"expected {expected[0]} to {expected[1]}"
+        )
+
+
 def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -> Residual:
     """The residual of a file's arrays and of its ``meta``.
 
@@ -73,14 +113,9 @@ def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -
     if not isinstance(meta, dict):
         raise InputError(f"{path}: a policy file without a residual")
     networks = {}
-    for name, (inputs, outputs) in SHAPES.items():
+    for name in SHAPES:
         layers = read_layers(path, arrays, f"{name}_")
-        found = (layers[0][0].shape[0], layers[-1][0].shape[1])
-        if found != (inputs, outputs):
-            raise InputError(
-                f"{path}: the {name} network maps {found[0]} inputs to {found[1]} outputs, "
-                f"expected {inputs} to {outputs}"
-            )
+        _check_shape(path, name, layers)
         networks[name] = tuple(
             (jnp.asarray(k, jnp.float32), jnp.asarray(b, jnp.float32)) for k, b in layers
         )

@@ -43,24 +43,24 @@ def race():
     return make_race()
 
 
-def cross(track, target, before, after, inflation=0.0, world_box=False):
+def cross(track, target, before, after, inflation=0.0, test="square"):
     """(passed, hit) of moves between rows of positions."""
     g = gate(track, jnp.int32(target))
     before, after = (np.atleast_2d(np.asarray(x, np.float32)) for x in (before, after))
-    decide = jax.vmap(lambda b, a: rules.crossing(b, a, g, jnp.float32(inflation), world_box))
+    decide = jax.vmap(lambda b, a: rules.crossing(b, a, g, jnp.float32(inflation), test))
     passed, hit = decide(vec3(before), vec3(after))
     return np.asarray(passed), np.asarray(hit)
 
 
 @pytest.mark.parametrize("target", range(4))
-@pytest.mark.parametrize("world_box", [False, True])
-def test_each_gate_is_passed_forwards_only(target, world_box):
+@pytest.mark.parametrize("test", ["square", "world_box", "interpolated"])
+def test_each_gate_is_passed_forwards_only(target, test):
     track = track_of(ref.GATES, ref.GATE_YAW)
     behind, ahead = through(target, -0.05), through(target, 0.05)
-    assert cross(track, target, behind, ahead, 0, world_box) == (True, False)
-    assert cross(track, target, ahead, behind, 0, world_box) == (False, False)
-    assert cross(track, target, through(target, -0.1), behind, 0, world_box) == (False, False)
-    assert cross(track, target, ahead, through(target, 0.1), 0, world_box) == (False, False)
+    assert cross(track, target, behind, ahead, 0, test) == (True, False)
+    assert cross(track, target, ahead, behind, 0, test) == (False, False)
+    assert cross(track, target, through(target, -0.1), behind, 0, test) == (False, False)
+    assert cross(track, target, ahead, through(target, 0.1), 0, test) == (False, False)
 
 
 @pytest.mark.parametrize("target", range(4))
@@ -84,7 +84,7 @@ def test_gates_have_their_own_width_and_height():
     ]:
         move = [-0.05, right, -2 + down], [0.05, right, -2 + down]
         assert cross(track, 0, *move) == (passes, not passes)
-        assert cross(track, 0, *move, world_box=True) == (passes, not passes)
+        assert cross(track, 0, *move, test="world_box") == (passes, not passes)
 
 
 def test_the_plane_itself_counts_as_past_it():
@@ -99,14 +99,69 @@ def test_world_box_is_measured_in_world_axes():
     for right, square, box in [(0.4, True, True), (0.6, False, True), (0.75, False, False)]:
         move = through(0, -0.05, right), through(0, 0.001, right)
         assert cross(track, 0, *move) == (square, not square)
-        assert cross(track, 0, *move, world_box=True) == (box, not box)
+        assert cross(track, 0, *move, test="world_box") == (box, not box)
     low = through(0, -0.05, 0, 0.51), through(0, 0.001, 0, 0.51)
-    assert cross(track, 0, *low, world_box=True) == (False, True)
+    assert cross(track, 0, *low, test="world_box") == (False, True)
     straight = track_of(np.array([[0, 0, -2.0]]), np.zeros(1))
-    assert cross(straight, 0, [-0.2, 0, -2], [0.49, 0, -2], world_box=True) == (True, False)
-    assert cross(straight, 0, [-0.2, 0, -2], [0.51, 0, -2], world_box=True) == (False, True)
+    assert cross(straight, 0, [-0.2, 0, -2], [0.49, 0, -2], test="world_box") == (True, False)
+    assert cross(straight, 0, [-0.2, 0, -2], [0.51, 0, -2], test="world_box") == (False, True)
     assert cross(straight, 0, [-0.2, 0, -2], [0.51, 0, -2]) == (True, False)
-    assert cross(straight, 0, [-0.2, 0, -2], [0.3, 0, -2], -0.3, True) == (False, True)
+    assert cross(straight, 0, [-0.2, 0, -2], [0.3, 0, -2], -0.3, "world_box") == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sampled", "crossing"),
+    [  # at 45 deg to the plane, 0.1 m a step: the sample past it is up to 7 cm further aside
+        ((-0.01, 0.47), (0.06, 0.54), False, True),
+        ((-0.06, 0.53), (0.01, 0.46), True, True),
+        ((-0.01, 0.57), (0.06, 0.48), True, False),
+        ((-0.035, 0.40), (0.035, 0.47), True, True),
+        ((-0.035, 0.55), (0.035, 0.62), False, False),
+    ],
+)
+def test_interpolated_crossing_is_where_the_line_meets_the_plane(before, after, sampled, crossing):
+    track = track_of(ref.GATES, ref.GATE_YAW)
+    ends = through(1, *before), through(1, *after)
+    fraction = before[0] / (before[0] - after[0])
+    assert (abs(before[1] + fraction * (after[1] - before[1])) < 0.5) == crossing
+    assert cross(track, 1, *ends) == (sampled, not sampled)
+    assert cross(track, 1, *ends, test="interpolated") == (crossing, not crossing)
+
+
+def test_a_body_narrows_openings_hall_and_height():
+    """A sphere of 0.2 m: every solid thing is closer by its radius."""
+    keys = (
+        "rules.gate_frame=0.4",
+        "rules.gate_depth=0.2",
+        "rules.bounds=[[-4, 4], [-4, 4], [-3, 0]]",
+    )
+    race = make_race("rules.body_radius=0.2", *keys)
+    offsets = [0.29, 0.31, -0.29, -0.31, 0.0, 0.32]
+    rows = level([through(0, -0.03, x) for x in offsets], 0.0)
+    rows[:, ref.V] = 5.0 * normal(0)
+    _, _, outcome = step(race, rows, target=0)
+    np.testing.assert_array_equal(outcome.passed, [True, False, True, False, True, False])
+    np.testing.assert_array_equal(outcome.gate_collision, ~outcome.passed)
+    frames = [(0.0, 0.29), (0.0, 0.31), (0.29, 0.6), (0.31, 0.6), (0.0, 1.09), (0.0, 1.11)]
+    rows = level([through(2, *offset) for offset in frames], 0.0)
+    _, _, outcome = step(race, rows, target=0)
+    np.testing.assert_array_equal(outcome.gate_collision, [False, True, True, False, True, False])
+    places = [
+        [3.79, 0, -1],
+        [3.81, 0, -1],
+        [0, 0, -2.79],
+        [0, 0, -2.81],
+        [0, 0, -0.21],
+        [0, 0, -0.19],
+    ]
+    _, _, outcome = step(race, level(places, 0.0), target=0)
+    np.testing.assert_array_equal(outcome.out_of_bounds, [False, True, False, True, False, True])
+    np.testing.assert_array_equal(outcome.ground, [False] * 5 + [True])
+
+
+def test_a_body_larger_than_the_opening_is_refused():
+    with pytest.raises(InputError, match=r"track.gates\[0\].size is .* above 1 .*body_radius 0.5"):
+        make_config("rules.body_radius=0.5")
 
 
 @pytest.mark.parametrize("target", range(4))
@@ -342,7 +397,7 @@ def test_spinning_ends_an_episode_in_training_alone():
 def test_default_limits_are_the_published_ones(race):
     values = vars(race[1].limits)
     limits = {name: float(x) for name, x in values.items() if x is not None}
-    assert set(values) - set(limits) == {"bounds", "frame", "landing"}  # none of these
+    assert set(values) - set(limits) == {"bounds", "frame", "landing", "body_radius"}  # none
     assert limits["time_step"] == pytest.approx(0.01) and limits["episode_steps"] == 1200
     assert (
         limits["position"] == 10 and limits["body_rate"] == 1000 and limits["gate_inflation"] == 0

@@ -1,0 +1,258 @@
+"""Policies of other projects: Stable-Baselines3, PyTorch state dicts, C arrays.
+
+Nothing in such a file is executed. It has the network's numbers; what it observes and commands is
+that of a race, whose config the caller names.
+"""
+
+import dataclasses
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+
+from quadjax.core.c_arrays import read_c_arrays
+from quadjax.core.errors import InputError
+from quadjax.core.files import check_finite, read_layers
+from quadjax.core.torch_files import MAX_BYTES, linear_layers, read_state_dict, single
+
+if TYPE_CHECKING:
+    from quadjax.config.schema import Config
+    from quadjax.policy.file import Layers, Policy
+    from quadjax.race.layout import Layout
+    from quadjax.vehicle.protocol import VehicleModel
+
+Arrays = Mapping[str, np.ndarray]
+TORCH, C_SOURCE, ZIP = (".pt", ".pth"), (".c", ".h", ".cpp", ".hpp"), (".zip",)
+SUFFIXES = (*ZIP, *TORCH, *C_SOURCE)
+SB3_POLICY, SB3_VALUE = "mlp_extractor.policy_net.", "mlp_extractor.value_net."
+SB3_MEMBER, SB3_DATA = "policy.pth", "data"  # of a Stable-Baselines3 model
+
+
+@dataclasses.dataclass(frozen=True)
+class Network:
+    """The numbers of a policy in a file of another project.
+
+    Attributes:
+        layers: kernel (in, out) and bias (out,) of each.
+        log_std: (actions,) logarithm of the noise's standard deviation; None where the file has
+            none.
+        activation: "relu" or "tanh"; None where the file does not say.
+        value: layers of the critic; None where there are none.
+    """
+
+    layers: "Layers"
+    log_std: np.ndarray | None
+    activation: str | None
+    value: "Layers | None" = None
+
+
+def is_foreign(path: Path | str) -> bool:
+    """Whether a path has the suffix of another project's file."""
+    return Path(path).suffix.lower() in SUFFIXES
+
+
+def read_network(path: Path | str) -> Network:
+    """The network of a file, by its suffix.
+
+    - ``.zip``: a model of Stable-Baselines3 (PPO or A2C, ``MlpPolicy``);
+    - ``.pt``, ``.pth``: a PyTorch state dict, of Stable-Baselines3's policy or of linear layers in
+      the order of their application, perhaps with ``log_std``;
+    - ``.c``, ``.h``, ``.cpp``, ``.hpp``: arrays ``weights_NAME`` (row by row, a row per output) and
+      ``biases_NAME`` in the order of the layers, and ``output_std``.
+
+    Raises:
+        InputError: another suffix, or a file that cannot be read; in one line.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix in C_SOURCE:
+        return _of_c(path)
+    if suffix in TORCH:
+        return _of_tensors(path, read_state_dict(path))
+    if suffix not in ZIP:
+        raise InputError(f"{path}: suffix is {suffix!r}, allowed: {', '.join(SUFFIXES)}")
+    tensors = read_state_dict(path, SB3_MEMBER)
+    if not any(name.startswith(SB3_POLICY) for name in tensors):
+        raise InputError(f"{path}: no {SB3_POLICY}*, expected a model of PPO or A2C with MlpPolicy")
+    own = _of_tensors(path, tensors)
+    return dataclasses.replace(own, activation=_sb3_activation(path))
+
+
+def _of_tensors(path: Path | str, tensors: Arrays) -> Network:
+    """The network of a state dict."""
+    rest = {name: array for name, array in tensors.items() if name != "log_std"}
+    log_std = tensors.get("log_std")
+    if log_std is not None and log_std.ndim != 1:
+        raise InputError(
+            f"{path}: log_std has shape {log_std.shape}, expected a number per action (no gSDE)"
+        )
+    if not any(name.startswith(("mlp_extractor.", "action_net.")) for name in rest):
+        return Network(linear_layers(path, rest), log_std, None)
+    known = (SB3_POLICY, SB3_VALUE, "action_net.", "value_net.")
+    for name in rest:
+        if not name.startswith(known):
+            raise InputError(f"{path}: has {name}, expected MlpPolicy with separate networks")
+    policy, value = (
+        linear_layers(path, {name: rest[name] for name in rest if name.startswith(parts)})
+        for parts in ((SB3_POLICY, "action_net."), (SB3_VALUE, "value_net."))
+    )
+    return Network(policy, log_std, None, value)
+
+
+def _sb3_activation(path: Path | str) -> str | None:
+    """The activation of a Stable-Baselines3 model, whose ``data`` is JSON: tanh unless it says so.
+
+    Objects in it are pickled; their text representations stand next to them and are all that is
+    read.
+    """
+    try:
+        with ZipFile(path) as archive:
+            if archive.getinfo(SB3_DATA).file_size > MAX_BYTES:
+                return None
+            data = json.loads(archive.read(SB3_DATA))
+        kwargs: Any = data.get("policy_kwargs") or {}
+        found, sde = str(kwargs.get("activation_fn", "Tanh")), bool(data.get("use_sde"))
+    except (BadZipFile, KeyError, ValueError, AttributeError, RuntimeError, OSError):
+        return None
+    if sde:
+        raise InputError(f"{path}: use_sde is true, expected state-independent noise")
+    named = re.search(r"(\w+)\W*$", found)
+    return named.group(1).lower() if named else None
+
+
+def _of_c(path: Path | str) -> Network:
+    """The network of C arrays."""
+    found, text = read_c_arrays(path)
+    arrays: dict[str, np.ndarray] = {}
+    names = [name.removeprefix("weights_") for name in found if name.startswith("weights_")]
+    for index, name in enumerate(names):
+        weights, bias = found[f"weights_{name}"], found.get(f"biases_{name}")
+        if bias is None or not bias.size or weights.size % bias.size:
+            count = "no" if bias is None else bias.size
+            raise InputError(
+                f"{path}: weights_{name} has {weights.size} numbers and {count} biases_{name}, "
+                "expected a row of weights for each"
+            )
+        arrays[f"kernel_{index}"] = weights.reshape(bias.size, -1).T
+        arrays[f"bias_{index}"] = bias
+    if not arrays:
+        raise InputError(f"{path}: no weights_.., expected weights_fc1, biases_fc1, ..")
+    layers, std = single(read_layers(path, arrays)), found.get("output_std")
+    if std is not None and not np.all((std > 0) & np.isfinite(std)):
+        raise InputError(f"{path}: output_std is {std.tolist()}, expected numbers above 0")
+    kinds = [kind for kind in ("relu", "tanh") if re.search(kind, text, re.IGNORECASE)]
+    log_std = None if std is None else np.log(std)
+    return Network(layers, log_std, kinds[0] if len(kinds) == 1 else None)
+
+
+def policy_of(
+    path: Path | str,
+    config: "Config | Path | str",
+    activation: str | None = None,
+    std: float | None = None,
+    motors: Sequence[int] | None = None,
+    actuator_range: tuple[float, float] | None = None,
+) -> "Policy":
+    """The policy of a file, for the race that it was trained in.
+
+    Args:
+        path: of the file; see ``read_network``.
+        config: of the race: what its policies observe and command is what the network does.
+        activation: of the hidden layers, "relu" or "tanh", where the file does not say.
+        std: standard deviation of the noise, where the file has none.
+        motors: the network's numbers (1 to 4) of the motors front-left, front-right, rear-right,
+            rear-left; None: in this order.
+        actuator_range: of the actuators that the network observes as -1 and 1, in the vehicle
+            model's unit; None: that of the config.
+
+    Raises:
+        InputError: a file that cannot be read, or a network that does not fit the race.
+    """
+    from quadjax.config.loading import load_config
+    from quadjax.config.race import race_of
+    from quadjax.config.schema import Config
+    from quadjax.policy.file import ACTIVATIONS, Policy
+    from quadjax.policy.pilot import command_ranges
+
+    config = config if isinstance(config, Config) else load_config(config)
+    choices, params = race_of(config)
+    own = read_network(path)
+    if own.activation and activation and own.activation != activation:
+        raise InputError(f"{path}: its activation is {own.activation}, not {activation}")
+    activation = own.activation or activation
+    if activation not in ACTIVATIONS:
+        found = f"is {activation}" if activation else "is not in the file, say which"
+        raise InputError(f"{path}: the activation {found}, allowed: {', '.join(ACTIVATIONS)}")
+    low, high = command_ranges(choices, params)
+    log_std = _log_std(path, own, len(low), std)
+    layout = choices.layout.with_spans(choices.model, params)
+    _check_sizes(path, own.layers, layout, choices.model, config.name)
+    layers, name = own.layers, choices.model.actuators.name
+    if actuator_range is not None:
+        spanned = dataclasses.replace(layout[name], span=(actuator_range,) * layout[name].size)
+        layout = type(layout)(tuple(spanned if f.name == name else f for f in layout.fields))
+    if motors is not None:
+        layers, log_std = _reordered(path, layers, log_std, layout.slice(name), motors)
+    return Policy(
+        layers=layers,
+        log_std=log_std,
+        vehicle=choices.model.name,
+        activation=activation,
+        command_low=low,
+        command_high=high,
+        layout=layout,
+        source={"imported": Path(path).name},
+        value=own.value if motors is None else None,
+        config=config.model_dump(mode="json", by_alias=True),
+    )
+
+
+def _reordered(
+    path: Path | str, layers: "Layers", log_std: np.ndarray, seen: slice, motors: Sequence[int]
+) -> tuple["Layers", np.ndarray]:
+    """A network with its motors, observed and commanded, in the order of this project."""
+    order = np.array(motors) - 1
+    size = seen.stop - seen.start
+    if sorted(order) != list(range(len(log_std))) or size != len(order):
+        raise InputError(
+            f"{path}: motors {list(motors)}, expected each of 1 to {len(log_std)} once, and a "
+            "vehicle model that observes as many propeller speeds"
+        )
+    (first, bias), *rest = layers
+    first = first.copy()
+    first[seen] = first[seen][order]
+    *rest, (last, offset) = [(first, bias), *rest]
+    return (*rest, (last[:, order], offset[order])), log_std[order]
+
+
+def _log_std(path: Path | str, own: Network, actions: int, std: float | None) -> np.ndarray:
+    if own.log_std is not None and std is not None:
+        raise InputError(f"{path}: has a standard deviation, so std {std} has no effect")
+    log_std = np.full(actions, np.log(std)) if std is not None else own.log_std
+    if log_std is None:
+        raise InputError(f"{path}: no log_std or output_std, expected the noise's std to be given")
+    if log_std.shape != (actions,):
+        raise InputError(f"{path}: {log_std.size} standard deviations, expected {actions}")
+    check_finite(path, "log_std", log_std)
+    return log_std.astype(np.float32)
+
+
+def _check_sizes(
+    path: Path | str, layers: "Layers", layout: "Layout", model: "VehicleModel", race: str
+) -> None:
+    """Check that a network observes and commands what policies of the race do."""
+    inputs, outputs = layers[0][0].shape[0], layers[-1][0].shape[1]
+    if inputs != layout.size:
+        fields = ", ".join(f"{field.name} {field.size}" for field in layout.fields)
+        raise InputError(
+            f"{path}: the network takes {inputs} numbers, policies of {race} observe {layout.size}:"
+            f" {fields}"
+        )
+    if outputs != model.action_size:
+        raise InputError(
+            f"{path}: the network gives {outputs} numbers, the vehicle model {model.name} takes "
+            f"{model.action_size}"
+        )
