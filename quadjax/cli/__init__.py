@@ -33,6 +33,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "import": "convert a network of another project to a policy or residual file",
     "verify": "build, run and check exported C",
     "compare": "compare E2E with INDI, in simulation and on the plant",
+    "report": "write the tables and figures of flights",
     "simulate-logs": "write flight logs of a known model",
     "recovery": "compare a fit with that known model",
     "plant-logs": "write flight logs of the stand-in plant",

@@ -1,7 +1,8 @@
 """Folders of results: each has a kind, a lock while a process writes to it, and known files.
 
-A folder's kind (training, fit, sweep, export, comparison) is in its file ``.quadjax.json``. A
-program writes only to a folder of the same kind, and removes only the files that it writes itself.
+A folder's kind (training, fit, sweep, export, comparison, report) is in its file
+``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the files
+that it writes itself.
 """
 
 import contextlib
@@ -25,6 +26,7 @@ EVIDENCE = {  # patterns of files in folders without a marker, which earlier ver
     "fit": "vehicle.yaml",
     "export": "*_report.json",
     "comparison": "compare.json",
+    "report": "report.json",
 }
 
 

@@ -4,9 +4,11 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -16,9 +18,8 @@ from quadjax.core.files import whole_file
 INK = "#1b2430"
 MUTED = "#7a8594"
 PAPER = "#ffffff"
-SPEED_COLORS = LinearSegmentedColormap.from_list(
-    "speed", ["#2a1a8a", "#1f6feb", "#17b3c1", "#f2b134", "#e4572e", "#b5123e"]
-)
+# Perceptually uniform; without the ends, which do not show on black and on white.
+SPEED_COLORS = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.08, 0.95, 256)))
 SERIES = ("#1f6feb", "#d1495b", "#2a9d8f", "#e9a23b")
 
 

@@ -30,7 +30,7 @@ def trajectory_figure(
         gates: of the track, in order of passage.
         title: of the figure.
     """
-    lowest, highest = _extent(flights, gates)
+    lowest, highest = extent(flights, gates)
     size = highest - lowest
     scale = min(8.0 / size[0], 7.0 / (size[1] + size[2]))
     figure = new_figure(scale * size[0] + 1.9, scale * (size[1] + size[2]) + 1.6)
@@ -38,12 +38,12 @@ def trajectory_figure(
     for flight in flights:
         shown, width = speed_range(flights), 2.2 if len(flights) == 1 else 1.3
         heights = flight.position * np.array([1.0, 1.0, -1.0])
-        lines = _speed_line(above, heights[:, :2], flight.speed, shown, width)
-        _speed_line(side, heights[:, [0, 2]], flight.speed, shown, width)
+        lines = speed_line(above, heights[:, :2], flight.speed, shown, width)
+        speed_line(side, heights[:, [0, 2]], flight.speed, shown, width)
     for gate in gates:
-        _draw_gate(above, gate, 0.055 * float(size.max()))
-        _draw_gate_from_side(side, gate)
-    _number_gates(above, side, gates, 0.055 * float(size.max()))
+        draw_gate(above, gate, 0.055 * float(size.max()))
+        draw_gate_from_side(side, gate)
+    number_gates(above, side, gates, 0.055 * float(size.max()))
     side.axhline(0.0, color=MUTED, linewidth=1.5)
     _draw_ends(above, flights)
     above.set(xlim=(lowest[0], highest[0]), ylim=(highest[1], lowest[1]), aspect="equal")
@@ -66,7 +66,7 @@ def flight_title(flight: Recording) -> str:
     return f"{title}, then {flight.crash}" if flight.crash else title
 
 
-def _extent(flights: Sequence[Recording], gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray]:
+def extent(flights: Sequence[Recording], gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x, y and height of all that is drawn, with a margin, m."""
     points = [flight.position for flight in flights]
     for gate in gates:
@@ -87,7 +87,7 @@ def speed_range(flights: Sequence[Recording]) -> tuple[float, float]:
     return min(lowest, highest - 0.1), highest
 
 
-def _speed_line(
+def speed_line(
     axes: Axes, points: np.ndarray, speed: np.ndarray, shown: tuple[float, float], width: float
 ) -> LineCollection:
     """Draw points (n, 2) as a line whose color is the speed (n,), m/s."""
@@ -139,7 +139,7 @@ def gate_labels(gates: Sequence[Gate], group: Sequence[int]) -> tuple[str, str]:
     return numbers, f"{heights} m" if heights_differ(gates) else ""
 
 
-def _number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) -> None:
+def number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) -> None:
     """Write numbers and heights next to the gates; gates at the same place share a label."""
     style: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
     style["textcoords"] = "offset points"
@@ -157,13 +157,13 @@ def _number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) 
         side.annotate(numbers, place, xytext=(0, 7), color=MUTED, fontsize=8, **style)
 
 
-def _draw_gate_from_side(axes: Axes, gate: Gate) -> None:
+def draw_gate_from_side(axes: Axes, gate: Gate) -> None:
     """Draw the outline of a gate seen from the side."""
     x, _, z = gate_outline(gate).T
     axes.plot(x, -z, color=INK, linewidth=1.8, zorder=2, alpha=0.6)
 
 
-def _draw_gate(axes: Axes, gate: Gate, reach: float) -> None:
+def draw_gate(axes: Axes, gate: Gate, reach: float, scale: float = 1.0) -> None:
     """Draw a gate from above: its opening, two posts, an arrow in flight direction."""
     center, yaw = np.array(gate.position[:2]), np.radians(gate.yaw_deg)
     ahead, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
@@ -172,13 +172,18 @@ def _draw_gate(axes: Axes, gate: Gate, reach: float) -> None:
     if gate.pitch_deg or gate.roll_deg:
         x, y, _ = gate_outline(gate).T
         axes.plot(x, y, color=INK, linewidth=1.8, zorder=4, alpha=0.6)
-    axes.plot(*ends.T, color=INK, linewidth=4.0, solid_capstyle="butt", zorder=4, alpha=0.85)
-    axes.plot(*ends.T, "o", color=INK, markersize=7, zorder=5)
+    line = {"color": INK, "linewidth": 4.0 * scale, "solid_capstyle": "butt"}
+    axes.plot(*ends.T, **line, zorder=4, alpha=0.85)
+    axes.plot(*ends.T, "o", color=INK, markersize=7 * scale, zorder=5)
     axes.annotate(
         "",
         xy=tuple(center + reach * ahead),
         xytext=tuple(center),
-        arrowprops={"arrowstyle": "-|>,head_width=0.28,head_length=0.5", "color": INK, "lw": 1.8},
+        arrowprops={
+            "arrowstyle": f"-|>,head_width={0.28 * scale},head_length={0.5 * scale}",
+            "color": INK,
+            "lw": 1.8 * scale,
+        },
         zorder=5,
     )
 

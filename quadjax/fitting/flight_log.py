@@ -107,7 +107,7 @@ def read_log(path: Path | str, config: LogsConfig) -> FlightLog:
             or has a gap, an implausible unit, a column that contradicts the others, a file that is
             empty or too short; one line with the file, the column and the row.
     """
-    header = _header(path)
+    header = read_header(path)
     wanted = wanted_columns(config, header)
     _check_wanted(path, wanted, header)
     names = [name for group in wanted.values() for name in group]
@@ -181,7 +181,12 @@ def _rows(path: Path | str) -> Iterator[tuple[int, list[str]]]:
         raise InputError(f"{path}: not readable as CSV text from row {row} on ({error})") from None
 
 
-def _header(path: Path | str) -> list[str]:
+def read_header(path: Path | str) -> list[str]:
+    """The names of the columns of a CSV file.
+
+    Raises:
+        InputError: not a file, too large, or an empty first row.
+    """
     check_file(path)
     size = Path(path).stat().st_size
     if size > MAX_BYTES:

@@ -1,0 +1,1 @@
+"""Tables and figures of flights: simulated ones, flights on the plant and flight logs alike."""

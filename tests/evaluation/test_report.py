@@ -1,0 +1,190 @@
+"""Tables and figures of flights from trajectories and flight logs."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from quadjax.config.loading import load_config
+from quadjax.core.files import write_npz
+from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.evaluation.evaluation import STATES
+from quadjax.fitting.signals import first_order
+from quadjax.studies.report.errors import signals_of
+from quadjax.studies.report.figures import box_figure, gap_figure, trajectory_figure
+from quadjax.studies.report.flights import find_flights, passages
+from quadjax.studies.report.run import figures
+from quadjax.studies.report.tables import latex_table, text_table
+from tests.commands import run
+
+RACE = load_config("e2e_shac")
+RADIUS, STEP = 2.5, 0.01  # the circle through all four gates of the track
+
+
+def circle(seconds: float, laps: float, height: float = 1.5):
+    """Positions (n, 3) and times (n,) of a circle through the gates, from the last gate on."""
+    time = np.arange(0, seconds * laps + 1e-9, STEP)
+    angle = np.arctan2(-1.5, -2.0) + 2 * np.pi * time / seconds
+    place = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.column_stack([place, np.full(len(time), -height)]), time
+
+
+def states_file(path, seconds, laps=2, crash_after=None, actuators=4):
+    """A file of ``evaluate --states``, a flight for each of ``seconds`` a lap."""
+    runs, lap_times, crashes = [], [], []
+    for index, each in enumerate(seconds):
+        position, time = circle(each, laps)
+        ends = np.arange(1, laps + 1) * each
+        if crash_after is not None and index == 0:
+            position, ends = position[: round(crash_after / STEP)], ends[ends < crash_after]
+            crashes.append({"run": 0, "lap": len(ends) + 1, "seconds": 1, "reason": "hit a gate"})
+        runs.append(position)
+        times = np.diff(ends, prepend=0.0)
+        lap_times.append([*times, *[np.nan] * (laps - len(times))])
+    most = max(map(len, runs))
+    arrays = {"time": STEP * np.arange(most), "lap_times": np.array(lap_times)}
+    widths = {"position": 3, "velocity": 3, "euler": 3, "rates": 3, "command": 4}
+    for name, width in (widths | {"actuators": actuators}).items():
+        arrays[name] = np.full((len(runs), most, width), np.nan)
+        for whole, position in zip(arrays[name], runs, strict=True):
+            whole[: len(position)] = 1.0
+            if name == "position":
+                whole[: len(position)] = position
+            elif name in ("actuators", "command") and actuators == 4:
+                whole[: len(position)] = 8000.0
+    write_npz(path, arrays, {"format": STATES, "crashes": crashes})
+    return path
+
+
+@pytest.fixture(scope="module")
+def groups(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flights")
+    states_file(folder / "fast.npz", [3.0, 2.8, 2.9])
+    states_file(folder / "slow.npz", [4.0, 4.2], crash_after=5.0, actuators=1)
+    words = [f"E2E simulated={folder}/fast.npz", f"{folder}/slow.npz"]
+    return find_flights(words, RACE.track)
+
+
+def test_gates_are_counted_in_order_and_through_their_openings():
+    position, time = circle(3.0, 2)
+    samples, target = passages(position, RACE.track)
+    assert len(samples) == 7 + (target[-1] == 0) and list(np.unique(target)) == [0, 1, 2, 3]
+    legs = np.diff(time[samples[:5]])
+    ends = np.arctan2([-1.5, 1.5, 1.5, -1.5], [2, 2, -2, -2])
+    wanted = 3.0 * np.diff(np.unwrap(ends)) / (2 * np.pi)
+    np.testing.assert_allclose(legs[:3], wanted, atol=0.02)
+    assert passages(position + [0, 0, -0.6], RACE.track)[0] == []
+    assert len(passages(position + [0, 0, -0.55], RACE.track, reach=0.1)[0]) >= 7
+    assert passages(position[::-1], RACE.track)[0] == []
+
+
+def test_the_table_has_every_flight_the_fastest_in_bold(groups):
+    text, latex = text_table(groups), latex_table(groups)
+    lines = [line.split() for line in text.splitlines()]
+    assert ["2", "*2.80*", "*2.80*", "*5.60*"] in lines and ["1", "3.00", "3.00", "6.00"] in lines
+    assert ["mean", "of", "3", "2.90", "2.90", "5.80"] in lines
+    assert "hit a gate" in text and text.count("*2.80*") == 2
+    assert r"\textbf{5.60}" in latex and latex.count(r"\textbf") == 3 + 3
+    assert latex.count("&") % 3 == 0 and r"\midrule" in latex
+    escaped = latex_table({"a_b & 100%": groups["slow"]})
+    assert r"a\_b \& 100\%" in escaped
+
+
+def test_gaps_are_behind_the_first_of_the_flights_that_finish(groups):
+    axes = gap_figure(groups, 4).axes[0]
+    drawn = [line for line in axes.lines if len(line.get_xdata()) > 2]
+    assert len(drawn) == 5
+    fastest, slower = drawn[1].get_ydata(), drawn[0].get_ydata()
+    np.testing.assert_allclose(fastest, 0.0, atol=1e-9)
+    assert slower[-1] == pytest.approx(0.4, abs=0.02) and np.all(np.diff(slower) > -0.02)
+    assert "(s)" in axes.get_ylabel() and axes.get_legend() is None
+
+
+def test_trajectories_share_axes_and_one_color_scale(groups):
+    figure = trajectory_figure(groups, RACE.track.gates)
+    *panels, bar = figure.axes
+    scales = {tuple(np.round(c.get_clim(), 9)) for axes in panels for c in axes.collections}
+    assert len(scales) == 1 and "m/s" in bar.get_ylabel()
+    assert len({axes.get_xlim() for axes in panels}) == 1
+    titles = [axes.get_title("left") for axes in panels if axes.get_title("left")]
+    assert "5.60 s, 2 laps, fastest of 3" in titles[0] and len(titles) == 2
+
+
+def test_boxes_have_units_and_every_flight(groups):
+    panels = box_figure(groups).axes
+    assert [axes.get_xlabel() for axes in panels] == [
+        "lap 1 (s)",
+        "lap 2 (s)",
+        "total of 2 laps (s)",
+    ]
+    dots = [[len(line.get_xdata()) for line in a.lines if line.get_marker() == "o"] for a in panels]
+    assert dots == [[3, 2], [3, 1], [3, 1]]
+
+
+def test_errors_are_to_the_first_order_response_of_the_commands(groups):
+    motor, rate = (RACE.vehicle.with_model(model).constants for model in ("motor", "rate"))
+    e2e, indi = groups["E2E simulated"][0], groups["slow"][0]
+    assert (e2e.commands, indi.commands) == ("rpm", "rates")
+    signals = signals_of(e2e, motor)
+    np.testing.assert_allclose(signals.error, 0.0, atol=1e-6)
+    assert (signals.low[0], signals.high[0], signals.unit) == (3000, 11000, "rpm")
+    command = np.random.default_rng(0).uniform(-2, 2, indi.recording.command.shape)
+    indi.recording.command[:] = command
+    own = signals_of(indi, rate)
+    start = indi.recording.rates[0]
+    wanted = indi.recording.rates - first_order(command[:, :3], start, rate["tau_rate"], STEP)
+    np.testing.assert_allclose(own.error, wanted, atol=1e-6)
+    names = dict(figures(groups, RACE))
+    assert {"errors_1", "errors_2", "architectures", "toolchain"} <= set(names)
+    ticks = [line for line in names["errors_1"].axes[1].lines if len(line.get_xdata()) == 2]
+    assert len(ticks) >= 8
+
+
+def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
+    path = states_file(tmp_path / "a.npz", [3.0])
+    assert run("report", f"E2E={path}", "--output", tmp_path, "--name", "out") == 0
+    assert "3.00" in capsys.readouterr().out
+    names = {file.name for file in (tmp_path / "out").iterdir()}
+    for name in ("boxes", "gaps", "trajectories", "errors_1", "architectures", "toolchain"):
+        assert {f"{name}.pdf", f"{name}.svg", f"{name}.png"} <= names
+    with Image.open(tmp_path / "out" / "trajectories.png") as image:
+        assert min(image.size) > 200
+    result = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert result["groups"]["E2E"][0]["laps"] == [3.0, 3.0] and "provenance" in result
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["missing.npz"], "0 files"),
+        (["=a.npz"], "LABEL=FILE"),
+        (["E2E="], "0 files"),
+        (["POLICY"], "format is"),
+        (["TEXT"], "allowed: .npz, .csv"),
+        (["CSV"], "columns of no known format"),
+        (["NOTHING"], "no flight completes a lap"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, words, says):
+    (tmp_path / "a.txt").write_text("a")
+    (tmp_path / "a.csv").write_text("time,height\n0,1\n")
+    states_file(tmp_path / "b.npz", [3.0], crash_after=0.5)
+    given = {"POLICY": PRETRAINED / "e2e.npz", "TEXT": tmp_path / "a.txt"}
+    given |= {"CSV": tmp_path / "a.csv", "NOTHING": tmp_path / "b.npz"}
+    files = [given.get(word, word) for word in words]
+    assert run("report", *files, "--output", tmp_path, "--name", "out") == 2
+    error = capsys.readouterr().err
+    assert says in error and error.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_logs_of_the_plant_have_the_laps_of_their_flights(tmp_path, capsys):
+    policy, logs = PRETRAINED / "e2e.npz", tmp_path / "logs"
+    plant = ("plant-logs", CONFIGS / "plant" / "standin.yaml", "--race", "e2e")
+    assert run(*plant, "--policy", policy, "--flights", 1, "--laps", 1, "--output", logs) == 0
+    own = ("--race", "e2e", "--output", tmp_path, "--name", "out")
+    assert run("report", f"plant={logs}/*.csv", *own) == 0
+    (flight,) = json.loads((tmp_path / "out" / "report.json").read_text())["groups"]["plant"]
+    assert len(flight["gates"]) == 4 and flight["gates"] == sorted(flight["gates"])
+    assert flight["laps"][0] == pytest.approx(2.75, abs=0.15)
