@@ -16,6 +16,8 @@ WIDTHS = {
     "time": 1,
     "rpm": 4,
     "rpm_command": 4,
+    "rate_command": 3,
+    "thrust_command": 1,
     "gyro": 3,
     "acceleration": 3,
     "acceleration_bias": 3,
@@ -28,7 +30,7 @@ WIDTHS = {
 }
 REQUIRED = ("time", "rpm", "gyro", "acceleration")
 # Columns of a format that a log may lack.
-OPTIONAL = ("rpm_command", "position", "euler", "mode")
+OPTIONAL = ("rpm_command", "rate_command", "thrust_command", "position", "euler", "mode")
 
 
 def _numbered(prefix: str, suffixes: str) -> list[str]:
@@ -40,6 +42,8 @@ PRESETS: dict[str, dict[str, list[str]]] = {
         "time": ["t"],
         "rpm": _numbered("rpm_", "1234"),
         "rpm_command": _numbered("rpm_ref_", "1234"),
+        "rate_command": ["p_ref", "q_ref", "r_ref"],
+        "thrust_command": ["thrust_ref"],
         "gyro": ["p", "q", "r"],
         "acceleration": ["ax", "ay", "az"],
         "body_velocity": ["vbx", "vby", "vbz"],
@@ -50,6 +54,8 @@ PRESETS: dict[str, dict[str, list[str]]] = {
         "time": ["time"],
         "rpm": _numbered("rpm_obs_", "1234"),
         "rpm_command": _numbered("rpm_ref_", "1234"),
+        "rate_command": _numbered("rate_ref_", "pqr"),
+        "thrust_command": ["thrust_ref"],
         "gyro": _numbered("rate_", "pqr"),
         "acceleration": _numbered("ekf_U", "123"),
         "acceleration_bias": ["ekf_X10", "ekf_X11", "ekf_X12"],
@@ -78,6 +84,8 @@ UNIT_OF = {
     "rpm": "rpm",
     "rpm_command": "rpm",
     "gyro": "gyro",
+    "rate_command": "gyro",
+    "thrust_command": "acceleration",
     "acceleration": "acceleration",
     "acceleration_bias": "acceleration",
     "body_velocity": "velocity",

@@ -39,6 +39,8 @@ class FlightLog:
     time: np.ndarray  # (n,) s
     rpm: np.ndarray  # (n, 4) rpm, front-left, front-right, rear-right, rear-left
     rpm_command: np.ndarray | None  # (n, 4) rpm
+    rate_command: np.ndarray | None  # (n, 3) rad/s
+    thrust_command: np.ndarray | None  # (n,) specific thrust along -z, m/s^2
     body_velocity: np.ndarray  # (n, 3) m/s
     rates: np.ndarray  # (n, 3) rad/s
     specific_force: np.ndarray  # (n, 3) m/s^2, accelerometer less its bias
@@ -255,7 +257,7 @@ def _to_standard_frames(path: Path | str, given: Quantities, config: LogsConfig)
     """Vectors in body FRD and world NED, with body velocity; attitudes as quaternions."""
     result, flu = dict(given), config.body_frame == "FLU"
     if flu:
-        for name in ("gyro", "acceleration", "acceleration_bias", "body_velocity"):
+        for name in ("gyro", "rate_command", "acceleration", "acceleration_bias", "body_velocity"):
             if name in result:
                 result[name] = result[name] * FLIP
     if "quaternion" in result:
@@ -302,15 +304,19 @@ def _assemble(path: Path | str, quantities: Quantities, columns: dict[str, list[
         return np.stack([np.interp(even, time, column) for column in values.T], axis=1)
 
     bias = quantities.get("acceleration_bias", 0.0)
-    command, mode = quantities.get("rpm_command"), quantities.get("mode")
+    mode = quantities.get("mode")
     position, attitude = quantities.get("position"), quantities.get("quaternion")
     nearest = np.clip(np.searchsorted(time, even - 0.5 * np.median(steps)), 0, len(time) - 1)
+    commands = {
+        name: quantities[name][nearest] if name in quantities else None
+        for name in ("rpm_command", "rate_command", "thrust_command")
+    }
     return FlightLog(
         name=Path(path).stem,
         path=str(path),
         time=even,
         rpm=resample(quantities["rpm"]),
-        rpm_command=None if command is None else command[nearest],
+        **commands,
         body_velocity=resample(quantities["body_velocity"]),
         rates=resample(quantities["gyro"]),
         specific_force=resample(quantities["acceleration"] - bias),

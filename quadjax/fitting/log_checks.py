@@ -12,7 +12,10 @@ from quadjax.fitting.config import LogsConfig
 
 GRAVITY = 9.81
 LEAST_ROWS = 50  # of a log, for the filters
-MAY_BE_CONSTANT = {"time", "mode", "acceleration_bias", "rpm_command"}
+MAY_BE_CONSTANT = {
+    *("time", "mode", "acceleration_bias"),
+    *("rpm_command", "rate_command", "thrust_command"),
+}
 
 
 def check_time(path: Path | str, column: str, time: np.ndarray, config: LogsConfig) -> None:
@@ -75,12 +78,15 @@ def check_units(
     velocity = columns.get("body_velocity") or columns["world_velocity"]
     for quantity, names, limit, unit, other in (
         ("gyro", columns["gyro"], 60.0, "rad/s", "deg/s"),
+        ("rate_command", columns.get("rate_command"), 60.0, "rad/s", "deg/s"),
+        ("thrust_command", columns.get("thrust_command"), 400.0, "m/s^2", "newtons"),
         ("acceleration", columns["acceleration"], 400.0, "m/s^2", "milli-g"),
         ("acceleration_bias", columns.get("acceleration_bias"), 10.0, "m/s^2", "milli-g"),
         ("body_velocity", velocity, 100.0, "m/s", "cm/s"),
     ):
         if quantity in quantities:
-            _check_largest(path, names, quantities[quantity], limit, unit, other)
+            values = quantities[quantity].reshape(-1, len(names))
+            _check_largest(path, names, values, limit, unit, other)
 
 
 def _flying(quantities: dict[str, np.ndarray]) -> np.ndarray:

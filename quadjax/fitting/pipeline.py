@@ -11,8 +11,8 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import BodyConfig, FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_logs
+from quadjax.fitting.lag import LagFit, fit_motor_lag
 from quadjax.fitting.least_squares import AxisFit, check_signs, fit_nominal, with_fit
-from quadjax.fitting.motor_lag import LagFit, fit_motor_lag
 from quadjax.fitting.nominal import AXES
 from quadjax.fitting.prediction import (
     Prediction,
@@ -22,6 +22,7 @@ from quadjax.fitting.prediction import (
     with_gains,
 )
 from quadjax.fitting.prepare import Samples, airborne, prepare
+from quadjax.fitting.rate_model import RateFit, fit_rate_model
 from quadjax.fitting.residual_fit import (
     ALL,
     LeftOut,
@@ -49,6 +50,7 @@ class FitResult:
     vehicle: BaseVehicle  # fitted
     axes: list[AxisFit]
     lag: LagFit
+    rate: RateFit | None  # the rate-and-thrust model, if the logs have its commands
     fits: dict[LeftOut, ResidualFit]
     training: Prediction  # the final model on its own rows
     held_out: list[Prediction]  # each by a model that has not seen these rows
@@ -77,12 +79,15 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
     axes = fit_nominal(learned, base.motor, config.nominal.any_sign)
     if not config.nominal.any_sign:
         check_signs(axes)
-    lag = _fit_lag(config, logs, base)
+    lag, rate = _fit_lags(config, logs, samples, base)
     config, kept = _without_harmful_constants(config, samples, split, flights, base)
     vehicle = base
     if config.nominal.fit:
         fitted = with_fit(base.motor, [fit for fit in axes if fit.axis in config.nominal.axes])
-        vehicle = dataclasses.replace(base, motor=fitted.replace(tau=lag.tau))
+        others = dict(base.others)
+        if rate is not None:
+            others["rate"] = others["rate"] | rate.values
+        vehicle = dataclasses.replace(base, motor=fitted.replace(tau=lag.tau), others=others)
     fits = _fit_residuals(config, samples, split, base, report)
     held_out = [
         predict(name, samples, rows, fits[left_out])
@@ -96,8 +101,8 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
     }
     training = predict("training", samples, learned_rows(split.fold, ALL), fits[ALL])
     limited = [part.scaled(gains) for part in held_out]
-    warnings = _warnings(logs, axes, lag, config.body.rpm_range) + kept + _limits(held_out, gains)
-    data = (config, logs, samples, split, vehicle, axes, lag)
+    warnings = _warnings(config, logs, axes, lag, rate) + kept + _limits(held_out, gains)
+    data = (config, logs, samples, split, vehicle, axes, lag, rate)
     return FitResult(*data, fits, training, limited, held_out, gains, warnings)
 
 
@@ -114,10 +119,16 @@ def _read(
     return _with_rpm_range(base, config.body, most, logs, samples), logs, samples
 
 
-def _fit_lag(config: FitConfig, logs: list[FlightLog], base: BaseVehicle) -> LagFit:
-    known = [log for log in logs if log.name not in config.split.test_flights]
-    flying = [airborne(log, config.prepare) for log in known]
-    return fit_motor_lag(known, flying, float(base.motor.tau))
+def _fit_lags(
+    config: FitConfig, logs: list[FlightLog], samples: Samples, base: BaseVehicle
+) -> tuple[LagFit, RateFit | None]:
+    """The motors' lag and the rate-and-thrust model, without the test flights."""
+    flying = [airborne(log, config.prepare) for log in logs]
+    known = [i for i, log in enumerate(logs) if log.name not in config.split.test_flights]
+    lag = fit_motor_lag([logs[i] for i in known], [flying[i] for i in known], float(base.motor.tau))
+    if "rate" not in base.others:
+        return lag, None
+    return lag, fit_rate_model(logs, flying, known, samples, base.others["rate"])
 
 
 def _with_rpm_range(
@@ -212,11 +223,16 @@ def _limits(held_out: list[Prediction], gains: np.ndarray) -> list[str]:
 
 
 def _warnings(
-    logs: list[FlightLog], axes: list[AxisFit], lag: LagFit, rpm_range: tuple[float, float] | None
+    config: FitConfig,
+    logs: list[FlightLog],
+    axes: list[AxisFit],
+    lag: LagFit,
+    rate: RateFit | None,
 ) -> list[str]:
     lines = [line for axis in axes for line in axis.warnings]
     lines += [lag.warning] if lag.warning else []
-    if rpm_range is None and all(log.rpm_command is None for log in logs):
+    lines += rate.warnings if rate else ()
+    if config.body.rpm_range is None and all(log.rpm_command is None for log in logs):
         lines.append(
             "the common scale of the propeller speeds is not checked: the logs have no commanded "
             "speeds; body.rpm_range, if given, bounds it"

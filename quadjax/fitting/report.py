@@ -68,6 +68,17 @@ def _fitted(result: FitResult) -> list[tuple[str, str, float, float]]:
     return [*rows, ("tau", "", result.lag.tau, result.lag.standard_error)]
 
 
+def _fitted_rate(result: FitResult) -> list[tuple[str, float, float, float]]:
+    """Name, value, standard error and R^2 of the constants of the rate-and-thrust model."""
+    fit = result.rate
+    if fit is None:
+        return []
+    return [
+        (name, value, fit.standard_errors[name], fit.r_squared[name])
+        for name, value in fit.values.items()
+    ]
+
+
 def as_json(result: FitResult) -> dict[str, object]:
     """The numbers of the report; null for those that are not finite."""
     report = {
@@ -79,6 +90,10 @@ def as_json(result: FitResult) -> dict[str, object]:
         "axes": {
             fit.axis: {name: getattr(fit, name) for name in ("r_squared", "rmse", "condition")}
             for fit in result.axes
+        },
+        "rate_model": {
+            name: {"value": value, "standard_error": error, "r_squared": r2}
+            for name, value, error, r2 in _fitted_rate(result)
         },
         "warnings": result.warnings,
         "split": {"by": result.split.by, "folds": list(result.split.names)},
@@ -110,15 +125,17 @@ def _prediction_json(part: Prediction) -> dict[str, dict[str, float]]:
     return {axis: {k: float(v[i]) for k, v in columns.items()} for i, axis in enumerate(AXES)}
 
 
-def _notes(result: FitResult) -> dict[str, str]:
-    """A comment for every fitted constant of the vehicle file."""
+def _notes(result: FitResult) -> dict[str, dict[str, str]]:
+    """A comment for every fitted constant of the vehicle file, by model."""
     if not result.config.nominal.fit:
         return {}
     fitted = ("", *result.config.nominal.axes)  # tau has no axis
-    return {
+    motor = {
         name: f"+- {error:.2g}" if axis in fitted and np.isfinite(error) else "the base vehicle's"
         for name, axis, _, error in _fitted(result)
     }
+    rate = {name: f"+- {error:.2g}" for name, _, error, _ in _fitted_rate(result)}
+    return {"motor": motor, "rate": rate}
 
 
 def _nominal_table(result: FitResult) -> str:
@@ -136,6 +153,11 @@ def _nominal_table(result: FitResult) -> str:
         relative = _percent(100.0 * error / max(abs(value), 1e-300))
         shown = axis if name in quality else ""
         lines.append(f"{shown:5}{name:>10}{value:14.5g}{error:12.2g}{relative:>8}{tail}")
+    if rate := _fitted_rate(result):
+        lines.append("rate-and-thrust model")
+    for name, value, error, r2 in rate:
+        relative = _percent(100.0 * error / max(abs(value), 1e-300))
+        lines.append(f"{'':5}{name:>10}{value:14.5g}{error:12.2g}{relative:>8}{'':11}{r2:8.3f}")
     return "\n".join(lines + [f"warning: {line}" for line in result.warnings])
 
 

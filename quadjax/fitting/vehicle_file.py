@@ -67,13 +67,15 @@ def with_body(base: BaseVehicle, body: BodyConfig) -> BaseVehicle:
     return dataclasses.replace(base, name=body.name, mass=mass, motor=motor)
 
 
-def write_vehicle(path: Path, vehicle: BaseVehicle, notes: dict[str, str], source: str) -> None:
+def write_vehicle(
+    path: Path, vehicle: BaseVehicle, notes: dict[str, dict[str, str]], source: str
+) -> None:
     """Write a vehicle file, with a comment after each constant that has a note.
 
     Args:
         path: of the file.
         vehicle: its content.
-        notes: by name of a motor constant, such as its standard error.
+        notes: by model and constant, such as its standard error.
         source: comment at the head of the file.
     """
     quoted = vehicle.name.replace("'", "''")
@@ -81,12 +83,17 @@ def write_vehicle(path: Path, vehicle: BaseVehicle, notes: dict[str, str], sourc
     lines += [f"mass: {vehicle.mass!r}"] if vehicle.mass is not None else []
     lines.append("motor:")
     for name in constant_names(MotorConstants):
-        note = f"  # {notes[name]}" if name in notes else ""
-        lines.append(f"  {name}: {float(getattr(vehicle.motor, name))!r}{note}")
+        value = float(getattr(vehicle.motor, name))
+        lines.append(_constant_line(name, value, notes.get("motor", {})))
     for model, constants in vehicle.others.items():
-        lines.append(f"{model}:  # not fitted: the base vehicle's")
-        lines += [f"  {name}: {value!r}" for name, value in constants.items()]
+        known = notes.get(model, {})
+        lines.append(f"{model}:" + ("" if known else "  # not fitted: the base vehicle's"))
+        lines += [_constant_line(name, value, known) for name, value in constants.items()]
     write_text(path, "\n".join(lines) + "\n")
+
+
+def _constant_line(name: str, value: float, notes: dict[str, str]) -> str:
+    return f"  {name}: {value!r}" + (f"  # {notes[name]}" if name in notes else "")
 
 
 def _number(path: Path, section: str, tree: dict, name: str) -> float:

@@ -15,6 +15,7 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.columns import paparazzi_columns
 from quadjax.fitting.flight_log import write_log
 from quadjax.plant.flights import Flights, Plan, fly_plan, rows
+from quadjax.vehicle.rate import RateCommand
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +47,9 @@ def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, n
         "acceleration": frames.accelerometer,
         "acceleration_bias": frames.force_bias,
     }
+    if isinstance(frames.command, RateCommand):
+        vectors["rate_command"] = frames.command.rates
+        vectors["thrust_command"] = frames.command.thrust
     time = {"time": flights.step * np.arange(len(target)), "mode": np.ones(len(target))}
     own = {name: rows(flights, vector, run) for name, vector in vectors.items()}
     return time | own | {"target_gate": target}

@@ -6,8 +6,8 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig, PrepareConfig
 from quadjax.fitting.flight_log import read_logs, write_log
+from quadjax.fitting.lag import fit_motor_lag
 from quadjax.fitting.least_squares import check_signs, fit_nominal, with_fit
-from quadjax.fitting.motor_lag import fit_motor_lag
 from quadjax.fitting.nominal import (
     AXES,
     CONSTANTS,

@@ -1,0 +1,72 @@
+"""The rate-and-thrust model from flights with an inner loop: known constants come back."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from quadjax.fitting.columns import paparazzi_columns
+from quadjax.fitting.config import LogsConfig, PrepareConfig
+from quadjax.fitting.flight_log import read_log, write_log
+from quadjax.fitting.prepare import airborne, prepare
+from quadjax.fitting.rate_model import fit_rate_model
+from quadjax.fitting.signals import first_order
+from quadjax.fitting.simulate import simulate_flight
+from quadjax.fitting.vehicle_file import read_vehicle
+from quadjax.vehicle.protocol import VehicleParams
+
+TRUE = {"tau_rate": 0.045, "tau_thrust": 0.035, "d_x": 0.3, "d_y": 0.4}
+BASE = {"tau_rate": 0.03, "tau_thrust": 0.03, "d_x": 1.0, "d_y": 1.0}
+
+
+def steps(random, count, width, size):
+    """Random levels that change every 0.2 s (n, width)."""
+    return size * np.repeat(random.uniform(-1.0, 1.0, (count // 100 + 1, width)), 100, 0)[:count]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """A flight whose rates and thrust follow their commands exactly, with sensor noise."""
+    random, path = np.random.default_rng(0), tmp_path_factory.mktemp("rate") / "flight.csv"
+    columns = simulate_flight(VehicleParams(read_vehicle("bebop1.yaml").motor), 1, seconds=20.0)
+    count = len(columns["time"])
+    rates, thrust = steps(random, count, 3, 2.0), 10.0 + steps(random, count, 1, 4.0)
+    commands = {"rate_command": rates, "thrust_command": thrust}
+    write_log(path, columns | paparazzi_columns(commands))
+    flight = read_log(path, LogsConfig(format="paparazzi"))
+    np.testing.assert_allclose(flight.rate_command, rates, rtol=1e-6)
+    np.testing.assert_allclose(flight.thrust_command, thrust[:, 0], rtol=1e-6)
+    v = flight.body_velocity
+    lift = first_order(thrust, thrust[0], TRUE["tau_thrust"], 0.002)
+    force = np.stack([-TRUE["d_x"] * v[:, 0], -TRUE["d_y"] * v[:, 1], -lift[:, 0]], axis=1)
+    followed = first_order(rates, rates[0], TRUE["tau_rate"], 0.002)
+    return dataclasses.replace(
+        flight,
+        rates=followed + random.normal(0.0, 0.01, (count, 3)),
+        specific_force=force + random.normal(0.0, 0.3, (count, 3)),
+    )
+
+
+def fitted(logs):
+    flying = [airborne(log, PrepareConfig()) for log in logs]
+    samples = prepare(logs, read_vehicle("bebop1.yaml").motor, PrepareConfig(), 2.0)
+    return fit_rate_model(logs, flying, list(range(len(logs))), samples, BASE)
+
+
+def test_known_constants_come_back(log):
+    fit = fitted([log])
+    for name, true in TRUE.items():
+        assert abs(fit.values[name] / true - 1.0) < 0.03, name
+        assert abs(fit.values[name] - true) < 4.0 * fit.standard_errors[name], name
+    assert not fit.warnings and fit.r_squared["tau_rate"] > 0.99
+
+
+def test_flights_without_an_inner_loop_have_no_such_model(log):
+    without = dataclasses.replace(log, rate_command=None)
+    assert fitted([without]) is None
+
+
+def test_commands_that_never_change_keep_the_base_value(log):
+    still = dataclasses.replace(log, rate_command=np.zeros_like(log.rate_command))
+    fit = fitted([still])
+    assert fit.values["tau_rate"] == 0.03 and "never change" in fit.warnings[0]
