@@ -133,6 +133,8 @@ def _value_at(config: Config, key: str) -> object:
 def _check_times(config: Config, key: str, schedule: Schedule) -> None:
     """Check that a schedule begins before it ends, and ends within the run."""
     steps = config.run.steps
+    if schedule.by == "pass_rate" and max(schedule.start, schedule.until) > 1:
+        refuse(f"schedules.{key}", short(schedule.model_dump(by_alias=True)), "levels up to 1")
     for name, time in (("from", schedule.start), ("until", schedule.until)):
         if time > 1 and time > steps:
             refuse(

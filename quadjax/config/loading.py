@@ -5,6 +5,7 @@ from pathlib import Path
 
 from quadjax.config.checks import check, vehicle_model
 from quadjax.config.renamed import check_renamed
+from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Gate, Schedule
 from quadjax.config.vehicle_file import for_each_rotor, vehicle_values
 from quadjax.core.errors import InputError, prefixed, reading
@@ -288,9 +289,12 @@ def config_of(tree: Tree, source: str) -> Config:
     Raises:
         InputError: a key or a value that is not allowed.
     """
-    vehicle, learner = tree.get("vehicle"), tree.get("learner", {})
+    vehicle = tree.get("vehicle")
     if not isinstance(vehicle, dict):
         raise InputError(f"{source}: vehicle is {short(vehicle)}, allowed: a mapping")
+    with prefixed(source):
+        tree = in_plain_units({**tree, "vehicle": _with_constants(vehicle, source)})
+    learner = tree.get("learner", {})
     if not isinstance(learner, dict):
         raise InputError(f"{source}: learner is {short(learner)}, allowed: a mapping")
     schedules = {} if tree.get("schedules") is None else tree["schedules"]
@@ -298,7 +302,6 @@ def config_of(tree: Tree, source: str) -> Config:
         schedules = {key: value for key, value in schedules.items() if value is not None}
     tree = {
         **tree,
-        "vehicle": _with_constants(vehicle, source),
         "learner": _learner(learner, source),
         "schedules": schedules,
     }

@@ -55,6 +55,7 @@ def choices_of(config: Config) -> Choices:
         mismatch=bool(config.vehicle.mismatch),
         terms=_own("reward.terms", config.reward.terms),
         rules=_own("rules.extra", config.rules.extra),
+        report_passes=any(schedule.by == "pass_rate" for schedule in config.schedules.values()),
     )
 
 
@@ -205,7 +206,8 @@ def _start_range(start: schema.Start) -> StartRange:
         "thrust_low": start.thrust[0],
         "thrust_high": start.thrust[1],
     }
-    return StartRange(**_traced(ranges))
+    part = jnp.float32(start.along_leg) if start.along_leg > 0 else None
+    return StartRange(**_traced(ranges), along_leg=part)
 
 
 def race_of(config: Config) -> tuple[Choices, RaceParams]:

@@ -14,7 +14,7 @@ from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.sections import Field, FolderName, Section
 from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.section import LearnerSection, Network, Schedule
+from quadjax.learners.section import Curriculum, LearnerSection, Network, Schedule
 from quadjax.race.random_track import RandomTrack
 
 if TYPE_CHECKING:
@@ -308,7 +308,14 @@ class Start(Section):
     stagger_clocks: bool = Field(
         False, description="start at a random step of the episode's clock, so that resets spread"
     )
-    position: HalfWidth = Field(0.5, description="half-width about the gate's center, m")
+    along_leg: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="farthest start on the straight line from the gate before to the target gate, "
+        "as a fraction of it; starts are uniform up to there",
+    )
+    position: HalfWidth = Field(0.5, description="half-width about the point on the leg, m")
     velocity: HalfWidth = Field(0.5, description="half-width of each component, m/s")
     roll_pitch_deg: float = Field(40.0, ge=0, le=89, description="half-width of roll and pitch")
     yaw_deg: float = Field(180.0, ge=0, le=180, description="half-width of yaw about the heading")
@@ -456,6 +463,7 @@ class Config(Section):
     learner: SerializeAsAny[LearnerSection] = Field(
         PPO(), description="hyperparameters of the algorithm"
     )
+    curriculum: Curriculum = Curriculum()
     schedules: dict[str, Schedule] = Field(
         {},
         max_length=100,

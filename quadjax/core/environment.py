@@ -34,3 +34,6 @@ class Environment(Generic[Params, State]):
     step: Callable[[Params, State, jax.Array], tuple[State, jax.Array, jax.Array, jax.Array]]
     observation_size: int
     action_size: int
+    # (before, after) -> () float, parts of the task that a step completed: gates passed. None: not
+    # reported.
+    completed: Callable[[State, State], jax.Array] | None = None

@@ -24,16 +24,26 @@ def explained_variance(error: jax.Array, target: jax.Array) -> jax.Array:
     return 1.0 - error / jnp.maximum(variance, 1e-9)
 
 
-def episode_metrics(reward: jax.Array, terminated: jax.Array, truncated: jax.Array) -> Metrics:
+def episode_metrics(
+    reward: jax.Array,
+    terminated: jax.Array,
+    truncated: jax.Array,
+    completed: jax.Array | None = None,
+) -> Metrics:
     """Metrics of all steps (time, n) of an update.
 
     Returns:
         ``reward``: mean per step; ``terminated``: fraction of steps that terminate an episode;
-        ``crash_rate``: fraction of ended episodes that were terminated rather than truncated.
+        ``crash_rate``: fraction of ended episodes that were terminated rather than truncated; where
+        ``completed`` is given, ``pass_rate``: completed parts of the task, of those and crashes.
     """
     chex.assert_equal_shape((reward, terminated, truncated))
     terminated, truncated = global_mean(terminated), global_mean(truncated)
-    return {
+    own: Metrics = {}
+    if completed is not None:
+        parts = global_mean(completed)
+        own["pass_rate"] = parts / jnp.maximum(parts + terminated, 1e-9)
+    return own | {
         "reward": global_mean(reward),
         "crash_rate": terminated / jnp.maximum(terminated + truncated, 1e-9),
         "terminated": terminated,

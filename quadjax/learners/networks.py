@@ -47,6 +47,7 @@ class Networks:
     hidden: tuple[int, ...]
     activation: str = "relu"
     clip_mean: bool = False  # clip the mean action to [-1, 1] before noise is added
+    input_scale: tuple[float, ...] = ()  # factors on the observation; (): ones
 
     def init(self, key: jax.Array) -> ActorCritic:
         """Initial parameters, with a ``log_std`` of zero."""
@@ -67,12 +68,17 @@ class Networks:
         Where ``clip_mean`` is set, gradients pass the clip if they point inwards; see
         ``quadjax.core.gradients.clip_inward``.
         """
-        mean = mlp.apply(layers_of(params.policy), observation, self.activation)
+        mean = mlp.apply(layers_of(params.policy), self._inputs(observation), self.activation)
         return clip_inward(mean, -1.0, 1.0) if self.clip_mean else mean
+
+    def _inputs(self, observation: jax.Array) -> jax.Array:
+        return observation * jnp.array(self.input_scale) if self.input_scale else observation
 
     def value(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
         """Value (...) of an observation (..., observation_size)."""
-        return mlp.apply(layers_of(params.value), observation, self.activation)[..., 0]
+        return mlp.apply(layers_of(params.value), self._inputs(observation), self.activation)[
+            ..., 0
+        ]
 
 
 def layers_of(tree: Tree) -> list[Layer]:

@@ -28,6 +28,26 @@ class Network(Section):
     activation: Literal["relu", "tanh"] = Field(
         "relu", description="activation of the hidden layers"
     )
+    normalize: bool = Field(
+        False,
+        description="train on lengths in legs and on times in leg times of the race; the policy "
+        "file takes plain units all the same",
+    )
+
+
+class Curriculum(Section):
+    """The level that schedules with ``by: pass_rate`` follow: from 0, the start, to 1."""
+
+    pass_rate: float = Field(
+        0.9,
+        gt=0,
+        lt=1,
+        description="the level rises while at least this share of gates is passed: gates passed, "
+        "divided by gates passed and crashes",
+    )
+    duration: float = Field(
+        0.25, gt=0, le=1, description="shortest time from level 0 to 1, as a fraction of the run"
+    )
 
 
 class Schedule(Section):
@@ -48,6 +68,12 @@ class Schedule(Section):
     until: float = Field(
         1.0, gt=0, le=1e12, description="when the last value is reached: as from; 1 is the end"
     )
+    by: Literal["steps", "pass_rate"] = Field(
+        "steps",
+        description="what the schedule follows: the steps of the run, or a level from 0 to 1 that "
+        "rises while the share of gates passed is above curriculum.pass_rate, and falls while it "
+        "is below",
+    )
 
     def knots(self, run_steps: int, total: int) -> list[float]:
         """Environment steps of the values.
@@ -56,6 +82,11 @@ class Schedule(Section):
             run_steps: ``run.steps``, to which fractions refer.
             total: steps at the end of the run, a whole number of chunks.
         """
+        if self.by == "pass_rate":
+            return [
+                self.start + (self.until - self.start) * i / (len(self.linear) - 1)
+                for i in range(len(self.linear))
+            ]
         begin, end = (
             float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)
             for x in (self.start, self.until)

@@ -37,7 +37,9 @@ def specs_of(state: TrainState) -> TrainState:
 
     shared = jax.tree.map(lambda _: PartitionSpec(), state)
     return shared.replace(
-        environment=jax.tree.map(split, state.environment), keys=PartitionSpec(AXIS)
+        environment=jax.tree.map(split, state.environment),
+        buffer=jax.tree.map(split, state.buffer),
+        keys=PartitionSpec(AXIS),
     )
 
 

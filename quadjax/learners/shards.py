@@ -51,6 +51,18 @@ def split_keys(keys: jax.Array, count: int) -> tuple[jax.Array, ...]:
     return tuple(jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, count))(keys), 1, 0))
 
 
+def fold_in_all(keys: jax.Array, number: int) -> jax.Array:
+    """New keys (shards,), each with ``number`` folded in."""
+    return jax.vmap(lambda key: jax.random.fold_in(key, number))(keys)
+
+
+def completed_parts(environment: Environment, before: Any, after: Any) -> jax.Array | None:
+    """Parts of the task that a step completed (n,), of batched states; None if not reported."""
+    if environment.completed is None:
+        return None
+    return jax.vmap(environment.completed, in_axes=-1)(before, after)
+
+
 def where_done(done: jax.Array, fresh: Any, state: Any) -> Any:
     """``fresh`` where an episode is done, else ``state``; both batched along the last axis."""
     return jax.tree.map(lambda new, old: jnp.where(done, new, old), fresh, state)

@@ -28,6 +28,8 @@ class TrainState:
     ema: Any = (
         None  # ActorCritic or None: exponential moving average of ``params``, if there is one
     )
+    buffer: Any = None  # states of earlier flights, as ``environment``, where restarts use them
+    level: Any = None  # () in [0, 1]: position of the schedules by ``pass_rate``, if there are any
 
     @property
     def evaluated(self) -> ActorCritic:

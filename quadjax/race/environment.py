@@ -50,6 +50,7 @@ class Choices:
     mismatch: bool = False  # the simulated drone has other constants than the policy's model
     terms: tuple[Term, ...] = ()  # reward terms besides those of RewardWeights
     rules: tuple[Rule, ...] = ()  # rules besides those of Limits
+    report_passes: bool = False  # to the learner, for schedules by the share of gates passed
 
 
 @struct.dataclass
@@ -129,6 +130,9 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
             own = constants = start.draw_constants(constants, params.randomization, numbers)
         else:
             own = constants = choices.model.populations[choices.population](constants, numbers)
+    part = None
+    if params.start.along_leg is not None:
+        part = params.start.along_leg * jax.random.uniform(jax.random.fold_in(key, 1))
     drone = start.start(
         choices.model,
         constants,
@@ -137,6 +141,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         params.disturbance,
         target,
         drawn[2:own_draws],
+        part,
     )
     zero = jnp.zeros((), jnp.int32)
     return with_estimate(choices, params, RaceState(drone, target, clock, zero, own))
@@ -335,7 +340,11 @@ def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
         following, value, outcome = transition(choices, params, state, action)
         return following, value, outcome.over, outcome.truncated
 
+    def completed(before: RaceState, after: RaceState) -> jax.Array:
+        return (after.gates_passed - before.gates_passed).astype(jnp.float32)
+
     return Environment(
+        completed=completed if choices.report_passes else None,
         reset=lambda params, key: reset(choices, params, key),
         observe=lambda params, state: observe(choices, params, state),
         step=step,

@@ -25,6 +25,8 @@ class StartRange:
     thrust_high: jax.Array
     # (gates,) rad, center of the drawn yaw by target gate; None: north.
     heading: jax.Array | None = None
+    # () farthest start on the way to the target gate, as a part of the leg; None: at the gate before.
+    along_leg: jax.Array | None = None
 
 
 @struct.dataclass
@@ -58,15 +60,17 @@ def start_gate(track: Track, drawn: jax.Array) -> jax.Array:
 
 
 def _pose(
-    track: Track, span: StartRange, target: jax.Array, drawn: jax.Array
+    track: Track, span: StartRange, target: jax.Array, drawn: jax.Array, part: jax.Array | None
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
-    """Position, velocity, Euler angles and body rates around the gate before the target."""
+    """Position, velocity, Euler angles and body rates around a point of the leg to the target."""
     count = gate_count(track)
     before = gate(track, (target + count - 1) % count)
     position = before.position
     if not track.closed and track.start is not None:
         first = functools.partial(jnp.where, target == 0)
         position = jax.tree.map(first, track.start.position, position)
+    if part is not None:
+        position = position + (gate(track, target).position - position) * part
     angle = Vec3(span.roll_pitch, span.roll_pitch, span.yaw)
     euler = Vec3.of(drawn[6:9]) * angle
     if span.heading is not None:
@@ -92,9 +96,13 @@ def start(
     disturbance: DisturbanceRange,
     target: jax.Array,
     drawn: jax.Array,
+    part: jax.Array | None = None,
 ) -> State:
-    """The start of a vehicle at the gate before ``target``, of (draw_count(model),) numbers."""
-    motion = Motion(*_pose(track, span, target, drawn))
+    """The start of a vehicle at the gate before ``target``, of (draw_count(model),) numbers.
+
+    ``part`` () of the leg to the target is behind it; None: nothing.
+    """
+    motion = Motion(*_pose(track, span, target, drawn, part))
     state = model.start(c, motion, drawn[12:], (span.thrust_low, span.thrust_high))
     if model.disturbance is None:
         return state

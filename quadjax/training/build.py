@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.race import build_params, choices_of
+from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import plan_chunks
@@ -21,6 +22,8 @@ from quadjax.race.environment import RaceParams, make_environment
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.residual_file import is_shipped, read_residual
 
+REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
+
 
 def build_networks(config: Config) -> Networks:
     """The networks of a config."""
@@ -31,6 +34,25 @@ def build_networks(config: Config) -> Networks:
         hidden=config.network.hidden,
         activation=config.network.activation,
         clip_mean=noise_on(config) == "clipped_mean",
+        input_scale=input_scale(config),
+    )
+
+
+def input_scale(config: Config) -> tuple[float, ...]:
+    """Factors on the observation in front of the networks in training; (): none.
+
+    With ``network.normalize``, they make lengths, velocities and rates what they are on the track
+    and the drone of the default race.
+    """
+    if not config.network.normalize:
+        return ()
+    own = race_scales(config.track, config.vehicle, config.rules.time_step)
+    length, time = own.leg / REFERENCE_LEG, own.time / REFERENCE_TIME
+    factors = {"m": 1.0 / length, "m/s": time / length, "rad/s": time}
+    return tuple(
+        factors.get(field.unit, 1.0) if field.scale is None else 1.0
+        for field in choices_of(config).layout.fields
+        for _ in range(field.size)
     )
 
 
@@ -62,7 +84,9 @@ def build_learner(config: Config) -> Learner[RaceParams]:
         return make(own).hyper, build_params(own)
 
     total = updates * per_update
-    return schedule_learner(make(config), config.schedules, numbers_at, config.run.steps, total)
+    return schedule_learner(
+        make(config), config.schedules, numbers_at, config.run.steps, total, config.curriculum
+    )
 
 
 def plan(config: Config, steps_per_update: int) -> tuple[int, int]:
@@ -80,7 +104,8 @@ def start_state(
     state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(config.seed))
     if initial is None:
         return state
-    return with_params(state, with_policy(state.params, initial, reward_scale(config)))
+    scales = reward_scale(config), input_scale(config)
+    return with_params(state, with_policy(state.params, initial, *scales))
 
 
 def with_params(state: TrainState, params: ActorCritic) -> TrainState:
@@ -126,19 +151,24 @@ def initial_policy(config: Config) -> Policy | None:
     return policy
 
 
-def with_policy(params: ActorCritic, policy: Policy, scale: float) -> ActorCritic:
+def with_policy(
+    params: ActorCritic, policy: Policy, scale: float, inputs: Sequence[float] = ()
+) -> ActorCritic:
     """Parameters whose policy is that of a file, and so is the value where the file has it.
 
     Args:
         params: of networks of the policy's widths.
         policy: a policy file's content.
         scale: of the reward: the unit of the values.
+        inputs: factors on the observation in front of the networks in training; (): none.
     """
+    inverse = [1.0 / x for x in inputs]
     log_std = jnp.asarray(policy.log_std, jnp.float32)
     value = params.value
     if policy.value is not None:
-        value = tree_of(_scaled(policy.value, scale))
-    return params.replace(policy=tree_of(list(policy.layers)), log_std=log_std, value=value)
+        value = tree_of(_with_inputs(_scaled(policy.value, scale), inverse))
+    own = tree_of(_with_inputs(policy.layers, inverse))
+    return params.replace(policy=own, log_std=log_std, value=value)
 
 
 def _scaled(layers: Sequence[tuple], factor: float) -> list[tuple]:
@@ -147,9 +177,17 @@ def _scaled(layers: Sequence[tuple], factor: float) -> list[tuple]:
     return [*layers[:-1], (factor * kernel, factor * bias)]
 
 
+def _with_inputs(layers: Sequence[tuple], factors: Sequence[float]) -> list[tuple]:
+    """The layers of a network of which each input has a factor; none where there are no factors."""
+    if not factors:
+        return list(layers)
+    kernel, bias = layers[0]
+    return [(np.asarray(factors, np.float32)[:, None] * kernel, bias), *layers[1:]]
+
+
 def network_policy(config: Config, params: ActorCritic) -> PolicyParams:
     """Networks in training as parameters for inference."""
-    layers = tuple(layers_of(params.policy))
+    layers = tuple(_with_inputs(layers_of(params.policy), input_scale(config)))
     return PolicyParams(layers, params.log_std, config.network.activation, noise_on(config))
 
 
@@ -164,10 +202,12 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
     model = choices.model
     constants = model.constants(**config.vehicle.constants)
     low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
-    value = _scaled(layers_of(params.value), 1.0 / reward_scale(config))
+    inputs = input_scale(config)
+    value = _with_inputs(_scaled(layers_of(params.value), 1.0 / reward_scale(config)), inputs)
+    layers = _with_inputs(layers_of(params.policy), inputs)
     residual = config.vehicle.residual
     return Policy(
-        layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers_of(params.policy)),
+        layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers),
         log_std=np.asarray(params.log_std),
         vehicle=model.name,
         activation=config.network.activation,

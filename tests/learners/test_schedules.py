@@ -9,7 +9,8 @@ import pytest
 from flax import struct
 
 from quadjax.core.errors import InputError
-from quadjax.learners.schedules import make_schedule, with_schedules
+from quadjax.learners.schedules import Climb, make_schedule, schedule_learner, with_schedules
+from quadjax.learners.section import Curriculum, Schedule
 from quadjax.learners.state import Learner
 
 STEPS = 64  # of an update
@@ -108,3 +109,52 @@ def test_no_schedules_leave_the_learner_as_it_is():
     learner = plain_learner()
     assert with_schedules(learner, {}) is learner
     assert np.array_equal(numbers(learner, 5)[1], [2, 20])
+
+
+@struct.dataclass
+class Leveled:
+    """A train state with a level."""
+
+    update: jax.Array
+    level: jax.Array | None = None
+
+
+def share_learner(name="pass_rate"):
+    """A learner whose share of completed parts is its gain."""
+
+    def init(hyper, params, key):
+        return Leveled(jnp.int32(0))
+
+    def update(hyper, params, state):
+        metrics = {"rate": hyper["rate"], name: params["gain"][0]}
+        return Leveled(state.update + 1), metrics
+
+    return Learner(init, update, tree()[0], STEPS, 1)
+
+
+def test_a_level_rises_with_the_share_and_falls_without_it():
+    """Half the updates of a run from level 0 to 1; the number follows the level, not the steps."""
+    curriculum = Curriculum(pass_rate=0.8, duration=0.5)
+    learner = schedule_learner(
+        share_learner(),
+        {"rate": Schedule(linear=(1.0, 5.0), by="pass_rate")},
+        lambda key, value: tree(rate=value),
+        8 * STEPS,
+        8 * STEPS,
+        curriculum,
+    )
+    state, rates = learner.init(learner.hyper, tree()[1], jax.random.key(0)), []
+    for share in (0.5, 0.9, 0.8, 0.9, 0.9, 0.9, 0.7, 0.9):
+        state, metrics = learner.update(learner.hyper, tree(gain=share)[1], state)
+        rates.append(float(metrics["rate"]))
+    assert rates == [1, 1, 2, 3, 4, 5, 5, 4]
+    assert float(metrics["level"]) == float(state.level) == 1.0
+
+
+def test_a_level_needs_a_learner_that_reports_the_share():
+    schedule = make_schedule("rate", [0, 1], [tree(rate=1), tree(rate=5)], STEPS, by_level=True)
+    climb = Climb(jnp.float32(0.5), jnp.float32(0.1))
+    learner = with_schedules(share_learner("other"), {"rate": schedule}, climb)
+    state = learner.init(learner.hyper, tree()[1], jax.random.key(0))
+    with pytest.raises(InputError, match="reports no metric pass_rate"):
+        learner.update(learner.hyper, tree()[1], state)

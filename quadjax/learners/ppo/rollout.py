@@ -8,7 +8,14 @@ from flax import struct
 
 from quadjax.core.environment import Environment
 from quadjax.learners.networks import ActorCritic, Networks
-from quadjax.learners.shards import envs_per_shard, normal_all, reset_all, split_keys, where_done
+from quadjax.learners.shards import (
+    completed_parts,
+    envs_per_shard,
+    normal_all,
+    reset_all,
+    split_keys,
+    where_done,
+)
 
 MAX_RESET_INTERVAL = 64  # steps between two draws of the states that episodes restart from
 
@@ -25,6 +32,7 @@ class Rollout:
     reward: jax.Array  # (time, n)
     terminated: jax.Array  # (time, n) bool
     truncated: jax.Array  # (time, n) bool
+    completed: jax.Array | None = None  # (time, n), where the environment reports it
 
 
 def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
@@ -110,5 +118,6 @@ def _step(
         reward=reward,
         terminated=terminated,
         truncated=truncated,
+        completed=completed_parts(environment, state, following),
     )
     return where_done(terminated | truncated, fresh, following), rollout

@@ -187,7 +187,8 @@ def _clip(gradient: ActorCritic, hyper: PPO) -> tuple[ActorCritic, jax.Array]:
 
 def _rollout_metrics(rollout: Rollout, batch: Batch, params: ActorCritic) -> Metrics:
     error = global_mean((batch.target - rollout.value) ** 2)
-    return episode_metrics(rollout.reward, rollout.terminated, rollout.truncated) | {
+    ended = rollout.terminated, rollout.truncated
+    return episode_metrics(rollout.reward, *ended, rollout.completed) | {
         "explained_variance": explained_variance(error, batch.target),
         "std": jnp.mean(jnp.exp(params.log_std)),
     }
