@@ -57,7 +57,8 @@ def _check_values(config: Config, test: Callable[[Config], None]) -> None:
     for key, schedule in config.schedules.items():
         for value in schedule.linear:
             no_penalty = key in GATE_PENALTIES and value == 0  # the schedule adds the penalty
-            if value == "value" or (no_penalty and test is _check_gate_edge):
+            early = schedule.by == "pass_rate"  # wide gates before the penalty has its full weight
+            if value == "value" or ((no_penalty or early) and test is _check_gate_edge):
                 continue
             with prefixed(f"schedules.{key}"):
                 test(base.at(key, value))

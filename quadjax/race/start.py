@@ -25,7 +25,7 @@ class StartRange:
     thrust_high: jax.Array
     # (gates,) rad, center of the drawn yaw by target gate; None: north.
     heading: jax.Array | None = None
-    # () farthest start on the way to the target gate, as a part of the leg; None: at the gate before.
+    # () farthest start on the way to the target gate, part of the leg; None: at the gate before.
     along_leg: jax.Array | None = None
 
 
