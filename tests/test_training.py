@@ -79,9 +79,16 @@ def interrupted():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
-def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name):
-    config = config_of(name)
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [
+        ("e2e_ppo.yaml", ()),
+        ("e2e_shac.yaml", ()),
+        ("e2e_fastest.yaml", ("learner.revisit=0.5", "schedules.reward.gate_edge.by=pass_rate")),
+    ],
+)
+def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name, keys):
+    config = config_of(name, *keys)
     whole = training.train(config, tmp_path / "whole")
     assert whole.finished
     part = training.train(config, tmp_path / "part", enough=at(256))

@@ -312,9 +312,6 @@ def _check_gate_edge(config: Config) -> None:
         )
     if reward.gate_edge == 0:
         return
-    most = 1.0 - reward.gate_edge_margin  # the penalty is constant farther out
-    if inflation > most:
-        refuse("training_limits.gate_inflation", inflation, f"at most {most:g}")
     half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
     if reward.gate_edge_margin >= half:
         refuse("reward.gate_edge_margin", reward.gate_edge_margin, f"below {half:g}")
@@ -349,6 +346,7 @@ def _check_used(config: Config) -> None:
         unused["rules.gate_depth"] = "without rules.gate_frame"
     if config.reward.gate_edge == 0 and "reward.gate_edge" not in config.schedules:
         unused["reward.gate_edge_margin"] = "without reward.gate_edge"
+        unused["reward.gate_edge_reach"] = "without reward.gate_edge"
     for key, reason in unused.items():
         if key in config.schedules:
             raise InputError(f"schedules: {key} has no effect {reason}; write schedules.{key}=null")

@@ -85,7 +85,7 @@ def race_scales(track: Track, vehicle: Vehicle, time_step: float) -> Scales:
     half_gate = 0.5 * min(size for gate in track.gates for size in gate.size)
     return Scales(
         leg=max(float(legs.mean()), SHORTEST),
-        acceleration=GRAVITY * math.sqrt(ratio**2 - 1.0),
+        acceleration=vehicle.constants.get("g", GRAVITY) * math.sqrt(ratio**2 - 1.0),
         half_gate=half_gate,
         time_step=time_step,
     )

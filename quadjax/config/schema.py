@@ -212,6 +212,11 @@ class Reward(Section):
     gate_edge_margin: Penalty = Field(
         0.1, description="required clearance from each edge of a gate's opening, m"
     )
+    gate_edge_reach: Penalty = Field(
+        1.0,
+        description="clearance violation in each axis from which on the penalty is constant, m; at "
+        "least that at the edge of a widened opening",
+    )
     terms: dict[str, Weight] = Field(
         {}, max_length=100, description="weights of your own reward terms, by module:function"
     )

@@ -290,6 +290,7 @@ def transition(
         choices.model.rates(drone),
         g,
         params.limits.time_step,
+        params.limits.gate_inflation,
     )
     context = StepContext(choices.model, params, state, drone, g, outcome, action)
     for weight, term in zip(params.term_weights, choices.terms, strict=True):

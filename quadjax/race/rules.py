@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.track import (
     Gate,
@@ -63,6 +64,7 @@ class RewardWeights:
     next_gate_progress: jax.Array  # per m of progress to the next gate in the step that passes one
     gate_edge: jax.Array  # penalty per m of clearance violation on crossing a gate's plane
     gate_edge_margin: jax.Array  # required clearance from each edge of the opening, m
+    gate_edge_reach: jax.Array  # largest clearance violation per axis, m
 
 
 @struct.dataclass
@@ -206,19 +208,20 @@ def next_gate_progress(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
     return safe_norm(before - g.position) + safe_norm(g.next_position) - ahead
 
 
-def clearance_violation(after: Vec3, g: Gate, margin: jax.Array) -> jax.Array:
-    """Distance () beyond the required clearance from a gate's edges, m per axis, summed; at most 2.
+def clearance_violation(after: Vec3, g: Gate, margin: jax.Array, reach: Scalar = 1.0) -> jax.Array:
+    """Distance () beyond the required clearance from a gate's edges, m per axis, summed.
 
-    Whether a gate is hit has no gradient; this has one at the crossing.
+    Whether a gate is hit has no gradient; this has one at the crossing. It is at most ``reach`` in
+    each axis.
     """
     relative = to_opening_frame(g, after - g.position)
-    width = jnp.clip(jnp.abs(relative.y) - (g.half_width - margin), 0.0, 1.0)
-    height = jnp.clip(jnp.abs(relative.z) - (g.half_height - margin), 0.0, 1.0)
+    width = jnp.clip(jnp.abs(relative.y) - (g.half_width - margin), 0.0, reach)
+    height = jnp.clip(jnp.abs(relative.z) - (g.half_height - margin), 0.0, reach)
     if g.circle is None:
         return width + height
     distance = safe_norm(relative.replace(x=jnp.zeros_like(relative.x)))
     return jnp.where(
-        g.circle, jnp.clip(distance - (g.half_width - margin), 0.0, 2.0), width + height
+        g.circle, jnp.clip(distance - (g.half_width - margin), 0.0, 2.0 * reach), width + height
     )
 
 
@@ -231,6 +234,7 @@ def reward(
     body_rates: Vec3,
     g: Gate,
     time_step: jax.Array,
+    inflation: Scalar = 0.0,
 ) -> jax.Array:
     """The reward () of one step.
 
@@ -251,6 +255,7 @@ def reward(
         body_rates: after it, rad/s.
         g: the target gate of the step.
         time_step: () s.
+        inflation: () m added to each side of the openings.
     """
     distance = safe_norm(after - g.position)
     progress = weights.progress * (safe_norm(before - g.position) - distance)
@@ -258,7 +263,8 @@ def reward(
     passed = passed + weights.next_gate_progress * next_gate_progress(before, after, g)
     value = jnp.where(outcome.passed, passed, progress)
     value = jnp.where(outcome.terminated, -weights.collision, value)
-    edge = weights.gate_edge * clearance_violation(after, g, weights.gate_edge_margin)
+    reach = jnp.maximum(weights.gate_edge_reach, inflation + weights.gate_edge_margin)
+    edge = weights.gate_edge * clearance_violation(after, g, weights.gate_edge_margin, reach)
     value = value - jnp.where(outcome.passed | outcome.gate_collision, edge, 0.0)
     turning = weights.body_rates * safe_norm(body_rates)
     return value - time_step * (weights.time + turning + weights.pitch_up * pitch)

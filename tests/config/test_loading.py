@@ -449,7 +449,6 @@ def test_refused(override, message):
     ("overrides", "message"),
     [
         (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
-        (["training_limits.gate_inflation=0.97", "reward.gate_edge=1"], "gate_inflation is 0.97"),
         (["reward.gate_edge_margin=0.5", "reward.gate_edge=1"], "gate_edge_margin is 0.5, allowed"),
         (
             ["vehicle.model=rate", "vehicle.residual=file.npz"],

@@ -1,10 +1,15 @@
 """Numbers in units of the race."""
 
+import functools
 import math
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.config.race import make_race
 from quadjax.config.scales import race_scales
 from quadjax.core.errors import InputError
 from quadjax.training.build import input_scale
@@ -77,25 +82,68 @@ def test_a_model_without_thrust_to_weight_has_no_units():
         load_config("e2e_fastest", [NO_RATIO, "reward.progress=10 per leg"])
 
 
-def test_a_race_scaled_in_length_and_time_has_the_same_numbers(tmp_path):
-    """Twice the lengths and half the acceleration is half as fast: all numbers scale with it."""
-    keys = [
-        "network.normalize=true",
-        "reward.progress=10 per leg",
-        "learner.horizon=1.1 leg times",
-        "learner.discount=2.3 leg times",
-        "rules.position_limit=null",
-    ]
-    track = tmp_path / "large.yaml"
-    corners = [(4, -3, 45), (4, 3, 135), (-4, 3, 225), (-4, -3, 315)]
-    gates = [f"  - {{position: [{x}, {y}, -3], yaw_deg: {a}, size: [2, 2]}}" for x, y, a in corners]
-    track.write_text("gates:\n" + "\n".join(gates) + "\n")
-    small = load_config("e2e_fastest", keys)
-    own = load_config("e2e_fastest", [*keys, f"track={track}", "rules.time_step=0.01414213562"])
-    for key in ("horizon", "discount", "cotangent_decay"):
-        found, wanted = getattr(own.learner, key), getattr(small.learner, key)
-        assert found == pytest.approx(wanted, abs=1e-9)
-    assert own.reward.progress == pytest.approx(small.reward.progress / 2)
-    factors = [b / a for a, b in zip(input_scale(small), input_scale(own), strict=True)]
-    length, velocity, rate = 0.5, 1 / math.sqrt(2), math.sqrt(2)
-    assert factors[:12] == pytest.approx([length] * 3 + [velocity] * 3 + [1] * 3 + [rate] * 3)
+KEYS = (
+    "vehicle.model=rate",
+    "network.normalize=true",
+    "rules.position_limit=null",
+    "start.gate=random",
+    "start.along_leg=0.8",
+    "start.position=0.9 half gates",
+    "start.velocity=0.06 legs per leg time",
+    "start.body_rates=0.4 per leg time",
+    "reward.progress=10 per leg",
+    "reward.next_gate_progress=10 per leg",
+    "reward.gate_edge=300 per leg",
+    "reward.gate_edge_margin=0.1 half gates",
+    "reward.gate_edge_reach=0.3 legs",
+    "training_limits.gate_inflation=0.5 half gates",
+    "training_limits.yaw_rate=2 per leg time",
+    "training_limits.episode_steps=3 leg times",
+    "learner.horizon=1.1 leg times",
+    "learner.discount=2.3 leg times",
+    "learner.cotangent_decay=1.1 leg times",
+)
+SLOWER = (  # twice the time: half of every rate, twice every lag; accelerations are the same
+    "rules.time_step=0.02",
+    "vehicle.constants.d_x=0.17",
+    "vehicle.constants.d_y=0.215",
+    "vehicle.constants.tau_rate=0.06",
+    "vehicle.constants.tau_thrust=0.06",
+    "vehicle.constants.p_max=1.5",
+    "vehicle.constants.q_max=1.5",
+    "vehicle.constants.r_max=1.5",
+)
+
+
+def flight(config):
+    """What a learner gets of 16 flights with random commands: inputs, rewards and ends."""
+    environment, params = make_race(config)
+    keys = jax.random.split(jax.random.key(0), 16)
+    actions = jax.random.uniform(jax.random.key(1), (180, 16, 4), minval=-1.0, maxval=1.0)
+    over_drones = functools.partial(jax.vmap, in_axes=(None, 0))
+
+    def step(state, action):
+        seen = over_drones(environment.observe)(params, state)
+        step = jax.vmap(environment.step, in_axes=(None, 0, 0))
+        state, reward, terminated, truncated = step(params, state, action)
+        return state, (seen, reward, terminated, truncated)
+
+    start = over_drones(environment.reset)(params, keys)
+    seen, *others = jax.jit(lambda: jax.lax.scan(step, start, actions)[1])()
+    return [np.asarray(x) for x in (seen * jnp.array(input_scale(config)), *others)]
+
+
+def test_a_race_scaled_in_length_and_time_trains_alike(tmp_path):
+    """Four times the lengths and twice the times: a learner gets the same numbers."""
+    places = ((8, -6, 45), (8, 6, 135), (-8, 6, 225), (-8, -6, 315))
+    gates = [f"{{position: [{x}, {y}, -6], yaw_deg: {a}, size: [4, 4]}}" for x, y, a in places]
+    (tmp_path / "large.yaml").write_text("gates:\n  - " + "\n  - ".join(gates) + "\n")
+    small = load_config("indi_fastest", KEYS)
+    large = load_config("indi_fastest", [*KEYS, *SLOWER, f"track={tmp_path / 'large.yaml'}"])
+    assert large.learner == small.learner
+    assert large.training_limits.episode_steps == small.training_limits.episode_steps
+    assert large.reward.progress == small.reward.progress / 4
+    one, other = flight(small), flight(large)
+    assert one[2].any() and one[3].any()
+    for first, second in zip(one, other, strict=True):
+        np.testing.assert_allclose(first, second, rtol=1e-4, atol=1e-4)

@@ -198,3 +198,15 @@ def test_starts_repeat_with_their_key():
     jax.tree.map(np.testing.assert_array_equal, one, two)
     other = reset(params, jax.random.split(jax.random.key(8), COUNT))
     assert np.all(rows_of(one.drone)[:, 0] != rows_of(other.drone)[:, 0])
+
+
+def test_starts_along_the_leg():
+    """From the gate before up to a part of the leg, each part as often."""
+    state, rows = starts("start.gate=random", "start.along_leg=0.8", "start.position=0")
+    target = np.asarray(state.target)
+    centers = np.asarray(ref.GATES)
+    begin, leg = centers[target - 1], centers[target] - centers[target - 1]
+    moved = rows[:, ref.P] - begin
+    part = np.sum(moved * leg, axis=1) / np.sum(leg**2, axis=1)
+    np.testing.assert_allclose(moved, part[:, None] * leg, atol=1e-5)
+    spans(part[:, None], [0.0], [0.8])
