@@ -301,7 +301,8 @@ def test_a_state_that_is_not_finite_is_a_crash_and_nothing_more(kind, bad):
 
 
 def weights(**kept):
-    zeros = {field.name: 0.0 for field in dataclasses.fields(rules.RewardWeights)} | kept
+    zeros = {field.name: 0.0 for field in dataclasses.fields(rules.RewardWeights)}
+    zeros |= {"gate_edge_reach": 1.0} | kept
     return rules.RewardWeights(**{name: jnp.float32(value) for name, value in zeros.items()})
 
 
@@ -315,6 +316,10 @@ def weights(**kept):
         ({"collision": 5.0}, (0.0, 0.0, -5.0)),
         ({"gate_edge": 4.0, "gate_edge_margin": 0.4}, (0.0, -4 * 0.1, -4 * 0.5)),
         ({"gate_edge": 4.0, "gate_edge_margin": 0.1}, (0.0, 0.0, -4 * 0.2)),
+        (
+            {"gate_edge": 4.0, "gate_edge_margin": 0.4, "gate_edge_reach": 0.45},
+            (0.0, -4 * 0.1, -4 * 0.45),
+        ),
         ({"time": 6.0}, (-0.06, -0.06, -0.06)),
         ({"body_rates": 7.0}, (-0.07 * 1.5, -0.07 * 1.5, -0.07 * 1.5)),
         ({"pitch_up": 8.0}, (0.0, -0.08 * 0.3, 0.08 * 0.3)),
@@ -370,6 +375,7 @@ def test_default_reward_is_the_published_one(race):
         "pitch_up": 0.0,
         "gate_edge": 0.0,
         "gate_edge_margin": pytest.approx(0.1),
+        "gate_edge_reach": 1.0,
     }
 
 
