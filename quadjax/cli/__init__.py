@@ -24,6 +24,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "evaluate": "time the laps of a policy and draw them",
     "results": "tabulate mean and sampled flights of policies",
     "view": "write flights as an interactive 3D page",
+    "watch": "show a run or a sweep in the browser while it trains",
     "limit": "compute the best known lap of a track and a lower bound",
     "limit-table": "compute best known laps and lower bounds of several drones",
     "seeds": "train over several seeds and compare them",

@@ -20,6 +20,7 @@ from quadjax.cli.arguments import (
     overrides_of,
     parse,
 )
+from quadjax.cli.watch import start
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
@@ -39,6 +40,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--resume", action="store_true", help="continue from the last checkpoint")
     parser.add_argument(
         "--overwrite", action="store_true", help="remove an earlier run of the same name first"
+    )
+    parser.add_argument(
+        "--watch", action="store_true", help="show the training in the browser; see quadjax watch"
     )
     parser.add_argument(
         "--coordinator",
@@ -69,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.training.run import train
 
     folder = options.output / config.name
+    if options.watch and hosts.is_first():
+        print(f"watch: {start(folder)}", file=sys.stderr, flush=True)
     try:
         run = train(
             config,

@@ -187,13 +187,13 @@ def passages_at(
     time: np.ndarray, position: np.ndarray, gates: Sequence[Gate], when: np.ndarray
 ) -> np.ndarray:
     """As ``passages``, of a flight that passes the gates in order at known times (k,), s."""
-    order = np.arange(len(when)) % max(len(gates), 1)
+    order = [index % len(gates) for index in range(len(when))]
     places = np.stack([np.interp(when, time, column) for column in position.T], axis=1)
     clear = [
         clearance(gates[index], ((place - gates[index].position) @ np.array(gates[index].axes))[1:])
         for index, place in zip(order, places, strict=True)
     ]
-    return np.stack([when, order, np.array(clear)], axis=1)
+    return np.stack([when, np.array(order, float), np.array(clear)], axis=1)
 
 
 def clearance(gate: Gate, place: np.ndarray) -> np.ndarray:

@@ -41,13 +41,26 @@ export class Cameras {
       this.controls.target.set(center.x, 0, center.z);
       this.camera.position.set(center.x, distance, center.z + 1e-3);
     } else {
-      const narrow = Math.min(1, this.camera.aspect * 0.92);
-      const distance = (0.86 * radius) / (half * narrow);
       this.controls.target.set(center.x, 0.6 * center.y, center.z);
-      this.camera.position.set(-0.34, 0.52, 0.78).normalize().multiplyScalar(distance)
-        .add(this.controls.target);
+      this.fit(new Vector3(-0.34, 0.52, 0.78).normalize(), radius / half);
     }
     this.controls.update();
+  }
+
+  // The distance along a direction from the target at which the corners of the track fill the view.
+  fit(direction, distance) {
+    const { low, high } = this.bounds;
+    for (let round = 0; round < 8; round++) {
+      this.camera.position.copy(this.controls.target).addScaledVector(direction, distance);
+      this.camera.lookAt(this.controls.target);
+      this.camera.updateMatrixWorld();
+      let reach = 0;
+      for (const x of [low.x, high.x]) for (const y of [0, high.y]) for (const z of [low.z, high.z]) {
+        const corner = this.scratch.a.set(x, y, z).project(this.camera);
+        reach = Math.max(reach, Math.abs(corner.x) / 0.94, Math.abs(corner.y) / 0.86);
+      }
+      distance *= 0.5 + 0.5 * reach;
+    }
   }
 
   setLens(degrees) {

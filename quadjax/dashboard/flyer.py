@@ -1,0 +1,117 @@
+"""Flights of the newest policy of a folder that changes, in a thread."""
+
+import contextlib
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any, Protocol
+
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.view.flight import Flight
+
+RUNS = 8  # sampled flights, for the causes of crashes
+SHOWN = 3  # of them, next to the mean action's
+LAPS = 2
+REST = 4.0  # times the duration of the latest flights, until the next
+POLL = 1.0  # s
+
+
+class Folder(Protocol):
+    """What is shown of a folder."""
+
+    kind: str
+
+    @property
+    def name(self) -> str:
+        """Of the folder."""
+
+    @property
+    def policy(self) -> Path:
+        """The policy's file; it may not exist."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the policy is the last one."""
+
+    def config(self) -> Config:
+        """Of the policy's race; ``InputError`` if there is none yet."""
+
+    def state(self) -> dict[str, Any]:
+        """Other numbers."""
+
+
+class Flyer:
+    """Flies a folder's policy whenever its file changes.
+
+    Attributes:
+        record: of the latest flights, as a page's data; None before the first.
+        causes: number of sampled flights by the reason for which they ended early.
+        count: of flights so far, which identifies ``record``.
+    """
+
+    def __init__(self, folder: Folder) -> None:
+        """Start the thread; JAX is imported with the first flight."""
+        self.record: dict[str, Any] | None = None
+        self.causes: dict[str, int] = {}
+        self.count = 0
+        self.error = ""
+        self._folder, self._stop = folder, threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> bool:
+        """Stop; returns whether the thread has ended: flights under way are not interrupted."""
+        self._stop.set()
+        self._thread.join(POLL)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        seen: tuple[Path, int] | None = None
+        while not self._stop.wait(POLL):
+            with contextlib.suppress(OSError):
+                found = self._folder.policy, self._folder.policy.stat().st_mtime_ns
+                if found == seen:
+                    continue
+                started, seen = time.monotonic(), found
+                try:
+                    self._fly()
+                    self.error = ""
+                except InputError as error:
+                    self.error = str(error)
+                rest = 0.0 if self._folder.finished else REST * (time.monotonic() - started)
+                self._stop.wait(min(rest, 60.0))
+
+    def _fly(self) -> None:
+        from quadjax.config.race import race_of
+        from quadjax.evaluation.recording import recordings
+        from quadjax.evaluation.viewing import flight_of
+        from quadjax.policy.file import Policy
+        from quadjax.policy.pilot import fly_policy
+        from quadjax.view.data import Scene
+
+        config, policy = self._folder.config(), Policy.load(self._folder.policy)
+        choices, params = race_of(config)
+        gates, laps = config.track.gates, min(LAPS, config.evaluate.laps)
+        flights: list[Flight] = []
+        for name, shown in (("mean action", 1), ("sampled", SHOWN)):
+            flown, trace = fly_policy(
+                choices,
+                params,
+                policy,
+                laps=laps,
+                runs=RUNS,
+                deterministic=name != "sampled",
+                trace=True,
+            )
+            assert trace is not None
+            runs = recordings(trace, flown, config.rules.time_step)[:shown]
+            flights += [
+                flight_of(run, choices.model, gates, f"{name} {k + 1}" if shown > 1 else name)
+                for k, run in enumerate(runs)
+            ]
+        causes = Counter(reason or "finished" for reason in flown.crashes)
+        self.record = Scene(self._folder.name, tuple(gates), tuple(flights)).record()
+        self.causes = dict(causes)
+        self.count += 1

@@ -1,0 +1,127 @@
+"""State of runs and sweeps, and their live pages in a real browser."""
+
+import json
+import math
+import subprocess
+import sys
+import time
+
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import write_csv, write_json
+from quadjax.dashboard.run_state import POINTS, TrainingRun
+from quadjax.dashboard.sweep_state import JOURNAL, SweepRun
+from tests.commands import run
+from tests.view.browser import OPTIONS, browser
+
+fixtures = (browser, OPTIONS)
+
+
+def write_metrics(folder, count):
+    rows = [(1000 * k, 0.5 * k, 8.0 - k / count if k > 3 else math.inf) for k in range(count)]
+    write_csv(folder / "metrics.csv", [("steps", "seconds", "lap_total"), *rows])
+
+
+def test_a_folder_that_does_not_exist_yet_has_a_state(tmp_path):
+    state = TrainingRun(tmp_path / "later").state()
+    assert state == {"finished": False, "total_steps": None}
+    assert not (tmp_path / "later").exists()
+
+
+def test_curves_of_a_run(tmp_path):
+    write_metrics(tmp_path, 5000)
+    write_json(tmp_path / "summary.json", {"finished": True})
+    before = sorted((path.name, path.stat().st_mtime_ns) for path in tmp_path.iterdir())
+    state = json.loads(json.dumps(TrainingRun(tmp_path).state(), allow_nan=False))
+    columns = state["columns"]
+    assert state["finished"]
+    assert len(columns["steps"]) == POINTS
+    assert (columns["steps"][0], columns["steps"][-1]) == (0, 4_999_000)
+    assert columns["lap_total"][0] is None and columns["lap_total"][-1] == pytest.approx(7.0002)
+    after = sorted((path.name, path.stat().st_mtime_ns) for path in tmp_path.iterdir())
+    assert after == before
+
+
+def test_trials_of_a_sweep_are_read_without_changing_its_journal(tmp_path):
+    optuna = pytest.importorskip("optuna")
+    backend = optuna.storages.journal.JournalFileBackend(str(tmp_path / JOURNAL))
+    study = optuna.create_study(storage=optuna.storages.JournalStorage(backend), study_name="s")
+    for index, value in enumerate((5.0, 3.0)):
+        study.enqueue_trial({"rate": 0.1 * (index + 1)}, user_attrs={"index": index})
+        trial = study.ask({"rate": optuna.distributions.FloatDistribution(0.0, 1.0)})
+        study.tell(trial, value)
+    trial = study.ask({"rate": optuna.distributions.FloatDistribution(0.0, 1.0)})
+    trial.report(4.0, 1)
+    with open(tmp_path / JOURNAL, "ab") as stream:
+        stream.write(b'{"op_code": 4, "half a li')  # as another process writes it
+    before = (tmp_path / JOURNAL).read_bytes()
+    state = SweepRun(tmp_path).state()
+    assert [trial["value"] for trial in state["trials"]] == [5.0, 3.0, 4.0]
+    assert [trial["state"] for trial in state["trials"]] == ["complete", "complete", "running"]
+    assert state["best"] == 1
+    assert state["trials"][1]["params"] == {"rate": pytest.approx(0.2)}
+    assert (tmp_path / JOURNAL).read_bytes() == before
+
+
+def test_a_sweep_in_a_database_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no study.journal"):
+        SweepRun(tmp_path)
+
+
+def test_a_missing_folder_is_refused(tmp_path, capsys):
+    assert run("watch", tmp_path / "nothing") == 2
+    assert "no such folder" in capsys.readouterr().err
+
+
+@pytest.fixture
+def watched(tmp_path):
+    """Start ``quadjax watch`` on a folder; returns the address of its page."""
+    running = []
+
+    def start(folder):
+        command = [sys.executable, "-m", "quadjax", "watch", str(folder)]
+        running.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        return running[-1].stdout.readline().strip()
+
+    yield start
+    for process in running:
+        process.terminate()
+        assert process.wait(60) == 0
+
+
+def wait_until(page, condition, seconds=120.0):
+    """Wait for a condition of the page, whose policy forbids evaluating text."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(condition):
+        assert time.monotonic() < end, condition
+        page.wait_for_timeout(200)
+
+
+@pytest.mark.slow
+def test_a_run_is_shown_while_it_trains(browser, watched, tmp_path):
+    folder = tmp_path / "mine"
+    small = ["run.steps=50000", "learner.num_envs=32", "evaluate.laps=1"]
+    assert run("train", "e2e_shac", *small, "--name", "mine", "--output", tmp_path) == 0
+    page, errors = browser.new_page(), []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(watched(folder))
+    wait_until(page, "document.querySelector('h1')?.textContent == 'mine'")
+    assert "finished" in page.inner_text(".status")
+    assert page.locator(".chart canvas:visible").count() >= 4
+    wait_until(page, "Boolean(window.quadjax.viewer && quadjax.viewer.width > 0)")
+    wait_until(page, "document.querySelectorAll('.causes li').length > 0")
+    before = page.locator(".status").inner_text()
+    write_metrics(folder, 20)
+    wait_until(page, f"document.querySelector('.status').textContent != {json.dumps(before)}")
+    assert not errors
+    page.close()
+
+
+@pytest.mark.slow
+def test_train_watch_prints_an_address_that_answers(tmp_path):
+    command = [sys.executable, "-m", "quadjax", "train", "e2e_shac", "run.steps=20000"]
+    more = ["learner.num_envs=32", "evaluate.laps=1", "--watch", "--output", str(tmp_path)]
+    done = subprocess.run([*command, *more], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "watch: http://127.0.0.1:" in done.stderr
