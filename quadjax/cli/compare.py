@@ -19,6 +19,7 @@ from quadjax.cli.arguments import (
     parse,
     runs,
     seed,
+    whole,
 )
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -32,6 +33,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--indi", default=str(PRETRAINED / "indi_shac.npz"), metavar="FILE.npz")
     parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")
     parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
+    parser.add_argument(
+        "--plants", type=whole(1, 1000), default=10, help="drawn plants, which share the runs (10)"
+    )
     parser.add_argument("--laps", type=laps, default=6, help="laps of a run (6)")
     parser.add_argument("--runs", type=runs, default=100, help="number of runs (100)")
     parser.add_argument("--seed", type=seed, default=0)
@@ -64,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.laps,
         options.runs,
         options.seed,
+        options.plants,
     )
     contenders = (contender("E2E", options.e2e), contender("INDI", options.indi))
     for own, kind in zip(contenders, ("motor", "rate"), strict=True):

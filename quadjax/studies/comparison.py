@@ -10,17 +10,17 @@ import numpy as np
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config
 from quadjax.evaluation.tables import lap_row
-from quadjax.plant.config import EffectsConfig, PlantConfig
+from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights, fly_plan
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps, Trace
 from quadjax.studies.ablation import RESIDUAL, Variant
+from quadjax.studies.drawn_plants import OnPlants, conditions, drawn
 from quadjax.studies.plant_races import plan_race, race_config
 from quadjax.training.paper import Row
 
 FLIGHTS = 5  # number of flights of the paper's mean and best
-EFFECTS = tuple(EffectsConfig.model_fields)
 Report = Callable[[str], None]
 
 
@@ -45,13 +45,14 @@ class Compared:
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """Race, plant and number of flights of a comparison."""
+    """Race, plant and number of flights of a comparison, and of drawn plants."""
 
     race: Config
     plant: PlantConfig
     laps: int = 6
     runs: int = 100
     seed: int = 0
+    plants: int = 10
 
 
 def contender(name: str, file: str) -> Contender:
@@ -104,28 +105,24 @@ def rows(compared: Compared) -> list[Row]:
     return [lap_row(f"{name} simulated", compared.simulated), five]
 
 
-def changed_plants(plant: PlantConfig) -> dict[str, PlantConfig]:
-    """The plant without each effect in turn, without delays, and with true states."""
-    result = {
-        f"without {name}": plant.replace(effects=plant.effects.replace(**{name: 0.0}))
-        for name in EFFECTS
-    }
-    delay = plant.delay.replace(command=0.0, measurement=0.0)
-    result["without delays"] = plant.replace(delay=delay)
-    exact = "ground_truth"
-    result["with true states"] = plant.replace(navigation=exact, disturbance=exact)
-    return result
+def fly_drawn(setting: Setting, plant: PlantConfig, own: Contender) -> OnPlants:
+    """A contender's flights on drawn plants; the number of runs is divided among them."""
+    share = dataclasses.replace(setting, runs=max(1, setting.runs // setting.plants))
+    return OnPlants(tuple(fly(share, one, own).laps for one in drawn(plant, setting.plants)))
 
 
-def without_each(
+def fly_conditions(
     setting: Setting, own: Contender, report: Report, only: Sequence[str] | None = None
-) -> dict[str, Laps]:
-    """A contender on each of ``changed_plants``, or on those that ``only`` names."""
+) -> dict[str, OnPlants]:
+    """A contender under each of ``conditions`` of the drawn plants, or those that ``only`` names.
+
+    See ``quadjax.studies.drawn_plants``.
+    """
     result = {}
-    for label, plant in changed_plants(setting.plant).items():
+    for label, plant in conditions(setting.plant).items():
         if only is None or label in only:
-            report(f"{own.name}: stand-in plant {label}")
-            result[label] = fly(setting, plant, own).laps
+            report(f"{own.name}: {setting.plants} plants, {label}")
+            result[label] = fly_drawn(setting, plant, own)
     return result
 
 

@@ -14,28 +14,29 @@ from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.recording import recordings as simulated_recordings
 from quadjax.evaluation.tables import format_table, lap_row
+from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import recordings
 from quadjax.race.laps import Laps
 from quadjax.studies import comparison_figures as figures
 from quadjax.studies.ablation import present
 from quadjax.studies.comparison import (
-    EFFECTS,
     FLIGHTS,
     Compared,
     Contender,
     Report,
     Setting,
     compare_one,
+    fly_conditions,
     fly_variant,
     lead,
     limit_fractions,
     rows,
-    without_each,
 )
+from quadjax.studies.drawn_plants import OnPlants, conditions, interval, plants_table
 from quadjax.studies.plant_races import gate_centers
 from quadjax.training.paper import LAPS, PUBLISHED, Row
 
-PARTS = ("table", "effects", "ablation")
+PARTS = ("table", "plants", "ablation")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Wanted:
     def steps(self) -> int:
         """Number of calls of ``report``."""
         own = 4 + 1 if "table" in self.parts else 0
-        own += 2 * (len(EFFECTS) + 2) if "effects" in self.parts else 0
+        own += 2 * len(conditions(PlantConfig())) if "plants" in self.parts else 0
         return own + (len(present(self.ablation)[0]) if "ablation" in self.parts else 0)
 
 
@@ -81,8 +82,8 @@ def run_comparison(
         texts.append(table_text(setting, e2e, indi))
         result |= {own.contender.name: _numbers(setting, own) for own in (e2e, indi)}
         _draw(setting, e2e, indi, wanted.folder, result)
-    if "effects" in wanted.parts:
-        texts.append(_effects(setting, contenders, result, report))
+    if "plants" in wanted.parts:
+        texts.append(_plants(setting, contenders, result, report))
     if "ablation" in wanted.parts:
         texts.append(_ablation(setting, wanted.ablation, result, report))
     text = "\n\n".join(texts)
@@ -169,16 +170,27 @@ def best_recorded(laps: Laps) -> int:
     return int(np.lexsort((totals, -completed))[0])
 
 
-def _effects(
-    setting: Setting, contenders: tuple[Contender, ...], result: dict, report: Report
+def _plants(
+    setting: Setting, contenders: tuple[Contender, Contender], result: dict, report: Report
 ) -> str:
-    lines: list[Row] = []
-    result["effects"] = {}
-    for own in contenders:
-        by_effect = without_each(setting, own, report)
-        result["effects"][own.name] = {key: _summary(laps) for key, laps in by_effect.items()}
-        lines += [lap_row(f"{own.name} {key}", laps) for key, laps in by_effect.items()]
-    return "stand-in plant without one effect, all runs\n" + format_table(lines)
+    e2e, indi = (fly_conditions(setting, own, report) for own in contenders)
+    result["plants"] = {
+        own.name: {label: _of_plants(flown) for label, flown in found.items()}
+        for own, found in zip(contenders, (e2e, indi), strict=True)
+    }
+    return plants_table(e2e, indi, setting.plants)
+
+
+def _of_plants(flown: OnPlants) -> dict[str, object]:
+    """Mean, interval, and the means of each plant, of the total times; and the finished runs."""
+    mean, width = interval(flown.totals)
+    return {
+        "mean": mean if np.isfinite(mean) else None,
+        "interval": width if np.isfinite(width) else None,
+        "each plant": [x if np.isfinite(x) else None for x in flown.totals.tolist()],
+        "finished": flown.finished,
+        "runs": flown.runs,
+    }
 
 
 def _ablation(setting: Setting, folder: Path, result: dict, report: Report) -> str:

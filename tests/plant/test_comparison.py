@@ -15,16 +15,15 @@ from quadjax.plant.flights import Flights
 from quadjax.race.laps import Laps
 from quadjax.studies.ablation import VARIANTS, present
 from quadjax.studies.comparison import (
-    EFFECTS,
     Compared,
     Setting,
-    changed_plants,
     contender,
     lead,
     limit_fractions,
 )
 from quadjax.studies.comparison_figures import progress
 from quadjax.studies.comparison_run import best_recorded, table_text
+from quadjax.studies.drawn_plants import OnPlants, conditions, drawn, interval, plants_table
 from tests import reference as ref
 from tests.commands import run
 
@@ -76,15 +75,53 @@ def test_the_best_recorded_flight_has_the_most_laps():
     )  # the sixth is not recorded
 
 
-def test_each_change_of_the_plant_switches_one_thing_off():
-    plants = changed_plants(PlantConfig())
-    effects = {name: getattr(PlantConfig().effects, name) for name in EFFECTS}
-    for name in effects:
-        changed = plants.pop(f"without {name}")
-        assert changed.effects.model_dump() == effects | {name: 0.0}
+def test_each_condition_of_the_plant_changes_one_thing():
+    plants = conditions(PlantConfig())
+    assert plants.pop("all effects") == PlantConfig()
+    on = PlantConfig().effects.model_dump()
+    for name in on:
+        assert plants.pop(f"without {name}").effects.model_dump() == on | {name: 0.0}
+        alone = plants.pop(f"only {name}")
+        assert alone.effects.model_dump() == dict.fromkeys(on, 0.0) | {name: 1.0}
+        assert alone.delay.command == alone.delay.measurement == 0.0
     still, known = plants.pop("without delays"), plants.pop("with true states")
-    assert still.delay.command == still.delay.measurement == 0.0 and not plants
+    assert still.delay.command == still.delay.measurement == 0.0
+    assert still.effects == PlantConfig().effects
     assert known.navigation == known.disturbance == "ground_truth"
+    delayed, none = plants.pop("only delays"), plants.pop("no effect, no delay")
+    assert not any(delayed.effects.model_dump().values()) and delayed.delay.command > 0.0
+    assert none.delay.command == 0.0
+    assert {name: plant.battery.charge for name, plant in plants.items()} == {
+        f"charge {x:g}": (x, x) for x in (1.0, 0.6, 0.2)
+    }
+
+
+def test_drawn_plants_differ_in_their_constants_only():
+    first, second = drawn(PlantConfig(), 2)
+    assert first == PlantConfig() and second.constants.seed == first.constants.seed + 1
+    assert second.replace(constants=first.constants) == first
+
+
+def test_intervals_are_students():
+    """Of 1, 2, .. 5: mean 3, standard error sqrt(2.5 / 5), and 2.776 of them for 4 degrees."""
+    mean, width = interval(np.array([1.0, 2.0, 3.0, 4.0, 5.0, np.nan]))
+    assert mean == 3.0 and width == pytest.approx(2.776 * np.sqrt(0.5), rel=1e-3)
+    assert np.isnan(interval(np.array([np.nan]))[0]) and np.isnan(interval(np.array([2.0]))[1])
+
+
+def test_the_table_of_plants_has_both_and_the_lead():
+    def flown(lap, crashed):
+        times = np.full((2, 6), lap)
+        times[0, 3:] = np.nan if crashed else lap
+        return Laps(times, ("hit a gate" if crashed else "", ""), np.full(2, 6 * lap), 48.0)
+
+    e2e = {"all effects": OnPlants((flown(2.4, False), flown(2.5, True)))}
+    indi = {"all effects": OnPlants((flown(2.9, False), flown(3.0, False)))}
+    assert (e2e["all effects"].finished, e2e["all effects"].runs) == (3, 4)
+    text = plants_table(e2e, indi, 2)
+    assert "14.70 ± 3.81" in text and "3/4" in text and "4/4" in text
+    assert "+3.00 ± 0.00 s; first lap\n+0.50 ± 0.00 s, each later lap +0.50 ± 0.00 s" in text
+    assert max(map(len, text.splitlines())) <= 80
 
 
 def test_progress_grows_from_gate_to_gate():
