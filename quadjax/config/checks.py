@@ -207,7 +207,7 @@ def _check_race_start(config: Config) -> None:
 def _check_start(config: Config) -> None:
     """Check that starts are within the limits, and that the next gate can be reached in time."""
     start, training, gates = config.start, config.training_limits, config.track.gates
-    limit, rates = config.rules.position_limit, config.rules.body_rate_limit
+    limit, rates = config.rules.position_limit, min(config.rules.largest_body_rates)
     pitch = training.largest_pitch_deg(vehicle_model(config.vehicle.model))
     places = range(len(gates)) if start.gate == "random" else [len(gates) - 1]
     for index in places:
@@ -233,7 +233,7 @@ def _check_start(config: Config) -> None:
 def _check_motion(config: Config) -> None:
     """Check the start's velocity and thrust, and the limit of body rates, against the drone."""
     model, constants = vehicle_model(config.vehicle.model), config.vehicle.constants
-    start, limit, seconds = config.start, config.rules.body_rate_limit, episode_seconds(config)
+    start, seconds = config.start, episode_seconds(config)
     if model.thrust_to_weight is not None:
         fastest = (model.thrust_to_weight(constants) + 1.0) * GRAVITY * seconds
         if start.velocity > fastest:
@@ -247,28 +247,27 @@ def _check_motion(config: Config) -> None:
         low, high = (float(x) for x in model.actuator_range(own))
         if start.thrust[0] < low or start.thrust[1] > high:
             refuse("start.thrust", start.thrust, f"within {low:g} to {high:g} m/s², the commands")
-    if limit is None:
-        return
-    commanded = _largest_rate(model, own)
-    if limit <= commanded:
-        refuse("rules.body_rate_limit", limit, f"above {commanded:g}, the largest command")
-    if limit * seconds < LEAST_TURN:
+    limits, shown = config.rules.largest_body_rates, config.rules.body_rate_limit
+    for limit, commanded in zip(limits, _largest_rates(model, own), strict=True):
+        if limit <= commanded:
+            refuse("rules.body_rate_limit", shown, f"above {commanded:g}, the largest command")
+    if max(limits) * seconds < LEAST_TURN:
         refuse(
             "rules.body_rate_limit",
-            limit,
+            shown,
             f"at least {LEAST_TURN / seconds:.2g} rad/s (the drone cannot turn below)",
         )
 
 
-def _largest_rate(model: VehicleModel, constants: Constants) -> float:
-    """The largest commanded body rate, rad/s; 0 of a model that commands none."""
+def _largest_rates(model: VehicleModel, constants: Constants) -> tuple[float, ...]:
+    """The largest commanded body rates (3,), rad/s; 0 of a model that commands none."""
     begin = 0
     for signal in model.commands:
         if signal.name == "body_rates":
             _, high = model.command_range(constants)
-            return max(float(x) for x in jax.tree.leaves(high)[begin : begin + signal.size])
+            return tuple(float(x) for x in jax.tree.leaves(high)[begin : begin + signal.size])
         begin += signal.size
-    return 0.0
+    return (0.0, 0.0, 0.0)
 
 
 def _check_legs(config: Config) -> None:
@@ -338,6 +337,8 @@ def _check_used(config: Config) -> None:
             unused[f"randomization.{group}"] = with_model
     if not model.uses_start_thrust:
         unused["start.thrust"] = with_model
+    if config.reward.perception == 0 and "reward.perception" not in config.schedules:
+        unused["reward.perception_deg"] = unused["reward.camera_deg"] = "without reward.perception"
     if config.evaluate.gates is not None:
         unused["evaluate.laps"] = "with evaluate.gates"
     if config.rules.ground_speed is None:

@@ -18,7 +18,7 @@ from quadjax.core.sections import Section
 from quadjax.core.vectors import Vec3
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout
-from quadjax.race.rules import Frame, Landing, Limits, RewardWeights
+from quadjax.race.rules import Frame, Landing, Limits, Perception, RewardWeights
 from quadjax.race.start import DisturbanceRange, StartRange
 from quadjax.race.track import Pose, Track, inside_turn, make_track
 from quadjax.vehicle.attitude import with_quaternions
@@ -27,6 +27,8 @@ from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
 from quadjax.vehicle.registry import model
 from quadjax.vehicle.residual import scale_residual
 from quadjax.vehicle.residual_file import read_residual
+
+OPTIONAL = ("action_change", "perception")  # penalties that are computed where they are used
 
 
 def vehicle_model_of(config: Config) -> VehicleModel:
@@ -43,7 +45,14 @@ def choices_of(config: Config) -> Choices:
     return Choices(
         model=vehicle,
         layout=make_layout(
-            vehicle, observed.disturbance, observed.wrap_next_yaw, extra, observed.attitude
+            vehicle,
+            observed.disturbance,
+            observed.wrap_next_yaw,
+            extra,
+            observed.attitude,
+            observed.gates_ahead,
+            observed.last_action,
+            observed.actuator_range,
         ),
         integrator=config.vehicle.integrator,
         gate_test=config.rules.gate_test,
@@ -146,13 +155,29 @@ def build_params(config: Config) -> RaceParams:
         vehicle=vehicle,
         track=track,
         limits=_limits(config),
-        reward=RewardWeights(**_traced(_without(config.reward, "terms"))),
+        reward=_reward(config),
         start=_start_range(config.start).replace(heading=inside_turn(track) if inside else None),
         disturbance=disturbance_range(config.disturbance),
         randomization=own.constants(**_traced(config.randomization.by_constant(own))),
         mismatch=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),
         term_weights=tuple(jnp.float32(weight) for weight in config.reward.terms.values()),
+    )
+
+
+def _reward(config: Config) -> RewardWeights:
+    """The weights; penalties that need more computation only where they are not zero."""
+    own = config.reward
+    used = {key for key in OPTIONAL if getattr(own, key) or f"reward.{key}" in config.schedules}
+    sight = {
+        "weight": own.perception,
+        "camera": math.radians(own.camera_deg),
+        "limit": math.radians(own.perception_deg),
+    }
+    return RewardWeights(
+        **_traced(_without(own, "terms", "perception_deg", "camera_deg", *OPTIONAL)),
+        action_change=jnp.float32(own.action_change) if "action_change" in used else None,
+        perception=Perception(**_traced(sight)) if "perception" in used else None,
     )
 
 
@@ -165,7 +190,7 @@ def _limits(config: Config) -> Limits:
     limits = {
         "time_step": rules.time_step,
         "position": _or_none(rules.position_limit),
-        "body_rate": _or_none(rules.body_rate_limit),
+        "body_rate": max(rules.largest_body_rates),
         "yaw_rate": _or_none(training.yaw_rate),
         "pitch": math.radians(
             _or_none(config.training_limits.largest_pitch_deg(vehicle_model_of(config)))
@@ -174,10 +199,12 @@ def _limits(config: Config) -> Limits:
         "gate_inflation": training.gate_inflation,
     }
     steps = jnp.asarray(training.episode_steps, jnp.int32)
+    by_axis = isinstance(rules.body_rate_limit, tuple)
     box, solid = rules.bounds, {"width": rules.gate_frame, "depth": rules.gate_depth}
     return Limits(
         **_traced(limits),
         episode_steps=steps,
+        axis_rates=_vector(rules.largest_body_rates) if by_axis else None,
         bounds=None if box is None else (_vector(x[0] for x in box), _vector(x[1] for x in box)),
         landing=_landing(rules),
         frame=Frame(**_traced(solid)) if rules.gate_frame else None,

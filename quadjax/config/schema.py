@@ -26,6 +26,7 @@ Span = tuple[Coordinate, Coordinate]
 Fraction = Annotated[float, Field(ge=0, le=0.9)]
 Devices = Annotated[int, Field(ge=1, le=4096)]
 HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
+Rate = Annotated[float, Field(gt=0, le=1e6)]
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
 Penalty = Annotated[float, Field(ge=0, le=1e6)]
 
@@ -170,7 +171,7 @@ class Track(Section):
 
 
 class Observation(Section):
-    """What the policy observes besides its state and the next two gates."""
+    """What the policy observes."""
 
     disturbance: Literal["ground_truth", "estimated", "none"] = Field(
         "ground_truth",
@@ -181,6 +182,20 @@ class Observation(Section):
         "euler",
         description="roll, pitch and the yaw relative to the gate (3), or the body's x and z axes "
         "in the gate's frame (6), which have no singularity",
+    )
+    gates_ahead: int = Field(
+        1,
+        ge=1,
+        le=4,
+        description="number of gates after the target whose position and yaw are observed",
+    )
+    last_action: bool = Field(
+        False, description="observe the action of the step before, -1 to 1; 0 at the start"
+    )
+    actuator_range: Span | None = Field(
+        None,
+        description="actuator states that are observed as -1 and 1, in the model's unit; null: "
+        "their nominal range (arXiv 2504.21586: [0, 3000] rad/s)",
     )
     wrap_next_yaw: bool = Field(
         True,
@@ -216,6 +231,19 @@ class Reward(Section):
         1.0,
         description="clearance violation in each axis from which on the penalty is constant, m; at "
         "least that at the edge of a widened opening",
+    )
+    action_change: Penalty = Field(
+        0.0,
+        description="penalty per change of an action from step to step, each in -1 to 1, summed",
+    )
+    perception: Penalty = Field(
+        0.0,
+        description="penalty per s and rad of the angle between the camera's axis and the target "
+        "gate's center beyond perception_deg",
+    )
+    perception_deg: float = Field(60.0, ge=0, le=180, description="angle without penalty, deg")
+    camera_deg: float = Field(
+        0.0, ge=-90, le=90, description="upward tilt of the camera's axis from the body's x, deg"
     )
     terms: dict[str, Weight] = Field(
         {}, max_length=100, description="weights of your own reward terms, by module:function"
@@ -266,12 +294,19 @@ class Rules(Section):
     gate_depth: float = Field(
         0.1, gt=0, le=10, description="depth of the frames, half of it on each side, m"
     )
-    body_rate_limit: float | None = Field(
-        1000.0, gt=0, le=1e6, description="largest body rate about any axis, rad/s; null: none"
+    body_rate_limit: Rate | tuple[Rate, Rate, Rate] | None = Field(
+        1000.0,
+        description="largest body rate about any axis, or [p, q, r] about each, rad/s; null: none",
     )
     extra: tuple[str, ...] = Field(
         (), max_length=32, description="your own rules that end an episode, as module:function"
     )
+
+    @property
+    def largest_body_rates(self) -> tuple[float, float, float]:
+        """Largest p, q and r, rad/s; infinity where there is no limit."""
+        limit = math.inf if self.body_rate_limit is None else self.body_rate_limit
+        return limit if isinstance(limit, tuple) else (limit, limit, limit)
 
 
 class TrainingLimits(Section):

@@ -24,7 +24,7 @@ from quadjax.core.materialize import (
 from quadjax.core.vectors import Vec3
 from quadjax.race import rules, start
 from quadjax.race.context import StepContext
-from quadjax.race.layout import Layout, View, make_layout
+from quadjax.race.layout import LAST_ACTION, Layout, View, make_layout
 from quadjax.race.track import Gate, Track, gate, gate_count
 from quadjax.vehicle import estimator as onboard
 from quadjax.vehicle import motor
@@ -96,6 +96,7 @@ class RaceState:
     gates_passed: jax.Array  # () int32
     constants: Constants | None  # of this episode, where they are drawn; else None
     estimate: Estimate | None = None  # where the observation is estimated; else None
+    action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
 
 
 def _opaque_true(params: RaceParams) -> jax.Array:
@@ -144,7 +145,15 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         part,
     )
     zero = jnp.zeros((), jnp.int32)
-    return with_estimate(choices, params, RaceState(drone, target, clock, zero, own))
+    state = RaceState(drone, target, clock, zero, own, action=_no_action(choices, params))
+    return with_estimate(choices, params, state)
+
+
+def _no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
+    """The action before the first, where the observation or the reward needs it."""
+    if LAST_ACTION not in choices.layout and params.reward.action_change is None:
+        return None
+    return tuple(jnp.zeros(()) for _ in range(choices.model.action_size))
 
 
 def with_estimate(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
@@ -162,7 +171,9 @@ def hover_start(
     """The start of a timed race: hover at the last gate, with ``constants`` if they are drawn."""
     zero = jnp.zeros((), jnp.int32)
     drone = start.hover(choices.model, constants or params.vehicle.constants, params.track)
-    return with_estimate(choices, params, RaceState(drone, zero, zero, zero, constants))
+    before = _no_action(choices, params)
+    state = RaceState(drone, zero, zero, zero, constants, action=before)
+    return with_estimate(choices, params, state)
 
 
 def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
@@ -229,12 +240,11 @@ def evaluate_rules(
     if limits.frame is not None:
         wider = jnp.maximum(inflation, 0.0)
         hit = hit | rules.inside_frame(position, params.track, limits.frame, wider, radius)
-    fastest = jnp.maximum(jnp.maximum(jnp.abs(rates.x), jnp.abs(rates.y)), jnp.abs(rates.z))
     outcome = rules.Outcome(
         passed=passed,
         gate_collision=hit,
         ground=rules.hits_ground(position, model.velocity(after), limits.landing, radius),
-        out_of_bounds=outside | (fastest > limits.body_rate),
+        out_of_bounds=outside | rules.too_fast(rates, limits),
         attitude=(jnp.abs(euler.y) > limits.pitch)
         | (jnp.abs(euler.x) > limits.roll)
         | (jnp.abs(rates.z) > limits.yaw_rate),
@@ -295,8 +305,39 @@ def transition(
     context = StepContext(choices.model, params, state, drone, g, outcome, action)
     for weight, term in zip(params.term_weights, choices.terms, strict=True):
         value = value + weight * jnp.asarray(term(context), value.dtype)
+    applied = _applied(choices, action) if state.action is not None else None
+    for penalty in _penalties(choices.model, params, state, drone, g, outcome, applied):
+        value = value - penalty
     following = progressed(params, state, drone, outcome)
-    return following.replace(estimate=_estimate(choices, params, state, drone)), value, outcome
+    estimate = _estimate(choices, params, state, drone)
+    return following.replace(estimate=estimate, action=applied), value, outcome
+
+
+def _applied(choices: Choices, action: jax.Array) -> tuple[jax.Array, ...]:
+    """The numbers of an action, clipped to [-1, 1], without a gradient beyond the limits."""
+    return tuple(jnp.clip(action[i], -1.0, 1.0) for i in range(choices.model.action_size))
+
+
+def _penalties(
+    model: VehicleModel,
+    params: RaceParams,
+    state: RaceState,
+    drone: State,
+    g: Gate,
+    outcome: rules.Outcome,
+    action: tuple[jax.Array, ...] | None,
+) -> list[jax.Array]:
+    """The penalties, each (), that are computed only where they are used."""
+    found = []
+    sight, change = params.reward.perception, params.reward.action_change
+    if sight is not None:
+        seen = model.to_body(drone, g.position - model.position(drone))
+        penalty = params.limits.time_step * rules.perception_penalty(sight, seen)
+        found.append(jnp.where(outcome.passed, 0.0, penalty))
+    if change is not None:
+        assert action is not None and state.action is not None
+        found.append(change * rules.action_change(action, state.action))
+    return found
 
 
 def progressed(

@@ -16,13 +16,14 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.vectors import Vec3
-from quadjax.race.track import Gate, pick, to_gate_frame
+from quadjax.race.track import Gate, gates_ahead, pick, to_gate_frame
 from quadjax.vehicle.protocol import State, VehicleModel
 
 if TYPE_CHECKING:
     from quadjax.race.environment import RaceParams, RaceState
 
 Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
+LAST_ACTION, MOST_AHEAD = "last_action", 4  # gates
 GROUND_TRUTH, ESTIMATED, NONE = SOURCES = ("ground_truth", "estimated", "none")
 
 
@@ -253,6 +254,33 @@ def _next_yaw_unwrapped(view: View) -> Sequence[jax.Array]:
     return (pick(jnp.roll(yaw, -1) - yaw, view.state.target),)
 
 
+def _beyond(count: int) -> tuple[Field, Field]:
+    """Position and yaw of the gate that is ``count`` gates after the target."""
+
+    def position(view: View) -> Sequence[jax.Array]:
+        place, _ = gates_ahead(view.params.track, count)
+        return [pick(table, view.state.target) for table in place.components()]
+
+    def yaw(view: View) -> Sequence[jax.Array]:
+        _, turn = gates_ahead(view.params.track, count)
+        return (pick(turn, view.state.target),)
+
+    return (
+        Field(f"next{count}_position", 3, "m", "gate", 16.0, position),
+        Field(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw),
+    )
+
+
+def _last_action(view: View) -> Sequence[jax.Array]:
+    assert view.state.action is not None
+    return view.state.action
+
+
+def last_action(size: int) -> Field:
+    """The action of the step before."""
+    return Field(LAST_ACTION, size, "", "", 1.0, _last_action)
+
+
 def _true_moment(view: View) -> Sequence[jax.Array]:
     assert view.model.disturbance is not None
     return view.model.disturbance(view.drone)[0].components()
@@ -305,6 +333,16 @@ NEXT_YAW = Field("next_yaw", 1, "rad", "gate", 4.0, _next_yaw)
 NEXT_YAW_UNWRAPPED = Field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped)
 
 
+AHEAD = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
+
+
+def _fixed(
+    model: VehicleModel, span: tuple[float, float]
+) -> Callable[[VehicleModel, "RaceParams"], Bounds]:
+    low, high = ((jnp.float32(end),) * model.actuators.size for end in span)
+    return lambda model, params: (low, high)
+
+
 def disturbance_fields(source: str) -> tuple[Field, Field]:
     """The external moment and the force along body z; ``source`` is one of ``SOURCES``."""
     moment, force = _SOURCES[source]
@@ -320,6 +358,9 @@ def make_layout(
     wrap_next_yaw: bool = True,
     extra: Sequence[Field] = (),
     attitude: str = "euler",
+    ahead: int = 1,
+    with_last_action: bool = False,
+    actuator_range: tuple[float, float] | None = None,
 ) -> Layout:
     """The observation of a vehicle model in the race.
 
@@ -331,6 +372,9 @@ def make_layout(
         extra: further fields, at the end.
         attitude: ``euler`` for roll, pitch and yaw, as published, or ``rotation`` for the body's x
             and z axes, which are continuous at any attitude.
+        ahead: number of gates after the target that are observed.
+        with_last_action: whether the action of the step before is observed.
+        actuator_range: actuator states that are observed as -1 and 1; None: the nominal range.
 
     Raises:
         InputError: two fields of one name.
@@ -344,10 +388,12 @@ def make_layout(
         Field(
             *(actuators.name, actuators.size, actuators.unit, "body", 2.0),
             value=_actuators,
-            scale=_actuator_bounds,
+            scale=_actuator_bounds if actuator_range is None else _fixed(model, actuator_range),
         ),
         Field("next_position", 3, "m", "gate", 8.0, _next_position),
         NEXT_YAW if wrap_next_yaw else NEXT_YAW_UNWRAPPED,
+        *(field for pair in AHEAD[: ahead - 1] for field in pair),
+        *([last_action(model.action_size)] if with_last_action else []),
         *(disturbance_fields(disturbance) if model.disturbance is not None else ()),
         *extra,
     )
@@ -357,19 +403,26 @@ def make_layout(
     return layout
 
 
-def arranged(layout: Layout, wanted: Layout, name: str) -> Layout:
+def other_fields(actions: int) -> tuple[Field, ...]:
+    """The fields that every race can give, in addition to those of its own layout."""
+    pairs = (field for pair in AHEAD for field in pair)
+    others = (NEXT_YAW, NEXT_YAW_UNWRAPPED, last_action(actions))
+    return (*ATTITUDES.values(), *others, *pairs)
+
+
+def arranged(layout: Layout, wanted: Layout, actions: int, name: str) -> Layout:
     """The layout with the fields of another one, in its order.
 
     Args:
         layout: of a race.
         wanted: of a policy.
+        actions: number of the vehicle's actions.
         name: the policy's file, for the message.
 
     Raises:
         InputError: the race has no such field, or one of another size.
     """
-    others = (*ATTITUDES.values(), NEXT_YAW, NEXT_YAW_UNWRAPPED)
-    known = {field.name: field for field in (*others, *layout.fields)}
+    known = {field.name: field for field in (*other_fields(actions), *layout.fields)}
     for field in wanted.fields:
         if field.name not in known or known[field.name].size != field.size:
             raise InputError(

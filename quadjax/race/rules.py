@@ -1,10 +1,13 @@
 """The rules of the race: gate crossing, collision, bounds, and the reward they give."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.gradients import Scalar
+from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.track import (
     Gate,
@@ -44,10 +47,20 @@ class Limits:
     roll: jax.Array  # rad
     yaw_rate: jax.Array  # rad/s
     gate_inflation: jax.Array  # m added to each side of every gate's opening
+    axis_rates: Vec3 | None = None  # rad/s, largest about each axis; None: body_rate alone
     bounds: tuple[Vec3, Vec3] | None = None  # lowest and highest position, m; None: none
     landing: Landing | None = None  # None: touching the ground is a collision
     frame: Frame | None = None  # None: only the target gate's plane is solid
     body_radius: jax.Array | None = None  # m, of the drone; None: a point
+
+
+@struct.dataclass
+class Perception:
+    """The penalty for a target gate that the camera does not see."""
+
+    weight: jax.Array  # penalty per s and rad beyond the limit
+    camera: jax.Array  # rad, upward tilt of the camera's axis from the body's x
+    limit: jax.Array  # rad between the camera's axis and the gate's center
 
 
 @struct.dataclass
@@ -65,6 +78,8 @@ class RewardWeights:
     gate_edge: jax.Array  # penalty per m of clearance violation on crossing a gate's plane
     gate_edge_margin: jax.Array  # required clearance from each edge of the opening, m
     gate_edge_reach: jax.Array  # largest clearance violation per axis, m
+    action_change: jax.Array | None = None  # penalty per change of an action; None: none
+    perception: Perception | None = None
 
 
 @struct.dataclass
@@ -171,6 +186,16 @@ def inside_frame(
     return hit
 
 
+def too_fast(rates: Vec3, limits: Limits) -> jax.Array:
+    """Whether body rates are above their limits, a () bool."""
+    fastest = jnp.maximum(jnp.maximum(jnp.abs(rates.x), jnp.abs(rates.y)), jnp.abs(rates.z))
+    beyond = fastest > limits.body_rate
+    if limits.axis_rates is not None:
+        for own, limit in zip(rates.components(), limits.axis_rates.components(), strict=True):
+            beyond = beyond | (jnp.abs(own) > limit)
+    return beyond
+
+
 def outside_box(
     position: Vec3, bounds: tuple[Vec3, Vec3], radius: jax.Array | float = 0.0
 ) -> jax.Array:
@@ -223,6 +248,25 @@ def clearance_violation(after: Vec3, g: Gate, margin: jax.Array, reach: Scalar =
     return jnp.where(
         g.circle, jnp.clip(distance - (g.half_width - margin), 0.0, 2.0 * reach), width + height
     )
+
+
+def perception_penalty(perception: Perception, seen: Vec3) -> jax.Array:
+    """The penalty () per s of a gate's center ``seen`` in the body frame, m.
+
+    ``weight`` times the angle beyond ``limit`` between it and the camera's axis, which is
+    ``(cos c, 0, -sin c)`` with the camera's tilt ``c``.
+    """
+    cosine, sine = jnp.cos(perception.camera), jnp.sin(perception.camera)
+    along = cosine * seen.x - sine * seen.z
+    aside = Vec3(seen.y, sine * seen.x + cosine * seen.z, jnp.zeros_like(seen.y))
+    angle = arctan2(safe_norm(aside), along)
+    return perception.weight * jnp.maximum(angle - perception.limit, 0.0)
+
+
+def action_change(action: tuple[jax.Array, ...], before: tuple[jax.Array, ...]) -> jax.Array:
+    """The sum () of the absolute changes of an action's numbers."""
+    changes = [jnp.abs(now - old) for now, old in zip(action, before, strict=True)]
+    return functools.reduce(jnp.add, changes)
 
 
 def reward(

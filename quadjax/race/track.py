@@ -136,6 +136,28 @@ def _gate(track: Track, of: Callable[[jax.Array], jax.Array]) -> Gate:
     return Gate(**{name: jax.tree.map(of, getattr(track, name)) for name in names})
 
 
+def gates_ahead(track: Track, count: int) -> tuple[Vec3, jax.Array]:
+    """The pose of the gate that is ``count`` gates after each gate, in that gate's frame.
+
+    On a course, the gates after the last one are straight ahead, ``AHEAD`` m from each other.
+
+    Returns:
+        Position of (gates,), m, and relative yaw (gates,), rad, in [-pi, pi].
+    """
+    position, yaw = track.next_position, track.next_yaw
+
+    def following(table: jax.Array) -> jax.Array:
+        rolled = jnp.roll(table, -1)
+        return rolled if track.closed else rolled.at[-1].set(table[-1])
+
+    for _ in range(count - 1):
+        step, turn = jax.tree.map(following, (position, yaw))
+        cosine, sine = jnp.cos(track.next_yaw), jnp.sin(track.next_yaw)
+        across = Vec3(cosine * step.x - sine * step.y, sine * step.x + cosine * step.y, step.z)
+        position, yaw = track.next_position + across, wrap_angle(track.next_yaw + turn)
+    return position, yaw
+
+
 STRAIGHT = 0.2  # below this sum of the sines of the turns at a leg's ends, the leg is straight
 
 
