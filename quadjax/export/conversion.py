@@ -63,7 +63,7 @@ class Converted:
         files |= emit_race(self.race, network, origin, rollouts.states, rollouts.targets)
         if self.estimator is not None:
             files |= emit_estimator(self.estimator, network, origin, self.residual_hash)
-        return files | emit_paparazzi(network, origin, self.estimator)
+        return files | emit_paparazzi(network, origin, self.race, self.estimator)
 
 
 def sha256(path: Path) -> str:

@@ -19,6 +19,7 @@ from quadjax.export.race_tables import TURNS_PER_UNIT, TWO_PI, YAW_EXPONENT, Rac
 from quadjax.export.render import render
 from quadjax.export.selftest import estimator_test, network_test, padded_layers, race_test
 
+MODULE_MODELS = ("motor", "rate")  # vehicle models whose commands the Paparazzi module takes
 MODULE_FREQUENCY = 512  # Hz, of the Paparazzi module
 ACCELEROMETER = {"a_x": "s[3]", "a_y": "s[4]", "a_z": "s[5]"}  # monomials with no name of their own
 
@@ -119,10 +120,18 @@ def emit_estimator(
 
 
 def emit_paparazzi(
-    network: FixedNetwork, origin: Provenance, estimator: EstimatorTables | None
+    network: FixedNetwork,
+    origin: Provenance,
+    race: RaceTables,
+    estimator: EstimatorTables | None,
 ) -> dict[str, str]:
-    """The Paparazzi module's files, by path under ``paparazzi/``."""
+    """The Paparazzi module's files, by path under ``paparazzi/``; of ``MODULE_MODELS`` only."""
+    if network.model.name not in MODULE_MODELS:
+        return {}
     values = _common(network, origin) | {"frequency": MODULE_FREQUENCY, "estimator": estimator}
+    values["known"] = [field.name for field in race.fields]
+    middle = 0.5 * (network.command_low + network.command_high) / 2.0**network.fraction_bits
+    values["halfway"] = [f"{x!r}f" for x in middle.tolist()]
     files = _files(origin, values, [".h", ".c"], "module", "_module")
     files |= _files(origin, values, [".xml"], "module")
     return {f"paparazzi/{file}": text for file, text in files.items()}

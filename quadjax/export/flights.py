@@ -8,13 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core import quaternion
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.export.actor import fixed_point_fly
 from quadjax.export.race_source import DEFAULT, OwnRace
-from quadjax.export.race_tables import example_state
+from quadjax.export.race_tables import LAST_COMMAND, drone_of, example_state, state_sizes
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
+from quadjax.policy.pilot import command_ranges
 from quadjax.race import environment, rules
 from quadjax.race.environment import Estimate, RaceState
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
@@ -67,12 +69,25 @@ def _fly(
     return fly_laps(own.choices, own.params, actor, own.pilot, key, laps, runs, **options)
 
 
+def _sizes(own: OwnRace) -> dict[str, int]:
+    return state_sizes(own.choices.layout, own.choices.model)
+
+
+def _quaternions(euler: jax.Array) -> np.ndarray:
+    """Quaternions (time, 4, runs) of Euler angles (time, 3, runs), rad."""
+    q = quaternion.of_euler(Vec3(*np.moveaxis(np.asarray(euler, np.float32), 1, 0)))
+    return np.stack([np.asarray(x) for x in jax.tree.leaves(q)], axis=1)
+
+
 def _states(
     trace: Trace, own: OwnRace, counted: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """States (n, state_size) and targets (n,) of every step of the runs that are counted."""
     going = ~np.asarray(trace.over) & counted
-    parts = [trace.position, trace.velocity, trace.euler, trace.rates, trace.actuators]
+    sizes = _sizes(own)
+    attitude = [trace.euler] if "euler" in sizes else []
+    attitude += [_quaternions(trace.euler)] if "quaternion" in sizes else []
+    parts = [trace.position, trace.velocity, *attitude, trace.rates, trace.actuators]
     rows = [np.moveaxis(np.asarray(part), 1, -1)[going] for part in parts]
     if own.choices.model.disturbance is not None:
         # Disturbances are constant in a flight; they are drawn again from their ranges.
@@ -83,6 +98,11 @@ def _states(
         )
         drawn = rng.uniform(-half, half, (len(counted), 4))[np.nonzero(going)[1]]
         rows += [drawn[:, :3], np.zeros((len(drawn), 2)), drawn[:, 3:]]
+    if LAST_COMMAND in sizes:
+        low, high = command_ranges(own.choices, own.params)
+        first = np.broadcast_to(0.5 * (low + high)[:, None], trace.command.shape[1:])
+        before = np.concatenate([first[None], np.asarray(trace.command)[:-1]])
+        rows.append(np.moveaxis(before, 1, -1)[going])
     return np.concatenate(rows, axis=1).astype(np.float32), np.asarray(trace.target)[going]
 
 
@@ -91,12 +111,19 @@ def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray
 
     They are in the scaling that the policy was trained with.
     """
-    structure = jax.tree.structure(example_state(own.choices, own.params))
+    example, sizes = example_state(own.choices, own.params), list(_sizes(own).items())
+    last = sizes[-1][1] if sizes[-1][0] == LAST_COMMAND else 0
+    low, high = command_ranges(own.choices, own.params)
 
     def one(state: jax.Array, target: jax.Array) -> jax.Array:
         zero = jnp.zeros((), jnp.int32)
-        drone = jax.tree.unflatten(structure, list(state))
-        race = RaceState(drone, target, zero, zero, None, _estimate(own, drone))
+        drone = drone_of(own.choices.layout, own.choices.model, example, state)
+        given = state[len(state) - last :]
+        action = tuple(
+            (2.0 * given[i] - low[i] - high[i]) / (high[i] - low[i]) for i in range(last)
+        )
+        estimate = _estimate(own, drone)
+        race = RaceState(drone, target, zero, zero, None, estimate, action or None)
         return pilot.see(own.pilot, environment.observe(own.choices, own.params, race))
 
     return np.asarray(jax.jit(jax.vmap(one))(states, targets))

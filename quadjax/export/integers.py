@@ -35,16 +35,22 @@ def quantize(values: Array, exponents: tuple[int, ...], xp: ModuleType = np) -> 
 
 def status_masks(values: np.ndarray, exponents: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Bit masks (n,) uint32 of floats (n, k): bit i if value i is clipped, and if it is NaN."""
-    given = np.asarray(values, np.float32)
-    nan = np.isnan(given)
-    clipped = np.abs(np.where(nan, np.float32(0), given)) > np.ldexp(1.0, np.asarray(exponents))
+    clipped, nan = status_flags(values, exponents)
     return bit_mask(clipped), bit_mask(nan)
 
 
+def status_flags(values: np.ndarray, exponents: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each of floats (n, k) is clipped, and whether it is NaN."""
+    given = np.asarray(values, np.float32)
+    nan = np.isnan(given)
+    clipped = np.abs(np.where(nan, np.float32(0), given)) > np.ldexp(1.0, np.asarray(exponents))
+    return clipped, nan
+
+
 def bit_mask(flags: np.ndarray) -> np.ndarray:
-    """Flags (n, k) as masks (n,) uint32, bit i for column i."""
-    bits = np.uint32(1) << np.arange(flags.shape[1], dtype=np.uint32)
-    return (flags * bits).sum(1, dtype=np.uint32)
+    """Flags (n, k) as masks (n,) uint32, bit i for column i and bit 31 for all from there on."""
+    bits = np.uint32(1) << np.minimum(np.arange(flags.shape[1]), 31).astype(np.uint32)
+    return np.bitwise_or.reduce(flags * bits, axis=1, initial=np.uint32(0))
 
 
 def round_shift(value: Array, shift: int) -> Array:

@@ -11,6 +11,8 @@ from quadjax.export.race_tables import (
     COPY,
     GATE,
     POSITION,
+    QUATERNION_EXPONENT,
+    ROTATION,
     SCALED,
     TURN_BITS,
     TURNS_PER_UNIT,
@@ -61,11 +63,35 @@ def _input(tables: RaceTables, part: Input, q: np.ndarray, target: np.ndarray) -
         return np.column_stack([values[:, :2], round_shift(wrap(yaw), network)])
     if part.kind == COPY:
         return values
+    if part.kind == ROTATION:
+        return _rotation(tables, values, target, network)
     if part.kind == POSITION:
         values = values - tables.gate_position[target]
     shift = INPUT_BITS - tables.exponent(part.kind) + network
     rotated = _rotate(values, tables.gate_cos[target], tables.gate_sin[target])
     return np.stack([round_shift(x, shift) for x in rotated], axis=1)
+
+
+def _rotation(tables: RaceTables, q: np.ndarray, target: np.ndarray, network: int) -> np.ndarray:
+    """The body's x and z axes (n, 6) in the gate's frame, of quaternions (n, 4)."""
+    columns = []
+    for axis in axes_of(q):
+        rotated = _rotate(axis, tables.gate_cos[target], tables.gate_sin[target])
+        columns += [round_shift(x, INPUT_BITS + network) for x in rotated]
+    return np.stack(columns, axis=1)
+
+
+def axes_of(q: np.ndarray) -> list[np.ndarray]:
+    """The body's x and z axes, each (n, 3) in Q30, of quaternions (n, 4) with the range +-2."""
+    w, x, y, z = q.T
+    one = np.int64(1) << (2 * (INPUT_BITS - QUATERNION_EXPONENT))
+    front = (one - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y))
+    down = (2 * (x * z + w * y), 2 * (y * z - w * x), one - 2 * (x * x + y * y))
+    shift = INPUT_BITS - 2 * QUATERNION_EXPONENT
+    return [
+        np.stack([np.clip(round_shift(x, shift), -2 * ONE, 2 * ONE) for x in axis], axis=1)
+        for axis in (front, down)
+    ]
 
 
 def _rotate(vector: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> list[np.ndarray]:

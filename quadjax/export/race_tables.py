@@ -12,18 +12,29 @@ import functools
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core import quaternion
 from quadjax.core.errors import InputError
+from quadjax.core.quaternion import Quaternion
+from quadjax.core.vectors import Vec3
 from quadjax.export.integers import ONE
 from quadjax.export.ranges import InputBox, next_power
 from quadjax.export.scaling import Rescale, Spans, spans_of
 from quadjax.policy.file import Policy
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.layout import DISTURBANCES, NEXT_YAW, NEXT_YAW_UNWRAPPED, Layout
-from quadjax.race.track import Track
-from quadjax.vehicle.protocol import State
+from quadjax.race.layout import (
+    AHEAD,
+    DISTURBANCES,
+    LAST_ACTION,
+    NEXT_YAW,
+    NEXT_YAW_UNWRAPPED,
+    Layout,
+)
+from quadjax.race.track import Track, gates_ahead
+from quadjax.vehicle.protocol import State, VehicleModel
 
 YAW_EXPONENT = 6  # of the state's yaw: +-64 rad, because an autopilot may not wrap it
 WIND_EXPONENT = 2  # the state's velocity has four times the range of the network's input
@@ -33,20 +44,26 @@ TWO_PI = round(2.0 * math.pi * ONE)  # Q30
 UNOBSERVED = 20  # exponent of numbers of the state that no input needs
 FARTHEST = 15  # exponent of the largest distance of a gate
 # How the C computes a field: from numbers of the state, or from the gate alone.
-POSITION, VELOCITY, ATTITUDE, COPY, SCALED, GATE = (
-    *("position", "velocity", "attitude", "copy", "scaled", "gate"),
+POSITION, VELOCITY, ATTITUDE, ROTATION, COPY, SCALED, GATE = (
+    *("position", "velocity", "attitude", "rotation", "copy", "scaled", "gate"),
 )
 KINDS = {  # field of the observation: how it is computed, and from which field of the state
     "position": (POSITION, "position"),
     "velocity": (VELOCITY, "velocity"),
     "attitude": (ATTITUDE, "euler"),
+    "rotation": (ROTATION, "quaternion"),
     "rates": (COPY, "rates"),
 }
+LAST_COMMAND = "last_command"  # field of the state that the field LAST_ACTION is scaled from
+QUATERNION_EXPONENT = 1  # +-2: a component of length one may be rounded up
 NOTES = {  # unit and frame of a field of the state, for the header
     "position": "m, world",
     "velocity": "m/s, world",
     "euler": "roll, pitch, yaw, rad; any yaw, wrapped here",
+    "quaternion": "w, x, y, z: body to world, of length one",
     "rates": "p, q, r, rad/s, body",
+    "rotor_speed": "1 front-left, 2 front-right, 3 rear-right, 4 rear-left; rad/s",
+    LAST_COMMAND: "command of the step before; at the start halfway between the limits",
     "thrust": "specific thrust along body -z, m/s^2",
     "rpm": "1 front-left, 2 front-right, 3 rear-right, 4 rear-left",
     "moment_ext": "external moment, N m, body",
@@ -84,7 +101,7 @@ class Input:
     name: str
     kind: str
     index: int
-    sources: tuple[int, ...]  # of each input: a number of the state, or of the gate's constants
+    sources: tuple[int, ...]  # numbers of the state, or of the gate's constants
     rescales: tuple[Rescale | None, ...] = ()  # of scaled inputs; None: the policy sees zero
 
 
@@ -127,12 +144,14 @@ class RaceTables:
     def helpers(self) -> set[str]:
         """Names of the C functions that these inputs need, and ``gate`` if they need the gate."""
         kinds = {x.kind for x in self.inputs if x.kind != SCALED or any(x.rescales)}
-        rotated, own_axes = kinds & {POSITION, VELOCITY}, set() if self.world_box else {"own axes"}
+        rotated = kinds & {POSITION, VELOCITY, ROTATION}
+        own_axes = set() if self.world_box else {"own axes"}
         needed = {
             "across": rotated | own_axes,
             "round_shift": kinds - {COPY, GATE} | own_axes,
             "hold": kinds - {COPY, GATE},
             "wrap": kinds & {ATTITUDE},
+            "matrix": kinds & {ROTATION},
             "rescale": kinds & {SCALED},
             "gate": kinds - {COPY, SCALED},
         }
@@ -143,8 +162,46 @@ class RaceTables:
         return next(f.exponents[0] for f in self.fields if f.name == field)
 
 
+def state_sizes(layout: Layout, model: VehicleModel) -> dict[str, int]:
+    """The fields of the emitted state and their sizes, in order.
+
+    A policy that observes a rotation matrix gets a quaternion, any other one Euler angles.
+    """
+    angles = {} if "rotation" in layout and "attitude" not in layout else {"euler": 3}
+    matrix = {"quaternion": 4} if "rotation" in layout else {}
+    disturbances = {} if model.disturbance is None else {"moment_ext": 3, "force_ext": 3}
+    last = {LAST_COMMAND: model.action_size} if LAST_ACTION in layout else {}
+    motion = {"position": 3, "velocity": 3, **angles, **matrix, "rates": 3}
+    return {**motion, model.actuators.name: model.actuators.size, **disturbances, **last}
+
+
+def drone_of(layout: Layout, model: VehicleModel, example: State, numbers: jax.Array) -> State:
+    """A vehicle's state of the numbers (n,) of an emitted one; ``example`` has its structure."""
+    values, start = {}, 0
+    for name, size in state_sizes(layout, model).items():
+        values[name] = [numbers[start + i] for i in range(size)]
+        start += size
+    leaves = []
+    for field in dataclasses.fields(example):
+        own = values.get(field.name, values[model.actuators.name])
+        if field.name == "euler":
+            own = _attitude(values, isinstance(example.euler, Quaternion))
+        leaves += own
+    return jax.tree.unflatten(jax.tree.structure(example), leaves)
+
+
+def _attitude(values: dict[str, list[jax.Array]], as_quaternion: bool) -> list[jax.Array]:
+    """The attitude of a state's numbers: three angles, or a quaternion."""
+    if as_quaternion and "quaternion" not in values:
+        return jax.tree.leaves(quaternion.of_euler(Vec3(*values["euler"])))
+    if not as_quaternion and "euler" not in values:
+        own = Quaternion(*values["quaternion"])
+        return jax.tree.leaves(quaternion.to_euler(own, jnp.arctan2))
+    return values["quaternion" if as_quaternion else "euler"]
+
+
 def example_state(choices: Choices, params: RaceParams) -> State:
-    """A vehicle's state as shapes; the emitted state has its numbers in the order of its leaves."""
+    """A vehicle's state as shapes."""
     return jax.eval_shape(functools.partial(environment.hover_start, choices), params).drone
 
 
@@ -173,7 +230,7 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
     unit = ONE / 2.0**world
     spans = {name: spans_of(policy, box, name) for name in box.scaled if name in policy.layout}
-    fields = _state_fields(box, example_state(choices, params), world, spans)
+    fields = _state_fields(box, choices.model, world, spans)
     return RaceTables(
         box=box,
         fields=fields,
@@ -197,6 +254,10 @@ def next_gates(track: Track) -> dict[str, np.ndarray]:
         NEXT_YAW.name: np.asarray(track.next_yaw)[:, None],
         NEXT_YAW_UNWRAPPED.name: plain[:, None],
     }
+    for count, (place_field, yaw_field) in enumerate(AHEAD, start=2):
+        place, yaw = gates_ahead(track, count)
+        values[place_field.name] = np.asarray(place.array())
+        values[yaw_field.name] = np.asarray(yaw)[:, None]
     return {name: value.astype(np.float64) for name, value in values.items()}
 
 
@@ -229,7 +290,7 @@ def _gate_constants(box: InputBox, track: Track) -> np.ndarray:
 
 
 def _state_fields(
-    box: InputBox, drone: State, world: int, spans: dict[str, Spans]
+    box: InputBox, model: VehicleModel, world: int, spans: dict[str, Spans]
 ) -> tuple[StateField, ...]:
     """The fields of the state, with the ranges that the inputs computed from them need."""
     attitude, fields, start = box.exponent["attitude"], [], 0
@@ -237,14 +298,15 @@ def _state_fields(
         "position": world,
         "velocity": box.exponent["velocity"] + WIND_EXPONENT,
         "rates": box.exponent["rates"],
+        "quaternion": QUATERNION_EXPONENT,
     }
-    for field in dataclasses.fields(drone):
-        name, size = field.name, len(jax.tree.leaves(getattr(drone, field.name)))
-        own = [e for e, _ in spans.get(name, [])] or [exponents.get(name, UNOBSERVED)]
+    for name, size in state_sizes(box.layout, model).items():
+        scaled = spans.get(LAST_ACTION if name == LAST_COMMAND else name, [])
+        own = [e for e, _ in scaled] or [exponents.get(name, UNOBSERVED)]
         if name == "euler":
             own = [attitude, attitude, YAW_EXPONENT]
         own = (own * size)[:size]  # of a force, only one number may be observed
-        fields.append(StateField(name, NOTES[name], start, tuple(own)))
+        fields.append(StateField(name, NOTES.get(name, "actuators"), start, tuple(own)))
         start += size
     return tuple(fields)
 
@@ -258,10 +320,12 @@ def _inputs(
         name, index = field.name, box.layout.slice(field.name).start
         if name in KINDS:
             kind, source = KINDS[name]
-            numbers = [starts[source] + i for i in range(field.size)]
+            size = 4 if kind == ROTATION else field.size
+            numbers = [starts[source] + i for i in range(size)]
         elif name in spans:
             axes = ["xyz".index(part[-1]) for part in DISTURBANCES.get(name, ())]
-            kind, numbers = SCALED, [starts[name] + i for i in axes or range(field.size)]
+            first = starts[LAST_COMMAND if name == LAST_ACTION else name]
+            kind, numbers = SCALED, [first + i for i in axes or range(field.size)]
         else:
             kind, numbers = GATE, list(range(constants, constants + field.size))
             constants += field.size

@@ -7,7 +7,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
-from quadjax.race.layout import DISTURBANCES, NEXT_YAW, NEXT_YAW_UNWRAPPED, Layout, make_layout
+from quadjax.race.layout import DISTURBANCES, LAST_ACTION, Layout, make_layout, other_fields
 from quadjax.vehicle.registry import MODELS
 
 SMALLEST, LARGEST = 2.0**-20, 2.0**20
@@ -89,7 +89,7 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
             that is not a power of two.
     """
     model = MODELS[policy.vehicle]
-    known = {f.name: f for f in (*make_layout(model).fields, NEXT_YAW, NEXT_YAW_UNWRAPPED)}
+    known = {f.name: f for f in (*make_layout(model).fields, *other_fields(model.action_size))}
     for field in policy.layout.fields:
         if field.name not in known or known[field.name].size != field.size:
             raise InputError(
@@ -105,7 +105,7 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     return InputBox(
         layout=policy.layout,
         exponent={name: _exponent(name, value) for name, value in ranges.items()},
-        scaled=(model.actuators.name, *DISTURBANCES),
+        scaled=(model.actuators.name, *DISTURBANCES, LAST_ACTION),
     )
 
 

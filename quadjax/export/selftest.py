@@ -7,7 +7,7 @@ import numpy as np
 from quadjax.export import emulator, estimator_emulator, race_emulator
 from quadjax.export.estimator_tables import FINE_BITS, EstimatorTables
 from quadjax.export.fixed import FixedLayer, FixedNetwork
-from quadjax.export.integers import INPUT_BITS, WORD, digest, words_of
+from quadjax.export.integers import INPUT_BITS, WORD, digest, status_flags, words_of
 from quadjax.export.race_tables import RaceTables
 from quadjax.export.vectors import self_test_inputs
 
@@ -125,10 +125,9 @@ def _probe_digest(layer: PaddedLayer) -> int:
 def _quantize_digest(network: FixedNetwork) -> int:
     """Digest of every test pattern in every position, quantized."""
     everywhere = np.repeat(PATTERNS.view(np.float32)[:, None], network.inputs, axis=1)
-    q, clipped, nan = emulator.quantize(network, everywhere)
-    place = np.arange(network.inputs, dtype=np.uint32)
-    masks = [(mask[:, None] >> place) & 1 for mask in (clipped, nan)]
-    return _digest(np.stack([np.asarray(w, np.int64) for w in (q, *masks)], axis=2))
+    q, _, _ = emulator.quantize(network, everywhere)
+    flags = status_flags(everywhere, network.box.exponents)
+    return _digest(np.stack([np.asarray(w, np.int64) for w in (q, *flags)], axis=2))
 
 
 def race_test(tables: RaceTables, states: np.ndarray, targets: np.ndarray) -> RaceTest:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation.recording import Recording
 from quadjax.plant import flight
@@ -22,6 +23,7 @@ from quadjax.policy.pilot import Pilot, make_pilot
 from quadjax.race import laps
 from quadjax.race.environment import Choices, RaceParams, exact_rules
 from quadjax.race.laps import Laps
+from quadjax.race.layout import LAST_ACTION
 from quadjax.vehicle import motor
 from quadjax.vehicle.estimator import estimator_params
 from quadjax.vehicle.protocol import VehicleParams
@@ -85,6 +87,8 @@ def plan_flights(
         InputError: files of the plant that cannot be read.
     """
     choices, params = race
+    if LAST_ACTION in choices.layout:
+        raise InputError(f"the policy observes {LAST_ACTION}, which the stand-in plant lacks")
     params = exact_rules(choices.model, params)
     pilot = make_pilot(choices, params, policy, deterministic)
     hold = round(plant.sample_rate / plant.control_rate)

@@ -15,7 +15,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
-from quadjax.core.vectors import Vec3
+from quadjax.core.vectors import Vec3, between
 from quadjax.race.track import Gate, gates_ahead, pick, to_gate_frame
 from quadjax.vehicle.protocol import State, VehicleModel
 
@@ -272,13 +272,20 @@ def _beyond(count: int) -> tuple[Field, Field]:
 
 
 def _last_action(view: View) -> Sequence[jax.Array]:
+    """The command of the step before, which ``_command_bounds`` scales to the action."""
     assert view.state.action is not None
-    return view.state.action
+    ends = view.model.command_range(view.params.vehicle.constants)
+    low, high = (jax.tree.leaves(end) for end in ends)
+    return [between(*x) for x in zip(low, high, view.state.action, strict=True)]
+
+
+def _command_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    return model.command_range(params.vehicle.constants)
 
 
 def last_action(size: int) -> Field:
     """The action of the step before."""
-    return Field(LAST_ACTION, size, "", "", 1.0, _last_action)
+    return Field(LAST_ACTION, size, "", "", 1.0, _last_action, _command_bounds)
 
 
 def _true_moment(view: View) -> Sequence[jax.Array]:

@@ -123,10 +123,10 @@ def test_the_action_of_the_step_before_is_observed(stepped):
     columns = choices.layout.slice("last_action")
     assert columns.stop - columns.start == 4
     found = np.asarray(compiled_observe(choices)(params, following))
-    np.testing.assert_allclose(found[:, columns], np.clip(action, -1, 1))
+    np.testing.assert_allclose(found[:, columns], np.clip(action, -1, 1), atol=1e-6)
     key = jax.random.split(jax.random.key(0), 2)
     first = compiled_observe(choices)(params, compiled_reset(choices)(params, key))
-    np.testing.assert_array_equal(np.asarray(first)[:, columns], 0)
+    np.testing.assert_allclose(np.asarray(first)[:, columns], 0, atol=1e-6)
 
 
 def test_penalties_that_are_scheduled_are_computed():

@@ -55,7 +55,7 @@ static ${name}_status quantize(const ${name}_measurement *m, int32_t q[MEASUREME
       m->gyro[0], m->gyro[1], m->gyro[2], m->specific_force[0], m->specific_force[1],
       m->specific_force[2], m->rpm[0], m->rpm[1], m->rpm[2], m->rpm[3],
       m->velocity[0], m->velocity[1], m->velocity[2]};
-${c.quantize_all("q", "MEASUREMENTS", name ~ "_quantize_one(to_bits(x[i]), exponent[i]")}
+${c.quantize_all("q", "MEASUREMENTS", name ~ "_quantize_one(to_bits(x[i]), exponent[i]", 13)}
 {% if residuals %}
 /* ---- the residual networks ---------------------------------------------------------------------- */
 

@@ -33,13 +33,13 @@ static int32_t relu_upper_word(int64_t sum) {
   return (upper > 0) ? upper : 0;
 }
 {% endmacro %}
-{% macro quantize_all(to, count, number) %}
+{% macro quantize_all(to, count, number, size) %}
   for (uint32_t i = 0U; i < ${count}; ++i) {
     uint32_t clipped;
     uint32_t nan;
     ${to}[i] = ${number}, &clipped, &nan);
-    status.clipped |= clipped << i;
-    status.nan |= nan << i;
+    status.clipped |= clipped << ${'i' if size <= 32 else '((i < 31U) ? i : 31U)'};
+    status.nan |= nan << ${'i' if size <= 32 else '((i < 31U) ? i : 31U)'};
   }
   return status;
 }

@@ -66,7 +66,12 @@ static struct {
 static void read_state(${name}_state *state) {
   const struct NedCoor_f *const position = stateGetPositionNed_f();
   const struct NedCoor_f *const velocity = stateGetSpeedNed_f();
+{% if "euler" in known %}
   const struct FloatEulers *const euler = stateGetNedToBodyEulers_f();
+{% endif %}
+{% if "quaternion" in known %}
+  const struct FloatQuat *const quaternion = stateGetNedToBodyQuat_f();
+{% endif %}
   const struct FloatRates *const rates = stateGetBodyRates_f();
   state->position[0] = position->x;
   state->position[1] = position->y;
@@ -74,9 +79,17 @@ static void read_state(${name}_state *state) {
   state->velocity[0] = velocity->x;
   state->velocity[1] = velocity->y;
   state->velocity[2] = velocity->z;
+{% if "euler" in known %}
   state->euler[0] = euler->phi;
   state->euler[1] = euler->theta;
   state->euler[2] = euler->psi;
+{% endif %}
+{% if "quaternion" in known %}
+  state->quaternion[0] = quaternion->qi;
+  state->quaternion[1] = quaternion->qx;
+  state->quaternion[2] = quaternion->qy;
+  state->quaternion[3] = quaternion->qz;
+{% endif %}
   state->rates[0] = rates->p;
   state->rates[1] = rates->q;
   state->rates[2] = rates->r;
@@ -93,6 +106,12 @@ static void read_state(${name}_state *state) {
   const struct Int32Vect3 *const acceleration = stateGetAccelBody_i();
   /* Specific thrust is what the accelerometer feels along body -z. */
   state->thrust = -ACCEL_FLOAT_OF_BFP(acceleration->z);
+{% endif %}
+{% if "last_command" in known %}
+  static const float halfway[${NAME}_OUTPUTS] = {${halfway | join(", ")}};
+  for (uint32_t i = 0U; i < ${NAME}_OUTPUTS; ++i) {
+    state->last_command[i] = module.flying ? (float)module.command[i] : halfway[i];
+  }
 {% endif %}
 }
 

@@ -89,7 +89,7 @@ int32_t ${name}_quantize_one(uint32_t bits, int32_t exponent, uint32_t *clipped,
 
 ${name}_status ${name}_quantize(const float x[${NAME}_INPUTS], int32_t q[${NAME}_INPUTS]) {
   ${name}_status status = {0U, 0U};
-${c.quantize_all("q", NAME ~ "_INPUTS", name ~ "_quantize_one(float_bits(x[i]), range_exponent[i]")}
+${c.quantize_all("q", NAME ~ "_INPUTS", name ~ "_quantize_one(float_bits(x[i]), range_exponent[i]", network.inputs)}
 /* ---- one block of four rows ------------------------------------------------------------------- */
 
 /* For clang the kernels stay functions of their own: inlined, it would take their sums and what

@@ -37,7 +37,7 @@ extern "C" {
 {% endfor %}
  */
 
-/* What was wrong with the inputs: bit i is input i. Zero and zero is a good status. */
+/* What was wrong with the inputs: bit i is input i${', bit 31 any from there on' if network.inputs > 32 else ''}. Zero and zero is a good status. */
 typedef struct {
   uint32_t clipped; /* outside its range, or infinite: taken as the edge of the range */
   uint32_t nan;     /* not a number: taken as zero */

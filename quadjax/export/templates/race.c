@@ -28,6 +28,12 @@ enum {
 #define TURN_SHIFT 56
 /* 2 pi in Q30 */
 #define TWO_PI INT64_C(${two_pi})
+{% if "matrix" in race.helpers %}
+/* A quaternion has the range +-2: products are in Q58, elements of the matrix are held to +-2. */
+#define QUATERNION_ONE (INT64_C(1) << 58)
+#define MATRIX_SHIFT 28
+#define MATRIX_LIMIT (INT64_C(1) << 31)
+{% endif %}
 
 /* ---- the track ---------------------------------------------------------------------------------- */
 
@@ -75,7 +81,7 @@ static int32_t hold(int64_t value, uint32_t *outside, uint32_t input) {
   const int64_t held = (value > ${NAME}_INPUT_ONE)
                            ? ${NAME}_INPUT_ONE
                            : ((value < -${NAME}_INPUT_ONE) ? -${NAME}_INPUT_ONE : value);
-  *outside |= ((held != value) ? 1U : 0U) << input;
+  *outside |= ((held != value) ? 1U : 0U) << ${'input' if network.inputs <= 32 else '((input < 31U) ? input : 31U)'};
   return (int32_t)held;
 }
 
@@ -95,6 +101,14 @@ static int64_t wrap(int64_t yaw_q30) {
 }
 
 {% endif %}
+{% if "matrix" in race.helpers %}
+/* An element of the rotation matrix: a sum of products of the quaternion in Q58, to Q30. */
+static int64_t element(int64_t sum) {
+  const int64_t value = round_shift(sum, MATRIX_SHIFT);
+  return (value > MATRIX_LIMIT) ? MATRIX_LIMIT : ((value < -MATRIX_LIMIT) ? -MATRIX_LIMIT : value);
+}
+
+{% endif %}
 {% if "rescale" in race.helpers %}
 /* (value - middle) factor / 2^shift: what is scaled to [-1, 1]. */
 static int64_t rescale(int32_t value, int32_t middle, int32_t factor, int32_t shift) {
@@ -109,7 +123,7 @@ static ${name}_race_status quantize_state(const ${name}_state *state,
   ${name}_race_status status = {0U, 0U, 0U};
   const float x[${NAME}_STATE_SIZE] = {
 ${state_values | wrapped}};
-${c.quantize_all("s", NAME ~ "_STATE_SIZE", "quantize(x[i], state_exponent[i]")}
+${c.quantize_all("s", NAME ~ "_STATE_SIZE", "quantize(x[i], state_exponent[i]", race.state_size)}
 ${name}_race_status ${name}_observe(const ${name}_state *state, uint32_t target,
                                   int32_t q[${NAME}_INPUTS]) {
   int32_t s[${NAME}_STATE_SIZE];
@@ -143,6 +157,24 @@ ${name}_race_status ${name}_observe(const ${name}_state *state, uint32_t target,
   q[${i + 1}] = s[${s + 1}];
   const int64_t yaw = s[${s + 2}] * (INT64_C(1) << YAW_EXPONENT) - g->yaw;
   q[${i + 2}] = hold(round_shift(wrap(yaw), INPUT_YAW_EXPONENT), outside, ${i + 2}U);
+{% elif field.kind == "rotation" %}
+  const int64_t qw = s[${s}];
+  const int64_t qx = s[${s + 1}];
+  const int64_t qy = s[${s + 2}];
+  const int64_t qz = s[${s + 3}];
+  const int64_t axis[2][3] = { /* the body's x and z axes, world, Q30 */
+      {element(QUATERNION_ONE - 2 * (qy * qy + qz * qz)), element(2 * (qx * qy + qw * qz)),
+       element(2 * (qx * qz - qw * qy))},
+      {element(2 * (qx * qz + qw * qy)), element(2 * (qy * qz - qw * qx)),
+       element(QUATERNION_ONE - 2 * (qx * qx + qy * qy))}};
+  const int32_t unit = Q30 + ${race.box.exponent["rotation"]};
+  for (uint32_t k = 0U; k < 2U; ++k) {
+    const int64_t *const a = axis[k];
+    int32_t *const to = &q[${i}U + 3U * k];
+    to[0] = hold(round_shift(along(g, a[0], a[1]), unit), outside, ${i}U + 3U * k);
+    to[1] = hold(round_shift(across(g, a[0], a[1]), unit), outside, ${i + 1}U + 3U * k);
+    to[2] = hold(round_shift(a[2] * (INT64_C(1) << Q30), unit), outside, ${i + 2}U + 3U * k);
+  }
 {% elif field.kind == "scaled" %}
 {% for number, rescale in zip(field.sources, field.rescales) %}
 {% set k = i + loop.index0 %}

@@ -29,7 +29,7 @@ typedef struct {
 typedef struct {
   uint32_t clipped; /* bit i: number i of the state is outside its range */
   uint32_t nan;     /* bit i: number i of the state is not a number, taken as zero */
-  uint32_t outside; /* bit i: input i of the network is outside its range */
+  uint32_t outside; /* bit i: input i of the network is outside its range${'; bit 31: any from there on' if network.inputs > 32 else ''} */
 } ${name}_race_status;
 
 typedef enum {

@@ -57,6 +57,10 @@ struct FloatEulers *stateGetNedToBodyEulers_f(void) {
   static struct FloatEulers e;
   return &e;
 }
+struct FloatQuat *stateGetNedToBodyQuat_f(void) {
+  static struct FloatQuat q = {1.0f, 0.0f, 0.0f, 0.0f};
+  return &q;
+}
 struct FloatRates *stateGetBodyRates_f(void) {
   static struct FloatRates r;
   return &r;

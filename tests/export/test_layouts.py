@@ -1,0 +1,121 @@
+"""The C of every choice of the observation: the inputs of the environment, and its verification."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.export import flights, race_emulator
+from quadjax.export.convert import export_c
+from quadjax.export.emit import emit_network, emit_race
+from quadjax.export.fixed import convert
+from quadjax.export.race_source import own_race
+from quadjax.export.race_tables import make_tables, state_sizes, track_ranges
+from quadjax.export.verify import run
+from quadjax.export.verify.context import Context
+from quadjax.export.verify.folder import read_folder
+from quadjax.export.verify.harness import load_library
+from quadjax.export.verify.result import FAILED, PASSED, run_check
+from quadjax.export.verify.toolchain import WARNINGS, host
+from quadjax.training.build import untrained_policy
+from tests.export.support import ORIGIN
+
+MORE = ("observation.gates_ahead=2", "observation.last_action=true")
+AXES = "observation.attitude=rotation"
+FIVE_INCH = ("vehicle=5inch", "observation.actuator_range=[0, 3000]")
+RACES = {  # preset, overrides, size of the observation
+    "racing, axes and more": ("e2e_shac", (*FIVE_INCH, AXES, *MORE), 31),
+    "e2e, axes and more": ("e2e_disturbed", (AXES, *MORE), 35),
+    "published racing": ("e2e_shac", FIVE_INCH, 20),
+    "published e2e": ("e2e_disturbed", (), 24),
+    "published indi": ("indi_shac", (), 17),
+    "e2e with quaternions": ("e2e_disturbed", ("vehicle.quaternion=true",), 24),
+    "indi and more": ("indi_shac", ("observation.gates_ahead=3", MORE[1]), 29),
+}
+FEW = [pytest.param(name, marks=pytest.mark.slow) for name in list(RACES)[3:]]
+
+
+def made(name):
+    """An untrained policy of a race, and the race."""
+    preset, overrides, size = RACES[name]
+    config = load_config(preset, [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
+    policy = untrained_policy(config)
+    assert policy.layout.size == size
+    layers = [(np.asarray(k) * 0.3, np.asarray(b) + 0.01) for k, b in policy.layers]
+    return dataclasses.replace(policy, layers=tuple(layers)), own_race(config, policy, "test")
+
+
+def random_states(rng, count, own, low, high):
+    """States that a race may meet, (n, state_size) float32; quaternions of length one."""
+    parts = []
+    for name, size in state_sizes(own.choices.layout, own.choices.model).items():
+        spread = {"position": 6.0, "velocity": 3.0, "rates": 4.0}.get(name, 0.01)
+        part = rng.uniform(-spread, spread, (count, size))
+        if name == "quaternion":
+            part = rng.normal(0, 1, (count, 4))
+            part /= np.linalg.norm(part, axis=1, keepdims=True)
+        if name == "euler":
+            part = rng.uniform(-1, 1, (count, 3)) * [1.4, 1.4, 9.0]
+        if name == "last_command":
+            part = rng.uniform(low, high, (count, size))
+        if name in ("rpm", "rotor_speed", "thrust"):
+            part = rng.uniform(1.0, {"rpm": 11000, "rotor_speed": 3000}.get(name, 15), part.shape)
+        parts.append(part)
+    return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", [*list(RACES)[:3], *FEW])
+def test_the_inputs_of_the_c_are_those_of_the_environment(name, tmp_path):
+    policy, own = made(name)
+    network = convert(policy, track_ranges(policy.layout, own.params.track) | {"position": 32.0})
+    tables = make_tables(network.box, policy, own.choices, own.params)
+    rng = np.random.default_rng(0)
+    states = random_states(rng, 200, own, policy.command_low, policy.command_high)
+    targets = rng.integers(0, tables.gates, 200)
+    observed = race_emulator.observe(tables, states, targets)
+    assert not (observed.clipped | observed.nan | observed.outside).any()
+    found = observed.q / 2.0**30 * network.box.ranges
+    error = np.abs(found - flights.observe(own, states, targets))
+    assert error.max() < 2e-5 and np.abs(found).max(axis=0).min() > 0
+    files = emit_network(network, ORIGIN, None)
+    files |= emit_race(tables, network, ORIGIN, states, targets)
+    for file, text in files.items():
+        (tmp_path / file).write_text(text)
+    sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
+    library = load_library(host(), sources, tmp_path / "made.so", WARNINGS)
+    assert library.made_self_test() == 0 and library.made_race_self_test() == 0
+
+
+CHECKS = ("range proof", "NumPy = JAX", "NumPy = C, host", "hostile inputs", "observation")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RACES)
+def test_an_exported_folder_passes_its_verification(name, tmp_path):
+    policy, _ = made(name)
+    policy.save(tmp_path / "policy.npz")
+    wide = {"position": 64.0, "velocity": 128.0, "rates": 1024.0, "attitude": 4.0}
+    ranges = {key: value for key, value in wide.items() if key in policy.layout}
+    out = tmp_path / "c"
+    export_c(tmp_path / "policy.npz", out, ranges=ranges, name="made", allow_unfinished=True)
+    assert (out / "paparazzi").exists() == (policy.vehicle != "racing")
+    context = Context(read_folder(out), tmp_path / "work", 1000, 4, True, True)
+    (tmp_path / "work").mkdir()
+    results = {
+        check: run_check(check, functools.partial(run.CHECKS[check], context)) for check in CHECKS
+    }
+    assert all(r.verdict != FAILED for r in results.values()), results
+    assert all(results[name].verdict == PASSED for name in ("observation", "NumPy = C, host"))
+
+
+def test_a_field_without_c_is_refused():
+    policy, own = made("published racing")
+    layout = dataclasses.replace(policy.layout, fields=(*policy.layout.fields[:-1],))
+    assert own.choices.model.name == "racing" and layout.size == 19
+    unknown = dataclasses.replace(policy.layout.fields[-1], name="temperature")
+    layout = dataclasses.replace(layout, fields=(*layout.fields, unknown))
+    with pytest.raises(InputError, match="observes 'temperature'.*which has no C; supported: "):
+        convert(dataclasses.replace(policy, layout=layout))
