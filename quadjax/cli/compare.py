@@ -29,7 +29,7 @@ from quadjax.core.resources import PRETRAINED
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("compare", description=__doc__)
     add_config(parser, "a YAML file of configs/plant")
-    parser.add_argument("--e2e", default=str(PRETRAINED / "e2e.npz"), metavar="FILE.npz")
+    parser.add_argument("--e2e", default=str(PRETRAINED / "e2e_adaptive.npz"), metavar="FILE.npz")
     parser.add_argument("--indi", default=str(PRETRAINED / "indi_shac.npz"), metavar="FILE.npz")
     parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")
     parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")

@@ -42,7 +42,7 @@ class Protocols:
         """Mean time of all laps in s (null where none finishes), and counts of flights."""
         both = {"mean": self.mean, "sampled": self.sampled}
         flights = {
-            how: {start: _numbers(laps) for start, laps in by_start.items()}
+            how: {start: numbers(laps) for start, laps in by_start.items()}
             for how, by_start in both.items()
         }
         return {"policy": self.label, "noise": round(self.noise, 4), **flights}
@@ -76,7 +76,8 @@ def mean_total(laps: Laps) -> float:
     return float(done.mean()) if done.size else float("nan")
 
 
-def _numbers(laps: Laps) -> dict[str, float | int | None]:
+def numbers(laps: Laps) -> dict[str, float | int | None]:
+    """Mean time of all laps in s (None where no flight finishes), and counts of flights."""
     time = mean_total(laps)
     seconds = round(time, 3) if np.isfinite(time) else None
     return {"time": seconds, "finished": laps.finished, "runs": len(laps.crashes)}
@@ -88,23 +89,28 @@ def protocol_table(results: Sequence[Protocols]) -> str:
     published = {each.published.label: each.published for each in results if each.published}
     for row in published.values():
         rows.append((f"published {row.label}", "", "", f"{row.total:.2f}", "", "", ""))
-    runs = max(len(each.mean["hover"].crashes) for each in results)
-    note = f"Seconds for all laps, mean of the flights that finish; in brackets, of {runs} flights."
-    return f"{table(rows)}\n\n{note}"
+    return f"{table(rows)}\n\n{note(results[0].mean['hover'])}"
 
 
 def _row(own: Protocols) -> tuple[str, ...]:
     return (
         own.label,
         f"{own.noise:.2f}",
-        _cell(own.mean["hover"]),
-        _cell(own.sampled["hover"]),
+        cell(own.mean["hover"]),
+        cell(own.sampled["hover"]),
         f"{own.ratio:.3f}" if np.isfinite(own.ratio) else "-",
-        _cell(own.mean["random"]),
-        _cell(own.sampled["random"]),
+        cell(own.mean["random"]),
+        cell(own.sampled["random"]),
     )
 
 
-def _cell(laps: Laps) -> str:
+def note(laps: Laps) -> str:
+    """What the cells of a table of flights are, for the number of flights in ``laps``."""
+    runs = len(laps.crashes)
+    return f"Seconds for all laps, mean of the flights that finish; in brackets, of {runs} flights."
+
+
+def cell(laps: Laps) -> str:
+    """Mean time of all laps, and in brackets the number of flights that finish."""
     time = mean_total(laps)
     return f"{time:.2f} ({laps.finished})" if np.isfinite(time) else f"- ({laps.finished})"

@@ -35,13 +35,13 @@ def plan_race(
 
 
 def race_config(config: Config, policy: Policy) -> Config:
-    """The race of one policy: its vehicle model and disturbance scale, without randomization.
+    """The race of one policy: its vehicle model, without disturbances and randomization.
 
-    On the plant the disturbance is estimated on board; the race adds none.
+    On the plant the disturbance is that of the plant, estimated on board; the race adds none.
     """
     return config.replace(
         vehicle=config.vehicle.with_model(policy.vehicle).replace(mismatch={}),
-        disturbance=config.disturbance.replace(**policy.disturbance_widths),
+        disturbance=type(config.disturbance)(),
         randomization=type(config.randomization)(),
         observation=config.observation.replace(disturbance="ground_truth"),
     )
