@@ -17,6 +17,7 @@ RANDOMIZED = (
     "all",
     "constants",
     "population",
+    "width",
 )  # keys of randomization that are not groups of constants
 RATE, SMALLEST_LEG = "learner.learning_rate", 0.01  # m
 GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
@@ -335,6 +336,11 @@ def _check_used(config: Config) -> None:
     for group in Randomization.model_fields:
         if group not in (*RANDOMIZED, *model.groups):
             unused[f"randomization.{group}"] = with_model
+    if not config.randomization.drawn and not any(
+        key.startswith("randomization.") and key != "randomization.width"
+        for key in config.schedules
+    ):
+        unused["randomization.width"] = "without randomized constants"
     if not model.uses_start_thrust:
         unused["start.thrust"] = with_model
     if config.reward.perception == 0 and "reward.perception" not in config.schedules:

@@ -58,7 +58,7 @@ def choices_of(config: Config) -> Choices:
         gate_test=config.rules.gate_test,
         random_gate=start.gate == "random",
         stagger_clocks=start.stagger_clocks,
-        randomize=any(dict(config.randomization).values())
+        randomize=config.randomization.drawn
         or any(key.startswith("randomization.") for key in config.schedules),
         population=config.randomization.population,
         mismatch=bool(config.vehicle.mismatch),
@@ -159,6 +159,7 @@ def build_params(config: Config) -> RaceParams:
         start=_start_range(config.start).replace(heading=inside_turn(track) if inside else None),
         disturbance=disturbance_range(config.disturbance),
         randomization=own.constants(**_traced(config.randomization.by_constant(own))),
+        population_width=_population_width(config),
         mismatch=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),
         term_weights=tuple(jnp.float32(weight) for weight in config.reward.terms.values()),
@@ -179,6 +180,11 @@ def _reward(config: Config) -> RewardWeights:
         action_change=jnp.float32(own.action_change) if "action_change" in used else None,
         perception=Perception(**_traced(sight)) if "perception" in used else None,
     )
+
+
+def _population_width(config: Config) -> jax.Array | None:
+    own = config.randomization
+    return None if own.population is None else jnp.float32(own.width)
 
 
 def _without(section: Section, *names: str) -> dict[str, float]:

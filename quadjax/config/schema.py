@@ -412,8 +412,21 @@ class Randomization(Section):
     population: str | None = Field(
         None,
         description="population of the model that all constants are drawn from, in place of "
-        "fractions: all_racing_drones (model racing; arXiv 2504.21586)",
+        "fractions: all_racing_drones (model racing; arXiv 2504.21586), monorace_fastest or "
+        "monorace_robust (model a2rl; arXiv 2601.15222)",
     )
+    width: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="factor on all fractions, and on the difference of a drone of the population "
+        "from the nominal one; schedule it for a curriculum",
+    )
+
+    @property
+    def drawn(self) -> bool:
+        """Whether constants are drawn."""
+        return any(value for key, value in self.__dict__.items() if key != "width")
 
     def by_constant(self, model: "VehicleModel") -> dict[str, float]:
         """The fraction of each constant of a vehicle model."""
@@ -421,7 +434,7 @@ class Randomization(Section):
         for group, names in model.groups.items():
             least = 0.0 if group == "gravity" else self.all
             found |= dict.fromkeys(names, max(getattr(self, group), least))
-        return found | self.constants
+        return {name: self.width * part for name, part in (found | self.constants).items()}
 
 
 class Run(Section):

@@ -64,6 +64,7 @@ class RaceParams:
     start: start.StartRange
     disturbance: start.DisturbanceRange
     randomization: Constants  # largest relative error of each constant
+    population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
     term_weights: tuple[jax.Array, ...] = ()  # of Choices.terms, each ()
@@ -130,7 +131,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         if choices.population is None:
             own = constants = start.draw_constants(constants, params.randomization, numbers)
         else:
-            own = constants = choices.model.populations[choices.population](constants, numbers)
+            drone = choices.model.populations[choices.population](constants, numbers)
+            own = constants = start.towards(constants, drone, params.population_width)
     part = None
     if params.start.along_leg is not None:
         part = params.start.along_leg * jax.random.uniform(jax.random.fold_in(key, 1))

@@ -131,6 +131,11 @@ def hover(model: VehicleModel, c: Constants, track: Track) -> State:
     return model.hover(c, Motion(last, Vec3.zero(), euler, Vec3.zero()))
 
 
+def towards(nominal: Constants, drone: Constants, width: jax.Array) -> Constants:
+    """Constants between the nominal ones (width 0) and those of a drone (width 1)."""
+    return jax.tree.map(lambda x, other: x + width * (other - x), nominal, drone)
+
+
 def draw_constants(nominal: Constants, spread: Constants, drawn: jax.Array) -> Constants:
     """Constants of one episode: each scaled by its own draw from 1 +- its fraction in ``spread``.
 

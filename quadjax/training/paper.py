@@ -70,7 +70,7 @@ def _race_of(config: Config) -> tuple[object, ...]:
         [gate.replace(yaw_deg=gate.yaw_deg % 360.0) for gate in config.track.gates],
         config.track.start,
     )
-    drawn = any(dict(config.randomization).values())
+    drawn = config.randomization.drawn
     model = (vehicle.residual, vehicle.integrator, dict(vehicle.mismatch))
     return (vehicle.constants, gates, own, drawn, model)
 

@@ -6,6 +6,7 @@ of the published code. Forces and moments are specific (no mass, no inertia), ro
 Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left.
 """
 
+import dataclasses
 from collections.abc import Mapping
 
 import jax
@@ -223,6 +224,41 @@ def all_racing_drones(nominal: RacingConstants, drawn: jax.Array) -> RacingConst
     return nominal.replace(**found)
 
 
+# The randomization of the fastest (M16) and of the most robust network of "MonoRace", as fractions.
+MONORACE_FASTEST = {
+    **{"thrust": 0.15, "drag": 0.2, "aerodynamics": 0.45, "moment": 0.45, "yaw": 0.45},
+    **{"gyroscopic": 0.5, "w_min": 0.2, "w_max": 0.15, "motor_map": 0.45, "lag": 0.3},
+}
+MONORACE_ROBUST = {
+    **dict.fromkeys(("thrust", "drag", "aerodynamics", "moment", "yaw", "gyroscopic"), 0.5),
+    **{"w_min": 0.5, "w_max": 0.4, "motor_map": 0.5, "lag": 0.55},
+}
+ROBUST_LAG = 0.025  # s, the time constant about which MONORACE_ROBUST draws
+
+
+def monorace_fastest(nominal: A2RLConstants, drawn: jax.Array) -> A2RLConstants:
+    """A drone of ``MONORACE_FASTEST``, of one number in [-1, 1] for each constant."""
+    return _scaled(nominal, MONORACE_FASTEST, drawn)
+
+
+def monorace_robust(nominal: A2RLConstants, drawn: jax.Array) -> A2RLConstants:
+    """A drone of ``MONORACE_ROBUST``, of one number in [-1, 1] for each constant."""
+    return _scaled(nominal.replace(tau=ROBUST_LAG), MONORACE_ROBUST, drawn)
+
+
+def _scaled(
+    nominal: A2RLConstants, fractions: Mapping[str, float], drawn: jax.Array
+) -> A2RLConstants:
+    """Constants, each times 1 +- the fraction of its group or of its own name."""
+    names = [field.name for field in dataclasses.fields(nominal)]
+    found = {}
+    for key, fraction in fractions.items():
+        for name in A2RL_GROUPS.get(key, (key,)):
+            own = drawn[names.index(name)]
+            found[name] = getattr(nominal, name) * (1.0 + fraction * own)
+    return nominal.replace(**found)
+
+
 def _angular_acceleration(c: Mapping[str, float]) -> tuple[float, float, float]:
     squares, speeds = c["w_max"] ** 2 - c["w_min"] ** 2, c["w_max"] - c["w_min"]
     totals = (sum(c[f"{name}{rotor}"] for rotor in (1, 2, 3, 4)) for name in ("k_p", "k_q", "k_r"))
@@ -239,6 +275,10 @@ GROUPS = {
     "lag": ("tau",),
     "limits": ("w_min", "w_max"),
     "motor_map": ("k",),
+}
+A2RL_GROUPS = GROUPS | {
+    "gyroscopic": ("j_x", "j_y", "j_z"),
+    "aerodynamics": ("k_angle", "k_hor", "k_v2", "k_x2", "k_y2"),
 }
 COMMON = {
     "command": Signal("motor_command", 4, ""),
@@ -266,10 +306,7 @@ A2RL = rigid_body_model(
     "a2rl",
     A2RLConstants,
     forces=a2rl_forces,
-    groups=GROUPS
-    | {
-        "gyroscopic": ("j_x", "j_y", "j_z"),
-        "aerodynamics": ("k_angle", "k_hor", "k_v2", "k_x2", "k_y2"),
-    },
+    groups=A2RL_GROUPS,
+    populations={"monorace_fastest": monorace_fastest, "monorace_robust": monorace_robust},
     **COMMON,
 )
