@@ -7,6 +7,7 @@ overrides change the race: another residual, other constants, another track.
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -17,6 +18,7 @@ from quadjax.cli.arguments import (
     add_races,
     add_ranges,
     check_outputs,
+    count,
     parse,
     positive,
 )
@@ -29,6 +31,10 @@ if TYPE_CHECKING:
     from quadjax.policy.file import Policy
 
 PICTURES = (".png", ".svg", ".pdf")
+NOT_ROBUSTNESS = (  # options that have no effect on the flights of --robustness
+    *("laps", "gates", "start", "deterministic", "fixed_point", "offsets", "states", "figure"),
+    *("signals", "animation", "body"),
+)
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -50,6 +56,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add_ranges(
         parser, "with --fixed-point: the ranges that the C was exported with, if not the default"
     )
+    parser.add_argument(
+        "--robustness",
+        action="store_true",
+        help="print crashes and median lap of 1000 flights of 12 s (or --runs, --seconds) from "
+        "1 m before a gate, with all constants drawn from ±0, 10, 20 and 30%%",
+    )
+    parser.add_argument("--seconds", type=count, help="with --robustness: of a flight")
     parser.add_argument("--json", metavar="FILE.json", help="write the laps")
     parser.add_argument(
         "--offsets", action="store_true", help="print the distances from the gates' centers"
@@ -59,11 +72,22 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--signals", metavar="FILE.png", help="draw actuators and rates over time")
     parser.add_argument("--animation", metavar="FILE.gif", help="animate the flight")
     arguments = parse(parser, argv)
+    if arguments.seconds and not arguments.robustness:
+        raise InputError("--seconds is allowed only with --robustness")
+    if arguments.robustness:
+        _refuse_others(arguments)
     if arguments.ranges and not arguments.fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
     pictures = {"figure": PICTURES, "signals": PICTURES, "animation": (".gif",)}
     check_outputs(arguments, json=(), states=(".npz", ".csv"), **pictures)
     return arguments
+
+
+def _refuse_others(arguments: argparse.Namespace) -> None:
+    """Refuse options that have no effect with --robustness."""
+    for name in NOT_ROBUSTNESS:
+        if getattr(arguments, name) not in (None, False, "hover"):
+            raise InputError(f"--{name.replace('_', '-')} is not allowed with --robustness")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -79,10 +103,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     config = load_config(options.config, options.overrides)
     policy = Policy.load(options.policy, config)
     pilot.fit_race(*race_of(config), policy, options.policy)
+    if options.robustness:
+        return _robustness(config, policy, options, console)
     with console.status("compiling and simulating"):
         evaluations = _evaluate_all(config, policy, options)
     print(lap_table(evaluations))
     _write(next(iter(evaluations.values())), options, console)
+    return 0
+
+
+def _robustness(
+    config: "Config", policy: "Policy", options: argparse.Namespace, console: Console
+) -> int:
+    """Fly with randomized constants, print the table and write the numbers."""
+    from quadjax.core.files import write_json
+    from quadjax.core.provenance import provenance
+    from quadjax.studies.robustness import fly_spreads, spread_table
+
+    runs, seconds = options.runs or 1000, options.seconds or 12
+    with console.status("compiling and simulating"):
+        found = fly_spreads(policy, config, runs, seconds, options.seed, options.policy)
+    print(spread_table(found, Path(options.policy).stem))
+    if options.json:
+        flights = [each.to_json() for each in found]
+        origin = provenance(config, options.policy, options.seed)
+        write_json(options.json, {"flights": flights, "seconds": seconds, "provenance": origin})
+        console.print(f"wrote {options.json}", highlight=False)
     return 0
 
 

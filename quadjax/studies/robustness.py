@@ -1,0 +1,150 @@
+"""Flights of drones whose constants differ from the nominal ones: crashes and lap times.
+
+The protocol of Ferede et al., "One Net to Rule Them All" (arXiv 2504.21586), for any track: each
+flight begins 1 m before a gate, any with equal chance, with any yaw, and lasts 12 s.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.config.race import race_of
+from quadjax.config.schema import Config, Disturbance, Randomization
+from quadjax.core.markdown import table
+from quadjax.core.vectors import Vec3
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy
+from quadjax.race import environment, laps
+from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.start import draw, draw_count, start_gate
+from quadjax.race.track import gate
+from quadjax.vehicle.protocol import Motion
+
+SPREADS = (0.0, 0.1, 0.2, 0.3)
+DISTANCE = 1.0  # m before the gate
+VELOCITY, ROLL_PITCH, RATES = 0.5, math.pi / 9, 0.1  # half-widths: m/s, rad, rad/s
+MOST_LAPS = 64  # that one flight is counted for
+
+
+@dataclasses.dataclass(frozen=True)
+class Flights:
+    """The flights of one randomization.
+
+    Attributes:
+        label: ``±10%``, or ``own`` for the randomization of the config.
+        runs: number of flights.
+        crashed: number of flights that crashed.
+        lap: median of all laps but the first of each flight, s; NaN if there is none.
+    """
+
+    label: str
+    runs: int
+    crashed: int
+    lap: float
+
+    def to_json(self) -> dict[str, Any]:
+        """The numbers as JSON takes them: ``null`` for a lap that nobody flew."""
+        lap = round(self.lap, 4) if math.isfinite(self.lap) else None
+        return dataclasses.asdict(self) | {"lap": lap}
+
+
+def fly_spreads(
+    policy: Policy,
+    config: Config,
+    runs: int = 1000,
+    seconds: float = 12.0,
+    seed: int = 0,
+    name: str = "policy",
+    spreads: Sequence[float] = SPREADS,
+) -> list[Flights]:
+    """Fly the mean action with constants drawn from each spread, without disturbances.
+
+    Args:
+        policy: the policy.
+        config: of the race. Where it draws constants, its own distribution is the last one.
+        runs: number of flights of each spread.
+        seconds: of a flight.
+        seed: of starts and constants.
+        name: of the policy, for messages.
+        spreads: largest relative errors of every constant (of each rotor) except gravity.
+
+    Raises:
+        InputError: the policy does not fit the race.
+    """
+    own = config.randomization
+    races = {f"±{100 * part:g}%": Randomization(all=part) for part in spreads}
+    races |= {"own": own} if own.drawn else {}
+    found = []
+    for label, randomization in races.items():
+        race = config.replace(randomization=randomization, disturbance=Disturbance(), schedules={})
+        choices, params = pilot.fit_race(*race_of(race), policy, name)
+        choices = dataclasses.replace(choices, randomize=True, stagger_clocks=False)
+        found.append(_fly(label, choices, params, policy, runs, seconds, seed))
+    return found
+
+
+def _fly(
+    label: str,
+    choices: Choices,
+    params: RaceParams,
+    policy: Policy,
+    runs: int,
+    seconds: float,
+    seed: int,
+) -> Flights:
+    params = environment.exact_rules(choices.model, params)
+    key, noise = jax.random.split(jax.random.key(seed))
+    states = jax.jit(_starts, static_argnums=(0, 3))(choices, params, key, runs)
+    own = pilot.make_pilot(choices, params, policy, deterministic=True)
+    steps = round(seconds / float(params.limits.time_step))
+    race, _ = laps.fly_race(choices, pilot.fly, MOST_LAPS, steps, False, params, own, states, noise)
+    ends = np.asarray(race.lap_end, np.float64)
+    times = np.diff(np.where(ends > 0, ends, np.nan), axis=0)
+    flown = times[np.isfinite(times)]
+    crashed = int(np.count_nonzero(np.asarray(race.crash)))
+    return Flights(label, runs, crashed, float(np.median(flown)) if flown.size else math.nan)
+
+
+def _starts(choices: Choices, params: RaceParams, key: jax.Array, runs: int) -> RaceState:
+    """Starts before the gates, batched along the last axis."""
+    one = functools.partial(start_before_gate, choices, params)
+    return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
+
+
+def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
+    """A start ``DISTANCE`` before a gate, on the line through it; constants are drawn."""
+    first, second = jax.random.split(key)
+    state, model = environment.reset(choices, params, first), choices.model
+    drawn = draw(second, 1 + draw_count(model))
+    target = start_gate(params.track, drawn[0])
+    g, numbers = gate(params.track, target), drawn[1:]
+    behind = Vec3(g.cos_yaw, g.sin_yaw, jnp.zeros_like(g.yaw)) * DISTANCE
+    motion = Motion(
+        position=g.position - behind,
+        velocity=Vec3.of(numbers[3:6]) * VELOCITY,
+        euler=Vec3.of(numbers[6:9]) * Vec3(ROLL_PITCH, ROLL_PITCH, math.pi),
+        rates=Vec3.of(numbers[9:12]) * RATES,
+    )
+    span = params.start
+    thrust = (span.thrust_low, span.thrust_high)
+    drone = model.start(state.constants, motion, numbers[12:], thrust)
+    zero = jnp.zeros((), jnp.int32)
+    fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
+    return environment.with_estimate(choices, params, fresh)
+
+
+def spread_table(flights: Sequence[Flights], name: str) -> str:
+    """A Markdown table with a column for each randomization: crashes and median lap."""
+    titles = ["policy", *(each.label for each in flights)]
+    return table([titles, [name, *(_cell(each) for each in flights)]])
+
+
+def _cell(own: Flights) -> str:
+    share = f"{100 * own.crashed / own.runs:.3g}%"
+    return f"{share} / {own.lap:.3f} s" if math.isfinite(own.lap) else f"{share} / -"
