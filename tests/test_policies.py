@@ -9,7 +9,13 @@ from quadjax.config.loading import load_config
 from quadjax.core import mlp
 from quadjax.learners.networks import layers_of
 from quadjax.policy.inference import act_deterministic, act_sampled, policy_params
-from quadjax.training.build import build_networks, policy_of
+from quadjax.training.build import (
+    build_networks,
+    input_scale,
+    network_policy,
+    policy_of,
+    with_policy,
+)
 from tests.race.support import BLANK
 
 
@@ -32,3 +38,21 @@ def test_training_and_flight_share_one_head(algorithm):
     np.testing.assert_allclose(flown, trained, atol=1e-5)
     sampled = jax.vmap(act_sampled, in_axes=(None, 0, 0))(policy, seen, noise)
     np.testing.assert_allclose(sampled, trained - 0.3 * np.exp(params.log_std), atol=1e-5)
+
+
+def test_normalized_networks_fly_as_they_train_and_are_read_back():
+    """The factors on the observation are a part of the first layer of the file's networks."""
+    keys = ["network.hidden=[8]", "network.normalize=true", "track=split_s"]
+    config = load_config(BLANK, keys)
+    networks = build_networks(config)
+    assert networks.input_scale[0] < 0.5  # legs of 10 m
+    params = networks.init(jax.random.key(0))
+    params = params.replace(policy=jax.tree.map(lambda x: 10.0 * x, params.policy))
+    seen = 5.0 * jax.random.normal(jax.random.key(1), (64, networks.observation_size))
+    policy = policy_of(config, params, {})
+    for found in (policy_params(policy), network_policy(config, params)):
+        flown = jax.vmap(act_deterministic, in_axes=(None, 0, 0))(found, seen, jnp.zeros((64, 4)))
+        np.testing.assert_allclose(flown, networks.mean(params, seen), rtol=1e-3, atol=1e-3)
+    read = with_policy(networks.init(jax.random.key(2)), policy, 1.0, input_scale(config))
+    for own in (networks.mean, networks.value):
+        np.testing.assert_allclose(own(read, seen), own(params, seen), rtol=1e-3, atol=1e-3)
