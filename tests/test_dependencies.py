@@ -21,7 +21,7 @@ ALLOWED = {
     "limits": {"core", "vehicle", "race", "policy"},
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
-    "sweeps": CONFIG | {"config", "policy", "training", "evaluation"},
+    "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
     "dashboard": CONFIG
     | {"config", "policy", "training", "view", "evaluation", "fitting", "limits", "sweeps"},
     "studies": CONFIG

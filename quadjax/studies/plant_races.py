@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.config.loading import config_of
 from quadjax.config.race import build_vehicle, race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
@@ -37,10 +38,16 @@ def plan_race(
 def race_config(config: Config, policy: Policy) -> Config:
     """The race of one policy: its vehicle model, without disturbances and randomization.
 
-    On the plant the disturbance is that of the plant, estimated on board; the race adds none.
+    The vehicle has the constants that the policy was trained with, where its file tells, so that
+    its commands have their meaning. On the plant the disturbance is that of the plant, estimated on
+    board; the race adds none.
     """
+    vehicle = config.vehicle.with_model(policy.vehicle)
+    if policy.config is not None:
+        own = config_of(policy.config, "the config of the policy file").vehicle
+        vehicle = vehicle.replace(constants=own.constants)
     return config.replace(
-        vehicle=config.vehicle.with_model(policy.vehicle).replace(mismatch={}),
+        vehicle=vehicle.replace(mismatch={}),
         disturbance=type(config.disturbance)(),
         randomization=type(config.randomization)(),
         observation=config.observation.replace(disturbance="ground_truth"),

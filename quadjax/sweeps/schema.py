@@ -58,6 +58,12 @@ class Objective(Section):
     policy: Literal["best", "last"] = Field(
         "best", description="which policy of a run is evaluated"
     )
+    plant: str | None = Field(
+        None,
+        max_length=4096,
+        description="evaluate on this stand-in plant: a file or a name of configs/plant",
+    )
+    plants: int = Field(3, ge=1, le=1000, description="drones drawn of it, which share the runs")
 
 
 class Budget(Section):

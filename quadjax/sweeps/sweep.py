@@ -21,6 +21,7 @@ from quadjax.core.yaml_files import (
     parse_overrides,
     read_yaml,
 )
+from quadjax.plant.config import load_plant_config
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
 
@@ -176,6 +177,8 @@ def _checked(file: SweepFile, base: Path) -> Sweep:
     race.pop("vehicle.model", None)
     conditions = tuple(override(k, v) for k, v in (race | file.conditions).items())
     load_config(base, (*fixed, *conditions))
+    if file.objective.plant is not None:
+        load_plant_config(file.objective.plant)
     trials = file.budget.trials or 20
     if file.search.method == "grid":
         trials = math.prod(len(d.grid()) for d in dimensions)

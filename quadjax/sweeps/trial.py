@@ -58,7 +58,6 @@ def _run_seed(
 ) -> tuple[float, float] | None:
     """Value and fraction of finished flights of one seed; None where the training was stopped."""
     from quadjax.config.race import build_params
-    from quadjax.evaluation.evaluation import evaluate
     from quadjax.learners.loop import NonFiniteError
     from quadjax.race.laps import race_length, time_limit
     from quadjax.training.run import train
@@ -80,6 +79,21 @@ def _run_seed(
     if not run.finished:
         return None
     policy = folder / ("policy.npz" if asked.policy == "best" else "policy_last.npz")
-    exact = asked.deterministic
-    result = evaluate(policy, job.race, runs=asked.runs, deterministic=exact, seed=FLIGHT_SEED)
-    return result.laps.penalized, result.finished / asked.runs
+    return _fly(job, config, policy)
+
+
+def _fly(job: Job, config: Config, policy: Path) -> tuple[float, float]:
+    """Value and fraction of finished flights of a policy file, in the simulator or on the plant."""
+    from quadjax.evaluation.evaluation import evaluate
+    from quadjax.plant.config import load_plant_config
+    from quadjax.studies.comparison import Setting, contender, fly_drawn
+
+    asked, exact = job.objective, job.objective.deterministic
+    if asked.plant is None:
+        result = evaluate(policy, job.race, runs=asked.runs, deterministic=exact, seed=FLIGHT_SEED)
+        return result.laps.penalized, result.finished / asked.runs
+    plant, laps = load_plant_config(asked.plant), config.evaluate.laps
+    setting = Setting(config, plant, laps, asked.runs, FLIGHT_SEED, asked.plants)
+    flown = fly_drawn(setting, plant, contender("", str(policy)))
+    value = statistics.fmean(one.penalized for one in flown.laps)
+    return value, flown.finished / flown.runs

@@ -1,5 +1,6 @@
 """The comparison's numbers: progress, first-order models, and the ablation's list."""
 
+import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from quadjax.core.vectors import Rotors
 from quadjax.fitting.signals import first_order
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights
+from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from quadjax.studies.ablation import VARIANTS, present
 from quadjax.studies.comparison import (
@@ -24,6 +26,7 @@ from quadjax.studies.comparison import (
 from quadjax.studies.comparison_figures import progress
 from quadjax.studies.comparison_run import best_recorded, table_text
 from quadjax.studies.drawn_plants import OnPlants, conditions, drawn, interval, plants_table
+from quadjax.studies.plant_races import race_config
 from tests import reference as ref
 from tests.commands import run
 
@@ -94,6 +97,14 @@ def test_each_condition_of_the_plant_changes_one_thing():
     assert {name: plant.battery.charge for name, plant in plants.items()} == {
         f"charge {x:g}": (x, x) for x in (1.0, 0.6, 0.2)
     }
+
+
+def test_commands_mean_what_the_policy_was_trained_with():
+    limits = load_config("indi_shac", ["vehicle.constants.thrust_max=20"])
+    policy = Policy.load(ROOT / "quadjax" / "pretrained" / "indi_shac.npz")
+    own = dataclasses.replace(policy, config=limits.model_dump(mode="json", by_alias=True))
+    found = race_config(load_config("e2e"), own).vehicle
+    assert found.model == "rate" and found.constants["thrust_max"] == 20.0
 
 
 def test_drawn_plants_differ_in_their_constants_only():

@@ -7,7 +7,9 @@ import pytest
 from PIL import Image
 
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.race.result import Laps
+from quadjax.studies.drawn_plants import OnPlants
 from quadjax.sweeps import trial
 from quadjax.sweeps.report import importances, results_of, rows_of, write_report
 from quadjax.sweeps.run import job_of
@@ -33,6 +35,29 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
     assert outcome.complete and len(outcome.values) == 2 and outcome.finished == 0.0
     assert [step for step, _ in reported] == [1, 2, 3, 4, 5, 6, 7, 8]
     assert outcome.values == (8.0, 8.0)  # the time limit of the one lap
+
+
+@pytest.mark.slow
+def test_a_trial_is_judged_on_drawn_plants(tmp_path, monkeypatch):
+    flown = []
+
+    def fly(setting, plant, own):
+        flown.append((setting.runs, setting.plants, plant.name, own.policy.vehicle))
+        times = np.array([[5.0], [np.nan]])
+        return OnPlants((Laps(times, ("", "hit a gate"), np.array([5.0, 1.0]), 8.0),))
+
+    monkeypatch.setattr("quadjax.studies.comparison.fly_drawn", fly)
+    objective = {"seeds": 1, "runs": 6, "plant": "standin", "plants": 2}
+    sweep, directory, _ = open_small(tmp_path, objective=objective)
+    job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)
+    outcome = trial.run_trial(job, lambda step, value: False)
+    assert flown == [(6, 2, "standin", "motor")]
+    assert outcome.values == (6.5,) and outcome.finished == 0.5  # 5 s, and the limit of 8 s
+
+
+def test_a_plant_that_is_not_there_is_found_before_any_training(tmp_path):
+    with pytest.raises(InputError, match="stanndin"):
+        open_small(tmp_path, objective={"seeds": 1, "runs": 2, "plant": "stanndin"})
 
 
 @pytest.mark.slow
