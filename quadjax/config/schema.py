@@ -487,6 +487,13 @@ class Evaluate(Section):
         description="gates of a run in place of laps: 19 on split_s are two laps and five gates",
     )
     runs: int = Field(5, ge=1, le=MAX_RUNS, description="runs")
+    best_known_lap: float | None = Field(
+        None,
+        gt=0,
+        le=1e4,
+        description="best known lap of quadjax limit, s: the metrics of training then have gap, by "
+        "which fraction the fastest lap of the score is slower",
+    )
 
     @property
     def length(self) -> str:

@@ -102,6 +102,7 @@ def solve(
     guess: Trajectory,
     *,
     margin: float = 0.0,
+    reserve: float = 0.0,
     walls: tuple[Wall, ...] = (),
     seconds: float = 300.0,
     stop: threading.Event | None = None,
@@ -116,6 +117,7 @@ def solve(
         dynamics: of the problem.
         guess: the initial guess, with the same number of intervals for each leg.
         margin: m, further distance from the edges of the openings, the bounds and the ground.
+        reserve: fraction of the commands' ranges that is not used at either end.
         walls: sides of solid frames.
         seconds: time limit.
         stop: if set, the solver returns the current iterate.
@@ -142,6 +144,7 @@ def solve(
     if problem.start == "periodic":
         _add_period(program, problem, dynamics, x, u, guess, scale)
     span = np.where(high > low, high - low, 1.0)
+    low, high = low + reserve * (high - low), high - reserve * (high - low)
     smooth = casadi.sumsqr((u[:, 1:] - u[:, :-1]) * (command_scale / span))
     lowest, highest = _state_bounds(problem, dynamics, scale, nodes)
     values, converged, status = minimize(

@@ -107,7 +107,11 @@ def policy_laps(
 
 
 def guesses(
-    problem: Problem, laps: list[Trajectory], starts: int, stop: threading.Event
+    problem: Problem,
+    laps: list[Trajectory],
+    starts: int,
+    stop: threading.Event,
+    seconds: float = 60.0,
 ) -> Iterator[tuple[str, Trajectory]]:
     """Initial guesses: the policy's fastest lap, then flights of a point mass.
 
@@ -124,6 +128,7 @@ def guesses(
             heading=index % 2 == 1,
             spread=RANDOM_SPREAD if index >= 2 else 0.0,
             seed=index,
+            seconds=min(seconds, 60.0),
             stop=stop,
         )
         yield f"point mass {index + 1}", guess
@@ -145,7 +150,9 @@ def search(
     """
     from quadjax.limits.solve import Search
 
-    return Search(problem, seconds, stop, report).run(guesses(problem, laps, starts, stop))
+    return Search(problem, seconds, stop, report).run(
+        guesses(problem, laps, starts, stop, 0.3 * seconds)
+    )
 
 
 def bound_of(problem: Problem, best: "BestKnown", speed: float | None) -> "LowerBound | str":

@@ -32,7 +32,7 @@ DRONES = {  # by name: a preset and overrides
 }
 POLICIES = {("square4", "Bebop E2E"): "e2e_fastest", ("square4", "Bebop INDI"): "indi"}
 SHARES = 0.6, 0.2  # of a cell's time: the best known lap, and that through the centers
-STARTS = 3
+STARTS = 2
 
 
 def file_of(folder: Path, track: str, drone: str) -> Path:

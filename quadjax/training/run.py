@@ -175,7 +175,7 @@ class _Callbacks:
         advised: list[Row] = []
 
         def report(row: Row) -> None:
-            row = timed(row)
+            row = timed(row) | score.metrics
             if hosts.is_first():
                 metrics.write(row)
                 if self.shown is not None:

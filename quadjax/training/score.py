@@ -1,6 +1,7 @@
 """The score of a policy during training: its timed laps."""
 
 import jax
+import numpy as np
 
 from quadjax.config.race import choices_of
 from quadjax.config.schema import Config
@@ -23,6 +24,7 @@ class Score:
         self._runs = score_runs(config)
         self._act = act_sampled if config.run.score == "sampled" else act_deterministic
         self.crashes: tuple[str, ...] = ()  # of the latest runs
+        self.fastest_lap = np.inf  # of the latest runs, s
 
     def __call__(self, params: ActorCritic) -> float:
         """The score of a policy, s."""
@@ -38,7 +40,14 @@ class Score:
             gates=self._config.evaluate.gates,
         )
         self.crashes = laps.crashes
+        self.fastest_lap = float(np.nanmin(laps.whole_laps, initial=np.inf))
         return laps.score
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The gap to ``evaluate.best_known_lap``, a fraction, where that is set."""
+        best = self._config.evaluate.best_known_lap
+        return {} if best is None else {"gap": self.fastest_lap / best - 1.0}
 
 
 def score_runs(config: Config) -> int:

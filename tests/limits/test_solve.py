@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -39,6 +40,54 @@ def test_options_that_exclude_each_other(capsys):
 def test_numbers_that_have_no_meaning(option, capsys):
     assert run("limit", "e2e", option, "--seconds", "1") == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: ")
+
+
+def _searched(stop_when):
+    """A search on a small mesh that is stopped when ``stop_when(search)`` holds."""
+    from quadjax.limits.guess import from_point_mass
+    from quadjax.limits.solve import Search
+
+    stop, problem = threading.Event(), _problem()
+    guess = from_point_mass(problem, 8, 4.0)
+
+    def report(text):
+        if stop_when(search):
+            stop.set()
+
+    search = Search(problem, stop=stop, report=report)
+    return search, [("a", guess), ("b", guess)]
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_the_best_flight():
+    search, guesses = _searched(lambda search: search.best is not None)
+    best = search.run(guesses)
+    assert best.check.error == "" and best.check.clearance >= 0.0
+    assert [each.guess for each in best.attempts] == ["a"]
+    assert best.attempts[0].status == "User_Requested_Stop"
+
+
+def test_a_failed_search_exits_with_1(capsys):
+    assert run("limit", "indi", "--seconds", "1", "--starts", "1") == 1
+    (line,) = [x for x in capsys.readouterr().err.splitlines() if x.startswith("error: ")]
+    assert "no flight was found" in line
+
+
+@pytest.mark.slow
+def test_a_race_from_rest_to_rest():
+    from quadjax.limits.guess import from_point_mass
+    from quadjax.limits.simulation import positions, velocities
+    from quadjax.limits.solve import Search
+
+    problem = _problem(start="hover", stops=True, passages=6)
+    best = Search(problem, seconds=120).run([("a", from_point_mass(problem, 12, 4.0))])
+    states = best.check.states
+    assert len(best.check.leg_times) == 6
+    np.testing.assert_allclose(velocities(problem, states[:1]), 0.0, atol=1e-9)
+    np.testing.assert_allclose(velocities(problem, states[-1:]), 0.0, atol=0.05)
+    np.testing.assert_allclose(
+        positions(problem, states[-1:])[0], problem.gates.position[1], atol=0.02
+    )
 
 
 @pytest.mark.slow

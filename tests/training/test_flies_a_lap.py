@@ -25,9 +25,14 @@ def test_a_policy_flies_after_two_million_steps(tmp_path):
         "run.steps=2000000",
         "run.evaluate_every=500000",
         "run.devices=1",
+        "evaluate.best_known_lap=2.0",
     ]
     config = quadjax.load("e2e_shac", overrides)
     run = quadjax.train(config, folder=tmp_path / "run")
     laps = quadjax.evaluate(run.policy, config, laps=2, runs=3, deterministic=True)
     assert np.all(np.isfinite(laps.totals))
     assert np.max(laps.lap_times) < 5.0  # s; it flies 3 s
+    best = run.metrics["best_lap_total"][-1] / config.evaluate.laps  # with the standing start
+    gaps = run.metrics["gap"]
+    assert np.isinf(gaps[0]) or gaps[0] > gaps[-1]
+    assert 0.0 < np.min(gaps) < best / 2.0 - 1.0
