@@ -139,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     config = nominal(load_config(options.config, options.overrides))
     choices, params = race_of(config)
-    problem = run.problem_of(choices, params, _race(options))
+    problem = run.problem_of(choices, params, _race(options, config.vehicle.fitted_speed))
     laps: list[Trajectory] = []
     with interruptions(STOPPING) as stop, console.status("compiling") as status:
         if options.policy is not None:
@@ -168,7 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _race(options: argparse.Namespace) -> "Race":
+def _race(options: argparse.Namespace, fitted_speed: float | None) -> "Race":
     from quadjax.limits.run import Race
 
     return Race(
@@ -179,6 +179,7 @@ def _race(options: argparse.Namespace) -> "Race":
         clearance=None if options.centers else options.clearance,
         speed=options.speed,
         rates=None if options.rates is None else tuple(options.rates),
+        fitted_speed=fitted_speed,
     )
 
 

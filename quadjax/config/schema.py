@@ -53,6 +53,13 @@ class Vehicle(Section):
         le=100,
         description="width of the drone from edge to edge, m: every gate's opening must be larger",
     )
+    fitted_speed: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="highest speed of the flights that the constants are fitted to, m/s; quadjax "
+        "limit tells how long a flight is faster; null: unknown",
+    )
     constants: dict[str, Constant] = Field(
         {},
         max_length=100,

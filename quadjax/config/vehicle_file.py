@@ -6,7 +6,7 @@ from pathlib import Path
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import Tree, short
 
-KEYS = ("name", "mass", "width", "model", "rotors")  # in addition to the models
+KEYS = ("name", "mass", "width", "fitted_speed", "model", "rotors")  # in addition to the models
 ROTORS = ("front_left", "front_right", "rear_right", "rear_left")  # the order of Rotors
 TURNING = {"ccw": 1.0, "cw": -1.0}  # seen from above
 
@@ -38,7 +38,9 @@ def vehicle_values(path: Path, tree: Tree) -> Tree:
                 "of each model as a mapping (motor, rate, ..)"
             )
         models[key] = _with_rotors(value, order, f"{path}: {key}")
-    own: Tree = {key: tree[key] for key in ("name", "width", "model") if key in tree}
+    own: Tree = {
+        key: tree[key] for key in ("name", "width", "fitted_speed", "model") if key in tree
+    }
     return {"name": path.stem, **own, "models": models}
 
 

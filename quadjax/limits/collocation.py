@@ -23,6 +23,7 @@ from quadjax.limits.rules import Wall, add_rules
 from quadjax.limits.trajectory import Trajectory
 
 SMOOTHNESS = 1e-4  # s, weight of the squared command differences, relative to the command range
+SMALL_RATE = 100.0  # rad/s
 LEG_SECONDS = (0.02, 60.0)
 
 
@@ -60,7 +61,10 @@ class Dynamics:
         self.constant = np.array([casadi.SX(each).is_zero() for each in slope])
 
     def interval(self, scale: np.ndarray, command_scale: np.ndarray) -> Any:
-        """The defect of Hermite-Simpson collocation, of scaled states and commands."""
+        """The defect of Hermite-Simpson collocation, and the body rates in the middle, rad/s.
+
+        Of scaled states and commands.
+        """
         count = self.state_count
         x0, x1 = casadi.SX.sym("x0", count), casadi.SX.sym("x1", count)
         u0, u1 = (casadi.SX.sym(name, self.command_count) for name in ("u0", "u1"))
@@ -72,7 +76,8 @@ class Dynamics:
         slope = self.slope(middle * scale, 0.5 * (u0 + u1) * command_scale) / scale
         defect = x1 - x0 - step / 6.0 * (slope0 + 4.0 * slope + slope1)
         moving = [index for index in range(count) if not self.constant[index]]
-        return casadi.Function("interval", [x0, u0, x1, u1, step], [defect[moving]])
+        rates = self.seen(middle * scale)[6:9]
+        return casadi.Function("interval", [x0, u0, x1, u1, step], [defect[moving], rates])
 
 
 def _unit(problem: Problem, state: Any) -> Any:
@@ -137,10 +142,11 @@ def solve(
     program = Program()
     step = casadi.reshape(casadi.repmat(durations.T / guess.intervals, guess.intervals, 1), 1, -1)
     interval = dynamics.interval(scale, command_scale).map(nodes - 1)
-    program.add(interval(x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], step), 0.0, 0.0)
+    defect, between = interval(x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], step)
+    program.add(defect, 0.0, 0.0)
     seen = dynamics.seen.map(nodes)(x * scale)
     add_rules(program, problem, seen[:3, :], seen[3:6, :], guess.intervals, margin, walls)
-    _add_limits(program, problem, seen)
+    _add_limits(program, problem, seen, between)
     if problem.start == "periodic":
         _add_period(program, problem, dynamics, x, u, guess, scale)
     span = np.where(high > low, high - low, 1.0)
@@ -189,11 +195,13 @@ def _state_bounds(
     return low, high
 
 
-def _add_limits(program: Program, problem: Problem, seen: Any) -> None:
-    """Body rates and pitch at all nodes."""
+def _add_limits(program: Program, problem: Problem, seen: Any, between: Any) -> None:
+    """Body rates at all nodes, small ones also between them, and pitch at all nodes."""
     for axis, limit in enumerate(problem.rate_limit):
         if np.isfinite(limit):
             program.add(seen[6 + axis, 1:], -limit, limit)
+        if limit < SMALL_RATE:
+            program.add(between[axis, :], -limit, limit)
     if np.isfinite(problem.pitch_limit):
         program.add(seen[9, 1:], -problem.pitch_limit, problem.pitch_limit)
 

@@ -39,6 +39,7 @@ class Problem:
         rate_limit: largest body rates about x, y and z, rad/s, (3,).
         pitch_limit: rad.
         speed_limit: m/s.
+        fitted_speed: highest speed of the flights that the model is fitted to, m/s.
         frame: solid frames around the openings.
         landing: largest speed near the ground; None: no flight below the ground.
     """
@@ -55,6 +56,7 @@ class Problem:
     rate_limit: np.ndarray = dataclasses.field(default_factory=lambda: np.full(3, np.inf))
     pitch_limit: float = np.inf
     speed_limit: float = 30.0
+    fitted_speed: float = np.inf
     frame: Frame | None = None
     landing: Landing | None = None
 

@@ -38,6 +38,7 @@ class Race:
         clearance: m from the edges; None: through the centers.
         speed: m/s, the speed limit.
         rates: rad/s, limits about x, y, z; None: those of the rules.
+        fitted_speed: m/s, of the vehicle; None: unknown.
     """
 
     gates: int | None = None
@@ -47,6 +48,7 @@ class Race:
     clearance: float | None = 0.0
     speed: float = 60.0
     rates: tuple[float, float, float] | None = None
+    fitted_speed: float | None = None
 
     @property
     def from_start(self) -> bool:
@@ -76,6 +78,7 @@ def problem_of(choices: "Choices", params: "RaceParams", race: Race) -> Problem:
         stops=race.stops,
         clearance=race.clearance,
         speed_limit=race.speed,
+        fitted_speed=race.fitted_speed or np.inf,
         **options,
     )
 

@@ -124,8 +124,7 @@ def _passage(
     gates = problem.gates
     offset = flown[step:] - gates.position[gate]
     if gates.waypoint is not None:
-        (found,) = np.nonzero(np.linalg.norm(offset, axis=1) <= gates.waypoint + tolerance)
-        return (step + found[0], flown[step + found[0]]) if len(found) else (np.inf, flown[-1])
+        return _near(np.linalg.norm(offset, axis=1), flown[step:], step, gates.waypoint, tolerance)
     ahead = offset @ gates.through[gate]
     (found,) = np.nonzero((ahead[:-1] < 0) & (ahead[1:] >= 0))
     if not len(found):
@@ -134,3 +133,18 @@ def _passage(
     fraction = -ahead[index] / (ahead[index + 1] - ahead[index])
     here, there = flown[step + index : step + index + 2]
     return step + index + fraction, here + fraction * (there - here)
+
+
+def _near(
+    distance: np.ndarray, flown: np.ndarray, step: int, radius: float, tolerance: float
+) -> tuple[float, np.ndarray]:
+    """The first sample within a radius; of a pass within the tolerance only, the nearest."""
+    (found,) = np.nonzero(distance <= radius + tolerance)
+    if not len(found):
+        return np.inf, flown[-1]
+    begin = found[0]
+    (beyond,) = np.nonzero(distance[begin:] > radius + tolerance)
+    part = distance[begin : begin + beyond[0] if len(beyond) else None]
+    (within,) = np.nonzero(part <= radius)
+    index = begin + (within[0] if len(within) else np.argmin(part))
+    return step + index, flown[index]

@@ -10,13 +10,15 @@ import numpy as np
 from quadjax.limits.collocation import Dynamics, solve
 from quadjax.limits.problem import Problem
 from quadjax.limits.rules import Wall
+from quadjax.limits.simulation import velocities
 from quadjax.limits.trajectory import Trajectory
-from quadjax.limits.verify import Check, verify
+from quadjax.limits.verify import TIME_STEP, Check, verify
 
 FINEST, NODES = 80, 800  # intervals of a leg, and of all legs, at most
 SAME = 1e-3  # relative change of the time below which the mesh is fine enough
 MARGIN = 1e-4  # m, first distance from the edges; more where the flown path drifts
 WIDENINGS = 4
+RESERVE = 0.005  # of the commands' ranges, kept for the regulator where a flight is rejected
 FIRST_SHARE = 0.4  # of the time that is left, for the first mesh of a guess
 MISSED = 0.05  # m, by which a flown path may miss before the margin is widened
 
@@ -116,7 +118,13 @@ class Search:
         return dataclasses.replace(best, notes=self._notes(best))
 
     def _solve(
-        self, name: str, guess: Trajectory, margin: float, share: float = 1.0, warm: bool = False
+        self,
+        name: str,
+        guess: Trajectory,
+        margin: float,
+        reserve: float = 0.0,
+        share: float = 1.0,
+        warm: bool = False,
     ) -> tuple[Trajectory, bool, str]:
         """Solve in at most a share of the time that is left."""
         best = "" if self.best is None else f", best {self.best.total:.4f} s"
@@ -126,6 +134,7 @@ class Search:
             self.dynamics,
             guess,
             margin=margin,
+            reserve=reserve,
             walls=self.walls,
             warm=warm,
             seconds=share * self._left(),
@@ -136,7 +145,7 @@ class Search:
 
     def _attempt(self, name: str, guess: Trajectory) -> None:
         self.walls = ()
-        first, converged, status = self._solve(name, guess, MARGIN, FIRST_SHARE)
+        first, converged, status = self._solve(name, guess, MARGIN, share=FIRST_SHARE)
         if converged and (self.best is None or first.total < self.best.total * (1.0 - 1e-5)):
             status = self._refine(name, first)
         elif not converged:  # a flight that is verified counts, wherever it comes from
@@ -146,6 +155,7 @@ class Search:
     def _refine(self, name: str, trajectory: Trajectory) -> str:
         """Refine the mesh until the time converges and the flight is verified."""
         margin, widened, change, refine = MARGIN, 0, np.inf, True
+        reserve = 0.0
         check = verify(self.problem, trajectory, MISSED)
         self._keep(name, trajectory, check, margin, change)
         finest = min(FINEST, max(trajectory.intervals, NODES // len(trajectory.leg_times)))
@@ -153,7 +163,7 @@ class Search:
             self.walls += check.walls
             refine = refine and 2 * trajectory.intervals <= finest
             mesh = trajectory.resample(2 * trajectory.intervals) if refine else trajectory
-            finer, converged, status = self._solve(name, mesh, margin, warm=True)
+            finer, converged, status = self._solve(name, mesh, margin, reserve, warm=True)
             if not converged:
                 self._keep(name, finer, verify(self.problem, finer), margin, np.inf)
                 return status
@@ -170,6 +180,7 @@ class Search:
             if check.drift > 0.0 and not refine:
                 widened += 1
                 margin += 1.2 * check.drift + 2e-5
+                reserve += RESERVE * bool(check.error)
         return "no time"
 
     def _keep(
@@ -193,6 +204,13 @@ class Search:
             notes.append(
                 f"the flight reaches the speed limit of {self.problem.speed_limit:g} m/s; the "
                 "vehicle model may not hold there"
+            )
+        fitted, speeds = self.problem.fitted_speed, velocities(self.problem, best.check.states)
+        above = TIME_STEP * np.sum(np.linalg.norm(speeds, axis=1) > fitted)
+        if above > 0.0:
+            notes.append(
+                f"for {above:.2f} s the flight is faster than {fitted:g} m/s, the highest speed of "
+                "the flights that the model is fitted to"
             )
         if best.mesh_change > SAME:
             notes.append("the mesh was not refined until the time converged")

@@ -86,7 +86,8 @@ def cell(
     config = load_config(preset, [f"track={track}", *overrides])
     choices, params = race_of(config)
     result: dict[str, Any] = {"track": track, "drone": drone, "provenance": provenance(config)}
-    problem = run.problem_of(choices, params, run.Race())
+    race = run.Race(fitted_speed=config.vehicle.fitted_speed)
+    problem = run.problem_of(choices, params, race)
     laps = _laps(config, problem, policies, POLICIES.get((track, drone)))
     show = lambda text: report(f"{track}, {drone}: {text}")  # noqa: E731
     try:
