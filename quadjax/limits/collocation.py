@@ -108,6 +108,7 @@ def solve(
     *,
     margin: float = 0.0,
     reserve: float = 0.0,
+    rate_limit: np.ndarray | None = None,
     walls: tuple[Wall, ...] = (),
     seconds: float = 300.0,
     stop: threading.Event | None = None,
@@ -123,6 +124,7 @@ def solve(
         guess: the initial guess, with the same number of intervals for each leg.
         margin: m, further distance from the edges of the openings, the bounds and the ground.
         reserve: fraction of the commands' ranges that is not used at either end.
+        rate_limit: rad/s, (3,), in place of the problem's.
         walls: sides of solid frames.
         seconds: time limit.
         stop: if set, the solver returns the current iterate.
@@ -146,7 +148,8 @@ def solve(
     program.add(defect, 0.0, 0.0)
     seen = dynamics.seen.map(nodes)(x * scale)
     add_rules(program, problem, seen[:3, :], seen[3:6, :], guess.intervals, margin, walls)
-    _add_limits(program, problem, seen, between)
+    rate_limit = problem.rate_limit if rate_limit is None else rate_limit
+    _add_limits(program, problem, rate_limit, seen, between)
     if problem.start == "periodic":
         _add_period(program, problem, dynamics, x, u, guess, scale)
     span = np.where(high > low, high - low, 1.0)
@@ -195,9 +198,11 @@ def _state_bounds(
     return low, high
 
 
-def _add_limits(program: Program, problem: Problem, seen: Any, between: Any) -> None:
+def _add_limits(
+    program: Program, problem: Problem, rate_limit: np.ndarray, seen: Any, between: Any
+) -> None:
     """Body rates at all nodes, small ones also between them, and pitch at all nodes."""
-    for axis, limit in enumerate(problem.rate_limit):
+    for axis, limit in enumerate(rate_limit):
         if np.isfinite(limit):
             program.add(seen[6 + axis, 1:], -limit, limit)
         if limit < SMALL_RATE:

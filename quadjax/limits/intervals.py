@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import operator
 from collections.abc import Callable
 
 import jax
@@ -111,7 +112,57 @@ def _angle(y: Number, x: Number) -> Number:
     return Interval(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
 
+def _larger(one: Number, other: Number) -> Number:
+    if not isinstance(one, Interval) and not isinstance(other, Interval):
+        return max(one, other)
+    pairs = zip(_ends(one), _ends(other), strict=True)
+    return Interval(*(np.maximum(*pair) for pair in pairs))
+
+
+def _equal(one: Number, other: Number) -> Number | bool:
+    """Whether numbers are equal: 0, 1, or [0, 1] where it depends."""
+    if not isinstance(one, Interval) and not isinstance(other, Interval):
+        return one == other
+    (low, high), (other_low, other_high) = _ends(one), _ends(other)
+    least, most = np.maximum(low, other_low), np.minimum(high, other_high)
+    same = np.minimum(low, other_low) == np.maximum(high, other_high)
+    return Interval(np.asarray(same, float), np.asarray(least <= most, float))
+
+
+def _above(compare: Callable[..., bool]) -> Callable[[Number, Number], Number | bool]:
+    """Whether a number is larger than another, or at least as large; as of ``_equal``."""
+
+    def above(one: Number, other: Number) -> Number | bool:
+        if not isinstance(one, Interval) and not isinstance(other, Interval):
+            return compare(one, other)
+        (low, high), (other_low, other_high) = _ends(one), _ends(other)
+        certain, possible = np.asarray(low > other_high), np.asarray(high >= other_low)
+        return Interval(certain.astype(float), possible.astype(float))
+
+    return above
+
+
+def _where(which: Number | bool, yes: Number, no: Number) -> Number:
+    if not isinstance(which, Interval):
+        return yes if which else no
+    (low, high), (other_low, other_high) = _ends(yes), _ends(no)
+    certain, possible = which.low > 0.0, which.high > 0.0
+    return Interval(
+        np.where(certain, low, np.where(possible, np.minimum(low, other_low), other_low)),
+        np.where(certain, high, np.where(possible, np.maximum(high, other_high), other_high)),
+    )
+
+
 OPERATIONS = {
+    "max": _larger,
+    "min": lambda one, other: -_larger(-one, -other),
+    "eq": _equal,
+    "ge": _above(operator.ge),
+    "gt": _above(operator.gt),
+    "le": lambda one, other: _above(operator.ge)(other, one),
+    "lt": lambda one, other: _above(operator.gt)(other, one),
+    "sign": _increasing(np.sign),
+    "where": _where,
     "square": _square,
     "abs": _absolute,
     "sqrt": _increasing(np.sqrt),

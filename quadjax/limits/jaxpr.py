@@ -89,11 +89,22 @@ def _evaluate(
     def read(atom: Any) -> np.ndarray:
         return _constant(atom.val) if isinstance(atom, Literal) else values[atom]
 
-    for equation in jaxpr.eqns:
+    for equation in _needed(jaxpr):
         inputs = [read(atom) for atom in equation.invars]
         outputs = _apply(equation.primitive.name, inputs, equation.params, table)
         values |= dict(zip(equation.outvars, outputs, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
+
+
+def _needed(jaxpr: Any) -> list[Any]:
+    """The equations that the results depend on."""
+    wanted = {atom for atom in jaxpr.outvars if not isinstance(atom, Literal)}
+    found = []
+    for equation in reversed(jaxpr.eqns):
+        if wanted.intersection(equation.outvars):
+            found.append(equation)
+            wanted |= {atom for atom in equation.invars if not isinstance(atom, Literal)}
+    return found[::-1]
 
 
 def _apply(

@@ -18,6 +18,7 @@ FINEST, NODES = 80, 800  # intervals of a leg, and of all legs, at most
 SAME = 1e-3  # relative change of the time below which the mesh is fine enough
 MARGIN = 1e-4  # m, first distance from the edges; more where the flown path drifts
 WIDENINGS = 4
+MOST_EXCESS = 1.2  # of a body rate over its limit, up to which the limit is lowered
 RESERVE = 0.005  # of the commands' ranges, kept for the regulator where a flight is rejected
 FIRST_SHARE = 0.4  # of the time that is left, for the first mesh of a guess
 MISSED = 0.05  # m, by which a flown path may miss before the margin is widened
@@ -91,6 +92,7 @@ class Search:
         self.attempts: list[Attempt] = []
         self.best: BestKnown | None = None
         self.walls: tuple[Wall, ...] = ()
+        self.rate_limit = problem.rate_limit
 
     @property
     def over(self) -> bool:
@@ -135,6 +137,7 @@ class Search:
             guess,
             margin=margin,
             reserve=reserve,
+            rate_limit=self.rate_limit,
             walls=self.walls,
             warm=warm,
             seconds=share * self._left(),
@@ -144,7 +147,7 @@ class Search:
         return solution.trajectory, solution.converged, solution.status
 
     def _attempt(self, name: str, guess: Trajectory) -> None:
-        self.walls = ()
+        self.walls, self.rate_limit = (), self.problem.rate_limit
         first, converged, status = self._solve(name, guess, MARGIN, share=FIRST_SHARE)
         if converged and (self.best is None or first.total < self.best.total * (1.0 - 1e-5)):
             status = self._refine(name, first)
@@ -161,6 +164,7 @@ class Search:
         finest = min(FINEST, max(trajectory.intervals, NODES // len(trajectory.leg_times)))
         while not self.over:
             self.walls += check.walls
+            self._limit_rates(check)
             refine = refine and 2 * trajectory.intervals <= finest
             mesh = trajectory.resample(2 * trajectory.intervals) if refine else trajectory
             finer, converged, status = self._solve(name, mesh, margin, reserve, warm=True)
@@ -181,7 +185,15 @@ class Search:
                 widened += 1
                 margin += 1.2 * check.drift + 2e-5
                 reserve += RESERVE * bool(check.error)
-        return "no time"
+        return f"no time (at last: {check.error or 'verified'})"
+
+    def _limit_rates(self, check: Check) -> None:
+        """Lower the solver's limits of the rates that the flight exceeds between the nodes."""
+        limit = self.problem.rate_limit
+        excess = check.rates / limit
+        if check.feedback and np.all(excess < MOST_EXCESS):
+            lower = np.where(excess > 1.0, self.rate_limit / (1.001 * excess), self.rate_limit)
+            self.rate_limit = np.minimum(self.rate_limit, lower)
 
     def _keep(
         self, name: str, trajectory: Trajectory, check: Check, margin: float, change: float

@@ -35,6 +35,7 @@ class Check:
         feedback: whether a regulator corrected the solution's commands.
         states: (steps + 1, leaves) of the simulation.
         commands: (steps, commands) that it flew.
+        rates: (3,) rad/s, largest body rates.
         walls: sides of frames that a flight that hit them should keep to.
     """
 
@@ -47,6 +48,7 @@ class Check:
     feedback: bool
     states: np.ndarray
     commands: np.ndarray
+    rates: np.ndarray
     walls: tuple[Wall, ...] = ()
 
     @property
@@ -113,6 +115,7 @@ def _check(
         feedback=feedback,
         states=states[: last + 1],
         commands=commands[:last],
+        rates=np.abs(vectors(problem, states[: last + 1], "rates")).max(axis=0),
         walls=walls,
     )
 

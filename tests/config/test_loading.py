@@ -591,7 +591,7 @@ def test_vehicle_file_with_a_model_and_constants_of_rotors(tmp_path):
         (
             "model: racing",
             "size: 3",
-            "mine.yaml: size is 3; allowed: name, mass, width, model, rotors",
+            "mine.yaml: size is 3; allowed: name, mass, width, fitted_speed, model, rotors",
         ),
     ],
 )

@@ -34,9 +34,17 @@ def test_a_circle():
     assert 0.99 * exact < found <= exact * 1.001
 
 
-@pytest.mark.parametrize("preset", ["e2e_shac", "indi"])
-def test_no_sampled_force_exceeds_the_largest(preset):
-    choices, params = race_of(load_config(preset))
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("e2e_shac",),
+        ("indi",),
+        pytest.param(("e2e_fastest", "vehicle=5inch"), marks=pytest.mark.slow),
+        pytest.param(("e2e_fastest", "vehicle=a2rl"), marks=pytest.mark.slow),
+    ],
+)
+def test_no_sampled_force_exceeds_the_largest(words):
+    choices, params = race_of(load_config(words[0], list(words[1:])))
     problem = make_problem(choices.model, params)
     speed, drag = 6.0, 1.0
     largest = largest_force(problem, speed, drag)
