@@ -36,6 +36,12 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("limit", description=__doc__)
     add_config(parser)
     parser.add_argument("--policy", metavar="FILE.npz", help="compare with this policy's lap")
+    parser.add_argument(
+        "--guess",
+        metavar="FILE.npz",
+        action="append",
+        help="start also from a flight that --npz wrote; may be given more than once",
+    )
     _add_race(parser)
     parser.add_argument(
         "--bound-speed",
@@ -134,6 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.config.race import race_of
         from quadjax.limits import run
         from quadjax.limits.compare import compare
+        from quadjax.limits.report import read_guess
         from quadjax.limits.solve import NotFoundError
         from quadjax.policy.file import Policy
 
@@ -141,14 +148,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     choices, params = race_of(config)
     problem = run.problem_of(choices, params, _race(options, config.vehicle.fitted_speed))
     laps: list[Trajectory] = []
+    guesses = {path: read_guess(problem, path) for path in options.guess or ()}
     with interruptions(STOPPING) as stop, console.status("compiling") as status:
         if options.policy is not None:
             policy = Policy.load(options.policy)
             laps = run.policy_laps(choices, params, problem, policy, options.policy)
+            guesses["policy's lap"] = laps[0]
         try:
             best = run.search(
                 problem,
-                laps,
+                guesses,
                 starts=options.starts,
                 seconds=options.seconds,
                 stop=stop,

@@ -12,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from quadjax.cli.arguments import Parser, parse, whole
+from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions, loading
 
 STOPPING = b"\nstopping: the table is continued by the same command\n"
@@ -24,6 +25,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--tracks", nargs="+", metavar="TRACK", help="names of tracks (default: the table's five)"
     )
+    parser.add_argument("--drones", nargs="+", metavar="DRONE", help="names (default: all five)")
     parser.add_argument(
         "--seconds",
         type=whole(1, MOST_SECONDS),
@@ -41,7 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.studies import limits_table
 
     tracks = options.tracks or list(limits_table.TRACKS)
+    drones = options.drones or list(limits_table.DRONES)
+    for name in drones:
+        if name not in limits_table.DRONES:
+            known = ", ".join(limits_table.DRONES)
+            raise InputError(f"--drones: {name!r} is not a drone of the table: {known}")
     with interruptions(STOPPING) as stop, console.status("compiling") as status:
-        limits_table.make(options.folder, tracks, options.seconds, PRETRAINED, stop, status.update)
+        limits_table.make(
+            options.folder, tracks, drones, options.seconds, PRETRAINED, stop, status.update
+        )
     print(limits_table.markdown(options.folder, tracks))
     return 1 if stop.is_set() else 0

@@ -101,6 +101,7 @@ def minimize(
         "max_iter": max_iterations,
         "max_wall_time": max(0.1, seconds),
         "mu_init": 1e-4 if warm else 1e-2,
+        "bound_relax_factor": 0.0,  # a motor map has no slope beyond its lowest command
     }
     if warm:
         options |= {"bound_push": 1e-5, "bound_frac": 1e-5}
@@ -108,7 +109,12 @@ def minimize(
         "flight",
         "ipopt",
         {"x": variables, "f": objective, "g": constraints},
-        {"print_time": False, "iteration_callback": monitor, "ipopt": options},
+        {
+            "print_time": False,
+            "show_eval_warnings": False,
+            "iteration_callback": monitor,
+            "ipopt": options,
+        },
     )
     result = solver(
         x0=first,

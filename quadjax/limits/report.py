@@ -8,12 +8,38 @@ import jax.numpy as jnp
 import numpy as np
 import pydantic
 
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_npz
 from quadjax.core.provenance import provenance
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.compare import Comparison
 from quadjax.limits.problem import Problem
 from quadjax.limits.simulation import positions, vectors, velocities
 from quadjax.limits.solve import BestKnown
+from quadjax.limits.trajectory import Trajectory
+
+FORMAT = "quadjax-limit/1"
+
+
+def read_guess(problem: Problem, path: str) -> Trajectory:
+    """The flight in an ``.npz`` file of ``arrays``, as an initial guess.
+
+    Raises:
+        InputError: the file cannot be read, or its flight is not through these gates.
+    """
+    names = ("state", "command", "leg_times")
+    found, _ = read_npz(path, FORMAT, names)
+    low, _ = problem.command_range
+    legs, nodes = len(problem.order), len(found.get("state", ()))
+    wanted = {"state": (nodes, len(problem.normalized)), "command": (nodes, len(low))}
+    wanted["leg_times"] = (legs,)
+    for name, shape in wanted.items():
+        own = found[name].shape if name in found else None
+        if own != shape or nodes < 2 or (nodes - 1) % legs:
+            raise InputError(f"{path}: {name} has the shape {own}, expected {shape}, {legs} legs")
+        if not np.isfinite(found[name]).all() or (found["leg_times"] <= 0.0).any():
+            raise InputError(f"{path}: {name} is not finite, or a leg's time is not above 0")
+    return Trajectory(found["leg_times"], found["state"], found["command"])
 
 LIMIT = "quadjax-limit/1"
 
@@ -29,6 +55,7 @@ def to_json(
     """The result, with the settings that it was computed with."""
     check, proven = best.check, isinstance(bound, LowerBound)
     return {
+        "format": FORMAT,
         "best_known": best.total,
         "lower_bound": bound.time if isinstance(bound, LowerBound) else None,
         "lower_bound_below_speed": bound.mass.speed if isinstance(bound, LowerBound) else None,

@@ -111,18 +111,17 @@ def policy_laps(
 
 def guesses(
     problem: Problem,
-    laps: list[Trajectory],
+    given: dict[str, Trajectory],
     starts: int,
     stop: threading.Event,
     seconds: float = 60.0,
 ) -> Iterator[tuple[str, Trajectory]]:
-    """Initial guesses: the policy's fastest lap, then flights of a point mass.
+    """Initial guesses by name: those given, then flights of a point mass.
 
-    The first starts from a spline through the centers, nose in a constant direction; the second
-    has the nose along the velocity; others start from random points of the openings.
+    The first of these starts from a spline through the centers, nose in a constant direction; the
+    second has the nose along the velocity; others start from random points of the openings.
     """
-    if laps:
-        yield "policy's lap", laps[0]
+    yield from given.items()
     for index in range(starts):
         guess = from_point_mass(
             problem,
@@ -139,7 +138,7 @@ def guesses(
 
 def search(
     problem: Problem,
-    laps: list[Trajectory],
+    given: dict[str, Trajectory],
     *,
     starts: int,
     seconds: float,
@@ -149,12 +148,12 @@ def search(
     """The best of several solves; see ``quadjax.limits.solve.Search``.
 
     Raises:
-        SearchError: no guess led to a verified flight.
+        NotFoundError: no guess led to a verified flight.
     """
     from quadjax.limits.solve import Search
 
     return Search(problem, seconds, stop, report).run(
-        guesses(problem, laps, starts, stop, 0.3 * seconds)
+        guesses(problem, given, starts, stop, 0.3 * seconds)
     )
 
 

@@ -18,7 +18,7 @@ from quadjax.core.provenance import provenance
 from quadjax.limits import run
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.problem import Problem
-from quadjax.limits.report import arrays
+from quadjax.limits.report import FORMAT, arrays
 from quadjax.limits.trajectory import Trajectory
 from quadjax.policy.file import Policy
 
@@ -43,6 +43,7 @@ def file_of(folder: Path, track: str, drone: str) -> Path:
 def make(
     folder: Path,
     tracks: list[str],
+    drones: list[str],
     seconds: float,
     policies: Path,
     stop: threading.Event,
@@ -53,6 +54,7 @@ def make(
     Args:
         folder: where each cell has its ``.json`` and its best known lap as ``.npz``.
         tracks: names of tracks.
+        drones: of ``DRONES``.
         seconds: time limit of a cell.
         policies: folder of the policies to compare with.
         stop: if set, the current cell ends with the best so far, and no other begins.
@@ -60,7 +62,7 @@ def make(
     """
     folder.mkdir(parents=True, exist_ok=True)
     for track in tracks:
-        for drone in DRONES:
+        for drone in drones:
             path = file_of(folder, track, drone)
             if path.exists() or stop.is_set():
                 continue
@@ -85,14 +87,16 @@ def cell(
     preset, *overrides = DRONES[drone]
     config = load_config(preset, [f"track={track}", *overrides])
     choices, params = race_of(config)
-    result: dict[str, Any] = {"track": track, "drone": drone, "provenance": provenance(config)}
+    result: dict[str, Any] = {"format": FORMAT, "track": track, "drone": drone}
+    result["provenance"] = provenance(config)
     race = run.Race(fitted_speed=config.vehicle.fitted_speed)
     problem = run.problem_of(choices, params, race)
     laps = _laps(config, problem, policies, POLICIES.get((track, drone)))
+    given = {"policy's lap": laps[0]} if laps else {}
     show = lambda text: report(f"{track}, {drone}: {text}")  # noqa: E731
     try:
         best = run.search(
-            problem, laps, starts=STARTS, seconds=SHARES[0] * seconds, stop=stop, report=show
+            problem, given, starts=STARTS, seconds=SHARES[0] * seconds, stop=stop, report=show
         )
     except NotFoundError as error:
         return result | {"error": str(error), "seconds": time.monotonic() - began}

@@ -54,12 +54,9 @@ def test_no_sampled_force_exceeds_the_largest(words):
         velocity = rng.normal(size=3)
         velocity *= speed / np.linalg.norm(velocity)
         actuators = np.where(rng.uniform(size=low.shape) < 0.9, high, low)
-        state = problem.state(problem.hover_at(np.zeros(3), velocity, np.zeros(3)))
-        name = problem.model.actuators.name
-        own = getattr(state, name)
-        state = state.replace(
-            **{name: type(own)(*actuators) if hasattr(own, "components") else actuators[0]}
-        )
+        values = problem.hover_at(np.zeros(3), velocity, np.zeros(3))
+        values[problem.actuator_leaves] = actuators
+        state = problem.state(values)
         force = problem.model.specific_force(problem.vehicle, state) + Vec3.of(velocity) * drag
         found = max(found, float(np.linalg.norm([float(x) for x in force.components()])))
     assert 0.9 * largest < found <= largest
