@@ -18,7 +18,7 @@ from quadjax.limits.simulation import positions, vectors, velocities
 from quadjax.limits.solve import BestKnown
 from quadjax.limits.trajectory import Trajectory
 
-FORMAT = "quadjax-limit/1"
+LIMIT = "quadjax-limit/1"
 
 
 def read_guess(problem: Problem, path: str) -> Trajectory:
@@ -28,7 +28,7 @@ def read_guess(problem: Problem, path: str) -> Trajectory:
         InputError: the file cannot be read, or its flight is not through these gates.
     """
     names = ("state", "command", "leg_times")
-    found, _ = read_npz(path, FORMAT, names)
+    found, _ = read_npz(path, LIMIT, names)
     low, _ = problem.command_range
     legs, nodes = len(problem.order), len(found.get("state", ()))
     wanted = {"state": (nodes, len(problem.normalized)), "command": (nodes, len(low))}
@@ -40,8 +40,6 @@ def read_guess(problem: Problem, path: str) -> Trajectory:
         if not np.isfinite(found[name]).all() or (found["leg_times"] <= 0.0).any():
             raise InputError(f"{path}: {name} is not finite, or a leg's time is not above 0")
     return Trajectory(found["leg_times"], found["state"], found["command"])
-
-LIMIT = "quadjax-limit/1"
 
 
 def to_json(
@@ -55,7 +53,6 @@ def to_json(
     """The result, with the settings that it was computed with."""
     check, proven = best.check, isinstance(bound, LowerBound)
     return {
-        "format": FORMAT,
         "best_known": best.total,
         "lower_bound": bound.time if isinstance(bound, LowerBound) else None,
         "lower_bound_below_speed": bound.mass.speed if isinstance(bound, LowerBound) else None,

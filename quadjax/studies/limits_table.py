@@ -18,7 +18,7 @@ from quadjax.core.provenance import provenance
 from quadjax.limits import run
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.problem import Problem
-from quadjax.limits.report import FORMAT, arrays
+from quadjax.limits.report import LIMIT, arrays
 from quadjax.limits.trajectory import Trajectory
 from quadjax.policy.file import Policy
 
@@ -87,7 +87,7 @@ def cell(
     preset, *overrides = DRONES[drone]
     config = load_config(preset, [f"track={track}", *overrides])
     choices, params = race_of(config)
-    result: dict[str, Any] = {"format": FORMAT, "track": track, "drone": drone}
+    result: dict[str, Any] = {"track": track, "drone": drone}
     result["provenance"] = provenance(config)
     race = run.Race(fitted_speed=config.vehicle.fitted_speed)
     problem = run.problem_of(choices, params, race)
@@ -100,7 +100,9 @@ def cell(
         )
     except NotFoundError as error:
         return result | {"error": str(error), "seconds": time.monotonic() - began}
-    write_npz(table, arrays(problem, best), result)
+    gates = [gate.model_dump(mode="json") for gate in config.track.gates]
+    meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track": gates}
+    write_npz(table, arrays(problem, best), result | meta)
     bound = run.bound_of(problem, best, None)
     result |= {
         "best_known": best.total,
