@@ -178,8 +178,9 @@ def gravity(problem: Problem) -> np.ndarray:
     state, model = problem.hover_at(*np.zeros((3, 3))), problem.model
     low, _ = model.command_range(problem.vehicle.constants)
     with jax.enable_x64(True):
-        slope = model.derivative(problem.vehicle, problem.state(state), low)
-        force = model.specific_force(problem.vehicle, problem.state(state))
+        held = model.hold(problem.state(state), low)
+        slope = model.derivative(problem.vehicle, held, low)
+        force = model.specific_force(problem.vehicle, held)
     return leaves(model.velocity(slope)) - leaves(force)
 
 

@@ -119,9 +119,9 @@ def cell(
     centers = run.problem_of(choices, params, run.Race(clearance=None))
     try:
         again = Search(centers, SHARES[1] * seconds, stop, show)
-        result["centers"] = again.run(
-            [("best known lap", best.trajectory.resample(run.INTERVALS))]
-        ).total
+        found = again.run([("best known lap", best.trajectory.resample(run.INTERVALS))])
+        if np.isfinite(found.mesh_change):  # else the search ended before it converged
+            result["centers"] = found.total
     except NotFoundError as error:
         result |= {"centers": None, "centers_error": str(error)}
     return result | {"seconds": time.monotonic() - began}

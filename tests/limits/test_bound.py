@@ -62,8 +62,9 @@ def test_no_sampled_force_exceeds_the_largest(words):
     assert 0.9 * largest < found <= largest
 
 
-def test_gravity_of_a_model():
-    choices, params = race_of(load_config("e2e_shac"))
+@pytest.mark.parametrize("words", [(), ("vehicle=cpc",)])
+def test_gravity_of_a_model(words):
+    choices, params = race_of(load_config("e2e_fastest", list(words)))
     np.testing.assert_allclose(
         gravity(make_problem(choices.model, params)), [0.0, 0.0, 9.81], atol=1e-5
     )

@@ -94,3 +94,19 @@ def test_a_tilted_gate_is_passed_at_its_edge():
     assert max(abs(tilted[1:])) == pytest.approx(half[0] - KEPT, abs=1e-3)
     world = np.array([(tilted[1] - tilted[2]), (tilted[1] + tilted[2])]) / np.sqrt(2.0)
     assert abs(world).sum() == pytest.approx(np.sqrt(2.0) * (half[0] - KEPT), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("aside", "tolerance", "clearance"), [(0.2, 0.0, 0.0), (0.33, 0.05, -0.03)]
+)
+def test_a_waypoint_is_passed_within_its_distance(aside, tolerance, clearance):
+    from quadjax.limits.simulation import crossings
+
+    choices, params = race_of(load_config("indi"))
+    problem = make_problem(choices.model, params, waypoint=0.3)
+    way = np.linspace(-2.0, 2.0, 4001)[:, None] * [1.0, 0.0, 0.0] + [0.0, aside, 0.0]
+    times, found = crossings(problem, problem.gates.position[0] + way, 1e-3, [0], tolerance)
+    assert found == pytest.approx(clearance, abs=2e-3)
+    half = np.sqrt(max(0.3**2 - aside**2, 0.0))
+    np.testing.assert_allclose(times, [2.0 - half], atol=2e-3)
+    assert not len(crossings(problem, problem.gates.position[0] + 2.0 * way, 1e-3, [0])[0])
