@@ -4,7 +4,8 @@ Environment steps a second (a step and the reset of finished episodes) against t
 environments, with and without residual networks; the same with the observation for each vehicle
 model; training steps a second of the presets; and the peak memory of each. Every measurement runs
 in a separate process and is the median of its repeats. With --sb3, quadjax and Stable-Baselines3
-train the published hyperparameters for equal time.
+train the published hyperparameters for equal time. quadjax benchmark tracks (try --help) trains on
+several tracks and compares the laps with the best known ones.
 """
 
 import argparse
@@ -78,7 +79,12 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print, and write the numbers if --json is given."""
-    options = _arguments(arguments)
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    if argv[:1] == ["tracks"]:
+        from quadjax.cli.benchmark_tracks import main as tracks
+
+        return tracks(argv[1:])
+    options = _arguments(argv)
     if options.job:
         print(json.dumps(_run_job(_read_job(options.job))))
         return 0
@@ -117,12 +123,12 @@ def _measure_all(jobs: Sequence[Job]) -> list[dict[str, Any]]:
         task = progress.add_task("measuring", total=len(jobs))
         for job in jobs:
             progress.update(task, description=job.describe())
-            results.append(_measure(job))
+            results.append(measure(job))
             progress.advance(task)
     return results
 
 
-def _measure(job: Job) -> dict[str, Any]:
+def measure(job: Job) -> dict[str, Any]:
     """Measure in a separate process, so that the peak memory is this measurement's."""
     text = json.dumps(dataclasses.asdict(job))
     done = subprocess.run(
