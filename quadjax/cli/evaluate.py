@@ -1,4 +1,4 @@
-"""Time the laps of a policy and print them next to the published ones.
+"""Time the laps of a policy, next to the published ones of the same race and protocol, if any.
 
 Evaluates sampled actions, as the paper does, and the mean action. The JSON file, the figures and
 the animation show the sampled runs, or the deterministic ones with --deterministic. key=value

@@ -51,7 +51,7 @@ class Evaluation:
         gates: of the track, in order of passage.
         time_step: of the simulation, s.
         model: of the vehicle.
-        published: published lines of the same race, for the table.
+        published: published lines of the same race and protocol, for the table.
         provenance: versions, config, policy, seed, date and device.
         fly: repeats the runs; with ``trace=True`` it records their states.
     """
@@ -104,7 +104,7 @@ class Evaluation:
         return f"{how}, {counted(len(self.laps.crashes), 'run')}"
 
     def table(self) -> str:
-        """The lap table, with the published rows if the race is the paper's."""
+        """The lap table, with the published rows of the same race and protocol, if any."""
         return lap_table({self.label(): self})
 
     def plot(self) -> Figure:
@@ -244,7 +244,7 @@ def evaluate(
         gates=config.track.gates,
         time_step=config.rules.time_step,
         model=choices.model,
-        published=() if gates else published_rows(config, laps, hover),
+        published=() if gates or deterministic else published_rows(config, laps, hover),
         provenance=provenance(config, name, seed),
         fly=fly,
     )

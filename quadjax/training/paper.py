@@ -80,17 +80,25 @@ def _disturbance_of(config: Config) -> dict[str, object]:
 
 
 def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[Row, ...]:
-    """The published lines, where they can be compared: same race, laps and start."""
-    return PUBLISHED if from_hover and laps == LAPS and is_paper_race(config) else ()
+    """The published flight of the same race, laps and start in the same model.
+
+    It is of the sampled policy: compare it with sampled flights only. None for E2E, whose published
+    flights are with the residual of a real drone, which is not public, and none of a real drone.
+    """
+    same = from_hover and laps == LAPS and is_paper_race(config)
+    if not (same and config.vehicle.model == "rate"):
+        return ()
+    return (dataclasses.replace(PUBLISHED[1], label=f"{PUBLISHED[1].label}, sampled"),)
 
 
 def published_sampled(config: Config) -> Row | None:
-    """The published simulated flight where race, model and protocol (sampled, hover) are equal.
+    """The published flight of a config's race, of as many laps, sampled from hover; None if none.
 
-    None for E2E: its published flights are with the residual of a real drone, which is not public.
+    See ``published_rows``.
     """
-    rate = config.vehicle.model == "rate"
-    return PUBLISHED[1] if rate and published_total(config) else None
+    own = config.evaluate
+    rows = published_rows(config, own.laps) if own.gates is None else ()
+    return rows[0] if rows else None
 
 
 def published_total(config: Config) -> tuple[str, float] | None:

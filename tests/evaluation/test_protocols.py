@@ -48,7 +48,7 @@ def test_a_published_time_is_only_next_to_its_equal(preset, overrides, time):
     row = published_sampled(load_config(preset, overrides))
     assert (row and row.total) == time
     text = protocol_table([protocols(row)])
-    assert ("published INDI simulated |  |  | 17.14 |" in text) == (time is not None)
+    assert ("published INDI simulated, sampled |  |  | 17.14 |" in text) == (time is not None)
 
 
 @pytest.mark.slow
