@@ -4,6 +4,7 @@ import contextlib
 import os
 import re
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
 MAX_WORD, MAX_LINE = 200, 1000  # characters of a word and of a line that a command prints
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
+OWN_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_object`` has imported
 
 
 class InputError(ValueError):
@@ -96,8 +98,22 @@ def _middle_out(text: str, most: int) -> str:
     return f"{text[: most // 2]}...{text[-most // 2 :]}"
 
 
+def own_error(error: BaseException) -> str:
+    """An exception in a user's own code: its kind, the start of its message, and the line."""
+    message = (str(error).splitlines() or [""])[0][:200]
+    lines = own_lines(error)
+    where = f" ({lines[-1]}; {DEBUG}=1 shows the traceback)" if lines else ""
+    return f"{type(error).__name__}: {message}{where}"
+
+
+def own_lines(error: BaseException) -> list[str]:
+    """File and number of the lines of a user's modules that an exception passed through."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return [f"{frame.filename}:{frame.lineno}" for frame in frames if frame.filename in OWN_FILES]
+
+
 def error_line(error: BaseException) -> str | None:
-    """One line for bad input or a system error; None for a fault of the program."""
+    """One line for bad input, a system error or one in a user's module; None for other faults."""
     text = " ".join(str(error).split())
     if isinstance(error, InputError):
         return text
@@ -112,4 +128,6 @@ def error_line(error: BaseException) -> str | None:
         return f"the input is nested too deeply ({text})"
     if type(error).__name__ in ("JaxRuntimeError", "XlaRuntimeError"):
         return f"not enough memory ({text[:160]})" if "RESOURCE_EXHAUSTED" in text else None
+    if own_lines(error):
+        return own_error(error)
     return None

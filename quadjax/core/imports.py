@@ -1,10 +1,12 @@
-"""Objects of a user's own modules, named by strings: ``"module:name"``."""
+"""Objects of a user's own modules, named by strings: ``"module:name"``, and calls of them."""
 
 import importlib
 import os
 import sys
+from collections.abc import Callable
+from typing import Any
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import OWN_FILES, InputError, own_error
 
 
 def load_object(path: str, key: str) -> object:
@@ -28,6 +30,8 @@ def load_object(path: str, key: str) -> object:
     except Exception as error:  # a user's module may raise anything
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise InputError(f"{key}: module {module_name} cannot be imported ({reason})") from error
+    if own_file := getattr(found, "__file__", None):
+        OWN_FILES.add(own_file)
     for part in name.split("."):
         if not hasattr(found, part):
             where = getattr(found, "__file__", module_name)
@@ -45,3 +49,47 @@ def _import(module_name: str) -> object:
         return importlib.import_module(module_name)
     finally:
         sys.path.remove(here)
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """``module:name`` of a function, or its class."""
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    return f"{getattr(function, '__module__', '')}:{name}"
+
+
+def own_numbers(
+    label: str, function: Callable[[Any], Any], argument: object, size: int | None = None
+) -> list[Any]:
+    """The result of a user's own function, checked to consist of scalars.
+
+    Args:
+        label: of the function, for messages: ``reward term own:fast``.
+        function: of one argument.
+        argument: its argument.
+        size: number of scalars in the sequence that it returns; None for one scalar alone.
+
+    Raises:
+        InputError: the function raises an error, or returns something else; in one line.
+    """
+    try:
+        result = function(argument)
+        values = [result] if size is None else list(result)
+        shapes = [_shape(value) for value in values]
+    except InputError:
+        raise
+    except Exception as error:  # a user's function may raise anything
+        raise InputError(f"{label}: {own_error(error)}") from error
+    wanted = "one number" if size in (None, 1) else f"{size} numbers"
+    if size is not None and len(values) != size:
+        raise InputError(f"{label} gives {len(values)} numbers, expected {wanted} (its size)")
+    for value, shape in zip(values, shapes, strict=True):
+        if shape != ():
+            what = f"{value!r:.40}" if shape is None else f"an array of shape {shape}"
+            raise InputError(f"{label} gives {what}, expected {wanted} of shape ()")
+    return values
+
+
+def _shape(value: object) -> tuple[int, ...] | None:
+    """The shape of a number or an array; None for anything else."""
+    shape = getattr(value, "shape", () if isinstance(value, (bool, int, float)) else None)
+    return tuple(shape) if shape is not None else None

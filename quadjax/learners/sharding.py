@@ -104,22 +104,9 @@ def compile_chunk(
         metrics of every update, each (updates,).
     """
     check_memory(tree_bytes(state) / mesh.size, mesh)
-    specs, shared = specs_of(state), PartitionSpec()
-
-    def many(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
-        return jax.lax.scan(
-            lambda carry, _: learner.update(hyper, params, carry), state, None, updates
-        )
-
-    split = jax.shard_map(
-        many,
-        mesh=mesh,
-        in_specs=(shared, shared, specs),
-        out_specs=(specs, shared),
-        check_vma=False,
-    )
-    everywhere = NamedSharding(mesh, shared)
+    everywhere = NamedSharding(mesh, PartitionSpec())
     hyper, params = spread((learner.hyper, params), everywhere)
+    split = _split_updates(learner, mesh, updates, state)
     jitted = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
     program = jitted.lower(hyper, params, state).compile()
     check_memory(program_bytes(program), mesh)
@@ -128,3 +115,28 @@ def compile_chunk(
         return program(hyper, spread(params, everywhere), state)
 
     return chunk
+
+
+def check_update(learner: Learner, mesh: Mesh, params: object, state: TrainState) -> None:
+    """Trace two updates; nothing is compiled. Arguments as of ``compile_chunk``."""
+    jax.eval_shape(_split_updates(learner, mesh, 2, state), learner.hyper, params, state)
+
+
+def _split_updates(
+    learner: Learner, mesh: Mesh, updates: int, state: TrainState
+) -> Callable[[object, object, TrainState], tuple[TrainState, Metrics]]:
+    """A number of updates, with the environments split over the devices."""
+    specs, shared = specs_of(state), PartitionSpec()
+
+    def many(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
+        return jax.lax.scan(
+            lambda carry, _: learner.update(hyper, params, carry), state, None, updates
+        )
+
+    return jax.shard_map(
+        many,
+        mesh=mesh,
+        in_specs=(shared, shared, specs),
+        out_specs=(specs, shared),
+        check_vma=False,
+    )

@@ -14,6 +14,7 @@ from flax import struct
 
 from quadjax.core.environment import Environment
 from quadjax.core.gradients import clip_inward
+from quadjax.core.imports import name_of, own_numbers
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import (
     call_materialized,
@@ -266,7 +267,10 @@ def _extra_rule(
     choices: Choices, params: RaceParams, state: RaceState, after: State, g: Gate
 ) -> jax.Array | None:
     context = StepContext(choices.model, params, state, after, g)
-    ended = [jnp.asarray(rule(context), bool) for rule in choices.rules]
+    ended = [
+        jnp.asarray(own_numbers(f"rule {name_of(rule)}", rule, context)[0], bool)
+        for rule in choices.rules
+    ]
     return functools.reduce(jnp.logical_or, ended) if ended else None
 
 
@@ -306,7 +310,8 @@ def transition(
     )
     context = StepContext(choices.model, params, state, drone, g, outcome, action)
     for weight, term in zip(params.term_weights, choices.terms, strict=True):
-        value = value + weight * jnp.asarray(term(context), value.dtype)
+        (number,) = own_numbers(f"reward term {name_of(term)}", term, context)
+        value = value + weight * jnp.asarray(number, value.dtype)
     applied = _applied(choices, action) if state.action is not None else None
     for penalty in _penalties(choices.model, params, state, drone, g, outcome, applied):
         value = value - penalty

@@ -15,6 +15,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
+from quadjax.core.imports import own_numbers
 from quadjax.core.vectors import Vec3, between
 from quadjax.race.track import Gate, gates_ahead, pick, to_gate_frame
 from quadjax.vehicle.protocol import State, VehicleModel
@@ -79,12 +80,7 @@ class Field:
     def numbers(self, view: View) -> list[jax.Array]:
         """The field's network inputs, after scaling."""
         assert self.value is not None, self.name
-        values = list(self.value(view))
-        if len(values) != self.size:
-            raise InputError(
-                f"observation field {self.name!r} gives {len(values)} numbers, its size is "
-                f"{self.size}"
-            )
+        values = own_numbers(f"observation field {self.name!r}", self.value, view, self.size)
         if self.scale is None:
             return values
         low, high = self.scale(view.model, view.params)

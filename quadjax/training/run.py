@@ -16,7 +16,7 @@ import jax
 from jax.sharding import Mesh
 
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_params
+from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
@@ -37,6 +37,7 @@ from quadjax.training.build import build_learner, initial_policy, plan, policy_o
 from quadjax.training.checkpoint import Checkpoints
 from quadjax.training.folder import FILES, KIND, prepare_folder
 from quadjax.training.metrics import MetricsFile, check_tensorboard, timed
+from quadjax.training.own_functions import check_functions, check_learner
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, read_summary, write_summary
 from quadjax.training.score import Score
@@ -201,10 +202,11 @@ class _Callbacks:
 def _prepare(config: Config) -> _Job:
     """Prepare a run; bad input is rejected here, before anything is written."""
     params = build_params(config)
+    check_functions(choices_of(config), params, len(config.observation.extra))
     learner = build_learner(config)
+    shapes = check_learner(config, learner, params)
     mesh = parallel.make_mesh(choose_devices(config.run.devices, learner.num_shards))
     hosts.meet(mesh)
-    shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
     check_memory(tree_bytes(shapes) / mesh.size, mesh)
     updates, chunks = plan(config, learner.steps_per_update)
     initial = initial_policy(config)

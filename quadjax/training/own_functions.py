@@ -1,0 +1,90 @@
+"""Checks of a user's own functions on the first step of a race, before anything is written."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError, own_error
+from quadjax.core.imports import name_of, own_numbers
+from quadjax.learners import sharding as parallel
+from quadjax.learners.state import Learner, TrainState
+from quadjax.race import environment
+from quadjax.race.context import StepContext
+from quadjax.race.environment import Choices, RaceParams
+from quadjax.race.layout import View
+from quadjax.race.track import gate
+
+STARTS = 8  # random starts whose first step is computed
+
+
+def check_functions(choices: Choices, params: RaceParams, extra: int) -> None:
+    """Compute reward terms, rules and observation fields on the first step from random starts.
+
+    Args:
+        choices: of the race.
+        params: its numbers.
+        extra: the number of fields at the end of the observation that are the user's own.
+
+    Raises:
+        InputError: one that raises an error, or returns no scalar or a number that is not finite.
+    """
+    if not (choices.terms or choices.rules or extra):
+        return
+    plain = dataclasses.replace(choices, terms=())
+    fields = choices.layout.fields[len(choices.layout.fields) - extra :]
+
+    def first_step(key: jax.Array) -> dict[str, list[jax.Array]]:
+        state = environment.reset(choices, params, key)
+        target = gate(params.track, state.target)
+        view = View(choices.model, params, state, target)
+        values = {f"observation field {field.name!r}": field.numbers(view) for field in fields}
+        action = jnp.zeros(choices.model.action_size)
+        following, _, outcome = environment.transition(
+            plain, params.replace(term_weights=()), state, action
+        )
+        after = following.drone
+        context = StepContext(choices.model, params, state, after, target, outcome, action)
+        for term in choices.terms:
+            label = f"reward term {name_of(term)}"
+            values[label] = own_numbers(label, term, context)
+        return values
+
+    values = jax.jit(jax.vmap(first_step))(jax.random.split(jax.random.key(0), STARTS))
+    for label, numbers in values.items():
+        if not np.all(np.isfinite(numbers)):
+            raise InputError(f"{label} is not finite after a random start, expected finite numbers")
+
+
+def check_learner(config: Config, learner: Learner, params: RaceParams) -> TrainState:
+    """The shapes of a learner's state; a user's own learner is checked.
+
+    Raises:
+        InputError: a learner that raises an error, or whose functions return something else.
+    """
+    own, name = ":" in config.learner.algorithm, f"learner.algorithm {config.learner.algorithm}"
+
+    def init() -> TrainState:
+        return jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
+
+    if not own:
+        return init()
+    if not isinstance(learner, Learner):
+        given = type(learner).__name__
+        raise InputError(f"{name}: make() gives a {given}, expected a quadjax.Learner")
+    try:
+        shapes, part = init(), "init"
+        if isinstance(shapes, TrainState):
+            part = "update"
+            mesh = parallel.make_mesh(jax.local_devices()[:1])
+            parallel.check_update(learner, mesh, params, shapes)
+    except InputError:
+        raise
+    except Exception as error:  # a user's learner may raise anything
+        raise InputError(f"{name}: {own_error(error)}") from error
+    if part == "init":
+        given = type(shapes).__name__
+        raise InputError(f"{name}: init gives a {given}, expected a quadjax.TrainState")
+    return shapes
