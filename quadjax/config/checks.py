@@ -1,11 +1,12 @@
 """Checks that involve several keys of a config."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import jax
 
 from quadjax.config.drone_checks import GRAVITY, LEAST_TURN, check_drone, episode_seconds, refuse
+from quadjax.config.gate_checks import check_bounds, check_openings, within
 from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import value_at
@@ -87,11 +88,11 @@ def _check_run(config: Config) -> None:
 
 def _check_learner(config: Config) -> None:
     """Check that the policy is trained at all."""
-    own = value_at(config, RATE, missing=None)
+    own = getattr(config.learner, "learning_rate", None)
     rates = config.schedules[RATE].linear if RATE in config.schedules else ("value",)
     if own is not None and not any(own if rate == "value" else rate for rate in rates):
         refuse(RATE, own, "above 0, as the policy learns nothing")
-    warmup = value_at(config, "learner.critic_warmup", missing=None) or 0
+    warmup = getattr(config.learner, "critic_warmup", None) or 0
     sizes = (getattr(config.learner, key, 1) for key in ("num_envs", "horizon", "rollout_length"))
     updates = max(1, math.ceil(config.run.steps / math.prod(sizes)))
     if warmup > updates:
@@ -170,7 +171,7 @@ def _check_gates(config: Config) -> None:
             )
         if z >= 0:
             refuse(f"{key}.position", gate.position, "z below 0 (above ground)")
-        if not _within(config, gate.position):
+        if not within(config, gate.position):
             refuse(f"{key}.position", gate.position, f"within rules.bounds {config.rules.bounds}")
         radius = config.rules.body_radius
         least = 2 * (radius - min(inflation, 0.0))
@@ -178,12 +179,6 @@ def _check_gates(config: Config) -> None:
             allowed = f"above {least:g} with training_limits.gate_inflation {inflation}"
             body = f" and rules.body_radius {radius}" if radius else ""
             refuse(f"{key}.size", gate.size, allowed + body)
-
-
-def _within(config: Config, position: Sequence[float]) -> bool:
-    """Whether a position is within the rules' bounds."""
-    box = config.rules.bounds
-    return box is None or all(low < x < high for x, (low, high) in zip(position, box, strict=True))
 
 
 def _check_race_start(config: Config) -> None:
@@ -200,7 +195,7 @@ def _check_race_start(config: Config) -> None:
     x, y, z = start.position
     outside = limit is not None and max(abs(x), abs(y)) >= limit
     beneath = z >= 0 if config.rules.ground_speed is None else z > 0
-    if beneath or outside or not _within(config, (x, y, min(z, -1e-6))):
+    if beneath or outside or not within(config, (x, y, min(z, -1e-6))):
         allowed = "above ground (on it with rules.ground_speed) and within the rules' limits"
         refuse("track.start.position", start.position, allowed)
 
@@ -244,6 +239,12 @@ def _check_motion(config: Config) -> None:
                 f"at most {fastest:.3g} m/s, to which the drone accelerates in an episode",
             )
     own = model.constants(**constants)
+    for axis, rate in zip("xyz", _largest_rates(model, own), strict=True):
+        if 0.0 < rate * seconds < LEAST_TURN:
+            raise InputError(
+                f"vehicle.constants give a largest commanded rate of {rate:.2g} rad/s about "
+                f"{axis}, allowed: at least {LEAST_TURN / seconds:.2g} rad/s (it cannot turn below)"
+            )
     if model.uses_start_thrust:
         low, high = (float(x) for x in model.actuator_range(own))
         if start.thrust[0] < low or start.thrust[1] > high:
@@ -367,7 +368,9 @@ def _check_used(config: Config) -> None:
 
 TESTS = (
     check_drone,
+    check_bounds,
     _check_gates,
+    check_openings,
     _check_race_start,
     _check_start,
     _check_motion,

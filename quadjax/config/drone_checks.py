@@ -178,16 +178,52 @@ def _check_quantity(config: Config, quantity: Quantity, simulated: Values, sprea
         value = function(values)
         if quantity.least < value < quantity.most:
             continue
-        name = next(x for x in values if changed.get(x) and _depends(function, values, x))
-        key = f"{origin}.{name}"
+        names = [x for x in values if changed.get(x) and _depends(function, values, x)]
+        name = names[0]
         if origin == "randomization":
-            key = _random_key(config, name)
+            _refuse_draw(config, quantity, simulated, spread, names, value)
         given = f"{value:.3g} {quantity.name}: " if value != changed[name] else ""
         refuse(
-            key,
+            f"{origin}.{name}",
             changed[name],
             f"{given and 'other values, as it gives ' + given}{quantity.allowed}",
         )
+
+
+def _refuse_draw(
+    config: Config,
+    quantity: Quantity,
+    simulated: Values,
+    spread: Values,
+    names: list[str],
+    value: float,
+) -> None:
+    """Raise the error of a fraction of the randomization, with the largest one that is possible.
+
+    Args:
+        config: of the run.
+        quantity: that is impossible in the worst draw.
+        simulated: the constants about which is drawn.
+        spread: fractions of all constants.
+        names: of the drawn constants that the quantity depends on.
+        value: of the quantity in that draw.
+    """
+    key = _random_key(config, names[0])
+    drawn = [name for name in names if _random_key(config, name) == key]
+    low, high = 0.0, 1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        part = {k: v * (middle if k in drawn else 1.0) for k, v in spread.items()}
+        ends = [
+            quantity.function(_extreme(quantity.function, simulated, part, sign))
+            for sign in (-1, 1)
+        ]
+        possible = all(quantity.least < value < quantity.most for value in ends)
+        low, high = (middle, high) if possible else (low, middle)
+    most = math.floor(1e3 * low * spread[drawn[0]]) / 1e3
+    given = f"{value:.3g} {quantity.name}: {quantity.allowed}"
+    worst = f"at most {most:g}; the worst draw of {', '.join(drawn)} gives {given}"
+    refuse(key, spread[drawn[0]], worst)
 
 
 def _depends(function: Callable[[Values], float], values: Values, name: str) -> bool:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from quadjax.config.checks import check, vehicle_model
+from quadjax.config.layers import Layer, from_layers, layer_of
 from quadjax.config.renamed import check_renamed
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Gate, Schedule
@@ -55,10 +56,11 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
         names = preset_names()
         hint = close_match(str(config), names)
         raise InputError(f"{config}: no such preset or file{hint}; presets: {', '.join(names)}")
-    tree = _read(path, overrides, elsewhere=False)
+    tree, layers = _read(path, overrides, elsewhere=False)
     if _gates(tree) != _gates(_defaults({})):
-        tree = _read(path, overrides, elsewhere=True)
-    return config_of(tree, str(path))
+        tree, layers = _read(path, overrides, elsewhere=True)
+    with from_layers(layers, str(path)):
+        return config_of(tree, str(path))
 
 
 def _gates(tree: Tree) -> tuple[Gate, ...] | None:
@@ -69,23 +71,25 @@ def _gates(tree: Tree) -> tuple[Gate, ...] | None:
         return None
 
 
-def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> Tree:
-    """The merged tree of a file, its bases and overrides.
+def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> tuple[Tree, list[Layer]]:
+    """The merged tree of a file, its bases and overrides, and where its values come from.
 
     Args:
         path: of the file.
         overrides: ``key=value``.
         elsewhere: merge the section ``other_tracks`` of each file over the rest of that file.
     """
+    layers: list[Layer] = []
 
     def merge(under: Tree, over: Tree, file: Path) -> Tree:
         own = {key: value for key, value in over.items() if key != OTHER_TRACKS}
-        under = _merge(under, _with_data_paths(own, file.parent), file.parent, str(file))
+        own = _with_data_paths(own, file.parent)
+        under = _merge(under, own, file.parent, str(file), layers)
         other = over.get(OTHER_TRACKS, {})
         if not isinstance(other, dict) or "track" in other:
             given = f"{OTHER_TRACKS} is {short(other)}"
             raise InputError(f"{file}: {given}, allowed: a mapping of keys other than track")
-        return _merge(under, other, file.parent, str(file)) if elsewhere else under
+        return _merge(under, other, file.parent, str(file), layers) if elsewhere else under
 
     tree = read_tree_with_bases(path, merge)
     if not tree:
@@ -93,7 +97,9 @@ def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> Tree:
     tree = merge_trees(_defaults(tree), tree)
     over = parse_overrides([_expand(override) for override in overrides])
     here = Path() if _exists(over, Path()) else path.parent
-    return generated(_merge(tree, over, here, "overrides"), str(path))
+    tree = _merge(tree, over, here, "overrides", layers)
+    with from_layers(layers, str(path)):
+        return generated(tree, str(path)), layers
 
 
 def generated(tree: Tree, source: str) -> Tree:
@@ -186,14 +192,19 @@ def _exists(over: Tree, folder: Path) -> bool:
         return any((folder / name).is_file() for name in files)
 
 
-def _merge(under: Tree, over: Tree, folder: Path, source: str) -> Tree:
+def _merge(
+    under: Tree, over: Tree, folder: Path, source: str, layers: list[Layer] | None = None
+) -> Tree:
     """The config ``over`` on ``under``, with the vehicle and track files that ``over`` names.
+
+    ``layers`` gets these files and ``over``.
 
     A file replaces the name, constants or gates of lower configs; another algorithm replaces the
     hyperparameters of the lower config.
     """
     check_renamed(over, source)
     over, under = _nested_schedules(over), dict(under)
+    own_layer = Layer(source, over)
     for section, keys in FROM_FILE.items():
         own = over.get(section)
         own = {"file": own} if isinstance(own, str) else own
@@ -204,6 +215,8 @@ def _merge(under: Tree, over: Tree, folder: Path, source: str) -> Tree:
         with prefixed(f"{source}: {section}.file"):
             path = find_file(own["file"], folder, f"{section}s")
         values = _file_values(section, path)
+        if layers is not None:
+            layers.append(Layer(str(path), layer_of(section, values)))
         if "rules" in values:  # of a track: those of its hall
             own_rules = over.get("rules")
             rules = values.pop("rules")
@@ -211,6 +224,8 @@ def _merge(under: Tree, over: Tree, folder: Path, source: str) -> Tree:
         lower = under.get(section, {})
         under[section] = {k: v for k, v in lower.items() if k not in keys}
         over = {**over, section: merge_trees(values, {**own, "file": None})}
+    if layers is not None:
+        layers.append(own_layer)
     _switch_model(under, over)
     _switch_gates(under, over)
     learner = over.get("learner")

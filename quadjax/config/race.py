@@ -74,7 +74,7 @@ def _own(key: str, names: Iterable[str], kind: type | None = None) -> tuple[Any,
     for name, each in zip(names, found, strict=True):
         if not (callable(each) if kind is None else isinstance(each, kind)):
             wanted = "a function" if kind is None else f"a {kind.__name__}"
-            raise InputError(f"{key}: {name} is {each!r:.80}, expected {wanted}")
+            raise InputError(f"{key}: {name} is a {type(each).__name__}, expected {wanted}")
     return found
 
 

@@ -331,7 +331,8 @@ def value_at(section: Section, key: str, missing: object = 1.0) -> object:
             return node.get(rest, missing)
         known = node if isinstance(node, Mapping) else getattr(node, "__dict__", {})
         if part not in known and not isinstance(node, Mapping):
-            raise InputError(f"{key}: unknown key; allowed there: {', '.join(known)}")
+            hint = close_match(part, list(known))
+            raise InputError(f"{key}: unknown key{hint}; allowed there: {', '.join(known)}")
         node = known.get(part, missing)
     if isinstance(node, Section):
         raise InputError(f"{key}: is a section of the keys {', '.join(vars(node))}")

@@ -138,7 +138,9 @@ def find_file(name: str, folder: Path, kind: str = ".") -> Path:
             for each in names:
                 if (place / each).exists() and not (place / each).is_dir():
                     return place / each
-    raise InputError(f"{short(name)}: no such file in {folder} or {CONFIGS / kind}")
+    known = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
+    hint = close_match(Path(name).stem, known)
+    raise InputError(f"{short(name)}: no such file in {folder} or {CONFIGS / kind}{hint}")
 
 
 def merge_trees(under: Tree, over: Tree) -> Tree:

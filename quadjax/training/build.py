@@ -73,7 +73,13 @@ def build_learner(config: Config) -> Learner[RaceParams]:
         InputError: a schedule of a key that changes no number, or more than numbers.
     """
     environment, networks = make_environment(choices_of(config)), build_networks(config)
-    per_update = config.learner.make(environment, networks, 1).steps_per_update
+    own = config.learner.make(environment, networks, 1)
+    if not isinstance(own, Learner):
+        raise InputError(
+            f"learner.algorithm {config.learner.algorithm}: make() gives a {type(own).__name__}, "
+            "expected a quadjax.Learner"
+        )
+    per_update = own.steps_per_update
     updates = math.prod(plan(config, per_update))
 
     def make(config: Config) -> Learner[RaceParams]:

@@ -71,20 +71,15 @@ def check_learner(config: Config, learner: Learner, params: RaceParams) -> Train
 
     if not own:
         return init()
-    if not isinstance(learner, Learner):
-        given = type(learner).__name__
-        raise InputError(f"{name}: make() gives a {given}, expected a quadjax.Learner")
     try:
         shapes, part = init(), "init"
         if isinstance(shapes, TrainState):
             part = "update"
-            mesh = parallel.make_mesh(jax.local_devices()[:1])
-            parallel.check_update(learner, mesh, params, shapes)
+            parallel.check_update(learner, parallel.make_mesh(1), params, shapes)
     except InputError:
         raise
     except Exception as error:  # a user's learner may raise anything
         raise InputError(f"{name}: {own_error(error)}") from error
     if part == "init":
-        given = type(shapes).__name__
-        raise InputError(f"{name}: init gives a {given}, expected a quadjax.TrainState")
+        raise InputError(f"{name}: init gives {shapes!r:.60}, expected a quadjax.TrainState")
     return shapes

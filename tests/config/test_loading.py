@@ -356,9 +356,12 @@ REFUSED = [
     ("vehicle.mismatch={tau: 0.01}", "vehicle.mismatch.tau is 0.01, allowed: other values, as it"),
     (
         "randomization.thrust=0.9",
-        "randomization.thrust is 0.9, allowed: other values, as it gives 0",
+        "randomization.thrust is 0.9, allowed: at most 0.535; the worst draw of k_w gives 0.215",
     ),
-    ("randomization.gravity=0.9", "randomization.gravity is 0.9, allowed: other values"),
+    (
+        "randomization.gravity=0.9",
+        "randomization.gravity is 0.9, allowed: at most 0.839; the worst",
+    ),
     ("randomization.constants={tau: 0.9167}", "randomization.constants.tau is 0.9167, allowed"),
     ("disturbance.force_z=12", "disturbance.force_z is 12.0, allowed: below 11.3 m/s²"),
     ("disturbance.moment_x=1", "disturbance.moment_x is 1.0, allowed: below 0.316 N m about x"),
@@ -392,7 +395,7 @@ REFUSED = [
     ("evaluate.runs=1e6", "evaluate.runs is 1000000, allowed: a whole number, at least 1, at most"),
     (
         "schedules.reward.gates.linear=[0, 1]",
-        "schedules: reward.gates: unknown key; allowed there: progress, gate",
+        "schedules: reward.gates: unknown key; did you mean gate?; allowed there",
     ),
     ("schedules.run.steps.linear=[0, 1]", "schedules: run.steps is 40000000, allowed: the key of"),
     ("schedules.reward.gate.linear=[0]", "schedules.reward.gate.linear is [0], allowed: a list of"),
@@ -424,6 +427,19 @@ REFUSED = [
     ("schedules.vehicle.mismatch.k_w={linear: [1, 0.9]}", "schedules: vehicle.mismatch.k_w is No"),
     ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
     ("learner.clip_range", "'learner.clip_range' is not of the form key=value"),
+    ("rules.gate_frame=10", "rules.gate_frame is 10.0, allowed: below 1.5 m, half the distance of"),
+    (
+        "rules.bounds=[[-9, 9], [-9, 9], [-1.6, 0]]",
+        "allowed: a box with the whole opening of track",
+    ),
+    ("rules.bounds=[[9, -9], [-9, 9], [-6, 0]]", "allowed: [lowest, highest] for each of x, y"),
+    ("vehicle=bebp1", "overrides: vehicle.file: 'bebp1': no such file in"),
+    ("track=figure9", "tracks; did you mean figure8?"),
+    ("schedules.learner.discont.linear=[0.9, 1]", "unknown key; did you mean discount?; allowed"),
+    (
+        "randomization.all=0.3",
+        "at most 0.225; the worst draw of k_w, rpm_max gives 0.738 times the",
+    ),
     ("episode.dt=0.01", "overrides: episode.dt is now rules.time_step"),
     ("train.drones=3", "train.drones is now learner.num_envs"),
     ("train.steps=3", "train.steps is now run.steps"),
@@ -440,6 +456,20 @@ REFUSED = [
 ]
 
 
+def test_an_error_names_the_file_that_sets_the_key(tmp_path):
+    track, drone, base = tmp_path / "t.yaml", tmp_path / "d.yaml", tmp_path / "base.yaml"
+    gates = "gates: [{position: [2, -1.5, -1.5], yaw_deg: %s}, {position: [2, 1.5, -1.5]}]"
+    track.write_text(gates % "abc")
+    drone.write_text((CONFIGS / "vehicles/bebop1.yaml").read_text().replace("k_w: ", "k_w: -"))
+    base.write_text(f"base: {BLANK}\nreward: {{gate: much}}\n")
+    assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].yaw_deg is 'abc'")
+    assert refusal(BLANK, f"vehicle={drone}").startswith(f"{drone}: vehicle.constants.k_w is -")
+    assert refusal(base).startswith(f"{base}: reward.gate is 'much'")
+    assert refusal(base, "reward.gate=more").startswith("overrides: reward.gate is 'more'")
+    track.write_text(gates % "90" + "\nrules: {position_limit: 1}")
+    assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].position is")
+
+
 @pytest.mark.parametrize(("override", "message"), REFUSED, ids=[word for word, _ in REFUSED])
 def test_refused(override, message):
     assert message in refusal(BLANK, override)
@@ -449,6 +479,10 @@ def test_refused(override, message):
     ("overrides", "message"),
     [
         (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
+        (
+            ["vehicle.model=rate", "vehicle.constants.p_max=1e-9"],
+            "a largest commanded rate of 1e-09 rad/s about x, allowed: at least 0.0083 rad/s",
+        ),
         (["reward.gate_edge_margin=0.5", "reward.gate_edge=1"], "gate_edge_margin is 0.5, allowed"),
         (
             ["vehicle.model=rate", "vehicle.residual=file.npz"],

@@ -113,7 +113,7 @@ def test_an_own_field_of_another_size_is_refused():
     choices, params = make_race()
     wrong = dataclasses.replace(HEIGHT, size=2)
     own = dataclasses.replace(choices, layout=make_layout(MODEL, extra=(wrong,)))
-    with pytest.raises(InputError, match="'height' gives 1 numbers, its size is 2"):
+    with pytest.raises(InputError, match="'height' gives 1 numbers, expected 2 numbers .its size."):
         compiled_observe(own)(params, race_state("motor", level(ref.GATES[:1], np.ones(3))))
     with pytest.raises(InputError, match="same name"):
         make_layout(MODEL, extra=(HEIGHT, HEIGHT))

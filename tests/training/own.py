@@ -1,0 +1,51 @@
+"""Functions and learners with mistakes, for tests of what is said about them."""
+
+import jax.numpy as jnp
+import optax
+
+from quadjax import Field, Learner, LearnerSection, TrainState
+
+
+def vector(step):
+    return jnp.zeros(4)
+
+
+def attribute(step):
+    return step.nosuch
+
+
+def nothing(step):
+    return None
+
+
+def nan(step):
+    return jnp.log(-1.0 - 0.0 * step.time_step)
+
+
+THREE = Field("three", 1, "m", "world", value=lambda view: [0.0] * 3)
+ARRAYS = Field("arrays", 1, "m", "world", value=lambda view: [jnp.zeros(2)])
+NAN = Field("nan", 1, "m", "world", value=lambda view: [jnp.float32(jnp.nan)])
+BROKEN = Field("broken", 1, "m", "world", value=attribute)
+
+
+def learner(init, update):
+    class Own(LearnerSection):
+        def make(self, environment, networks, num_updates, max_shards=8):
+            def begin(hyper, params, key):
+                w = networks.init(key)
+                adam = optax.adam(1e-3).init(w)
+                return TrainState(w, adam, None, (), key[None], jnp.int32(0))
+
+            return Learner(init or begin, update, {}, 64, num_shards=1)
+
+    return Own
+
+
+class NoLearner(LearnerSection):
+    def make(self, environment, networks, num_updates, max_shards=8):
+        return None
+
+
+NO_STATE = learner(lambda hyper, params, key: 3, lambda hyper, params, state: state)
+NO_METRICS = learner(None, lambda hyper, params, state: (state,))
+DIVIDES = learner(None, lambda hyper, params, state: (state, {"reward": 1 / 0}))

@@ -1,0 +1,69 @@
+"""Mistakes in a user's own functions: one line that names them, and no folder of a run."""
+
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import make_race
+from quadjax.core.errors import InputError
+from quadjax.training.run import train
+from tests.commands import run
+from tests.config.test_loading import BLANK
+
+SMALL = ["run.steps=64", "run.evaluate_every=64", "network.hidden=[8]", "run.devices=1"]
+OWN = "tests.training.own"
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            f"reward.terms={{{OWN}:vector: 1.0}}",
+            f"reward term {OWN}:vector gives an array of shape (4,), expected one number of shape",
+        ),
+        (f"reward.terms={{{OWN}:nan: 1.0}}", f"reward term {OWN}:nan is not finite after a"),
+        (f"reward.terms={{{OWN}:nothing: 1.0}}", "nothing gives None, expected one number"),
+        (
+            f"reward.terms={{{OWN}:attribute: 1.0}}",
+            f"{OWN}:attribute: AttributeError: 'StepContext' object has no attribute 'nosuch' (",
+        ),
+        (f"rules.extra=['{OWN}:attribute']", f"rule {OWN}:attribute: AttributeError: "),
+        (f"rules.extra=['{OWN}:vector']", "gives an array of shape (4,), expected one number"),
+        (
+            f"observation.extra=['{OWN}:THREE']",
+            "observation field 'three' gives 3 numbers, expected one number (its size)",
+        ),
+        (f"observation.extra=['{OWN}:ARRAYS']", "field 'arrays' gives an array of shape (2,)"),
+        (f"observation.extra=['{OWN}:NAN']", "observation field 'nan' is not finite after a"),
+        (f"observation.extra=['{OWN}:BROKEN']", "field 'broken': AttributeError: 'View' object"),
+        (f"observation.extra=['{OWN}:nan']", f"{OWN}:nan is a function, expected a Field"),
+        (f"learner.algorithm={OWN}:NoLearner", "make() gives a NoneType, expected a quadjax.L"),
+        (f"learner.algorithm={OWN}:NO_STATE", "NO_STATE: init gives ShapeDtypeStruct("),
+        (f"learner.algorithm={OWN}:NO_METRICS", f"learner.algorithm {OWN}:NO_METRICS: "),
+        (f"learner.algorithm={OWN}:DIVIDES", f"{OWN}:DIVIDES: ZeroDivisionError: division"),
+    ],
+)
+def test_a_wrong_function_is_one_line_before_the_folder_exists(override, message, tmp_path):
+    config = load_config(BLANK, [*SMALL, override])
+    with pytest.raises(InputError) as caught:
+        train(config, tmp_path / "run", progress=False)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_error_of_a_users_module_is_one_line_of_the_command(tmp_path, monkeypatch, capsys):
+    (tmp_path / "late.py").write_text(
+        "from quadjax import LearnerSection\n\n\n"
+        "class Late(LearnerSection):\n"
+        "    def make(self, environment, networks, num_updates, max_shards=8):\n"
+        "        return undefined\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert run("train", BLANK, "learner.algorithm=late:Late", *SMALL) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: NameError: name 'undefined' is not defined (")
+    assert "late.py:6" in error and error.count("\n") == 1
+
+
+def test_race_names_an_object_of_the_wrong_kind():
+    with pytest.raises(InputError, match="observation.extra: math:pi is a float, expected a Field"):
+        make_race(load_config(BLANK, ["observation.extra=['math:pi']"]))
