@@ -1,7 +1,8 @@
-"""Pages that MkDocs generates from the package: every config key, and the help of every command."""
+"""Pages that MkDocs generates from the package: config keys, help of commands, flights in 3D."""
 
 import contextlib
 import io
+from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -18,7 +19,19 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     }
     for path, page in pages.items():
         files.append(File.generated(config, path, content=page()))
+    for path in sorted((Path(__file__).parent / "gallery").glob("*.json")):
+        name = f"gallery/{path.stem}.html"
+        files.append(File.generated(config, name, content=flights_page(path)))
     return files
+
+
+def flights_page(path: Path) -> str:
+    """The 3D page of a file of flights."""
+    from quadjax.core.files import read_json
+    from quadjax.view.data import check_record
+    from quadjax.view.page import page
+
+    return page(check_record(path, read_json(path)))
 
 
 def config_page() -> str:

@@ -23,7 +23,7 @@ from quadjax.limits.report import LIMIT
 from quadjax.policy.file import FORMATS, Policy
 from quadjax.vehicle.protocol import Signal
 from quadjax.vehicle.registry import MODELS
-from quadjax.view.data import FORMAT, Scene, check_record, gate_record
+from quadjax.view.data import FORMAT, Scene, check_record, flight_record, gate_record
 from quadjax.view.flight import MOTORS, Flight, Marker, passages, passages_at, strip
 
 SIGNALS = ("time", "position", "velocity", "euler", "rates", "actuators", "command")
@@ -145,10 +145,10 @@ def _gates(options: Options) -> tuple[Gate, ...]:
 
 
 def _gates_of(path: Path, meta: dict[str, Any]) -> list[Gate]:
-    gates = meta.get("track") or []
+    gates = meta.get("track_gates") or []
     if not isinstance(gates, list):
-        raise InputError(f"{path}: track is {gates!r:.80}, expected a list")
-    return [build(Gate, each, f"{path}: track[{index}]") for index, each in enumerate(gates)]
+        raise InputError(f"{path}: track_gates is {gates!r:.80}, expected a list")
+    return [build(Gate, each, f"{path}: track_gates[{index}]") for index, each in enumerate(gates)]
 
 
 def _states(
@@ -224,7 +224,7 @@ def _read_csv(path: Path, name: str, options: Options) -> Source:
 
 
 def flight_of_log(log: FlightLog, gates: tuple[Gate, ...], name: str) -> Flight:
-    """The flying part of a flight log; laps end where the first gate that it passes is passed."""
+    """The flying part of a flight log; a lap ends with the last gate."""
     (going,) = np.nonzero(log.flying)
     part = slice(int(going[0]), int(going[-1]) + 1) if len(going) else slice(None)
     assert log.position is not None and log.attitude is not None
@@ -235,7 +235,9 @@ def flight_of_log(log: FlightLog, gates: tuple[Gate, ...], name: str) -> Flight:
     strips.append(strip("body rates", "rad/s", RATES, log.rates[part]))
     position = log.position[part]
     passed = passages(time, position, gates)
-    ends = passed[passed[:, 1] == passed[0, 1], 0][1:] if len(passed) else np.zeros(0)
+    if len(passed) and passed[0, 1] == len(gates) - 1:  # the start
+        passed = passed[1:]
+    ends = passed[passed[:, 1] == len(gates) - 1, 0]
     velocity = attitude.apply(log.body_velocity[part])
     return Flight(
         name, time, position, velocity, attitude, tuple(strips), passed, ends, note="flight log"
@@ -285,19 +287,18 @@ def scene_record(
             raise InputError(f"{source}: is on another track than {sources[0]}")
         gates = gates or own
     laps = max((len(f.lap_ends) for each in read for f in each.flights), default=1)
-    flights = tuple(f.repeated(laps) for each in read for f in each.flights)
-    markers = {marker.name: marker for each in read for marker in each.markers}
-    records = [each.record for each in read if each.record]
-    record = (
-        records[0]
-        if records and not flights
-        else Scene(title, (), flights, tuple(markers.values())).record()
-    )
-    more = records if flights else records[1:]
-    record = record | {"title": title, "gates": gates}
-    for key in ("flights", "markers"):
-        record[key] = [*record[key], *(item for each in more for item in each[key])]
-    return record
+    first = next((each.record for each in read if each.record), {})
+    drone = first.get("drone") or Scene("", (), ()).drone()
+    flights, markers = [], {}
+    for each in read:
+        flights += each.record["flights"] if each.record else []
+        flights += [flight_record(flight.repeated(laps)) for flight in each.flights]
+        markers |= {one["name"]: one for one in (each.record or {}).get("markers", [])}
+        markers |= {one.name: one.record() for one in each.markers}
+    if not flights:
+        raise InputError("no flight to show, only lap times")
+    whole = {"format": FORMAT, "title": title, "gates": gates, "drone": drone}
+    return whole | {"flights": flights, "markers": list(markers.values())}
 
 
 def _label(source: Path | str) -> str:

@@ -47,13 +47,14 @@ class Scene:
             "format": FORMAT,
             "title": self.title,
             "gates": [gate_record(gate) for gate in self.gates],
-            "drone": {"arm": self.arm, "rotor": self.rotor},
+            "drone": self.drone(),
             "flights": [flight_record(flight) for flight in self.flights],
-            "markers": [
-                {"name": marker.name, "lap_ends": _numbers(marker.lap_ends)}
-                for marker in self.markers
-            ],
+            "markers": [marker.record() for marker in self.markers],
         }
+
+    def drone(self) -> dict[str, float]:
+        """Sizes of the drone as JSON takes them."""
+        return {"arm": self.arm, "rotor": self.rotor}
 
 
 def gate_record(gate: Gate) -> dict[str, Any]:

@@ -139,6 +139,10 @@ class Marker:
     name: str
     lap_ends: np.ndarray
 
+    def record(self) -> dict[str, str | list[float]]:
+        """The marker as JSON takes it."""
+        return {"name": self.name, "lap_ends": [round(float(end), 6) for end in self.lap_ends]}
+
 
 def strip(title: str, unit: str, labels: Sequence[str], values: np.ndarray) -> Strip:
     """Signals of (n, columns); four of a unit of rotation are speeds of rotors."""
@@ -180,7 +184,10 @@ def passages(
         near = np.full(len(at), True) if target is not None else clear > -REACH
         found.append(np.stack([when, np.full(len(at), float(index)), clear], axis=1)[near])
     every = np.concatenate([*found, np.zeros((0, 3))])
-    return every[np.argsort(every[:, 0], kind="stable")]
+    every = every[np.argsort(every[:, 0], kind="stable")]
+    again = np.zeros(len(every), bool)  # a drone that hovers in a gate crosses its plane often
+    again[1:] = (every[1:, 1] == every[:-1, 1]) & (target is None) & (len(gates) > 1)
+    return every[~again]
 
 
 def passages_at(
