@@ -7,6 +7,7 @@ import argparse
 import io
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from PIL import Image
@@ -25,8 +26,8 @@ def main() -> None:
     parser.add_argument("record", type=Path, help="of quadjax view --output FILE.json")
     parser.add_argument("output", type=Path, help=".webp")
     parser.add_argument("--start", type=float, default=2.0, help="s")
-    parser.add_argument("--seconds", type=float, default=4.6)
-    parser.add_argument("--rate", type=float, default=15.0, help="frames per second")
+    parser.add_argument("--seconds", type=float, default=4.5)
+    parser.add_argument("--rate", type=float, default=12.0, help="frames per second")
     parser.add_argument("--turn", type=float, default=40.0, help="of the camera in all, deg")
     parser.add_argument("--size", type=int, nargs=2, default=(840, 472), help="px")
     options = parser.parse_args()
@@ -43,12 +44,11 @@ def main() -> None:
         quality=62,
         method=3,
     )
-    print(
-        f"{options.output}: {len(frames)} frames, {options.output.stat().st_size / 2**20:.2f} MiB"
-    )
+    size = options.output.stat().st_size / 2**20
+    print(f"{options.output}: {len(frames)} frames, {size:.2f} MiB")
 
 
-def _frames(page, options):
+def _frames(page: Path, options: argparse.Namespace) -> Iterator[Image.Image]:
     """Pictures of the scene without the panel, at equal steps of time."""
     count = round(options.seconds * options.rate)
     with sync_playwright() as playwright:
