@@ -226,7 +226,7 @@ def _write(
         write_json(options.json, report)
     if options.npz:
         track = [gate.model_dump(mode="json") for gate in config.track.gates]
-        meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track_gates": track}
+        meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track": track}
         write_npz(options.npz, arrays(problem, best), report | meta)
     if options.figure:
         flights = {"best known": best.trajectory}

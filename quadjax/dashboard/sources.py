@@ -145,10 +145,10 @@ def _gates(options: Options) -> tuple[Gate, ...]:
 
 
 def _gates_of(path: Path, meta: dict[str, Any]) -> list[Gate]:
-    gates = meta.get("track_gates") or []
+    gates = meta.get("track") or []
     if not isinstance(gates, list):
-        raise InputError(f"{path}: track_gates is {gates!r:.80}, expected a list")
-    return [build(Gate, each, f"{path}: track_gates[{index}]") for index, each in enumerate(gates)]
+        raise InputError(f"{path}: track is {gates!r:.80}, expected a list")
+    return [build(Gate, each, f"{path}: track[{index}]") for index, each in enumerate(gates)]
 
 
 def _states(
@@ -197,7 +197,7 @@ def _flight(
         (vehicle.commands, (vehicle.actuators,))
         if vehicle
         else (
-            (Signal("command", commands.shape[1], ""),),
+            (Signal("values", commands.shape[1], ""),),
             (Signal("actuators", actuators.shape[1], ""),),
         )
     )

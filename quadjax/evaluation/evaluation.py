@@ -152,7 +152,7 @@ class Evaluation:
         elif Path(path).suffix == ".npz":
             more = {"lap_times": self.lap_times}
             track = [gate.model_dump(mode="json") for gate in self.gates]
-            meta = {"format": STATES, "vehicle": self.model.name, "track_gates": track}
+            meta = {"format": STATES, "vehicle": self.model.name, "track": track}
             write_npz(path, state_arrays(self.flights) | more, self.to_json() | meta)
         else:
             raise InputError(f"{path}: suffix is {Path(path).suffix!r}, allowed: .npz, .csv")
