@@ -182,11 +182,13 @@ class Search:
                     return "verified"
             elif not np.isfinite(check.drift) or widened == WIDENINGS:
                 return f"rejected: {check.error or 'it misses a gate'}"
-            refine = 2 * trajectory.intervals <= finest
+            refine = change > SAME and 2 * trajectory.intervals <= finest
             if check.drift > 0.0 and not refine:
                 widened += 1
-                margin += 1.2 * check.drift + 2e-5
-                reserve += RESERVE * bool(check.error)
+                if check.error:
+                    reserve += RESERVE
+                else:
+                    margin += 1.2 * check.drift + 2e-5
         return f"no time (at last: {check.error or 'verified'})"
 
     def _limit_rates(self, check: Check) -> None:
