@@ -61,7 +61,7 @@ def _frames(page: Path, options: argparse.Namespace) -> Iterator[Image.Image]:
         tab.goto(page.as_uri())
         tab.wait_for_timeout(1500)
         tab.evaluate(
-            "() => { const v = quadjax.viewer; v.clock.play(false); v.togglePanel();"
+            "() => { const v = quadjax.viewer; v.clock.play(false); v.togglePanel(false);"
             "document.querySelector('.stage nav').hidden = true;"
             "v.magnify(); }"
         )

@@ -31,9 +31,15 @@ if TYPE_CHECKING:
     from quadjax.policy.file import Policy
 
 PICTURES = (".png", ".svg", ".pdf")
+FIGURES = {  # methods of an evaluation by the options that write their figures
+    "figure": "plot",
+    "figure_3d": "plot_3d",
+    "signals": "plot_signals",
+    "attitude": "plot_attitude",
+}
 NOT_ROBUSTNESS = (  # options that have no effect on the flights of --robustness
     *("laps", "gates", "start", "deterministic", "fixed_point", "offsets", "states", "figure"),
-    *("signals", "animation", "body"),
+    *("figure_3d", "signals", "attitude", "animation", "body"),
 )
 
 
@@ -70,6 +76,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--states", metavar="FILE.npz|.csv", help="write all trajectories")
     parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from two sides")
     parser.add_argument("--signals", metavar="FILE.png", help="draw actuators and rates over time")
+    parser.add_argument("--figure-3d", metavar="FILE.png", help="draw the flight in perspective")
+    parser.add_argument("--attitude", metavar="FILE.png", help="draw height and attitude over time")
     parser.add_argument("--animation", metavar="FILE.gif", help="animate the flight")
     arguments = parse(parser, argv)
     if arguments.seconds and not arguments.robustness:
@@ -78,7 +86,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         _refuse_others(arguments)
     if arguments.ranges and not arguments.fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
-    pictures = {"figure": PICTURES, "signals": PICTURES, "animation": (".gif",)}
+    pictures = dict.fromkeys(FIGURES, PICTURES) | {"animation": (".gif",)}
     check_outputs(arguments, json=(), states=(".npz", ".csv"), **pictures)
     return arguments
 
@@ -179,10 +187,10 @@ def _write(evaluation: "Evaluation", options: argparse.Namespace, console: Conso
         write_json(options.json, evaluation.to_json())
     if options.states:
         evaluation.save_states(options.states)
-    if options.figure:
-        save_figure(evaluation.plot(), options.figure)
-    if options.signals:
-        save_figure(evaluation.plot_signals(), options.signals)
+    figures = {method: getattr(options, option) for option, method in FIGURES.items()}
+    for method, path in figures.items():
+        if path:
+            save_figure(getattr(evaluation, method)(), path)
     if options.animation:
         from quadjax.evaluation.animation import frame_count
         from quadjax.training.progress import bar
@@ -190,6 +198,6 @@ def _write(evaluation: "Evaluation", options: argparse.Namespace, console: Conso
         with bar(console=console) as progress:
             task = progress.add_task("animation", total=frame_count(evaluation.flights))
             evaluation.animate(options.animation, lambda: progress.advance(task))
-    for path in (options.json, options.states, options.figure, options.signals, options.animation):
+    for path in (options.json, options.states, *figures.values(), options.animation):
         if path:
             console.print(f"wrote {path}", highlight=False)

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _arguments(arguments)
     with loading():
         from quadjax.dashboard.flyer import Flyer
-        from quadjax.dashboard.server import Server
+        from quadjax.dashboard.server import Document, Server
 
     if not options.folder.is_dir() and options.idle is None:
         raise InputError(f"{options.folder}: no such folder")
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.nice(NICE)
     folder = _folder(options.folder)
     flyer = Flyer(folder)
-    documents = {
+    documents: dict[str, Document] = {
         "/state.json": functools.partial(_state, folder, flyer),
         "/flights.json": lambda: flyer.record,
     }

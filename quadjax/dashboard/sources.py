@@ -289,7 +289,8 @@ def scene_record(
     laps = max((len(f.lap_ends) for each in read for f in each.flights), default=1)
     first = next((each.record for each in read if each.record), {})
     drone = first.get("drone") or Scene("", (), ()).drone()
-    flights, markers = [], {}
+    flights: list[dict[str, Any]] = []
+    markers: dict[str, dict[str, Any]] = {}
     for each in read:
         flights += each.record["flights"] if each.record else []
         flights += [flight_record(flight.repeated(laps)) for flight in each.flights]

@@ -63,18 +63,19 @@ class SweepRun:
         trials = [trial for trial in self._trials() if trial["params"]]
         done = [t for t in trials if t["state"] == "complete" and t["value"] is not None]
         best = min(done, key=lambda trial: trial["value"], default=None)
-        self._best = best and best["index"]
+        self._best = best["index"] if best else None
         return {"trials": trials, "best": self._best, "subtitle": f"{len(trials)} trials"}
 
     def _trials(self) -> list[dict[str, Any]]:
         import optuna
+        from optuna.storages.journal import JournalFileBackend
 
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / JOURNAL  # Optuna opens a journal for writing
             shutil.copyfile(self._folder / JOURNAL, copy)
             text = copy.read_bytes()
             copy.write_bytes(text[: text.rfind(b"\n") + 1])  # without a line that is being written
-            backend = optuna.storages.journal.JournalFileBackend(str(copy))
+            backend = JournalFileBackend(str(copy))
             storage = optuna.storages.JournalStorage(backend)
             trials: list[dict[str, Any]] = []
             for study in storage.get_all_studies():

@@ -20,6 +20,7 @@ from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_i
 from quadjax.core.provenance import provenance
 from quadjax.evaluation import viewing
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
+from quadjax.evaluation.figures_3d import attitude_figure, space_figure
 from quadjax.evaluation.recording import (
     Recording,
     choose,
@@ -115,6 +116,15 @@ class Evaluation:
     def plot_signals(self) -> Figure:
         """Actuators and body rates of the best run over time."""
         return signals_figure(self.best, flight_title(self.best))
+
+    def plot_3d(self) -> Figure:
+        """The best run in perspective, colored by speed."""
+        best = self.best
+        return space_figure([best], self.gates, flight_title(best))
+
+    def plot_attitude(self) -> Figure:
+        """Height, speed and Euler angles of the best run over time."""
+        return attitude_figure({"": self.best}, flight_title(self.best))
 
     def show(self, path: Path | str | None = None) -> None:
         """Show the runs in 3D: in a notebook, or as a page in the browser.

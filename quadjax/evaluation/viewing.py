@@ -72,14 +72,15 @@ def split(signals: Sequence[Signal], values: np.ndarray, prefix: str) -> list[St
     """The columns (n, k) of commands or actuators as strips, one for each signal of a model."""
     ends = np.cumsum([signal.size for signal in signals])[:-1]
     return [
-        strip(prefix + title_of(signal), signal.unit, labels_of(signal), own)
+        strip(title_of(signal, prefix), signal.unit, labels_of(signal), own)
         for signal, own in zip(signals, np.split(values, ends, axis=1), strict=True)
     ]
 
 
-def title_of(signal: Signal) -> str:
-    """The name of a signal in words."""
-    return {"rpm": "rotor speed"}.get(signal.name, signal.name.replace("_", " "))
+def title_of(signal: Signal, prefix: str) -> str:
+    """The name of a signal in words; one that is called a command has no prefix."""
+    words = {"rpm": "rotor speed"}.get(signal.name, signal.name.replace("_", " "))
+    return words if "command" in words else prefix + words
 
 
 def labels_of(signal: Signal) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from quadjax.core.plotting import SPEED_COLORS, save_figure
 from quadjax.evaluation import animation, scene
 from quadjax.evaluation.curves import training_figure
 from quadjax.evaluation.figures import signals_figure, trajectory_figure
+from quadjax.evaluation.figures_3d import attitude_figure, space_figure
 from quadjax.evaluation.recording import Recording, opening
 from quadjax.training.metrics import read_metrics
 
@@ -193,3 +194,36 @@ def test_both_views_look_from_above():
     up = scene.from_the_side(np.zeros(3), 10.0).project(np.array([0.0, 0.0, -1.0]))
     assert up[1] < 0
     assert np.allclose(np.linalg.det(scene.from_the_side(np.zeros(3), 10.0).axes), 1.0)
+
+
+def test_a_flight_in_space_has_its_gates_and_equal_scales():
+    flight = circle()
+    figure = space_figure([flight], GATES, "title")
+    axes = figure.axes[0]
+    limits = np.array([axes.get_xlim(), axes.get_ylim()[::-1], axes.get_zlim()])
+    height = -flight.position[:, 2]
+    assert limits[2, 0] == 0.0 and limits[2, 1] > height.max()
+    box = np.array(axes._box_aspect)
+    np.testing.assert_allclose(box / box[0], np.ptp(limits, axis=1) / np.ptp(limits[0]))
+    assert {text.get_text().strip() for text in axes.texts} >= {"1", "2"}
+    assert colors(pixels(figure)) > 50
+
+
+def test_height_and_attitude_are_drawn_upwards_and_in_degrees():
+    flight = circle()
+    axes = attitude_figure({"one": flight}).axes
+    lines = [panel.lines[0].get_ydata() for panel in axes]
+    np.testing.assert_allclose(lines[0], -flight.position[:, 2])
+    np.testing.assert_allclose(lines[1], flight.speed)
+    for line, angle in zip(lines[2:], flight.euler.T, strict=True):
+        np.testing.assert_allclose(np.radians(line), np.unwrap(angle), atol=1e-9)
+    with pytest.raises(InputError, match="0 flights to draw"):
+        attitude_figure({})
+
+
+@pytest.mark.parametrize("suffix", ["svg", "pdf"])
+def test_figures_in_space_are_vectors(tmp_path, suffix):
+    path = tmp_path / f"flight.{suffix}"
+    save_figure(space_figure([circle()], GATES), path)
+    start = path.read_bytes()[:400]
+    assert b"%PDF" in start or b"<svg" in start

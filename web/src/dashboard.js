@@ -70,7 +70,7 @@ export class Dashboard {
     this.viewer?.destroy();
     this.scene.replaceChildren();
     this.viewer = new Viewer(this.scene, record, { play: true, view });
-    this.viewer.togglePanel();
+    this.viewer.togglePanel(false);
     window.quadjax.viewer = this.viewer;
   }
 

@@ -95,7 +95,7 @@ export class Panel {
       : total ? `${Math.min(laps + 1, total)}/${total}` : "–";
     const gap = flight === leader ? null : gapTo(leader, flight, time);
     cells.gap.textContent = lost ? flight.crash : ended && laps ? `${seconds(flight.lapEnds[laps - 1])} s`
-      : flight === leader ? "leads" : gap === null ? "–" : `+${seconds(gap)}`;
+      : flight === leader ? (this.flights.length > 1 ? "leads" : "") : gap === null ? "–" : `+${seconds(gap)}`;
     cells.speed.textContent = ended ? "" : flight.at(flight.speed, 1, 0, time).toFixed(1);
     element.classList.toggle("ended", ended);
   }
@@ -110,7 +110,8 @@ export class Panel {
     const values = [
       ["time", `${seconds(now)} s`],
       ["this lap", laps < flight.lapEnds.length || !laps ? `${seconds(now - started)} s` : "–"],
-      ["gap", gap === null ? "–" : gap ? `+${seconds(gap)} s` : "leads"],
+      this.flights.length < 2 ? ["laps", String(laps)]
+        : ["gap", gap === null ? "–" : gap ? `+${seconds(gap)} s` : "leads"],
       ["speed", `${flight.at(flight.speed, 1, 0, now).toFixed(1)} m/s`],
       ["load", `${flight.at(flight.load, 1, 0, now).toFixed(1)} g`],
       ["height", `${height.toFixed(1)} m`],

@@ -16,6 +16,7 @@ import { Trails } from "./trails.js";
 const STEP = 0.02; // s, of the step buttons
 const PANEL_EVERY = 100; // ms between updates of the panel
 const SLOW = 24; // ms a frame above which fewer pixels are drawn
+const NARROW = 900; // px, below which the panel is hidden until it is asked for
 const TRAILS = { "1.5 s": 1.5, "5 s": 5, "whole flight": Infinity, none: 0 };
 
 export function softwareRendering() {
@@ -105,6 +106,8 @@ export class Viewer {
       el("div", { class: "stage" }, this.canvas, this.labels.element, this.head(data),
         this.buttons(), this.legend(), this.lens(), this.help()),
       this.panel.element, this.bar.element);
+    const { clientWidth } = this.root;
+    if (clientWidth > 640 && clientWidth < NARROW) this.togglePanel(false);
     this.root.append(this.element);
   }
 
@@ -123,7 +126,7 @@ export class Viewer {
     const select = el("select", { "aria-label": "trail", title: "trail",
       onchange: () => this.setTrail(TRAILS[select.value]) },
     ...Object.keys(TRAILS).map((name) => el("option", { value: name, text: `trail: ${name}` })));
-    this.sizeButton = el("button", { text: "×1", title: "size of the drones (d)",
+    this.sizeButton = el("button", { text: "size ×1", title: "size of the drones (d)",
       onclick: () => this.magnify() });
     const panelButton = el("button", { text: "panel", title: "show or hide the panel (p)",
       onclick: () => this.togglePanel() });
@@ -131,14 +134,15 @@ export class Viewer {
       el("div", { class: "group" }, select, this.sizeButton, panelButton,
         el("button", { text: "◐", title: "light or dark (t)", "aria-label": "light or dark",
           onclick: () => theme.toggle() }),
-        el("button", { text: "?", title: "keys (h)", onclick: () => this.toggleHelp() })));
+        el("button", { text: "keys", title: "keys (h)", onclick: () => this.toggleHelp() })));
   }
 
   legend() {
     this.gradient = el("div", { class: "gradient" });
     const [low, high] = this.range;
     return el("div", { class: "legend" }, el("span", { text: "trail: speed" }),
-      el("span", { text: low.toFixed(0) }), this.gradient, el("span", { text: `${high.toFixed(0)} m/s` }));
+      el("span", { text: low.toFixed(0) }), this.gradient, el("span", { text: `${high.toFixed(0)} m/s` }),
+      this.gates.length ? el("span", { class: "next", text: "next gate" }) : null);
   }
 
   lens() {
@@ -170,8 +174,8 @@ export class Viewer {
     this.helpBox.hidden = !this.helpBox.hidden;
   }
 
-  togglePanel() {
-    this.element.classList.toggle("no-panel");
+  togglePanel(shown = this.element.classList.contains("no-panel")) {
+    this.element.classList.toggle("no-panel", !shown);
   }
 
   setTrail(span) {
@@ -181,7 +185,7 @@ export class Viewer {
 
   magnify() {
     this.drones.magnification = { 1: 2, 2: 4, 4: 1 }[this.drones.magnification];
-    this.sizeButton.textContent = `×${this.drones.magnification}`;
+    this.sizeButton.textContent = `size ×${this.drones.magnification}`;
     this.dirty = true;
   }
 
