@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import check_file
 from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.resources import find_policy
 from quadjax.core.sections import FOLDER_NAME
 from quadjax.core.yaml_files import close_match, short
 
@@ -40,6 +41,7 @@ def positive(text: str) -> float:
     return value
 
 
+POLICIES = {"policy", "e2e", "indi", "without"}  # options that name policy files
 seed, laps, runs = whole(0, MAX_SEED), whole(1, MAX_LAPS), whole(1, MAX_RUNS)
 gates = whole(1, MAX_GATES)
 count = whole(1, 10**6)
@@ -75,9 +77,19 @@ def parse(parser: Parser, arguments: Sequence[str] | None = None) -> argparse.Na
         if option not in known:
             raise InputError(f"unknown option {option}{close_match(option, known)} (try --help)")
     try:
-        return parser.parse_intermixed_args(argv)
+        options = parser.parse_intermixed_args(argv)
     except argparse.ArgumentError as error:
         raise InputError(f"{error} (try --help)") from error
+    for key in POLICIES & vars(options).keys():
+        setattr(options, key, _shipped(getattr(options, key)))
+    return options
+
+
+def _shipped(value: Any) -> Any:
+    """The value of an option that names policy files, with the paths of shipped ones."""
+    if isinstance(value, list):
+        return [_shipped(each) for each in value]
+    return type(value)(find_policy(value)) if isinstance(value, (str, Path)) else value
 
 
 def add_config(

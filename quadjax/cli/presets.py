@@ -1,5 +1,6 @@
 """List the presets that ``quadjax train``, ``quadjax config`` and ``quadjax.load`` take by name."""
 
+import textwrap
 from collections.abc import Sequence
 
 from quadjax.cli.arguments import Parser, parse
@@ -12,7 +13,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     names = preset_names()
     width = max(map(len, names))
     for name in names:
-        print(f"{name:<{width}}  {_description(name)}")
+        start = f"{name:<{width}}  "
+        print(textwrap.fill(start + _description(name), 79, subsequent_indent=" " * len(start)))
 
 
 def _description(name: str) -> str:

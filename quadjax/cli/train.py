@@ -122,12 +122,16 @@ def _present(run: "Run") -> None:
         write_json(folder / "laps.json", sampled.to_json())
         write_json(folder / "laps_deterministic.json", steady.to_json())
         save_figure(steady.plot(), folder / "trajectory.png")
-        curves = training_figure({config.name: run.metrics}, config.name, published_total(config))
-        save_figure(curves, folder / "curves.png")
+        metrics = run.metrics
+        if len(metrics["steps"]):
+            curves = training_figure({config.name: metrics}, config.name, published_total(config))
+            save_figure(curves, folder / "curves.png")
+    if not len(metrics["steps"]):
+        print(f"{folder / 'metrics.csv'}: no rows, so there are no curves of the training")
     print(lap_table({each.label(): each for each in (sampled, steady)}))
     print(_report(run))
     if run.summary["best_lap_total"] is None:
-        print(no_lap((*sampled.laps.crashes, *steady.laps.crashes)))
+        print(no_lap((*sampled.laps.crashes, *steady.laps.crashes), run.summary["steps"]))
 
 
 def _report(run: "Run") -> str:

@@ -43,17 +43,22 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Verify, and print the table."""
+    """Verify, and print each row of the table when its check has run."""
     options = _arguments(arguments)
     with loading():
         from quadjax.core.files import write_json
         from quadjax.core.provenance import provenance
-        from quadjax.export.verify.result import FAILED, table_text
-        from quadjax.export.verify.run import verify
+        from quadjax.export.verify.result import FAILED, Result, counts_text, row_text
+        from quadjax.export.verify.run import CHECKS, verify
 
     def announce(name: str) -> None:
         if sys.stderr.isatty():
             print(f"\r\033[K{name} ..", end="", file=sys.stderr, flush=True)
+
+    def report(result: Result) -> None:
+        if sys.stderr.isatty():
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+        print(row_text(result, max(map(len, CHECKS))), flush=True)
 
     results = verify(
         options.folder,
@@ -62,10 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         announce,
         allow_unfinished=options.allow_unfinished,
         allow_other_race=options.allow_other_race,
+        report=report,
     )
-    if sys.stderr.isatty():
-        print("\r\033[K", end="", file=sys.stderr)
-    print(table_text(results))
+    print(f"\n{counts_text(results)}")
     if options.json:
         rows = [dataclasses.asdict(result) for result in results]
         origin = provenance(policy=options.folder / "policy.npz")

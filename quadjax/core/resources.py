@@ -30,3 +30,10 @@ def find_config(name: Path | str, folder: str = "") -> Path:
     preset = CONFIGS / folder / f"{name}.yaml"
     with reading(name):
         return preset if path.suffix == "" and not path.exists() and preset.is_file() else path
+
+
+def find_policy(name: Path | str) -> Path:
+    """The path of a policy: a file, or a shipped one by its name without ``.npz``."""
+    path, shipped = Path(name), PRETRAINED / f"{name}.npz"
+    with reading(name):
+        return shipped if path.suffix == "" and not path.exists() and shipped.is_file() else path

@@ -4,6 +4,7 @@ import difflib
 import json
 import math
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.files import read_text
 from quadjax.core.resources import CONFIGS
 
+WIDTH = 79  # of comments, characters
 Tree = dict[str, Any]
 
 MAX_BYTES = 2**20  # of one file
@@ -199,7 +201,7 @@ def to_yaml(tree: Mapping[str, object], comments: Mapping[str, str] | None = Non
 
     Args:
         tree: plain values; ``section.model_dump()`` of a section.
-        comments: text for the line above a key, by dotted key.
+        comments: text for the lines above a key, by dotted key.
     """
     return "".join(f"{line}\n" for line in _lines(tree, "", 0, comments or {}))
 
@@ -209,7 +211,15 @@ def _lines(tree: Mapping[str, object], prefix: str, depth: int, comments: Mappin
     for key, value in tree.items():
         dotted = f"{prefix}{key}"
         if dotted in comments:
-            lines.append(f"{indent}# {comments[dotted]}")
+            start = f"{indent}# "
+            lines += textwrap.wrap(
+                comments[dotted],
+                WIDTH,
+                initial_indent=start,
+                subsequent_indent=start,
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
         if isinstance(value, Mapping) and value:
             lines.append(f"{indent}{_flow(key)}:")
             lines += _lines(value, f"{dotted}.", depth + 1, comments)

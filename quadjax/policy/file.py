@@ -18,6 +18,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
+from quadjax.core.resources import find_policy
 from quadjax.policy import foreign, inference
 from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.layout import DISTURBANCES, Layout
@@ -82,9 +83,9 @@ class Policy:
         """Read and check a policy file, or import one of another project.
 
         Args:
-            path: a policy file (``.npz``); or a model of Stable-Baselines3 (``.zip``), a PyTorch
-                state dict (``.pt``, ``.pth``) or C arrays (``.c``, ``.h``), which need a config.
-                Nothing in them is executed.
+            path: a policy file (``.npz``), or the name of a shipped one; or a model of
+                Stable-Baselines3 (``.zip``), a PyTorch state dict (``.pt``, ``.pth``) or C arrays
+                (``.c``, ``.h``), which need a config. Nothing in them is executed.
             config: of the race that a file of another project was trained in: a config, a preset's
                 name or a YAML file. A policy file does not need it.
             activation: of an imported network whose file does not say, "relu" or "tanh".
@@ -93,6 +94,7 @@ class Policy:
         Raises:
             InputError: a missing, damaged or inconsistent file, in one line.
         """
+        path = find_policy(path)
         if foreign.is_foreign(path):
             if config is None:
                 raise InputError(

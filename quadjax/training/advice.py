@@ -1,8 +1,10 @@
 """Advice for a training run that completes no lap."""
 
+import textwrap
 from collections import Counter
 from collections.abc import Iterable
 
+FEW_STEPS = 4e6  # before which hardly any run completes a lap
 GUIDE = "docs/guide/track.md, When it does not learn"
 CHANGES = {  # by the reason of CRASHES
     "hit a gate": "raise reward.gate_edge or run.steps; for gates too close to each other to be "
@@ -16,19 +18,23 @@ CHANGES = {  # by the reason of CRASHES
 }
 
 
-def no_lap(crashes: Iterable[str]) -> str:
-    """Why the flights of a policy that completes no race ended, and what to change: two lines.
+def no_lap(crashes: Iterable[str], steps: float) -> str:
+    """Why the flights of a policy that completes no race ended, and what to change.
 
     Args:
         crashes: why each flight ended: a reason of ``quadjax.race.result.CRASHES``, or "".
+        steps: environment steps of the training.
 
     Returns:
-        The lines, or nothing if every flight completed its laps.
+        Lines of at most 79 characters, or nothing if every flight completed its laps.
     """
     counts = Counter(reason for reason in crashes if reason)
     if not counts:
         return ""
     total = sum(counts.values())
     shares = ", ".join(f"{reason} ({n} of {total})" for reason, n in counts.most_common())
-    most = counts.most_common(1)[0][0]
-    return f"no flight completes its laps yet: {shares}\n{CHANGES[most]}; see {GUIDE}"
+    advice = f"{CHANGES[counts.most_common(1)[0][0]]}; see {GUIDE}"
+    if steps < FEW_STEPS:
+        advice = f"{steps:,.0f} steps are few: the first laps take some millions (run.steps)"
+    lines = (f"no flight completes its laps yet: {shares}", advice)
+    return "\n".join(textwrap.fill(line, 79, break_on_hyphens=False) for line in lines)

@@ -32,7 +32,7 @@ from quadjax.learners.sharding import Chunk
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams
-from quadjax.training.advice import no_lap
+from quadjax.training.advice import FEW_STEPS, no_lap
 from quadjax.training.build import build_learner, initial_policy, plan, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints
 from quadjax.training.folder import FILES, KIND, prepare_folder
@@ -181,9 +181,9 @@ class _Callbacks:
                 metrics.write(row)
                 if self.shown is not None:
                     self.shown.show(row)
-                    late = row["steps"] >= ADVISE_AFTER * self.job.steps
+                    late = row["steps"] >= max(ADVISE_AFTER * self.job.steps, FEW_STEPS)
                     if late and not advised and not math.isfinite(row["best_lap_total"]):
-                        self.shown.note(no_lap(score.crashes))
+                        self.shown.note(no_lap(score.crashes, row["steps"]))
                         advised.append(row)
             if self.enough is not None and self.enough(row):
                 ended.append(row)

@@ -48,11 +48,19 @@ def test_without_a_lap_the_reward_is_shown():
 
 
 def test_without_a_lap_it_says_what_ended_the_flights_and_what_to_change():
-    causes, changes = no_lap(["hit a gate", "out of bounds", "hit a gate", ""]).splitlines()
+    causes, changes = no_lap(["hit a gate", "out of bounds", "hit a gate", ""], 1e8).split("\n", 1)
     assert causes.endswith("hit a gate (2 of 3), out of bounds (1 of 3)")
     assert "reward.gate_edge" in changes and "When it does not learn" in changes
     assert set(CHANGES) == set(CRASHES) - {""}  # every reason has its advice
-    assert no_lap(["", ""]) == ""
+    assert no_lap(["", ""], 1e8) == ""
+    every = [no_lap([reason] * 9, steps) for reason in CHANGES for steps in (1e5, 1e8)]
+    assert max(len(line) for text in every for line in text.splitlines()) < 80
+
+
+def test_after_a_short_run_the_advice_is_more_steps():
+    assert no_lap(["hit a gate"], 20_000).endswith(
+        "20,000 steps are few: the first laps take some millions (run.steps)"
+    )
 
 
 def test_a_note_is_printed_whole_above_the_progress():
@@ -60,6 +68,6 @@ def test_a_note_is_printed_whole_above_the_progress():
     console = Console(file=stream, force_terminal=True, width=80, color_system=None)
     with TrainingProgress(20_000_000, "run", console) as progress:
         progress.show(ROW)
-        progress.note(no_lap(["hit the ground"]))
+        progress.note(no_lap(["hit the ground"], 1e8))
     printed = " ".join(stream.getvalue().split())
     assert "hit the ground (1 of 1)" in printed and "lower start.position" in printed

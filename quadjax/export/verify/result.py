@@ -1,6 +1,7 @@
 """Results of checks, and their table."""
 
 import dataclasses
+import textwrap
 import time
 from collections.abc import Callable
 
@@ -45,16 +46,24 @@ def require(condition: bool, message: str) -> None:
         raise Failed(message)
 
 
-def table_text(results: list[Result]) -> str:
-    """The table as text."""
-    width = max(len(result.check) for result in results)
-    lines = []
-    for r in results:
-        lines.append(f"{r.check:<{width}}  {r.verdict:<8}  {r.seconds:6.1f} s  {r.figure}")
+def row_text(result: Result, width: int) -> str:
+    """A row of the table, of lines of at most 79 characters where words allow it.
+
+    Args:
+        result: of one check.
+        width: of the names of the checks.
+    """
+    start = f"{result.check:<{width}}  {result.verdict:<8}  {result.seconds:6.1f} s  "
+    indent = " " * len(start)
+    return textwrap.fill(
+        start + result.figure, 79, subsequent_indent=indent, break_long_words=False
+    )
+
+
+def counts_text(results: list[Result]) -> str:
+    """How many checks passed, failed and were skipped, and the time of all."""
     counts = {v: sum(r.verdict == v for r in results) for v in (PASSED, FAILED, SKIPPED)}
-    lines.append("")
-    lines.append(
+    return (
         f"{counts[PASSED]} passed, {counts[FAILED]} failed, {counts[SKIPPED]} skipped; "
         f"{sum(r.seconds for r in results):.0f} s"
     )
-    return "\n".join(lines)

@@ -50,6 +50,7 @@ def verify(
     only: Sequence[str] | None = None,
     allow_unfinished: bool = False,
     allow_other_race: bool = False,
+    report: Callable[[Result], None] = lambda _: None,
 ) -> list[Result]:
     """Verify an exported folder: build and run it with the tools of this machine.
 
@@ -62,6 +63,7 @@ def verify(
             not given.
         allow_unfinished: accept a policy that was exported although it does not finish its race.
         allow_other_race: accept an export for another race than the one in the policy file.
+        report: called with every result.
 
     Returns:
         A result for each check, in order.
@@ -75,12 +77,14 @@ def verify(
     chosen = [name for name in CHECKS if only is None or name in only]
     announce(SOURCES)
     results = [run_check(SOURCES, lambda: check_sources(folder))]
+    report(results[0])
     with tempfile.TemporaryDirectory() as work:
         context = Context(_copied(folder, Path(work) / "c"), Path(work), vectors, runs)
         context.allow_unfinished, context.allow_other_race = allow_unfinished, allow_other_race
         for name in chosen:
             announce(name)
             results.append(run_check(name, functools.partial(CHECKS[name], context)))
+            report(results[-1])
     return results
 
 
