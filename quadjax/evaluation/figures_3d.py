@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from quadjax.config.schema import Gate
@@ -52,7 +53,8 @@ def space_figure(flights: Sequence[Recording], gates: Sequence[Gate], title: str
     lowest, highest = every.min(axis=0) - 0.3, every.max(axis=0) + 0.3
     lowest[2] = 0.0
     axes.set(xlim=(lowest[0], highest[0]), ylim=(highest[1], lowest[1]), zlim=(0.0, highest[2]))
-    axes.set_box_aspect(highest - lowest)
+    axes.set_box_aspect(highest - lowest, zoom=1.1)
+    axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.view_init(ELEVATION, AZIMUTH)
     axes.set_xlabel("x, north (m)", color=INK)
     axes.set_ylabel("y, east (m)", color=INK)

@@ -5,6 +5,9 @@ import hashlib
 import html
 import json
 import re
+import sys
+import types
+import webbrowser
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from quadjax.core.errors import InputError
 from quadjax.view.data import MISSING, encoded
 from quadjax.view.flight import passages
+from quadjax.view.notebook import show
 from quadjax.view.page import ASSETS, frame, page
 from tests.view.scenes import AHEAD, GATES, HEIGHT, RADIUS, circle, scene
 
@@ -137,3 +141,21 @@ def test_flights_that_cannot_be_shown_are_refused():
     lost = circle("lost", position=np.full_like(flight.position, np.nan))
     with pytest.raises(InputError, match="lost: a position is not finite"):
         scene(lost).record()
+
+
+def test_show_opens_a_page_outside_of_notebooks(monkeypatch, tmp_path):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    show(scene(circle("one")).record(), tmp_path / "flights.html")
+    assert opened == [(tmp_path / "flights.html").as_uri()]
+    assert "quadjax-flights/1" in (tmp_path / "flights.html").read_text(encoding="utf-8")
+
+
+def test_show_displays_a_frame_in_notebooks(monkeypatch):
+    displayed = []
+    shell = types.SimpleNamespace(kernel=object())
+    screen = types.SimpleNamespace(HTML=str, display=displayed.append)
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setitem(sys.modules, "IPython.display", screen)
+    show(scene(circle("one")).record())
+    assert displayed[0].startswith("<iframe srcdoc=") and 'sandbox="allow-scripts"' in displayed[0]
