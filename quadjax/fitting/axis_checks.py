@@ -44,6 +44,7 @@ class Evidence:
     least: float | np.ndarray  # standard deviation of ``shown`` that is motion and not noise
     slack: float = 0.0  # s, that the columns may be late for another reason
     vectors: bool = True  # three columns along perpendicular axes
+    scaled: bool = True  # whether a change of the columns is as large as that of the signals
 
 
 @dataclass(frozen=True)
@@ -237,7 +238,9 @@ def _misaligned(evidence: Evidence, config: LogsConfig) -> list[str]:
     factors = {
         i: factor
         for i in range(len(evidence.columns))
-        if moves[i] and (factor := wrong_factor(measured[:, i], shown[:, i], config))
+        if evidence.scaled
+        and moves[i]
+        and (factor := wrong_factor(measured[:, i], shown[:, i], config))
     }
     clauses = [
         f"column {evidence.columns[i]!r} is {factor:.3g} times the {evidence.meanings[i]}"

@@ -100,8 +100,25 @@ def check_commands(log: "FlightLog", config: LogsConfig) -> list[str]:
         least=100.0,
         slack=2.0 * LAG,
         vectors=False,
+        scaled=False,
     )
-    return compare(log, [evidence], config)
+    unchecked = compare(log, [evidence], config)
+    _check_levels(log, config)
+    return unchecked
+
+
+def _check_levels(log: "FlightLog", config: LogsConfig) -> None:
+    """Commands and speeds have the same level; motors at their limit do not follow every change."""
+    rows = inner_rows(log)
+    if log.rpm_command is None or not len(rows):
+        return
+    levels = np.median(log.rpm_command[rows], axis=0) / np.median(log.rpm[rows], axis=0)
+    factor, most = float(np.median(levels)), 1.0 + config.max_scale_error
+    if not 1.0 / most <= factor <= most:
+        raise InputError(
+            f"{log.path}: columns {listed(log.columns['rpm_command'])} are {factor:.3g} times the "
+            f"speeds {listed(log.columns['rpm'])} (logs.units.rpm, logs.max_scale_error)"
+        )
 
 
 def _check_each_speed(log: "FlightLog", config: LogsConfig) -> None:

@@ -17,6 +17,7 @@ from quadjax.fitting.nominal import AXES
 from quadjax.fitting.prepare import Samples
 
 LEAST_RATE, LEAST_THRUST = 0.05, 0.2  # rad/s and m/s^2, of the commands' change
+LEAST_EXPLAINED = 0.2  # R^2 of a lag that is used
 
 
 @dataclass(frozen=True)
@@ -60,13 +61,18 @@ def fit_rate_model(
     rows = np.isin(samples.flight, usable)
     for name, axis in (("d_x", "ax"), ("d_y", "ay")):
         values[name], errors[name], explained[name] = _drag(samples[rows], axis)
-    warnings = [lag.warning for lag in lags.values() if lag.warning]
+    warnings = []
     for name, lag in lags.items():
-        known = lag.r_squared > 0.0 and np.isfinite(lag.standard_error)
+        known = lag.r_squared > LEAST_EXPLAINED and np.isfinite(lag.standard_error)
         values[name] = lag.tau if known else base[name]
         errors[name], explained[name] = lag.standard_error, lag.r_squared
-        if not known and np.isfinite(lag.standard_error):
-            warnings.append(f"{name}: no lag explains the logs; {base[name]:g} s is kept")
+        if known or not np.isfinite(lag.standard_error):
+            warnings += [lag.warning] if lag.warning else []
+        else:
+            warnings.append(
+                f"{name}: a lag explains {max(lag.r_squared, 0.0):.0%} of the signal in the logs; "
+                f"the base vehicle's {base[name]:g} s is kept"
+            )
     for name in ("d_x", "d_y"):
         if not values[name] > 2.0 * errors[name]:
             warnings.append(

@@ -158,6 +158,12 @@ def minus(*names):
             },
         ),
         (
+            "columns 'rpm_ref_1', .* are 1.5 times the speeds 'rpm_obs_1', .*logs.units.rpm",
+            lambda columns: {
+                name: 1.5 * columns[name] for name in PRESETS["paparazzi"]["rpm_command"]
+            },
+        ),
+        (
             "column 'rpm_obs_3' is 1.53 times the other motors' speeds",
             lambda columns: {"rpm_obs_3": 1.5 * columns["rpm_obs_3"]},
         ),
@@ -180,6 +186,15 @@ def test_noise_is_not_a_contradiction(bebop):
     noise = SensorNoise(rpm=100.0, gyro=0.05, acceleration=1.0, velocity=0.1, angle=0.01)
     noisy = simulate_flight(VehicleParams(bebop), 3, 4.0, 250.0, noise)
     log_of_columns(noisy, LogsConfig(format="paparazzi"), "flight")
+
+
+def test_motors_need_not_follow_all_of_a_change(flown):
+    """Commands that change twice as much as the speeds, such as those beyond a motor's limits."""
+    hasty = {
+        name: 2.0 * flown[name] - np.median(flown[name])
+        for name in PRESETS["paparazzi"]["rpm_command"]
+    }
+    log_of_columns(flown | hasty, LogsConfig(format="paparazzi"), "flight")
 
 
 def test_every_fault_is_refused_without_attitude_and_position(flown):
