@@ -172,7 +172,7 @@ def draw_gate(axes: Axes, gate: Gate, reach: float, scale: float = 1.0) -> None:
     if gate.pitch_deg or gate.roll_deg:
         x, y, _ = gate_outline(gate).T
         axes.plot(x, y, color=INK, linewidth=1.8, zorder=4, alpha=0.6)
-    line = {"color": INK, "linewidth": 4.0 * scale, "solid_capstyle": "butt"}
+    line: dict[str, Any] = {"color": INK, "linewidth": 4.0 * scale, "solid_capstyle": "butt"}
     axes.plot(*ends.T, **line, zorder=4, alpha=0.85)
     axes.plot(*ends.T, "o", color=INK, markersize=7 * scale, zorder=5)
     axes.annotate(

@@ -4,20 +4,16 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.files import write_json, write_text
-from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
-from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.recording import recordings as simulated_recordings
 from quadjax.evaluation.tables import format_table, lap_row
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import recordings
 from quadjax.race.laps import Laps
-from quadjax.studies import comparison_figures as figures
 from quadjax.studies.ablation import present
 from quadjax.studies.comparison import (
     FLIGHTS,
@@ -33,7 +29,8 @@ from quadjax.studies.comparison import (
     rows,
 )
 from quadjax.studies.drawn_plants import OnPlants, conditions, interval, plants_table
-from quadjax.studies.plant_races import gate_centers
+from quadjax.studies.report.flights import RATES, RPM, Flight, make_flight
+from quadjax.studies.report.run import fastest_signals, write_report
 from quadjax.training.paper import LAPS, PUBLISHED, Row
 
 PARTS = ("table", "plants", "ablation")
@@ -124,50 +121,35 @@ def _numbers(setting: Setting, own: Compared) -> dict[str, object]:
     }
 
 
-def compared_progress(setting: Setting, e2e: Compared, indi: Compared) -> Figure:
-    """Progress of both contenders, simulated and on the plant, relative to the slowest.
-
-    The best of the recorded flights on the plant is shown.
-    """
-    centers, lines = gate_centers(setting.race), {}
-    for own in (e2e, indi):
-        name, best = own.contender.name, best_recorded(own.on_plant.laps)
-        dt = setting.race.rules.time_step
-        lines[f"{name} simulated"] = figures.simulated_progress(own.trace, 0, dt, centers)
-        lines[f"{name} stand-in plant"] = figures.plant_progress(own.on_plant, best, centers)
-    slowest = max(time[-1] / max(made[-1], 1e-3) for time, made in lines.values())
-    return figures.progress_figure(lines, 1.0 / slowest, "relative progress")
+def flights_of(setting: Setting, *compared: Compared) -> dict[str, list[Flight]]:
+    """The recorded flights of each contender, in the simulator and on the plant, for a report."""
+    track, dt = setting.race.track, setting.race.rules.time_step
+    groups: dict[str, list[Flight]] = {}
+    for own in compared:
+        name, commands = (
+            own.contender.name,
+            RPM if own.contender.policy.vehicle == "motor" else RATES,
+        )
+        worlds = {
+            f"{name} simulated": simulated_recordings(own.trace, own.simulated, dt)[:FLIGHTS],
+            f"{name} stand-in plant": recordings(own.on_plant),
+        }
+        for label, flown in worlds.items():
+            groups[label] = [
+                make_flight(label, f"{run}", recording, track, commands)
+                for run, recording in enumerate(flown, start=1)
+            ]
+    return groups
 
 
 def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result: dict) -> None:
-    gates, dt = setting.race.track.gates, setting.race.rules.time_step
-    for own in (e2e, indi):
-        name = own.contender.name
-        stem = name.lower()
-        few = simulated_recordings(own.trace, own.simulated, dt)[:FLIGHTS]
-        title = f"{name} in the simulator, {FLIGHTS} flights"
-        save_figure(trajectory_figure(few, gates, title), folder / f"{stem}_simulator.png")
-        title = f"{name} on the stand-in plant, {FLIGHTS} flights"
-        on_plant = recordings(own.on_plant)
-        save_figure(trajectory_figure(on_plant, gates, title), folder / f"{stem}_plant.png")
-    save_figure(compared_progress(setting, e2e, indi), folder / "progress.png")
-    motor, rate = (setting.race.vehicle.with_model(m).constants for m in ("motor", "rate"))
-    figure, deviation = figures.rpm_figure(e2e.on_plant, motor["tau"])
-    save_figure(figure, folder / "rpm.png")
-    taus = [rate["tau_rate"]] * 3 + [rate["tau_thrust"]]
-    other, of_rates = figures.rates_figure(indi.on_plant, taus)
-    save_figure(other, folder / "rates.png")
-    result["rms deviation from first order"] = {
-        "rpm": [round(float(x), 1) for x in deviation],
-        "rates and thrust": [round(float(x), 3) for x in of_rates],
+    """Write the report of the recorded flights, and the errors of the fastest one of each group."""
+    groups = flights_of(setting, e2e, indi)
+    write_report(groups, setting.race, folder / "report")
+    result["rms error to the first-order response"] = {
+        label: [round(float(x), 4) for x in np.sqrt((signals.error**2).mean(axis=0))]
+        for label, (_, signals) in fastest_signals(groups, setting.race).items()
     }
-
-
-def best_recorded(laps: Laps) -> int:
-    """The recorded run with the most laps, and the fastest of those."""
-    completed = laps.laps_completed()[:FLIGHTS]
-    totals = np.nan_to_num(laps.totals[:FLIGHTS], nan=np.inf)
-    return int(np.lexsort((totals, -completed))[0])
 
 
 def _plants(

@@ -23,11 +23,9 @@ from quadjax.studies.comparison import (
     lead,
     limit_fractions,
 )
-from quadjax.studies.comparison_figures import progress
-from quadjax.studies.comparison_run import best_recorded, table_text
+from quadjax.studies.comparison_run import table_text
 from quadjax.studies.drawn_plants import OnPlants, conditions, drawn, interval, plants_table
 from quadjax.studies.plant_races import race_config
-from tests import reference as ref
 from tests.commands import run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -69,13 +67,6 @@ def test_no_lead_where_nobody_finished():
     e2e = compared("E2E", "e2e.npz", 2.5, ("",) * 6)
     indi = compared("INDI", "indi.npz", 2.75, ("hit a gate",) * 6)
     assert lead(e2e, indi).endswith("INDI finished no run on the stand-in plant")
-
-
-def test_the_best_recorded_flight_has_the_most_laps():
-    times = np.array([[2.0, np.nan], [3.0, 3.0], [2.5, 2.5], [2.0, np.nan], [3.0, 2.9], [1.0, 1.0]])
-    assert (
-        best_recorded(Laps(times, ("",) * 6, np.zeros(6), 48.0)) == 2
-    )  # the sixth is not recorded
 
 
 def test_each_condition_of_the_plant_changes_one_thing():
@@ -133,18 +124,6 @@ def test_the_table_of_plants_has_both_and_the_lead():
     assert "14.70 ± 3.81" in text and "3/4" in text and "4/4" in text
     assert "+3.00 ± 0.00 s; first lap\n+0.50 ± 0.00 s, each later lap +0.50 ± 0.00 s" in text
     assert max(map(len, text.splitlines())) <= 80
-
-
-def test_progress_grows_from_gate_to_gate():
-    """Straight from the last gate through the first two, at an even speed."""
-    corners = ref.GATES[[3, 0, 1]]
-    parts = np.linspace(0.0, 1.0, 50)[:, None]
-    legs = [a + parts * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)]
-    target = np.repeat([0, 1], 50)
-    made = progress(np.concatenate(legs), target, ref.GATES)
-    assert made[0] == 0.0 and made[-1] == pytest.approx(0.5)
-    assert np.all(np.diff(made) >= -1e-12)
-    np.testing.assert_allclose(made[25], 0.125, atol=0.005)
 
 
 def test_a_first_order_lag_of_held_commands():
@@ -212,5 +191,6 @@ def test_the_command_flies_draws_and_writes(tmp_path, capsys):
     written = json.loads((tmp_path / "compare" / "compare.json").read_text())
     assert written["INDI"]["stand-in plant"]["finished"] == 2
     assert written["ablation"]["residual: with"]["finished"] == 2
-    names = {path.stem for path in (tmp_path / "compare").glob("*.png")}
-    assert {"progress", "rpm", "rates", "e2e_plant", "indi_simulator"} <= names
+    names = {path.name for path in (tmp_path / "compare" / "report").iterdir()}
+    assert {"gaps.png", "trajectories.pdf", "errors_4.svg", "table.tex"} <= names
+    assert len(written["rms error to the first-order response"]["INDI stand-in plant"]) == 3

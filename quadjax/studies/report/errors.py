@@ -34,16 +34,14 @@ class Signals:
         return self.actual - self.model
 
 
-def signals_of(flight: Flight, constants: Mapping[str, float]) -> Signals | None:
-    """Propeller speeds, or body rates, with their commands; None for a flight without commands.
+def signals_of(flight: Flight, constants: Mapping[str, float]) -> Signals:
+    """Propeller speeds, or body rates, with their commands.
 
     Args:
         flight: with commands.
         constants: of the model of its commands, motor or rate: time constants and limits.
     """
     own = flight.recording
-    if not flight.commands:
-        return None
     if flight.commands == RPM:
         actual, command, tau = own.actuators, own.command, constants["tau"]
         low, high = (np.full(4, constants[f"rpm_{end}"]) for end in ("min", "max"))

@@ -11,7 +11,7 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
 from quadjax.studies.report.diagrams import architecture_figure, toolchain_figure
-from quadjax.studies.report.errors import error_figure, signals_of
+from quadjax.studies.report.errors import Signals, error_figure, signals_of
 from quadjax.studies.report.figures import box_figure, gap_figure, trajectory_figure
 from quadjax.studies.report.flights import RATES, RPM, Flight, fastest
 from quadjax.studies.report.tables import latex_table, text_table
@@ -54,15 +54,22 @@ def figures(groups: Groups, config: Config) -> Iterator[tuple[str, Figure]]:
     yield "boxes", box_figure(groups)
     yield "gaps", gap_figure(groups, len(gates))
     yield "trajectories", trajectory_figure(groups, gates)
-    for number, flights in enumerate(groups.values(), start=1):
+    labels = list(groups)
+    for label, (best, signals) in fastest_signals(groups, config).items():
+        yield f"errors_{labels.index(label) + 1}", error_figure(best, signals, len(gates))
+    yield "architectures", architecture_figure()
+    yield "toolchain", toolchain_figure()
+
+
+def fastest_signals(groups: Groups, config: Config) -> dict[str, tuple[Flight, Signals]]:
+    """The fastest flight of each group that has commands, and its signals, by label."""
+    found = {}
+    for label, flights in groups.items():
         best = fastest(flights)
         if best.commands:
             model = config.vehicle.with_model(MODELS[best.commands])
-            signals = signals_of(best, model.constants)
-            if signals is not None:
-                yield f"errors_{number}", error_figure(best, signals, len(gates))
-    yield "architectures", architecture_figure()
-    yield "toolchain", toolchain_figure()
+            found[label] = best, signals_of(best, model.constants)
+    return found
 
 
 def _numbers(groups: Groups) -> dict[str, object]:
