@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, save_figure, tidy
+from quadjax.core.plotting import INK, SERIES, head, new_figure, save_figure, tidy
 from quadjax.fitting.nominal import AXES, UNITS
 from quadjax.fitting.pipeline import FitResult
 from quadjax.fitting.prediction import Prediction, pooled
 
-COLORS = {"measured": MUTED, "nominal": SERIES[3], "nominal + residual": SERIES[0]}
+COLORS = {"nominal": SERIES[3], "nominal + residual": SERIES[0]}
 POINTS = 1500  # of a line, at most
 
 
@@ -32,14 +32,16 @@ def write_figures(result: FitResult, folder: Path) -> list[Path]:
 
 
 def traces_figure(result: FitResult, part: Prediction, title: str = "") -> Figure:
-    """Measured, nominal and nominal plus residual against time, a panel for each of ``AXES``.
+    """Errors of the nominal model, and of it with the residual, against time; a panel per axis.
+
+    The signals themselves differ by less than a line's width. Each panel has the RMSE of both.
 
     Args:
         result: of the fit.
         part: rows to draw, such as one of ``result.held_out``.
         title: of the figure.
     """
-    figure = new_figure(10, 12)
+    figure = new_figure(10, 11)
     panels = figure.subplots(len(AXES), 1, sharex=True)
     time = result.samples.time[part.rows]
     every = max(1, len(time) // POINTS)
@@ -47,12 +49,17 @@ def traces_figure(result: FitResult, part: Prediction, title: str = "") -> Figur
     jump = np.flatnonzero(np.abs(np.diff(time[::every])) > 0.5) + 1
     for i, (axis, axes) in enumerate(zip(AXES, panels, strict=True)):
         tidy(axes)
-        series = (part.measured, part.nominal, part.full)
-        for (label, color), values in zip(COLORS.items(), series, strict=True):
-            line = (np.insert(x, jump, np.nan) for x in (time[::every], values[::every, i]))
+        unit, sizes = UNITS[axis].replace("^2", "²"), []
+        for (label, color), model in zip(COLORS.items(), (part.nominal, part.full), strict=True):
+            error = part.measured[:, i] - model[:, i]
+            line = (np.insert(x, jump, np.nan) for x in (time[::every], error[::every]))
             axes.plot(*line, color=color, label=label, lw=0.9)
-        axes.set_ylabel(f"{axis} ({UNITS[axis].replace('^2', '²')})", color=INK)
-    head(panels[0], title)
+            sizes.append(f"{np.sqrt(np.mean(error**2)):.3g}")
+        axes.axhline(0.0, color=INK, lw=0.8)
+        axes.set_ylabel(f"{axis} ({unit})", color=INK)
+        note = f"RMSE {' → '.join(sizes)} {unit}"
+        axes.set_title(note, loc="right", fontsize=8, color=INK, pad=2)
+    head(panels[0], f"error of the model, {title}" if title else "error of the model")
     panels[-1].set_xlabel("time (s)", color=INK)
     return figure
 

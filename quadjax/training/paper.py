@@ -35,7 +35,9 @@ PUBLISHED = (
     Row("INDI flown, mean of 5", (3.28, 2.80, 2.82, 2.82, 2.84, 2.83), 17.40, 17.26),
 )
 
-# Six laps of the published policies in the paper's model, s, by the vehicle model.
+# Six laps of the published policies, s, by the vehicle model: measured with the authors' published
+# networks, 20 sampled flights in the paper's model with the authors' residual. Neither networks nor
+# residual are in this repository. The rows above are Table I of the paper.
 TOTALS = {
     "motor": ("published E2E policy", 15.70),
     "rate": ("published INDI policy", 17.04),
