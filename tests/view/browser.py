@@ -1,6 +1,7 @@
 """Headless Chromium for tests of the pages, by Playwright; without either the tests skip."""
 
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,7 +21,7 @@ OPTIONS = (
     "--disable-component-update",
     "--disable-sync",
 )
-READY = "window.quadjax?.viewer?.width > 0"
+READY = "Boolean(window.quadjax?.viewer?.width > 0)"
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,14 @@ def browser():
         chromium = running.chromium.launch(executable_path=path, args=list(OPTIONS))
         yield chromium
         chromium.close()
+
+
+def wait_until(page, condition, seconds: float = 120.0):
+    """Wait for a condition of the page, whose policy forbids evaluating text."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(condition):
+        assert time.monotonic() < end, condition
+        page.wait_for_timeout(100)
 
 
 class Page:
@@ -76,7 +85,7 @@ def opened(browser, address: str, size=DESK, scheme: str = "dark", **more) -> It
     try:
         page = Page(context.new_page())
         page.page.goto(address)
-        page.page.wait_for_function(READY)
+        wait_until(page.page, READY)
         yield page
         assert not page.errors
     finally:

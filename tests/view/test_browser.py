@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.view.flight import Marker
 from quadjax.view.page import frame
-from tests.view.browser import DESK, PHONE, browser, open_scene
+from tests.view.browser import DESK, PHONE, browser, open_scene, wait_until
 from tests.view.scenes import AHEAD, RADIUS, circle, scene
 
 pytestmark = pytest.mark.slow
@@ -42,7 +42,7 @@ def busy(image: np.ndarray, rows: int = 6, columns: int = 8) -> np.ndarray:
 def test_a_page_loads_from_disk_and_plays_without_network(open_scene):
     with open_scene(RACE) as page:
         assert [url.split(":")[0] for url in page.requests] == ["file"]
-        page.page.wait_for_function("quadjax.viewer.clock.time > 0.2")
+        wait_until(page.page, "quadjax.viewer.clock.time > 0.2")
         assert page.state()["playing"]
         assert page.page.inner_text("h1") == "Circle"
         assert page.page.inner_text("tbody tr.selected .label") == "fast"
@@ -76,9 +76,7 @@ def test_keys_play_step_and_choose(open_scene):
             press(key)
             assert page.state()["view"] == view
         press("n")
-        page.page.wait_for_function(
-            "document.querySelector('tr.selected .label').textContent == 'slow'"
-        )
+        wait_until(page.page, "document.querySelector('tr.selected .label').textContent == 'slow'")
         press(" ")
         assert page.state()["playing"]
         press("0")
@@ -108,7 +106,7 @@ def test_the_panel_shows_order_gap_laps_and_clearance(open_scene):
         page.still(4.0)
         page.page.get_by_role("button", name="slow").click()
         # At the same angle, the slower one is 3.0 / 2.5 times as long under way.
-        page.page.wait_for_function("document.querySelector('.numbers').innerText.includes('+')")
+        wait_until(page.page, "document.querySelector('.numbers').innerText.includes('+')")
         gap = page.do(
             "return Number(document.querySelector('.numbers').innerText.match(/\\+([\\d.]+)/)[1])"
         )
@@ -193,7 +191,7 @@ def test_a_notebook_shows_the_page_in_a_frame(browser, tmp_path):
     page = browser.new_page()
     page.goto(path.as_uri())
     inner = page.frames[1]
-    inner.wait_for_function("window.quadjax?.viewer?.clock.time > 0")
+    wait_until(inner, "window.quadjax?.viewer?.clock.time > 0")
     assert inner.inner_text("h1") == "Circle"
     page.close()
 

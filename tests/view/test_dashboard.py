@@ -4,7 +4,6 @@ import json
 import math
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -13,9 +12,9 @@ from quadjax.core.files import write_csv, write_json
 from quadjax.dashboard.run_state import POINTS, TrainingRun
 from quadjax.dashboard.sweep_state import JOURNAL, SweepRun
 from tests.commands import run
-from tests.view.browser import OPTIONS, browser
+from tests.view.browser import browser, wait_until
 
-fixtures = (browser, OPTIONS)
+fixtures = (browser,)
 
 
 def write_metrics(folder, count):
@@ -88,14 +87,6 @@ def watched(tmp_path):
     for process in running:
         process.terminate()
         assert process.wait(60) == 0
-
-
-def wait_until(page, condition, seconds=120.0):
-    """Wait for a condition of the page, whose policy forbids evaluating text."""
-    end = time.monotonic() + seconds
-    while not page.evaluate(condition):
-        assert time.monotonic() < end, condition
-        page.wait_for_timeout(200)
 
 
 @pytest.mark.slow
