@@ -217,7 +217,7 @@ def hits_ground(
     Where the drone can take off from the ground, its radius, m, does not matter.
     """
     if landing is None:
-        return position.z > -radius
+        return position.z > 0.0 - radius  # not -0.0 without a radius: the same program as before
     fast = (position.z > -landing.height) & (safe_norm(velocity) > landing.speed)
     return fast | (position.z > BENEATH)
 
