@@ -215,14 +215,15 @@ def make_problem(
     if not params.track.closed:
         options["start"] = "hover"
     fields = {"bounds": bounds, "frame": limits.frame, "landing": limits.landing} | options
-    rate = fields.pop("rate_limit", None)
+    axes = np.full(3, float(limits.body_rate))
+    if limits.axis_rates is not None:
+        axes = leaves(limits.axis_rates)
     return Problem(
         model,
         wide(params.vehicle),
         params.track,
         gates,
         len(gates.position) if passages is None else passages,
-        rate_limit=np.full(3, float(limits.body_rate)) if rate is None else rate,
         pitch_limit=float(model.pitch_limit),
-        **fields,
+        **({"rate_limit": axes} | fields),
     )
