@@ -1,7 +1,8 @@
 """Train a racing policy.
 
-DIR/NAME gets the config, the metrics, the checkpoints, the policy file, the lap table and the
-figures. The same command with --resume continues a run that was stopped.
+DIR/NAME gets the config, the metrics, the checkpoints, the policy file, the
+lap table and the figures. The same command with --resume continues a run that
+was stopped.
 """
 
 import argparse
