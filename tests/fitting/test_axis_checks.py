@@ -158,7 +158,7 @@ def minus(*names):
             },
         ),
         (
-            "columns 'rpm_ref_1', .* are 1.5 times the speeds 'rpm_obs_1', .*logs.units.rpm",
+            "columns 'rpm_ref_1', .* are 1.5. times the speeds 'rpm_obs_1', .*logs.units.rpm",
             lambda columns: {
                 name: 1.5 * columns[name] for name in PRESETS["paparazzi"]["rpm_command"]
             },
