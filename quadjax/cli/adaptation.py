@@ -49,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     race = load_config(options.race, options.overrides)
     files = {"adaptive": options.policy, "without": options.without}
-    study = Study(race, *map(Policy.load, files.values()), options.runs, options.seed)
+    adaptive, without = (Policy.load(file) for file in files.values())
+    study = Study(race, adaptive, without, options.runs, options.seed)
     enable_compilation_cache()
     rows, console = [], Console(stderr=True)
     with bar(counted=True, console=console) as progress:

@@ -42,9 +42,8 @@ def check_functions(choices: Choices, params: RaceParams, extra: int) -> None:
         view = View(choices.model, params, state, target)
         values = {f"observation field {field.name!r}": field.numbers(view) for field in fields}
         action = jnp.zeros(choices.model.action_size)
-        following, _, outcome = environment.transition(
-            plain, params.replace(term_weights=()), state, action
-        )
+        own = dataclasses.replace(params, term_weights=())
+        following, _, outcome = environment.transition(plain, own, state, action)
         after = following.drone
         context = StepContext(choices.model, params, state, after, target, outcome, action)
         for term in choices.terms:
