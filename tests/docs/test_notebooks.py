@@ -21,6 +21,13 @@ SMALL = {
         'CHANGES = {"E2E": ("without battery",), "INDI": ()}',
     ],
     "fixed_point": ['POLICY, FLIGHTS, LAPS, VECTORS = "e2e.npz", 4, 1, 200'],
+    "reproduce_paper": [
+        'PRESETS = {"SHAC": "e2e_shac", "PPO": "e2e_ppo"}',
+        'STEPS = {"SHAC": 25_000, "PPO": 25_000}',
+        'SHIPPED = {"INDI, SHAC, whole preset": ("indi_shac", "indi_shac.npz")}',
+        'OVERRIDES = ["run.evaluate_every=12500", "run.devices=1"]',
+        "RUNS, SEED = 2, 0",
+    ],
     "residual_fit": [
         "FLIGHTS, LAPS, SEED, LEAST_SECONDS = 2, 1, 0, 2.5",
         'SMALL = "seeds: 1, epochs: 3, distill_epochs: 5, mirror: off, batch: 512"',
