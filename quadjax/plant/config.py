@@ -22,6 +22,7 @@ from quadjax.core.sections import (
 
 Half = Annotated[float, Field(ge=0.0, le=0.5)]
 Delay = Annotated[float, Field(ge=0.0, le=0.05)]
+Lever = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 MAX_LATENCY = 60  # samples, of a motion capture pose
 LEAST_PHYSICS_RATE = 500.0  # Hz
@@ -80,7 +81,7 @@ class FlexConfig(Section):
 class ImuConfig(Section):
     """Place of the inertial unit and the vibration that reaches it; assumed."""
 
-    offset: tuple[float, float, float] = Field(
+    offset: tuple[Lever, Lever, Lever] = Field(
         (0.01, 0.005, -0.01), description="m, body FRD, from the center of gravity; assumed"
     )
     vibration: NonNegative = Field(

@@ -103,7 +103,8 @@ def test_defaults_are_the_published_model():
     assert config.start.roll_pitch_deg == 40 and config.start.body_rates == 1
     assert config.training_limits.episode_steps == 1200 and config.rules.time_step == 0.01
     assert config.rules.gate_test == "square"
-    assert not any(dict(config.randomization).values())
+    drawn = dict(config.randomization)
+    assert drawn.pop("width") == 1.0 and not any(drawn.values())  # of all, which are zero
 
 
 def test_overrides():

@@ -301,7 +301,8 @@ def test_a_state_that_is_not_finite_is_a_crash_and_nothing_more(kind, bad):
 
 
 def weights(**kept):
-    zeros = {field.name: 0.0 for field in dataclasses.fields(rules.RewardWeights)}
+    fields = dataclasses.fields(rules.RewardWeights)
+    zeros = {field.name: 0.0 for field in fields if field.default is dataclasses.MISSING}
     zeros |= {"gate_edge_reach": 1.0} | kept
     return rules.RewardWeights(**{name: jnp.float32(value) for name, value in zeros.items()})
 
@@ -363,8 +364,9 @@ def test_next_gate_progress_rewards_a_leg_the_same_wherever_its_gate_is_passed(t
 
 
 def test_default_reward_is_the_published_one(race):
-    values = {name: float(x) for name, x in vars(race[1].reward).items()}
-    assert values == {
+    values = vars(race[1].reward)
+    assert {name for name, x in values.items() if x is None} == {"action_change", "perception"}
+    assert {name: float(x) for name, x in values.items() if x is not None} == {
         "progress": 1.0,
         "gate": 10.0,
         "gate_offset": 10.0,
@@ -403,7 +405,13 @@ def test_spinning_ends_an_episode_in_training_alone():
 def test_default_limits_are_the_published_ones(race):
     values = vars(race[1].limits)
     limits = {name: float(x) for name, x in values.items() if x is not None}
-    assert set(values) - set(limits) == {"bounds", "frame", "landing", "body_radius"}  # none
+    assert set(values) - set(limits) == {
+        "bounds",
+        "frame",
+        "landing",
+        "body_radius",
+        "axis_rates",
+    }  # none
     assert limits["time_step"] == pytest.approx(0.01) and limits["episode_steps"] == 1200
     assert (
         limits["position"] == 10 and limits["body_rate"] == 1000 and limits["gate_inflation"] == 0
