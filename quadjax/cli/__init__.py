@@ -35,7 +35,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "verify": "build, run and check exported C",
     "compare": "compare E2E with INDI, in simulation and on the plant",
     "report": "write the tables and figures of flights",
-    "adaptation": "fly drones that differ from their model",
+    "adaptation": "evaluate a policy on drones that differ from their model",
     "simulate-logs": "write flight logs of a known model",
     "recovery": "compare a fit with that known model",
     "plant-logs": "write flight logs of the stand-in plant",

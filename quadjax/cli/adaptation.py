@@ -1,10 +1,10 @@
-"""Fly drones that differ from their model, with and without the estimate of the disturbance.
+"""Evaluate a policy on drones that differ from their model, with and without disturbance estimate.
 
 Each line of the table is a drone with a steady moment, less thrust, another residual, a damaged
 rotor or a shifted mass. 'without' is a policy that was trained without disturbances; 'zeros' and
 'estimated' are the policy that observes them, with zeros or with the onboard estimate as the
-observation. The model of the estimator is that of the policy's training. key=value overrides change
-the race as modeled.
+observation. The estimator has the model of the policy's training. key=value overrides change the
+race with the unchanged drone.
 """
 
 import argparse

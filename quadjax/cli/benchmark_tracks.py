@@ -1,9 +1,10 @@
 """Train on every track with every drone and compare the laps with the best known ones.
 
 Each pair is trained by CONFIG in a folder of DIR, or flown with --policy. Prints a table of laps
-(median after the first, mean action from hover), of the flights from random starts that finish, and
-of the environment steps a second of each drone. Writes tracks.md, tracks.json and a picture of each
-flight. After an interruption the same command continues; finished trainings are not repeated.
+(median of the laps after the first, mean action from hover), of the flights from random starts that
+finish, and of the environment steps per second of each drone. Writes tracks.md, tracks.json and a
+picture of each flight. After an interruption the same command continues; finished training runs are
+not repeated.
 """
 
 import argparse
@@ -48,7 +49,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--best", default="best_known", metavar="FILE.yaml", help="best known laps, with sources"
     )
     parser.add_argument("--runs", type=runs, default=100, help="flights from random starts (100)")
-    parser.add_argument("--no-speed", action="store_true", help="do not measure steps a second")
+    parser.add_argument("--no-speed", action="store_true", help="do not measure steps per second")
     parser.add_argument(
         "--output", type=Path, default=Path("runs/tracks"), metavar="DIR", help="(runs/tracks)"
     )
@@ -124,7 +125,7 @@ def _train(case: "Case", options: argparse.Namespace) -> Path:
 
 
 def _speeds(options: argparse.Namespace) -> dict[str, float]:
-    """Environment steps a second of each drone, measured once for an output folder."""
+    """Environment steps per second of each drone, measured once for an output folder."""
     from quadjax.cli.benchmark import OBSERVED, Job, measure
     from quadjax.core.files import write_json
 

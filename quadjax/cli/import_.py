@@ -2,9 +2,9 @@
 
 One file is a policy: a model of Stable-Baselines3 (.zip; PPO or A2C with MlpPolicy), a PyTorch
 state dict (.pt, .pth) or C arrays (.c, .h: weights_fc1, biases_fc1, .., output_std). CONFIG is the
-race that it was trained in, which says what it observes and commands. Two files are the thrust and
-the moment network of a residual (.pt, .pth); CONFIG has the range of the propeller speeds. Nothing
-in the files is executed.
+race that it was trained in, which defines its observation and its commands. Two files are the
+thrust and the moment network of a residual (.pt, .pth); CONFIG has the range of the propeller
+speeds. Nothing in the files is executed.
 """
 
 import argparse
@@ -35,21 +35,21 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="one file, or thrust and moment; then key=value, to change keys of the config",
     )
     parser.add_argument("--output", required=True, metavar="FILE.npz", help="the file to write")
-    parser.add_argument("--activation", help="relu or tanh, where a policy's file does not say")
-    parser.add_argument("--std", type=positive, help="of a policy's noise, where its file has none")
+    parser.add_argument("--activation", help="relu or tanh, where a policy's file has none")
+    parser.add_argument("--std", type=positive, help="of the noise, where a policy's file has none")
     parser.add_argument(
         "--motors",
         nargs=4,
         type=int,
         metavar="N",
-        help="the network's numbers of the motors front-left, front-right, rear-right, rear-left",
+        help="numbers in the network of the motors front-left, front-right, rear-right, rear-left",
     )
     parser.add_argument(
         "--actuator-range",
         nargs=2,
         type=float,
         metavar=("LOW", "HIGH"),
-        help="of the actuators observed as -1 and 1, if not that of CONFIG",
+        help="actuator states observed as -1 and 1, if not those of CONFIG",
     )
     parser.add_argument(
         "--thrust-sign",

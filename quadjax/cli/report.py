@@ -3,7 +3,7 @@
 Each LABEL=FILE is a group of flights: the trajectories of an evaluation (quadjax evaluate --states
 FILE.npz) or flight logs with positions (.csv, a glob pattern for several), real ones or those of
 quadjax plant-logs. A group without a label has its file's name. CONFIG is the race that was flown:
-its track tells the gates, its vehicle the limits and time constants.
+its track has the gates, its vehicle the limits and time constants.
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""Fly policies by both protocols, mean and sampled, from hover and from random starts.
+"""Evaluate policies by mean and by sampled flights, from hover and from random starts.
 
 Prints a line for each policy file or folder of a training run; without arguments, for each shipped
-policy. A policy is flown in the race that it was trained in, or in that of --race, of which
-key=value overrides change keys. The table contains a published time only next to flights of the
+policy. A policy is evaluated in the race that it was trained in, or in that of --race, which
+key=value overrides change. The table contains a published time only next to flights of the
 same race and protocol.
 """
 

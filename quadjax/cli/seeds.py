@@ -1,8 +1,8 @@
 """Train configs over several seeds, one after the other, and print the results.
 
-A finished run of the same config is not trained again. The first table is of the trainings; 'last'
-and 'best' are lap times as run.score says. The second one is of flights of the best policies, as
-'quadjax results' flies them. The figure shows the learning curves of all configs.
+A finished run of the same config is not trained again. The first table has the training runs;
+'last' and 'best' are lap times of the flights that run.score selects. The second table has flights
+of the best policies, as in 'quadjax results'. The figure shows the learning curves of all configs.
 """
 
 import argparse

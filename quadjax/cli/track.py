@@ -1,8 +1,8 @@
 """Describe a track, or write the file of a random one.
 
 Prints the gates with the length of the leg to each, the slope of the leg and the turn at the gate.
-With key=value settings TRACK is a file that is written first: a random track, which depends only on
-the settings.
+With key=value settings, a random track is first written to the file TRACK. It depends only on the
+settings.
 """
 
 import argparse

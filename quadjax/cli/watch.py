@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 NICE = 19  # the lowest priority: a training's threads come first
 POLL = 0.5  # s
-LINGER = 60  # s, that the page of a training outlives it without a request
+LINGER = 60  # s from the last request until the server of a finished training ends
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -83,7 +83,7 @@ def _folder(path: Path) -> "Folder":
 
 
 def _state(folder: "Folder", flyer: "Flyer") -> dict[str, Any]:
-    """What the page asks for every few seconds."""
+    """The data that the page requests every few seconds."""
     flights = {"flights": flyer.count, "causes": flyer.causes, "error": flyer.error}
     return folder.state() | flights | {"name": folder.name}
 
@@ -95,7 +95,7 @@ def _page(folder: "Folder") -> str:
 
 
 def _idle(server: "Server", folder: "Folder", seconds: int | None, parent: int) -> bool:
-    """Whether nobody asks any more and nothing changes."""
+    """Whether there are no more requests and nothing changes."""
     if seconds is None or time.monotonic() - server.asked < seconds:
         return False
     import psutil
@@ -104,9 +104,9 @@ def _idle(server: "Server", folder: "Folder", seconds: int | None, parent: int) 
 
 
 def start(folder: Path) -> str:
-    """Serve the page of a folder from a process of its own; returns its address.
+    """Serve the page of a folder from a separate process; returns its address.
 
-    The process ends by itself when the folder's run is over and nobody looks at the page.
+    The process ends by itself when the folder's run is over and the page sends no more requests.
     """
     command = [sys.executable, "-m", "quadjax", "watch", str(folder), "--idle", str(LINGER)]
     process = subprocess.Popen(

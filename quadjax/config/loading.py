@@ -108,7 +108,7 @@ def generated(tree: Tree, source: str) -> Tree:
     Rules of the tree have precedence.
 
     Raises:
-        InputError: settings that are not allowed, or of which no track was found.
+        InputError: settings that are not allowed, or for which no track was found.
     """
     track = tree.get("track")
     if not isinstance(track, dict) or track.get("generate") is None:

@@ -1,7 +1,7 @@
 """Units of a race: numbers of a config in legs, in leg times and in gates.
 
 A preset for any drone and track gives its numbers as text with a unit, such as
-``learner.horizon: 1.1 leg times``. Loading replaces them by plain numbers in SI units.
+``learner.horizon: 1.1 leg times``. Loading replaces them by plain numbers.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ class Scales:
     """The units of a race.
 
     Attributes:
-        leg: mean distance between the centers of following gates, m.
+        leg: mean distance between the centers of consecutive gates, m.
         acceleration: largest level acceleration of the drone, m/s^2.
         half_gate: half of the smallest width or height of an opening, m.
         time_step: s.
@@ -126,7 +126,7 @@ def _scales_of(tree: Tree) -> Scales:
 
 
 def _plain(key: str, number: float, unit: str, scales: Scales) -> float | int:
-    """A number with a unit in the unit of its key."""
+    """A number with a unit, converted to the unit of its key."""
     key = key.removeprefix("schedules.").removesuffix(".linear")
     value = number * UNITS[unit](scales)
     if key in STEPS + DECAYS:

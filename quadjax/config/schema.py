@@ -58,7 +58,7 @@ class Vehicle(Section):
         gt=0,
         le=1000,
         description="highest speed of the flights that the constants are fitted to, m/s; quadjax "
-        "limit tells how long a flight is faster; null: unknown",
+        "limit reports how long a flight is faster; null: unknown",
     )
     constants: dict[str, Constant] = Field(
         {},
@@ -273,7 +273,7 @@ class Rules(Section):
         0.0,
         ge=0,
         le=50,
-        description="radius of the drone, m: openings, bounds and ground are closer by it",
+        description="radius of the drone, m, by which openings, bounds and ground are closer",
     )
     position_limit: float | None = Field(
         10.0, gt=0, le=1e6, description="largest |x| and |y|, m; null: none"
@@ -426,8 +426,8 @@ class Randomization(Section):
         1.0,
         ge=0,
         le=1,
-        description="factor on all fractions, and on the difference of a drone of the population "
-        "from the nominal one; schedule it for a curriculum",
+        description="factor on all fractions, and on the difference between a drone of the "
+        "population and the nominal one; schedule it for a curriculum",
     )
 
     @property
@@ -498,8 +498,8 @@ class Evaluate(Section):
         None,
         gt=0,
         le=1e4,
-        description="best known lap of quadjax limit, s: the metrics of training then have gap, by "
-        "which fraction the fastest lap of the score is slower",
+        description="best known lap of quadjax limit, s: the metrics of training then have gap, "
+        "the fraction by which the fastest lap of the scored flights is slower",
     )
 
     @property

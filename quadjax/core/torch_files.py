@@ -1,8 +1,8 @@
 """PyTorch state dicts as NumPy arrays, without PyTorch and without executing anything.
 
 A state dict is a pickle of names, shapes and references to raw data, in a zip archive. The reader
-knows the four things that such a pickle needs (an ordered dict, the two functions that make a
-tensor, the types of storage) and refuses all others, so a file cannot run code.
+loads only the names that such a pickle needs (an ordered dict, the two functions that make a
+tensor, the types of storage) and rejects all others, so a file cannot run code.
 """
 
 import collections

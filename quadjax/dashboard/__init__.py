@@ -1,1 +1,1 @@
-"""What the pages show: flights of any source, training runs while they train, and sweeps."""
+"""Data of the pages: flights of any source, training runs in progress, and sweeps."""

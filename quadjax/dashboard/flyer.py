@@ -1,4 +1,4 @@
-"""Flights of the newest policy of a folder that changes, in a thread."""
+"""Simulate the newest policy of a folder in a thread, whenever it changes."""
 
 import contextlib
 import threading
@@ -19,13 +19,13 @@ POLL = 1.0  # s
 
 
 class Folder(Protocol):
-    """What is shown of a folder."""
+    """A folder that a page shows."""
 
     kind: str
 
     @property
     def name(self) -> str:
-        """Of the folder."""
+        """The folder's name."""
 
     @property
     def policy(self) -> Path:
@@ -36,19 +36,19 @@ class Folder(Protocol):
         """Whether the policy is the last one."""
 
     def config(self) -> Config:
-        """Of the policy's race; ``InputError`` if there is none yet."""
+        """The config of the policy's race; ``InputError`` if there is none yet."""
 
     def state(self) -> dict[str, Any]:
-        """Other numbers."""
+        """Other data of the page."""
 
 
 class Flyer:
-    """Flies a folder's policy whenever its file changes.
+    """Simulates a folder's policy whenever its file changes.
 
     Attributes:
-        record: of the latest flights, as a page's data; None before the first.
+        record: the latest flights, as a page's data; None before the first.
         causes: number of sampled flights by the reason for which they ended early.
-        count: of flights so far, which identifies ``record``.
+        count: number of simulations so far, which identifies ``record``.
     """
 
     def __init__(self, folder: Folder) -> None:

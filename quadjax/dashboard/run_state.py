@@ -28,7 +28,7 @@ class TrainingRun:
 
     @property
     def name(self) -> str:
-        """Of the folder."""
+        """The folder's name."""
         return self._folder.resolve().name
 
     @property

@@ -53,7 +53,7 @@ class Options:
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """What one source gives: flights or lap times, and their gates, if it knows them."""
+    """Data of one source: flights or lap times, and their gates, if it contains them."""
 
     gates: tuple[Gate, ...]
     flights: tuple[Flight, ...] = ()
@@ -267,7 +267,7 @@ def _read_json(path: Path, name: str, options: Options) -> Source:
 def scene_record(
     sources: list[Path | str], names: list[str], title: str, options: Options
 ) -> dict[str, Any]:
-    """The record of a page with all sources; laps that can be repeated are, as often as others fly.
+    """The record of a page with all sources; periodic laps are repeated to match the other flights.
 
     Args:
         sources: as for ``read_source``.

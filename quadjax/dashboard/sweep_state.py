@@ -33,7 +33,7 @@ class SweepRun:
 
     @property
     def name(self) -> str:
-        """Of the folder."""
+        """The folder's name."""
         return self._folder.resolve().name
 
     @property

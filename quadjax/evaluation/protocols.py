@@ -1,4 +1,4 @@
-"""Flights of a policy by both protocols, mean and sampled, from hover and from random starts."""
+"""Mean and sampled flights of a policy, from hover and from random starts."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -51,7 +51,7 @@ class Protocols:
 def fly_protocols(
     fly: Callable[..., Evaluation], label: str, log_std: np.ndarray, published: Row | None = None
 ) -> Protocols:
-    """Fly both protocols from both starts.
+    """Evaluate mean and sampled flights from both starts.
 
     Args:
         fly: ``evaluate`` with policy, race and number of runs; takes the other options.
@@ -105,7 +105,7 @@ def _row(own: Protocols) -> tuple[str, ...]:
 
 
 def note(laps: Laps) -> str:
-    """What the cells of a table of flights are, for the number of flights in ``laps``."""
+    """The note below a table of flights, for the number of flights in ``laps``."""
     runs = len(laps.crashes)
     return f"Seconds for all laps, mean of the flights that finish; in brackets, of {runs} flights."
 

@@ -79,7 +79,7 @@ def wrong_factor(measured: np.ndarray, shown: np.ndarray, config: LogsConfig) ->
 def wrong_angle(
     measured: np.ndarray, shown: np.ndarray, config: LogsConfig
 ) -> tuple[int, int, float] | None:
-    """Two columns that are turned by more than allowed: their indices and the angle, deg.
+    """Two columns that are rotated by more than allowed: their indices and the angle, deg.
 
     Args:
         measured: (n, 3) along three axes.

@@ -3,7 +3,7 @@
 Kinematics relate the quantities of a log: the derivative of the attitude gives the body rates, that
 of the position the velocity, that of the velocity minus gravity the specific force, and the
 propeller speeds the angular accelerations. A column that is negated, swapped with another, scaled,
-late, turned or unrelated is inconsistent with the others. Where a flight has too little motion
+late, rotated or unrelated is inconsistent with the others. Where a flight has too little motion
 along or about an axis there is no evidence, and the column is reported as not checked.
 """
 
@@ -225,12 +225,12 @@ def _verdict(evidence: Evidence, rate: float, config: LogsConfig) -> Verdict:
 
 
 def _misaligned(evidence: Evidence, config: LogsConfig) -> list[str]:
-    """Columns that are turned or scaled by more than allowed."""
+    """Columns that are rotated or scaled by more than allowed."""
     measured, shown = evidence.measured, evidence.shown
     if evidence.vectors and (turned := wrong_angle(measured, shown, config)):
         i, k, angle = turned
         return [
-            f"columns {listed([evidence.columns[i], evidence.columns[k]])} are turned by "
+            f"columns {listed([evidence.columns[i], evidence.columns[k]])} are rotated by "
             f"{angle:.0f} deg from the {evidence.meanings[i]} and {evidence.meanings[k]} from "
             f"{evidence.source}; allowed: {config.max_angle:g} deg (logs.max_angle)"
         ]

@@ -54,10 +54,10 @@ class LogsConfig(Section):
         0.25, gt=0.0, le=1e6, description="largest allowed error of a column's scale"
     )
     max_delay: float = Field(
-        0.05, gt=0.0, le=1e6, description="s, between columns; looked for up to 0.6 s"
+        0.05, gt=0.0, le=1e6, description="s, largest allowed between columns; searched up to 0.6 s"
     )
     max_angle: float = Field(
-        15.0, gt=0.0, le=180.0, description="deg, between the axes of two quantities"
+        15.0, gt=0.0, le=180.0, description="deg, largest allowed between axes of two quantities"
     )
 
     @model_validator(mode="after")

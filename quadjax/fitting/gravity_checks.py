@@ -1,8 +1,8 @@
-"""Checks of a flight log without an attitude: gravity must turn as the gyro says.
+"""Checks of a flight log without an attitude: gravity must rotate as the gyro measures.
 
 The derivative of the body velocity, plus its cross product with the rates, minus the specific
-force, is gravity in body axes. It has one magnitude, and the rates turn it. Hypotheses (a
-column negated, two swapped, one quantity scaled, late or turned) are tried; where one of them
+force, is gravity in body axes. It has one magnitude, and the rates rotate it. Hypotheses (a
+column negated, two swapped, one quantity scaled, late or rotated) are tried; where one of them
 makes gravity far more consistent than the columns as logged, the log is rejected.
 """
 
@@ -37,7 +37,7 @@ QUANTITIES = ("gyro", "acceleration", "body_velocity")
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What may be wrong with columns of one quantity, and the change that mends it."""
+    """What may be wrong with columns of one quantity, and the change that corrects it."""
 
     quantity: str
     columns: tuple[int, ...]
@@ -104,7 +104,7 @@ def _hypotheses(config: LogsConfig) -> Iterator[Hypothesis]:
             for angle in (angle for angle in ANGLES if abs(angle) > config.max_angle):
                 axis = np.cross(np.eye(3)[i], np.eye(3)[k])
                 back = Rotation.from_rotvec(-np.radians(angle) * axis).as_matrix()
-                yield Hypothesis(quantity, (i, k), f"turned by {angle:g} deg", back)
+                yield Hypothesis(quantity, (i, k), f"rotated by {angle:g} deg", back)
         for columns, powers in (
             ((0, 1, 2), POWERS),
             *(((i,), (-3.0, -2.0, 2.0, 3.0)) for i in range(3)),
@@ -151,7 +151,7 @@ def _errors(log: "FlightLog", hypotheses: list[Hypothesis]) -> np.ndarray | None
 
 
 def _inconsistency(gravity: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Squared distances (n, k) of gravity (n, k, 3) from what the rates turn it to."""
+    """Squared distances (n, k) of gravity (n, k, 3) from its rotation by the rates."""
     squares = np.empty(gravity.shape[:2])
     turned = gravity[: round(RATE)].mean(axis=0)
     for i, (measured, rate) in enumerate(zip(gravity, rates, strict=True)):

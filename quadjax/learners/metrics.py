@@ -35,7 +35,8 @@ def episode_metrics(
     Returns:
         ``reward``: mean per step; ``terminated``: fraction of steps that terminate an episode;
         ``crash_rate``: fraction of ended episodes that were terminated rather than truncated; where
-        ``completed`` is given, ``pass_rate``: completed parts of the task, of those and crashes.
+        ``completed`` is given, ``pass_rate``: completed parts of the task, divided by the sum of
+        these and crashes.
     """
     chex.assert_equal_shape((reward, terminated, truncated))
     terminated, truncated = global_mean(terminated), global_mean(truncated)

@@ -1,4 +1,4 @@
-"""Restarts from states of earlier flights: a buffer of states, one for each environment."""
+"""Restarts from states of earlier episodes: a buffer of states, one for each environment."""
 
 from typing import Any
 
@@ -8,14 +8,14 @@ import jax.numpy as jnp
 from quadjax.core.gradients import Scalar
 from quadjax.learners.shards import envs_per_shard, split_keys, where_done
 
-KEPT = 1 / 8  # of the states of flights that go on, which replace a state of the buffer
+KEPT = 1 / 8  # fraction of the states without a crash that replace a state of the buffer
 
 
 def restarts(buffer: Any, fresh: Any, keys: jax.Array, fraction: Scalar) -> Any:
-    """States to restart from: ``fresh`` ones, or with the chance ``fraction`` buffered ones.
+    """States to restart from: ``fresh`` ones, or with probability ``fraction`` buffered ones.
 
     Args:
-        buffer: states of earlier flights, batched along the last axis.
+        buffer: states of earlier episodes, batched along the last axis.
         fresh: random starts, likewise.
         keys: (shards,) PRNG keys; a shard takes states of its own part of the buffer.
         fraction: () of buffered states.
@@ -29,7 +29,7 @@ def restarts(buffer: Any, fresh: Any, keys: jax.Array, fraction: Scalar) -> Any:
 
 
 def remember(buffer: Any, states: Any, survived: jax.Array, keys: jax.Array) -> Any:
-    """The buffer with some of the states from which flights survived.
+    """The buffer with some of the states from which rollouts had no crash.
 
     Args:
         buffer: states, batched along the last axis.
@@ -42,6 +42,6 @@ def remember(buffer: Any, states: Any, survived: jax.Array, keys: jax.Array) -> 
 
 
 def _drawn(keys: jax.Array, count: int, chance: Scalar) -> jax.Array:
-    """Whether each environment (n,) is drawn, with some chance."""
+    """Whether each environment (n,) is drawn, with a probability."""
     drawn = jax.vmap(lambda key: jax.random.uniform(key, (count,)))(keys)
     return drawn.reshape(-1) < chance

@@ -148,7 +148,7 @@ class Search:
 
     def _attempt(self, name: str, guess: Trajectory) -> None:
         self.walls, self.rate_limit = (), self.problem.rate_limit
-        if self.best is None:  # a guess that is verified as it is counts, too
+        if self.best is None:  # an unchanged guess that is verified counts, too
             self._keep(name, guess, verify(self.problem, guess), 0.0, np.inf)
         first, converged, status = self._solve(name, guess, MARGIN, share=FIRST_SHARE)
         if converged and (self.best is None or first.total < self.best.total * (1.0 - 1e-5)):

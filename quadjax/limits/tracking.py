@@ -2,7 +2,7 @@
 
 A solution's commands alone drift: errors of its mesh grow with the length of the flight. The
 regulator changes the commands, within their range, so that the simulated flight stays close. The
-result is the flight of its own commands; no accuracy is assumed of the regulator.
+result is the simulated flight of these commands and is verified like any other flight.
 """
 
 import functools

@@ -87,7 +87,9 @@ class ImuConfig(Section):
     vibration: NonNegative = Field(
         0.5, description="m/s^2, amplitude of one rotor at its hover speed; assumed"
     )
-    turning: NonNegative = Field(0.01, description="rad/s, likewise; assumed")
+    turning: NonNegative = Field(
+        0.01, description="rad/s, amplitude of one rotor in the gyro at its hover speed; assumed"
+    )
 
 
 class BatteryConfig(Section):

@@ -47,7 +47,7 @@ class ImuParams:
 
     offset: Vec3  # m, body, from the center of gravity
     vibration: jax.Array  # m/s^2, amplitude of one rotor at its hover speed
-    turning: jax.Array  # rad/s, likewise
+    turning: jax.Array  # rad/s, amplitude of one rotor in the gyro at its hover speed
     hover: jax.Array  # rpm
 
 

@@ -88,7 +88,7 @@ class Policy:
                 (``.c``, ``.h``), which need a config. Nothing in them is executed.
             config: of the race that a file of another project was trained in: a config, a preset's
                 name or a YAML file. A policy file does not need it.
-            activation: of an imported network whose file does not say, "relu" or "tanh".
+            activation: of an imported network whose file has none, "relu" or "tanh".
             std: standard deviation of the noise of an imported network whose file has none.
 
         Raises:

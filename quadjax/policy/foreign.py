@@ -1,7 +1,7 @@
 """Policies of other projects: Stable-Baselines3, PyTorch state dicts, C arrays.
 
-Nothing in such a file is executed. It has the network's numbers; what it observes and commands is
-that of a race, whose config the caller names.
+Nothing in such a file is executed. It has the network's weights; its observation and
+commands are those of a race, whose config the caller names.
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ class Network:
         layers: kernel (in, out) and bias (out,) of each.
         log_std: (actions,) logarithm of the noise's standard deviation; None where the file has
             none.
-        activation: "relu" or "tanh"; None where the file does not say.
+        activation: "relu" or "tanh"; None where the file has none.
         value: layers of the critic; None where there are none.
     """
 
@@ -60,7 +60,7 @@ def read_network(path: Path | str) -> Network:
 
     - ``.zip``: a model of Stable-Baselines3 (PPO or A2C, ``MlpPolicy``);
     - ``.pt``, ``.pth``: a PyTorch state dict, of Stable-Baselines3's policy or of linear layers in
-      the order of their application, perhaps with ``log_std``;
+      the order of their application, optionally with ``log_std``;
     - ``.c``, ``.h``, ``.cpp``, ``.hpp``: arrays ``weights_NAME`` (row by row, a row per output) and
       ``biases_NAME`` in the order of the layers, and ``output_std``.
 
@@ -103,10 +103,9 @@ def _of_tensors(path: Path | str, tensors: Arrays) -> Network:
 
 
 def _sb3_activation(path: Path | str) -> str | None:
-    """The activation of a Stable-Baselines3 model, whose ``data`` is JSON: tanh unless it says so.
+    """The activation of a Stable-Baselines3 model, whose ``data`` is JSON; tanh by default.
 
-    Objects in it are pickled; their text representations stand next to them and are all that is
-    read.
+    Objects in it are pickled. Only the text representations next to them are read.
     """
     try:
         with ZipFile(path) as archive:
@@ -160,8 +159,8 @@ def policy_of(
 
     Args:
         path: of the file; see ``read_network``.
-        config: of the race: what its policies observe and command is what the network does.
-        activation: of the hidden layers, "relu" or "tanh", where the file does not say.
+        config: of the race, whose observation and commands are those of the network.
+        activation: of the hidden layers, "relu" or "tanh", where the file has none.
         std: standard deviation of the noise, where the file has none.
         motors: the network's numbers (1 to 4) of the motors front-left, front-right, rear-right,
             rear-left; None: in this order.
@@ -184,7 +183,7 @@ def policy_of(
         raise InputError(f"{path}: its activation is {own.activation}, not {activation}")
     activation = own.activation or activation
     if activation not in ACTIVATIONS:
-        found = f"is {activation}" if activation else "is not in the file, say which"
+        found = f"is {activation}" if activation else "is not in the file and has to be given"
         raise InputError(f"{path}: the activation {found}, allowed: {', '.join(ACTIVATIONS)}")
     low, high = command_ranges(choices, params)
     log_std = _log_std(path, own, len(low), std)

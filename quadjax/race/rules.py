@@ -56,7 +56,7 @@ class Limits:
 
 @struct.dataclass
 class Perception:
-    """The penalty for a target gate that the camera does not see."""
+    """The penalty for a target gate out of the camera's view."""
 
     weight: jax.Array  # penalty per s and rad beyond the limit
     camera: jax.Array  # rad, upward tilt of the camera's axis from the body's x
@@ -136,9 +136,9 @@ def crossing(
     """Whether a step passed the gate, and whether it hit it: two () bools.
 
     A gate is crossed when the position goes from behind its plane to in front of it within one
-    step. Where it is decides between the two: at the first sample past the plane (``square``, as
-    in the paper, and ``world_box``, as in the authors' code), or where the straight line between
-    the two samples meets the plane (``interpolated``).
+    step. It is passed if a point is within the opening: the first sample past the plane
+    (``square``, as in the paper, and ``world_box``, as in the authors' code), or the point where
+    the straight line between the two samples meets the plane (``interpolated``).
 
     Args:
         before: position before the step, m, world.
@@ -217,7 +217,7 @@ def hits_ground(
     Where the drone can take off from the ground, its radius, m, does not matter.
     """
     if landing is None:
-        return position.z > 0.0 - radius  # not -0.0 without a radius: the same program as before
+        return position.z > 0.0 - radius  # 0.0 without a radius, not -0.0
     fast = (position.z > -landing.height) & (safe_norm(velocity) > landing.speed)
     return fast | (position.z > BENEATH)
 

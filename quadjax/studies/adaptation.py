@@ -1,7 +1,7 @@
-"""Drones that differ from the model of training, flown with and without the disturbance estimate.
+"""Policies on drones that differ from the model, with and without the disturbance estimate.
 
 The simulated drone is changed; the onboard model of the estimator is that of training. A policy
-observes the estimate, or zeros in its place. Next to it flies a policy that was trained without
+observes the estimate, or zeros in its place. It is compared with a policy that was trained without
 disturbances.
 """
 

@@ -38,7 +38,7 @@ def plan_race(
 def race_config(config: Config, policy: Policy) -> Config:
     """The race of one policy: its vehicle model, without disturbances and randomization.
 
-    The vehicle has the constants that the policy was trained with, where its file tells, so that
+    The vehicle has the constants that the policy was trained with, where its file has them, so that
     its commands have their meaning. On the plant the disturbance is that of the plant, estimated on
     board; the race adds none.
     """

@@ -1,7 +1,7 @@
 """Flights of drones whose constants differ from the nominal ones: crashes and lap times.
 
 The protocol of Ferede et al., "One Net to Rule Them All" (arXiv 2504.21586), for any track: each
-flight begins 1 m before a gate, any with equal chance, with any yaw, and lasts 12 s.
+flight begins 1 m before a random gate, with any yaw, and lasts 12 s.
 """
 
 import dataclasses
@@ -49,7 +49,7 @@ class Flights:
     lap: float
 
     def to_json(self) -> dict[str, Any]:
-        """The numbers as JSON takes them: ``null`` for a lap that nobody flew."""
+        """The numbers as JSON takes them: ``null`` where no lap was completed."""
         lap = round(self.lap, 4) if math.isfinite(self.lap) else None
         return dataclasses.asdict(self) | {"lap": lap}
 

@@ -147,7 +147,7 @@ def lap_rows(rows: Sequence[Row], best: dict[tuple[str, str], BestLap]) -> str:
 
 
 def speed_rows(speeds: dict[str, float], first: str) -> str:
-    """A Markdown table of environment steps a second, beside those of the first drone."""
+    """A Markdown table of environment steps per second, relative to those of the first drone."""
     own = speeds.get(first, math.nan)
     cells = [["drone", "environment steps/s", f"of {first}'s"]]
     cells += [[name, f"{x:,.0f}", f"{x / own:.2f}"] for name, x in speeds.items()]

@@ -63,7 +63,7 @@ class Objective(Section):
         max_length=4096,
         description="evaluate on this stand-in plant: a file or a name of configs/plant",
     )
-    plants: int = Field(3, ge=1, le=1000, description="drones drawn of it, which share the runs")
+    plants: int = Field(3, ge=1, le=1000, description="drones drawn from it, which share the runs")
 
 
 class Budget(Section):

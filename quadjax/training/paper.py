@@ -84,8 +84,9 @@ def _disturbance_of(config: Config) -> dict[str, object]:
 def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[Row, ...]:
     """The published flight of the same race, laps and start in the same model.
 
-    It is of the sampled policy: compare it with sampled flights only. None for E2E, whose published
-    flights are with the residual of a real drone, which is not public, and none of a real drone.
+    It is of the sampled policy: compare it with sampled flights only. There is none for E2E, whose
+    published simulation has the residual of a real drone that is not public. Flights of a real
+    drone are never included.
     """
     same = from_hover and laps == LAPS and is_paper_race(config)
     if not (same and config.vehicle.model == "rate"):

@@ -18,9 +18,9 @@ def damaged(rotors: Factors, imbalance: tuple[float, float] = (0.0, 0.0)) -> Veh
     """The motor-level model of a drone that is damaged or unbalanced.
 
     A rotor of thrust factor f has the forces and moments that one without damage has at
-    ``sqrt(f)`` times its speed. Measured are the true speeds. A shift c of the center of mass
-    adds the moment ``-c x m F`` of the specific force F. Equal arguments give the same object, so
-    that nothing is compiled twice.
+    ``sqrt(f)`` times its speed. The measured speeds are the true ones. A shift c of the center of
+    mass adds the moment ``-c x m F`` of the specific force F. Equal arguments give the same object,
+    so that nothing is compiled twice.
 
     Args:
         rotors: thrust factor of each of the four rotors, above 0.

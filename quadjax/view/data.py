@@ -12,7 +12,7 @@ from quadjax.view.flight import TURNS, Flight, Gate, Marker
 
 FORMAT = "quadjax-flights/1"
 MISSING = -32768  # of a 16-bit integer: no value
-ARM, ROTOR = 0.12, 0.076  # m, center to rotor and radius of a rotor: a Bebop's
+ARM, ROTOR = 0.12, 0.076  # m, center to rotor and radius of a rotor, of a Bebop
 
 
 @dataclasses.dataclass(frozen=True)

@@ -162,7 +162,7 @@ def passages(
         position: (n, 3) m, world.
         gates: of the track, in order of passage.
         target: (n,) index of the gate to pass next; None: every passage through an opening, or at
-            most ``REACH`` beside it, in the gate's direction.
+            most ``REACH`` outside it, in the gate's direction.
 
     Returns:
         (k, 3): time, s; index of the gate; distance from the edge of its opening, m, negative

@@ -1,4 +1,4 @@
-"""Self-contained pages: HTML with the program, the style and the data inside."""
+"""Self-contained pages: HTML that contains the script, the style and the data."""
 
 import base64
 import functools

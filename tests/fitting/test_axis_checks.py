@@ -148,7 +148,7 @@ def minus(*names):
             lambda columns: {"rate_q": delayed(columns["rate_q"], 50)},
         ),
         (
-            "columns 'ekf_U1', 'ekf_U2' are turned by 4. deg from the specific force",
+            "columns 'ekf_U1', 'ekf_U2' are rotated by 4. deg from the specific force",
             lambda columns: turned(columns, "ekf_U1", "ekf_U2", np.radians(45.0)),
         ),
         (

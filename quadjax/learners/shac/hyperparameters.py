@@ -90,8 +90,8 @@ class SHAC(LearnerSection):
         0.0,
         ge=0,
         le=1,
-        description="fraction of the restarts that begin at a state of an earlier flight, in place "
-        "of a random start; 0: none, and no such states are kept",
+        description="fraction of the restarts that begin at a state of an earlier episode, in "
+        "place of a random start; 0: none, and no such states are kept",
     )
     critic_warmup: int = Field(
         0, ge=0, le=10**9, description="updates at the start that train the critic only"

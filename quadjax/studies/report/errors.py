@@ -1,4 +1,4 @@
-"""What a drone did against what it was commanded: the actuators and the body rates of a flight."""
+"""Commanded and measured actuators or body rates of a flight."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ class Signals:
 
     @property
     def error(self) -> np.ndarray:
-        """What is not the model's response, (n, k)."""
+        """The difference from the model's response, (n, k)."""
         return self.actual - self.model
 
 

@@ -1,4 +1,4 @@
-"""The whole report: read flights, write tables and figures."""
+"""Write the tables and figures of a report."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
