@@ -47,7 +47,12 @@ def run(installed, folder, *arguments):
 
 def test_the_wheel_has_configs_policies_and_templates(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
-    for folder, suffix in (("configs", "yaml"), ("pretrained", "npz"), ("export/templates", "*")):
+    for folder, suffix in (
+        ("configs", "yaml"),
+        ("pretrained", "npz"),
+        ("export/templates", "*"),
+        ("view/assets", "*"),
+    ):
         own = ROOT / ("configs" if folder == "configs" else f"quadjax/{folder}")
         files = [path for path in own.rglob(f"*.{suffix}") if path.is_file()]
         missing = [p for p in files if f"quadjax/{folder}/{p.relative_to(own)}" not in names]

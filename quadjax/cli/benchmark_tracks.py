@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _row(case: "Case", config: "Config", options: argparse.Namespace) -> "Row":
     """Train if needed, and fly; a result of the same policy is read from its file."""
     from quadjax.core.files import read_json
-    from quadjax.policy.file import Policy
+    from quadjax.core.provenance import provenance
     from quadjax.studies.track_table import RESULT, Row, fly_case
 
     folder = options.output / case.name
@@ -99,10 +99,12 @@ def _row(case: "Case", config: "Config", options: argparse.Namespace) -> "Row":
     result = folder / RESULT
     if result.exists() and result.stat().st_mtime >= file.stat().st_mtime:
         kept = read_json(result)
-        kept.pop("provenance", None)
-        if kept.get("runs") == options.runs:
+        origin = kept.pop("provenance", None) or {}
+        own = provenance(config, file)
+        same = all(origin.get(key) == own[key] for key in ("config", "policy"))
+        if same and kept.get("runs") == options.runs:
             return Row(**kept)
-    return fly_case(Policy.load(file), config, case, options.runs, folder)
+    return fly_case(file, config, case, options.runs, folder)
 
 
 def _train(case: "Case", options: argparse.Namespace) -> Path:

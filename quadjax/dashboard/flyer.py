@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from quadjax.config.schema import Config
-from quadjax.core.errors import InputError
 from quadjax.view.flight import Flight
 
 RUNS = 8  # sampled flights, for the causes of crashes
@@ -74,12 +73,15 @@ class Flyer:
                 found = self._folder.policy, self._folder.policy.stat().st_mtime_ns
                 if found == seen:
                     continue
-                started, seen = time.monotonic(), found
+                started = time.monotonic()
                 try:
                     self._fly()
                     self.error = ""
-                except InputError as error:
-                    self.error = str(error)
+                except OSError:
+                    continue
+                except Exception as error:  # of the policy file, of JAX, or of the user's functions
+                    self.error = str(error).partition("\n")[0] or type(error).__name__
+                seen = found
                 rest = 0.0 if self._folder.finished else REST * (time.monotonic() - started)
                 self._stop.wait(min(rest, 60.0))
 

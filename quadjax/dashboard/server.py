@@ -84,7 +84,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.MISDIRECTED_REQUEST, "text/plain", b"unknown host\n")
             return
         try:
-            self._send(*self.owner.answer(self.path.partition("?")[0]))
+            try:
+                answer = self.owner.answer(self.path.partition("?")[0])
+            except Exception as error:  # of a file that changes while it is read
+                line = str(error).partition("\n")[0] or type(error).__name__
+                answer = HTTPStatus.INTERNAL_SERVER_ERROR, "text/plain", f"{line}\n".encode()
+            self._send(*answer)
         except (BrokenPipeError, ConnectionResetError):  # the page was closed
             self.close_connection = True
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.loading import load_config
+from quadjax.config.loading import config_of, load_config
 from quadjax.config.schema import Config, Gate
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json, read_npz
@@ -117,7 +117,7 @@ def _own_race(path: Path) -> Config:
         return load_config(preset)
     if own is None:
         raise InputError(f"{path}: does not contain its config, name the race: --race CONFIG")
-    return build(Config, own, f"{path}: config")
+    return config_of(own, f"{path}: config")
 
 
 def fly(path: Path, config: Config, name: str, options: Options) -> Source:

@@ -145,7 +145,7 @@ def learning_figure(groups: Mapping[str, Sequence[Path]]) -> Figure:
         lap_axis(axes, times, references)
         axes.set_xlabel(label, color=INK)
         axes.set_xlim(left=0.0)
-    panels[0].set_ylabel(f"{drawn[0].length}, deterministic (s)", color=INK)
+    panels[0].set_ylabel(f"{drawn[0].length} (s)", color=INK)
     head(panels[0], "median over seeds; shaded from the fastest to the slowest")
     return figure
 

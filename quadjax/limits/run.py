@@ -64,6 +64,8 @@ def problem_of(choices: "Choices", params: "RaceParams", race: Race) -> Problem:
     """
     if choices.rules:
         raise InputError("rules.extra: time-optimal laps do not support extra rules")
+    if params.limits.body_radius is not None:
+        raise InputError("rules.body_radius: time-optimal laps do not support it, allowed: 0")
     passages = race.gates
     if race.laps is not None:
         passages = race.laps * len(np.asarray(params.track.yaw))

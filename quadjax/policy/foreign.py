@@ -194,6 +194,10 @@ def policy_of(
         spanned = dataclasses.replace(layout[name], span=(actuator_range,) * layout[name].size)
         layout = type(layout)(tuple(spanned if f.name == name else f for f in layout.fields))
     if motors is not None:
+        if any(field.name == "last_action" for field in layout.fields):
+            raise InputError(
+                f"{path}: motors {list(motors)}, allowed: none with observation.last_action"
+            )
         layers, log_std = _reordered(path, layers, log_std, layout.slice(name), motors)
     return Policy(
         layers=layers,

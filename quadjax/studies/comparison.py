@@ -53,6 +53,7 @@ class Setting:
     runs: int = 100
     seed: int = 0
     plants: int = 10
+    deterministic: bool = True  # on the plant, apply the mean action
 
 
 def contender(name: str, file: str) -> Contender:
@@ -84,6 +85,7 @@ def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
 def fly(setting: Setting, plant: PlantConfig, own: Contender) -> Flights:
     """A contender's flights on a plant."""
     options = {"lap_count": setting.laps, "runs": setting.runs, "recorded": FLIGHTS}
+    options["deterministic"] = setting.deterministic
     plan = plan_race(setting.race, plant, own.policy, own.file, **options)
     return fly_plan(plan, setting.seed)
 

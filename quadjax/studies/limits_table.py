@@ -102,6 +102,7 @@ def cell(
         return result | {"error": str(error), "seconds": time.monotonic() - began}
     gates = [gate.model_dump(mode="json") for gate in config.track.gates]
     meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track": gates}
+    meta["start"] = problem.start
     write_npz(table, arrays(problem, best), result | meta)
     bound = run.bound_of(problem, best, None)
     result |= {

@@ -15,6 +15,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
+from quadjax.core.provenance import provenance
 from quadjax.core.sections import Field, Section, load_section
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.policy.file import Policy
@@ -101,8 +102,9 @@ class Row:
         return dataclasses.asdict(self)
 
 
-def fly_case(policy: Policy, config: Config, case: Case, runs: int, folder: Path) -> Row:
+def fly_case(file: Path, config: Config, case: Case, runs: int, folder: Path) -> Row:
     """Fly a policy on a track, draw its lap, and write both to a folder."""
+    policy = Policy.load(file)
     hover = evaluate(policy, config, runs=1, deterministic=True)
     starts = evaluate(policy, config, runs=runs, deterministic=True, start="random", seed=1)
     laps = hover.laps.whole_laps[0, 1:]
@@ -117,7 +119,7 @@ def fly_case(policy: Policy, config: Config, case: Case, runs: int, folder: Path
         crash=hover.laps.crashes[0],
     )
     save_figure(hover.plot(), folder / PICTURE)
-    write_json(folder / RESULT, row.to_json() | {"provenance": hover.provenance})
+    write_json(folder / RESULT, row.to_json() | {"provenance": provenance(config, file)})
     return row
 
 

@@ -177,8 +177,7 @@ def _checked(file: SweepFile, base: Path) -> Sweep:
     race.pop("vehicle.model", None)
     conditions = tuple(override(k, v) for k, v in (race | file.conditions).items())
     load_config(base, (*fixed, *conditions))
-    if file.objective.plant is not None:
-        load_plant_config(file.objective.plant)
+    _check_plant(file, config)
     trials = file.budget.trials or 20
     if file.search.method == "grid":
         trials = math.prod(len(d.grid()) for d in dimensions)
@@ -192,6 +191,25 @@ def _checked(file: SweepFile, base: Path) -> Sweep:
             raise InputError(f"space.{d.key}: search.base_first needs the base's {first} in it")
     _check_values(sweep)
     return sweep
+
+
+def _check_plant(file: SweepFile, config: Config) -> None:
+    """Refuse keys without effect for an objective on the plant, or without one."""
+    plant, plants = file.objective.plant, file.objective.plants
+    if plant is None:
+        if plants != type(file.objective).model_fields["plants"].default:
+            raise InputError(f"objective.plants is {plants}, allowed: only with objective.plant")
+        return
+    load_plant_config(plant)
+    if file.conditions:
+        raise InputError("conditions: allowed: none with objective.plant")
+    if config.evaluate.gates is not None:
+        raise InputError("evaluate.gates: allowed: null with objective.plant")
+    if file.objective.runs % plants:
+        raise InputError(
+            f"objective.runs is {file.objective.runs}, allowed: a multiple of objective.plants, "
+            f"{plants}"
+        )
 
 
 def _check_values(sweep: Sweep) -> None:

@@ -93,7 +93,7 @@ def _fly(job: Job, config: Config, policy: Path) -> tuple[float, float]:
         result = evaluate(policy, job.race, runs=asked.runs, deterministic=exact, seed=FLIGHT_SEED)
         return result.laps.penalized, result.finished / asked.runs
     plant, laps = load_plant_config(asked.plant), config.evaluate.laps
-    setting = Setting(config, plant, laps, asked.runs, FLIGHT_SEED, asked.plants)
+    setting = Setting(config, plant, laps, asked.runs, FLIGHT_SEED, asked.plants, exact)
     flown = fly_drawn(setting, plant, contender("", str(policy)))
     value = statistics.fmean(one.penalized for one in flown.laps)
     return value, flown.finished / flown.runs

@@ -44,7 +44,7 @@ def page(record: dict[str, Any], server: bool = False) -> str:
         css=css,
         data=data,
         script=script,
-        license=_asset("three.LICENSE").partition("\n\n")[2].partition("\n")[0],
+        license=_asset("three.LICENSE"),
     )
 
 

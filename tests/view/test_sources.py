@@ -150,3 +150,6 @@ def test_policies_and_their_states_show_the_same_flight(tmp_path):
     one, two = json.loads(page.read_text(encoding="utf-8"))["flights"]
     assert one["lap_ends"] == pytest.approx(two["lap_ends"], abs=1e-3)
     np.testing.assert_allclose(one["passages"], two["passages"], atol=2e-3)
+    assert run("view", "e2e_adaptive", *common, "--output", page) == 0  # the race of its file
+    (flight,) = json.loads(page.read_text(encoding="utf-8"))["flights"]
+    assert len(flight["lap_ends"]) == 1

@@ -6,7 +6,7 @@ import { Viewer } from "./viewer.js";
 
 const EVERY = 2000; // ms between questions
 const CHARTS = [
-  ["Time of all laps (s), mean action", ["lap_total", "best_lap_total"]],
+  ["Time of all laps (s)", ["lap_total", "best_lap_total"]],
   ["Reward per step", ["reward"]],
   ["Crash rate of training episodes", ["crash_rate"]],
   ["Standard deviation of the noise", ["std"]],

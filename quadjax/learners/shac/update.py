@@ -29,6 +29,9 @@ from quadjax.learners.shards import (
 )
 from quadjax.learners.state import Learner, Metrics, TrainState
 
+# Of the keys of an update; those below 4 are equal to the keys that it is split into.
+RESTARTING, REMEMBERING = 4, 5
+
 EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far
 
 register(SHAC)
@@ -87,7 +90,7 @@ def _update(
     count = envs_per_shard(state.environment, keys)
     fresh = reset_all(environment, environment_params, reset_keys, count)
     if state.buffer is not None:
-        fresh = restarts(state.buffer, fresh, fold_in_all(keys, 1), hyper.revisit)
+        fresh = restarts(state.buffer, fresh, fold_in_all(keys, RESTARTING), hyper.revisit)
     noise = hyper.std * normal_all(noise_keys, (hyper.horizon,), count, networks.action_size)
     loss, gradient, environment_state, trajectory = collect_gradient(
         environment, networks, hyper, environment_params, state, fresh, noise
@@ -107,7 +110,7 @@ def _update(
         keys=keys,
         update=state.update + 1,
         ema=_moving_average(hyper, state, params),
-        buffer=_remembered(state, trajectory, fold_in_all(keys, 2)),
+        buffer=_remembered(state, trajectory, fold_in_all(keys, REMEMBERING)),
     )
     metrics = {"policy_loss": loss} | policy_metrics | critic_metrics
     return following, metrics | _rollout_metrics(trajectory, hyper)
