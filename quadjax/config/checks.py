@@ -314,6 +314,7 @@ def _check_gate_edge(config: Config) -> None:
     if reward.gate_edge == 0:
         return
     half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
+    half -= config.rules.body_radius
     if reward.gate_edge_margin >= half:
         refuse("reward.gate_edge_margin", reward.gate_edge_margin, f"below {half:g}")
 
