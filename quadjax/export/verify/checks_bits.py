@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from quadjax.export.actor import fixed_point_forward
+from quadjax.export.integers import bit_mask
 from quadjax.export.report import float64_commands, uniform_samples
 from quadjax.export.selftest import BLOCK, padded_layers
 from quadjax.export.verify.context import Context
@@ -66,10 +67,9 @@ def check_hostile(c: Context) -> str:
     network = c.folder.network
     low, high = network.command_low, network.command_high
     require(bool(np.all((rows[:, :4] >= low) & (rows[:, :4] <= high))), "a command out of range")
-    place = np.uint32(1) << np.arange(network.inputs, dtype=np.uint32)
-    nan = (np.isnan(c.hostile) * place).sum(1, dtype=np.uint32)
+    nan = bit_mask(np.isnan(c.hostile))
     beyond = ~np.isnan(c.hostile) & (np.abs(c.hostile) > network.box.ranges)
-    clipped = (beyond * place).sum(1, dtype=np.uint32)
+    clipped = bit_mask(beyond)
     require(bool(np.all(rows[:, 6].view(np.uint32) == nan)), "wrong NaN status")
     require(bool(np.all(rows[:, 5].view(np.uint32) == clipped)), "wrong clipped status")
     command = c.library.command(c.hostile).astype(np.float64)
