@@ -142,7 +142,7 @@ def _check_folder(folder: Path, name: str) -> None:
 
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
-    return (f"{name}_estimator.c", f"{name}_estimator.h", RESIDUAL_FILE, "paparazzi")
+    return (f"{name}_estimator.c", f"{name}_estimator.h", RESIDUAL_FILE)
 
 
 def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:
