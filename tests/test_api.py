@@ -20,11 +20,14 @@ def test_importing_quadjax_is_fast_and_imports_neither_jax_nor_numpy():
         "import sys, time; t = time.perf_counter(); import quadjax; quadjax.presets();"
         "print(time.perf_counter() - t, 'jax' in sys.modules, 'numpy' in sys.modules)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
-    )
-    seconds, *heavy = done.stdout.split()
-    assert float(seconds) < 0.3 and heavy == ["False", "False"]
+    command = [sys.executable, "-c", code]
+    seconds = []
+    for _ in range(3):  # the fastest counts: others may be using the machine
+        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
+        spent, *heavy = done.stdout.split()
+        assert heavy == ["False", "False"]
+        seconds.append(float(spent))
+    assert min(seconds) < 0.3
 
 
 @pytest.mark.parametrize("name", sorted(quadjax.__all__))

@@ -50,7 +50,7 @@ SHORT_FILE = [  # in the YAML file of a sweep
     (r"\bruns: \d+", "runs: 1"),
 ]
 RUN = {"python", "sh"}
-LIMIT = 600  # s, a command
+LIMIT = 1200  # s, a command
 
 
 @pytest.mark.slow

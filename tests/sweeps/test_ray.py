@@ -15,7 +15,7 @@ from tests.sweeps.support import ROOT, complete, open_small, sweep_file
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'quadjax[ray]'")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
 pytestmark = pytest.mark.slow
-LIMIT = 120.0
+LIMIT = 600.0
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ def browser():
         chromium.close()
 
 
-def wait_until(page, condition, seconds: float = 120.0):
+def wait_until(page, condition, seconds: float = 600.0):
     """Wait for a condition of the page, whose policy forbids evaluating text."""
     end = time.monotonic() + seconds
     while not page.evaluate(condition):

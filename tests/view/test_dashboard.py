@@ -113,6 +113,6 @@ def test_a_run_is_shown_while_it_trains(browser, watched, tmp_path):
 def test_train_watch_prints_an_address_that_answers(tmp_path):
     command = [sys.executable, "-m", "quadjax", "train", "e2e_shac", "run.steps=20000"]
     more = ["learner.num_envs=32", "evaluate.laps=1", "--watch", "--output", str(tmp_path)]
-    done = subprocess.run([*command, *more], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([*command, *more], capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     assert "watch: http://127.0.0.1:" in done.stderr
