@@ -101,6 +101,35 @@ def test_the_time_line_and_the_buttons(open_scene):
         assert page.page.locator(".ticks .marker").count() == 2
 
 
+def test_the_field_of_view_of_the_camera(open_scene):
+    with open_scene(scene(circle("one", lap=4.0))) as page:
+        page.still(2.0)
+        wait_until(page.page, "quadjax.viewer.state().sight")
+        (drone,), corners = page.state()["drones"], page.state()["corners"]
+        rays = np.array([corner["place"] for corner in corners]) - drone["position"]
+        rays /= np.linalg.norm(rays, axis=1)[:, None]
+        middle = rays.sum(axis=0) / np.linalg.norm(rays.sum(axis=0))
+        turn = Rotation.from_quat(drone["attitude"])
+        tilt = np.radians(page.do("return viewer.cameras.tilt"))
+        forward = turn.apply([np.cos(tilt), np.sin(tilt), 0.0])  # x forward, y up
+        np.testing.assert_allclose(middle, forward, atol=1e-5)
+        right = np.abs(rays @ turn.apply([0.0, 0.0, 1.0])) / (rays @ forward)
+        np.testing.assert_allclose(right, np.tan(np.radians(50.0)), rtol=1e-4)
+        page.page.keyboard.press("f")
+        wait_until(page.page, "!quadjax.viewer.state().sight")
+        for size in (DESK, PHONE):
+            page.page.set_viewport_size({"width": size[0], "height": size[1]})
+            page.page.keyboard.press("3")
+            page.page.wait_for_timeout(500)
+            box = page.page.locator(".picture").bounding_box()
+            assert box["width"] / box["height"] == pytest.approx(4 / 3, rel=0.02)
+            view = page.page.locator("canvas.world").bounding_box()
+            share = [box["width"] / view["width"], box["height"] / view["height"]]
+            screen = np.array([corner["screen"][:2] for corner in page.state()["corners"]])
+            np.testing.assert_allclose(np.abs(screen), np.tile(share, (4, 1)), atol=0.02)
+        assert "100° × 84°" in page.page.inner_text(".picture")
+
+
 def test_the_panel_shows_order_gap_laps_and_clearance(open_scene):
     with open_scene(RACE) as page:
         page.still(4.0)

@@ -34,7 +34,6 @@ export class Bar {
       button("ahead", "one step ahead (→)", () => clock.step(step)), this.time,
       el("div", { class: "scrub" }, el("div", { class: "ticks" }, ...this.ticks.map((t) => t.element)),
         this.scrub), this.rate);
-    clock.onChange(() => this.update());
     this.update();
   }
 

@@ -4,6 +4,7 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 export const VIEWS = ["orbit", "chase", "on-board", "top"];
 const UP = new Vector3(0, 1, 0);
+const ASPECT = 4 / 3; // of the on-board camera's picture
 
 export class Cameras {
   constructor(element, bounds) {
@@ -11,7 +12,7 @@ export class Cameras {
     this.bounds = bounds;
     this.view = "orbit";
     this.fieldOfView = 100; // deg, horizontal, of the on-board camera
-    this.tilt = 25; // deg, upwards from the body's x axis
+    this.tilt = 45; // deg, upwards from the body's x axis
     this.controls = new OrbitControls(this.camera, element);
     this.controls.maxPolarAngle = 0.495 * Math.PI;
     this.controls.minDistance = 0.4;
@@ -63,6 +64,18 @@ export class Cameras {
     }
   }
 
+  // Horizontal and vertical field of view of the on-board camera, deg.
+  get angles() {
+    const half = Math.tan(MathUtils.degToRad(this.fieldOfView / 2)) / ASPECT;
+    return [this.fieldOfView, MathUtils.radToDeg(2 * Math.atan(half))];
+  }
+
+  // The part of the view that the on-board camera's picture fills, (width, height).
+  get picture() {
+    const { aspect } = this.camera;
+    return aspect > ASPECT ? [ASPECT / aspect, 1] : [1, aspect / ASPECT];
+  }
+
   setLens(degrees) {
     this.camera.fov = degrees;
     this.camera.updateProjectionMatrix();
@@ -100,9 +113,8 @@ export class Cameras {
 
   onBoard(flight, time) {
     const { a, b, turn } = this.scratch;
-    const vertical = 2 * Math.atan(
-      Math.tan(MathUtils.degToRad(this.fieldOfView / 2)) / this.camera.aspect);
-    this.setLens(Math.min(MathUtils.radToDeg(vertical), 150));
+    const half = Math.tan(MathUtils.degToRad(this.angles[1] / 2)) / this.picture[1];
+    this.setLens(MathUtils.radToDeg(2 * Math.atan(half)));
     flight.attitudeAt(time, turn, new Quaternion());
     const tilt = MathUtils.degToRad(this.tilt);
     b.set(Math.cos(tilt), Math.sin(tilt), 0).applyQuaternion(turn);

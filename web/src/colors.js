@@ -11,9 +11,9 @@ const RANGE = { dark: [0.3, 1], light: [0, 0.85] }; // the part that contrasts w
 
 export const SCENE = {
   dark: { background: "#10161f", ground: "#161e2a", grid: "#263346", major: "#35465f",
-    gate: "#dfe6ef", next: "#ffb000", shadow: "#05080c" },
+    gate: "#dfe6ef", next: "#ffb000", shadow: "#05080c", ink: "#c3cfdd" },
   light: { background: "#f3f6fa", ground: "#e9eef4", grid: "#d4dce6", major: "#b9c5d3",
-    gate: "#39434f", next: "#d55e00", shadow: "#8a94a1" },
+    gate: "#39434f", next: "#d55e00", shadow: "#8a94a1", ink: "#39434f" },
 };
 
 export const flightColor = (index, theme) => FLIGHTS[theme][index % FLIGHTS[theme].length];

@@ -47,18 +47,23 @@ function instanced(scene, geometry, material, count) {
 }
 
 export class Drones {
+  // Of the drones in the scene, along each axis.
+  get size() {
+    return this.scratch.scale.setScalar(this.magnification);
+  }
+
   constructor(scene, flights, { arm, rotor }) {
     this.flights = flights;
     this.hubs = FRONT_LEFT_FIRST.map(([forward, right]) => new Vector3(
       forward * arm * Math.SQRT1_2, 0.22 * arm, right * arm * Math.SQRT1_2));
-    const glass = { transparent: true, depthWrite: false };
+    const glass = { transparent: true, depthWrite: false, forceSinglePass: true };
     const count = flights.length;
     this.bodies = instanced(scene, bodyGeometry(arm, rotor),
       new MeshLambertMaterial({ vertexColors: true }), count);
     this.blades = instanced(scene, bladeGeometry(rotor), new MeshBasicMaterial(), 4 * count);
-    this.discs = instanced(scene, new CircleGeometry(rotor, 20).rotateX(-Math.PI / 2),
+    this.discs = instanced(scene, new CircleGeometry(rotor, 12).rotateX(-Math.PI / 2),
       new MeshBasicMaterial({ ...glass, opacity: 0.28, side: 2 }), 4 * count);
-    this.shadows = instanced(scene, new CircleGeometry(1.5 * arm, 16).rotateX(-Math.PI / 2),
+    this.shadows = instanced(scene, new CircleGeometry(1.5 * arm, 12).rotateX(-Math.PI / 2),
       new MeshBasicMaterial({ ...glass, opacity: 0.45, fog: false }), count);
     this.magnification = 1;
     this.hidden = -1; // the flight whose camera looks out of it

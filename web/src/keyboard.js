@@ -14,6 +14,7 @@ export function listen(viewer, step) {
     N: () => viewer.select(viewer.selected - 1),
     d: () => viewer.magnify(),
     l: () => viewer.toggleLabels(),
+    f: () => viewer.toggleSight(),
     p: () => viewer.togglePanel(),
     t: () => theme.toggle(),
     h: () => viewer.toggleHelp(),

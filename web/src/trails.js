@@ -1,7 +1,7 @@
 // The path behind each drone as a ribbon of constant width on the screen, colored by speed.
 import {
   BufferAttribute, BufferGeometry, Color, DataTexture, Mesh, RGBAFormat, ShaderMaterial,
-  SRGBColorSpace, Vector2,
+  SRGBColorSpace, Vector2, Vector3,
 } from "three";
 import { speedColor } from "./colors.js";
 
@@ -10,15 +10,17 @@ attribute vec3 ahead;
 attribute vec3 info; // side, speed, time
 uniform float now, span, width, low, high;
 uniform vec2 resolution;
+uniform vec3 head; // where the drone is
 varying float level, age;
 void main() {
-  vec4 a = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
-  vec4 b = projectionMatrix * modelViewMatrix * vec4(ahead, 1.0);
+  vec3 place = info.z > now ? head : position; // the last segment ends at the drone
+  vec4 a = projectionMatrix * modelViewMatrix * vec4(place, 1.0);
+  vec4 b = projectionMatrix * modelViewMatrix * vec4(place + ahead - position, 1.0);
   vec2 way = (b.xy / max(b.w, 1e-3) - a.xy / max(a.w, 1e-3)) * resolution;
   vec2 across = dot(way, way) > 1e-12 ? normalize(vec2(-way.y, way.x)) : vec2(0.0, 1.0);
   a.xy += info.x * width * across / resolution * max(a.w, 1e-3);
   level = (info.y - low) / max(high - low, 1e-3);
-  age = (now - info.z) / span;
+  age = max(now - info.z, 0.0) / span;
   gl_Position = a;
 }`;
 const FRAGMENT = `
@@ -30,15 +32,30 @@ void main() {
     opacity * clamp(1.25 - 1.25 * age, 0.0, 1.0));
 }`;
 
-function ribbon(flight) {
-  const n = flight.count;
+const SPACING = 0.03; // s between points of a ribbon; 30 m/s^2 deviate by 3 mm from a line
+
+// Samples that are points of the ribbon, and for each sample the last point at or before it.
+function pointsOf({ time, count }) {
+  const samples = [0];
+  const pointOf = new Uint32Array(count);
+  for (let i = 1; i < count; i++) {
+    const far = time[i] - time[samples[samples.length - 1]] >= SPACING - 1e-4;
+    if (far || i === count - 1) samples.push(i);
+    pointOf[i] = samples.length - 1;
+  }
+  return { samples, pointOf };
+}
+
+function ribbon(flight, samples) {
+  const n = samples.length;
   const position = new Float32Array(6 * n);
   const ahead = new Float32Array(6 * n);
   const info = new Float32Array(6 * n);
   const index = new Uint32Array(6 * Math.max(n - 1, 1));
   for (let i = 0; i < n; i++) {
-    const here = flight.position.subarray(3 * i, 3 * i + 3);
-    const j = Math.min(i, n - 2);
+    const sample = samples[i];
+    const here = flight.position.subarray(3 * sample, 3 * sample + 3);
+    const j = Math.min(sample, flight.count - 2);
     for (let side = 0; side < 2; side++) {
       const row = 3 * (2 * i + side);
       position.set(here, row);
@@ -46,7 +63,7 @@ function ribbon(flight) {
         const way = flight.position[3 * j + 3 + axis] - flight.position[3 * j + axis];
         ahead[row + axis] = here[axis] + way;
       }
-      info.set([2 * side - 1, flight.speed[i], flight.time[i]], row);
+      info.set([2 * side - 1, flight.speed[sample], flight.time[sample]], row);
     }
     if (i < n - 1) {
       const a = 2 * i;
@@ -69,19 +86,20 @@ export class Trails {
     this.colors.colorSpace = SRGBColorSpace;
     this.resolution = new Vector2(1, 1);
     this.meshes = flights.map((flight) => {
+      const { samples, pointOf } = pointsOf(flight);
       const uniforms = {
         now: { value: 0 }, span: { value: 1.5 }, width: { value: 3 }, opacity: { value: 1 },
-        low: { value: range[0] }, high: { value: range[1] },
+        head: { value: new Vector3() }, low: { value: range[0] }, high: { value: range[1] },
         resolution: { value: this.resolution }, colors: { value: this.colors },
       };
       const material = new ShaderMaterial({ uniforms, vertexShader: VERTEX,
         fragmentShader: `${FRAGMENT.replace(/}$/, "#include <colorspace_fragment>\n}")}`,
         transparent: true, depthWrite: false, side: 2 });
-      const mesh = new Mesh(ribbon(flight), material);
+      const mesh = new Mesh(ribbon(flight, samples), material);
       mesh.frustumCulled = false;
       mesh.renderOrder = 1;
       scene.add(mesh);
-      return { mesh, uniforms, flight };
+      return { mesh, uniforms, flight, pointOf };
     });
   }
 
@@ -94,12 +112,14 @@ export class Trails {
     this.colors.needsUpdate = true;
   }
 
-  update(time) {
-    this.meshes.forEach(({ mesh, uniforms, flight }, i) => {
-      const last = flight.index(time);
-      const first = Number.isFinite(this.span) ? flight.index(Math.max(time - this.span, 0)) : 0;
+  update(time, places) {
+    this.meshes.forEach(({ mesh, uniforms, flight, pointOf }, i) => {
+      const last = pointOf[flight.index(time)] + (time < flight.end ? 1 : 0);
+      const first = Number.isFinite(this.span)
+        ? pointOf[flight.index(Math.max(time - this.span, 0))] : 0;
       mesh.geometry.setDrawRange(6 * first, 6 * Math.max(last - first, 0));
       mesh.visible = this.span > 0 && last > first;
+      uniforms.head.value.copy(places[i]);
       uniforms.now.value = Math.min(time, flight.end);
       uniforms.span.value = Number.isFinite(this.span) ? this.span : 1e9;
       uniforms.width.value = i === this.selected ? 5 : 3;

@@ -10,6 +10,7 @@ import { Flight, ranking } from "./flight.js";
 import { listen } from "./keyboard.js";
 import { Labels } from "./labels.js";
 import { Panel } from "./panel.js";
+import { Sight } from "./sight.js";
 import { Stage, readGate } from "./stage.js";
 import { Trails } from "./trails.js";
 
@@ -75,6 +76,8 @@ export class Viewer {
     this.stage = new Stage(this.canvas, this.gates, this.bounds, this.software);
     this.drones = new Drones(this.stage.scene, flights, size);
     this.trails = new Trails(this.stage.scene, flights, this.range);
+    this.sight = new Sight(this.stage.scene, this.bounds.radius);
+    this.labels = new Labels(this.stage.scene, flights, this.gates, this.bounds);
     this.cameras = new Cameras(this.canvas, this.bounds);
     this.cameras.controls.addEventListener("change", () => { this.dirty = true; });
     this.cameras.controls.addEventListener("start", () => { this.cameras.touched = true; });
@@ -82,7 +85,10 @@ export class Viewer {
   }
 
   start(options) {
-    this.clock.onChange(() => { this.dirty = true; });
+    this.clock.onChange(() => {
+      this.dirty = true;
+      if (!this.clock.playing) this.bar.update();
+    });
     this.onTheme = (name) => this.setTheme(name);
     theme.listeners.push(this.onTheme);
     this.setTheme(theme.current);
@@ -99,11 +105,10 @@ export class Viewer {
   build(data) {
     const { flights } = this;
     this.canvas = el("canvas", { class: "world", tabindex: 0, "aria-label": "3D view" });
-    this.labels = new Labels(flights, this.gates, this.bounds);
     this.panel = new Panel(flights, this.markers, (index) => this.select(index));
     this.bar = new Bar(this.clock, flights, this.markers, STEP);
     this.element = el("div", { class: "viewer" },
-      el("div", { class: "stage" }, this.canvas, this.labels.element, this.head(data),
+      el("div", { class: "stage" }, this.canvas, this.picture(), this.head(data),
         this.buttons(), this.legend(), this.lens(), this.help()),
       this.panel.element, this.bar.element);
     const { clientWidth } = this.root;
@@ -149,7 +154,7 @@ export class Viewer {
     const slider = (name, label, low, high) => {
       const output = el("output");
       const input = el("input", { type: "range", min: low, max: high, step: 1, "aria-label": label,
-        oninput: () => { this.cameras[name] = Number(input.value); show(); this.dirty = true; } });
+        oninput: () => { this.cameras[name] = Number(input.value); show(); this.showPicture(); } });
       const show = () => { output.textContent = `${input.value}°`; };
       setTimeout(() => { input.value = this.cameras?.[name]; show(); });
       return el("label", {}, el("span", { text: label }), input, output);
@@ -159,10 +164,34 @@ export class Viewer {
     return this.lensBox;
   }
 
+  // The edge of the on-board camera's picture; what lies outside it is dimmed.
+  picture() {
+    this.pictureText = el("span");
+    this.pictureBox = el("div", { class: "picture", hidden: "" }, this.pictureText);
+    return this.pictureBox;
+  }
+
+  showPicture() {
+    const { angles, picture, tilt } = this.cameras;
+    this.sight.setLens(angles, tilt);
+    this.pictureText.textContent =
+      `camera picture ${angles.map((angle) => `${angle.toFixed(0)}°`).join(" × ")}`;
+    const [x, y] = picture.map((part) => `${50 - 50 * part}%`);
+    this.pictureBox.style.inset = `${y} ${x}`;
+    this.pictureBox.hidden = this.cameras.view !== "on-board";
+    this.dirty = true;
+  }
+
+  toggleSight() {
+    this.sight.shown = !this.sight.shown;
+    this.dirty = true;
+  }
+
   help() {
     const keys = [["space", "play, pause"], ["← →", "one step (shift: 0.5 s)"],
       ["↑ ↓", "playback speed"], ["1 2 3 4", "orbit, chase, on-board, top"],
-      ["n", "next drone"], ["d", "size of the drones"], ["l", "labels"], ["p", "panel"],
+      ["n", "next drone"], ["d", "size of the drones"], ["l", "labels"], ["f", "field of view of the camera"],
+      ["p", "panel"],
       ["t", "light, dark"], ["0", "restart"], ["r", "reset the camera"]];
     this.helpBox = el("div", { class: "help", hidden: "" }, el("h2", { text: "Keys" }),
       el("dl", {}, ...keys.flatMap(([key, text]) => [el("dt", { text: key }), el("dd", { text })])),
@@ -203,12 +232,14 @@ export class Viewer {
       button.setAttribute("aria-pressed", VIEWS[i] === view);
     });
     this.element.dataset.view = view;
-    this.dirty = true;
+    this.showPicture();
   }
 
   select(index) {
     this.selected = (index + this.flights.length) % this.flights.length;
     this.trails.selected = this.selected;
+    this.labels.select(this.selected);
+    this.sight.setColor(flightColor(this.selected, this.theme));
     this.drones.hidden = this.cameras.view === "on-board" ? this.selected : -1;
     this.panel.show(this.selected);
     this.panelDrawn = -Infinity;
@@ -219,6 +250,7 @@ export class Viewer {
     this.theme = name;
     this.stage.setTheme(name);
     this.trails.setTheme(name);
+    this.sight.setColor(flightColor(this.selected, name));
     this.drones.setColors(this.flights.map((_, i) => flightColor(i, name)), SCENE[name].shadow);
     for (const part of [this.labels, this.panel, this.bar]) part.setTheme(name);
     this.gradient.style.background = speedGradient(name);
@@ -238,7 +270,7 @@ export class Viewer {
     this.stage.renderer.setSize(width, height, false);
     this.cameras.resize(width, height);
     this.trails.resolution.set(width, height);
-    this.dirty = true;
+    this.showPicture();
     this.panelDrawn = -Infinity;
   }
 
@@ -252,10 +284,12 @@ export class Viewer {
       this.draw();
       this.dirty = false;
       this.stale = true;
+      if (moved && !this.software) this.bar.update();
     }
     if (this.stale && now - this.panelDrawn > PANEL_EVERY) {
       this.panelDrawn = now;
       this.panel.update(this.clock.time);
+      this.bar.update();
       this.stale = false;
     }
   }
@@ -276,11 +310,18 @@ export class Viewer {
     }
   }
 
+  place(time) {
+    this.drones.update(time);
+    const { places, turns, size } = this.drones;
+    this.sight.update(places[this.selected], turns[this.selected], size,
+      this.cameras.view !== "on-board");
+  }
+
   draw() {
     const { time } = this.clock;
     const flight = this.flights[this.selected];
-    this.drones.update(time);
-    this.trails.update(time);
+    this.place(time);
+    this.trails.update(time, this.drones.places);
     this.cameras.update(flight, time);
     const { camera, controls } = this.cameras;
     this.stage.setFog(this.cameras.view === "top" || this.cameras.view === "orbit"
@@ -288,17 +329,23 @@ export class Viewer {
     const passed = flight.passages.findIndex(([at]) => at > time);
     this.stage.highlight(passed < 0 ? -1 : flight.passages[passed][1]);
     this.stage.hideNear(camera, this.cameras.view === "chase" ? 0.9 : 0);
+    camera.updateMatrixWorld();
+    this.labels.update(this.cameras, this.width, this.height, this.drones.places);
     this.stage.renderer.render(this.stage.scene, camera);
-    this.labels.update(this.cameras, this.width, this.height, this.drones.places, this.selected);
+    if (!this.drawn) performance.mark("first-frame");
+    this.drawn = true;
+
   }
 
   // Numbers of a moment, for tests and scripts: positions and attitudes as drawn.
   state(time = this.clock.time) {
-    this.drones.update(time);
+    this.place(time);
     return {
       time, view: this.cameras.view, playing: this.clock.playing, rate: this.clock.rate,
       frameRate: this.frames.rate, pixelRatio: this.frames.ratio,
       triangles: this.stage.renderer.info.render.triangles,
+      sight: this.sight.edges.visible, corners: this.sight.corners().map((corner) =>
+        ({ place: corner.toArray(), screen: corner.project(this.cameras.camera).toArray() })),
       order: ranking(this.flights, time).map((flight) => flight.name),
       drones: this.flights.map((flight, i) => ({ name: flight.name,
         position: this.drones.places[i].toArray(), attitude: this.drones.turns[i].toArray() })),

@@ -1,0 +1,93 @@
+"""Frame rate, load time and size of pages, in headless Chromium's software renderer.
+
+python -m tests.view.measure [NUMBER OF FLIGHTS ...]
+
+Each page has flights of six laps and plays at 1280x720 in the orbit view with its panel. Load time
+is from opening the file to the first frame.
+"""
+
+import argparse
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+import psutil
+from playwright.sync_api import sync_playwright
+
+from quadjax.view.page import write_page
+from tests.view.browser import DESK, OPTIONS, READY, wait_until
+from tests.view.scenes import circle, scene
+
+LAP, LAPS = 2.2, 6  # s
+MEASURE = """milliseconds => new Promise(resolve => {
+  const viewer = window.quadjax.viewer, times = [];
+  let drawing = 0, frames = 0;
+  const draw = viewer.draw.bind(viewer);
+  viewer.draw = () => {
+    const start = performance.now(); draw(); drawing += performance.now() - start; frames++;
+  };
+  viewer.clock.seek(0); viewer.clock.play(true);
+  const tick = now => {
+    times.push(now);
+    if (now - times[0] < milliseconds) return requestAnimationFrame(tick);
+    const steps = times.slice(1).map((time, i) => time - times[i]).sort((a, b) => a - b);
+    resolve({ rate: 1000 * steps.length / (now - times[0]), drawing: drawing / frames,
+      late: steps[Math.floor(0.95 * steps.length)], ratio: viewer.state().pixelRatio,
+      calls: viewer.stage.renderer.info.render.calls,
+      triangles: viewer.stage.renderer.info.render.triangles });
+  };
+  requestAnimationFrame(tick);
+})"""
+
+
+def main() -> None:
+    """Print a line for each number of flights."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("counts", type=int, nargs="*", default=[1, 3, 20], metavar="FLIGHTS")
+    parser.add_argument("--seconds", type=float, default=8.0, help="of each measurement")
+    parser.add_argument("--page", type=Path, help="measure this page instead")
+    options = parser.parse_args()
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, {DESK[0]}x{DESK[1]}")
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
+        path = shutil.which("chromium") or shutil.which("chromium-browser")
+        browser = playwright.chromium.launch(executable_path=path, args=list(OPTIONS))
+        for count in [0] if options.page else options.counts:
+            page = options.page or Path(folder) / f"{count}.html"
+            if not options.page:
+                flights = (circle(f"flight {k}", LAP + 0.02 * k, LAPS) for k in range(count))
+                write_page(page, scene(*flights).record())
+            measure(browser, page.resolve(), 1.0)  # the browser's first pages are slower
+            found = measure(browser, page.resolve(), options.seconds)
+            print(f"{count or page.name} flights: {found}", flush=True)
+        browser.close()
+
+
+def measure(browser, path: Path, seconds: float) -> str:
+    """The figures of one page, as text."""
+    tab = browser.new_page(viewport={"width": DESK[0], "height": DESK[1]}, color_scheme="dark")
+    tab.goto(path.as_uri())
+    wait_until(tab, READY)
+    load = tab.evaluate("() => performance.getEntriesByName('first-frame')[0]?.startTime ?? NaN")
+    tab.wait_for_timeout(2000)
+    before = _seconds()
+    found = tab.evaluate(MEASURE, 1000 * seconds)
+    used = 1000 * (_seconds() - before) / (found["rate"] * seconds)
+    tab.close()
+    return (
+        f"{found['rate']:.1f} frames/s, 95% below {found['late']:.0f} ms, "
+        f"CPU {used:.0f} ms a frame, of it the page's own drawing {found['drawing']:.1f} ms, "
+        f"{found['calls']} draw calls, "
+        f"{found['triangles']} triangles, pixel ratio {found['ratio']:.2f}, "
+        f"first frame after {load:.0f} ms, {path.stat().st_size / 2**20:.2f} MiB"
+    )
+
+
+def _seconds() -> float:
+    """CPU time of the browser's processes, s: unlike the frame rate, it depends little on load."""
+    times = [process.cpu_times() for process in psutil.Process().children(recursive=True)]
+    return sum(each.user + each.system for each in times)
+
+
+if __name__ == "__main__":
+    main()
