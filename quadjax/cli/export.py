@@ -10,6 +10,7 @@ from pathlib import Path
 
 from quadjax.cli.arguments import Parser, add_ranges, parse
 from quadjax.core.interruptions import loading
+from quadjax.export.targets import DEFAULT_TARGET, TARGETS
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -17,6 +18,12 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("policy", type=Path, metavar="POLICY.npz", help="policy file")
     parser.add_argument(
         "--output", type=Path, required=True, metavar="DIR", help="folder for the C"
+    )
+    parser.add_argument(
+        "--target",
+        choices=TARGETS,
+        default=DEFAULT_TARGET,
+        help="processor and autopilot (default: cortex-a9, with a Paparazzi module)",
     )
     parser.add_argument("--name", help="prefix of every C symbol (default: the file's name)")
     add_ranges(
@@ -67,6 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         cutoff=options.cutoff,
         allow_unfinished=options.allow_unfinished,
         allow_other_race=options.allow_other_race,
+        target=options.target,
         overwrite=options.overwrite,
     )
     print(export.text)

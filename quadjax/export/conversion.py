@@ -22,6 +22,7 @@ from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import RaceTables, make_tables, track_ranges
 from quadjax.export.render import identifier, is_reserved, shared_symbols
+from quadjax.export.targets import DEFAULT_TARGET, PAPARAZZI, TARGETS, Target
 from quadjax.policy.file import Policy
 
 COMMENT_WIDTH = 96
@@ -39,6 +40,7 @@ class Options:
     cutoff: float = 8.0
     allow_unfinished: bool = False
     allow_other_race: bool = False
+    target: str = DEFAULT_TARGET
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +58,11 @@ class Converted:
     residual_hash: str  # SHA-256 of the residual file; empty without one
     options: Options
 
+    @property
+    def target(self) -> Target:
+        """Processor and autopilot."""
+        return TARGETS[self.options.target]
+
     def sources(self) -> dict[str, str]:
         """Every emitted C file and header, by its path in the folder."""
         network, origin, rollouts = self.network, self.origin, self.rollouts
@@ -63,7 +70,9 @@ class Converted:
         files |= emit_race(self.race, network, origin, rollouts.states, rollouts.targets)
         if self.estimator is not None:
             files |= emit_estimator(self.estimator, network, origin, self.residual_hash)
-        return files | emit_paparazzi(network, origin, self.race, self.estimator)
+        if self.target.autopilot == PAPARAZZI:
+            files |= emit_paparazzi(network, origin, self.race, self.estimator)
+        return files
 
 
 def sha256(path: Path) -> str:

@@ -25,6 +25,7 @@ from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, find_config, own_race
 from quadjax.export.report import Json, make_report, report_text
+from quadjax.export.targets import DEFAULT_TARGET, find_target
 from quadjax.policy.file import Policy
 
 KIND = "export"
@@ -63,9 +64,10 @@ def export_c(
     cutoff: float = 8.0,
     allow_unfinished: bool = False,
     allow_other_race: bool = False,
+    target: str = DEFAULT_TARGET,
     overwrite: bool = False,
 ) -> Export:
-    """Write a policy as fixed-point C: network, observation, estimator and a Paparazzi module.
+    """Write a policy as fixed-point C: network, observation, estimator, an autopilot's files.
 
     The policy is converted to integers, the conversion is proven for every input in the declared
     ranges, and the policy's own race is simulated. Nothing is written unless all of that succeeds.
@@ -84,17 +86,20 @@ def export_c(
         cutoff: of the estimator's low-pass, Hz.
         allow_unfinished: export a policy although it does not finish its own race.
         allow_other_race: export for a race that differs from the one in the policy file.
+        target: processor and autopilot, a name of ``targets.TARGETS``.
         overwrite: replace files of the same names in a folder that no export made.
 
     Returns:
         The integers, the proof and the report.
 
     Raises:
-        InputError: a sample rate or cut-off out of range; a policy that cannot be converted, that
-            leaves its declared ranges, or of which less than 90% of the simulated flights finish; a
-            race that differs from that of the policy file; a folder that cannot be written.
+        InputError: no such target; a sample rate or cut-off out of range; a policy that cannot be
+            converted, that leaves its declared ranges, or of which less than 90% of the simulated
+            flights finish; a race that differs from that of the policy file; a folder that cannot
+            be written.
     """
     check_cutoff(sample_rate, cutoff)
+    find_target(target)
     enable_compilation_cache()
     folder = Path(folder)
     given = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
@@ -102,7 +107,7 @@ def export_c(
     files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, f"{symbol}[._]*", "paparazzi")
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, sample_rate, cutoff)
-        options = Options(symbol, *numbers, allow_unfinished, allow_other_race)
+        options = Options(symbol, *numbers, allow_unfinished, allow_other_race, target)
         _check_folder(folder, symbol)
         own = Policy.load(path)
         check_policy(own)

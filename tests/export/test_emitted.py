@@ -11,7 +11,7 @@ from quadjax.export.proof import prove
 from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.export.verify.emitted import write_memory
 from quadjax.export.verify.result import Skipped
-from quadjax.export.verify.toolchain import WARNINGS, host, zig_arm
+from quadjax.export.verify.toolchain import WARNINGS, host, zig_arm, zig_thumb
 from tests.export.support import POLICIES, made_policy, named_network, write_network
 
 
@@ -69,6 +69,25 @@ def test_both_kernels_on_a_cortex_a9(name, tmp_path):
     elf = zig_arm(neon=True).build(sources, tmp_path / "arm.elf", ["-Wl,-e,made_forward"])
     machine = Machine(elf)
     assert [machine.call("made_self_test_with", kernel) for kernel in (0, 1)] == [0, 0]
+
+
+@pytest.mark.parametrize("processor", ["Cortex-M7", "Cortex-M4"])
+def test_the_network_on_a_microcontroller(processor, tmp_path):
+    for module in ("unicorn", "elftools", "ziglang"):
+        pytest.importorskip(module)
+    from quadjax.export.verify.machine import Machine
+
+    sources = [write_network(named_network("odd")[1], tmp_path), write_memory(tmp_path)]
+    counts = []
+    for options in ([], ["-DMADE_PORTABLE=1"]):
+        elf = tmp_path / f"{len(options)}.elf"
+        zig_thumb(processor).build(sources, elf, ["-Wl,-e,made_forward", *options])
+        machine = Machine(elf, processor)
+        assert machine.call("made_self_test_with", 0) == 0
+        x = machine.place(np.zeros(24, np.float32))
+        out = [machine.reserve(16), 0, x, machine.reserve(16)]
+        counts.append(machine.count("made_forward_with", *out)[0])
+    assert counts[0] < counts[1]
 
 
 def test_any_integer_input_is_defined(compiler, tmp_path):

@@ -143,6 +143,22 @@ def test_a_check_of_an_exported_folder(name, context):
     check(name, context)
 
 
+def test_the_target_decides_what_is_written_and_checked(exported, tmp_path):
+    folder = read_folder(exported)
+    other = dataclasses.replace(folder.options, target="cortex-m7")
+    other = dataclasses.replace(folder, options=other)
+    bare = {file: text for file, text in folder.sources().items() if "/" not in file}
+    assert other.sources() == bare != folder.sources()
+    assert "Cortex-M7 zig" in run.checks_of(other) and "Cortex-M7 zig" not in run.checks_of(folder)
+    assert "Cortex-A9 NEON, zig" in run.checks_of(folder)
+    assert "Cortex-A9 NEON, zig" not in run.checks_of(other)
+
+
+def test_an_unknown_target_is_one_line(tmp_path):
+    with pytest.raises(InputError, match="--target avr: no such target, allowed: cortex-a9"):
+        export_c(made_policy(8), tmp_path / "out", target="avr")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in run.CHECKS if name not in FAST])
 def test_a_slow_check_of_an_exported_folder(name, context):

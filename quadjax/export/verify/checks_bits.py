@@ -24,9 +24,12 @@ RANDOM_BITS = 50
 def check_proof(c: Context) -> str:
     """The proof is repeated when the folder is read; this reports it."""
     bits = max(c.folder.proof.accumulator_bits)
-    bound = float(np.max(c.folder.proof.error_bound))
-    text = f"largest sum 2^{bits:.3f} < 2^63 for every input; error at most {bound:.3g}"
-    return f"{text} {c.folder.network.unit}"
+    bound, policy = c.folder.proof.error_bound, c.folder.policy
+    part = float(np.max(bound / (policy.command_high - policy.command_low)))
+    return (
+        f"largest sum 2^{bits:.3f} < 2^63 for every input; error at most "
+        f"{float(np.max(bound)):.3g} {c.folder.network.unit}, {part:.2g} of a command's range"
+    )
 
 
 def check_warnings(

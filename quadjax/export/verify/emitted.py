@@ -18,6 +18,11 @@ def write_memory(work: Path) -> Path:
     return _write(work / "memory.c", {})
 
 
+def write_startup(work: Path) -> Path:
+    """The vector table and the first instructions of a Cortex-M board."""
+    return _write(work / "startup.c", {})
+
+
 def write_float(folder: Folder, work: Path) -> Path:
     """The policy in float32 C, as written by hand: the reference of error and of speed."""
     policy = folder.policy

@@ -19,6 +19,7 @@ from quadjax.export.convert import (
 from quadjax.export.flights import Rollouts
 from quadjax.export.race_source import CONFIG_FILE, find_config, own_race
 from quadjax.export.report import report_text
+from quadjax.export.targets import find_target
 from quadjax.policy.file import Policy
 
 
@@ -81,6 +82,7 @@ def _read_report(path: Path) -> tuple[Options, str, str, str]:
         ranges = {str(name): float(value) for name, value in options.ranges.items()}
         numbers = {name: float(getattr(options, name)) for name in ("sample_rate", "cutoff")}
         symbol_name(options.name, file)
+        find_target(options.target)
         text, config_hash = report_text(report, options.name), str(report["config_sha256"])
     except Exception as error:  # of any type, because the values can be anything
         raise InputError(f"{path}: not a report of quadjax export ({error!r:.200})") from error

@@ -1,4 +1,4 @@
-"""An emulated Cortex-A9 that runs compiled functions and counts their instructions.
+"""An emulated Cortex-A9, M7 or M4 that runs compiled functions and counts their instructions.
 
 Needs the packages of the ``verify`` extra: ``unicorn`` and ``pyelftools``.
 """
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from elftools.elf.elffile import ELFFile
-from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_ARM, Uc
+from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_ARM, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
 from unicorn.arm_const import (
     UC_ARM_REG_C1_C0_2,
     UC_ARM_REG_FPEXC,
@@ -18,6 +18,8 @@ from unicorn.arm_const import (
     UC_ARM_REG_R3,
     UC_ARM_REG_SP,
     UC_CPU_ARM_CORTEX_A9,
+    UC_CPU_ARM_CORTEX_M4,
+    UC_CPU_ARM_CORTEX_M7,
 )
 
 PAGE = 4096
@@ -26,24 +28,38 @@ HEAP, HEAP_SIZE = 0x4000_0000, 1 << 28
 RETURN = 0x3000_0000  # an address that holds no code: the end of a call
 PAINT = 0xA5
 ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)
+IT, LONG = 0xBF, 0x1D  # Thumb: upper byte of an IT instruction; first bits of one of four bytes
+APPLICATION, MICROCONTROLLER = UC_MODE_ARM, UC_MODE_THUMB | UC_MODE_MCLASS
+MODELS = {
+    "Cortex-A9": (APPLICATION, UC_CPU_ARM_CORTEX_A9),
+    "Cortex-M7": (MICROCONTROLLER, UC_CPU_ARM_CORTEX_M7),
+    "Cortex-M4": (MICROCONTROLLER, UC_CPU_ARM_CORTEX_M4),
+}
 
 
 class Machine:
-    """A Cortex-A9 with VFP and NEON switched on, and one ELF file in its memory."""
+    """A processor with its FPU and NEON switched on, and one ELF file in its memory."""
 
-    def __init__(self, path: Path) -> None:
-        """Load an ELF executable; its symbols become callable."""
-        self._cpu = Uc(UC_ARCH_ARM, UC_MODE_ARM)
-        self._cpu.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_A9)
+    def __init__(self, path: Path, processor: str = "Cortex-A9") -> None:
+        """Load an ELF executable; its symbols become callable.
+
+        Args:
+            path: of the executable.
+            processor: a name of ``MODELS``.
+        """
+        mode, model = MODELS[processor]
+        self._cpu = Uc(UC_ARCH_ARM, mode)
+        self._cpu.ctl_set_cpu_model(model)
+        self._thumb = int(mode == MICROCONTROLLER)  # bit 0 of the address of a function
         self.symbols: dict[str, int] = {}
         self._load(path)
         self._cpu.mem_map(STACK_TOP - STACK_SIZE, STACK_SIZE)
         self._cpu.mem_map(HEAP, HEAP_SIZE)
         self._cpu.mem_map(RETURN, PAGE)
-        self._cpu.reg_write(
-            UC_ARM_REG_C1_C0_2, self._cpu.reg_read(UC_ARM_REG_C1_C0_2) | (0xF << 20)
-        )
-        self._cpu.reg_write(UC_ARM_REG_FPEXC, 0x40000000)
+        if mode == APPLICATION:
+            access = self._cpu.reg_read(UC_ARM_REG_C1_C0_2) | (0xF << 20)
+            self._cpu.reg_write(UC_ARM_REG_C1_C0_2, access)
+            self._cpu.reg_write(UC_ARM_REG_FPEXC, 0x40000000)
         self._free = HEAP
 
     def _load(self, path: Path) -> None:
@@ -88,18 +104,41 @@ class Machine:
         beyond = np.array(arguments[len(ARGUMENTS) :], np.uint32)  # these go on the stack
         self._cpu.reg_write(UC_ARM_REG_SP, STACK_TOP - 64)
         self._cpu.mem_write(STACK_TOP - 64, beyond.tobytes())
-        self._cpu.reg_write(UC_ARM_REG_LR, RETURN)
+        self._cpu.reg_write(UC_ARM_REG_LR, RETURN | self._thumb)
         for register, value in zip(ARGUMENTS, arguments, strict=False):
             self._cpu.reg_write(register, value)
         self._cpu.emu_start(self.symbols[name], RETURN)
         return self._cpu.reg_read(UC_ARM_REG_R0)
 
-    def count(self, name: str, *arguments: int) -> tuple[int, int]:
-        """Instructions and bytes of stack that one call takes."""
-        counted = [0]
+    def _block(self, address: int, size: int) -> dict[int, int]:
+        """What an executed instruction counts, by address.
 
-        def step(_cpu: Uc, _address: int, _size: int, _data: object) -> None:
-            counted[0] += 1
+        The emulator does not report instructions of a Thumb IT block whose condition is false.
+        So the IT instruction counts for its whole block.
+        """
+        word = int.from_bytes(self._cpu.mem_read(address, 2), "little")
+        mask = word & 0xF
+        if not self._thumb or size != 2 or word >> 8 != IT or mask == 0:
+            return {address: 1}
+        inside = 4 - (mask & -mask).bit_length() + 1  # 1 to 4 instructions
+        weights, following = {address: 1 + inside}, address + 2
+        for _ in range(inside):
+            weights[following] = 0
+            first = int.from_bytes(self._cpu.mem_read(following, 2), "little")
+            following += 4 if first >> 11 >= LONG else 2
+        return weights
+
+    def count(self, name: str, *arguments: int) -> tuple[int, int]:
+        """Instructions and bytes of stack that one call takes.
+
+        An instruction whose condition is false counts, as the processor takes a cycle for it.
+        """
+        counted, weights = [0], {}
+
+        def step(_cpu: Uc, address: int, size: int, _data: object) -> None:
+            if address not in weights:
+                weights.update(self._block(address, size))
+            counted[0] += weights[address]
 
         bottom = STACK_TOP - STACK_SIZE
         self._cpu.mem_write(bottom, bytes([PAINT]) * STACK_SIZE)

@@ -32,14 +32,29 @@ CHECKS: dict[str, Check] = {
     **checks_arm.arm_checks(),
     "against float C": checks_arm.check_against_float,
     "a step on board": checks_arm.check_step,
+    "memory": checks_arm.check_memory,
     "warnings, gcc armel": checks_arm.check_warnings_bebop,
     "QEMU armel": checks_arm.check_qemu_armel,
     "QEMU armhf": checks_arm.check_qemu_armhf,
+    **checks_arm.board_checks(),
     "ASan and UBSan": checks_static.check_sanitizers,
     "Frama-C EVA": checks_static.check_eva,
     "cppcheck": checks_static.check_cppcheck,
     "closed loop": checks_flight.check_closed_loop,
 }
+# Checks of one processor only.
+PROCESSORS = {build.name: build.processor for build in checks_arm.BUILDS} | dict.fromkeys(
+    ("warnings, gcc armel", "QEMU armel", "QEMU armhf"), "Cortex-A9"
+)
+PROCESSORS |= {f"QEMU {processor}": processor for processor in checks_arm.BOARDS}
+
+
+def checks_of(folder: Folder) -> list[str]:
+    """The names of the checks for the processor that a folder was exported for."""
+    others = {
+        name for name, processor in PROCESSORS.items() if processor != folder.target.processor
+    }
+    return [name for name in CHECKS if name not in others]
 
 
 def verify(
@@ -74,7 +89,7 @@ def verify(
     """
     enable_compilation_cache()
     folder = read_folder(Path(path))
-    chosen = [name for name in CHECKS if only is None or name in only]
+    chosen = [name for name in checks_of(folder) if only is None or name in only]
     announce(SOURCES)
     results = [run_check(SOURCES, lambda: check_sources(folder))]
     report(results[0])

@@ -24,6 +24,8 @@ ZIG = (
     "-target arm-freestanding-eabihf -mcpu=cortex_a9 -O3 -std=c99 -nostdlib -fno-sanitize=all "
     "-Wl,--image-base=0x10000 -Wl,--no-gc-sections"
 ).split()
+# Betaflight's and INDIflight's flags for STM32F7 and H7, and those of the Crazyflie's STM32F405.
+FPU = {"Cortex-M7": ("fp_armv8d16sp", "fpv5-sp-d16"), "Cortex-M4": ("vfp4d16sp", "fpv4-sp-d16")}
 FREESTANDING = "-nostdlib -nostartfiles -ffreestanding".split()
 
 
@@ -82,6 +84,22 @@ def zig_arm(neon: bool) -> Compiler:
     flags = ZIG if neon else [f.replace("cortex_a9", "cortex_a9-neon") for f in ZIG]
     command = (sys.executable, "-m", "ziglang", "cc")
     return Compiler("zig cc", command, tuple(flags))
+
+
+def zig_thumb(processor: str) -> Compiler:
+    """The compiler that pip installs, for a Cortex-M7 or M4 with an FPU of single precision."""
+    flags = [flag.replace("arm-free", "thumb-free") for flag in zig_arm(neon=True).flags]
+    cpu = f"{processor.lower().replace('-', '_')}+{FPU[processor][0]}"
+    flags[flags.index("-mcpu=cortex_a9")] = f"-mcpu={cpu}"
+    return dataclasses.replace(zig_arm(neon=True), flags=tuple(flags))
+
+
+def arm_none_eabi(processor: str) -> Compiler:
+    """GCC for a Cortex-M7 or M4, as firmware is built with it."""
+    need_program("arm-none-eabi-gcc")
+    cpu = f"-mthumb -mcpu={processor.lower()} -mfloat-abi=hard -mfpu={FPU[processor][1]}"
+    flags = f"{cpu} -fsingle-precision-constant -O2 -std=gnu99".split()
+    return Compiler("gcc arm-none-eabi", ("arm-none-eabi-gcc",), tuple(flags))
 
 
 def bebop() -> Compiler:

@@ -1,0 +1,42 @@
+"""Targets of an export: the processor that the C runs on, and the autopilot whose files it gets.
+
+The network, the observation and the estimator are the same C for every target. A target adds the
+files of an autopilot, and says on which processor the verification emulates the C.
+"""
+
+import dataclasses
+
+from quadjax.core.errors import InputError
+
+PAPARAZZI = "Paparazzi"
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A processor, and the autopilot whose files are written."""
+
+    name: str  # as of ``quadjax export --target``
+    processor: str  # as in the names of the checks
+    autopilot: str | None  # None: no files but those that every autopilot can use
+
+
+TARGETS = {
+    target.name: target
+    for target in (
+        Target("cortex-a9", "Cortex-A9", PAPARAZZI),
+        Target("cortex-m7", "Cortex-M7", None),
+        Target("cortex-m4", "Cortex-M4", None),
+    )
+}
+DEFAULT_TARGET = "cortex-a9"
+
+
+def find_target(name: str) -> Target:
+    """The target of a name.
+
+    Raises:
+        InputError: no such target.
+    """
+    if name not in TARGETS:
+        raise InputError(f"--target {name}: no such target, allowed: {', '.join(TARGETS)}")
+    return TARGETS[name]
