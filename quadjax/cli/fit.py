@@ -1,7 +1,10 @@
 """Fit the model of a drone to its flight logs.
 
 DIR/NAME gets vehicle.yaml (for vehicle.file=), residual.npz (for vehicle.residual=), report.txt,
-report.json, config.yaml and figures.
+report.json, config.yaml and figures. The base vehicle's model is fitted: with a racing quadcopter
+(vehicle=5inch.yaml) its motors and the constants of each rotor, without a residual or figures.
+Logs: CSV of Paparazzi, of a blackbox (Betaflight, INDIflight) and of the TII-RATM dataset, PX4's
+ULog, and your own columns or reader (logs.format).
 """
 
 import argparse
@@ -38,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.fitting.figures import write_figures
         from quadjax.fitting.flight_log import find_logs
         from quadjax.fitting.pipeline import run_fit
+        from quadjax.fitting.racing_fit import read_racing_vehicle, run_racing_fit
+        from quadjax.fitting.racing_report import racing_tables, write_racing_results
         from quadjax.fitting.report import PATTERNS, tables, write_results
 
     path = find_config(options.config, "fit")
@@ -58,11 +63,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         def report(line: str) -> None:
             progress.update(task, description=line, advance=1)
 
-        result = run_fit(config, path.parent, report)
+        racing = read_racing_vehicle(config.vehicle, path.parent)
+        if racing is not None:
+            quadcopter = run_racing_fit(config, path.parent, racing, report)
+        else:
+            result = run_fit(config, path.parent, report)
         report("writing")
         with replacement(folder, PATTERNS) as new:
-            written = write_results(result, new)
-            if config.figures:
-                written += write_figures(result, new)
-    print(tables(result))
+            if racing is not None:
+                written, text = write_racing_results(quadcopter, new), racing_tables(quadcopter)
+            else:
+                written, text = write_results(result, new), tables(result)
+                written += write_figures(result, new) if config.figures else []
+    print(text)
     print(f"wrote {len(written)} files to {folder}/ in {time.monotonic() - started:.1f} s")

@@ -8,7 +8,6 @@ from quadjax.config.layers import Layer, from_layers, layer_of
 from quadjax.config.renamed import check_renamed
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Gate, Schedule
-from quadjax.config.vehicle_file import for_each_rotor, vehicle_values
 from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.imports import load_object
 from quadjax.core.resources import CONFIGS, find_config, preset_names
@@ -27,6 +26,7 @@ from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac.hyperparameters import SHAC
 from quadjax.race.random_track import RandomTrack, generate
 from quadjax.vehicle.registry import MODELS
+from quadjax.vehicle.vehicle_file import for_each_rotor, vehicle_values
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 FROM_FILE = {

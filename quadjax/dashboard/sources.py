@@ -67,8 +67,8 @@ def read_source(source: Path | str, name: str, options: Options) -> Source:
     Args:
         source: a training run's folder; a policy file, or the name of one that comes with the
             package; recorded states (``.npz``, of ``quadjax evaluate --states``); a best known lap
-            (``.npz``, of ``quadjax limit --npz``); a flight log (``.csv``); records or lap times
-            (``.json``).
+            (``.npz``, of ``quadjax limit --npz``); a flight log (``.csv``, ``.ulg``); records or lap
+            times (``.json``).
         name: of the flights.
         options: how they are read.
 
@@ -82,7 +82,7 @@ def read_source(source: Path | str, name: str, options: Options) -> Source:
         shipped = PRETRAINED / path.with_suffix(".npz")
         path = shipped if shipped.exists() else path
     check_file(path)
-    readers = {".npz": _read_npz, ".csv": _read_csv, ".json": _read_json}
+    readers = {".npz": _read_npz, ".csv": _read_log, ".json": _read_json, ".ulg": _read_log}
     if path.suffix not in readers:
         raise InputError(
             f"{source}: suffix is {path.suffix!r}, allowed: a run's folder, {', '.join(readers)}"
@@ -216,7 +216,7 @@ def _flight(
     )
 
 
-def _read_csv(path: Path, name: str, options: Options) -> Source:
+def _read_log(path: Path, name: str, options: Options) -> Source:
     log, gates = read_log(path, options.logs), _gates(options)
     if log.position is None or log.attitude is None:
         raise InputError(f"{path}: position and attitude are needed to show a flight log")
@@ -229,7 +229,9 @@ def flight_of_log(log: FlightLog, gates: tuple[Gate, ...], name: str) -> Flight:
     part = slice(int(going[0]), int(going[-1]) + 1) if len(going) else slice(None)
     assert log.position is not None and log.attitude is not None
     time, attitude = log.time[part] - log.time[part][0], log.attitude[part]
-    strips = [strip("rotor speed", "rpm", MOTORS, log.rpm[part])]
+    strips = [strip("rotor speed", "rpm", MOTORS, log.rpm[part])] if log.speeds_measured else []
+    if log.motor_command is not None:
+        strips.insert(0, strip("motor command", "", MOTORS, log.motor_command[part]))
     if log.rpm_command is not None:
         strips.insert(0, strip("commanded rotor speed", "rpm", MOTORS, log.rpm_command[part]))
     strips.append(strip("body rates", "rad/s", RATES, log.rates[part]))

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.alignment import delay_of, late, wrong_angle, wrong_factor
-from quadjax.fitting.columns import UNIT_OF
+from quadjax.fitting.columns import ATTITUDES, UNIT_OF
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.gravity_checks import check_gravity
 from quadjax.fitting.signals import derivative, low_pass
@@ -120,7 +120,7 @@ def _gyro(log: "FlightLog", attitude: Rotation) -> list[Evidence]:
     turn = padded((attitude[: -2 * span].inv() * attitude[2 * span :]).as_rotvec())
     meanings = ["roll rate", "pitch rate", "yaw rate"]
     result = [Evidence("gyro", names, log.rates, turn, meanings, _attitude(log), 0.05)]
-    if "quaternion" in log.columns:
+    if "euler" not in log.columns:
         return result
     # The derivatives of the angles, times the cosine of pitch, where they are not singular.
     roll, pitch, _ = angles = attitude.as_euler("ZYX").T[::-1]
@@ -165,7 +165,7 @@ def _acceleration(log: "FlightLog", attitude: Rotation) -> list[Evidence]:
 
 
 def _attitude(log: "FlightLog") -> str:
-    return listed(log.columns.get("quaternion") or log.columns["euler"])
+    return listed(next(log.columns[name] for name in ATTITUDES if name in log.columns))
 
 
 def _moving(log: "FlightLog", evidence: Evidence, rows: np.ndarray) -> Evidence:
@@ -213,7 +213,7 @@ def _verdict(evidence: Evidence, rate: float, config: LogsConfig) -> Verdict:
             hints["swapped?" if axis != i else "negated?"] = None
         elif right < EXPLAINED and not 0.2 < ratio[i, i] < 5.0:
             clauses.append(f"column {name!r} is {ratio[i, i]:.3g} times the {evidence.meanings[i]}")
-            hints[f"is logs.units.{UNIT_OF[evidence.quantity]} right?"] = None
+            hints[f"is logs.{_scale_key(evidence.quantity)} right?"] = None
         elif right >= EXPLAINED and correlation[i, i] < UNRELATED and moves[i]:
             clauses.append(f"column {name!r} does not follow the {evidence.meanings[i]}")
         elif right >= EXPLAINED:
@@ -222,6 +222,11 @@ def _verdict(evidence: Evidence, rate: float, config: LogsConfig) -> Verdict:
         clauses[-1] += f" from {evidence.source}"
         clauses[-1] += f" (correlation {correlation.diagonal().min():.2f}); {' '.join(hints)}"
     return Verdict([clause.rstrip("; ") for clause in clauses], unchecked)
+
+
+def _scale_key(quantity: str) -> str:
+    """The key of the section ``logs`` that scales a quantity."""
+    return f"units.{UNIT_OF[quantity]}" if quantity in UNIT_OF else "motor_range"
 
 
 def _misaligned(evidence: Evidence, config: LogsConfig) -> list[str]:

@@ -5,6 +5,7 @@ rear-left, independent of the autopilot's numbering.
 """
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ WIDTHS = {
     "time": 1,
     "rpm": 4,
     "rpm_command": 4,
+    "motor_command": 4,
     "rate_command": 3,
     "thrust_command": 1,
     "gyro": 3,
@@ -26,48 +28,51 @@ WIDTHS = {
     "position": 3,
     "euler": 3,
     "quaternion": 4,
+    "rotation": 9,
     "mode": 1,
 }
-REQUIRED = ("time", "rpm", "gyro", "acceleration")
+REQUIRED = ("time", "gyro", "acceleration")
+ATTITUDES = ("euler", "quaternion", "rotation")
 # Columns of a format that a log may lack.
-OPTIONAL = ("rpm_command", "rate_command", "thrust_command", "position", "euler", "mode")
+OPTIONAL = (
+    *("rpm_command", "motor_command", "rate_command", "thrust_command"),
+    *("position", "mode", *ATTITUDES),
+)
 
 
 def _numbered(prefix: str, suffixes: str) -> list[str]:
     return [prefix + suffix for suffix in suffixes]
 
 
-PRESETS: dict[str, dict[str, list[str]]] = {
-    "plain": {
-        "time": ["t"],
-        "rpm": _numbered("rpm_", "1234"),
-        "rpm_command": _numbered("rpm_ref_", "1234"),
-        "rate_command": ["p_ref", "q_ref", "r_ref"],
-        "thrust_command": ["thrust_ref"],
-        "gyro": ["p", "q", "r"],
-        "acceleration": ["ax", "ay", "az"],
-        "body_velocity": ["vbx", "vby", "vbz"],
-        "position": ["x", "y", "z"],
-        "euler": ["phi", "theta", "psi"],
-    },
-    "paparazzi": {
-        "time": ["time"],
-        "rpm": _numbered("rpm_obs_", "1234"),
-        "rpm_command": _numbered("rpm_ref_", "1234"),
-        "rate_command": _numbered("rate_ref_", "pqr"),
-        "thrust_command": ["thrust_ref"],
-        "gyro": _numbered("rate_", "pqr"),
-        "acceleration": _numbered("ekf_U", "123"),
-        "acceleration_bias": ["ekf_X10", "ekf_X11", "ekf_X12"],
-        "world_velocity": _numbered("vel_", "xyz"),
-        "position": _numbered("pos_", "xyz"),
-        "euler": ["att_phi", "att_theta", "att_psi"],
-        "mode": ["autopilot_mode"],
-    },
+PLAIN = {
+    "time": ["t"],
+    "rpm": _numbered("rpm_", "1234"),
+    "rpm_command": _numbered("rpm_ref_", "1234"),
+    "rate_command": ["p_ref", "q_ref", "r_ref"],
+    "thrust_command": ["thrust_ref"],
+    "gyro": ["p", "q", "r"],
+    "acceleration": ["ax", "ay", "az"],
+    "body_velocity": ["vbx", "vby", "vbz"],
+    "position": ["x", "y", "z"],
+    "euler": ["phi", "theta", "psi"],
 }
-
+PAPARAZZI = {
+    "time": ["time"],
+    "rpm": _numbered("rpm_obs_", "1234"),
+    "rpm_command": _numbered("rpm_ref_", "1234"),
+    "rate_command": _numbered("rate_ref_", "pqr"),
+    "thrust_command": ["thrust_ref"],
+    "gyro": _numbered("rate_", "pqr"),
+    "acceleration": _numbered("ekf_U", "123"),
+    "acceleration_bias": ["ekf_X10", "ekf_X11", "ekf_X12"],
+    "world_velocity": _numbered("vel_", "xyz"),
+    "position": _numbered("pos_", "xyz"),
+    "euler": ["att_phi", "att_theta", "att_psi"],
+    "mode": ["autopilot_mode"],
+}
+PRESETS = {"plain": PLAIN, "paparazzi": PAPARAZZI}
 # Columns of a written log; the fit does not read the last quantity.
-PAPARAZZI = PRESETS["paparazzi"] | {"target_gate": _numbered("target_gate_", "xyz")}
+WRITTEN = PAPARAZZI | {"target_gate": _numbered("target_gate_", "xyz")}
 
 _RADIAN = math.pi / 180.0
 UNITS: dict[str, dict[str, float]] = {
@@ -79,6 +84,7 @@ UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001},
     "angle": {"rad": 1.0, "deg": _RADIAN},
 }
+SI = {kind: next(iter(units)) for kind, units in UNITS.items()}
 UNIT_OF = {
     "time": "time",
     "rpm": "rpm",
@@ -98,29 +104,44 @@ UNIT_OF = {
 def scale_of(quantity: str, units: "UnitsConfig") -> float:
     """Factor from a quantity's unit to SI or rpm."""
     kind = UNIT_OF.get(quantity)
-    return UNITS[kind][getattr(units, kind)] if kind else 1.0
+    return UNITS[kind][getattr(units, kind) or SI[kind]] if kind else 1.0
 
 
-def wanted_columns(config: "LogsConfig", header: list[str]) -> dict[str, list[str]]:
+def wanted_columns(
+    config: "LogsConfig",
+    header: list[str],
+    columns: Mapping[str, list[str]],
+    alternatives: Mapping[str, tuple[list[str], ...]],
+) -> dict[str, list[str]]:
     """Columns of a log to read, by quantity, without those that are optional and absent.
 
     A quantity with an empty list is not read. ``logs.columns`` for one form of a quantity (world
-    velocity, quaternion) replaces the format's other form.
+    velocity, quaternion) replaces the format's other forms.
+
+    Args:
+        config: with the user's own names.
+        header: names of all columns.
+        columns: the format's.
+        alternatives: names in place of them where a log lacks the first ones.
     """
-    preset = dict(PRESETS[config.format])
-    for given, other in (
-        ("world_velocity", "body_velocity"),
-        ("body_velocity", "world_velocity"),
-        ("quaternion", "euler"),
-    ):
-        if config.columns.get(given):
-            preset.pop(other, None)
+    preset = dict(columns)
+    for quantity, others in alternatives.items():
+        for names in [preset[quantity], *others]:
+            if set(names) <= set(header):
+                preset[quantity] = names
+                break
+    for forms in (("world_velocity", "body_velocity"), ATTITUDES):
+        if given := [form for form in forms if config.columns.get(form)]:
+            preset = {
+                name: own for name, own in preset.items() if name in given or name not in forms
+            }
     if "acceleration" in config.columns:
         preset.pop("acceleration_bias", None)
+    optional = OPTIONAL if "motor_command" not in columns else (*OPTIONAL, "rpm")
     wanted = {}
     for quantity, names in (preset | dict(config.columns)).items():
         absent = all(name not in header for name in names)
-        if names and not (absent and quantity in OPTIONAL and quantity not in config.columns):
+        if names and not (absent and quantity in optional and quantity not in config.columns):
             wanted[quantity] = list(names)
     return wanted
 
@@ -130,5 +151,5 @@ def paparazzi_columns(quantities: dict[str, np.ndarray]) -> dict[str, np.ndarray
     return {
         name: column
         for quantity, values in quantities.items()
-        for name, column in zip(PAPARAZZI[quantity], np.atleast_2d(values.T), strict=True)
+        for name, column in zip(WRITTEN[quantity], np.atleast_2d(values.T), strict=True)
     }

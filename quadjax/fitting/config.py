@@ -20,19 +20,19 @@ Columns = Annotated[list[str], Field(max_length=100)]
 
 
 class UnitsConfig(Section):
-    """Units of a log's columns, which are converted to SI and rpm."""
+    """Units of a log's columns, converted to SI and rpm; null is the format's."""
 
-    time: Literal["s", "ms", "us"] = Field("s", description="of time stamps")
-    rpm: Literal["rpm", "krpm", "rad/s"] = Field(
-        "rpm", description="of propeller speeds and their commands"
+    time: Literal["s", "ms", "us"] | None = Field(None, description="of time stamps")
+    rpm: Literal["rpm", "krpm", "rad/s"] | None = Field(
+        None, description="of propeller speeds and their commands"
     )
-    gyro: Literal["rad/s", "deg/s"] = Field("rad/s", description="of body rates")
-    acceleration: Literal["m/s^2", "g"] = Field(
-        "m/s^2", description="of specific force, and its bias"
+    gyro: Literal["rad/s", "deg/s"] | None = Field(None, description="of body rates")
+    acceleration: Literal["m/s^2", "g"] | None = Field(
+        None, description="of specific force, and its bias"
     )
-    velocity: Literal["m/s", "cm/s"] = Field("m/s", description="of body and world velocity")
-    length: Literal["m", "cm", "mm"] = Field("m", description="of the position")
-    angle: Literal["rad", "deg"] = Field("rad", description="of Euler angles")
+    velocity: Literal["m/s", "cm/s"] | None = Field(None, description="of body and world velocity")
+    length: Literal["m", "cm", "mm"] | None = Field(None, description="of the position")
+    angle: Literal["rad", "deg"] | None = Field(None, description="of Euler angles")
 
 
 class LogsConfig(Section):
@@ -41,13 +41,24 @@ class LogsConfig(Section):
     files: tuple[str, ...] = Field(
         (), max_length=1000, description="paths or glob patterns, one flight each"
     )
-    format: Literal["plain", "paparazzi"] = Field("plain", description="default column names")
+    format: str = Field(
+        "plain",
+        max_length=200,
+        description="plain, paparazzi, blackbox, tii, ulog or a LogFormat (module:OBJECT)",
+    )
     columns: dict[str, Columns] = Field(
         {}, max_length=100, description="columns by quantity, overriding"
     )
     units: UnitsConfig = UnitsConfig()
-    body_frame: Literal["FRD", "FLU"] = Field("FRD", description="axes of body-frame columns")
-    world_frame: Literal["NED", "ENU"] = Field("NED", description="axes of world-frame columns")
+    body_frame: Literal["FRD", "FLU", "auto"] | None = Field(
+        None, description="axes of body-frame columns; auto: by the thrust; null: the format's"
+    )
+    world_frame: Literal["NED", "ENU", "auto"] | None = Field(
+        None, description="axes of world-frame columns; auto: by gravity; null: the format's"
+    )
+    motor_range: tuple[float, float] | None = Field(
+        None, description="motor commands that are 0 and 1; null: the log's or the format's"
+    )
     max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
     min_seconds: float = Field(2.0, ge=0.5, le=3600, description="s, shortest allowed flight")
     max_scale_error: float = Field(
@@ -59,6 +70,12 @@ class LogsConfig(Section):
     max_angle: float = Field(
         15.0, gt=0.0, le=180.0, description="deg, largest allowed between axes of two quantities"
     )
+
+    @model_validator(mode="after")
+    def _motor_range(self) -> Self:
+        if self.motor_range is not None and self.motor_range[0] >= self.motor_range[1]:
+            raise ValueError(f"logs.motor_range is {list(self.motor_range)}, allowed: [low, high]")
+        return self
 
     @model_validator(mode="after")
     def _widths(self) -> Self:

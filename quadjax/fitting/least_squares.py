@@ -13,16 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.fitting.nominal import AXES, CONSTANTS
+from quadjax.fitting.nominal import AXES, EQUATIONS, Constants
 from quadjax.fitting.prepare import Samples
-from quadjax.vehicle.constants import MotorConstants
 
 BLOCK = 0.5  # s
-UNCERTAIN = 0.05  # relative standard error above which a constant has a warning
+UNCERTAIN = 0.05  # relative standard error above which a lag has a warning
 LOW_R2 = 0.1  # below which an axis has a warning
-# Constants that are positive on every drone: those that drive an axis, and small ones, which may
-# absorb what the model lacks.
-DRIVING, SMALL = ("k_x", "k_y", "k_w", "k_p", "k_q", "k_r1", "k_r2"), ("k_z", "k_h", "k_rr")
 SIGNIFICANT = 3.0  # standard errors
 CONDITION = 1e6  # condition number (of regressors of unit size) above which they are collinear
 
@@ -39,9 +35,10 @@ class AxisFit:
     r_squared: float
     rmse: float
     warnings: tuple[str, ...]
+    driving: tuple[str, ...]  # constants that must be positive
 
 
-def fit_nominal(samples: Samples, base: MotorConstants, any_sign: bool = False) -> list[AxisFit]:
+def fit_nominal(samples: Samples, base: Constants, any_sign: bool = False) -> list[AxisFit]:
     """Fit every axis of the nominal model.
 
     Args:
@@ -54,7 +51,7 @@ def fit_nominal(samples: Samples, base: MotorConstants, any_sign: bool = False) 
     return [fit_axis(axis, samples, blocks, base, any_sign) for axis in AXES]
 
 
-def with_fit(base: MotorConstants, fits: list[AxisFit]) -> MotorConstants:
+def with_fit(base: Constants, fits: list[AxisFit]) -> Constants:
     """The base vehicle's constants with the fitted ones replaced."""
     found = {
         name: float(value)
@@ -65,16 +62,17 @@ def with_fit(base: MotorConstants, fits: list[AxisFit]) -> MotorConstants:
 
 
 def fit_axis(
-    axis: str, samples: Samples, blocks: np.ndarray, base: MotorConstants, any_sign: bool = False
+    axis: str, samples: Samples, blocks: np.ndarray, base: Constants, any_sign: bool = False
 ) -> AxisFit:
     """Least squares for one axis; see ``fit_nominal``."""
-    names = CONSTANTS[axis]
+    equations = EQUATIONS[type(base)]
+    names = equations.constants[axis]
     columns, target = samples.regressors[axis], samples.measured[:, AXES.index(axis)]
     kept = np.array([float(getattr(base, name)) for name in names])
     size = np.sqrt((columns**2).mean(axis=0))
     excited = _excited(columns, size)
-    small = np.array([name in SMALL for name in names])
-    driving = np.array([name in DRIVING for name in names])
+    small = np.array([name in equations.small for name in names])
+    driving = np.array([name in equations.driving for name in names])
     lines: list[str] = []
     while True:
         values, errors, condition = kept.copy(), np.full(len(names), np.inf), np.inf
@@ -105,7 +103,11 @@ def fit_axis(
         condition=float(condition if excited.all() else np.inf),
         r_squared=r2,
         rmse=float(np.sqrt((error**2).mean())),
-        warnings=(*lines, *_warnings(axis, names, values, errors, excited, r2)),
+        warnings=(
+            *lines,
+            *_warnings(axis, names, values, errors, excited, r2, equations.uncertain),
+        ),
+        driving=equations.driving,
     )
 
 
@@ -119,7 +121,7 @@ def check_signs(fits: list[AxisFit]) -> None:
         f"{name} = {value:.3g} +- {error:.2g} ({fit.axis})"
         for fit in fits
         for name, value, error in zip(fit.names, fit.values, fit.standard_errors, strict=True)
-        if name in DRIVING and value < 0.0 and np.isfinite(error)
+        if name in fit.driving and value < 0.0 and np.isfinite(error)
     ]
     if wrong:
         raise InputError(
@@ -178,6 +180,7 @@ def _warnings(
     errors: np.ndarray,
     excited: np.ndarray,
     r2: float,
+    uncertain: float,
 ) -> tuple[str, ...]:
     lines = []
     if r2 < LOW_R2:
@@ -187,7 +190,7 @@ def _warnings(
             lines.append(
                 f"{name} ({axis}): not fitted to the logs; the base vehicle's {value:.4g} is kept"
             )
-        elif error > UNCERTAIN * abs(value):
+        elif error > uncertain * abs(value):
             lines.append(
                 f"{name} ({axis}): little excited by the logs, or the nominal model does not fit "
                 f"them: +- {100.0 * error / max(abs(value), 1e-300):.0f}%"

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 BAND = (1.0, 16.0)  # Hz
 LAG = 0.05  # s, typical of propellers that follow their commands
+TYPICAL = (2500.0, 35_000.0)  # rpm, of a racing drone's motors at commands 0 and 1
 EVIDENCE = 6.0  # least difference of log-likelihoods that is evidence
 # Signs (3, 4) of roll, pitch and yaw of motors 1 to 4, by the nominal model.
 ONE = MotorConstants(**dict.fromkeys(constant_names(MotorConstants), 1.0))
@@ -34,6 +35,15 @@ SIGNS = nominal(ONE, ModelInputs(np.eye(4), *(np.zeros((4, k)) for k in (4, 3, 3
 CORNERS = ("front left", "front right", "rear right", "rear left")
 ORDERS = tuple(itertools.permutations(range(4)))
 FLIPS = tuple(itertools.product((1.0, -1.0), repeat=3))
+
+
+def typical_speeds(command: np.ndarray, sample_rate: float) -> np.ndarray:
+    """Speeds (n, 4), rpm, of typical motors under commands (n, 4) from 0 to 1, sampled at Hz.
+
+    They have the order, the direction and about the delay of the true ones, but not their scale.
+    """
+    steady = TYPICAL[0] + (TYPICAL[1] - TYPICAL[0]) * np.sqrt(np.clip(command, 0.0, 1.0))
+    return first_order(steady, steady[0], LAG, 1.0 / sample_rate)
 
 
 def check_motors(log: "FlightLog", config: LogsConfig) -> list[str]:
@@ -84,14 +94,18 @@ def check_motors(log: "FlightLog", config: LogsConfig) -> list[str]:
 
 def check_commands(log: "FlightLog", config: LogsConfig) -> list[str]:
     """Compare the commanded speeds with the measured ones; as ``check_motors``."""
-    if log.rpm_command is None:
+    if log.rpm_command is not None:
+        followed = first_order(log.rpm_command, log.rpm[0], LAG, 1.0 / log.sample_rate)
+    elif log.motor_command is not None and log.speeds_measured:
+        followed = typical_speeds(log.motor_command, log.sample_rate)
+    else:
         return []
-    followed = first_order(log.rpm_command, log.rpm[0], LAG, 1.0 / log.sample_rate)
     own, theirs = (values - values.mean(axis=1, keepdims=True) for values in (followed, log.rpm))
-    names, speeds = log.columns["rpm_command"], log.columns["rpm"]
+    quantity = "motor_command" if log.rpm_command is None else "rpm_command"
+    names, speeds = log.columns[quantity], log.columns["rpm"]
     meanings = [f"speed {name!r}" for name in speeds]
     evidence = Evidence(
-        "rpm_command",
+        quantity,
         names,
         own,
         theirs,

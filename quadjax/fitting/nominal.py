@@ -1,20 +1,26 @@
 """Force and moment model over whole logs, in float64: nominal part, residual and regressors.
 
-The nominal model (``quadjax.vehicle.motor``) is linear in its constants: each axis of ``AXES`` is a
-sum of ``constant * regressor``.
+The nominal models (``quadjax.vehicle.motor`` and ``racing``) are linear in their constants: each
+axis of ``AXES`` is a sum of ``constant * regressor``. Moments are those of the inertia (motor) or
+angular accelerations (racing).
 """
 
-from dataclasses import fields
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
 from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.signals import Rows
+from quadjax.vehicle import motor, racing
 from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.motor import nominal_force, nominal_moment
+from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.residual import Layers, Residual
 
+Constants = MotorConstants | RacingConstants
+ForceMoment = Callable[[Constants, Rotors, Rotors, Vec3, Vec3], tuple[Vec3, Vec3]]
 AXES = ("ax", "ay", "az", "Mx", "My", "Mz")
 UNITS = dict.fromkeys(AXES[:3], "m/s^2") | dict.fromkeys(AXES[3:], "N m")
 CONSTANTS: dict[str, tuple[str, ...]] = {
@@ -24,6 +30,71 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "Mx": ("k_p", "k_pv"),
     "My": ("k_q", "k_qv"),
     "Mz": ("k_r1", "k_r2", "k_rr"),
+}
+
+
+def _rotors(name: str) -> tuple[str, ...]:
+    return tuple(f"{name}{rotor}" for rotor in (1, 2, 3, 4))
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The equations of a model that is linear in its constants.
+
+    Attributes:
+        constants: names by axis.
+        driving: constants that are positive on every drone.
+        small: constants that are positive, but may absorb what the model lacks.
+        force_moment: of constants, rpm, their derivatives, body velocity and rates.
+        has_inertia: whether the moments are N m, else rad/s^2.
+        uncertain: relative standard error above which a constant has a warning.
+    """
+
+    constants: dict[str, tuple[str, ...]]
+    driving: tuple[str, ...]
+    small: tuple[str, ...]
+    force_moment: ForceMoment
+    has_inertia: bool
+    uncertain: float
+
+
+def _motor(
+    c: MotorConstants, rpm: Rotors, rpm_rate: Rotors, velocity: Vec3, rates: Vec3
+) -> tuple[Vec3, Vec3]:
+    return (
+        motor.nominal_force(c, rpm, velocity),
+        motor.nominal_moment(c, rpm, rpm_rate, velocity, rates),
+    )
+
+
+def _racing(
+    c: RacingConstants, rpm: Rotors, rpm_rate: Rotors, velocity: Vec3, _rates: Vec3
+) -> tuple[Vec3, Vec3]:
+    speed, speed_rate = (values * (math.pi / 30.0) for values in (rpm, rpm_rate))
+    return racing.nominal_force(c, speed, velocity), racing.nominal_spin(c, speed, speed_rate)
+
+
+EQUATIONS: dict[type, Equations] = {
+    MotorConstants: Equations(
+        CONSTANTS,
+        driving=("k_x", "k_y", "k_w", "k_p", "k_q", "k_r1", "k_r2"),
+        small=("k_z", "k_h", "k_rr"),
+        force_moment=_motor,
+        has_inertia=True,
+        uncertain=0.05,
+    ),
+    RacingConstants: Equations(
+        {
+            **{"ax": ("k_x",), "ay": ("k_y",), "az": ("k_w",)},
+            **{"Mx": _rotors("k_p"), "My": _rotors("k_q")},
+            "Mz": (*_rotors("k_r"), *_rotors("k_rd")),
+        },
+        driving=("k_x", "k_y", "k_w", *_rotors("k_p"), *_rotors("k_q"), *_rotors("k_r")),
+        small=_rotors("k_rd"),
+        force_moment=_racing,
+        has_inertia=False,
+        uncertain=0.01,
+    ),
 }
 
 
@@ -37,26 +108,34 @@ class ModelInputs(Rows):
     rates: np.ndarray  # (n, 3) rad/s
 
 
-def nominal(constants: MotorConstants, motion: ModelInputs) -> np.ndarray:
-    """Specific forces, m/s^2, and moments, N m, of the nominal model: (n, 6), as ``AXES``."""
+def nominal(constants: Constants, motion: ModelInputs) -> np.ndarray:
+    """Specific forces, m/s^2, and moments of the nominal model: (n, 6), as ``AXES``."""
     numbers = {item.name: float(getattr(constants, item.name)) for item in fields(constants)}
-    c = MotorConstants(**numbers)
     rpm, rpm_rate = Rotors.of(motion.rpm), Rotors.of(motion.rpm_rate)
     velocity, rates = Vec3.of(motion.body_velocity), Vec3.of(motion.rates)
-    force = nominal_force(c, rpm, velocity)
-    moment = nominal_moment(c, rpm, rpm_rate, velocity, rates)
-    return np.stack([*force.components(), *moment.components()], axis=1)
+    equations = EQUATIONS[type(constants)]
+    parts = equations.force_moment(type(constants)(**numbers), rpm, rpm_rate, velocity, rates)
+    return np.stack([number for part in parts for number in part.components()], axis=1)
 
 
-def regressors(motion: ModelInputs) -> dict[str, np.ndarray]:
-    """For each axis a column per constant of ``CONSTANTS``: (n, k)."""
-    zero = MotorConstants(**dict.fromkeys((item.name for item in fields(MotorConstants)), 0.0))
+NO_CONSTANTS = MotorConstants(**dict.fromkeys((item.name for item in fields(MotorConstants)), 0.0))
+
+
+def regressors(motion: ModelInputs, constants: Constants = NO_CONSTANTS) -> dict[str, np.ndarray]:
+    """For each axis a column per constant of ``EQUATIONS``: (n, k).
+
+    Args:
+        motion: inputs of the model.
+        constants: of the model, whose type selects the equations.
+    """
+    axes = EQUATIONS[type(constants)].constants
+    zero = constants.replace(**dict.fromkeys((n for names in axes.values() for n in names), 0.0))
     return {
         axis: np.stack(
             [nominal(zero.replace(**{name: 1.0}), motion)[:, AXES.index(axis)] for name in names],
             axis=1,
         )
-        for axis, names in CONSTANTS.items()
+        for axis, names in axes.items()
     }
 
 
@@ -83,14 +162,16 @@ def evaluate(layers: Layers, inputs: np.ndarray) -> np.ndarray:
 
 
 def angular_moment(
-    constants: MotorConstants, rates: np.ndarray, rate_derivative: np.ndarray
+    constants: Constants, rates: np.ndarray, rate_derivative: np.ndarray
 ) -> np.ndarray:
-    """Total moment ``I Omega' + Omega x I Omega`` (n, 3), N m.
+    """Total moment ``I Omega' + Omega x I Omega``, N m, or ``Omega'``, rad/s^2: (n, 3).
 
     Args:
-        constants: with the inertia, kg m^2.
+        constants: with the inertia, kg m^2, if the model has one.
         rates: body rates (n, 3), rad/s.
         rate_derivative: their derivatives (n, 3), rad/s^2.
     """
+    if not EQUATIONS[type(constants)].has_inertia:
+        return rate_derivative
     inertia = np.array([float(getattr(constants, name)) for name in ("i_xx", "i_yy", "i_zz")])
     return inertia * rate_derivative + np.cross(rates, inertia * rates)

@@ -113,6 +113,12 @@ def _read(
     base = with_body(read_vehicle(config.vehicle, folder), config.body)
     report("reading the logs")
     logs = read_logs(config.logs, folder)
+    for log in logs:
+        if not log.speeds_measured:
+            raise InputError(
+                f"{log.path}: no columns for rpm (logs.columns.rpm), which the model motor needs; "
+                "motor commands suffice for a racing quadcopter (vehicle=5inch.yaml)"
+            )
     report("preparing the samples")
     samples = prepare(logs, base.motor, config.prepare, config.logs.min_seconds)
     most = config.logs.max_scale_error

@@ -18,9 +18,8 @@ from flax import struct
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import PrepareConfig
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.nominal import AXES, ModelInputs, angular_moment, regressors
+from quadjax.fitting.nominal import AXES, Constants, ModelInputs, angular_moment, regressors
 from quadjax.fitting.signals import Rows, concatenated, derivative, low_pass, noise_level
-from quadjax.vehicle.constants import MotorConstants
 
 
 @struct.dataclass
@@ -30,7 +29,7 @@ class Samples(Rows):
     motion: ModelInputs  # filtered inputs of the model
     regressors: dict[str, np.ndarray]  # axis: (n, k), filtered
     noise: dict[str, np.ndarray]  # axis: (n, k), change of the regressors by added noise
-    measured: np.ndarray  # (n, 6) specific force, m/s^2, and moment, N m, filtered; as AXES
+    measured: np.ndarray  # (n, 6) specific force, m/s^2, and moment, filtered; as AXES
     flight: np.ndarray  # (n,) index of the flight
     time: np.ndarray  # (n,) s, in the flight
     sample_rate: float = struct.field(pytree_node=False)  # Hz
@@ -59,13 +58,13 @@ def airborne(log: FlightLog, config: PrepareConfig) -> np.ndarray:
 
 
 def prepare(
-    logs: list[FlightLog], constants: MotorConstants, config: PrepareConfig, min_seconds: float
+    logs: list[FlightLog], constants: Constants, config: PrepareConfig, min_seconds: float
 ) -> Samples:
     """Inputs, regressors and targets of every flight's airborne part.
 
     Args:
         logs: flights of one drone, of any sample rates.
-        constants: with the inertia.
+        constants: of the model; with the inertia, if it has one.
         config: of filtering and trimming.
         min_seconds: shortest allowed flight time of a log, s.
 
@@ -87,7 +86,7 @@ def join(parts: list[Samples]) -> Samples:
 def _prepare_one(
     log: FlightLog,
     index: int,
-    constants: MotorConstants,
+    constants: Constants,
     config: PrepareConfig,
     min_seconds: float,
 ) -> Samples:
@@ -103,7 +102,7 @@ def _prepare_one(
         return low_pass(signal, rate, config.cutoff)
 
     def filtered_regressors(motion: ModelInputs) -> dict[str, np.ndarray]:
-        return {axis: smooth(columns) for axis, columns in regressors(motion).items()}
+        return {axis: smooth(columns) for axis, columns in regressors(motion, constants).items()}
 
     still = np.zeros_like(log.rates)
     rates, rpm = smooth(log.rates), smooth(log.rpm)

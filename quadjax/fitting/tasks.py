@@ -10,7 +10,7 @@ import numpy as np
 
 from quadjax.fitting.config import NominalConfig, ResidualConfig
 from quadjax.fitting.least_squares import fit_nominal, with_fit
-from quadjax.fitting.nominal import AXES, CONSTANTS, file_inputs
+from quadjax.fitting.nominal import AXES, EQUATIONS, Constants, file_inputs
 from quadjax.fitting.prepare import Samples
 from quadjax.vehicle.constants import MotorConstants
 
@@ -93,11 +93,13 @@ def learned_rows(fold: np.ndarray, left_out: frozenset[int]) -> np.ndarray:
     return (fold >= 0) & ~np.isin(fold, list(left_out))
 
 
-def nominal_error(samples: Samples, constants: MotorConstants) -> np.ndarray:
+def nominal_error(samples: Samples, constants: Constants) -> np.ndarray:
     """Measured minus nominal (n, 6), as ``AXES``."""
     modeled = [
         samples.regressors[axis]
-        @ np.array([float(getattr(constants, name)) for name in CONSTANTS[axis]])
+        @ np.array(
+            [float(getattr(constants, name)) for name in EQUATIONS[type(constants)].constants[axis]]
+        )
         for axis in AXES
     ]
     return samples.measured - np.stack(modeled, axis=1)

@@ -6,8 +6,8 @@ flights, without noise. The nominal fit absorbs part of a residual, so the sum o
 
 import numpy as np
 
-from quadjax.fitting.flight_log import rotation_of_euler
 from quadjax.fitting.least_squares import r_squared
+from quadjax.fitting.log_frames import rotation_of_euler
 from quadjax.fitting.nominal import AXES, CONSTANTS, ModelInputs, nominal, residual_output
 from quadjax.fitting.simulate import SensorNoise, simulate_flight
 from quadjax.vehicle.constants import MotorConstants

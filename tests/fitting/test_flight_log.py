@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.fitting import flight_log
+from quadjax.fitting import csv_table
 from quadjax.fitting.config import LogsConfig, UnitsConfig
 from quadjax.fitting.flight_log import log_of_columns, read_log, read_logs, write_log
 from quadjax.fitting.simulate import simulate_flight
@@ -230,7 +230,7 @@ def test_damaged_bytes_are_one_short_line(tmp_path, columns, monkeypatch):
             read_log(path, PAPARAZZI)
         assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
     path.write_bytes(good)
-    monkeypatch.setattr(flight_log, "MAX_BYTES", len(good) - 1)
+    monkeypatch.setattr(csv_table, "MAX_BYTES", len(good) - 1)
     with pytest.raises(InputError, match="bytes, allowed: up to"):
         read_log(path, PAPARAZZI)
 

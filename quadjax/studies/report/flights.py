@@ -12,9 +12,9 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz
 from quadjax.evaluation.evaluation import STATES
 from quadjax.evaluation.recording import SIGNALS, Recording
-from quadjax.fitting.columns import PRESETS
 from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.flight_log import FlightLog, read_header, read_log
+from quadjax.fitting.flight_log import FlightLog, read_log
+from quadjax.fitting.log_formats import FORMATS
 
 RPM, RATES = "rpm", "rates"  # what a flight's commands are
 MOST_FILES = 1000
@@ -163,7 +163,7 @@ def _logged(path: Path, group: str, track: Track, logs: LogsConfig | None) -> Fl
         velocity=velocity,
         euler=euler,
         rates=log.rates[part],
-        actuators=log.rpm[part],
+        actuators=(log.rpm if log.speeds_measured else nothing)[part],
         command=(nothing if log.rpm_command is None else log.rpm_command)[part],
         target=np.array(target),
         lap_ends=ends,
@@ -196,9 +196,9 @@ def _motion(log: FlightLog, part: slice) -> tuple[np.ndarray, np.ndarray]:
 
 def _format(path: Path) -> LogsConfig:
     """The format whose columns a log has."""
-    header = read_header(path)
-    for name, columns in PRESETS.items():
-        if set(columns["time"] + columns["gyro"]) <= set(header):
+    for name, form in FORMATS.items():
+        columns = form.columns["time"] + form.columns["gyro"]
+        if form.read is None and set(columns) <= set(form.header(path)):
             # Nothing is fitted: commands at a limit, of unclear scale, do not matter.
             return LogsConfig(format=name, max_scale_error=1e6)
     raise InputError(f"{path}: columns of no known format, allowed: --logs with a fit config")

@@ -1,0 +1,147 @@
+"""PX4's ULog files, through pyulog (the extra ``px4``).
+
+The topics have their own clocks. Everything is brought to the clock of the body rates: measurements
+by interpolation, commands by their last value.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import check_file
+
+if TYPE_CHECKING:
+    pass
+
+MAX_GAP = 0.05  # s, between samples of a topic
+ORDER = (2, 0, 3, 1)  # motors front-left, front-right, rear-right, rear-left
+
+
+class Field(NamedTuple):
+    """A quantity's source: topic, fields, and names of the columns."""
+
+    topic: str
+    fields: tuple[str, ...]
+    names: tuple[str, ...]
+
+
+def _axes(name: str, count: int = 3) -> list[str]:
+    return [f"{name}[{index}]" for index in range(count)]
+
+
+COLUMNS = {
+    "time": ["timestamp"],
+    "rpm": [f"esc[{index}].esc_rpm" for index in ORDER],
+    "motor_command": [f"control[{index}]" for index in ORDER],
+    "gyro": _axes("xyz"),
+    "acceleration": _axes("accelerometer_m_s2"),
+    "world_velocity": ["vx", "vy", "vz"],
+    "position": ["x", "y", "z"],
+    "quaternion": _axes("q", 4),
+}
+
+
+def _field(topic: str, quantity: str, fields: list[str] | None = None) -> Field:
+    return Field(topic, tuple(fields or COLUMNS[quantity]), tuple(COLUMNS[quantity]))
+
+
+CLOCK = _field("vehicle_angular_velocity", "gyro")
+FIELDS = (
+    _field("sensor_combined", "acceleration"),
+    _field("vehicle_local_position", "world_velocity"),
+    _field("vehicle_local_position", "position"),
+    _field("vehicle_attitude", "quaternion"),
+    _field("esc_status", "rpm"),
+    _field("actuator_motors", "motor_command"),
+)
+SECOND_CHOICE = _field("vehicle_acceleration", "acceleration", _axes("xyz"))
+HELD = ("actuator_motors",)
+
+
+def read_ulog(path: Path) -> dict[str, np.ndarray]:
+    """Columns (n,) of a ULog file, at the times of ``vehicle_angular_velocity``.
+
+    Raises:
+        InputError: pyulog is not installed, the file cannot be read, a topic is missing, slow or
+            has a gap.
+    """
+    check_file(path)
+    topics = _topics(path)
+    if CLOCK.topic not in topics:
+        raise InputError(f"{path}: no topic {CLOCK.topic}, expected it in the log's profile")
+    sources = [field for field in FIELDS if field.topic in topics]
+    if "sensor_combined" not in topics and SECOND_CHOICE.topic in topics:
+        sources.append(SECOND_CHOICE)
+    if not sources:
+        raise InputError(f"{path}: no topic besides {CLOCK.topic}")
+    series = {field: _series(path, topics, field) for field in [CLOCK, *sources]}
+    first = max(time[0] for time, _ in series.values())
+    last = min(time[-1] for time, _ in series.values())
+    clock = series[CLOCK][0]
+    clock = clock[(clock >= first) & (clock <= last)]
+    if not len(clock):
+        raise InputError(f"{path}: the topics have no time in common")
+    columns = {"timestamp": clock - clock[0]}
+    for field, (time, values) in series.items():
+        columns |= dict(zip(field.names, _at(clock, time, values, field).T, strict=True))
+    return columns
+
+
+def _topics(path: Path) -> dict[str, dict[str, np.ndarray]]:
+    """The fields of every topic that is used, of its first instance."""
+    try:
+        from pyulog import ULog
+    except ImportError:
+        raise InputError(f"{path}: ULog files need pyulog: pip install 'quadjax[px4]'") from None
+    wanted = [CLOCK.topic, SECOND_CHOICE.topic, *(field.topic for field in FIELDS)]
+    try:
+        log: ULog = ULog(str(path), wanted)
+    except Exception as error:  # pyulog raises errors of many kinds for a damaged file
+        raise InputError(f"{path}: not readable as a ULog file ({error})") from None
+    return {data.name: data.data for data in log.data_list if data.multi_id == 0}
+
+
+def _series(
+    path: Path, topics: dict[str, dict[str, np.ndarray]], field: Field
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,), us, and values (n, k) of a field."""
+    data = topics[field.topic]
+    for name in field.fields:
+        if name not in data:
+            raise InputError(f"{path}: topic {field.topic} has no field {name!r}")
+    name = "timestamp_sample" if "timestamp_sample" in data else "timestamp"
+    time = np.asarray(data[name], np.float64)
+    values = np.stack([np.asarray(data[name], np.float64) for name in field.fields], axis=1)
+    steps = np.diff(time) * 1e-6
+    if len(time) < 2 or (steps <= 0.0).any():
+        row = int((steps <= 0.0).argmax()) + 1 if len(time) > 1 else 0
+        raise InputError(f"{path}: topic {field.topic}, sample {row}: time does not increase")
+    usual, longest = float(np.median(steps)), float(steps.max())
+    most = MAX_GAP if usual > MAX_GAP else max(MAX_GAP, 2.5 * usual)
+    if longest > most:
+        raise InputError(
+            f"{path}: topic {field.topic}, sample {steps.argmax() + 1}: a gap of {longest:.3g} s "
+            f"among samples {usual:.3g} s apart, allowed: {most:.3g} s (SDLOG_PROFILE: high rate)"
+        )
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        row, column = bad[0]
+        raise InputError(
+            f"{path}: topic {field.topic}, sample {row}, field {field.fields[column]!r} is "
+            f"{values[row, column]}, expected a finite number"
+        )
+    return time, values
+
+
+def _at(clock: np.ndarray, time: np.ndarray, values: np.ndarray, field: Field) -> np.ndarray:
+    """Values (m, k) at the times of the clock (m,)."""
+    if field.topic in HELD:
+        return values[np.searchsorted(time, clock, side="right") - 1]
+    if field.topic == "vehicle_attitude":  # of two equal quaternions the one near that before
+        turned = (values[1:] * values[:-1]).sum(axis=1) < 0.0
+        values = np.concatenate(
+            [values[:1], values[1:] * np.cumprod(np.where(turned, -1, 1))[:, None]]
+        )
+    return np.stack([np.interp(clock, time, column) for column in values.T], axis=1)

@@ -1,0 +1,241 @@
+"""Flights of racing quadcopters by an independent model, in the columns of other autopilots."""
+
+import csv
+import struct
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+G, RATE = 9.81, 500.0
+ORDER = ("front_left", "front_right", "rear_right", "rear_left")
+ROLL, PITCH = np.array([1.0, -1.0, -1.0, 1.0]), np.array([1.0, 1.0, -1.0, -1.0])
+OTHERS = (2, 1, 3, 0)  # rear-right, front-right, rear-left, front-left
+PX4 = (1, 3, 0, 2)  # front-right, rear-left, front-left, rear-right
+
+
+def constants(path):
+    """The file's numbers by name, per-rotor ones (4,) in the order of ``ORDER``."""
+    tree = yaml.safe_load(path.read_text())
+    place = [tree["rotors"].index(name) for name in ORDER]
+    found = {}
+    for name, value in tree["racing"].items():
+        if isinstance(value, list):
+            value = [{"cw": -1.0, "ccw": 1.0}.get(item, item) for item in value]
+            found[name] = np.array([float(value[i]) for i in place])
+        else:
+            per_rotor = name in ("k_p", "k_q", "k_r", "k_rd")
+            found[name] = np.full(4, float(value)) if per_rotor else float(value)
+    return found
+
+
+def steady(c, u):
+    return c["w_min"] + (c["w_max"] - c["w_min"]) * np.sqrt(c["k"] * u * u + (1 - c["k"]) * u)
+
+
+def forces(c, w, w_rate, v, rates):
+    total = w.sum()
+    force = np.array([-c["k_x"] * v[0] * total, -c["k_y"] * v[1] * total, -c["k_w"] * w @ w])
+    roll, pitch = (ROLL * c["k_p"]) @ (w * w), (PITCH * c["k_q"]) @ (w * w)
+    yaw = c["turning"] @ (c["k_r"] * w + c["k_rd"] * w_rate)
+    return force, np.array([roll, pitch, yaw])
+
+
+def _matrix(q):
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _slope(c, x, u):
+    v, q, rates, w = x[3:6], x[6:10], x[10:13], x[13:]
+    matrix = _matrix(q / np.sqrt(q @ q))
+    w_rate = (steady(c, u) - w) / c["tau"]
+    force, spin = forces(c, w, w_rate, matrix.T @ v, rates)
+    p, r, s = rates
+    turn = np.array([[0, -p, -r, -s], [p, 0, s, -r], [r, -s, 0, p], [s, r, -p, 0]])
+    return np.concatenate([v, matrix @ force + [0, 0, G], 0.5 * turn @ q, spin, w_rate])
+
+
+def _command(c, x, target, hover, mixer):
+    matrix = _matrix(x[6:10])
+    roll, pitch = np.arctan2(matrix[2, 1], matrix[2, 2]), -np.arcsin(np.clip(matrix[2, 0], -1, 1))
+    yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
+    turn = (target[2] - yaw + np.pi) % (2 * np.pi) - np.pi
+    wanted = np.array([60 * (target[0] - roll), 60 * (target[1] - pitch), 6 * turn])
+    wanted -= np.array([12, 12, 4]) * x[10:13]
+    climb = G + 3.0 * (x[5] - target[3])
+    lift = max(climb, 1.0) / max(matrix[2, 2], 0.4) - G
+    w = hover + mixer @ np.array([lift, *wanted])
+    s = np.clip((w - c["w_min"]) / (c["w_max"] - c["w_min"]), 0.0, 1.0) ** 2
+    b = 1 - c["k"]
+    u = (-b + np.sqrt(b * b + 4 * c["k"] * s)) / (2 * c["k"])
+    return np.clip(u + target[4:], 0.02, 1.0)
+
+
+def fly(c, seed, seconds, size=1.0):
+    """A flight: exact signals by name, (n, ..), at ``RATE``; ``size`` 0 is a hover."""
+    random, count = np.random.default_rng(seed), int(seconds * RATE)
+    time = np.arange(count)[:, None] / RATE
+    targets = np.zeros((count, 8))
+    scale = np.array([0.5, 0.5, 1.2, 3.0, *[0.03] * 4]) * size
+    for low, high, weight in ((0.15, 0.4, 0.7), (0.4, 1.0, 0.5), (1.0, 2.5, 0.3)):
+        f = random.uniform(low, high, 8) * np.array([1, 1, 1, 1, 4, 4, 4, 4])
+        targets += weight * scale * np.sin(2 * np.pi * (f * time + random.uniform(0, 1, 8)))
+    hover = np.full(4, np.sqrt(G / (4 * c["k_w"])))
+    rows = [np.full(4, c["k_w"]), ROLL * c["k_p"], PITCH * c["k_q"]]
+    yaw = c["turning"] * (c["k_r"] + 5.0 * c["k_rd"])
+    mixer = np.linalg.inv(np.array([*(2 * hover * row for row in rows), yaw]))
+    x = np.concatenate([np.zeros(6), [1, 0, 0, 0], np.zeros(3), hover])
+    states, commands, dt = [], [], 1 / RATE
+    for target in targets:
+        u = _command(c, x, target, hover, mixer)
+        states.append(x)
+        commands.append(u)
+        k1 = _slope(c, x, u)
+        k2 = _slope(c, x + 0.5 * dt * k1, u)
+        k3 = _slope(c, x + 0.5 * dt * k2, u)
+        k4 = _slope(c, x + dt * k3, u)
+        x = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x[6:10] /= np.sqrt(x[6:10] @ x[6:10])
+    s = np.array(states)
+    attitude = Rotation.from_quat(s[:, [7, 8, 9, 6]])
+    body = attitude.inv().apply(s[:, 3:6])
+    force = np.array([forces(c, w, 0 * w, v, 0)[0] for w, v in zip(s[:, 13:], body, strict=True)])
+    noise = random.normal
+    return {
+        "time": time[:, 0],
+        "position": s[:, :3],
+        "velocity": s[:, 3:6],
+        "attitude": attitude,
+        "quaternion": s[:, 6:10],
+        "gyro": s[:, 10:13] + noise(scale=0.01, size=(count, 3)),
+        "force": force + noise(scale=0.2, size=(count, 3)),
+        "speed": s[:, 13:],
+        "command": np.array(commands),
+    }
+
+
+def blackbox_columns(flight, flu=False):
+    """Columns of integers, as in a blackbox log."""
+    flip = np.array([1, -1, -1]) if flu else 1
+    signals = {
+        "time": (flight["time"] * 1e6 + 7e6)[:, None],
+        "gyroADC": np.degrees(flight["gyro"]) * flip,
+        "accSmooth": flight["force"] * flip / 9.80665 * 2048,
+        "motor": 158 + (2048 - 158) * flight["command"][:, OTHERS],
+        "omega": flight["speed"][:, OTHERS],
+        "pos": flight["position"] * 1000,
+        "vel": flight["velocity"] * 100,
+        "quat": flight["quaternion"] * ((127 << 6) - 1),
+    }
+    columns = {}
+    for name, values in signals.items():
+        for i, column in enumerate(np.rint(values).astype(int).T):
+            columns[name if name == "time" else f"{name}[{i}]"] = column
+    return columns
+
+
+def write_blackbox(path, columns, settings=()):
+    head = {"Product": "Blackbox flight data recorder", "acc_1G": 2048, "motorOutput": "158,2048"}
+    with open(path, "w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerows((head | dict(settings)).items())
+        writer.writerow(["loopIteration", *columns, "flightModeFlags (flags)"])
+        for i, row in enumerate(zip(*columns.values(), strict=True)):
+            writer.writerow([i, *row, "ARM|ANGLE"])
+
+
+def tii_columns(flight, by_rows=True):
+    """Columns of the dataset: z-up world, FLU body."""
+    flip = np.array([1, -1, -1])
+    to_enu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    matrix = to_enu @ flight["attitude"].as_matrix() @ np.diag(flip)
+    signals = {
+        "accel_": flight["force"] * flip,
+        "gyro_": flight["gyro"] * flip,
+        "drone_": flight["position"] @ to_enu.T,
+        "drone_velocity_linear_": flight["velocity"] @ to_enu.T,
+    }
+    columns = {"elapsed_time": flight["time"]}
+    for name, values in signals.items():
+        columns |= {f"{name}{axis}": values[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"thrust[{i}]": flight["command"][:, k] for i, k in enumerate(OTHERS)}
+    order = matrix if by_rows else matrix.transpose(0, 2, 1)
+    return columns | {f"drone_rot[{i}]": order.reshape(-1, 9)[:, i] for i in range(9)}
+
+
+def write_tii(path, columns):
+    with open(path, "w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow([*columns, "img_filename"])
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([*(f"{value:.7g}" for value in row), "00001.jpg"])
+
+
+def ulog_topics(flight):
+    """Topics by name: rate, Hz, and fields (n, ..) of single precision."""
+    return {
+        "vehicle_angular_velocity": (500, {"xyz": flight["gyro"]}),
+        "sensor_combined": (250, {"accelerometer_m_s2": flight["force"]}),
+        "vehicle_attitude": (250, {"q": flight["quaternion"]}),
+        "vehicle_local_position": (
+            125,
+            {
+                **{name: flight["position"][:, i] for i, name in enumerate("xyz")},
+                **{f"v{name}": flight["velocity"][:, i] for i, name in enumerate("xyz")},
+            },
+        ),
+        "esc_status": (
+            500,
+            {f"esc[{i}].esc_rpm": flight["speed"][:, k] * 30 / np.pi for i, k in enumerate(PX4)},
+        ),
+        "actuator_motors": (
+            500,
+            {
+                "control": np.pad(
+                    flight["command"][:, PX4], ((0, 0), (0, 8)), constant_values=np.nan
+                )
+            },
+        ),
+    }
+
+
+def write_ulog(path, flight, topics):
+    """A ULog file: header, flag bits, formats, subscriptions and data in the order of time."""
+
+    def message(kind, body):
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    data, head, subscriptions = [], [], []
+    for number, (topic, (rate, fields)) in enumerate(topics.items()):
+        names, columns = [], []
+        for name, values in fields.items():
+            values = np.asarray(values)
+            kind = "int32_t" if name.endswith("rpm") else "float"
+            plain = name.replace("esc[", "esc").replace("].", "_")
+            size = f"[{values.shape[1]}]" if values.ndim > 1 else ""
+            names.append(f"{kind}{size} {plain}")
+            columns += [(kind, column) for column in np.atleast_2d(values.T)]
+        if topic == "esc_status":  # a nested message, as in PX4
+            head.append(message("F", b"esc_report:int32_t esc_rpm;"))
+            names = ["esc_report[4] esc"]
+        text = f"{topic}:uint64_t timestamp;{';'.join(names)};"
+        head.append(message("F", text.encode()))
+        subscriptions.append(message("A", struct.pack("<BH", 0, number) + topic.encode()))
+        step = int(RATE / rate)
+        codes = "<HQ" + "".join("i" if kind == "int32_t" else "f" for kind, _ in columns)
+        for row in range(0, len(flight["time"]), step):
+            time = int(flight["time"][row] * 1e6) + 10_000_000
+            numbers = [int(round(c[row])) if k == "int32_t" else c[row] for k, c in columns]
+            data.append((time, number, message("D", struct.pack(codes, number, time, *numbers))))
+    with open(path, "wb") as stream:
+        stream.write(b"\x55\x4c\x6f\x67\x01\x12\x35\x01" + struct.pack("<Q", 10_000_000))
+        stream.write(message("B", bytes(40)))
+        for part in (*head, *subscriptions, *(body for _, _, body in sorted(data))):
+            stream.write(part)

@@ -1,0 +1,236 @@
+"""Logs of other autopilots: what is read, what is refused, and the constants that they give."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.fitting.config import FitConfig, LogsConfig
+from quadjax.fitting.flight_log import read_log
+from quadjax.fitting.racing_fit import read_racing_vehicle, run_racing_fit
+from tests.commands import run
+
+from . import racing_logs
+from .conftest import REPOSITORY
+
+ROTOR_ORDER = (1, 2, 3, 4)  # front-left, front-right, rear-right, rear-left: that of the logs
+
+
+def _truth(drone):
+    return racing_logs.constants(REPOSITORY / f"configs/vehicles/{drone}.yaml")
+
+
+@pytest.fixture(scope="module", params=["5inch", "3inch"])
+def drone(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def flight(drone):
+    return racing_logs.fly(_truth(drone), seed=1, seconds=14.0)
+
+
+@pytest.fixture(scope="module")
+def short():
+    return racing_logs.fly(_truth("5inch"), seed=2, seconds=5.0)
+
+
+def _write(form, flight, folder, variant):
+    """A log of a flight in a format, in one of its two variants of frames."""
+    path = folder / ("flight.ulg" if form == "ulog" else "flight.csv")
+    if form == "blackbox":
+        racing_logs.write_blackbox(path, racing_logs.blackbox_columns(flight, flu=variant))
+    elif form == "tii":
+        racing_logs.write_tii(path, racing_logs.tii_columns(flight, by_rows=variant))
+    else:
+        pytest.importorskip("pyulog", reason="ULog files need pyulog, the extra px4")
+        racing_logs.write_ulog(path, flight, racing_logs.ulog_topics(flight))
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["blackbox", "tii", "ulog"])
+def test_every_constant_is_recovered(form, drone, flight, tmp_path):
+    """Within 2% from a base vehicle that is 30% off, or named as not determined."""
+    path = _write(form, flight, tmp_path, variant=drone == "5inch")
+    base = read_racing_vehicle(f"{drone}.yaml")
+    known = ("g", "w_max", "k", *(f"turning{i}" for i in ROTOR_ORDER))
+    names = [field.name for field in dataclasses.fields(base) if field.name not in known]
+    wrong = base.replace(**{name: 1.3 * getattr(base, name) for name in names}, k=0.5)
+    if form != "tii":
+        wrong = wrong.replace(w_max=1.3 * base.w_max)
+    config = FitConfig(logs={"files": [str(path)], "format": form})
+    result = run_racing_fit(config, tmp_path, wrong)
+    assert not result.logs[0].unchecked
+    named = [line.partition(":")[0].partition(" ")[0] for line in result.warnings]
+    assert named == [] if form != "tii" else "w_max" in named
+    for name in [*names, "w_max", "k"]:
+        np.testing.assert_allclose(getattr(result.constants, name), getattr(base, name), 0.02)
+
+
+@pytest.mark.parametrize("form", ["blackbox", "tii", "ulog"])
+def test_a_log_is_the_flight_in_our_units_and_frames(form, short, tmp_path):
+    log = read_log(_write(form, short, tmp_path, variant=True), LogsConfig(format=form))
+    count = len(log.time)
+    assert abs(count - len(short["time"])) < 10 and log.speeds_measured == (form != "tii")
+    body = short["attitude"].inv().apply(short["velocity"])[:count]
+    np.testing.assert_allclose(log.body_velocity, body, atol=0.05)
+    np.testing.assert_allclose(log.rates, short["gyro"][:count], atol=0.02)
+    np.testing.assert_allclose(log.specific_force, short["force"][:count], atol=1.2)
+    np.testing.assert_allclose(log.position, short["position"][:count], atol=0.03)
+    np.testing.assert_allclose(log.motor_command, short["command"][:count], atol=5e-4)
+    if log.speeds_measured:
+        np.testing.assert_allclose(log.rpm, short["speed"][:count] * 30 / np.pi, atol=6.0)
+
+
+def test_both_frames_and_orders_of_a_format_are_the_same_log(short, tmp_path):
+    for form in ("blackbox", "tii"):
+        logs = [
+            read_log(_write(form, short, tmp_path, variant), LogsConfig(format=form))
+            for variant in (True, False)
+        ]
+        np.testing.assert_allclose(logs[0].rates, logs[1].rates, atol=0.02)
+        angle = (logs[0].attitude.inv() * logs[1].attitude).magnitude()
+        assert angle.max() < 1e-3
+
+
+@pytest.mark.slow
+def test_what_a_hover_does_not_excite_is_named(tmp_path):
+    flight = racing_logs.fly(_truth("5inch"), seed=3, seconds=8.0, size=0.02)
+    path = _write("blackbox", flight, tmp_path, variant=False)
+    base = read_racing_vehicle("5inch.yaml")
+    config = FitConfig(logs={"files": [str(path)], "format": "blackbox"})
+    result = run_racing_fit(config, tmp_path, base.replace(k_x=1e-5, k=0.5, w_max=4000.0))
+    text = "\n".join(result.warnings)
+    for field in dataclasses.fields(base):
+        found, true = (float(getattr(c, field.name)) for c in (result.constants, base))
+        assert abs(found / true - 1.0) < 0.02 or f"{field.name}" in text, field.name
+    assert "k_x (ax): " in text and "w_max: little excited" in text
+
+
+BAD = {
+    "a gap": (lambda c: {"time": c["time"] + 400_000 * (np.arange(len(c["time"])) > 99)}, "a gap"),
+    "time backwards": (lambda c: {"time": c["time"][::-1]}, "runs backwards"),
+    "gyro in rad/s": (
+        lambda c: {f"gyroADC[{i}]": c[f"gyroADC[{i}]"] / 57.3 for i in range(3)},
+        "column 'gyroADC",
+    ),
+    "a negated gyro": (lambda c: {"gyroADC[1]": -c["gyroADC[1]"]}, "negated"),
+    "a turned accelerometer": (
+        lambda c: {"accSmooth[0]": -c["accSmooth[0]"], "accSmooth[1]": -c["accSmooth[1]"]},
+        "column 'accSmooth[",
+    ),
+    "accelerometer in g": (
+        lambda c: {f"accSmooth[{i}]": c[f"accSmooth[{i}]"] / 2048 / 9.81 for i in range(3)},
+        "units.acceleration",
+    ),
+    "rotors in rpm": (
+        lambda c: {f"omega[{i}]": c[f"omega[{i}]"] * 9.5493 for i in range(4)},
+        "'omega[3]'",
+    ),
+    "swapped motors": (
+        lambda c: {"omega[0]": c["omega[1]"], "omega[1]": c["omega[0]"]},
+        "swapped",
+    ),
+    "swapped commands": (
+        lambda c: {"motor[0]": c["motor[1]"], "motor[1]": c["motor[0]"]},
+        "motor[",
+    ),
+    "commands of another range": (
+        lambda c: {f"motor[{i}]": c[f"motor[{i}]"] + 1900 for i in range(4)},
+        "logs.motor_range",
+    ),
+    "velocity in mm/s": (
+        lambda c: {f"vel[{i}]": c[f"vel[{i}]"] * 10 for i in range(3)},
+        "vel[",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_blackbox_columns_are_one_line(case, short, tmp_path):
+    change, word = BAD[case]
+    columns = racing_logs.blackbox_columns(short)
+    path = tmp_path / "bad.csv"
+    racing_logs.write_blackbox(path, columns | change(columns))
+    with pytest.raises(InputError) as caught:
+        read_log(path, LogsConfig(format="blackbox"))
+    message = str(caught.value)
+    assert "\n" not in message and str(path) in message and word in message
+
+
+def test_rows_are_counted_from_the_first_row_of_the_file(short, tmp_path):
+    """Three rows of settings and the header precede the first sample, in row 5."""
+    columns = racing_logs.blackbox_columns(short)
+    for name, value in (("omega[2]", "nan"), ("omega[2]", "-"), ("time", 0)):
+        changed = columns[name].astype(object)
+        changed[10] = value
+        racing_logs.write_blackbox(tmp_path / "bad.csv", columns | {name: changed})
+        with pytest.raises(InputError, match=r"bad\.csv: row 15, column"):
+            read_log(tmp_path / "bad.csv", LogsConfig(format="blackbox"))
+
+
+def test_settings_of_the_log_scale_its_columns(short, tmp_path):
+    columns = racing_logs.blackbox_columns(short)
+    expected = tmp_path / "flight.csv"
+    racing_logs.write_blackbox(expected, columns)
+    fine = {f"gyroADC[{i}]": columns[f"gyroADC[{i}]"] * 10 for i in range(3)}
+    fine |= {f"accSmooth[{i}]": columns[f"accSmooth[{i}]"] * 2 for i in range(3)}
+    fine |= {f"motor[{i}]": columns[f"motor[{i}]"] + 842 for i in range(4)}
+    settings = {"blackbox_high_resolution": 1, "acc_1G": 4096, "motorOutput": "[1000,2890]"}
+    other = tmp_path / "other.csv"
+    racing_logs.write_blackbox(other, columns | fine, settings)
+    first, second = (read_log(path, LogsConfig(format="blackbox")) for path in (expected, other))
+    for name in ("rates", "specific_force", "motor_command"):
+        np.testing.assert_allclose(getattr(first, name), getattr(second, name), atol=1e-9)
+
+
+def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
+    pytest.importorskip("pyulog", reason="ULog files need pyulog, the extra px4")
+    path, topics = tmp_path / "flight.ulg", racing_logs.ulog_topics(short)
+
+    def refuse(changed, match):
+        racing_logs.write_ulog(path, short, changed)
+        with pytest.raises(InputError, match=match) as caught:
+            read_log(path, LogsConfig(format="ulog"))
+        assert "\n" not in str(caught.value)
+
+    gyro = short["gyro"].copy()
+    gyro[20, 1] = np.nan
+    refuse(topics | {"vehicle_angular_velocity": (500, {"xyz": gyro})}, r"sample 20, field 'xyz\[1")
+    slow = (10, topics["vehicle_attitude"][1])
+    refuse(topics | {"vehicle_attitude": slow}, "topic vehicle_attitude, sample .*: a gap of 0.1")
+    refuse({"vehicle_attitude": topics["vehicle_attitude"]}, "no topic vehicle_angular_velocity")
+    without = {name: topic for name, topic in topics.items() if name != "sensor_combined"}
+    refuse(without, "column 'accelerometer_m_s2.0.' is missing")
+    path.write_bytes(path.read_bytes()[:-1000][16:])
+    with pytest.raises(InputError, match="not readable as a ULog file"):
+        read_log(path, LogsConfig(format="ulog"))
+
+
+def test_the_command_writes_a_vehicle_for_training(short, tmp_path):
+    racing_logs.write_blackbox(tmp_path / "a.csv", racing_logs.blackbox_columns(short))
+    arguments = [f"logs.files=[{tmp_path}/a.csv]", "--output", tmp_path, "--name", "mine"]
+    assert run("fit", "blackbox", *arguments) == 0
+    assert "held out" in (tmp_path / "mine/report.txt").read_text()
+    written = yaml.safe_load((tmp_path / "mine/vehicle.yaml").read_text())
+    assert written["racing"]["turning"] == ["cw", "ccw", "cw", "ccw"]
+    config = load_config("e2e_fastest", [f"vehicle={tmp_path}/mine/vehicle.yaml"])
+    assert config.vehicle.model == "racing"
+    assert abs(config.vehicle.constants["k_w"] / 2.49e-6 - 1.0) < 0.02
+
+
+def test_a_drone_without_measured_speeds_needs_the_racing_model(short, tmp_path, capsys):
+    path = _write("tii", short, tmp_path, variant=True)
+    arguments = [f"logs.files=[{path}]", "vehicle=bebop1.yaml", "body.inertia=base"]
+    assert run("fit", "tii", *arguments, "--output", tmp_path) == 2
+    assert "no columns for rpm (logs.columns.rpm)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("form", ["betaflight", "nowhere:FORMAT", "json:dumps"])
+def test_unknown_formats_are_refused(form, tmp_path):
+    with pytest.raises(InputError, match="logs.format"):
+        read_log(tmp_path / "x.csv", LogsConfig(format=form))
