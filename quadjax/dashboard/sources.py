@@ -67,8 +67,8 @@ def read_source(source: Path | str, name: str, options: Options) -> Source:
     Args:
         source: a training run's folder; a policy file, or the name of one that comes with the
             package; recorded states (``.npz``, of ``quadjax evaluate --states``); a best known lap
-            (``.npz``, of ``quadjax limit --npz``); a flight log (``.csv``, ``.ulg``); records or lap
-            times (``.json``).
+            (``.npz``, of ``quadjax limit --npz``); a flight log (``.csv``, ``.ulg``); records or
+            lap times (``.json``).
         name: of the flights.
         options: how they are read.
 
