@@ -23,7 +23,8 @@ ALLOWED = {
     "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
     "dashboard": CONFIG
-    | {"config", "policy", "training", "view", "evaluation", "fitting", "limits", "sweeps"},
+    | {"config", "policy", "training", "view", "evaluation", "fitting", "limits", "sweeps"}
+    | {"studies"},
     "studies": CONFIG
     | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"},
 }

@@ -7,7 +7,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Protocol
 
-from quadjax.config.schema import Config
 from quadjax.view.flight import Flight
 
 RUNS = 8  # sampled flights, for the causes of crashes
@@ -28,14 +27,11 @@ class Folder(Protocol):
 
     @property
     def policy(self) -> Path:
-        """The policy's file; it may not exist."""
+        """The newest policy's file, with its ``config.yaml`` next to it; they may not exist."""
 
     @property
     def finished(self) -> bool:
         """Whether the policy is the last one."""
-
-    def config(self) -> Config:
-        """The config of the policy's race; ``InputError`` if there is none yet."""
 
     def state(self) -> dict[str, Any]:
         """Other data of the page."""
@@ -70,12 +66,13 @@ class Flyer:
         seen: tuple[Path, int] | None = None
         while not self._stop.wait(POLL):
             with contextlib.suppress(OSError):
-                found = self._folder.policy, self._folder.policy.stat().st_mtime_ns
+                policy = self._folder.policy
+                found = policy, policy.stat().st_mtime_ns
                 if found == seen:
                     continue
                 started = time.monotonic()
                 try:
-                    self._fly()
+                    self._fly(policy)
                     self.error = ""
                 except OSError:
                     continue
@@ -85,7 +82,9 @@ class Flyer:
                 rest = 0.0 if self._folder.finished else REST * (time.monotonic() - started)
                 self._stop.wait(min(rest, 60.0))
 
-    def _fly(self) -> None:
+    def _fly(self, path: Path) -> None:
+        """Simulate a policy in its race; the folder's newest one may by now be another."""
+        from quadjax.config.loading import load_config
         from quadjax.config.race import race_of
         from quadjax.evaluation.recording import recordings
         from quadjax.evaluation.viewing import flight_of
@@ -93,7 +92,7 @@ class Flyer:
         from quadjax.policy.pilot import fly_policy
         from quadjax.view.data import Scene
 
-        config, policy = self._folder.config(), Policy.load(self._folder.policy)
+        config, policy = load_config(path.with_name("config.yaml")), Policy.load(path)
         choices, params = race_of(config)
         gates, laps = config.track.gates, min(LAPS, config.evaluate.laps)
         flights: list[Flight] = []

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from quadjax.config.loading import load_config
-from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.training.metrics import read_metrics
@@ -36,14 +35,6 @@ class TrainingRun:
         """The newest policy's file."""
         return self._folder / "policy_last.npz"
 
-    def config(self) -> Config:
-        """The run's config.
-
-        Raises:
-            InputError: there is none yet.
-        """
-        return load_config(self._folder / "config.yaml")
-
     @property
     def finished(self) -> bool:
         """Whether all steps are trained."""
@@ -58,7 +49,7 @@ class TrainingRun:
         """Curves and progress, as JSON takes them."""
         state: dict[str, Any] = {"finished": self.finished, "total_steps": None}
         with contextlib.suppress(InputError):
-            config = self.config()
+            config = load_config(self._folder / "config.yaml")
             state["total_steps"] = config.run.steps
             state["subtitle"] = f"{config.learner.algorithm}, {config.track.name}"
             state["laps"] = config.evaluate.laps

@@ -1,33 +1,39 @@
 """Flights from runs, policies, recorded states, best known laps, flight logs and JSON."""
 
 import dataclasses
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.loading import config_of, load_config
+from quadjax.config.loading import load_config
 from quadjax.config.schema import Config, Gate
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json, read_npz
 from quadjax.core.folders import kind_of
-from quadjax.core.resources import PRETRAINED, preset_names
+from quadjax.core.resources import PRETRAINED
 from quadjax.core.sections import build
 from quadjax.evaluation.evaluation import STATES, Evaluation, evaluate
+from quadjax.evaluation.own_race import own_race
+from quadjax.evaluation.recording import SIGNALS
 from quadjax.evaluation.viewing import RATES, flights_of, marker_of, split
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.limits.report import LIMIT
-from quadjax.policy.file import FORMATS, Policy
+from quadjax.policy.file import FORMATS
+from quadjax.studies.flight_files import (
+    STATE_ARRAYS,
+    flying_part,
+    recording_of_log,
+    recordings_of_states,
+)
 from quadjax.vehicle.protocol import Signal
 from quadjax.vehicle.registry import MODELS
 from quadjax.view.data import FORMAT, Scene, check_record, flight_record, gate_record
 from quadjax.view.flight import MOTORS, Flight, Marker, passages, passages_at, strip
 
-SIGNALS = ("time", "position", "velocity", "euler", "rates", "actuators", "command")
-RECORDED = (*SIGNALS, "lap_times", "leg_times")
+RECORDED = (*STATE_ARRAYS, "leg_times")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,23 +107,10 @@ def _read_run(folder: Path, name: str, options: Options) -> Source:
 def _read_npz(path: Path, name: str, options: Options) -> Source:
     arrays, meta = read_npz(path, (*FORMATS, STATES, LIMIT), RECORDED)
     if meta["format"] in FORMATS:
-        return fly(path, options.race or _own_race(path), name, options)
+        return fly(path, options.race or own_race(path), name, options)
     gates = tuple(_gates_of(path, meta)) or _gates(options)
-    missing = [key for key in SIGNALS if key not in arrays]
-    if missing:
-        raise InputError(f"{path}: no array {missing[0]}")
     flights = _limit if meta["format"] == LIMIT else _states
-    return Source(gates, tuple(flights(arrays, meta, gates, name)))
-
-
-def _own_race(path: Path) -> Config:
-    policy = Policy.load(path)
-    own, preset = policy.config, re.sub(r"_seed\d+$", "", str(policy.source.get("config")))
-    if own is None and preset in preset_names():
-        return load_config(preset)
-    if own is None:
-        raise InputError(f"{path}: does not contain its config, name the race: --race CONFIG")
-    return config_of(own, f"{path}: config")
+    return Source(gates, tuple(flights(path, arrays, meta, gates, name)))
 
 
 def fly(path: Path, config: Config, name: str, options: Options) -> Source:
@@ -152,27 +145,36 @@ def _gates_of(path: Path, meta: dict[str, Any]) -> list[Gate]:
 
 
 def _states(
-    arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[Gate, ...], name: str
+    path: Path,
+    arrays: dict[str, np.ndarray],
+    meta: dict[str, Any],
+    gates: tuple[Gate, ...],
+    name: str,
 ) -> list[Flight]:
     """Flights of ``Evaluation.save_states``."""
-    flights, reasons = [], {each["run"]: each["reason"] for each in meta.get("crashes", [])}
-    for run, position in enumerate(arrays["position"]):
-        count = int(np.isfinite(position[:, 0]).sum())
-        own = {key: arrays[key][run, :count] for key in SIGNALS[1:]}
-        times = arrays["lap_times"][run]
-        label = name if len(arrays["position"]) == 1 else f"{name} {run + 1}"
-        ends = np.cumsum(times[np.isfinite(times)])
-        flight = _flight(arrays["time"][:count], own, meta, gates, label)
-        flights.append(dataclasses.replace(flight, lap_ends=ends, crash=reasons.get(run, "")))
+    recordings = recordings_of_states(path, arrays, meta)
+    flights = []
+    for run, each in enumerate(recordings):
+        label = name if len(recordings) == 1 else f"{name} {run + 1}"
+        own = {key: getattr(each, key) for key in SIGNALS}
+        flight = _flight(each.time, own, meta, gates, label)
+        flights.append(dataclasses.replace(flight, lap_ends=each.lap_ends, crash=each.crash))
     return flights
 
 
 def _limit(
-    arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[Gate, ...], name: str
+    path: Path,
+    arrays: dict[str, np.ndarray],
+    meta: dict[str, Any],
+    gates: tuple[Gate, ...],
+    name: str,
 ) -> list[Flight]:
     """The flight of ``quadjax limit --npz``."""
+    missing = [key for key in SIGNALS if key not in arrays]
+    if missing:
+        raise InputError(f"{path}: no array {missing[0]}")
     if not gates or "leg_times" not in arrays:
-        raise InputError(f"{name}: a best known lap without gates or leg_times")
+        raise InputError(f"{path}: a best known lap without gates or leg_times")
     periodic = meta.get("start") == "periodic"
     note = "best known lap, flying start" if periodic else "best known flight from hover"
     flight = _flight(arrays["time"], arrays, meta, gates, name)
@@ -225,24 +227,27 @@ def _read_log(path: Path, name: str, options: Options) -> Source:
 
 def flight_of_log(log: FlightLog, gates: tuple[Gate, ...], name: str) -> Flight:
     """The flying part of a flight log; a lap ends with the last gate."""
-    (going,) = np.nonzero(log.flying)
-    part = slice(int(going[0]), int(going[-1]) + 1) if len(going) else slice(None)
-    assert log.position is not None and log.attitude is not None
-    time, attitude = log.time[part] - log.time[part][0], log.attitude[part]
-    strips = [strip("rotor speed", "rpm", MOTORS, log.rpm[part])] if log.speeds_measured else []
+    part = flying_part(log) if log.flying.any() else slice(None)
+    flown = recording_of_log(log, part)
+    strips = [strip("rotor speed", "rpm", MOTORS, flown.actuators)] if log.speeds_measured else []
     if log.motor_command is not None:
         strips.insert(0, strip("motor command", "", MOTORS, log.motor_command[part]))
     if log.rpm_command is not None:
-        strips.insert(0, strip("commanded rotor speed", "rpm", MOTORS, log.rpm_command[part]))
-    strips.append(strip("body rates", "rad/s", RATES, log.rates[part]))
-    position = log.position[part]
-    passed = passages(time, position, gates)
+        strips.insert(0, strip("commanded rotor speed", "rpm", MOTORS, flown.command))
+    strips.append(strip("body rates", "rad/s", RATES, flown.rates))
+    passed = passages(flown.time, flown.position, gates)
     if len(passed) and passed[0, 1] == len(gates) - 1:  # the start
         passed = passed[1:]
-    ends = passed[passed[:, 1] == len(gates) - 1, 0]
-    velocity = attitude.apply(log.body_velocity[part])
     return Flight(
-        name, time, position, velocity, attitude, tuple(strips), passed, ends, note="flight log"
+        name,
+        flown.time,
+        flown.position,
+        flown.velocity,
+        Rotation.from_euler("ZYX", flown.euler[:, ::-1]),
+        tuple(strips),
+        passed,
+        passed[passed[:, 1] == len(gates) - 1, 0],
+        note="flight log",
     )
 
 

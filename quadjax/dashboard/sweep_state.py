@@ -6,8 +6,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from quadjax.config.loading import load_config
-from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 
 JOURNAL = "study.journal"
@@ -44,19 +42,7 @@ class SweepRun:
     @property
     def policy(self) -> Path:
         """The best trial's policy file."""
-        return self._trial / "policy.npz"
-
-    @property
-    def _trial(self) -> Path:
-        return self._folder / "trials" / f"{self._best or 0:04d}" / "seed0"
-
-    def config(self) -> Config:
-        """The best trial's config.
-
-        Raises:
-            InputError: there is none yet.
-        """
-        return load_config(self._trial / "config.yaml")
+        return self._folder / "trials" / f"{self._best or 0:04d}" / "seed0" / "policy.npz"
 
     def state(self) -> dict[str, Any]:
         """Trials in the order in which they began, as JSON takes them."""

@@ -2,13 +2,17 @@
 
 import json
 import math
+import shutil
 import subprocess
 import sys
+import time
 
 import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_csv, write_json
+from quadjax.core.resources import PRETRAINED
+from quadjax.dashboard.flyer import Flyer
 from quadjax.dashboard.run_state import POINTS, TrainingRun
 from quadjax.dashboard.sweep_state import JOURNAL, SweepRun
 from tests.commands import run
@@ -61,6 +65,34 @@ def test_trials_of_a_sweep_are_read_without_changing_its_journal(tmp_path):
     assert state["best"] == 1
     assert state["trials"][1]["params"] == {"rate": pytest.approx(0.2)}
     assert (tmp_path / JOURNAL).read_bytes() == before
+
+
+class Flipping:
+    """A sweep whose best trial becomes another one as soon as its policy was asked for."""
+
+    kind, name, finished = "sweep", "sweep", False
+
+    def __init__(self, *policies):
+        self.policies = list(policies)
+
+    @property
+    def policy(self):
+        return self.policies.pop(0) if len(self.policies) > 1 else self.policies[0]
+
+
+def test_a_policy_is_simulated_in_the_race_of_its_own_trial(tmp_path):
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        shutil.copy(PRETRAINED / "e2e_nominal.npz", tmp_path / name / "policy.npz")
+        (tmp_path / name / "config.yaml").write_text(f"nothing_of_{name}: 1\n", encoding="utf-8")
+    first, second = (tmp_path / name / "policy.npz" for name in ("first", "second"))
+    flyer = Flyer(Flipping(first, second))
+    for _ in range(6000):
+        if flyer.error:
+            break
+        time.sleep(0.1)
+    flyer.close()
+    assert "nothing_of_first" in flyer.error
 
 
 def test_a_sweep_in_a_database_is_refused(tmp_path):

@@ -1,6 +1,7 @@
 """Flights of every kind of source."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -136,6 +137,23 @@ def test_code_that_a_file_names_is_not_imported(tmp_path):
         "commanded values",
         "actuators",
     ]
+
+
+def test_code_that_a_policy_file_names_is_not_imported(tmp_path, capsys):
+    with np.load(PRETRAINED / "e2e_adaptive.npz") as file:
+        arrays = {key: file[key] for key in file.files if key != "meta"}
+        meta = json.loads(str(file["meta"]))
+    for section, key, value in (
+        ("rules", "extra", ["antigravity:RULE"]),
+        ("reward", "terms", {"antigravity:TERM": 1.0}),
+        ("vehicle", "model", "antigravity:MODEL"),
+    ):
+        config = {**meta["config"], section: {**meta["config"][section], key: value}}
+        path = tmp_path / f"{section}.npz"
+        write_npz(path, arrays, {**meta, "config": config})
+        assert run("view", path, "--output", tmp_path / "out.html") == 2
+        assert "code that a policy file names is not imported" in capsys.readouterr().err
+    assert "antigravity" not in sys.modules
 
 
 @pytest.mark.slow

@@ -11,10 +11,16 @@ from quadjax.config.schema import Track
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz
 from quadjax.evaluation.evaluation import STATES
-from quadjax.evaluation.recording import SIGNALS, Recording
+from quadjax.evaluation.recording import Recording
 from quadjax.fitting.config import LogsConfig
-from quadjax.fitting.flight_log import FlightLog, read_log
+from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.log_formats import FORMATS
+from quadjax.studies.flight_files import (
+    STATE_ARRAYS,
+    flying_part,
+    recording_of_log,
+    recordings_of_states,
+)
 
 RPM, RATES = "rpm", "rates"  # what a flight's commands are
 MOST_FILES = 1000
@@ -111,27 +117,15 @@ def read_flights(path: Path, group: str, track: Track, logs: LogsConfig | None) 
 
 
 def _simulated(path: Path, group: str, track: Track) -> list[Flight]:
-    names = ("time", *SIGNALS, "lap_times")
-    arrays, meta = read_npz(path, STATES, names)
-    for name in names:
-        if name not in arrays:
-            raise InputError(f"{path}: no {name}, expected the file of evaluate --states")
+    arrays, meta = read_npz(path, STATES, STATE_ARRAYS)
+    recordings = recordings_of_states(path, arrays, meta)
     if arrays["lap_times"].shape[1] * len(track.gates) == 0:
         raise InputError(f"{path}: no laps")
-    reasons = {each["run"]: each["reason"] for each in meta.get("crashes", [])}
     commands = RPM if arrays["actuators"].shape[2] == 4 else RATES
     flights = []
-    for run, laps in enumerate(arrays["lap_times"]):
-        end = int(np.isfinite(arrays["position"][run, :, 0]).sum())
-        own = {name: arrays[name][run, :end] for name in SIGNALS}
-        _, target = passages(own["position"], track)
-        recording = Recording(
-            arrays["time"][:end],
-            **own,
-            target=np.array(target),
-            lap_ends=np.cumsum(laps[np.isfinite(laps)]),
-            crash=reasons.get(run, ""),
-        )
+    for run, recording in enumerate(recordings):
+        _, target = passages(recording.position, track)
+        recording = dataclasses.replace(recording, target=np.array(target))
         flights.append(make_flight(group, f"{run + 1}", recording, track, commands))
     return flights
 
@@ -141,57 +135,35 @@ def _logged(path: Path, group: str, track: Track, logs: LogsConfig | None) -> Fl
     log = read_log(path, logs or _format(path))
     if log.position is None:
         raise InputError(f"{path}: no columns for position (logs.columns.position)")
-    flying = np.flatnonzero(log.flying)
-    if not flying.size:
+    part = flying_part(log)
+    if part.stop == 0:
         raise InputError(f"{path}: no sample in flight (logs.columns.mode)")
-    part = slice(flying[0], flying[-1] + 1)
-    samples, target = passages(log.position[part], track, reach=0.1)
+    recording = recording_of_log(log, part)
+    samples, target = passages(recording.position, track, reach=0.1)
     if not samples:
         raise InputError(f"{path}: passes no gate of the track {track.name}, name its --race")
-    if _enters(log, part, track, target[-1]):
+    if _enters(recording, track, target[-1]):
         samples.append(len(target) - 1)
-    time, gates = log.time[part] - log.time[part][0], len(track.gates)
-    ends = time[samples][gates - 1 :: gates]
+    ends = recording.time[samples][len(track.gates) - 1 :: len(track.gates)]
     if ends.size:  # laps that were completed; what comes after them is the landing
-        last = int(np.searchsorted(time, ends[-1])) + 1
-        part, target, time = slice(part.start, part.start + last), target[:last], time[:last]
-    velocity, euler = _motion(log, part)
-    nothing = np.full_like(log.rpm, np.nan)
-    recording = Recording(
-        time,
-        position=log.position[part],
-        velocity=velocity,
-        euler=euler,
-        rates=log.rates[part],
-        actuators=(log.rpm if log.speeds_measured else nothing)[part],
-        command=(nothing if log.rpm_command is None else log.rpm_command)[part],
-        target=np.array(target),
-        lap_ends=ends,
-        crash="" if ends.size else "no lap",
+        last = int(np.searchsorted(recording.time, ends[-1])) + 1
+        target = target[:last]
+        recording = recording_of_log(log, slice(part.start, part.start + last))
+    recording = dataclasses.replace(
+        recording, target=np.array(target), lap_ends=ends, crash="" if ends.size else "no lap"
     )
     commands = "" if log.rpm_command is None else RPM
     return make_flight(group, path.stem, recording, track, commands, reach=0.1)
 
 
-def _enters(log: FlightLog, part: slice, track: Track, target: int) -> bool:
+def _enters(recording: Recording, track: Track, target: int) -> bool:
     """Whether a log ends in its target gate: at its speed it is there within ``LAST_SECONDS``."""
-    assert log.position is not None
-    gate, last = track.gates[target], part.stop - 1
+    gate = track.gates[target]
     axes = np.array(gate.axes)
-    place = (log.position[last] - np.array(gate.position)) @ axes
-    speed = float(_motion(log, part)[0][-1] @ axes[:, 0])
+    place = (recording.position[-1] - np.array(gate.position)) @ axes
+    speed = float(recording.velocity[-1] @ axes[:, 0])
     near = np.abs(place[1:]) <= 0.5 * np.array(gate.size)
     return bool(near.all() and -LAST_SECONDS * speed <= place[0] < 0)
-
-
-def _motion(log: FlightLog, part: slice) -> tuple[np.ndarray, np.ndarray]:
-    """World velocity (n, 3), m/s, and roll, pitch, yaw (n, 3), rad."""
-    assert log.position is not None
-    if log.attitude is None:
-        velocity = np.gradient(log.position, log.time, axis=0)[part]
-        return velocity, np.full_like(velocity, np.nan)
-    attitude = log.attitude[part]
-    return attitude.apply(log.body_velocity[part]), attitude.as_euler("ZYX")[:, ::-1]
 
 
 def _format(path: Path) -> LogsConfig:
