@@ -326,6 +326,8 @@ def _check_used(config: Config) -> None:
     unused: dict[str, str] = {}
     if math.isinf(model.pitch_limit):
         unused["vehicle.quaternion"] = with_model
+    if config.battery is not None and not model.has_battery:
+        refuse("battery", "set", f"null with vehicle.model {config.vehicle.model}")
     if not model.has_residual:
         unused["vehicle.residual"] = with_model
     if config.vehicle.residual is None:

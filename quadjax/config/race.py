@@ -16,12 +16,15 @@ from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
 from quadjax.core.sections import Section
 from quadjax.core.vectors import Vec3
+from quadjax.race.battery import RaceBattery
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout
 from quadjax.race.rules import Frame, Landing, Limits, Perception, RewardWeights
 from quadjax.race.start import DisturbanceRange, StartRange
 from quadjax.race.track import Pose, Track, inside_turn, make_track
+from quadjax.vehicle import motor
 from quadjax.vehicle.attitude import with_quaternions
+from quadjax.vehicle.battery import battery_params, limit_estimator
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
 from quadjax.vehicle.registry import model
@@ -53,6 +56,7 @@ def choices_of(config: Config) -> Choices:
             observed.gates_ahead,
             observed.last_action,
             observed.actuator_range,
+            None if config.battery is None else observed.highest_rpm,
         ),
         integrator=config.vehicle.integrator,
         gate_test=config.rules.gate_test,
@@ -146,6 +150,20 @@ def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None
     return estimator_params(own, vehicle, 1.0 / config.rules.time_step, explicit_euler=euler)
 
 
+def _battery(config: Config, vehicle: VehicleParams) -> RaceBattery | None:
+    """The battery, and the onboard estimator of its limit."""
+    if config.battery is None:
+        return None
+    c, step = vehicle.constants, config.rules.time_step
+    low, high = config.battery.charge
+    return RaceBattery(
+        cells=battery_params(config.battery, motor.hover_rpm(c)),
+        charge=(jnp.float32(low), jnp.float32(high)),
+        estimator=limit_estimator(c.rpm_max, c.tau, 1.0 / step),
+        time_step=jnp.float32(step),
+    )
+
+
 def build_params(config: Config) -> RaceParams:
     """Every number of the race in training."""
     own, vehicle = model(config.vehicle.model), build_vehicle(config)
@@ -162,6 +180,7 @@ def build_params(config: Config) -> RaceParams:
         population_width=_population_width(config),
         mismatch=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),
+        battery=_battery(config, vehicle),
         term_weights=tuple(jnp.float32(weight) for weight in config.reward.terms.values()),
     )
 

@@ -16,6 +16,7 @@ from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import Curriculum, LearnerSection, Network, Schedule
 from quadjax.race.random_track import RandomTrack
+from quadjax.vehicle.battery import BatteryConfig
 
 if TYPE_CHECKING:
     from quadjax.vehicle.protocol import VehicleModel
@@ -184,6 +185,11 @@ class Observation(Section):
         "ground_truth",
         description="source of the observed external disturbance: the simulator, the onboard "
         "estimator, or zeros",
+    )
+    highest_rpm: Literal["ground_truth", "estimated", "none"] = Field(
+        "estimated",
+        description="source of the observed limit of the propeller speeds: as of disturbance; with "
+        "a battery",
     )
     attitude: Literal["euler", "rotation"] = Field(
         "euler",
@@ -525,6 +531,11 @@ class Config(Section):
     training_limits: TrainingLimits = TrainingLimits()
     start: Start = Start()
     disturbance: Disturbance = Disturbance()
+    battery: BatteryConfig | None = Field(
+        None,
+        description="battery that limits the propeller speeds, model motor: {charge: [lowest, "
+        "highest], ..}, drawn in every episode and observed; null: none",
+    )
     randomization: Randomization = Randomization()
     network: Network = Network()
     learner: SerializeAsAny[LearnerSection] = Field(

@@ -66,6 +66,8 @@ def problem_of(choices: "Choices", params: "RaceParams", race: Race) -> Problem:
         raise InputError("rules.extra: time-optimal laps do not support extra rules")
     if params.limits.body_radius is not None:
         raise InputError("rules.body_radius: time-optimal laps do not support it, allowed: 0")
+    if params.battery is not None:
+        raise InputError("battery: time-optimal laps do not support it, allowed: null")
     passages = race.gates
     if race.laps is not None:
         passages = race.laps * len(np.asarray(params.track.yaw))

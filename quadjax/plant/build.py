@@ -11,6 +11,7 @@ from quadjax.plant.effects import FlexParams, ImuParams, RotorParams
 from quadjax.plant.gusts import gust_params
 from quadjax.plant.plant import PlantParams
 from quadjax.plant.power import PowerParams
+from quadjax.vehicle.battery import battery_params
 from quadjax.vehicle.constants import MotorConstants, constant_names
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Residual
@@ -99,18 +100,14 @@ def _rotors(config: PlantConfig, gravity: float) -> RotorParams:
 
 
 def _power(config: PlantConfig, nominal: dict[str, float]) -> PowerParams:
-    m, b, on = config.motors, config.battery, config.effects
+    motors, on, hover = config.motors, config.effects, _hover_rpm(nominal)
     numbers = {
-        "lag": on.motors * m.lag,
-        "shortfall": on.motors * m.shortfall,
-        "hover": _hover_rpm(nominal),
-        "sags": on.battery,
-        "drop": b.drop / b.voltage,
-        "resistance": b.resistance * b.hover_current / b.voltage,
-        "drain": b.hover_current / (3600.0 * b.capacity),
-        "rpm_full": b.rpm_full,
+        "lag": on.motors * motors.lag,
+        "shortfall": on.motors * motors.shortfall,
+        "hover": hover,
     }
-    return PowerParams(**_traced(numbers))
+    battery = battery_params(config.battery, hover, on.battery)
+    return PowerParams(**_traced(numbers), battery=battery)
 
 
 def _flex(config: PlantConfig) -> FlexParams:

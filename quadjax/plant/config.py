@@ -12,13 +12,13 @@ from typing import Annotated, Literal, Self
 from quadjax.core.limits import MAX_SEED
 from quadjax.core.sections import (
     Field,
-    Fraction,
     NonNegative,
     Positive,
     Section,
     load_section,
     model_validator,
 )
+from quadjax.vehicle.battery import BatteryConfig
 
 Half = Annotated[float, Field(ge=0.0, le=0.5)]
 Delay = Annotated[float, Field(ge=0.0, le=0.05)]
@@ -90,28 +90,6 @@ class ImuConfig(Section):
     turning: NonNegative = Field(
         0.01, description="rad/s, amplitude of one rotor in the gyro at its hover speed; assumed"
     )
-
-
-class BatteryConfig(Section):
-    """Lithium-polymer battery of three cells, 1200 mAh (Bebop 1)."""
-
-    voltage: Positive = Field(12.6, description="V, open circuit, full")
-    drop: NonNegative = Field(1.5, description="V, of the open-circuit voltage until empty")
-    resistance: NonNegative = Field(0.07, description="ohm, with leads and controllers; assumed")
-    hover_current: NonNegative = Field(6.5, description="A: 11 minutes of hover")
-    capacity: Positive = Field(1.2, description="Ah")
-    charge: tuple[Fraction, Fraction] = Field(
-        (0.6, 1.0), description="lowest, highest at the start"
-    )
-    rpm_full: Positive = Field(12000.0, description="rpm at the full voltage")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.charge[0] > self.charge[1]:
-            raise ValueError(
-                f"battery.charge is {list(self.charge)}, allowed: [lowest, highest], 0 to 1"
-            )
-        return self
 
 
 class GustsConfig(Section):

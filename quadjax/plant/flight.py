@@ -19,6 +19,7 @@ from quadjax.plant.onboard import OnboardChoices, OnboardParams, OnboardState
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
 from quadjax.race import environment, laps
+from quadjax.race.battery import BatteryState
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.start import hover
 from quadjax.race.track import gate, gate_count
@@ -118,7 +119,9 @@ def sample(
     computers, rotors = onboard.command_rotors(params.onboard, flight.onboard, command)
     first, rest = drawn[: gusts.DRAWS], drawn[gusts.DRAWS :]
     state = plant.update(params.plant, flight.plant, rotors, first, call)
-    computers = onboard.sense(choices.onboard, params.onboard, params.plant, state, computers, rest)
+    computers = onboard.sense(
+        choices.onboard, params.onboard, params.plant, state, computers, rotors, rest
+    )
     before, body = flight.race.state, state.physics.body
     g = gate(params.race.track, before.target)
     outcome = environment.evaluate_rules(choices.race, params.race, before, body, g)
@@ -134,7 +137,10 @@ def observe(choices: FlightChoices, params: FlightParams, flight: Flight) -> jax
     if choices.race.model is rate.MODEL:
         thrust = flight.onboard.inner.thrust
         motion = RateState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
-    return environment.observe(choices.race, params.race, flight.race.state.replace(drone=motion))
+    # The charge is not known on board.
+    charged = BatteryState(jnp.zeros(()), flight.onboard.limit)
+    state = flight.race.state.replace(drone=motion, battery=charged)
+    return environment.observe(choices.race, params.race, state)
 
 
 @functools.partial(jax.jit, static_argnames=("choices", "steps", "recorded", "record"))

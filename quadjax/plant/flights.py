@@ -21,10 +21,12 @@ from quadjax.plant.sensors import sensor_params
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, make_pilot
 from quadjax.race import laps
+from quadjax.race.battery import middle_limit
 from quadjax.race.environment import Choices, RaceParams, exact_rules
 from quadjax.race.laps import Laps
 from quadjax.race.layout import LAST_ACTION
 from quadjax.vehicle import motor
+from quadjax.vehicle.battery import limit_estimator
 from quadjax.vehicle.estimator import estimator_params
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.rate import RateCommand
@@ -94,20 +96,23 @@ def plan_flights(
     hold = round(plant.sample_rate / plant.control_rate)
     own = FlightChoices(choices, OnboardChoices(plant.navigation, plant.disturbance), hold)
     charge = tuple(jnp.float32(x) for x in plant.battery.charge)
-    numbers = FlightParams(build_plant(plant), params, _onboard(onboard, plant), charge)
+    numbers = FlightParams(build_plant(plant), params, _onboard(onboard, plant, params), charge)
     limit = round(laps.time_limit(params.track, lap_count) * plant.control_rate)
     step = 1.0 / plant.control_rate
     return Plan(own, numbers, pilot, step, limit, lap_count, runs, min(recorded, runs))
 
 
-def _onboard(model: VehicleParams, plant: PlantConfig) -> OnboardParams:
+def _onboard(model: VehicleParams, plant: PlantConfig, race: RaceParams) -> OnboardParams:
     """Sensors, filters and inner loop."""
-    rate = plant.sample_rate
+    rate, c = plant.sample_rate, model.constants
+    first = c.rpm_max if race.battery is None else middle_limit(race.battery)
     return OnboardParams(
         sensors=sensor_params(plant.sensors, rate),
         ekf=ekf_params(plant.sensors, plant.ekf, rate, float(model.constants.g)),
         estimator=estimator_params(motor.MODEL, model, rate),
         inner=indi_params(nominal_vehicle(plant).motor, plant.indi, rate),
+        limit=limit_estimator(c.rpm_max, c.tau, rate),
+        first_limit=first,
     )
 
 

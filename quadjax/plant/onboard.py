@@ -19,8 +19,9 @@ from quadjax.plant.estimate import estimate
 from quadjax.plant.indi import IndiParams, IndiState
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.plant.sensors import GroundTruth, Measured, SensorParams, SensorState
+from quadjax.vehicle import battery, motor
 from quadjax.vehicle import estimator as disturbance
-from quadjax.vehicle import motor
+from quadjax.vehicle.battery import LimitEstimatorParams, LimitEstimatorState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.protocol import Measurement
@@ -45,6 +46,8 @@ class OnboardParams:
     ekf: EkfParams
     estimator: EstimatorParams  # with the onboard model of the drone
     inner: IndiParams
+    limit: LimitEstimatorParams  # of the battery's limit
+    first_limit: jax.Array  # rpm, its first estimate
 
 
 @struct.dataclass
@@ -67,6 +70,7 @@ class OnboardState:
     ekf: EkfState | None
     estimator: EstimatorState
     inner: IndiState
+    limit: LimitEstimatorState
     estimate: StateEstimate
 
 
@@ -86,8 +90,9 @@ def begin(
     now = _estimate(params, truth, measured, filtered)
     estimated = disturbance.init(params.estimator, now.measurement)
     inner = indi.init(params.inner, now.measurement)
+    limit = battery.begin(params.limit, now.measurement.rpm, params.first_limit)
     line = (truth,) * body.measurement_delay
-    return OnboardState(line, own, filtered, estimated, inner, now)
+    return OnboardState(line, own, filtered, estimated, inner, limit, now)
 
 
 def sense(
@@ -96,9 +101,10 @@ def sense(
     body: PlantParams,
     state: PlantState,
     onboard: OnboardState,
+    command: Rotors,
     drawn: jax.Array,
 ) -> OnboardState:
-    """One sample of sensors, filter and estimator; the inner loop is ``command_rotors``.
+    """One sample of sensors, filter and estimators; the inner loop is ``command_rotors``.
 
     Args:
         choices: static choices.
@@ -106,6 +112,7 @@ def sense(
         body: of the plant.
         state: of the plant, now.
         onboard: from ``begin`` or the last sample.
+        command: of the sample before, rpm.
         drawn: (sensors.DRAWS,) standard normal numbers.
     """
     truth, *waiting = (*onboard.delayed, plant.truth_of(body, state))
@@ -122,7 +129,8 @@ def sense(
     elif choices.disturbance == "none":
         moment, force = Vec3.zero(), Vec3.zero()
     now = now.replace(motion=now.motion.replace(moment_ext=moment, force_ext=force))
-    return OnboardState(tuple(waiting), own, filtered, estimated, onboard.inner, now)
+    limit = battery.update(params.limit, onboard.limit, now.measurement.rpm, command)
+    return OnboardState(tuple(waiting), own, filtered, estimated, onboard.inner, limit, now)
 
 
 def _estimate(

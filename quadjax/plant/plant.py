@@ -24,6 +24,7 @@ from quadjax.plant.gusts import GustParams, GustState
 from quadjax.plant.power import PowerParams
 from quadjax.plant.sensors import GroundTruth
 from quadjax.vehicle import motor
+from quadjax.vehicle.battery import charge_rate, highest_rpm
 from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.protocol import VehicleParams
 
@@ -114,7 +115,7 @@ def derivative(
     body, c = physics.body, params.vehicle.constants
     a = call(attitude, body.euler)
     air_velocity = call(world_to_body, a, body.velocity - wind)
-    top = power.reachable(params.power, body.rpm, physics.charge)
+    top = highest_rpm(params.power.battery, body.rpm, physics.charge)
     rpm_rate, rpm_bend = power.rotor_rates(
         params.power, c.tau, body.rpm, physics.rpm_rate, command, top
     )
@@ -135,7 +136,7 @@ def derivative(
         rpm_rate=rpm_bend,
         flex=physics.flex_rate,
         flex_rate=bend,
-        charge=power.charge_rate(params.power, body.rpm),
+        charge=charge_rate(params.power.battery, body.rpm),
     )
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Rotors
+from quadjax.vehicle.battery import BatteryParams
 
 
 @struct.dataclass
@@ -14,41 +15,7 @@ class PowerParams:
     lag: jax.Array  # s, second time constant; 0: first order
     shortfall: jax.Array  # fraction of a commanded change from hover that is not reached
     hover: jax.Array  # rpm
-    sags: jax.Array  # strength of the battery's sag; 0: none
-    drop: jax.Array  # fraction of the full voltage lost from full to empty
-    resistance: jax.Array  # fraction of the full voltage lost at the hover current
-    drain: jax.Array  # fraction of the charge used per second of hover
-    rpm_full: jax.Array  # rpm reached at the full voltage
-
-
-def reachable(p: PowerParams, rpm: Rotors, charge: jax.Array) -> jax.Array:
-    """Highest propeller speed (), rpm, at the battery's voltage; infinite without sag.
-
-    The no-load speed of a motor is proportional to its voltage, which falls with the charge used
-    and with the current through the battery's resistance (the linear part of Tremblay and
-    Dessaint, "Experimental validation of a battery dynamic model for EV applications", World
-    Electric Vehicle Journal 3, 2009). The current is proportional to the rotors' power, the cube of
-    their speed (Leishman, "Principles of helicopter aerodynamics", 2006, chapter 2).
-
-    Args:
-        p: of motors and battery.
-        rpm: propeller speeds, rpm.
-        charge: () left, 0 to 1.
-    """
-    left = 1.0 - p.sags * (p.drop * (1.0 - charge) + p.resistance * load(p, rpm))
-    return jnp.where(p.sags > 0.0, p.rpm_full * left, jnp.inf)
-
-
-def load(p: PowerParams, rpm: Rotors) -> jax.Array:
-    """Power () of the rotors over that of hover."""
-    part = rpm / p.hover
-    cube = part * part * part
-    return 0.25 * (cube.w1 + cube.w2 + cube.w3 + cube.w4)
-
-
-def charge_rate(p: PowerParams, rpm: Rotors) -> jax.Array:
-    """Derivative () of the charge, 1/s."""
-    return -p.sags * p.drain * load(p, rpm)
+    battery: BatteryParams
 
 
 def rotor_rates(

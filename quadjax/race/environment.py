@@ -23,7 +23,8 @@ from quadjax.core.materialize import (
     materialize_cotangent,
 )
 from quadjax.core.vectors import Vec3
-from quadjax.race import rules, start
+from quadjax.race import battery, rules, start
+from quadjax.race.battery import BatteryState, RaceBattery
 from quadjax.race.context import StepContext
 from quadjax.race.layout import LAST_ACTION, Layout, View, make_layout
 from quadjax.race.track import Gate, Track, gate, gate_count
@@ -68,6 +69,7 @@ class RaceParams:
     population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
+    battery: RaceBattery | None = None  # where it limits the commands
     term_weights: tuple[jax.Array, ...] = ()  # of Choices.terms, each ()
     # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
     # that it was trained with.
@@ -99,6 +101,7 @@ class RaceState:
     constants: Constants | None  # of this episode, where they are drawn; else None
     estimate: Estimate | None = None  # where the observation is estimated; else None
     action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
+    battery: BatteryState | None = None  # where the race has one
 
 
 def _opaque_true(params: RaceParams) -> jax.Array:
@@ -149,6 +152,9 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     )
     zero = jnp.zeros((), jnp.int32)
     state = RaceState(drone, target, clock, zero, own, action=_no_action(choices, params))
+    if params.battery is not None:
+        rpm, own_key = choices.model.actuator_state(drone), jax.random.fold_in(key, 2)
+        state = state.replace(battery=battery.drawn(params.battery, rpm, own_key))
     return with_estimate(choices, params, state)
 
 
@@ -169,13 +175,26 @@ def with_estimate(choices: Choices, params: RaceParams, state: RaceState) -> Rac
 
 
 def hover_start(
-    choices: Choices, params: RaceParams, constants: Constants | None = None
+    choices: Choices,
+    params: RaceParams,
+    constants: Constants | None = None,
+    charged: BatteryState | None = None,
 ) -> RaceState:
-    """The start of a timed race: hover at the last gate, with ``constants`` if they are drawn."""
+    """The start of a timed race: hover at the last gate.
+
+    Args:
+        choices: of the race.
+        params: of the race.
+        constants: if they are drawn.
+        charged: the battery; None: with the highest charge, where the race has one.
+    """
     zero = jnp.zeros((), jnp.int32)
     drone = start.hover(choices.model, constants or params.vehicle.constants, params.track)
     before = _no_action(choices, params)
     state = RaceState(drone, zero, zero, zero, constants, action=before)
+    if params.battery is not None:
+        rpm = choices.model.actuator_state(drone)
+        state = state.replace(battery=battery.at_start(params.battery, rpm, charged))
     return with_estimate(choices, params, state)
 
 
@@ -206,6 +225,9 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
     vehicle, model = _vehicle_params(params, state), choices.model
     low, high = model.command_range(vehicle.constants)
     held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
+    if params.battery is not None and state.battery is not None:
+        rpm = model.actuator_state(state.drone)
+        held = battery.limit(params.battery, state.battery, rpm, held)
     opaque_true = _opaque_true(params)
     # A step of Euler's method starts from the carry of a loop, which is in memory already.
     begin = materialize_cotangent if choices.integrator == "euler" else materialize
@@ -316,6 +338,10 @@ def transition(
     for penalty in _penalties(choices.model, params, state, drone, g, outcome, applied):
         value = value - penalty
     following = progressed(params, state, drone, outcome)
+    if params.battery is not None and state.battery is not None:
+        rpm, sent = choices.model.actuator_state(drone), command(choices, params, action)
+        charged = battery.advance(params.battery, state.battery, rpm, sent)
+        following = following.replace(battery=charged)
     estimate = _estimate(choices, params, state, drone)
     return following.replace(estimate=estimate, action=applied), value, outcome
 

@@ -63,7 +63,7 @@ def starting_states(
         if not from_hover:
             zero = jnp.zeros((), jnp.int32)
             return drawn.replace(step=zero, gates_passed=zero)
-        hover = environment.hover_start(choices, params, drawn.constants)
+        hover = environment.hover_start(choices, params, drawn.constants, drawn.battery)
         if choices.model.disturbance is None:
             return hover
         disturbance = choices.model.disturbance(drawn.drone)

@@ -18,13 +18,14 @@ from quadjax.core.frames import wrap_angle
 from quadjax.core.imports import own_numbers
 from quadjax.core.vectors import Vec3, between
 from quadjax.race.track import Gate, gates_ahead, pick, to_gate_frame
+from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import State, VehicleModel
 
 if TYPE_CHECKING:
     from quadjax.race.environment import RaceParams, RaceState
 
 Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
-LAST_ACTION, MOST_AHEAD = "last_action", 4  # gates
+LAST_ACTION, HIGHEST_RPM, MOST_AHEAD = "last_action", "highest_rpm", 4  # gates
 GROUND_TRUTH, ESTIMATED, NONE = SOURCES = ("ground_truth", "estimated", "none")
 
 
@@ -284,6 +285,29 @@ def last_action(size: int) -> Field:
     return Field(LAST_ACTION, size, "", "", 1.0, _last_action, _command_bounds)
 
 
+def _estimated_limit(view: View) -> Sequence[jax.Array]:
+    assert view.state.battery is not None
+    return (view.state.battery.estimate.highest,)
+
+
+def _true_limit(view: View) -> Sequence[jax.Array]:
+    charged, cells = view.state.battery, view.params.battery
+    assert charged is not None and cells is not None
+    limit = highest_rpm(cells.cells, view.model.actuator_state(view.drone), charged.charge)
+    return (jnp.minimum(limit, cells.estimator.highest),)
+
+
+def _no_limit(view: View) -> Sequence[jax.Array]:
+    _, high = view.model.command_range(view.params.vehicle.constants)
+    return (jax.tree.leaves(high)[0],)
+
+
+def _limit_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    _, high = model.command_range(params.vehicle.constants)
+    highest = jax.tree.leaves(high)[0]
+    return (LOWEST * highest,), (highest,)
+
+
 def _true_moment(view: View) -> Sequence[jax.Array]:
     assert view.model.disturbance is not None
     return view.model.disturbance(view.drone)[0].components()
@@ -326,6 +350,7 @@ _SOURCES = {
     ESTIMATED: (_estimated_moment, _estimated_force),
     NONE: (_no_moment, _no_force),
 }
+_LIMITS = {GROUND_TRUTH: _true_limit, ESTIMATED: _estimated_limit, NONE: _no_limit}
 # The observed disturbances by field, as the section ``disturbance`` of a config names them.
 DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
 ATTITUDES = {
@@ -355,6 +380,12 @@ def disturbance_fields(source: str) -> tuple[Field, Field]:
     )
 
 
+def highest_command(source: str) -> Field:
+    """The highest propeller speed that the battery permits; ``source`` is one of ``SOURCES``."""
+    value = _LIMITS[source]
+    return Field(HIGHEST_RPM, 1, "rpm", "body", 2.0, value, _limit_bounds, source)
+
+
 def make_layout(
     model: VehicleModel,
     disturbance: str = GROUND_TRUTH,
@@ -364,6 +395,7 @@ def make_layout(
     ahead: int = 1,
     with_last_action: bool = False,
     actuator_range: tuple[float, float] | None = None,
+    highest_speed: str | None = None,
 ) -> Layout:
     """The observation of a vehicle model in the race.
 
@@ -378,6 +410,7 @@ def make_layout(
         ahead: number of gates after the target that are observed.
         with_last_action: whether the action of the step before is observed.
         actuator_range: actuator states that are observed as -1 and 1; None: the nominal range.
+        highest_speed: source of the battery's limit: as of the disturbances; None: not observed.
 
     Raises:
         InputError: two fields of one name.
@@ -398,6 +431,7 @@ def make_layout(
         *(field for pair in AHEAD[: ahead - 1] for field in pair),
         *([last_action(model.action_size)] if with_last_action else []),
         *(disturbance_fields(disturbance) if model.disturbance is not None else ()),
+        *([] if highest_speed is None else [highest_command(highest_speed)]),
         *extra,
     )
     layout = Layout(fields)
@@ -425,7 +459,8 @@ def arranged(layout: Layout, wanted: Layout, actions: int, name: str) -> Layout:
     Raises:
         InputError: the race has no such field, or one of another size.
     """
-    known = {field.name: field for field in (*other_fields(actions), *layout.fields)}
+    others = (*other_fields(actions), highest_command(NONE))  # without a battery: full speed
+    known = {field.name: field for field in (*others, *layout.fields)}
     for field in wanted.fields:
         if field.name not in known or known[field.name].size != field.size:
             raise InputError(

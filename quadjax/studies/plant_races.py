@@ -43,14 +43,16 @@ def race_config(config: Config, policy: Policy) -> Config:
     board; the race adds none.
     """
     vehicle = config.vehicle.with_model(policy.vehicle)
+    battery = config.battery
     if policy.config is not None:
-        own = config_of(policy.config, "the config of the policy file").vehicle
-        vehicle = vehicle.replace(constants=own.constants)
+        own = config_of(policy.config, "the config of the policy file")
+        vehicle, battery = vehicle.replace(constants=own.vehicle.constants), own.battery
     return config.replace(
         vehicle=vehicle.replace(mismatch={}),
+        battery=battery,
         disturbance=type(config.disturbance)(),
         randomization=type(config.randomization)(),
-        observation=config.observation.replace(disturbance="ground_truth"),
+        observation=config.observation.replace(disturbance="ground_truth", highest_rpm="estimated"),
     )
 
 

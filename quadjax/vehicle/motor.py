@@ -217,6 +217,7 @@ MODEL = VehicleModel(
     thrust_to_weight=lambda c: 4.0 * c["k_w"] * c["rpm_max"] ** 2 / c["g"],
     angular_acceleration=_angular_acceleration,
     damping=_damping,
+    has_battery=True,
     has_residual=True,
     disturbance=lambda state: (state.moment_ext, state.force_ext),
     with_disturbance=_with_disturbance,

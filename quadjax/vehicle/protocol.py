@@ -123,6 +123,8 @@ class VehicleModel:
             without a lag.
         pitch_limit: rad; the largest pitch at which the state is valid, inf if any.
         uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
+        has_battery: whether commands and actuators are propeller speeds, rpm, ``Rotors``, which a
+            battery limits.
         has_residual: whether ``VehicleParams.residual`` is used.
         disturbance: ``(state) -> (moment, force)``: external moment, N m, and specific force,
             m/s^2, body; None where the model has none.
@@ -163,6 +165,7 @@ class VehicleModel:
     hold: Callable[[State, Command], State] = _no_hold
     pitch_limit: float = math.radians(89.0)
     uses_start_thrust: bool = False
+    has_battery: bool = False
     has_residual: bool = False
     disturbance: Callable[[State], tuple[Vec3, Vec3]] | None = None
     with_disturbance: Callable[[State, Vec3, Vec3], State] = _ignore_disturbance

@@ -9,6 +9,7 @@ from scipy.signal import periodogram
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, power
 from quadjax.plant.build import build_plant
+from quadjax.vehicle import battery
 from tests import reference as ref
 from tests.plant import effects_reference as source
 from tests.plant.standin import OFF, only
@@ -41,14 +42,16 @@ def test_motors_answer_in_second_order():
 
 def test_the_battery_lowers_what_can_be_reached():
     config = only(battery=1.0)
-    p, b = build_plant(config).power, config.battery
+    p, b = build_plant(config).power.battery, config.battery
     rpm = Rotors.same(jnp.float32(9000.0))
-    found = float(power.reachable(p, rpm, jnp.float32(0.7)))
+    found = float(battery.highest_rpm(p, rpm, jnp.float32(0.7)))
     current = b.hover_current * (9000.0 / np.sqrt(9.81 / (4.0 * ref.MOTOR["k_w"]))) ** 3
     volts = b.voltage - b.drop * 0.3 - b.resistance * current
     assert found == pytest.approx(b.rpm_full * volts / b.voltage, rel=1e-5)
-    assert float(power.charge_rate(p, rpm)) == pytest.approx(-current / 3600 / b.capacity, rel=1e-5)
-    assert np.isinf(float(power.reachable(build_plant(OFF).power, rpm, jnp.float32(0.0))))
+    rate = float(battery.charge_rate(p, rpm))
+    assert rate == pytest.approx(-current / 3600 / b.capacity, rel=1e-5)
+    none = build_plant(OFF).power.battery
+    assert np.isinf(float(battery.highest_rpm(none, rpm, jnp.float32(0.0))))
 
 
 def test_the_frame_rings_at_its_frequency():

@@ -1,0 +1,160 @@
+"""The battery: the highest propeller speed that it permits, and the onboard estimate of it."""
+
+from typing import Self
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.core.filters import Scalar
+from quadjax.core.sections import Field, Fraction, NonNegative, Positive, Section, model_validator
+from quadjax.core.vectors import Rotors
+
+LOWEST = 0.75  # of the highest command: the lowest estimate, and what is observed as -1
+DELAY = 0.02  # s, time constant of the low-pass that the speeds and commands share
+ADAPTATION = 0.2  # s, time constant of the estimate while all commands are at the limit
+
+
+class BatteryConfig(Section):
+    """Lithium-polymer battery; the defaults are three cells of 1200 mAh (Bebop 1)."""
+
+    voltage: Positive = Field(12.6, description="V, open circuit, full")
+    drop: NonNegative = Field(1.5, description="V, of the open-circuit voltage until empty")
+    resistance: NonNegative = Field(0.07, description="ohm, with leads and controllers; assumed")
+    hover_current: NonNegative = Field(6.5, description="A: 11 minutes of hover")
+    capacity: Positive = Field(1.2, description="Ah")
+    charge: tuple[Fraction, Fraction] = Field(
+        (0.6, 1.0), description="lowest, highest at the start"
+    )
+    rpm_full: Positive = Field(12000.0, description="rpm at the full voltage")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.charge[0] > self.charge[1]:
+            raise ValueError(
+                f"battery.charge is {list(self.charge)}, allowed: [lowest, highest], 0 to 1"
+            )
+        return self
+
+
+@struct.dataclass
+class BatteryParams:
+    """A battery in a drone."""
+
+    strength: jax.Array  # of the sag; 0: none, and no limit
+    drop: jax.Array  # fraction of the full voltage lost from full to empty
+    resistance: jax.Array  # fraction of the full voltage lost at the hover current
+    drain: jax.Array  # fraction of the charge used per second of hover
+    rpm_full: jax.Array  # rpm reached at the full voltage
+    hover: jax.Array  # rpm
+
+
+def battery_params(
+    config: BatteryConfig, hover_rpm: Scalar, strength: float = 1.0
+) -> BatteryParams:
+    """The numbers of a battery in a drone that hovers at ``hover_rpm``."""
+    numbers = {
+        "strength": strength,
+        "drop": config.drop / config.voltage,
+        "resistance": config.resistance * config.hover_current / config.voltage,
+        "drain": config.hover_current / (3600.0 * config.capacity),
+        "rpm_full": config.rpm_full,
+        "hover": hover_rpm,
+    }
+    return BatteryParams(**{name: jnp.asarray(x, jnp.float32) for name, x in numbers.items()})
+
+
+def highest_rpm(p: BatteryParams, rpm: Rotors, charge: jax.Array) -> jax.Array:
+    """Highest propeller speed (), rpm, at the battery's voltage; infinite without sag.
+
+    The no-load speed of a motor is proportional to its voltage, which falls with the charge used
+    and with the current through the battery's resistance (the linear part of Tremblay and
+    Dessaint, "Experimental validation of a battery dynamic model for EV applications", World
+    Electric Vehicle Journal 3, 2009). The current is proportional to the rotors' power, the cube of
+    their speed (Leishman, "Principles of helicopter aerodynamics", 2006, chapter 2).
+
+    Args:
+        p: of the battery.
+        rpm: propeller speeds, rpm.
+        charge: () left, 0 to 1.
+    """
+    left = 1.0 - p.strength * (p.drop * (1.0 - charge) + p.resistance * load(p, rpm))
+    return jnp.where(p.strength > 0.0, p.rpm_full * left, jnp.inf)
+
+
+def load(p: BatteryParams, rpm: Rotors) -> jax.Array:
+    """Power () of the rotors over that of hover."""
+    part = rpm / p.hover
+    cube = part * part * part
+    return 0.25 * (cube.w1 + cube.w2 + cube.w3 + cube.w4)
+
+
+def charge_rate(p: BatteryParams, rpm: Rotors) -> jax.Array:
+    """Derivative () of the charge, 1/s."""
+    return -p.strength * p.drain * load(p, rpm)
+
+
+@struct.dataclass
+class LimitEstimatorParams:
+    """Numbers of the estimator of the highest speed, at a fixed sample rate."""
+
+    highest: jax.Array  # () rpm, the highest command
+    low_pass: jax.Array  # () of a change, in one sample
+    lead: jax.Array  # () weight of a speed's difference to its low-pass
+    gain: jax.Array  # () of the mean error, in one sample
+
+
+@struct.dataclass
+class LimitEstimatorState:
+    """Memory of the estimator."""
+
+    speed: Rotors  # low-pass of the measured speeds, rpm
+    expected: Rotors  # low-pass of the commands, limited to the estimate, rpm
+    limited: Rotors  # low-pass of whether a command is at or above the estimate, 0 to 1
+    highest: jax.Array  # () rpm, the estimate
+
+
+def limit_estimator(highest: Scalar, lag: Scalar, sample_rate: Scalar) -> LimitEstimatorParams:
+    """The estimator for motors with a time constant ``lag``, s, and a highest command, rpm."""
+    low_pass = 1.0 - jnp.exp(-1.0 / (jnp.float32(DELAY) * sample_rate))
+    return LimitEstimatorParams(
+        highest=jnp.asarray(highest, jnp.float32),
+        low_pass=low_pass,
+        lead=low_pass * lag * sample_rate,
+        gain=0.25 / (jnp.float32(ADAPTATION) * sample_rate),
+    )
+
+
+def begin(params: LimitEstimatorParams, rpm: Rotors, highest: Scalar) -> LimitEstimatorState:
+    """The state before the first sample: steady speeds, rpm, and a first estimate, rpm."""
+    zero = jax.tree.map(jnp.zeros_like, rpm)
+    first = jnp.clip(highest, LOWEST * params.highest, params.highest)
+    return LimitEstimatorState(rpm, rpm, zero, first)
+
+
+def update(
+    params: LimitEstimatorParams, state: LimitEstimatorState, rpm: Rotors, command: Rotors
+) -> LimitEstimatorState:
+    """One sample of the estimator.
+
+    A motor of first order reaches the command ``rpm + lag rpm'``. Its low-pass is compared with
+    that of the command limited to the estimate; where commands have been at the limit, the
+    difference corrects the estimate. Commands below the limit tell nothing of it.
+
+    Args:
+        params: see ``limit_estimator``.
+        state: from ``begin`` or the last ``update``.
+        rpm: measured speeds, rpm.
+        command: of the sample before, rpm.
+    """
+
+    def towards(past: Rotors, now: Rotors) -> Rotors:
+        return past + (now - past) * params.low_pass
+
+    at_limit = jax.tree.map(lambda u: (u >= state.highest).astype(u.dtype), command)
+    reachable = jax.tree.map(lambda u: jnp.minimum(u, state.highest), command)
+    expected, limited = towards(state.expected, reachable), towards(state.limited, at_limit)
+    error = state.speed + (rpm - state.speed) * params.lead - expected
+    highest = state.highest + params.gain * sum((error * limited).components())
+    highest = jnp.clip(highest, LOWEST * params.highest, params.highest)
+    return LimitEstimatorState(towards(state.speed, rpm), expected, limited, highest)
