@@ -26,7 +26,8 @@ ALLOWED = {
     | {"config", "policy", "training", "view", "evaluation", "fitting", "limits", "sweeps"}
     | {"studies"},
     "studies": CONFIG
-    | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"},
+    | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"}
+    | {"export"},
 }
 
 

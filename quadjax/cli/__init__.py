@@ -30,6 +30,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "seeds": "train over several seeds and compare them",
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",
+    "replay": "replay a flight log through a policy and a model",
     "export": "convert a policy to fixed-point C",
     "import": "convert a network of another project to a policy or residual file",
     "verify": "build, run and check exported C",

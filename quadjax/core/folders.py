@@ -1,6 +1,6 @@
 """Folders of results: each has a kind, a lock while a process writes to it, and known files.
 
-A folder's kind (training, fit, sweep, export, comparison, report, logs) is in its file
+A folder's kind (training, fit, sweep, export, comparison, report, replay, logs) is in its file
 ``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the files
 that it writes itself.
 """
@@ -27,6 +27,7 @@ EVIDENCE = {  # patterns of files in folders without a marker, which earlier ver
     "export": "*_report.json",
     "comparison": "compare.json",
     "report": "report.json",
+    "replay": "replay.json",
 }
 
 

@@ -4,6 +4,8 @@ The topics have their own clocks. Everything is brought to the clock of the body
 by interpolation, commands by their last value.
 """
 
+import contextlib
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -97,9 +99,13 @@ def _topics(path: Path) -> dict[str, dict[str, np.ndarray]]:
         raise InputError(f"{path}: ULog files need pyulog: pip install 'quadjax[px4]'") from None
     wanted = [CLOCK.topic, SECOND_CHOICE.topic, *(field.topic for field in FIELDS)]
     try:
-        log: ULog = ULog(str(path), wanted)
+        with contextlib.redirect_stdout(io.StringIO()):  # warnings of a damaged file
+            log: ULog = ULog(str(path), wanted)
     except Exception as error:  # pyulog raises errors of many kinds for a damaged file
-        raise InputError(f"{path}: not readable as a ULog file ({error})") from None
+        reason = f"{error}".splitlines()[:1] or [type(error).__name__]
+        raise InputError(f"{path}: not readable as a ULog file ({reason[0]:.200})") from None
+    if log.file_corruption:
+        raise InputError(f"{path}: a ULog file with damaged messages, expected a whole one")
     return {data.name: data.data for data in log.data_list if data.multi_id == 0}
 
 

@@ -211,6 +211,28 @@ def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
         read_log(path, LogsConfig(format="ulog"))
 
 
+@pytest.mark.parametrize("form", ["blackbox", "tii", "ulog"])
+def test_damaged_files_are_read_or_refused_in_one_line(form, short, tmp_path, capsys):
+    part = {name: values[:700] for name, values in short.items()}
+    path = _write(form, part, tmp_path, variant=True)
+    config, whole = LogsConfig(format=form, min_seconds=1.0), path.read_bytes()
+    read_log(path, config)
+    random, refused = np.random.default_rng(0), 0
+    for count in range(40):
+        data = np.frombuffer(whole, np.uint8).copy()
+        if count % 2:
+            data = data[: random.integers(0, len(data))]
+        places = random.integers(0, max(len(data), 1), 20 if len(data) else 0)
+        data[places] = random.integers(0, 256, len(places))
+        path.write_bytes(data.tobytes())
+        try:
+            read_log(path, config)
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error) and len(str(error)) < 1000
+    assert refused > 20 and capsys.readouterr().out == ""
+
+
 def test_the_command_writes_a_vehicle_for_training(short, tmp_path):
     racing_logs.write_blackbox(tmp_path / "a.csv", racing_logs.blackbox_columns(short))
     arguments = [f"logs.files=[{tmp_path}/a.csv]", "--output", tmp_path, "--name", "mine"]

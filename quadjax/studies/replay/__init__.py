@@ -1,0 +1,1 @@
+"""A flight log replayed through a policy and a model."""

@@ -1,0 +1,128 @@
+"""The signals of a flight log as the states and commands of a vehicle model."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadjax.core.errors import InputError
+from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.motor_map import NAMES, RPM, with_simulated_speeds
+from quadjax.vehicle.protocol import VehicleModel, VehicleParams
+
+Signals = dict[str, np.ndarray]
+DISTURBANCES = ("moment_ext", "force_ext")  # zero: a log does not have them
+
+
+@dataclasses.dataclass(frozen=True)
+class Logged:
+    """The flying part of a log, n samples evenly spaced; world NED, body FRD."""
+
+    name: str
+    path: str
+    time: np.ndarray  # (n,) s, from 0
+    position: np.ndarray  # (n, 3) m
+    velocity: np.ndarray  # (n, 3) m/s, world
+    attitude: Rotation  # n, body to world
+    rates: np.ndarray  # (n, 3) rad/s
+    actuators: Signals  # (n, k) by the name of ``VehicleModel.actuators``
+    commands: Signals  # (n, k) by the name of ``VehicleModel.commands``
+    speeds_measured: bool
+
+    @property
+    def step(self) -> float:
+        """Time between samples, s."""
+        return float(self.time[-1]) / (len(self.time) - 1)
+
+
+def logged(log: FlightLog, model: VehicleModel, params: VehicleParams) -> Logged:
+    """The signals of a log, from its first to its last sample in flight.
+
+    Args:
+        log: with position and attitude.
+        model: of the drone; its motors give the speeds that the log lacks.
+        params: of the model.
+
+    Raises:
+        InputError: no position or attitude, or no sample in flight.
+    """
+    if log.position is None or log.attitude is None:
+        raise InputError(f"{log.path}: replay needs columns for position and attitude")
+    constants = params.constants
+    if not log.speeds_measured and all(hasattr(constants, name) for name in NAMES):
+        values = np.array([float(getattr(constants, name)) for name in NAMES])
+        log = dataclasses.replace(with_simulated_speeds(log, values), speeds_measured=False)
+    flying = np.flatnonzero(log.flying)
+    if flying.size < 2:
+        raise InputError(f"{log.path}: no sample in flight (logs.columns.mode)")
+    part = slice(int(flying[0]), int(flying[-1]) + 1)
+    attitude = log.attitude[part]
+    commands = {
+        "rpm": log.rpm_command,
+        "motor_command": log.motor_command,
+        "body_rates": log.rate_command,
+        "thrust": None if log.thrust_command is None else log.thrust_command[:, None],
+    }
+    return Logged(
+        log.name,
+        log.path,
+        log.time[part] - log.time[part][0],
+        log.position[part],
+        attitude.apply(log.body_velocity[part]),
+        attitude,
+        log.rates[part],
+        {
+            "rpm": log.rpm[part],
+            "rotor_speed": log.rpm[part] / RPM,
+            "thrust": -log.specific_force[part, 2:],
+        },
+        {name: values[part] for name, values in commands.items() if values is not None},
+        log.speeds_measured,
+    )
+
+
+def commands_of(flight: Logged, model: VehicleModel) -> np.ndarray | None:
+    """Logged commands (n, k) of a model; None if the log lacks one of them."""
+    names = [signal.name for signal in model.commands]
+    if not all(name in flight.commands for name in names):
+        return None
+    return np.concatenate([flight.commands[name] for name in names], axis=1)
+
+
+def states_of(
+    flight: Logged,
+    model: VehicleModel,
+    sizes: Mapping[str, int],
+    last_command: np.ndarray | None = None,
+) -> np.ndarray:
+    """States (n, k) in the order of ``sizes``, names and sizes of the fields.
+
+    Args:
+        flight: the log.
+        model: of the drone.
+        sizes: see ``quadjax.export.race_tables.state_sizes``.
+        last_command: (n, k) of the step before.
+
+    Raises:
+        InputError: a field that the log does not have.
+    """
+    euler = flight.attitude.as_euler("ZYX")[:, ::-1]
+    own: dict[str, np.ndarray | None] = {
+        "position": flight.position,
+        "velocity": flight.velocity,
+        "euler": euler,
+        "quaternion": flight.attitude.as_quat()[:, [3, 0, 1, 2]],
+        "rates": flight.rates,
+        "last_command": last_command,
+        **flight.actuators,
+        **{name: np.zeros((len(euler), 3)) for name in DISTURBANCES},
+    }
+    for name, size in sizes.items():
+        values = own.get(name)
+        if values is None or values.shape[1] != size:
+            raise InputError(
+                f"{flight.path}: the model {model.name} has {name} ({size}), which no column of "
+                "the log gives"
+            )
+    return np.concatenate([own[name] for name in sizes], axis=1).astype(np.float32)
