@@ -36,6 +36,12 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--plants", type=whole(1, 1000), default=10, help="drawn plants, which share the runs (10)"
     )
+    parser.add_argument(
+        "--conditions",
+        nargs="+",
+        metavar="NAME",
+        help="of the part plants: some of its rows, such as 'all effects' 'charge 0.2' (all)",
+    )
     parser.add_argument("--laps", type=laps, default=6, help="laps of a run (6)")
     parser.add_argument("--runs", type=runs, default=100, help="number of runs (100)")
     parser.add_argument("--seed", type=seed, default=0)
@@ -62,6 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for part in parts:
         if part not in PARTS:
             raise InputError(f"--parts: {part!r}, allowed: {', '.join(PARTS)}")
+    known = Wanted.conditions
+    for condition in options.conditions or ():
+        if condition not in known:
+            raise InputError(f"--conditions: {condition!r}, allowed: {', '.join(known)}")
     setting = Setting(
         load_config(options.race),
         load_plant_config(options.config, options.overrides),
@@ -74,7 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for own, kind in zip(contenders, ("motor", "rate"), strict=True):
         if own.policy.vehicle != kind:
             raise InputError(f"{own.file}: a policy for the {own.policy.vehicle}, expected {kind}")
-    wanted = Wanted(parts, options.ablation, options.output / options.name)
+    only = tuple(options.conditions or known)
+    wanted = Wanted(parts, options.ablation, options.output / options.name, only)
     console = Console(stderr=True)
     with claim(wanted.folder, "comparison"), bar(counted=True, console=console) as progress:
         task = progress.add_task("compiling", total=wanted.steps())

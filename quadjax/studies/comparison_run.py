@@ -1,6 +1,7 @@
 """The whole comparison: flights, tables, figures and files."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +44,12 @@ class Wanted:
     parts: tuple[str, ...]
     ablation: Path
     folder: Path
+    conditions: tuple[str, ...] = tuple(conditions(PlantConfig()))  # of the part plants
 
     def steps(self) -> int:
         """Number of calls of ``report``."""
         own = 4 + 1 if "table" in self.parts else 0
-        own += 2 * len(conditions(PlantConfig())) if "plants" in self.parts else 0
+        own += 2 * len(self.conditions) if "plants" in self.parts else 0
         return own + (len(present(self.ablation)[0]) if "ablation" in self.parts else 0)
 
 
@@ -80,7 +82,7 @@ def run_comparison(
         result |= {own.contender.name: _numbers(setting, own) for own in (e2e, indi)}
         _draw(setting, e2e, indi, wanted.folder, result)
     if "plants" in wanted.parts:
-        texts.append(_plants(setting, contenders, result, report))
+        texts.append(_plants(setting, contenders, wanted.conditions, result, report))
     if "ablation" in wanted.parts:
         texts.append(_ablation(setting, wanted.ablation, result, report))
     text = "\n\n".join(texts)
@@ -153,9 +155,13 @@ def _draw(setting: Setting, e2e: Compared, indi: Compared, folder: Path, result:
 
 
 def _plants(
-    setting: Setting, contenders: tuple[Contender, Contender], result: dict, report: Report
+    setting: Setting,
+    contenders: tuple[Contender, Contender],
+    only: Sequence[str],
+    result: dict,
+    report: Report,
 ) -> str:
-    e2e, indi = (fly_conditions(setting, own, report) for own in contenders)
+    e2e, indi = (fly_conditions(setting, own, report, only) for own in contenders)
     result["plants"] = {
         own.name: {label: _of_plants(flown) for label, flown in found.items()}
         for own, found in zip(contenders, (e2e, indi), strict=True)

@@ -163,6 +163,7 @@ def test_what_is_missing_is_known(tmp_path):
     ("arguments", "names"),
     [
         (["--parts", "tables"], "--parts"),
+        (["--conditions", "calm"], "--conditions"),
         (["--e2e", "missing.npz"], "missing.npz"),
         (["--e2e", "INDI"], "a policy for the rate"),
         (["effects.wind=1"], "effects.wind"),
