@@ -38,7 +38,6 @@ def specs_of(state: TrainState) -> TrainState:
     shared = jax.tree.map(lambda _: PartitionSpec(), state)
     return shared.replace(
         environment=jax.tree.map(split, state.environment),
-        buffer=jax.tree.map(split, state.buffer),
         keys=PartitionSpec(AXIS),
     )
 

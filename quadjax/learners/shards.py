@@ -51,11 +51,6 @@ def split_keys(keys: jax.Array, count: int) -> tuple[jax.Array, ...]:
     return tuple(jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, count))(keys), 1, 0))
 
 
-def fold_in_all(keys: jax.Array, number: int) -> jax.Array:
-    """New keys (shards,), each with ``number`` folded in."""
-    return jax.vmap(lambda key: jax.random.fold_in(key, number))(keys)
-
-
 def completed_parts(environment: Environment, before: Any, after: Any) -> jax.Array | None:
     """Parts of the task that a step completed (n,), of batched states; None if not reported."""
     if environment.completed is None:

@@ -28,7 +28,6 @@ class TrainState:
     ema: Any = (
         None  # ActorCritic or None: exponential moving average of ``params``, if there is one
     )
-    buffer: Any = None  # states of earlier episodes, as ``environment``, where restarts use them
     level: Any = None  # () in [0, 1]: position of the schedules by ``pass_rate``, if there are any
 
     @property

@@ -86,13 +86,6 @@ class SHAC(LearnerSection):
         description="weight of the newest parameters in the exponential moving average that is "
         "evaluated and saved, per update; 1: no averaging",
     )
-    revisit: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="fraction of the restarts that begin at a state of an earlier episode, in "
-        "place of a random start; 0: none, and no such states are kept",
-    )
     critic_warmup: int = Field(
         0, ge=0, le=10**9, description="updates at the start that train the critic only"
     )

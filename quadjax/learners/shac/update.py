@@ -13,7 +13,6 @@ from quadjax.core.gradients import Scalar
 from quadjax.learners.hyper import as_leaves, register
 from quadjax.learners.metrics import episode_metrics
 from quadjax.learners.networks import ActorCritic, Networks
-from quadjax.learners.revisits import remember, restarts
 from quadjax.learners.shac.actor import collect_gradient, policy_step
 from quadjax.learners.shac.critic import fit_critic
 from quadjax.learners.shac.hyperparameters import SHAC
@@ -22,15 +21,11 @@ from quadjax.learners.shac.targets import td_lambda_targets
 from quadjax.learners.shards import (
     count_shards,
     envs_per_shard,
-    fold_in_all,
     normal_all,
     reset_all,
     split_keys,
 )
 from quadjax.learners.state import Learner, Metrics, TrainState
-
-# Of the keys of an update; those below 4 are equal to the keys that it is split into.
-RESTARTING, REMEMBERING = 4, 5
 
 EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far
 
@@ -43,7 +38,7 @@ def make_learner(
     """SHAC on a differentiable environment; arguments as of ``SHAC.make``."""
     shards = count_shards(hyper.num_envs, 1, hyper.critic_minibatches, max_shards)
     return Learner(
-        init=functools.partial(_init, environment, networks, shards, hyper.revisit > 0),
+        init=functools.partial(_init, environment, networks, shards),
         update=functools.partial(_update, environment, networks),
         hyper=as_leaves(hyper),
         steps_per_update=hyper.num_envs * hyper.horizon,
@@ -55,7 +50,6 @@ def _init(
     environment: Environment,
     networks: Networks,
     shards: int,
-    revisit: bool,
     hyper: SHAC,
     environment_params: Any,
     key: jax.Array,
@@ -66,16 +60,14 @@ def _init(
     resets = jax.random.split(reset_key, shards)
     count = hyper.num_envs // shards
     adam = optax.scale_by_adam()
-    states = reset_all(environment, environment_params, resets, count)
     return TrainState(
         params=params,
         optimizer=(adam.init(params.policy), adam.init(params.value)),
         target=jax.tree.map(jnp.copy, params),
-        environment=states,
+        environment=reset_all(environment, environment_params, resets, count),
         keys=jax.random.split(shard_key, shards),
         update=jnp.zeros((), jnp.int32),
         ema=jax.tree.map(jnp.copy, params),
-        buffer=jax.tree.map(jnp.copy, states) if revisit else None,
     )
 
 
@@ -89,8 +81,6 @@ def _update(
     keys, reset_keys, noise_keys, shuffle_keys = split_keys(state.keys, 4)
     count = envs_per_shard(state.environment, keys)
     fresh = reset_all(environment, environment_params, reset_keys, count)
-    if state.buffer is not None:
-        fresh = restarts(state.buffer, fresh, fold_in_all(keys, RESTARTING), hyper.revisit)
     noise = hyper.std * normal_all(noise_keys, (hyper.horizon,), count, networks.action_size)
     loss, gradient, environment_state, trajectory = collect_gradient(
         environment, networks, hyper, environment_params, state, fresh, noise
@@ -110,17 +100,9 @@ def _update(
         keys=keys,
         update=state.update + 1,
         ema=_moving_average(hyper, state, params),
-        buffer=_remembered(state, trajectory, fold_in_all(keys, REMEMBERING)),
     )
     metrics = {"policy_loss": loss} | policy_metrics | critic_metrics
     return following, metrics | _rollout_metrics(trajectory, hyper)
-
-
-def _remembered(state: TrainState, trajectory: Trajectory, keys: jax.Array) -> Any:
-    if state.buffer is None:
-        return None
-    survived = ~jnp.any(trajectory.terminated, axis=0)
-    return remember(state.buffer, state.environment, survived, keys)
 
 
 def _move(old: ActorCritic, new: ActorCritic, rate: Scalar) -> ActorCritic:
