@@ -5,7 +5,7 @@ from pathlib import Path
 
 from quadjax.config.checks import check, vehicle_model
 from quadjax.config.layers import Layer, from_layers, layer_of
-from quadjax.config.renamed import check_renamed
+from quadjax.config.renamed import check_renamed, without_retired
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Gate, Schedule
 from quadjax.core.errors import InputError, prefixed, reading
@@ -304,6 +304,7 @@ def config_of(tree: Tree, source: str) -> Config:
     Raises:
         InputError: a key or a value that is not allowed.
     """
+    tree = without_retired(tree)
     vehicle = tree.get("vehicle")
     if not isinstance(vehicle, dict):
         raise InputError(f"{source}: vehicle is {short(vehicle)}, allowed: a mapping")

@@ -80,6 +80,21 @@ _RENAMED_SECTIONS = {
     "train": "run",
     "randomise": "randomization",
 }
+_RETIRED = {"learner": {"revisit": 0.0}}  # keys without effect at this value, in stored configs
+
+
+def without_retired(tree: Tree) -> Tree:
+    """The tree without keys that no longer exist, where their value had no effect."""
+    return {
+        section: {
+            key: value
+            for key, value in values.items()
+            if key not in _RETIRED[section] or value != _RETIRED[section][key]
+        }
+        if section in _RETIRED and isinstance(values, dict)
+        else values
+        for section, values in tree.items()
+    }
 
 
 def check_renamed(tree: Tree, source: str) -> None:

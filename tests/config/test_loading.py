@@ -6,7 +6,7 @@ from pathlib import Path
 import pydantic
 import pytest
 
-from quadjax.config.loading import load_config
+from quadjax.config.loading import config_of, load_config
 from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
@@ -454,7 +454,15 @@ REFUSED = [
     ("vehicle.mass=1", "vehicle.mass no longer exists"),
     ("randomise.drag=0.1", "randomise.drag is now randomization.drag"),
     ("algorithm=ppo", "algorithm is now learner.algorithm"),
+    ("learner.revisit=0.5", "unknown key learner.revisit"),
 ]
+
+
+def test_a_key_that_no_longer_exists_is_read_where_it_had_no_effect():
+    config = load_config("e2e_shac")
+    stored = config.model_dump(mode="json", by_alias=True)
+    stored["learner"]["revisit"] = 0.0
+    assert config_of(stored, "policy") == config
 
 
 def test_an_error_names_the_file_that_sets_the_key(tmp_path):
