@@ -13,6 +13,7 @@ from quadjax.fitting.config import FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_logs
 from quadjax.fitting.least_squares import AxisFit, check_signs, fit_nominal, r_squared, with_fit
 from quadjax.fitting.motor_map import RPM, MotorFit, fit_motors, with_simulated_speeds
+from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.prepare import Samples, prepare
 from quadjax.fitting.tasks import nominal_error
 from quadjax.vehicle.racing import RacingConstants
@@ -89,7 +90,7 @@ def run_racing_fit(
     logs = [with_simulated_speeds(log, motors.values) for log in logs]
     report("fitting forces and moments")
     samples = prepare(logs, base, config.prepare, config.logs.min_seconds)
-    axes = fit_nominal(samples, base, config.nominal.any_sign)
+    axes = fit_nominal(samples, with_common(samples, base), config.nominal.any_sign)
     if not config.nominal.any_sign:
         check_signs(axes)
     kept = [fit for fit in axes if fit.axis in config.nominal.axes]
@@ -108,6 +109,35 @@ def run_racing_fit(
     return RacingFit(config, logs, samples, constants, axes, motors, held_out, warnings)
 
 
+def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
+    """The base vehicle's constants with those of the rotors replaced by ones common to all four.
+
+    They are the values of rotors that the logs do not tell apart. Common values that are not above
+    zero are not used.
+    """
+    found = {}
+    for axis, names in EQUATIONS[RacingConstants].constants.items():
+        stems = list(dict.fromkeys(name.rstrip("1234") for name in names))
+        if len(stems) == len(names):
+            continue
+        columns = np.stack(
+            [
+                samples.regressors[axis][:, [n.rstrip("1234") == stem for n in names]].sum(axis=1)
+                for stem in stems
+            ],
+            axis=1,
+        )
+        # About their means: unequal rotors balance each other in hover.
+        columns, target = columns - columns.mean(axis=0), samples.measured[:, AXES.index(axis)]
+        target = target - target.mean()
+        size = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
+        values = np.linalg.lstsq(columns / size, target, rcond=1e-6)[0] / size
+        for stem, value in zip(stems, values, strict=True):
+            if value > 0.0:
+                found |= {f"{stem}{rotor}": float(value) for rotor in (1, 2, 3, 4)}
+    return base.replace(**found)
+
+
 def _held_out(
     config: FitConfig, logs: list[FlightLog], samples: Samples, base: RacingConstants
 ) -> list[HeldOut]:
@@ -121,7 +151,9 @@ def _held_out(
         parts = {"last part": last}
     found = []
     for name, rows in parts.items():
-        constants = with_fit(base, fit_nominal(samples[~rows], base, config.nominal.any_sign))
+        known = samples[~rows]
+        start = with_common(known, base)
+        constants = with_fit(start, fit_nominal(known, start, config.nominal.any_sign))
         own = samples[rows]
         error = nominal_error(own, constants)
         modeled = own.measured - error

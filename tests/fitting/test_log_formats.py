@@ -8,9 +8,10 @@ import yaml
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.fitting.config import FitConfig, LogsConfig
+from quadjax.fitting.config import FitConfig, LogsConfig, PrepareConfig
 from quadjax.fitting.flight_log import read_log
-from quadjax.fitting.racing_fit import read_racing_vehicle, run_racing_fit
+from quadjax.fitting.prepare import prepare
+from quadjax.fitting.racing_fit import read_racing_vehicle, run_racing_fit, with_common
 from tests.commands import run
 
 from . import racing_logs
@@ -108,7 +109,19 @@ def test_what_a_hover_does_not_excite_is_named(tmp_path):
     for field in dataclasses.fields(base):
         found, true = (float(getattr(c, field.name)) for c in (result.constants, base))
         assert abs(found / true - 1.0) < 0.02 or f"{field.name}" in text, field.name
-    assert "k_x (ax): " in text and "w_max: little excited" in text
+    assert "k_r1 (Mz): " in text and "w_min: little excited" in text
+
+
+def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short, tmp_path):
+    """So that a rotor without evidence is not that of a drone of another size."""
+    path = _write("blackbox", short, tmp_path, variant=False)
+    log = read_log(path, LogsConfig(format="blackbox"))
+    own, other = (read_racing_vehicle(f"{drone}.yaml") for drone in ("5inch", "3inch"))
+    start = with_common(prepare([log], other, PrepareConfig(), 2.0), other)
+    for name in ("k_p", "k_q", "k_r", "k_rd"):
+        values = [float(getattr(start, f"{name}{rotor}")) for rotor in ROTOR_ORDER]
+        mean = np.mean([getattr(own, f"{name}{rotor}") for rotor in ROTOR_ORDER])
+        assert len(set(values)) == 1 and 0.6 < values[0] / mean < 1.4, name
 
 
 BAD = {
