@@ -63,7 +63,7 @@ def _frames(page: Path, options: argparse.Namespace) -> Iterator[Image.Image]:
         tab.evaluate(
             "() => { const v = quadjax.viewer; v.clock.play(false); v.togglePanel(false);"
             "document.querySelector('.stage nav').hidden = true;"
-            "v.magnify(); }"
+            "v.magnify(); v.toggleSight(); }"
         )
         tab.wait_for_timeout(300)
         for index in range(count):

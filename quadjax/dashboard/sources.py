@@ -24,6 +24,7 @@ from quadjax.limits.report import LIMIT
 from quadjax.policy.file import FORMATS
 from quadjax.studies.flight_files import (
     STATE_ARRAYS,
+    ends_in,
     flying_part,
     recording_of_log,
     recordings_of_states,
@@ -31,7 +32,7 @@ from quadjax.studies.flight_files import (
 from quadjax.vehicle.protocol import Signal
 from quadjax.vehicle.registry import MODELS
 from quadjax.view.data import FORMAT, Scene, check_record, flight_record, gate_record
-from quadjax.view.flight import MOTORS, Flight, Marker, passages, passages_at, strip
+from quadjax.view.flight import MOTORS, Flight, Marker, clearance, passages, passages_at, strip
 
 RECORDED = (*STATE_ARRAYS, "leg_times")
 
@@ -238,6 +239,12 @@ def flight_of_log(log: FlightLog, gates: tuple[Gate, ...], name: str) -> Flight:
     passed = passages(flown.time, flown.position, gates)
     if len(passed) and passed[0, 1] == len(gates) - 1:  # the start
         passed = passed[1:]
+    if len(passed):
+        target = (int(passed[-1, 1]) + 1) % len(gates)
+        if ends_in(flown, gates[target]):  # its passage ended the flight
+            place = (flown.position[-1] - gates[target].position) @ np.array(gates[target].axes)
+            last = [flown.time[-1], target, float(clearance(gates[target], place[1:]))]
+            passed = np.concatenate([passed, [last]])
     return Flight(
         name,
         flown.time,

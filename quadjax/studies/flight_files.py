@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.evaluation.recording import SIGNALS, Recording
 from quadjax.fitting.flight_log import FlightLog
 
 STATE_ARRAYS = ("time", *SIGNALS, "lap_times")
+LAST_SECONDS = 0.05  # a log may end so long before its last gate, whose passage ended the flight
 
 
 def recordings_of_states(
@@ -82,3 +84,12 @@ def flying_part(log: FlightLog) -> slice:
     """From the first to the last sample in flight; the empty slice if there is none."""
     (flying,) = np.nonzero(log.flying)
     return slice(int(flying[0]), int(flying[-1]) + 1) if len(flying) else slice(0, 0)
+
+
+def ends_in(recording: Recording, gate: Gate) -> bool:
+    """Whether a log ends in a gate: at its last speed it is there within ``LAST_SECONDS``."""
+    axes = np.array(gate.axes)
+    place = (recording.position[-1] - np.array(gate.position)) @ axes
+    speed = float(recording.velocity[-1] @ axes[:, 0])
+    near = np.abs(place[1:]) <= 0.5 * np.array(gate.size)
+    return bool(near.all() and -LAST_SECONDS * speed <= place[0] < 0)

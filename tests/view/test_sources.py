@@ -1,5 +1,6 @@
 """Flights of every kind of source."""
 
+import dataclasses
 import json
 import sys
 
@@ -77,10 +78,9 @@ def test_flights_on_different_tracks_are_refused(tmp_path):
         scene_record([states, tmp_path / "other.json"], [], "Both", Options())
 
 
-def test_a_log_shows_its_flight_and_laps():
-    flight = circle("log", laps=3)
+def log_of(flight):
     n = len(flight.time)
-    log = FlightLog(
+    return FlightLog(
         name="log",
         path="log.csv",
         time=flight.time + 100.0,
@@ -96,10 +96,26 @@ def test_a_log_shows_its_flight_and_laps():
         rate_command=None,
         thrust_command=None,
     )
-    shown = flight_of_log(log, GATES, "log")
+
+
+def test_a_log_shows_its_flight_and_laps():
+    flight = circle("log", laps=3)
+    shown = flight_of_log(log_of(flight), GATES, "log")
     assert shown.time[0] == 0.0
     np.testing.assert_allclose(shown.velocity, flight.velocity, atol=1e-9)
     np.testing.assert_allclose(shown.lap_ends, flight.passages[3::4, 0], atol=1e-9)
+
+
+def test_a_log_that_ends_just_before_its_last_gate_has_its_last_lap():
+    flight = circle("log", laps=3)
+    end = int(np.searchsorted(flight.time, flight.passages[11, 0]))
+    log = log_of(flight)
+    names = ("time", "rpm", "body_velocity", "rates", "specific_force", "flying", "position")
+    cut = {name: getattr(log, name)[:end] for name in names}
+    log = dataclasses.replace(log, **cut, attitude=log.attitude[:end])
+    shown = flight_of_log(log, GATES, "log")
+    np.testing.assert_allclose(shown.lap_ends, flight.passages[3::4, 0], atol=0.02)
+    np.testing.assert_allclose(shown.passages[-1, 2], flight.passages[-1, 2], atol=0.05)
 
 
 @pytest.mark.parametrize(

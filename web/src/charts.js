@@ -1,7 +1,7 @@
 // Curves of a training over its steps, on canvases.
 import { el, sharp, style } from "./dom.js";
 
-const PAD = { left: 44, right: 8, top: 6, bottom: 18 };
+const PAD = { left: 44, right: 18, top: 6, bottom: 18 };
 
 function nice(span) {
   const power = 10 ** Math.floor(Math.log10(span / 3));
@@ -30,7 +30,13 @@ export class Chart {
     const shown = lines.flat().filter((value) => value !== null);
     const last = [...(lines[0] || [])].reverse().find((value) => value !== null);
     this.value.textContent = last === undefined ? "–" : short(last);
-    if (!shown.length) return;
+    if (!shown.length) {
+      context.font = "12px system-ui, sans-serif";
+      context.fillStyle = style("--soft");
+      context.textAlign = "center";
+      context.fillText("no value yet", width / 2, height / 2);
+      return;
+    }
     let [low, high] = [Math.min(...shown), Math.max(...shown)];
     if (reference) [low, high] = [Math.min(low, reference.value), Math.max(high, reference.value)];
     if (reference) high = Math.min(high, 1.8 * low);
@@ -74,7 +80,7 @@ export class Chart {
       context.stroke();
     }
     context.textAlign = "center";
-    for (let s = 0; s <= total; s += nice(total)) context.fillText(short(s), x(s), y0 + 14);
+    for (let s = 0; s <= total; s += nice(total)) context.fillText(s ? short(s) : "0 steps", x(s) + (s ? 0 : 14), y0 + 14);
   }
 
   reference(context, y, left, width, label) {

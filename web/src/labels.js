@@ -56,7 +56,7 @@ export class Labels {
     this.selected = 0;
     this.point = new Vector3();
     const north = new Vector3(Math.ceil(high.x) + 0.8, 0, center.z);
-    const fixed = [...gateLabels(gates), { above: north, beside: north, text: "north" }];
+    const fixed = [...gateLabels(gates), { above: null, beside: north, text: "north →" }];
     this.labels = [...fixed, ...flights.map((flight, index) =>
       ({ index, text: flights.length > 1 ? flight.name : "" }))].slice(0, MOST);
     this.drones = this.labels.length - fixed.length;
@@ -136,7 +136,8 @@ export class Labels {
     const fixed = this.labels.length - this.drones;
     for (let i = 0; i < fixed; i++) {
       const { above, beside } = this.labels[i];
-      this.put(i, this.project(view === "top" ? beside : above, camera));
+      const position = view === "top" ? beside : above;
+      this.put(i, position && this.project(position, camera));
     }
     const first = fixed + this.selected;
     if (first < this.labels.length) {
@@ -169,7 +170,8 @@ export class Labels {
     const { place, size, cell } = this.mesh.geometry.attributes;
     size.setXY(i, at ? width : 0, at ? HEIGHT : 0);
     if (!at) return;
-    place.setXY(i, Math.round(at[0] + right), Math.round(at[1] + down));
+    const x0 = Math.min(at[0] + right, this.size[0] - width - 4);
+    place.setXY(i, Math.round(x0), Math.round(at[1] + down));
     const [across, along] = [this.canvas.width / this.scale, this.canvas.height / this.scale];
     const { x, y } = this.labels[i];
     cell.setXYZW(i, x / across, 1 - y / along, width / across, HEIGHT / along);

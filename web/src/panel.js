@@ -2,7 +2,7 @@
 import { flightColor } from "./colors.js";
 import { el, seconds } from "./dom.js";
 import { gapTo, ranking } from "./flight.js";
-import { stripsOf } from "./strips.js";
+import { WINDOW, stripsOf } from "./strips.js";
 
 const GATES_SHOWN = 6;
 
@@ -22,13 +22,14 @@ export class Panel {
       el("section", {},
         el("h2", { text: flights.length > 1 ? "Race" : "Flight" }),
         el("table", {},
-          el("thead", {}, el("tr", {}, ...["", "lap", "gap", "speed"].map((text) =>
+          el("thead", {}, el("tr", {}, ...["", "lap", "gap (s)", "m/s"].map((text) =>
             el("th", { text })))),
           this.table, el("tbody", { class: "markers" }, ...this.markerRows.map((r) => r.element)))),
-      el("section", {}, this.heading, this.note, this.numbers, this.stripBox),
+      el("section", {}, this.heading, this.note, this.numbers,
+        el("p", { class: "note", text: `Curves: the last ${WINDOW} s` }), this.stripBox),
       el("section", { class: "two" },
         el("div", {}, el("h2", { text: "Lap times" }), this.laps),
-        el("div", {}, el("h2", { text: "Gate clearance" }), this.gates)));
+        el("div", {}, el("h2", { text: "Distance to gate edge" }), this.gates)));
   }
 
   row(flight, index) {
@@ -113,7 +114,7 @@ export class Panel {
       this.flights.length < 2 ? ["laps", String(laps)]
         : ["gap", gap === null ? "–" : gap ? `+${seconds(gap)} s` : "leads"],
       ["speed", `${flight.at(flight.speed, 1, 0, now).toFixed(1)} m/s`],
-      ["load", `${flight.at(flight.load, 1, 0, now).toFixed(1)} g`],
+      ["g-load", `${flight.at(flight.load, 1, 0, now).toFixed(1)} g`],
       ["height", `${height.toFixed(1)} m`],
     ];
     if (!this.numbers.children.length) {

@@ -1,7 +1,7 @@
 // Signals of the selected flight over the last seconds, as strips.
 import { el, sharp, style } from "./dom.js";
 
-const WINDOW = 4; // s
+export const WINDOW = 4; // s
 
 function rangeOf(values) {
   let [low, high] = [Infinity, -Infinity];
@@ -63,8 +63,8 @@ export class Strip {
 // Strips of all signals that a flight has.
 export function stripsOf(flight) {
   const strips = [
-    new Strip("Speed", "m/s", ["speed"], flight.speed, 1),
-    new Strip("Load", "g", ["load"], flight.load, 1),
+    new Strip("speed", "m/s", ["speed"], flight.speed, 1),
+    new Strip("g-load", "g", ["load"], flight.load, 1),
   ];
   for (const { name, title, unit, labels } of flight.signals) {
     if (title) strips.push(new Strip(title, unit, labels, flight.values[name], labels.length));

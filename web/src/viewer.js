@@ -131,23 +131,24 @@ export class Viewer {
     const select = el("select", { "aria-label": "trail", title: "trail",
       onchange: () => this.setTrail(TRAILS[select.value]) },
     ...Object.keys(TRAILS).map((name) => el("option", { value: name, text: `trail: ${name}` })));
-    this.sizeButton = el("button", { text: "size ×1", title: "size of the drones (d)",
+    this.sizeButton = el("button", { text: "drones ×1", title: "size of the drones (d)",
       onclick: () => this.magnify() });
-    const panelButton = el("button", { text: "panel", title: "show or hide the panel (p)",
+    const panelButton = el("button", { text: "data", title: "show or hide the numbers and curves (p)",
       onclick: () => this.togglePanel() });
     return el("nav", {}, el("div", { class: "group" }, ...this.viewButtons),
       el("div", { class: "group" }, select, this.sizeButton, panelButton,
         el("button", { text: "◐", title: "light or dark (t)", "aria-label": "light or dark",
           onclick: () => theme.toggle() }),
-        el("button", { text: "keys", title: "keys (h)", onclick: () => this.toggleHelp() })));
+        el("button", { text: "help", title: "keys and mouse (h)", onclick: () => this.toggleHelp() })));
   }
 
   legend() {
     this.gradient = el("div", { class: "gradient" });
     const [low, high] = this.range;
-    return el("div", { class: "legend" }, el("span", { text: "trail: speed" }),
+    return el("div", { class: "legend" }, el("span", { text: "speed" }),
       el("span", { text: low.toFixed(0) }), this.gradient, el("span", { text: `${high.toFixed(0)} m/s` }),
-      this.gates.length ? el("span", { class: "next", text: "next gate" }) : null);
+      this.gates.length ? el("span", { class: "next", text: "next gate" }) : null,
+      el("span", { class: "seen", text: "camera's view", title: "f shows or hides it" }));
   }
 
   lens() {
@@ -184,6 +185,7 @@ export class Viewer {
 
   toggleSight() {
     this.sight.shown = !this.sight.shown;
+    this.element.querySelector(".seen").hidden = !this.sight.shown;
     this.dirty = true;
   }
 
@@ -191,7 +193,7 @@ export class Viewer {
     const keys = [["space", "play, pause"], ["← →", "one step (shift: 0.5 s)"],
       ["↑ ↓", "playback speed"], ["1 2 3 4", "orbit, chase, on-board, top"],
       ["n", "next drone"], ["d", "size of the drones"], ["l", "labels"], ["f", "field of view of the camera"],
-      ["p", "panel"],
+      ["p", "numbers and curves"],
       ["t", "light, dark"], ["0", "restart"], ["r", "reset the camera"]];
     this.helpBox = el("div", { class: "help", hidden: "" }, el("h2", { text: "Keys" }),
       el("dl", {}, ...keys.flatMap(([key, text]) => [el("dt", { text: key }), el("dd", { text })])),
@@ -214,7 +216,7 @@ export class Viewer {
 
   magnify() {
     this.drones.magnification = { 1: 2, 2: 4, 4: 1 }[this.drones.magnification];
-    this.sizeButton.textContent = `size ×${this.drones.magnification}`;
+    this.sizeButton.textContent = `drones ×${this.drones.magnification}`;
     this.dirty = true;
   }
 

@@ -17,6 +17,7 @@ from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.log_formats import FORMATS
 from quadjax.studies.flight_files import (
     STATE_ARRAYS,
+    ends_in,
     flying_part,
     recording_of_log,
     recordings_of_states,
@@ -24,7 +25,6 @@ from quadjax.studies.flight_files import (
 
 RPM, RATES = "rpm", "rates"  # what a flight's commands are
 MOST_FILES = 1000
-LAST_SECONDS = 0.05  # a log may end so long before its last gate, whose passage ended the flight
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,7 +142,7 @@ def _logged(path: Path, group: str, track: Track, logs: LogsConfig | None) -> Fl
     samples, target = passages(recording.position, track, reach=0.1)
     if not samples:
         raise InputError(f"{path}: passes no gate of the track {track.name}, name its --race")
-    if _enters(recording, track, target[-1]):
+    if ends_in(recording, track.gates[target[-1]]):
         samples.append(len(target) - 1)
     ends = recording.time[samples][len(track.gates) - 1 :: len(track.gates)]
     if ends.size:  # laps that were completed; what comes after them is the landing
@@ -154,16 +154,6 @@ def _logged(path: Path, group: str, track: Track, logs: LogsConfig | None) -> Fl
     )
     commands = "" if log.rpm_command is None else RPM
     return make_flight(group, path.stem, recording, track, commands, reach=0.1)
-
-
-def _enters(recording: Recording, track: Track, target: int) -> bool:
-    """Whether a log ends in its target gate: at its speed it is there within ``LAST_SECONDS``."""
-    gate = track.gates[target]
-    axes = np.array(gate.axes)
-    place = (recording.position[-1] - np.array(gate.position)) @ axes
-    speed = float(recording.velocity[-1] @ axes[:, 0])
-    near = np.abs(place[1:]) <= 0.5 * np.array(gate.size)
-    return bool(near.all() and -LAST_SECONDS * speed <= place[0] < 0)
 
 
 def _format(path: Path) -> LogsConfig:
