@@ -15,6 +15,7 @@ from quadjax.fitting.csv_table import LogTable, numbers_of
 from quadjax.fitting.log_checks import (
     Source,
     check_angles,
+    check_attitude,
     check_constant,
     check_motor_commands,
     check_time,
@@ -164,14 +165,14 @@ def _log_of_table(
     wanted = _wanted(path, config, own, list(table.columns))
     quantities = _quantities(table, wanted, config, own)
     check_time(source, wanted["time"][0], quantities["time"], config)
-    if own.adjust is not None:
-        quantities = own.adjust(quantities, table.settings)
+    check_attitude(source, wanted, quantities)
+    quantities = own.adjusted(path, quantities, table.settings)
     check_constant(source, wanted, quantities)
     if "motor_command" in quantities:
         check_motor_commands(source, wanted, quantities)
     if "euler" in wanted:
         check_angles(source, wanted["euler"], quantities["euler"])
-    quantities, config = to_standard_frames(path, quantities, config)
+    quantities, config = to_standard_frames(quantities, config)
     check_units(source, wanted, quantities)
     if config.world_frame == "ENU":  # the names in the order of north, east, down
         ordered = {quantity: wanted[quantity] for quantity in WORLD if quantity in wanted}

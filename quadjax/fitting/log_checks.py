@@ -13,6 +13,7 @@ from quadjax.fitting.csv_table import LogTable
 
 GRAVITY = 9.81
 LEAST_ROWS = 50  # of a log, for the filters
+DETERMINANT_SLACK = 0.1  # of a rotation matrix, from 1
 COMMAND_SLACK = 0.02  # of a motor command beyond its range
 MAY_BE_CONSTANT = {
     *("time", "mode", "acceleration_bias"),
@@ -119,7 +120,7 @@ def _flying(quantities: dict[str, np.ndarray]) -> np.ndarray:
 def check_motor_commands(
     source: "Source", columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
 ) -> None:
-    """Motor commands in flight must be within 0 and 1, and not all at one of them."""
+    """Motor commands in flight must be within 0 and 1, up to ``COMMAND_SLACK``."""
     rows = _flying(quantities)
     for name, values in zip(columns["motor_command"], quantities["motor_command"].T, strict=True):
         bad = np.flatnonzero(rows & ((values < -COMMAND_SLACK) | (values > 1.0 + COMMAND_SLACK)))
@@ -182,6 +183,26 @@ def _check_acceleration(
             f"{where}: the specific force points down ({middle[2]:+.3g} m/s^2), expected negative "
             "with z down; is this a z-up frame (logs.body_frame FLU)?"
         )
+
+
+def check_attitude(
+    source: "Source", columns: dict[str, list[str]], quantities: dict[str, np.ndarray]
+) -> None:
+    """Rotation matrices must have the determinant 1, quaternions a length above 0."""
+    sizes = {}
+    if "rotation" in quantities:
+        size = np.linalg.det(quantities["rotation"].reshape(-1, 3, 3))
+        sizes["rotation"] = (size, np.abs(size - 1.0) > DETERMINANT_SLACK, "determinant")
+    if "quaternion" in quantities:
+        size = np.linalg.norm(quantities["quaternion"], axis=1)
+        sizes["quaternion"] = (size, size == 0.0, "length")
+    for quantity, (size, bad, word) in sizes.items():
+        if bad.any():
+            row = int(bad.argmax())
+            raise InputError(
+                f"{source.at(row)}, column {columns[quantity][0]!r} and on: an attitude with a "
+                f"{word} of {size[row]:.3g}, expected 1"
+            )
 
 
 def check_angles(source: "Source", names: list[str], angles: np.ndarray) -> None:

@@ -71,6 +71,23 @@ class LogFormat:
         columns = _own_columns(self.read, path)
         return table_of_columns(columns, path, select(list(columns)))
 
+    def adjusted(
+        self, path: Path | str, quantities: Quantities, settings: Mapping[str, str]
+    ) -> Quantities:
+        """The quantities after ``adjust``.
+
+        Raises:
+            InputError: of whatever ``adjust`` raises.
+        """
+        if self.adjust is None:
+            return quantities
+        try:
+            return self.adjust(quantities, settings)
+        except InputError:
+            raise
+        except Exception as error:  # a user's function may raise anything
+            raise InputError(f"{path}: {own_error(error)}") from error
+
 
 def table_of_columns(
     columns: Mapping[str, np.ndarray], path: Path | str, names: list[str]

@@ -1,12 +1,9 @@
 """Frames of a flight log: body FRD and world NED."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-from quadjax.core.errors import InputError
 
 if TYPE_CHECKING:
     from quadjax.fitting.config import LogsConfig
@@ -19,24 +16,18 @@ HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # the same as a rotation
 ENU_TO_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def to_standard_frames(
-    path: Path | str, given: Quantities, config: "LogsConfig"
-) -> tuple[Quantities, "LogsConfig"]:
+def to_standard_frames(given: Quantities, config: "LogsConfig") -> tuple[Quantities, "LogsConfig"]:
     """Vectors in body FRD and world NED, with body velocity; attitudes as quaternions.
 
     Args:
-        path: of the log, for messages.
-        given: quantities in the log's frames.
+        given: quantities in the log's frames; attitudes are rotations.
         config: with the frames.
 
     Returns:
         The quantities, and the config with the frames that were found where it says auto.
-
-    Raises:
-        InputError: a quaternion of length zero.
     """
     result = dict(given)
-    rotation = _rotation(path, given)
+    rotation = _rotation(given)
     force = given["acceleration"] - given.get("acceleration_bias", 0.0)
     if config.body_frame == "auto":
         config = config.replace(body_frame="FLU" if np.median(force[:, 2]) > 0.0 else "FRD")
@@ -62,15 +53,12 @@ def to_standard_frames(
     return result, config
 
 
-def _rotation(path: Path | str, given: Quantities) -> Rotation | None:
+def _rotation(given: Quantities) -> Rotation | None:
     """Rotations (n) from the log's body frame to its world frame; None without an attitude."""
-    try:
-        if "quaternion" in given:
-            return Rotation.from_quat(given["quaternion"][:, [1, 2, 3, 0]])
-        if "rotation" in given:
-            return Rotation.from_matrix(given["rotation"].reshape(-1, 3, 3))
-    except ValueError as error:
-        raise InputError(f"{path}: an attitude that is no rotation ({error})") from None
+    if "quaternion" in given:
+        return Rotation.from_quat(given["quaternion"][:, [1, 2, 3, 0]])
+    if "rotation" in given:
+        return Rotation.from_matrix(given["rotation"].reshape(-1, 3, 3))
     return rotation_of_euler(given["euler"]) if "euler" in given else None
 
 

@@ -201,6 +201,18 @@ def test_settings_of_the_log_scale_its_columns(short, tmp_path):
         np.testing.assert_allclose(getattr(first, name), getattr(second, name), atol=1e-9)
 
 
+def test_a_matrix_that_is_no_rotation_is_one_line(short, tmp_path):
+    columns = racing_logs.tii_columns(short)
+    for factor, determinant in ((0.0, "0"), (-1.0, "-1")):
+        changed = {name: np.array(columns[name]) for name in columns if "drone_rot" in name}
+        for values in changed.values():
+            values[700] *= factor
+        racing_logs.write_tii(tmp_path / "bad.csv", columns | changed)
+        match = rf"row 702, column 'drone_rot.0.' and on: .* of -?{determinant}, expected 1$"
+        with pytest.raises(InputError, match=match):
+            read_log(tmp_path / "bad.csv", LogsConfig(format="tii"))
+
+
 def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
     pytest.importorskip("pyulog", reason="ULog files need pyulog, the extra px4")
     path, topics = tmp_path / "flight.ulg", racing_logs.ulog_topics(short)
