@@ -70,7 +70,6 @@ PAPARAZZI = {
     "euler": ["att_phi", "att_theta", "att_psi"],
     "mode": ["autopilot_mode"],
 }
-PRESETS = {"plain": PLAIN, "paparazzi": PAPARAZZI}
 # Columns of a written log; the fit does not read the last quantity.
 WRITTEN = PAPARAZZI | {"target_gate": _numbered("target_gate_", "xyz")}
 

@@ -122,8 +122,12 @@ def with_simulated_speeds(log: FlightLog, values: np.ndarray) -> FlightLog:
         return log
     steady = RPM * steady_speeds(values, log.motor_command)
     rpm = first_order(steady, steady[0], values[3], 1.0 / log.sample_rate)
-    flying = log.flying & (log.time - log.time[0] > SETTLING)
-    return dataclasses.replace(log, rpm=rpm, flying=flying)
+    return dataclasses.replace(log, rpm=rpm, flying=settled(log))
+
+
+def settled(log: FlightLog) -> np.ndarray:
+    """Samples (n,) bool in flight at which the unknown speeds of the start have no effect."""
+    return log.flying & (log.time - log.time[0] > SETTLING)
 
 
 class _Unmeasured:

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import quadjax
-from quadjax.fitting.columns import PRESETS
+from quadjax.fitting.columns import PLAIN
 from quadjax.fitting.flight_log import write_log
 from quadjax.policy.file import Policy
 from tests.commands import run
@@ -34,7 +34,7 @@ def _log(path, flight, step):
     }
     columns = {}
     for quantity, values in signals.items():
-        columns |= dict(zip(PRESETS["plain"][quantity], np.atleast_2d(values.T), strict=True))
+        columns |= dict(zip(PLAIN[quantity], np.atleast_2d(values.T), strict=True))
     write_log(path, columns)
 
 
@@ -93,7 +93,7 @@ def test_another_drone_predicts_the_flight_worse(flown, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_racing_quadcopter_without_rotor_speeds(tmp_path):
+def test_a_racing_quadcopter_without_rotor_speeds(tmp_path, capsys):
     path = PRETRAINED.parents[1] / "configs/vehicles/5inch.yaml"
     flight = racing_logs.fly(racing_logs.constants(path), seed=2, seconds=5.0)
     racing_logs.write_tii(tmp_path / "flight.csv", racing_logs.tii_columns(flight))
@@ -103,6 +103,12 @@ def test_a_racing_quadcopter_without_rotor_speeds(tmp_path):
     assert found["lap_times"] == [] and found["prediction"]["model"] == "racing"
     for name, most in {"position": 0.02, "velocity": 0.1, "attitude": 1.5}.items():
         assert found["prediction"]["rms_error"][name][2] < most
+    # A policy of another model: what it observes of the motors is not known.
+    assert run("replay", tmp_path / "flight.csv", *arguments, "--policy", "e2e_nominal") == 2
+    assert "the model motor has rpm (4), which no column" in capsys.readouterr().err
+    assert run("replay", tmp_path / "flight.csv", *arguments, "--policy", "indi") == 0
+    text = capsys.readouterr().out
+    assert "the policy's commands next to the log\n" in text and "thrust" in text
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadjax.fitting.columns import PRESETS
+from quadjax.fitting.columns import PLAIN
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log, write_log
 from quadjax.fitting.simulate import random_residual, simulate_flight
@@ -34,7 +34,7 @@ def _simulated(folder):
         columns = {
             name: column
             for quantity, value in zip(quantities, values, strict=True)
-            for name, column in zip(PRESETS["plain"][quantity], np.atleast_2d(value.T), strict=True)
+            for name, column in zip(PLAIN[quantity], np.atleast_2d(value.T), strict=True)
         }
         write_log(folder / f"flight_{seed}.csv", columns)
     return sorted(folder.glob("*.csv"))

@@ -10,9 +10,10 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.fitting import simulate
-from quadjax.fitting.columns import PRESETS
+from quadjax.fitting.columns import PAPARAZZI, PLAIN
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import log_of_columns
+from quadjax.fitting.log_formats import FORMATS
 from quadjax.fitting.simulate import SensorNoise, random_residual, simulate_flight
 from quadjax.vehicle.protocol import VehicleParams
 
@@ -23,7 +24,7 @@ VECTORS = ("gyro", "acceleration", "body_velocity", "world_velocity", "position"
 
 def faults(columns, form):
     """Every fault by its name: the changed columns."""
-    names = {q: names for q, names in PRESETS[form].items() if names[0] in columns}
+    names = {q: names for q, names in FORMATS[form].columns.items() if names[0] in columns}
     vectors = [names[quantity] for quantity in VECTORS if quantity in names]
     found = {f"-{name}": {name: -columns[name]} for group in vectors for name in group}
     motors = names["rpm"]
@@ -71,7 +72,7 @@ def without_attitude(log):
         ("acceleration", log.specific_force),
         ("body_velocity", log.body_velocity),
     ):
-        plain |= dict(zip(PRESETS["plain"][quantity], values.T, strict=True))
+        plain |= dict(zip(PLAIN[quantity], values.T, strict=True))
     return plain
 
 
@@ -153,15 +154,11 @@ def minus(*names):
         ),
         (
             "columns 'rpm_obs_1', .* are 0.188 s later than the angular accelerations",
-            lambda columns: {
-                name: delayed(columns[name], 50) for name in PRESETS["paparazzi"]["rpm"]
-            },
+            lambda columns: {name: delayed(columns[name], 50) for name in PAPARAZZI["rpm"]},
         ),
         (
             "columns 'rpm_ref_1', .* are 1.5. times the speeds 'rpm_obs_1', .*logs.units.rpm",
-            lambda columns: {
-                name: 1.5 * columns[name] for name in PRESETS["paparazzi"]["rpm_command"]
-            },
+            lambda columns: {name: 1.5 * columns[name] for name in PAPARAZZI["rpm_command"]},
         ),
         (
             "column 'rpm_obs_3' is 1.53 times the other motors' speeds",
@@ -190,10 +187,7 @@ def test_noise_is_not_a_contradiction(bebop):
 
 def test_motors_need_not_follow_all_of_a_change(flown):
     """Commands that change twice as much as the speeds, such as those beyond a motor's limits."""
-    hasty = {
-        name: 2.0 * flown[name] - np.median(flown[name])
-        for name in PRESETS["paparazzi"]["rpm_command"]
-    }
+    hasty = {name: 2.0 * flown[name] - np.median(flown[name]) for name in PAPARAZZI["rpm_command"]}
     log_of_columns(flown | hasty, LogsConfig(format="paparazzi"), "flight")
 
 
@@ -205,8 +199,8 @@ def test_every_fault_is_refused_without_attitude_and_position(flown):
 
 
 def test_the_allowed_errors_are_in_the_config(flown):
-    late = {name: delayed(flown[name], 18) for name in PRESETS["paparazzi"]["gyro"]}
-    fast = {name: 1.5 * flown[name] for name in PRESETS["paparazzi"]["gyro"]}
+    late = {name: delayed(flown[name], 18) for name in PAPARAZZI["gyro"]}
+    fast = {name: 1.5 * flown[name] for name in PAPARAZZI["gyro"]}
     aslant = turned(flown, "rate_p", "rate_q", np.radians(20.0))
     for wrong, key, value in (
         (late, "max_delay", 0.1),

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.fitting.motor_map import NAMES, RPM, with_simulated_speeds
-from quadjax.vehicle.protocol import VehicleModel, VehicleParams
+from quadjax.fitting.motor_map import NAMES, RPM, settled, with_simulated_speeds
+from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
 
 Signals = dict[str, np.ndarray]
 DISTURBANCES = ("moment_ext", "force_ext")  # zero: a log does not have them
@@ -26,7 +26,7 @@ class Logged:
     velocity: np.ndarray  # (n, 3) m/s, world
     attitude: Rotation  # n, body to world
     rates: np.ndarray  # (n, 3) rad/s
-    actuators: Signals  # (n, k) by the name of ``VehicleModel.actuators``
+    actuators: Signals  # (n, k) by the name of ``VehicleModel.actuators``, where they are known
     commands: Signals  # (n, k) by the name of ``VehicleModel.commands``
     speeds_measured: bool
 
@@ -49,10 +49,7 @@ def logged(log: FlightLog, model: VehicleModel, params: VehicleParams) -> Logged
     """
     if log.position is None or log.attitude is None:
         raise InputError(f"{log.path}: replay needs columns for position and attitude")
-    constants = params.constants
-    if not log.speeds_measured and all(hasattr(constants, name) for name in NAMES):
-        values = np.array([float(getattr(constants, name)) for name in NAMES])
-        log = dataclasses.replace(with_simulated_speeds(log, values), speeds_measured=False)
+    log, known = _with_speeds(log, params.constants)
     flying = np.flatnonzero(log.flying)
     if flying.size < 2:
         raise InputError(f"{log.path}: no sample in flight (logs.columns.mode)")
@@ -64,6 +61,7 @@ def logged(log: FlightLog, model: VehicleModel, params: VehicleParams) -> Logged
         "body_rates": log.rate_command,
         "thrust": None if log.thrust_command is None else log.thrust_command[:, None],
     }
+    speeds = {"rpm": log.rpm[part], "rotor_speed": log.rpm[part] / RPM}
     return Logged(
         log.name,
         log.path,
@@ -72,14 +70,23 @@ def logged(log: FlightLog, model: VehicleModel, params: VehicleParams) -> Logged
         attitude.apply(log.body_velocity[part]),
         attitude,
         log.rates[part],
-        {
-            "rpm": log.rpm[part],
-            "rotor_speed": log.rpm[part] / RPM,
-            "thrust": -log.specific_force[part, 2:],
-        },
+        {"thrust": -log.specific_force[part, 2:], **(speeds if known else {})},
         {name: values[part] for name, values in commands.items() if values is not None},
         log.speeds_measured,
     )
+
+
+def _with_speeds(log: FlightLog, constants: Constants) -> tuple[FlightLog, bool]:
+    """A log with the rotor speeds that its motor commands give, and whether its speeds are known.
+
+    Without measured speeds, the flight starts later, whether or not the model has motors.
+    """
+    if log.speeds_measured:
+        return log, True
+    if all(hasattr(constants, name) for name in NAMES):
+        values = np.array([float(getattr(constants, name)) for name in NAMES])
+        return with_simulated_speeds(log, values), True
+    return dataclasses.replace(log, flying=settled(log)), False
 
 
 def commands_of(flight: Logged, model: VehicleModel) -> np.ndarray | None:
