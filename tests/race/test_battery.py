@@ -56,5 +56,10 @@ def test_charges_are_drawn_from_the_range():
 
 
 def test_a_model_without_propeller_speeds_has_none():
-    with pytest.raises(InputError, match="battery is .set., allowed: null with vehicle.model rate"):
+    with pytest.raises(InputError, match="battery is .set., allowed: null with vehicle.model=rate"):
         load_config("indi", ["battery.charge=[0.2, 1.0]"])
+
+
+def test_the_source_of_the_limit_has_no_effect_without_a_battery():
+    with pytest.raises(InputError, match="observation.highest_rpm is 'none'.*without battery"):
+        load_config("e2e_shac", ["observation.highest_rpm=none"])
