@@ -1,10 +1,10 @@
 """Replay a flight log through a policy and a model.
 
 Three parts: the laps of the log, by its positions and the gates of the track; the commands of a
-policy in the logged states, in floats and in the fixed point of the exported C, beside the logged
-ones; the error of a model that is integrated from the logged states over 0.1 to 1 s. The model is
-that of --vehicle, or of the race that the policy was trained in. The policy's commands do not act
-on the flight. DIR/NAME gets table.txt, replay.json and the figures trajectory, commands and
+policy in the logged states, in floats and in the fixed point of the exported C, next to the
+logged ones; the error of a model that is integrated from the logged states over 0.1 to 1 s. The
+model is that of --vehicle, or of the race that the policy was trained in. The policy's commands do
+not act on the flight. DIR/NAME gets table.txt, replay.json and the figures trajectory, commands and
 prediction as PDF, SVG and PNG.
 """
 

@@ -7,15 +7,12 @@ by interpolation, commands by their last value.
 import contextlib
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
-
-if TYPE_CHECKING:
-    pass
 
 MAX_GAP = 0.05  # s, between samples of a topic
 ORDER = (2, 0, 3, 1)  # motors front-left, front-right, rear-right, rear-left
@@ -77,7 +74,9 @@ def read_ulog(path: Path) -> dict[str, np.ndarray]:
     if "sensor_combined" not in topics and SECOND_CHOICE.topic in topics:
         sources.append(SECOND_CHOICE)
     if not sources:
-        raise InputError(f"{path}: no topic besides {CLOCK.topic}")
+        raise InputError(
+            f"{path}: no topic other than {CLOCK.topic}, expected at least {FIELDS[0].topic}"
+        )
     series = {field: _series(path, topics, field) for field in [CLOCK, *sources]}
     first = max(time[0] for time, _ in series.values())
     last = min(time[-1] for time, _ in series.values())
@@ -145,7 +144,9 @@ def _at(clock: np.ndarray, time: np.ndarray, values: np.ndarray, field: Field) -
     """Values (m, k) at the times of the clock (m,)."""
     if field.topic in HELD:
         return values[np.searchsorted(time, clock, side="right") - 1]
-    if field.topic == "vehicle_attitude":  # of two equal quaternions the one near that before
+    if (
+        field.topic == "vehicle_attitude"
+    ):  # q and -q are the same attitude: the sign nearer to the previous one
         turned = (values[1:] * values[:-1]).sum(axis=1) < 0.0
         values = np.concatenate(
             [values[:1], values[1:] * np.cumprod(np.where(turned, -1, 1))[:, None]]

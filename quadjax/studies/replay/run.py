@@ -156,7 +156,7 @@ def _commands(part: Replayed | None) -> list[str]:
     if part is None:
         return []
     lines = [
-        f"the policy's commands beside the {part.source if part.logged is not None else 'log'}",
+        f"the policy's commands next to the {part.source if part.logged is not None else 'log'}",
         f"  {'command':17}{'unit':>7}{'logged':>10}{'policy':>10}{'RMS diff.':>11}{'corr.':>7}"
         f"{'at limit':>10}",
     ]
