@@ -18,11 +18,12 @@ from quadjax.export.emit import (
 from quadjax.export.estimator_tables import EstimatorTables, make_estimator
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork, convert
 from quadjax.export.flights import Rollouts
+from quadjax.export.indiflight import emit_indiflight
 from quadjax.export.proof import Proof, prove
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import RaceTables, make_tables, track_ranges
 from quadjax.export.render import identifier, is_reserved, shared_symbols
-from quadjax.export.targets import DEFAULT_TARGET, PAPARAZZI, TARGETS, Target
+from quadjax.export.targets import DEFAULT_TARGET, INDIFLIGHT, PAPARAZZI, TARGETS, Target
 from quadjax.policy.file import Policy
 
 COMMENT_WIDTH = 96
@@ -72,6 +73,8 @@ class Converted:
             files |= emit_estimator(self.estimator, network, origin, self.residual_hash)
         if self.target.autopilot == PAPARAZZI:
             files |= emit_paparazzi(network, origin, self.race, self.estimator)
+        if self.target.autopilot == INDIFLIGHT:
+            files |= emit_indiflight(files, network, origin, self.race, self.own, self.policy)
         return files
 
 

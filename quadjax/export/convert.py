@@ -104,7 +104,15 @@ def export_c(
     folder = Path(folder)
     given = POLICY_FILE if isinstance(policy, Policy) else Path(policy).name
     symbol = symbol_name(name, given)
-    files = (POLICY_FILE, RESIDUAL_FILE, CONFIG_FILE, ROLLOUTS_FILE, f"{symbol}[._]*", "paparazzi")
+    files = (
+        POLICY_FILE,
+        RESIDUAL_FILE,
+        CONFIG_FILE,
+        ROLLOUTS_FILE,
+        f"{symbol}[._]*",
+        "paparazzi",
+        "indiflight*",
+    )
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, sample_rate, cutoff)
         options = Options(symbol, *numbers, allow_unfinished, allow_other_race, target)
@@ -147,7 +155,8 @@ def _check_folder(folder: Path, name: str) -> None:
 
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
-    return (f"{name}_estimator.c", f"{name}_estimator.h", RESIDUAL_FILE)
+    autopilots = ("paparazzi", "indiflight", "indiflight_2026")
+    return (f"{name}_estimator.c", f"{name}_estimator.h", RESIDUAL_FILE, *autopilots)
 
 
 def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:

@@ -49,7 +49,7 @@ def emit_network(
     """
     layers = padded_layers(network)
     ends = (network.command_low, network.command_high)
-    values = _common(network, origin) | {
+    values = common_values(network, origin) | {
         "layers": layers,
         "test": network_test(network, layers, observations),
         "format_version": FORMAT_VERSION,
@@ -74,7 +74,7 @@ def emit_race(
         states: (n, state_size) simulated states for the self-test.
         targets: (n,) the target gate of each.
     """
-    values = _common(network, origin) | {
+    values = common_values(network, origin) | {
         "race": tables,
         "race_test": race_test(tables, states, targets),
         "state_values": [f"state->{name}" for name in tables.names],
@@ -93,7 +93,7 @@ def emit_estimator(
     hidden = [len(layer.bias) for network in residuals.values() for layer in network.hidden]
     used = np.any(tables.model != 0, axis=0) | np.any(tables.differentiated != 0, axis=0)
     rate = f"{tables.sample_rate:g}"
-    values = _common(network, origin) | {
+    values = common_values(network, origin) | {
         "estimator": tables,
         "estimator_test": estimator_test(tables),
         "terms": _terms,
@@ -128,7 +128,10 @@ def emit_paparazzi(
     """The Paparazzi module's files, by path under ``paparazzi/``; of ``MODULE_MODELS`` only."""
     if network.model.name not in MODULE_MODELS:
         return {}
-    values = _common(network, origin) | {"frequency": MODULE_FREQUENCY, "estimator": estimator}
+    values = common_values(network, origin) | {
+        "frequency": MODULE_FREQUENCY,
+        "estimator": estimator,
+    }
     values["known"] = [field.name for field in race.fields]
     middle = 0.5 * (network.command_low + network.command_high) / 2.0**network.fraction_bits
     values["halfway"] = [f"{x!r}f" for x in middle.tolist()]
@@ -155,7 +158,8 @@ def names_of(network: FixedNetwork, name: str) -> Values:
     }
 
 
-def _common(network: FixedNetwork, origin: Provenance) -> Values:
+def common_values(network: FixedNetwork, origin: Provenance) -> Values:
+    """Values of all emitted files."""
     return names_of(network, origin.name) | {"origin": origin}
 
 

@@ -8,7 +8,7 @@ import dataclasses
 
 from quadjax.core.errors import InputError
 
-PAPARAZZI = "Paparazzi"
+PAPARAZZI, INDIFLIGHT = "Paparazzi", "INDIflight"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,6 +26,7 @@ TARGETS = {
         Target("cortex-a9", "Cortex-A9", PAPARAZZI),
         Target("cortex-m7", "Cortex-M7", None),
         Target("cortex-m4", "Cortex-M4", None),
+        Target("indiflight", "Cortex-M7", INDIFLIGHT),
     )
 }
 DEFAULT_TARGET = "cortex-a9"

@@ -73,7 +73,8 @@ BUILDS = (
 )
 
 
-def _need_emulator() -> None:
+def need_emulator() -> None:
+    """Raise ``Skipped`` without the packages of the emulator."""
     for module in ("unicorn", "elftools"):
         if not has_module(module):
             raise Skipped(f"no {module}; pip install 'quadjax[verify]'")
@@ -141,7 +142,7 @@ def _sizes(elf: Path) -> tuple[int, int]:
 
 
 def _arm_check(c: Context, build: Build) -> str:
-    _need_emulator()
+    need_emulator()
     elf = _executable(c, build, build.make())
     machine = _machine(elf, build)
     mismatches = machine.call(f"{c.folder.name}_self_test_with", build.kernel)
@@ -190,7 +191,7 @@ def _compilers(c: Context) -> list[tuple[Build, Compiler]]:
 
 def check_against_float(c: Context) -> str:
     """Instructions, and those of float C with the same compiler and flags."""
-    _need_emulator()
+    need_emulator()
     parts = []
     for build, compiler in _compilers(c):
         single = float_instructions(c, build, compiler)
@@ -201,7 +202,7 @@ def check_against_float(c: Context) -> str:
 
 def check_step(c: Context) -> str:
     """Instructions and stack of all that runs on board at each step, at most."""
-    _need_emulator()
+    need_emulator()
     parts = []
     for build, compiler in _compilers(c):
         race, estimator, stack = _count_step(c, _executable(c, build, compiler), build)
@@ -213,7 +214,7 @@ def check_step(c: Context) -> str:
 
 def check_memory(c: Context) -> str:
     """Flash of the exported files: tables, code and the vectors of the self-tests."""
-    _need_emulator()
+    need_emulator()
     parts = {}
     for build, compiler in _compilers(c):
         extra = [f"-I{c.folder.path}", *_flags(compiler, f"{c.folder.name}_forward")]

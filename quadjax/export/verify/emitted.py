@@ -37,6 +37,13 @@ def write_float(folder: Folder, work: Path) -> Path:
     return _write(work / "float.c", values)
 
 
+def write_loop(folder: Folder, work: Path) -> Path:
+    """INDIflight's controller for many drones."""
+    path = work / "loop.c"
+    path.write_text(render("indiflight/loop.c", {"name": folder.name}))
+    return path
+
+
 def write_eva_main(folder: Folder, work: Path) -> Path:
     """Calls of all exported functions for any input and any memory, with assertions."""
     network = folder.network

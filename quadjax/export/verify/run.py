@@ -8,7 +8,14 @@ from pathlib import Path
 
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.files import write_text
-from quadjax.export.verify import checks_arm, checks_bits, checks_flight, checks_static
+from quadjax.export.targets import INDIFLIGHT
+from quadjax.export.verify import (
+    checks_arm,
+    checks_bits,
+    checks_flight,
+    checks_indiflight,
+    checks_static,
+)
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import Folder, read_folder
 from quadjax.export.verify.result import Result, run_check
@@ -42,6 +49,15 @@ CHECKS: dict[str, Check] = {
     "cppcheck": checks_static.check_cppcheck,
     "closed loop": checks_flight.check_closed_loop,
 }
+# Checks of one autopilot only.
+AUTOPILOTS: dict[str, dict[str, Check]] = {
+    INDIFLIGHT: {
+        "INDIflight, warnings": checks_indiflight.check_warnings,
+        "INDIflight, any state": checks_indiflight.check_any_state,
+        "INDIflight, M7": checks_indiflight.check_machine,
+        "INDIflight, races": checks_indiflight.check_races,
+    }
+}
 # Checks of one processor only.
 PROCESSORS = {build.name: build.processor for build in checks_arm.BUILDS} | dict.fromkeys(
     ("warnings, gcc armel", "QEMU armel", "QEMU armhf"), "Cortex-A9"
@@ -49,12 +65,12 @@ PROCESSORS = {build.name: build.processor for build in checks_arm.BUILDS} | dict
 PROCESSORS |= {f"QEMU {processor}": processor for processor in checks_arm.BOARDS}
 
 
-def checks_of(folder: Folder) -> list[str]:
-    """The names of the checks for the processor that a folder was exported for."""
-    others = {
-        name for name, processor in PROCESSORS.items() if processor != folder.target.processor
-    }
-    return [name for name in CHECKS if name not in others]
+def checks_of(folder: Folder) -> dict[str, Check]:
+    """The checks for the processor and the autopilot that a folder was exported for."""
+    target = folder.target
+    others = {name for name, processor in PROCESSORS.items() if processor != target.processor}
+    common = {name: check for name, check in CHECKS.items() if name not in others}
+    return common | AUTOPILOTS.get(target.autopilot or "", {})
 
 
 def verify(
@@ -89,7 +105,8 @@ def verify(
     """
     enable_compilation_cache()
     folder = read_folder(Path(path))
-    chosen = [name for name in checks_of(folder) if only is None or name in only]
+    checks = checks_of(folder)
+    chosen = [name for name in checks if only is None or name in only]
     announce(SOURCES)
     results = [run_check(SOURCES, lambda: check_sources(folder))]
     report(results[0])
@@ -98,7 +115,7 @@ def verify(
         context.allow_unfinished, context.allow_other_race = allow_unfinished, allow_other_race
         for name in chosen:
             announce(name)
-            results.append(run_check(name, functools.partial(CHECKS[name], context)))
+            results.append(run_check(name, functools.partial(checks[name], context)))
             report(results[-1])
     return results
 
