@@ -12,7 +12,9 @@ ${race_source}
 {% set fields = race.fields | map(attribute="name") | list %}
 {% if "quaternion" in fields %}
 
-#include <math.h>
+/* Of the C library. */
+float sinf(float x);
+float cosf(float x);
 {% endif %}
 
 const float gate_pos[NUM_GATES][3] = {
