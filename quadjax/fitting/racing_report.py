@@ -90,10 +90,14 @@ def _r_squared(result: RacingFit, axis: str) -> float:
     return found.get(axis, result.motors.r_squared)
 
 
+def _note(error: float) -> str:
+    return f"+- {error:.2g}" if np.isfinite(error) else "not determined by the logs"
+
+
 def _vehicle_file(result: RacingFit) -> str:
     fitted = ("motors", *result.config.nominal.axes)
     notes = {
-        name: f"+- {error:.2g}" if axis in fitted and np.isfinite(error) else "the base vehicle's"
+        name: _note(error) if axis in fitted else "the base vehicle's"
         for name, axis, _, error in _constants(result)
     }
     quoted = result.config.body.name.replace("'", "''")
