@@ -68,6 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for part in parts:
         if part not in PARTS:
             raise InputError(f"--parts: {part!r}, allowed: {', '.join(PARTS)}")
+    if options.conditions and "plants" not in parts:
+        raise InputError("--conditions has no effect without the part plants (--parts)")
     known = Wanted.conditions
     for condition in options.conditions or ():
         if condition not in known:

@@ -164,6 +164,7 @@ def test_what_is_missing_is_known(tmp_path):
     [
         (["--parts", "tables"], "--parts"),
         (["--conditions", "calm"], "--conditions"),
+        (["--parts", "table", "--conditions", "all effects"], "--conditions has no effect"),
         (["--e2e", "missing.npz"], "missing.npz"),
         (["--e2e", "INDI"], "a policy for the rate"),
         (["effects.wind=1"], "effects.wind"),
