@@ -188,7 +188,7 @@ def _warnings(
     for name, value, error, known in zip(names, values, errors, excited, strict=True):
         if not known:
             lines.append(
-                f"{name} ({axis}): not fitted to the logs: they do not determine it; it is {value:.4g}"
+                f"{name} ({axis}): not fitted to the logs, which do not determine it: {value:.4g}"
             )
         elif error > uncertain * abs(value):
             lines.append(
