@@ -17,6 +17,7 @@ from quadjax.core.sections import (
 from quadjax.fitting.columns import WIDTHS
 
 Columns = Annotated[list[str], Field(max_length=100)]
+MotorCommand = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class UnitsConfig(Section):
@@ -56,7 +57,7 @@ class LogsConfig(Section):
     world_frame: Literal["NED", "ENU", "auto"] | None = Field(
         None, description="axes of world-frame columns; auto: by gravity; null: the format's"
     )
-    motor_range: tuple[float, float] | None = Field(
+    motor_range: tuple[MotorCommand, MotorCommand] | None = Field(
         None, description="motor commands that are 0 and 1; null: the log's or the format's"
     )
     max_gap: Positive = Field(0.05, description="s, longest allowed gap between samples")
