@@ -66,6 +66,13 @@ def test_a_race_is_three_pure_functions_and_its_numbers():
     assert bool(truncated) and not bool(terminated)
 
 
+def test_shipped_policies_are_found_by_name():
+    first, second = (quadjax.Policy.load(name) for name in ("e2e_nominal", "e2e_nominal.npz"))
+    np.testing.assert_array_equal(first.log_std, second.log_std)
+    with pytest.raises(quadjax.InputError, match="e2e_nominl.npz: no such file, .* e2e_nominal"):
+        quadjax.Policy.load("e2e_nominl.npz")
+
+
 def test_a_shipped_policy_is_evaluated(tmp_path):
     config = quadjax.load("e2e_shac", ["evaluate.laps=1"])
     laps = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3)

@@ -85,7 +85,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     contenders = (contender("E2E", options.e2e), contender("INDI", options.indi))
     for own, kind in zip(contenders, ("motor", "rate"), strict=True):
         if own.policy.vehicle != kind:
-            raise InputError(f"{own.file}: a policy for the {own.policy.vehicle}, expected {kind}")
+            raise InputError(
+                f"{own.file}: a policy for the {own.policy.vehicle} vehicle, expected {kind} for "
+                f"--{own.name.lower()}"
+            )
     only = tuple(options.conditions or known)
     wanted = Wanted(parts, options.ablation, options.output / options.name, only)
     console = Console(stderr=True)

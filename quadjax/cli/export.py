@@ -56,6 +56,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     return parse(parser, argv)
 
 
+ALLOWANCES = ("unfinished", "other_race")  # options that quadjax verify needs too
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Convert, write, and print the report."""
     options = _arguments(arguments)
@@ -78,4 +81,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         overwrite=options.overwrite,
     )
     print(export.text)
-    print(f"Written to {options.output}. Next: quadjax verify {options.output}")
+    more = [f"--allow-{name}" for name in ALLOWANCES if getattr(options, f"allow_{name}")]
+    then = " ".join(["quadjax verify", str(options.output), *more]).replace("_", "-")
+    print(f"Written to {options.output}. Next: {then}")

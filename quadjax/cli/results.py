@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from quadjax.cli.arguments import Parser, check_outputs, parse, runs
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import PRETRAINED
+from quadjax.core.resources import PRETRAINED, policy_names
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def shipped_policies() -> list[Path]:
     """The policy files that come with the package."""
-    return sorted(path for path in PRETRAINED.glob("*.npz") if "residual" not in path.name)
+    return [PRETRAINED / f"{name}.npz" for name in policy_names()]
 
 
 def fly_one(path: Path, race: "Config | None", flights: int) -> "Protocols":

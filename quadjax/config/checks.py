@@ -327,7 +327,7 @@ def _check_used(config: Config) -> None:
     if math.isinf(model.pitch_limit):
         unused["vehicle.quaternion"] = with_model
     if config.battery is not None and not model.has_battery:
-        refuse("battery", "set", f"null {with_model}")
+        refuse("battery.charge", list(config.battery.charge), f"no battery (null) {with_model}")
     if config.battery is None:
         unused["observation.highest_rpm"] = "without battery"
     if not model.has_residual:

@@ -33,7 +33,14 @@ def find_config(name: Path | str, folder: str = "") -> Path:
 
 
 def find_policy(name: Path | str) -> Path:
-    """The path of a policy: a file, or a shipped one by its name without ``.npz``."""
-    path, shipped = Path(name), PRETRAINED / f"{name}.npz"
+    """The path of a policy: a file, or a shipped one by its name, with or without ``.npz``."""
+    path = Path(name)
+    shipped = PRETRAINED / path.with_suffix(".npz") if path.name else path
+    bare = path.name == str(path) and path.suffix in ("", ".npz")
     with reading(name):
-        return shipped if path.suffix == "" and not path.exists() and shipped.is_file() else path
+        return shipped if bare and not path.exists() and shipped.is_file() else path
+
+
+def policy_names() -> list[str]:
+    """Names of the shipped policies."""
+    return sorted(p.stem for p in PRETRAINED.glob("*.npz") if "residual" not in p.name)

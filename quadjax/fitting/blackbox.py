@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from quadjax.core.errors import InputError
 from quadjax.fitting.csv_table import numbers_of
 
 Quantities = dict[str, np.ndarray]
@@ -54,9 +55,17 @@ FLIP = np.array([1.0, -1.0, -1.0])
 
 
 def setting(settings: Mapping[str, str], name: str, default: float) -> float:
-    """The number of a setting, above 0, or else a default."""
+    """The number of a setting; a default without it, or where it is 0.
+
+    Raises:
+        InputError: a value that is not a number from 0 on.
+    """
+    if name not in settings:
+        return default
     found = numbers_of(settings, name)
-    return found[0] if found and found[0] > 0.0 else default
+    if len(found) != 1 or found[0] < 0.0:
+        raise InputError(f"setting {name} is {settings[name]!r:.80}, allowed: a number from 0 on")
+    return found[0] or default
 
 
 def adjust(quantities: Quantities, settings: Mapping[str, str]) -> Quantities:

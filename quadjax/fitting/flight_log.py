@@ -1,5 +1,6 @@
 """Flight logs: reading, checking, and conversion to one set of units and frames."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -163,7 +164,7 @@ def _log_of_table(
     config = resolved(config)
     source = Source(str(path), table)
     wanted = _wanted(path, config, own, list(table.columns))
-    quantities = _quantities(table, wanted, config, own)
+    quantities = _quantities(table, wanted, config, own, path)
     check_time(source, wanted["time"][0], quantities["time"], config)
     check_attitude(source, wanted, quantities)
     quantities = own.adjusted(path, quantities, table.settings)
@@ -183,7 +184,11 @@ def _log_of_table(
 
 
 def _quantities(
-    table: LogTable, wanted: dict[str, list[str]], config: LogsConfig, own: LogFormat
+    table: LogTable,
+    wanted: dict[str, list[str]],
+    config: LogsConfig,
+    own: LogFormat,
+    path: Path | str,
 ) -> Quantities:
     """Quantities (n,) or (n, k) in SI, rpm, and motor commands from 0 to 1."""
     found: Quantities = {}
@@ -191,11 +196,25 @@ def _quantities(
         values = np.stack([table.columns[name] for name in group], axis=1)
         values = values * scale_of(quantity, config.units)
         if quantity == "motor_command":
-            span = numbers_of(table.settings, own.motor_setting)
-            low, high = config.motor_range or (span if len(span) == 2 else own.motor_range)
+            low, high = config.motor_range or _motor_range(own, table.settings, path)
             values = (values - low) / max(high - low, 1e-9)
         found[quantity] = values[:, 0] if len(group) == 1 else values
     return found
+
+
+def _motor_range(
+    own: LogFormat, settings: Mapping[str, str], path: Path | str
+) -> tuple[float, float]:
+    """Motor commands that are 0 and 1: of the log's head, or else of the format."""
+    if own.motor_setting not in settings:
+        return own.motor_range
+    span = numbers_of(settings, own.motor_setting)
+    if len(span) != 2 or span[0] >= span[1]:
+        raise InputError(
+            f"{path}: setting {own.motor_setting} is {settings[own.motor_setting]!r:.80}, "
+            "allowed: the lowest and the highest command"
+        )
+    return span[0], span[1]
 
 
 def write_log(path: Path | str, columns: Quantities) -> None:

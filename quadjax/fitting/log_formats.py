@@ -83,8 +83,8 @@ class LogFormat:
             return quantities
         try:
             return self.adjust(quantities, settings)
-        except InputError:
-            raise
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
         except Exception as error:  # a user's function may raise anything
             raise InputError(f"{path}: {own_error(error)}") from error
 

@@ -248,7 +248,12 @@ class PlantConfig(Section):
         most = MAX_LATENCY / rate
         half = f"below half the sample_rate, {0.5 * rate:g} Hz"
         for key, value, fine, allowed in (
-            ("sample_rate", rate, rate % self.control_rate == 0, "a multiple of control_rate"),
+            (
+                "control_rate",
+                self.control_rate,
+                rate % self.control_rate == 0,
+                f"sample_rate, {rate:g} Hz, divided by a whole number",
+            ),
             (
                 "substeps",
                 self.substeps,

@@ -18,7 +18,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
-from quadjax.core.resources import find_policy
+from quadjax.core.resources import find_policy, policy_names
 from quadjax.policy import foreign, inference
 from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.layout import DISTURBANCES, Layout
@@ -95,6 +95,9 @@ class Policy:
             InputError: a missing, damaged or inconsistent file, in one line.
         """
         path = find_policy(path)
+        if path.parent == Path() and not path.exists():
+            names = ", ".join(policy_names())
+            raise InputError(f"{path}: no such file, and no shipped policy: {names}")
         if foreign.is_foreign(path):
             if config is None:
                 raise InputError(

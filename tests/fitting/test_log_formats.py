@@ -201,6 +201,24 @@ def test_settings_of_the_log_scale_its_columns(short, tmp_path):
         np.testing.assert_allclose(getattr(first, name), getattr(second, name), atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"acc_1G": "abc"},
+        {"blackbox_high_resolution": -1},
+        {"motorOutput": 158},
+        {"motorOutput": "2048,158"},
+    ],
+    ids=str,
+)
+def test_a_setting_that_cannot_be_used_is_named(settings, short, tmp_path):
+    path = tmp_path / "bad.csv"
+    racing_logs.write_blackbox(path, racing_logs.blackbox_columns(short), settings)
+    (name,) = settings
+    with pytest.raises(InputError, match=rf"bad.csv: setting {name} is .*, allowed: "):
+        read_log(path, LogsConfig(format="blackbox"))
+
+
 def test_a_matrix_that_is_no_rotation_is_one_line(short, tmp_path):
     columns = racing_logs.tii_columns(short)
     for factor, determinant in ((0.0, "0"), (-1.0, "-1")):

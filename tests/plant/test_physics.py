@@ -250,7 +250,7 @@ def test_constants_are_drawn_once_within_their_spread():
 @pytest.mark.parametrize(
     ("word", "names"),
     [
-        ("control_rate=300", "a multiple of control_rate"),
+        ("control_rate=300", "control_rate is 300"),
         ("sample_rate=400", "sample_rate"),
         ("substeps=0", "substeps"),
         ("navigation=gps", "navigation"),

@@ -56,7 +56,7 @@ def test_charges_are_drawn_from_the_range():
 
 
 def test_a_model_without_propeller_speeds_has_none():
-    with pytest.raises(InputError, match="battery is .set., allowed: null with vehicle.model=rate"):
+    with pytest.raises(InputError, match=r"battery.charge is \[0.2, 1.0\], allowed: no battery"):
         load_config("indi", ["battery.charge=[0.2, 1.0]"])
 
 
