@@ -55,6 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parent = os.getppid()
     with contextlib.suppress(AttributeError, OSError):
         os.nice(NICE)
+    if options.idle is not None:  # Linux weighs a session of its own as a group
+        with contextlib.suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(NICE))
     folder = _folder(options.folder)
     flyer = Flyer(folder)
     documents: dict[str, Document] = {
