@@ -56,7 +56,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     return parse(parser, argv)
 
 
-ALLOWANCES = ("unfinished", "other_race")  # options that quadjax verify needs too
+ALLOWANCES = ("--allow-unfinished", "--allow-other-race")  # options that quadjax verify needs too
+
+
+def verification(options: argparse.Namespace) -> str:
+    """The command that verifies the export of these options."""
+    used = [x for x in ALLOWANCES if getattr(options, x.removeprefix("--").replace("-", "_"))]
+    return " ".join(["quadjax verify", str(options.output), *used])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -81,6 +87,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         overwrite=options.overwrite,
     )
     print(export.text)
-    more = [f"--allow-{name}" for name in ALLOWANCES if getattr(options, f"allow_{name}")]
-    then = " ".join(["quadjax verify", str(options.output), *more]).replace("_", "-")
-    print(f"Written to {options.output}. Next: {then}")
+    print(f"Written to {options.output}. Next: {verification(options)}")

@@ -505,3 +505,12 @@ def test_the_report_says_what_was_exported(exported):
     assert origin["quadjax"] == __version__ and origin["seed"] == 0
     assert origin["policy"]["sha256"] == report["policy_sha256"]
     assert report["options"]["name"] == "made"
+
+
+def test_the_next_command_names_the_folder_and_its_allowances():
+    from argparse import Namespace
+
+    from quadjax.cli.export import verification
+
+    options = Namespace(output=Path("out/my_policy"), allow_unfinished=True, allow_other_race=False)
+    assert verification(options) == "quadjax verify out/my_policy --allow-unfinished"
