@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.loading import config_of, load_config
+from quadjax.config.loading import load_config
 from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
+from quadjax.config.stored import stored_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS
 from quadjax.policy.file import Policy
@@ -63,7 +64,7 @@ def find_config(
         The configuration, and where it came from.
 
     Raises:
-        InputError: a file that cannot be read.
+        InputError: a file that cannot be read, or a policy file whose config names code.
     """
     beside = file.parent / CONFIG_FILE if file else None
     if isinstance(config, Config):
@@ -72,7 +73,7 @@ def find_config(
         found, origin = load_config(config), str(config)
     elif policy.config is not None:
         origin = "the policy file's config"
-        found = config_of(policy.config, f"{file.name if file else 'policy'}: config")
+        found = stored_config(policy.config, file.name if file else "policy")
     elif beside is not None and beside.is_file():
         found, origin = load_config(beside), str(beside)
     else:

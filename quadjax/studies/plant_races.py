@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.loading import config_of
 from quadjax.config.race import build_vehicle, race_of
 from quadjax.config.schema import Config
+from quadjax.config.stored import stored_config
 from quadjax.core.errors import InputError
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Plan, plan_flights
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race
+
+PARTS = ("vehicle", "track", "battery")  # sections of a stored config that describe the drone
 
 
 def plan_race(
@@ -45,7 +47,8 @@ def race_config(config: Config, policy: Policy) -> Config:
     vehicle = config.vehicle.with_model(policy.vehicle)
     battery = config.battery
     if policy.config is not None:
-        own = config_of(policy.config, "the config of the policy file")
+        parts = {key: policy.config[key] for key in PARTS if key in policy.config}
+        own = stored_config(parts, "policy file")
         vehicle, battery = vehicle.replace(constants=own.vehicle.constants), own.battery
     return config.replace(
         vehicle=vehicle.replace(mismatch={}),

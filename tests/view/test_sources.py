@@ -167,8 +167,14 @@ def test_code_that_a_policy_file_names_is_not_imported(tmp_path, capsys):
         config = {**meta["config"], section: {**meta["config"][section], key: value}}
         path = tmp_path / f"{section}.npz"
         write_npz(path, arrays, {**meta, "config": config})
-        assert run("view", path, "--output", tmp_path / "out.html") == 2
-        assert "code that a policy file names is not imported" in capsys.readouterr().err
+        for command in (
+            ("view", path, "--output", tmp_path / "out.html"),
+            ("export", path, "--output", tmp_path / "out"),
+            ("results", path),
+            ("replay", tmp_path / "log.csv", "--policy", path),
+        ):
+            assert run(*command) == 2
+            assert "code that a policy file names is not imported" in capsys.readouterr().err
     assert "antigravity" not in sys.modules
 
 
