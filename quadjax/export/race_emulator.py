@@ -116,16 +116,26 @@ def gate_event(
     tables: RaceTables, before: np.ndarray, after: np.ndarray, target: np.ndarray
 ) -> np.ndarray:
     """The event (n,) of steps from positions ``before`` to ``after`` (n, 3), integers."""
-    cosine, sine = tables.gate_cos[target], tables.gate_sin[target]
     old = before - tables.gate_position[target]
     new = after - tables.gate_position[target]
-    was, now = (_rotate(x, cosine, sine) for x in (old, new))
+    was, now = (_in_opening(tables, x, target) for x in (old, new))
     half = tables.half_size[target]
     if tables.world_box:
         aside = np.maximum(np.abs(new[:, 0]), np.abs(new[:, 1]))
         inside = (aside < half[:, 0]) & (np.abs(new[:, 2]) < half[:, 1])
     else:
-        right, down = (round_shift(x, INPUT_BITS) for x in now[1:])
-        inside = (np.abs(right) <= half[:, 0]) & (np.abs(down) <= half[:, 1])
+        right, down = (np.abs(round_shift(x, INPUT_BITS)) for x in now[1:])
+        inside = (right <= half[:, 0]) & (down <= half[:, 1])
+        if tables.circle is not None:
+            right, down = (np.minimum(x, half[:, 0]) for x in (right, down))
+            within = right * right + down * down <= half[:, 0] * half[:, 0]
+            inside &= within | ~tables.circle[target]
     crossed = (was[0] < 0) & (now[0] >= 0)
     return np.where(crossed, np.where(inside, PASSED, MISSED), NO_EVENT)
+
+
+def _in_opening(tables: RaceTables, vector: np.ndarray, target: np.ndarray) -> list[np.ndarray]:
+    """Along the gate's own axes, in Q30 of the vector's units."""
+    if tables.axes is None:
+        return _rotate(vector, tables.gate_cos[target], tables.gate_sin[target])
+    return list(np.einsum("nij,nj->in", tables.axes[target], vector))

@@ -17,6 +17,7 @@ import numpy as np
 
 from quadjax.core import quaternion
 from quadjax.core.errors import InputError
+from quadjax.core.frames import world_to_body
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Vec3
 from quadjax.export.integers import ONE
@@ -119,6 +120,9 @@ class RaceTables:
     half_size: np.ndarray  # (gates, 2) int64 half width and height, in position units
     next_gate: np.ndarray  # (gates, n) int64, network inputs that depend on the gate alone
     world_box: bool  # a gate's opening is tested along the world's axes, not its own
+    # (gates, 3, 3) int64 Q30: directions through, to the right and down; None: all upright
+    axes: np.ndarray | None = None
+    circle: np.ndarray | None = None  # (gates,) bool, round openings; None: all rectangles
 
     @property
     def gates(self) -> int:
@@ -147,7 +151,8 @@ class RaceTables:
         rotated = kinds & {POSITION, VELOCITY, ROTATION}
         own_axes = set() if self.world_box else {"own axes"}
         needed = {
-            "across": rotated | own_axes,
+            "along": rotated | ({"plane"} if self.axes is None else set()),
+            "across": rotated | (own_axes if self.axes is None else set()),
             "round_shift": kinds - {COPY, GATE} | own_axes,
             "hold": kinds - {COPY, GATE},
             "wrap": kinds & {ATTITUDE},
@@ -215,12 +220,10 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
         params: whose track it has.
 
     Raises:
-        InputError: a gate that is tilted, round, or farther away than 2^15 m, or a next gate
-            outside the network's box.
+        InputError: a gate that is farther away than 2^15 m, or a next gate outside the network's
+            box.
     """
     track = params.track
-    if track.opening is not None or track.circle is not None:
-        raise InputError("the track has tilted or round gates, allowed: upright rectangles")
     position = np.stack([np.asarray(c, np.float64) for c in track.position.components()], axis=1)
     reach = float(np.abs(position).max()) + box.limit("position")
     world = max(5, math.ceil(math.log2(reach)))
@@ -242,7 +245,20 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
         half_size=np.rint(half.astype(np.float64) * unit).astype(np.int64),
         next_gate=_gate_constants(box, track),
         world_box=choices.gate_test == "world_box",
+        axes=_gate_axes(track),
+        circle=None if track.circle is None else np.asarray(track.circle),
     )
+
+
+def _gate_axes(track: Track) -> np.ndarray | None:
+    """Each gate's axes (gates, 3, 3) in the world, Q30; None where all gates are upright."""
+    if track.opening is None:
+        return None
+    axes = []
+    for axis in np.eye(3):
+        seen = world_to_body(track.opening, Vec3(*jnp.float32(axis)))
+        axes.append(np.stack([np.asarray(x, np.float64) for x in seen.components()], axis=1))
+    return np.rint(np.stack(axes, axis=2) * ONE).astype(np.int64)
 
 
 def next_gates(track: Track) -> dict[str, np.ndarray]:

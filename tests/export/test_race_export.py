@@ -1,5 +1,6 @@
 """The observation, the gate logic and the estimator in fixed point, beside the Python."""
 
+import ctypes
 import dataclasses
 import math
 
@@ -121,6 +122,43 @@ def test_gates_along_a_wandering_path_are_the_simulators(config):
     events = race_emulator.gate_event(tables, q[:-1], q[1:], targets[:-1])
     assert np.array_equal(events == race_emulator.PASSED, targets[1:] != targets[:-1])
     assert np.sum(events == race_emulator.PASSED) > 5 and np.sum(events == race_emulator.MISSED) > 5
+
+
+TILTED = {
+    "tilted": "pitch_deg: -35, roll_deg: 20",
+    "round": "shape: circle",
+    "tilted and round": "pitch_deg: -35, shape: circle",
+}
+
+
+@pytest.mark.parametrize("kind", TILTED)
+def test_tilted_and_round_gates_are_the_simulators(kind, tmp_path):
+    (tmp_path / "track.yaml").write_text(
+        f"gates:\n  - {{position: [0, 2, -2], yaw_deg: 30, {TILTED[kind]}}}\n"
+        "  - {position: [3, 0, -1.5], yaw_deg: -80}\n"
+    )
+    policy = made_policy(8)
+    own = own_race(policy, track=str(tmp_path / "track.yaml"))
+    network = convert(policy)
+    tables = make_tables(network.box, policy, own.choices, own.params)
+    assert (tables.axes is None, tables.circle is None) == (kind == "round", kind == "tilted")
+    positions, targets = flights.wander(own, 6000)
+    q = np.trunc(positions.astype(np.float64) * 2.0 ** (30 - tables.exponents[0])).astype(np.int64)
+    events = race_emulator.gate_event(tables, q[:-1], q[1:], targets[:-1])
+    assert np.array_equal(events == race_emulator.PASSED, targets[1:] != targets[:-1])
+    assert np.sum(events == race_emulator.PASSED) > 5 and np.sum(events == race_emulator.MISSED) > 5
+    states = random_states(np.random.default_rng(0), 8, "motor")
+    files = emit_network(network, ORIGIN, None)
+    files |= emit_race(tables, network, ORIGIN, states, np.arange(8) % tables.gates)
+    for file, text in files.items():
+        (tmp_path / file).write_text(text)
+    sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
+    library = load_library(host(), sources, tmp_path / "made.so", WARNINGS)
+    race = (ctypes.c_uint32 * 16)()
+    points = np.ascontiguousarray(positions, np.float32)
+    at = [points[i : i + 1].ctypes.data_as(ctypes.c_void_p) for i in range(len(points))]
+    library.made_race_start(race, at[0], int(targets[0]))
+    assert [library.made_race_update(race, point) for point in at[1:]] == events.tolist()
 
 
 def test_a_policys_own_limits_are_the_vehicles():

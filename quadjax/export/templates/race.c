@@ -44,14 +44,24 @@ typedef struct {
   int32_t half_width;   /* of the opening, units of the position */
   int32_t half_height;  /* of the opening, units of the position */
   int64_t yaw;          /* rad, Q30 */
+{% if race.axes is not none %}
+  int32_t axis[3][3];   /* directions through the gate, to its right and down, world, Q30 */
+{% endif %}
+{% if race.circle is not none %}
+  bool is_round;        /* the opening is a circle of radius half_width */
+{% endif %}
 {% if race.next_gate.shape[1] %}
   int32_t next[${race.next_gate.shape[1]}];      /* inputs: the next gate's position and yaw from this one */
 {% endif %}
 } gate;
 
+{% macro opening(g) %}
+{%- if race.axes is not none %}, {{${race.axes[g][0] | join(", ")}}, {${race.axes[g][1] | join(", ")}}, {${race.axes[g][2] | join(", ")}}}{% endif -%}
+{%- if race.circle is not none %}, ${"true" if race.circle[g] else "false"}{% endif -%}
+{% endmacro %}
 static const gate track[${NAME}_GATES] = {
 {% for g in range(race.gates) %}
-    {{${race.gate_position[g] | join(", ")}}, ${race.gate_cos[g]}, ${race.gate_sin[g]}, ${race.half_size[g] | join(", ")}, ${race.gate_yaw[g] | int64}${"," if race.next_gate.shape[1] else ("}" if loop.last else "},")}
+    {{${race.gate_position[g] | join(", ")}}, ${race.gate_cos[g]}, ${race.gate_sin[g]}, ${race.half_size[g] | join(", ")}, ${race.gate_yaw[g] | int64}${opening(g)}${"," if race.next_gate.shape[1] else ("}" if loop.last else "},")}
 {% if race.next_gate.shape[1] %}
      {${race.next_gate[g] | join(", ")}}}${"" if loop.last else ","}
 {% endif %}
@@ -87,7 +97,9 @@ static int32_t hold(int64_t value, uint32_t *outside, uint32_t input) {
 
 {% endif %}
 /* x through the gate, y to its right; the result before its shift, Q30 times the units of x. */
+{% if "along" in race.helpers %}
 static int64_t along(const gate *g, int64_t x, int64_t y) { return g->cosine * x + g->sine * y; }
+{% endif %}
 {% if "across" in race.helpers %}
 static int64_t across(const gate *g, int64_t x, int64_t y) { return g->cosine * y - g->sine * x; }
 {% endif %}
@@ -215,6 +227,13 @@ void ${name}_race_start(${name}_race *race, const float position[3], uint32_t ta
 
 static int64_t magnitude(int64_t value) { return (value < 0) ? -value : value; }
 
+{% if race.axes is not none %}
+/* A vector along an axis of length one, Q30 times its units: three products below 2^61. */
+static int64_t on_axis(const int32_t axis[3], int64_t x, int64_t y, int64_t z) {
+  return axis[0] * x + axis[1] * y + axis[2] * z;
+}
+
+{% endif %}
 {% if race.world_box %}
 /* Whether a point, relative to the gate's centre, is within the opening: along the world's axes. */
 static bool is_inside(const gate *g, int64_t x, int64_t y, int64_t z) {
@@ -224,8 +243,27 @@ static bool is_inside(const gate *g, int64_t x, int64_t y, int64_t z) {
 {% else %}
 /* Whether a point, relative to the gate's centre, is within the opening: along the gate's axes. */
 static bool is_inside(const gate *g, int64_t x, int64_t y, int64_t z) {
+{% if race.axes is none and race.circle is none %}
   return (magnitude(round_shift(across(g, x, y), Q30)) <= g->half_width) &&
          (magnitude(z) <= g->half_height);
+{% else %}
+{% if race.axes is none %}
+  const int64_t right = magnitude(round_shift(across(g, x, y), Q30));
+  const int64_t down = magnitude(z);
+{% else %}
+  const int64_t right = magnitude(round_shift(on_axis(g->axis[1], x, y, z), Q30));
+  const int64_t down = magnitude(round_shift(on_axis(g->axis[2], x, y, z), Q30));
+{% endif %}
+  const bool inside = (right <= g->half_width) && (down <= g->half_height);
+{% if race.circle is none %}
+  return inside;
+{% else %}
+  if (!inside || !g->is_round) { /* inside: both are below 2^31, and their squares below 2^62 */
+    return inside;
+  }
+  return right * right + down * down <= (int64_t)g->half_width * g->half_width;
+{% endif %}
+{% endif %}
 }
 {% endif %}
 
@@ -234,9 +272,16 @@ static ${name}_event crossing(const gate *g, const int32_t before[3], const int3
   const int64_t x = (int64_t)after[0] - g->position[0];
   const int64_t y = (int64_t)after[1] - g->position[1];
   const int64_t z = (int64_t)after[2] - g->position[2];
+{% if race.axes is none %}
   const int64_t was = along(g, (int64_t)before[0] - g->position[0],
                             (int64_t)before[1] - g->position[1]);
   if ((was >= 0) || (along(g, x, y) < 0)) {
+{% else %}
+  const int64_t was = on_axis(g->axis[0], (int64_t)before[0] - g->position[0],
+                              (int64_t)before[1] - g->position[1],
+                              (int64_t)before[2] - g->position[2]);
+  if ((was >= 0) || (on_axis(g->axis[0], x, y, z) < 0)) {
+{% endif %}
     return ${NAME}_NO_EVENT;
   }
   return is_inside(g, x, y, z) ? ${NAME}_GATE_PASSED : ${NAME}_GATE_MISSED;
