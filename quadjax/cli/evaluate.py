@@ -37,10 +37,11 @@ FIGURES = {  # methods of an evaluation by the options that write their figures
     "signals": "plot_signals",
     "attitude": "plot_attitude",
 }
-NOT_ROBUSTNESS = (  # options that have no effect on the flights of --robustness
-    *("laps", "gates", "start", "deterministic", "fixed_point", "offsets", "states", "figure"),
+NOT_STUDIES = (  # options that have no effect on the flights of --robustness and --random-tracks
+    *("gates", "start", "deterministic", "fixed_point", "offsets", "states", "figure"),
     *("figure_3d", "signals", "attitude", "animation", "body"),
 )
+NOT_RANDOM_TRACKS = ("robustness", "runs")
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -69,6 +70,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "1 m before a gate, with all constants drawn from ±0, 10, 20 and 30%%",
     )
     parser.add_argument("--seconds", type=count, help="with --robustness: of a flight")
+    parser.add_argument(
+        "--random-tracks",
+        type=count,
+        metavar="N",
+        help="print finished flights and laps of one flight from hover on each of N random tracks: "
+        "those of randomization.tracks, with the seeds that follow",
+    )
     parser.add_argument("--json", metavar="FILE.json", help="write the laps")
     parser.add_argument(
         "--offsets", action="store_true", help="print the distances from the gates' centers"
@@ -82,8 +90,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parse(parser, argv)
     if arguments.seconds and not arguments.robustness:
         raise InputError("--seconds is allowed only with --robustness")
-    if arguments.robustness:
-        _refuse_others(arguments)
+    for option in ("robustness", "random_tracks"):
+        if getattr(arguments, option):
+            _refuse_others(arguments, option)
     if arguments.ranges and not arguments.fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
     pictures = dict.fromkeys(FIGURES, PICTURES) | {"animation": (".gif",)}
@@ -91,11 +100,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     return arguments
 
 
-def _refuse_others(arguments: argparse.Namespace) -> None:
-    """Refuse options that have no effect with --robustness."""
-    for name in NOT_ROBUSTNESS:
+def _refuse_others(arguments: argparse.Namespace, option: str) -> None:
+    """Refuse options that have no effect with --robustness or --random-tracks."""
+    unused = NOT_STUDIES + (NOT_RANDOM_TRACKS if option == "random_tracks" else ("laps",))
+    for name in unused:
         if getattr(arguments, name) not in (None, False, "hover"):
-            raise InputError(f"--{name.replace('_', '-')} is not allowed with --robustness")
+            given, other = (each.replace("_", "-") for each in (name, option))
+            raise InputError(f"--{given} is not allowed with --{other}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -113,6 +124,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     pilot.fit_race(*race_of(config), policy, options.policy)
     if options.robustness:
         return _robustness(config, policy, options, console)
+    if options.random_tracks:
+        return _random_tracks(config, policy, options, console)
     with console.status("compiling and simulating"):
         evaluations = _evaluate_all(config, policy, options)
     print(lap_table(evaluations))
@@ -136,6 +149,27 @@ def _robustness(
         flights = [each.to_json() for each in found]
         origin = provenance(config, options.policy, options.seed)
         write_json(options.json, {"flights": flights, "seconds": seconds, "provenance": origin})
+        console.print(f"wrote {options.json}", highlight=False)
+    return 0
+
+
+def _random_tracks(
+    config: "Config", policy: "Policy", options: argparse.Namespace, console: Console
+) -> int:
+    """Fly on random tracks, print the table and write the numbers."""
+    from quadjax.core.files import write_json
+    from quadjax.core.provenance import provenance
+    from quadjax.race.random_track import RandomTracks
+    from quadjax.studies.random_tracks import fly_random_tracks
+
+    trained = config.randomization.tracks or RandomTracks()
+    tracks = trained.replace(seed=trained.seed + trained.count, count=options.random_tracks)
+    with console.status("compiling and simulating"):
+        found = fly_random_tracks(policy, config, tracks, options.laps or 3, options.policy)
+    print(found.table())
+    if options.json:
+        origin = provenance(config, options.policy, options.seed)
+        write_json(options.json, found.to_json() | {"provenance": origin})
         console.print(f"wrote {options.json}", highlight=False)
     return 0
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import jax
 
 from quadjax.config.drone_checks import GRAVITY, LEAST_TURN, check_drone, episode_seconds, refuse
-from quadjax.config.gate_checks import check_bounds, check_openings, within
+from quadjax.config.gate_checks import check_bounds, check_openings, check_random_tracks, within
 from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import value_at
@@ -19,6 +19,7 @@ RANDOMIZED = (
     "constants",
     "population",
     "width",
+    "tracks",
 )  # keys of randomization that are not groups of constants
 RATE, SMALLEST_LEG = "learner.learning_rate", 0.01  # m
 GATE_PENALTIES = ("reward.gate_edge", "reward.gate_offset")
@@ -376,6 +377,7 @@ TESTS = (
     check_bounds,
     _check_gates,
     check_openings,
+    check_random_tracks,
     _check_race_start,
     _check_start,
     _check_motion,

@@ -51,6 +51,27 @@ def check_openings(config: Config) -> None:
                 refuse("rules.gate_frame", rules.gate_frame, allowed)
 
 
+def check_random_tracks(config: Config) -> None:
+    """Check that the random tracks of training fit the starts and the rules.
+
+    Raises:
+        InputError: a start or a rule that they do not fit.
+    """
+    tracks, start, rules = config.randomization.tracks, config.start, config.rules
+    if tracks is None:
+        return
+    if start.heading == "inside_turn":
+        refuse("start.heading", start.heading, "north with randomization.tracks")
+    if start.position >= tracks.height[0]:
+        lowest = f"below {tracks.height[0]:g}, the lowest gate of randomization.tracks"
+        refuse("start.position", start.position, lowest)
+    if rules.bounds is not None:
+        refuse("rules.bounds", rules.bounds, "null with randomization.tracks")
+    if (rules.gate_frame or 0.0) > tracks.frame:
+        allowed = f"at most {tracks.frame:g}, randomization.tracks.frame"
+        refuse("rules.gate_frame", rules.gate_frame, allowed)
+
+
 def _rotation(gate: Gate) -> np.ndarray:
     """The matrix (3, 3) from the opening's frame (x through it, z its height) to the world."""
     roll, pitch, yaw = np.radians([gate.roll_deg, gate.pitch_deg, gate.yaw_deg])

@@ -1,5 +1,6 @@
 """From a config to the racing environment: its static choices and its traced parameters."""
 
+import functools
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,6 +20,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.race.battery import RaceBattery
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout
+from quadjax.race.random_track import RandomTracks, generate
 from quadjax.race.rules import Frame, Landing, Limits, Perception, RewardWeights
 from quadjax.race.start import DisturbanceRange, StartRange
 from quadjax.race.track import Pose, Track, inside_turn, make_track
@@ -117,6 +119,19 @@ def build_track(track: schema.Track) -> Track:
     )
 
 
+@functools.lru_cache(maxsize=4)
+def build_tracks(settings: RandomTracks) -> tuple[Track, float]:
+    """Random tracks as one, with (tracks, gates) of each number, and their position limit, m.
+
+    Raises:
+        InputError: settings for which no track was found.
+    """
+    trees = [generate(own) for own in settings.each]
+    tracks = [build_track(schema.Track(gates=tree["gates"])) for tree in trees]
+    limit = max(tree["rules"]["position_limit"] for tree in trees)
+    return jax.tree.map(lambda *each: jnp.stack(each), *tracks), limit
+
+
 def _pose(start: schema.TrackStart) -> Pose:
     on_ground = start.position[2] == 0
     return Pose(_vector(start.position), jnp.float32(math.radians(start.yaw_deg)), on_ground)
@@ -169,10 +184,15 @@ def build_params(config: Config) -> RaceParams:
     own, vehicle = model(config.vehicle.model), build_vehicle(config)
     track = build_track(config.track)
     inside = config.start.heading == "inside_turn"
+    tracks, limits = None, _limits(config)
+    if config.randomization.tracks is not None:
+        tracks, limit = build_tracks(config.randomization.tracks)
+        limits = limits.replace(position=jnp.maximum(limits.position, limit))
     return RaceParams(
         vehicle=vehicle,
         track=track,
-        limits=_limits(config),
+        tracks=tracks,
+        limits=limits,
         reward=_reward(config),
         start=_start_range(config.start).replace(heading=inside_turn(track) if inside else None),
         disturbance=disturbance_range(config.disturbance),

@@ -15,7 +15,7 @@ from quadjax.core.sections import Field, FolderName, Section
 from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import Curriculum, LearnerSection, Network, Schedule
-from quadjax.race.random_track import RandomTrack
+from quadjax.race.random_track import RandomTrack, RandomTracks
 from quadjax.vehicle.battery import BatteryConfig
 
 if TYPE_CHECKING:
@@ -435,11 +435,16 @@ class Randomization(Section):
         description="factor on all fractions, and on the difference between a drone of the "
         "population and the nominal one; schedule it for a curriculum",
     )
+    tracks: RandomTracks | None = Field(
+        None,
+        description="random tracks, one of which is drawn for every training episode in place of "
+        "track: {count} and the keys of track.generate; flights of evaluations are on track",
+    )
 
     @property
     def drawn(self) -> bool:
         """Whether constants are drawn."""
-        return any(value for key, value in self.__dict__.items() if key != "width")
+        return any(v for key, v in self.__dict__.items() if key not in ("width", "tracks"))
 
     def by_constant(self, model: "VehicleModel") -> dict[str, float]:
         """The fraction of each constant of a vehicle model."""

@@ -66,6 +66,7 @@ class RaceParams:
     start: start.StartRange
     disturbance: start.DisturbanceRange
     randomization: Constants  # largest relative error of each constant
+    tracks: Track | None = None  # (tracks, gates) of each number: drawn for every episode
     population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
@@ -102,6 +103,7 @@ class RaceState:
     estimate: Estimate | None = None  # where the observation is estimated; else None
     action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
     battery: BatteryState | None = None  # where the race has one
+    track: Track | None = None  # of this episode, where it is drawn; else None
 
 
 def _opaque_true(params: RaceParams) -> jax.Array:
@@ -115,8 +117,23 @@ def _vehicle_params(params: RaceParams, state: RaceState) -> VehicleParams:
     return params.vehicle.replace(constants=state.constants)
 
 
+def on_track(params: RaceParams, track: Track | None) -> RaceParams:
+    """The race on the track of one episode, if it has its own."""
+    return params if track is None else params.replace(track=track)
+
+
+def _draw_track(tracks: Track, key: jax.Array) -> Track:
+    """One of several tracks, each with equal chance."""
+    index = jax.random.randint(key, (), 0, tracks.yaw.shape[0])
+    return jax.tree.map(lambda numbers: numbers[index], tracks)
+
+
 def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     """A random start."""
+    track = None
+    if params.tracks is not None:
+        track = _draw_track(params.tracks, jax.random.fold_in(key, 3))
+        params = on_track(params, track)
     constants = params.vehicle.constants
     extra = len(dataclasses.fields(constants)) if choices.randomize else 0
     own_draws = 2 + start.draw_count(choices.model)
@@ -151,7 +168,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         part,
     )
     zero = jnp.zeros((), jnp.int32)
-    state = RaceState(drone, target, clock, zero, own, action=_no_action(choices, params))
+    before = _no_action(choices, params)
+    state = RaceState(drone, target, clock, zero, own, action=before, track=track)
     if params.battery is not None:
         rpm, own_key = choices.model.actuator_state(drone), jax.random.fold_in(key, 2)
         state = state.replace(battery=battery.drawn(params.battery, rpm, own_key))
@@ -200,6 +218,7 @@ def hover_start(
 
 def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
     """The observation (layout.size,); see ``quadjax.race.layout``."""
+    params = on_track(params, state.track)
     opaque_true = _opaque_true(params)
     g = call_materialized(gate, opaque_true, params.track, state.target)
     return jnp.stack(
@@ -305,6 +324,7 @@ def transition(
         The next state, the reward () and the outcome. A state that is not finite is replaced by
         the state before it, so that no NaN propagates; the outcome reports it.
     """
+    params = on_track(params, state.track)
     opaque_true = _opaque_true(params)
     after = call_materialized(
         functools.partial(_simulate, choices), opaque_true, params, state, action
@@ -396,14 +416,17 @@ def _estimate(
 
 
 def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
-    """The race without training limits: no gate inflation, any roll, any valid pitch."""
+    """The race without training limits: no gate inflation, any roll, any valid pitch.
+
+    It is on ``params.track``, also where the episodes of training are on random tracks.
+    """
     limits = params.limits.replace(
         gate_inflation=jnp.zeros(()),
         pitch=jnp.asarray(model.pitch_limit, jnp.float32),
         roll=jnp.asarray(jnp.inf, jnp.float32),
         yaw_rate=jnp.asarray(jnp.inf, jnp.float32),
     )
-    return params.replace(limits=limits)
+    return params.replace(limits=limits, tracks=None)
 
 
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:

@@ -87,6 +87,19 @@ class RandomTrack(Section):
         return self
 
 
+class RandomTracks(RandomTrack):
+    """Settings of several random tracks with the same number of gates."""
+
+    seed: int = Field(0, ge=0, le=2**30, description="seed of the first track; then one higher")
+    count: int = Field(256, ge=1, le=4096, description="number of tracks")
+
+    @property
+    def each(self) -> list[RandomTrack]:
+        """The settings of each track."""
+        own = self.model_dump(exclude={"count"})
+        return [RandomTrack(**own | {"seed": self.seed + i}) for i in range(self.count)]
+
+
 def generate(track: RandomTrack) -> Tree:
     """The keys ``gates`` and ``rules`` of a random track, as in a track file.
 

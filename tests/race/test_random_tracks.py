@@ -1,0 +1,92 @@
+"""Training on random tracks: one is drawn for every episode."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from quadjax import make_race
+from quadjax.cli.evaluate import main
+from quadjax.config.loading import load_config
+from quadjax.config.race import build_tracks
+from quadjax.core.errors import InputError
+from quadjax.core.resources import PRETRAINED
+from quadjax.race.random_track import RandomTracks
+
+KEYS = [
+    "randomization.tracks.count=5",
+    "randomization.tracks.seed=3",
+    "randomization.tracks.gates=6",
+]
+
+
+def race(*keys):
+    return make_race(load_config("e2e_fastest", [*KEYS, *keys, "start.heading=north"]))
+
+
+def test_every_episode_is_on_one_of_the_tracks():
+    environment, params = race()
+    reset = jax.jit(jax.vmap(environment.reset, in_axes=(None, 0)))
+    states = reset(params, jax.random.split(jax.random.key(0), 200))
+    firsts = np.asarray(params.tracks.position.x)[:, 0]
+    drawn = [int(np.flatnonzero(firsts == x)[0]) for x in np.asarray(states.track.position.x)[:, 0]]
+    assert set(drawn) == set(range(5))
+    assert np.bincount(drawn).min() > 20
+
+
+def test_a_drawn_track_is_raced_as_a_track_of_its_own():
+    environment, params = race("observation.gates_ahead=2")
+    state = environment.reset(params, jax.random.key(4))
+    alone = params.replace(track=state.track, tracks=None)
+    action = np.full(4, 0.2, np.float32)
+    step = jax.jit(environment.step)
+    for _ in range(3):
+        here = environment.observe(params, state)
+        there = environment.observe(alone, state.replace(track=None))
+        np.testing.assert_array_equal(here, there)
+        following, *rest = step(params, state, action)
+        single, *others = step(alone, state.replace(track=None), action)
+        jax.tree.map(np.testing.assert_array_equal, following.replace(track=None), single)
+        jax.tree.map(np.testing.assert_array_equal, rest, others)
+        state = following
+    assert not np.array_equal(state.track.position.x, params.track.position.x[:6])
+
+
+def test_the_position_limit_has_room_for_every_track():
+    _, params = race()
+    settings = RandomTracks(count=5, seed=3, gates=6)
+    tracks, limit = build_tracks(settings)
+    assert float(params.limits.position) >= limit
+    assert np.abs(np.asarray(tracks.position.x)).max() < limit
+    assert [each.seed for each in settings.each] == [3, 4, 5, 6, 7]
+
+
+@pytest.mark.parametrize(
+    "key, named",
+    [
+        ("start.heading=inside_turn", "start.heading is .inside_turn., allowed: north"),
+        ("start.position=1.3", "start.position is 1.3, allowed: below 1.2, the lowest gate"),
+        ("rules.gate_frame=0.5", "rules.gate_frame is 0.5, allowed: at most 0.3"),
+        ("randomization.tracks.count=0", "randomization.tracks.count is 0"),
+    ],
+)
+def test_refused(key, named):
+    with pytest.raises(InputError, match=named):
+        load_config("e2e_fastest", [*KEYS, "start.heading=north", key])
+
+
+def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
+    arguments = ["e2e_fastest", "--policy", str(PRETRAINED / "e2e_fastest.npz")]
+    arguments += ["--random-tracks", "4", "--laps", "2", "--json", str(tmp_path / "found.json")]
+    assert main(arguments) == 0
+    found = json.loads((tmp_path / "found.json").read_text())
+    done = [lap for lap in found["lap"] if lap is not None]
+    assert len(found["lap"]) == 4 and found["tracks"]["seed"] == 256
+    assert all(
+        bool(crash) == (lap is None)
+        for crash, lap in zip(found["crashes"], found["lap"], strict=True)
+    )
+    assert f"{len(done)} of 4" in capsys.readouterr().out
+    with pytest.raises(InputError, match="--runs is not allowed with --random-tracks"):
+        main([*arguments, "--runs", "3"])
