@@ -177,7 +177,7 @@ def _actuators(problem: Problem, thrust: np.ndarray) -> np.ndarray:
     given = []
     for share in shares:
         start[problem.actuator_leaves] = low + share * (high - low)
-        given.append(-leaves(model.specific_force(problem.vehicle, problem.state(start)))[2])
+        given.append(-problem.specific_force(start)[2])
     return low + np.interp(thrust, given, shares)[:, None] * (high - low)
 
 

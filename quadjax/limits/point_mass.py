@@ -52,9 +52,7 @@ def mass_of(problem: Problem) -> Mass:
     full = still.copy()
     full[problem.actuator_leaves] = high
 
-    def force(state: np.ndarray) -> np.ndarray:
-        return leaves(model.specific_force(problem.vehicle, problem.state(state)))
-
+    force = problem.specific_force
     drag = (force(still)[0] - force(fast)[0]) / speed
     return Mass(USED_FORCE * float(np.linalg.norm(force(full))), drag, gravity(problem))
 

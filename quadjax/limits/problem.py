@@ -107,6 +107,11 @@ class Problem:
         with jax.enable_x64(True):
             return leaves(self.model.hover(self.vehicle.constants, Motion(*vectors)))
 
+    def specific_force(self, state: np.ndarray) -> np.ndarray:
+        """The specific force (3,), m/s^2, body, of the leaves of a state."""
+        with jax.enable_x64(True):
+            return leaves(self.model.specific_force(self.vehicle, self.state(state)))
+
     @functools.cached_property
     def actuator_leaves(self) -> list[int]:
         """Indices of the leaves that are the actuators' state, in its order."""

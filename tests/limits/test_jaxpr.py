@@ -6,8 +6,10 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
+from quadjax.core.vectors import Rotors
 from quadjax.limits.jaxpr import translate
 from quadjax.limits.problem import leaves, make_problem
+from quadjax.vehicle.racing import motor_map
 
 casadi = pytest.importorskip("casadi")
 RACES = {
@@ -45,6 +47,17 @@ def test_the_equations_agree_with_jax(name):
             expected = leaves(model.derivative(problem.vehicle, held, problem.command(command)))
         found = np.array(slope(state, command)).ravel()
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * abs(expected).max())
+
+
+def test_the_specific_force_is_in_double_precision_after_a_simulation_in_single():
+    choices, params = race_of(load_config("e2e_race", ["vehicle=5inch"]))
+    jax.eval_shape(lambda c: motor_map(c, Rotors(*(c.k,) * 4)), params.vehicle.constants)
+    problem = make_problem(choices.model, params)
+    speeds = np.array([1000.0, 1500.0, 2000.0, 2500.0])
+    state = problem.hover_at(*np.zeros((3, 3)))
+    state[problem.actuator_leaves] = speeds
+    expected = [0.0, 0.0, -np.float64(np.float32(2.49e-06)) * np.sum(speeds**2)]
+    np.testing.assert_allclose(problem.specific_force(state), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_an_unknown_operation_is_named():
