@@ -30,6 +30,7 @@ Params = dict[str, Plain]
 
 OWN_KEYS = ("name", "seed", "run.devices", "run.tensorboard")  # set by the sweep
 RACE = ("vehicle", "track", "rules", "randomization", "disturbance", "start", "evaluate")
+TRIALS = 20  # of a sweep without a budget
 COMBINATIONS = 64  # combinations of the space's ends that are all checked
 
 
@@ -57,6 +58,14 @@ class Dimension:
     def ends(self) -> list[Plain]:
         """All choices, or both ends of a range."""
         return [*self.known.choices] if self.given.choices else [self.known.low, self.known.high]
+
+    @property
+    def size(self) -> float:
+        """The number of values; infinite for a continuous range."""
+        x = self.known
+        if self.given.choices:
+            return len(x.choices)
+        return math.inf if x.step is None else round((x.high - x.low) / x.step) + 1
 
     def grid(self) -> list[Plain]:
         """Every value of a grid; an ``InputError`` for a range without ``step`` or ``points``."""
@@ -104,11 +113,28 @@ def read_dimension(key: str, given: object, config: object) -> Dimension:
         return Dimension(key, known, kinds.IntDistribution(low, high, log, int(step or 1)))
 
 
-def draws(dimensions: Sequence[Dimension], count: int, seed: int) -> list[Params]:
-    """Random parameters; the first ones of a longer list are the same."""
+def draws(
+    dimensions: Sequence[Dimension], count: int, seed: int, first: Sequence[Params] = ()
+) -> list[Params]:
+    """Random parameters after the ``first`` ones, up to ``count``.
+
+    All differ until the space has no others. The first ones of a longer list are the same.
+    """
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
-    space = {d.key: d.known for d in dimensions}
-    return [study.ask(space).params for _ in range(count)]
+    space, size = {d.key: d.known for d in dimensions}, size_of(dimensions)
+    found, seen = [*first], {tuple(x[d.key] for d in dimensions) for x in first}
+    while len(found) < count:
+        params = study.ask(space).params
+        key = tuple(params[d.key] for d in dimensions)
+        if key not in seen or len(seen) >= size:
+            found.append(params)
+            seen.add(key)
+    return found
+
+
+def size_of(dimensions: Sequence[Dimension]) -> float:
+    """The number of points of a search space; infinite where a key is continuous."""
+    return math.prod(d.size for d in dimensions)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,11 +160,12 @@ class Sweep:
             points = itertools.product(*(d.grid() for d in self.dimensions))
             return [dict(zip(self.keys, point, strict=True)) for point in points]
         count = self.trials if search.method == "random" else min(search.startup, self.trials)
-        queue = draws(self.dimensions, count, search.seed) + [{}] * (self.trials - count)
+        first = []
         if search.base_first:
             config = load_config(self.base, self.overrides)
-            queue[0] = {d.key: plain(value_at(config, d.key)) for d in self.dimensions}
-        return queue
+            first = [{d.key: plain(value_at(config, d.key)) for d in self.dimensions}]
+        drawn = draws(self.dimensions, count, search.seed, first)
+        return [*drawn, *({} for _ in range(self.trials - count))]
 
     @property
     def keys(self) -> list[str]:
@@ -178,19 +205,31 @@ def _checked(file: SweepFile, base: Path) -> Sweep:
     conditions = tuple(override(k, v) for k, v in (race | file.conditions).items())
     load_config(base, (*fixed, *conditions))
     _check_plant(file, config)
-    trials = file.budget.trials or 20
-    if file.search.method == "grid":
-        trials = math.prod(len(d.grid()) for d in dimensions)
-        most = file.budget.trials or MAX_TRIALS
-        if trials > most:
-            raise InputError(f"the grid has {trials} points, allowed by budget.trials: {most}")
-    sweep = Sweep(file, base, fixed, dimensions, trials, conditions)
+    sweep = Sweep(file, base, fixed, dimensions, _trials(file, dimensions), conditions)
     for d in dimensions if file.search.base_first else ():
         first, ends = plain(value_at(config, d.key)), d.ends()
         if first not in ends and (d.given.choices is not None or not ends[0] < first < ends[1]):
             raise InputError(f"space.{d.key}: search.base_first needs the base's {first} in it")
     _check_values(sweep)
+    size = size_of(dimensions)
+    if file.search.method == "random" and sweep.trials > size:
+        most = f"{size:.0f}, the number of points of the space"
+        raise InputError(f"budget.trials is {sweep.trials}, allowed: at most {most}")
     return sweep
+
+
+def _trials(file: SweepFile, dimensions: Sequence[Dimension]) -> int:
+    """The budget, or all points of a grid or of a small space that is searched at random."""
+    given, size = file.budget.trials, size_of(dimensions)
+    if file.search.method == "grid":
+        points = math.prod(len(d.grid()) for d in dimensions)
+        most = given or MAX_TRIALS
+        if points > most:
+            raise InputError(f"the grid has {points} points, allowed by budget.trials: {most}")
+        return points
+    if file.search.method == "tpe":
+        return given or TRIALS
+    return given or int(min(TRIALS, size))
 
 
 def _check_plant(file: SweepFile, config: Config) -> None:

@@ -30,6 +30,18 @@ def test_random_parameters_do_not_depend_on_the_order_of_the_trials(tmp_path):
     assert all(1e-4 <= params[RATE] <= 1e-2 and 0.1 <= params[CLIP] <= 0.3 for params in first)
 
 
+def test_a_random_search_of_choices_takes_no_point_twice(tmp_path):
+    space = {CLIP: {"choices": [0.1, 0.2, 0.3]}, "learner.num_epochs": {"range": [1, 3]}}
+    search = {"method": "random", "base_first": True}
+    for trials in (4, 9):
+        path = sweep_file(tmp_path, space=space, search=search, budget={"trials": trials})
+        points = [tuple(params.values()) for params in load_sweep(path).queue()]
+        assert points[0] == (0.2, 1) and len(set(points)) == trials
+    assert load_sweep(path, ["budget.trials=null"]).trials == 9
+    with pytest.raises(InputError, match="budget.trials is 10, .* at most 9"):
+        load_sweep(path, ["budget.trials=10"])
+
+
 def test_tpe_gets_better_and_a_grid_has_every_point(tmp_path):
     sweep, _, study = open_small(tmp_path / "tpe", "budget.trials=30", search={"method": "tpe"})
     for _ in range(30):
