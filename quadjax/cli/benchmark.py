@@ -51,6 +51,7 @@ class Job:
     num_envs: Annotated[int, Field(ge=0, le=2**20)]  # 0 for the preset's own
     repeats: Annotated[int, Field(ge=1, le=10**6)]
     seconds: Annotated[float, Field(ge=0, le=10**6)] = 0.0  # of one side of --sb3
+    steps: Annotated[int, Field(ge=0, le=10**12)] = 0  # likewise; 0: any
     devices: str = "auto"  # of a preset's training
     vehicle: str = VEHICLES[0]
 
@@ -70,10 +71,16 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar="SECONDS",
         help="only train e2e_paper for SECONDS by quadjax and by Stable-Baselines3, side by side",
     )
+    parser.add_argument("--steps", type=count, help="with --sb3: end each after so many steps")
+    parser.add_argument("--figure", metavar="FILE", help="with --sb3: draw both learning curves")
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
     parser.add_argument("--job", help=argparse.SUPPRESS)
     arguments = parse(parser, argv)
     check_writable(arguments.json)
+    for option in ("steps", "figure"):
+        if getattr(arguments, option) and not arguments.sb3:
+            raise InputError(f"--{option} has no effect without --sb3")
+    check_writable(arguments.figure, (".png", ".svg", ".pdf"))
     return arguments
 
 
@@ -89,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps(_run_job(_read_job(options.job))))
         return 0
     if options.sb3:
-        return _side_by_side(options.sb3, options.json)
+        return _side_by_side(options)
     results = _measure_all(_jobs(options.quick, options.repeats or (3 if options.quick else 7)))
     machine = results[0]["machine"]
     _print_machine(machine)
@@ -191,32 +198,42 @@ def _run_side(job: Job) -> dict[str, Any]:
         from quadjax.studies import ppo_against_sb3 as side_by_side
         from quadjax.studies.benchmark import machine
 
+    clock = side_by_side.Clock(STARTED, job.seconds, job.steps)
     if job.kind == "quadjax":
         with tempfile.TemporaryDirectory() as folder:
-            side = side_by_side.ours(config, job.seconds, STARTED, Path(folder) / "run")
+            side = side_by_side.ours(config, clock, STARTED, Path(folder) / "run")
     else:
-        side = side_by_side.stable_baselines(config, job.seconds, STARTED)
+        side = side_by_side.stable_baselines(config, clock, STARTED)
     return {"side": dataclasses.asdict(side), "machine": machine()}
 
 
-def _side_by_side(seconds: int, path: str | None) -> int:
+def _side_by_side(options: argparse.Namespace) -> int:
     """Both sides one after the other, on this machine."""
     from quadjax.config.loading import load_config
     from quadjax.core.files import write_json
+    from quadjax.core.plotting import save_figure
     from quadjax.core.provenance import provenance
-    from quadjax.studies.ppo_against_sb3 import SEED, Side, format_sides
+    from quadjax.studies.ppo_against_sb3 import SEED, Side, curves_figure, format_sides
 
-    found = _measure_all([Job(kind, SIDE_BY_SIDE, 0, 1, seconds) for kind in ("quadjax", "sb3")])
-    machine, sides = found[0]["machine"], [row["side"] for row in found]
+    seconds, steps = options.sb3, options.steps or 0
+    jobs = [Job(kind, SIDE_BY_SIDE, 0, 1, seconds, steps) for kind in ("quadjax", "sb3")]
+    found = _measure_all(jobs)
+    machine, sides = found[0]["machine"], [Side(**row["side"]) for row in found]
     _print_machine(machine)
+    most = f"{seconds} s of wall time" + (f" or {steps:,} steps" if steps else "")
     run = (
-        f"{SIDE_BY_SIDE}, seed {SEED}, {seconds} s of wall time each from the start of the "
-        "process; laps of the last policy, deterministic from hover"
+        f"{SIDE_BY_SIDE}, seed {SEED}, {most} each from the start of the process; laps of the "
+        "last policy, deterministic from hover"
     )
-    print(format_sides([Side(**side) for side in sides], run))
-    if path:
+    print(format_sides(sides, run))
+    if options.figure:
+        save_figure(curves_figure(sides, f"{SIDE_BY_SIDE}, seed {SEED}"), options.figure)
+        print(f"wrote {options.figure}")
+    if options.json:
         origin = provenance(load_config(SIDE_BY_SIDE), seed=SEED)
-        write_json(path, {"machine": machine, "run": run, "sides": sides, "provenance": origin})
+        rows = [dataclasses.asdict(side) for side in sides]
+        result = {"machine": machine, "run": run, "sides": rows, "provenance": origin}
+        write_json(options.json, result)
     return 0
 
 
