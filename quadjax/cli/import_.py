@@ -24,8 +24,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "import",
         description=__doc__,
         epilog="Example, a network of INDIflight:\n  quadjax import e2e_shac neural_network.c "
-        "track=figure8_tudelft vehicle=5inch\n    --motors 4 2 1 3 --actuator-range 0 3000 "
-        "--output policy.npz",
+        "track=figure8_tudelft vehicle=5inch\n    --activation relu --motors 4 2 1 3 "
+        "--actuator-range 0 3000 --output policy.npz",
     )
     parser.add_argument("config", metavar="CONFIG", help="a preset's name or a YAML file")
     parser.add_argument(
