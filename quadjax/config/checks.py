@@ -40,6 +40,19 @@ def check(config: Config) -> None:
     _check_used(at_end(config))
 
 
+def with_body(config: Config, radius: float) -> Config:
+    """The race of a drone with a radius, m, with gates tested where the flight crosses them.
+
+    Raises:
+        InputError: a radius for which an opening is too small.
+    """
+    config = config.replace(
+        rules=config.rules.replace(body_radius=radius, gate_test="interpolated")
+    )
+    check(config)
+    return config
+
+
 def at_end(config: Config) -> Config:
     """The config with the last value of every schedule."""
     for key, schedule in config.schedules.items():

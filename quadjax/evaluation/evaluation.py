@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.config.checks import check
+from quadjax.config import schema
+from quadjax.config.checks import with_body
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Gate
@@ -214,39 +215,21 @@ def evaluate(
     own = policy if isinstance(policy, Policy) else Policy.load(policy, config)
     name = name or ("policy" if isinstance(policy, Policy) else str(policy))
     if body_radius is not None:
-        body = config.rules.replace(body_radius=body_radius, gate_test="interpolated")
-        config = config.replace(rules=body)
-        check(config)
+        config = with_body(config, body_radius)
     if config.run.compilation_cache:
         enable_compilation_cache()
-    if laps is None and gates is None:
-        gates = config.evaluate.gates
-    elif laps is not None and gates is not None:
-        raise InputError(f"gates is {gates}, allowed: null with laps")
-    laps = config.evaluate.laps if laps is None else laps
-    runs = config.evaluate.runs if runs is None else runs
+    race = _checked_race(config.evaluate, runs, laps, gates, seed)
+    hover = start == "hover"
     if start not in ("hover", "random"):
         raise InputError(f"start is {start!r}, allowed: hover, random")
-    check_integer("laps", laps, 1, MAX_LAPS)
-    check_integer("gates", 1 if gates is None else gates, 1, MAX_GATES)
-    check_integer("runs", runs, 1, MAX_RUNS)
-    check_integer("seed", seed, 0, MAX_SEED)
     choices, params = race_of(config)
-    hover = start == "hover"
-    fly = functools.partial(
-        pilot.fly_policy,
-        choices,
-        params,
-        own,
-        laps=laps,
-        gates=gates,
-        runs=runs,
-        from_hover=hover,
-        seed=seed,
-        deterministic=deterministic,
-        actor=actor,
-        name=name,
-    )
+    how: dict[str, Any] = {
+        "from_hover": hover,
+        "deterministic": deterministic,
+        "actor": actor,
+        "name": name,
+    }
+    fly = functools.partial(pilot.fly_policy, choices, params, own, **race, **how)
     return Evaluation(
         laps=fly()[0],
         deterministic=deterministic,
@@ -254,10 +237,29 @@ def evaluate(
         gates=config.track.gates,
         time_step=config.rules.time_step,
         model=choices.model,
-        published=() if gates or deterministic else published_rows(config, laps, hover),
+        published=()
+        if race["gates"] or deterministic
+        else published_rows(config, race["laps"], hover),
         provenance=provenance(config, name, seed),
         fly=fly,
     )
+
+
+def _checked_race(
+    defaults: schema.Evaluate, runs: int | None, laps: int | None, gates: int | None, seed: int
+) -> dict[str, Any]:
+    """Arguments of ``evaluate``, with the config's values where there are none."""
+    if laps is not None and gates is not None:
+        raise InputError(f"gates is {gates}, allowed: null with laps")
+    if laps is None and gates is None:
+        gates = defaults.gates
+    laps = defaults.laps if laps is None else laps
+    runs = defaults.runs if runs is None else runs
+    check_integer("laps", laps, 1, MAX_LAPS)
+    check_integer("gates", 1 if gates is None else gates, 1, MAX_GATES)
+    check_integer("runs", runs, 1, MAX_RUNS)
+    check_integer("seed", seed, 0, MAX_SEED)
+    return {"laps": laps, "gates": gates, "runs": runs, "seed": seed}
 
 
 def lap_table(evaluations: Mapping[str, Evaluation]) -> str:

@@ -144,22 +144,13 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     if choices.stagger_clocks:
         most = params.limits.episode_steps.astype(drawn.dtype)
         clock = (0.5 * (drawn[1] + 1.0) * most).astype(jnp.int32)
-    own = None
-    if choices.mismatch:
-        own = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
-    if choices.randomize:
-        numbers = drawn[own_draws:]
-        if choices.population is None:
-            own = constants = start.draw_constants(constants, params.randomization, numbers)
-        else:
-            drone = choices.model.populations[choices.population](constants, numbers)
-            own = constants = start.towards(constants, drone, params.population_width)
+    own = _own_constants(choices, params, drawn[own_draws:])
     part = None
     if params.start.along_leg is not None:
         part = params.start.along_leg * jax.random.uniform(jax.random.fold_in(key, 1))
     drone = start.start(
         choices.model,
-        constants,
+        constants if own is None else own,
         params.track,
         params.start,
         params.disturbance,
@@ -174,6 +165,19 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         rpm, own_key = choices.model.actuator_state(drone), jax.random.fold_in(key, 2)
         state = state.replace(battery=battery.drawn(params.battery, rpm, own_key))
     return with_estimate(choices, params, state)
+
+
+def _own_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> Constants | None:
+    """The constants of one episode, of numbers (n,) in [-1, 1]; None: those of ``params``."""
+    constants, own = params.vehicle.constants, None
+    if choices.mismatch:
+        own = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
+    if not choices.randomize:
+        return own
+    if choices.population is None:
+        return start.draw_constants(constants, params.randomization, numbers)
+    drone = choices.model.populations[choices.population](constants, numbers)
+    return start.towards(constants, drone, params.population_width)
 
 
 def _no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
