@@ -98,6 +98,12 @@ def write_text(path: Path | str, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def write_bytes(path: Path | str, data: bytes) -> None:
+    """Write a binary file atomically."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(data)
+
+
 def write_csv(path: Path | str, rows: Iterable[Sequence[object]]) -> None:
     """Write rows as a CSV file, atomically."""
     with (

@@ -20,10 +20,19 @@ from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork, convert
 from quadjax.export.flights import Rollouts
 from quadjax.export.indiflight import emit_indiflight
 from quadjax.export.proof import Proof, prove
+from quadjax.export.qjp.emit import emit_loader
+from quadjax.export.qjp.policy import make_qjp, qjp_bytes
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import RaceTables, make_tables, track_ranges
 from quadjax.export.render import identifier, is_reserved, shared_symbols
-from quadjax.export.targets import DEFAULT_TARGET, INDIFLIGHT, PAPARAZZI, TARGETS, Target
+from quadjax.export.targets import (
+    AS_FILE,
+    DEFAULT_TARGET,
+    INDIFLIGHT,
+    PAPARAZZI,
+    TARGETS,
+    Target,
+)
 from quadjax.policy.file import Policy
 
 COMMENT_WIDTH = 96
@@ -75,7 +84,18 @@ class Converted:
             files |= emit_paparazzi(network, origin, self.race, self.estimator)
         if self.target.autopilot == INDIFLIGHT:
             files |= emit_indiflight(files, network, origin, self.race, self.own, self.policy)
+        if self.target.autopilot in AS_FILE:
+            files |= emit_loader()
         return files
+
+    def binaries(self) -> dict[str, bytes]:
+        """Every other emitted file, by its path in the folder: the policy as a ``.qjp`` file."""
+        if self.target.autopilot not in AS_FILE:
+            return {}
+        rows, step = self.rollouts, self.own.time_step
+        parts = (self.network, self.race, self.origin.policy_hash, step)
+        tests = (rows.observations, rows.states, rows.targets)
+        return {f"{self.origin.name}.qjp": qjp_bytes(make_qjp(self.origin.name, *parts, *tests))}
 
 
 def sha256(path: Path) -> str:

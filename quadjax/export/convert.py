@@ -10,7 +10,7 @@ from pathlib import Path
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, writing
-from quadjax.core.files import whole_file, write_json, write_npz, write_text
+from quadjax.core.files import whole_file, write_bytes, write_json, write_npz, write_text
 from quadjax.core.folders import claim, replacement
 from quadjax.core.provenance import provenance
 from quadjax.export.conversion import (
@@ -112,6 +112,7 @@ def export_c(
         f"{symbol}[._]*",
         "paparazzi",
         "indiflight*",
+        "qjp",
     )
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, sample_rate, cutoff)
@@ -155,8 +156,9 @@ def _check_folder(folder: Path, name: str) -> None:
 
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
-    autopilots = ("paparazzi", "indiflight", "indiflight_2026")
-    return (f"{name}_estimator.c", f"{name}_estimator.h", RESIDUAL_FILE, *autopilots)
+    autopilots = ("paparazzi", "indiflight", "indiflight_2026", "qjp")
+    own = (f"{name}_estimator.c", f"{name}_estimator.h", f"{name}.qjp")
+    return (*own, RESIDUAL_FILE, *autopilots)
 
 
 def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:
@@ -168,6 +170,8 @@ def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> No
     }
     for file, text in texts.items():
         write_text(folder / file, text)
+    for file, data in converted.binaries().items():
+        write_bytes(folder / file, data)
     for file, source in ((POLICY_FILE, policy), (RESIDUAL_FILE, converted.own.residual)):
         if source is not None:
             with whole_file(folder / file) as temporary:

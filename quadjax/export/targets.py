@@ -9,6 +9,7 @@ import dataclasses
 from quadjax.core.errors import InputError
 
 PAPARAZZI, INDIFLIGHT = "Paparazzi", "INDIflight"
+QJP = ".qjp"  # any autopilot that loads the policy as a file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,6 +21,7 @@ class Target:
     autopilot: str | None  # None: no files but those that every autopilot can use
 
 
+AS_FILE = (QJP,)  # autopilots that load NAME.qjp
 TARGETS = {
     target.name: target
     for target in (
@@ -27,6 +29,7 @@ TARGETS = {
         Target("cortex-m7", "Cortex-M7", None),
         Target("cortex-m4", "Cortex-M4", None),
         Target("indiflight", "Cortex-M7", INDIFLIGHT),
+        Target("qjp", "Cortex-M7", QJP),
     )
 }
 DEFAULT_TARGET = "cortex-a9"

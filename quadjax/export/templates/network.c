@@ -52,40 +52,7 @@ ${table("int64_t", "bias_" ~ loop.index0, layer.bias)}
 /* A float of magnitude 2^e has the exponent field 127 + e. */
 static const int8_t range_exponent[${NAME}_INPUTS] = {${network.box.exponents | join(", ")}};
 
-enum {
-  EXPONENT_SHIFT = 23,
-  EXPONENT_BIAS = 127,
-  /* significand * 2^(field - 127 - 23) * 2^30 / 2^e is a shift by field - 120 - e */
-  SHIFT_BIAS = 120
-};
-#define MAGNITUDE_MASK UINT32_C(0x7FFFFFFF)
-#define FRACTION_MASK UINT32_C(0x007FFFFF)
-#define HIDDEN_ONE UINT32_C(0x00800000)
-#define INFINITY_BITS UINT32_C(0x7F800000)
-
-${c.bits_of("float_bits")}
-/* By the bits of the float, so that no compiler flag, rounding mode or missing FPU matters. */
-int32_t ${name}_quantize_one(uint32_t bits, int32_t exponent, uint32_t *clipped, uint32_t *nan) {
-  const uint32_t limit = (uint32_t)(EXPONENT_BIAS + exponent) << EXPONENT_SHIFT;
-  uint32_t magnitude = bits & MAGNITUDE_MASK;
-  *nan = (magnitude > INFINITY_BITS) ? 1U : 0U;
-  *clipped = ((magnitude > limit) ? 1U : 0U) & ~*nan;
-  magnitude = (magnitude > limit) ? limit : magnitude;
-  const uint32_t field = magnitude >> EXPONENT_SHIFT;
-  const uint32_t significand = (magnitude & FRACTION_MASK) | HIDDEN_ONE;
-  /* field is at most 127 + exponent, so the shift to the left is at most 7. One to the right by
-   * more than 24 gives zero, subnormal numbers included: 31 stands for all of those. */
-  const int32_t shift = (int32_t)field - SHIFT_BIAS - exponent;
-  const uint32_t negative = 0U - ((uint32_t)shift >> 31);
-  const uint32_t left = (uint32_t)shift & ~negative & 7U;
-  uint32_t right = (0U - (uint32_t)shift) & negative;
-  right = (right > 31U) ? 31U : right;
-  uint32_t value = (significand << left) >> right;
-  value = (value > (UINT32_C(1) << 30)) ? (UINT32_C(1) << 30) : value; /* it is not: a guard */
-  /* Factors of 1, -1 and 0 rather than branches: the time is the same for all data. */
-  const int32_t sign = 1 - (int32_t)((bits >> 31) << 1);
-  return (int32_t)value * sign * (int32_t)(1U - *nan);
-}
+{% include "quantize_one.c" %}
 
 ${name}_status ${name}_quantize(const float x[${NAME}_INPUTS], int32_t q[${NAME}_INPUTS]) {
   ${name}_status status = {0U, 0U};
@@ -100,66 +67,7 @@ ${c.quantize_all("q", NAME ~ "_INPUTS", name ~ "_quantize_one(float_bits(x[i]), 
 #define KERNEL static
 #endif
 
-/* Columns that a turn of the scalar kernel takes; every count of columns is a multiple of it. */
-enum { COLUMNS_PER_TURN = 8 };
-
-/* Two rows at a time: their sums, their weights and the input are what the registers of a 32-bit ARM
- * hold without spilling. ${NAME}_PORTABLE leaves the assembly out. */
-#if defined(__arm__) && defined(__GNUC__) && defined(__ARM_ARCH) && !defined(${NAME}_PORTABLE)
-#if (__ARM_ARCH >= 7) && (defined(__ARM_ARCH_ISA_ARM) || (__ARM_ARCH_ISA_THUMB >= 2))
-#define HAS_SMLAL 1
-#endif
-#endif
-
-#ifdef HAS_SMLAL
-/* Every ARMv7 has LDRD and SMLAL, Cortex-M included; compilers use the first one rarely. Two
- * columns: weights at offset a and b, inputs in r8 and r9. */
-#define TWO_COLUMNS(first, second) \
-  "ldrd r8, r9, [%[x]], #8\n\t" first "ldrd r4, r5, [%[w], #" second "]\n\t" \
-  "smlal %Q[a], %R[a], r2, r8\n\tsmlal %Q[b], %R[b], r3, r8\n\t" \
-  "smlal %Q[a], %R[a], r4, r9\n\tsmlal %Q[b], %R[b], r5, r9\n\t"
-#define WEIGHTS(offset) "ldrd r2, r3, [%[w], #" offset "]\n\t"
-
-static inline void sums_of_two(const int32_t *weight, const int64_t *bias, const int32_t *x,
-                               uint32_t columns, int64_t sums[2]) {
-  int64_t sum_0 = bias[0];
-  int64_t sum_1 = bias[1];
-  for (const int32_t *const end = x + columns; x != end;) {
-    __asm__(TWO_COLUMNS("ldrd r2, r3, [%[w]], #128\n\t", "-112")
-            TWO_COLUMNS(WEIGHTS("-96"), "-80")
-            TWO_COLUMNS(WEIGHTS("-64"), "-48")
-            TWO_COLUMNS(WEIGHTS("-32"), "-16")
-            : [a] "+r"(sum_0), [b] "+r"(sum_1), [w] "+r"(weight), [x] "+r"(x)
-            :
-            : "r2", "r3", "r4", "r5", "r8", "r9", "memory");
-  }
-  sums[0] = sum_0;
-  sums[1] = sum_1;
-}
-#else
-static inline void sums_of_two(const int32_t *restrict weight, const int64_t *restrict bias,
-                               const int32_t *restrict x, uint32_t columns, int64_t sums[2]) {
-  int64_t sum_0 = bias[0];
-  int64_t sum_1 = bias[1];
-  for (const int32_t *const end = x + columns; x != end; x += COLUMNS_PER_TURN) {
-    for (uint32_t column = 0U; column < (uint32_t)COLUMNS_PER_TURN; ++column) {
-      const int64_t value = x[column];
-      sum_0 += weight[0] * value;
-      sum_1 += weight[1] * value;
-      weight += ROWS_PER_BLOCK;
-    }
-  }
-  sums[0] = sum_0;
-  sums[1] = sum_1;
-}
-#endif
-
-KERNEL void sums_scalar(const int32_t *restrict weight, const int64_t *restrict bias,
-                        const int32_t *restrict x, uint32_t columns,
-                        int64_t sums[ROWS_PER_BLOCK]) {
-  sums_of_two(weight, bias, x, columns, sums);
-  sums_of_two(weight + 2, bias + 2, x, columns, sums + 2);
-}
+{% include "scalar_kernel.c" %}
 
 #if ${NAME}_HAS_NEON
 #if NEON_NEEDS_TARGET
@@ -216,23 +124,7 @@ static void block_sums(${name}_kernel kernel, const int32_t *weight, const int64
 
 /* ---- layers ----------------------------------------------------------------------------------- */
 
-#define DIGEST_START UINT32_C(2166136261) /* FNV-1a over 32-bit words */
-#define DIGEST_FACTOR UINT32_C(16777619)
-
-static uint32_t digest_word(uint32_t digest, uint32_t word) {
-  return (digest ^ word) * DIGEST_FACTOR;
-}
-
-static uint32_t digest_long(uint32_t digest, int64_t value) {
-  const uint64_t bits = (uint64_t)value;
-  return digest_word(digest_word(digest, (uint32_t)bits), (uint32_t)(bits >> 32));
-}
-
-static void digest_sums(uint32_t *trace, const int64_t *sums, uint32_t rows) {
-  for (uint32_t row = 0U; row < rows; ++row) {
-    *trace = digest_long(*trace, sums[row]);
-  }
-}
+{% include "digest.c" %}
 
 {% if network.hidden %}
 /* ReLU, rounding and requantisation in one: the upper word, or zero if it is negative. */

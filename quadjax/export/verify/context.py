@@ -43,6 +43,7 @@ class Context:
     runs: int = 0  # of the closed loop
     allow_unfinished: bool = False  # accept a policy that does not finish its own race
     allow_other_race: bool = False  # accept C code for another race than the policy's
+    mutations: int = 2_000  # of a .qjp file
 
     @functools.cached_property
     def vectors(self) -> np.ndarray:

@@ -64,9 +64,11 @@ def read_folder(path: Path) -> Folder:
     converted = convert_policy(policy, own, options, file, path / POLICY_FILE, rollouts)
     _check_shapes(converted, path / ROLLOUTS_FILE)
     expected = converted.sources()
-    for name, content in (expected | {f"{options.name}_report.txt": text}).items():
+    texts = expected | {f"{options.name}_report.txt": text}
+    contents = {name: content.encode("utf-8") for name, content in texts.items()}
+    for name, content in (contents | converted.binaries()).items():
         check_file(path / name)
-        if (path / name).read_bytes() != content.encode("utf-8"):
+        if (path / name).read_bytes() != content:
             raise InputError(
                 f"{path / name}: not what the converter writes for this policy and race; nothing "
                 "is compiled"

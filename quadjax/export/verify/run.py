@@ -8,12 +8,13 @@ from pathlib import Path
 
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.files import write_text
-from quadjax.export.targets import INDIFLIGHT
+from quadjax.export.targets import INDIFLIGHT, QJP
 from quadjax.export.verify import (
     checks_arm,
     checks_bits,
     checks_flight,
     checks_indiflight,
+    checks_qjp,
     checks_static,
 )
 from quadjax.export.verify.context import Context
@@ -56,7 +57,8 @@ AUTOPILOTS: dict[str, dict[str, Check]] = {
         "INDIflight, any state": checks_indiflight.check_any_state,
         "INDIflight, M7": checks_indiflight.check_machine,
         "INDIflight, races": checks_indiflight.check_races,
-    }
+    },
+    QJP: checks_qjp.folder_checks(),
 }
 # Checks of one processor only.
 PROCESSORS = {build.name: build.processor for build in checks_arm.BUILDS} | dict.fromkeys(
@@ -82,6 +84,7 @@ def verify(
     allow_unfinished: bool = False,
     allow_other_race: bool = False,
     report: Callable[[Result], None] = lambda _: None,
+    mutations: int = checks_qjp.MUTATIONS,
 ) -> list[Result]:
     """Verify an exported folder: build and run it with the tools of this machine.
 
@@ -95,6 +98,7 @@ def verify(
         allow_unfinished: accept a policy that was exported although it does not finish its race.
         allow_other_race: accept an export for another race than the one in the policy file.
         report: called with every result.
+        mutations: number of mutated .qjp files.
 
     Returns:
         A result for each check, in order.
@@ -112,6 +116,7 @@ def verify(
     report(results[0])
     with tempfile.TemporaryDirectory() as work:
         context = Context(_copied(folder, Path(work) / "c"), Path(work), vectors, runs)
+        context.mutations = mutations
         context.allow_unfinished, context.allow_other_race = allow_unfinished, allow_other_race
         for name in chosen:
             announce(name)

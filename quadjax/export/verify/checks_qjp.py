@@ -1,0 +1,267 @@
+"""Checks of a ``.qjp`` file and of the C that loads it: the same bits, and mutated files."""
+
+import ctypes
+import dataclasses
+import functools
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.core.files import write_bytes, write_text
+from quadjax.export import emulator, race_emulator
+from quadjax.export.integers import ONE, quantize
+from quadjax.export.qjp.emit import FOLDER, emit_loader, qjp_source
+from quadjax.export.qjp.policy import OUTPUTS, QjpPolicy
+from quadjax.export.qjp.read import parse_qjp
+from quadjax.export.vectors import check_vectors, hostile_vectors
+from quadjax.export.verify.checks_arm import need_emulator
+from quadjax.export.verify.checks_static import SANITIZERS
+from quadjax.export.verify.context import Context
+from quadjax.export.verify.emitted import write_memory
+from quadjax.export.verify.harness import load_library
+from quadjax.export.verify.result import Failed, Skipped, require
+from quadjax.export.verify.toolchain import WARNINGS, Compiler, arm_none_eabi, host, zig_thumb
+
+MUTATIONS = 2_000  # of a file, unless more are asked for
+COUNTED = 8  # inferences whose instructions are counted
+PATHS, STEPS = 200, 8  # positions on which gates are counted
+MOST_STATES = 20_000
+
+
+@dataclasses.dataclass
+class QjpContext:
+    """One file, and where its loader is built."""
+
+    data: bytes
+    policy: QjpPolicy
+    work: Path
+    count: int  # states and inputs on which all must agree
+    mutations: int
+    processors: tuple[str, ...]
+
+    @classmethod
+    def make(
+        cls, data: bytes, work: Path, count: int, mutations: int, processors: Sequence[str]
+    ) -> "QjpContext":
+        """Read the file and write the loader's sources."""
+        for path, text in emit_loader().items():
+            write_text(work / path, text)
+        for file in ("harness.c", "fuzz.c"):
+            write_text(work / FOLDER / f"{file}", qjp_source(file))
+        write_bytes(work / "policy.qjp", data)
+        return cls(data, parse_qjp(data), work, count, mutations, tuple(processors))
+
+    @property
+    def sources(self) -> list[Path]:
+        """The loader's C files."""
+        return [self.work / path for path in emit_loader() if path.endswith(".c")]
+
+    @property
+    def harness(self) -> list[Path]:
+        """The loader and its harness."""
+        return [*self.sources, self.work / FOLDER / "harness.c"]
+
+    @functools.cached_property
+    def words(self) -> np.ndarray:
+        """The file as the loader takes it."""
+        return np.frombuffer(self.data, np.int32).copy()
+
+    @functools.cached_property
+    def inputs(self) -> np.ndarray:
+        """Inputs of the network, (n, inputs) int32: ordinary ones, hostile ones, any integers."""
+        network = self.policy.network
+        x = np.concatenate([check_vectors(network, self.count, None), hostile_vectors(network)])
+        q = quantize(x, network.box.exponents).astype(np.int32)
+        any_bits = np.random.default_rng(5).integers(-(2**31), 2**31, (100, network.inputs))
+        return np.concatenate([q, any_bits.astype(np.int32)])
+
+    @functools.cached_property
+    def states(self) -> tuple[np.ndarray, np.ndarray]:
+        """States (n, state_size) float32, half of them of any bits, and target gates (n,)."""
+        rng, race = np.random.default_rng(6), self.policy.race
+        count = min(self.count, MOST_STATES)
+        ranges = np.ldexp(1.0, np.asarray(race.exponents))
+        states = rng.uniform(-1.2, 1.2, (count, race.state_size)) * ranges
+        states = states.astype(np.float32)
+        bits = rng.integers(0, 2**32, (count // 2, race.state_size), dtype=np.uint32)
+        states[: count // 2] = bits.view(np.float32)
+        return states, rng.integers(0, race.gates, count)
+
+
+def of_folder(c: Context) -> QjpContext:
+    """The file of an exported folder."""
+    data = c.folder.binaries()[f"{c.folder.name}.qjp"]
+    processor = c.folder.target.processor
+    return QjpContext.make(data, c.work / "qjp", c.count, c.mutations, (processor,))
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def qjp_library(c: QjpContext) -> ctypes.CDLL:
+    """The loader on this machine, with the file loaded."""
+    library = load_library(host(), c.harness, c.work / "loader.so")
+    error = library.harness_load(_pointer(c.words), len(c.data))
+    require(error == 0, f"the loader refuses the file: error {error}")
+    return library
+
+
+def expected_forward(policy: QjpPolicy, q: np.ndarray) -> np.ndarray:
+    """Rows (n, 5) int32, commands and trace, by the NumPy emulator."""
+    commands, trace = emulator.forward_traced(policy.network, q)
+    digest = emulator.trace_digest(trace).view(np.int32)
+    return np.column_stack([commands, digest])
+
+
+def expected_inputs(policy: QjpPolicy, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """Rows (n, inputs + 3) int32 by the NumPy emulator."""
+    seen = race_emulator.observe(policy.race, states, targets)
+    status = np.stack([seen.clipped, seen.nan, seen.outside], axis=1)
+    return np.concatenate([seen.q, status.astype(np.uint32).view(np.int32)], axis=1)
+
+
+def check_file(c: QjpContext) -> str:
+    """Python reads the file, repeats its proof and its self-tests."""
+    network, race = c.policy.network, c.policy.race
+    widths = "-".join(str(x) for x in (network.inputs, *(len(y.bias) for y in network.layers)))
+    return f"{len(c.data):,} bytes, {widths}, {race.gates} gates, proof and self-tests repeated"
+
+
+def check_warnings(c: QjpContext) -> str:
+    """No warning from any compiler that is found."""
+    makers = [host, *(functools.partial(zig_thumb, x) for x in c.processors)]
+    makers += [functools.partial(arm_none_eabi, x) for x in c.processors]
+    names = []
+    for make in makers:
+        try:
+            compiler: Compiler = make()
+        except Skipped:
+            continue
+        for source in c.sources:
+            compiler.build([source], c.work / "warnings.o", [*WARNINGS, "-c"])
+        names.append(compiler.name)
+    require(bool(names), "no compiler")
+    return ", ".join(dict.fromkeys(names))
+
+
+def check_host(c: QjpContext) -> str:
+    """The loader on this machine gives the emulators' commands, traces, inputs and gates."""
+    library, policy = qjp_library(c), c.policy
+    rows = np.zeros((len(c.inputs), OUTPUTS + 1), np.int32)
+    library.harness_forward(_pointer(c.inputs), _pointer(rows), len(rows))
+    require(np.array_equal(rows, expected_forward(policy, c.inputs)), "other commands")
+    states, targets = c.states
+    goals = targets.astype(np.uint32)
+    seen = np.zeros((len(states), policy.network.inputs + 3), np.int32)
+    library.harness_observe(_pointer(states), _pointer(goals), _pointer(seen), len(seen))
+    require(np.array_equal(seen, expected_inputs(policy, states, targets)), "other inputs")
+    passed, missed = _check_events(library, policy)
+    return (
+        f"{len(rows)} inputs and {len(states)} states the same; {passed} gates passed and "
+        f"{missed} missed at the same steps"
+    )
+
+
+def _check_events(library: ctypes.CDLL, policy: QjpPolicy) -> tuple[int, int]:
+    """Gates passed and missed on short paths to and fro through every gate."""
+    race, rng, counts = policy.race, np.random.default_rng(7), np.zeros(3, int)
+    unit = np.ldexp(1.0, race.exponent("position")) / ONE
+    exponents = (race.exponent("position"),) * 3
+    for path in range(PATHS):
+        gate = path % race.gates
+        steps = rng.uniform(-1.2, 1.2, (STEPS, 3)) * np.append(1.0, race.half_size[gate] * unit)
+        places = race.gate_position[gate] * unit + steps @ (race.axes[gate] / ONE)
+        places = np.ascontiguousarray(places, np.float32)
+        rows = np.zeros((STEPS, 2), np.uint32)
+        library.harness_events(_pointer(places), gate, _pointer(rows), STEPS)
+        target, before = gate, quantize(places[:1], exponents)
+        for now, row in zip(quantize(places, exponents), rows.tolist(), strict=True):
+            event = int(race_emulator.gate_event(race, before, now[None], np.array([target]))[0])
+            target = (target + (event == race_emulator.PASSED)) % race.gates
+            require([event, target] == row, f"another event at gate {gate}")
+            counts[event] += 1
+            before = now[None]
+    return int(counts[race_emulator.PASSED]), int(counts[race_emulator.MISSED])
+
+
+def check_machine(c: QjpContext) -> str:
+    """The loader on the emulated processors: the same bits; its instructions and stack."""
+    need_emulator()
+    return "; ".join(_machine(c, processor) for processor in c.processors)
+
+
+def _machine(c: QjpContext, processor: str) -> str:
+    from quadjax.export.verify.machine import Machine  # needs packages of an extra
+
+    compiler = zig_thumb(processor)
+    sources = [*c.harness, write_memory(c.work)]
+    flags = ["-Wl,-e,harness_load", f"-I{c.work / FOLDER}"]
+    elf = compiler.build(sources, c.work / f"{processor}.elf", flags)
+    machine = Machine(elf, processor)
+    words = machine.place(c.words)
+    size = machine.reserve(4096)  # of a qjp_policy, more than enough
+    used = [machine.count("qjp_load", size, words, len(c.data))]
+    require(machine.call("harness_load", words, len(c.data)) == 0, "the loader refuses the file")
+    q, out = c.inputs[:: max(1, len(c.inputs) // 500)], machine.reserve(32 * len(c.inputs))
+    machine.call("harness_forward", machine.place(q), out, len(q))
+    rows = machine.read(out, np.int32, (len(q), OUTPUTS + 1))
+    require(np.array_equal(rows, expected_forward(c.policy, q)), f"{processor}: other commands")
+    states, targets = (x[:: max(1, len(x) // 500)] for x in c.states)
+    width = c.policy.network.inputs + 3
+    seen = machine.reserve(4 * width * len(states))
+    goals = machine.place(targets.astype(np.uint32))
+    machine.call("harness_observe", machine.place(states), goals, seen, len(states))
+    found = machine.read(seen, np.int32, (len(states), width))
+    wanted = expected_inputs(c.policy, states, targets)
+    require(np.array_equal(found, wanted), f"{processor}: other inputs")
+    places = [machine.place(row) for row in q[:COUNTED]]
+    used += [machine.count("qjp_forward", size, place, out, 0) for place in places]
+    counts, stack = [count for count, _ in used[1:]], max(own for _, own in used[1:])
+    return (
+        f"{processor}: {len(q)} inputs and {len(states)} states the same; an inference "
+        f"{max(counts):,} instructions, {stack} B stack; loading {used[0][0]:,}, {used[0][1]} B"
+    )
+
+
+def check_mutations(c: QjpContext) -> str:
+    """Mutated files: none crashes, none is accepted that should not be."""
+    compiler = host()
+    if compiler.name == "zig cc":
+        raise Skipped("needs gcc or clang on this machine, with sanitizers")
+    strict = Compiler(compiler.name, compiler.command, ("-std=c99", *SANITIZERS))
+    program = strict.build([*c.sources, c.work / FOLDER / "fuzz.c"], c.work / "fuzz")
+    command = [str(program), str(c.work / "policy.qjp"), str(c.mutations), "0"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        lines = (done.stdout + done.stderr).strip().splitlines() or ["no output"]
+        raise Failed(f"exit status {done.returncode}: {lines[0]}")
+    counts = {name: int(n) for name, n in (x.rsplit(" ", 1) for x in done.stdout.splitlines())}
+    unchanged, accepted = counts["unchanged"], counts["ok"]
+    refused = counts["mutants"] - accepted
+    return (
+        f"{counts['mutants']:,} mutants, half with a new hash: {refused:,} refused, {unchanged} "
+        f"unchanged, {accepted - unchanged:,} accepted with a new hash and ranges that hold; no "
+        "report of ASan and UBSan"
+    )
+
+
+Check = Callable[[QjpContext], str]
+QJP_CHECKS: dict[str, Check] = {
+    ".qjp, file": check_file,
+    ".qjp, warnings": check_warnings,
+    ".qjp, host": check_host,
+    ".qjp, emulated": check_machine,
+    ".qjp, mutations": check_mutations,
+}
+
+
+def folder_checks() -> dict[str, Callable[[Context], str]]:
+    """The checks of a file, for the one of an exported folder."""
+
+    def run(check: Check, c: Context) -> str:
+        return check(of_folder(c))
+
+    return {name: functools.partial(run, check) for name, check in QJP_CHECKS.items()}
