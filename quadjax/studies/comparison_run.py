@@ -178,6 +178,7 @@ def _of_plants(flown: OnPlants) -> dict[str, object]:
         "each plant": [x if np.isfinite(x) else None for x in flown.totals.tolist()],
         "finished": flown.finished,
         "runs": flown.runs,
+        "crashes": flown.crashes,
     }
 
 

@@ -5,6 +5,7 @@ Student's distribution, so it contains the difference from drone to drone.
 """
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -33,6 +34,11 @@ class OnPlants:
     def runs(self) -> int:
         """All flights."""
         return sum(len(laps.crashes) for laps in self.laps)
+
+    @property
+    def crashes(self) -> dict[str, int]:
+        """Number of flights that ended early, by reason."""
+        return dict(Counter(crash for laps in self.laps for crash in laps.crashes if crash))
 
     @property
     def lap_means(self) -> np.ndarray:
@@ -111,6 +117,10 @@ def plants_table(e2e: dict[str, OnPlants], indi: dict[str, OnPlants], count: int
             f"{label:22}{show_interval(own.totals):>15} {own.finished:>4}/{own.runs:<4}"
             f"{show_interval(other.totals):>16} {other.finished:>4}/{other.runs:<4}"
         )
+    for name, flown in (("E2E", e2e), ("INDI", indi)):
+        for label, own in flown.items():
+            counts = ", ".join(f"{reason} {number}" for reason, number in own.crashes.items())
+            lines += [f"{name}, {label}, early ends: {counts}"] if counts else []
     label = next(iter(e2e))
     ahead = indi[label].lap_means - e2e[label].lap_means
     later = ahead[:, 1:].mean(axis=1) if ahead.shape[1] > 1 else ahead[:, 0] * np.nan

@@ -122,6 +122,7 @@ def test_the_table_of_plants_has_both_and_the_lead():
     assert (e2e["all effects"].finished, e2e["all effects"].runs) == (3, 4)
     text = plants_table(e2e, indi, 2)
     assert "14.70 ± 3.81" in text and "3/4" in text and "4/4" in text
+    assert "E2E, all effects, early ends: hit a gate 1\n" in text
     assert "+3.00 ± 0.00 s; first lap\n+0.50 ± 0.00 s, each later lap +0.50 ± 0.00 s" in text
     assert max(map(len, text.splitlines())) <= 80
 
