@@ -27,7 +27,7 @@ ALLOWED = {
     | {"studies"},
     "studies": CONFIG
     | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"}
-    | {"export"},
+    | {"export", "view"},
 }
 
 

@@ -40,6 +40,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "simulate-logs": "write flight logs of a known model",
     "recovery": "compare a fit with that known model",
     "plant-logs": "write flight logs of the stand-in plant",
+    "improve": "improve a policy by its own flights",
     "identify": "identify the inner loop's time constants",
     "consistency": "check the navigation filter's covariance",
     "benchmark": "measure the speed of this machine",

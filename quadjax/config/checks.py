@@ -344,6 +344,10 @@ def _check_used(config: Config) -> None:
         refuse("battery.charge", list(config.battery.charge), f"no battery (null) {with_model}")
     if config.battery is None:
         unused["observation.highest_rpm"] = "without battery"
+    if config.run.start_states is None:
+        unused["run.start_states_part"] = "without run.start_states"
+    elif config.randomization.tracks is not None:
+        refuse("run.start_states", config.run.start_states, "null with randomization.tracks")
     if not model.has_residual:
         unused["vehicle.residual"] = with_model
     if config.vehicle.residual is None:

@@ -33,7 +33,11 @@ FROM_FILE = {
     "vehicle": ("file", "name", "width", "constants", "models"),
     "track": ("file", "generate", "name", "gates", "start", "closed"),
 }
-DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"))  # keys that name .npz files
+DATA_FILES = (  # keys that name .npz files
+    ("vehicle", "residual"),
+    ("run", "initial_policy"),
+    ("run", "start_states"),
+)
 OTHER_TRACKS = "other_tracks"  # keys of a file that apply where the track is not the default one
 DEFAULTS: Tree = {"vehicle": {"file": "bebop1.yaml"}, "track": {"file": "square4.yaml"}}
 

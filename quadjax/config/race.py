@@ -47,6 +47,7 @@ def choices_of(config: Config) -> Choices:
     vehicle = vehicle_model_of(config)
     observed, start = config.observation, config.start
     extra = _own("observation.extra", observed.extra, Field)
+    unobserved = observed.highest_rpm == "none"
     return Choices(
         model=vehicle,
         layout=make_layout(
@@ -58,7 +59,7 @@ def choices_of(config: Config) -> Choices:
             observed.gates_ahead,
             observed.last_action,
             observed.actuator_range,
-            None if config.battery is None else observed.highest_rpm,
+            None if config.battery is None or unobserved else observed.highest_rpm,
         ),
         integrator=config.vehicle.integrator,
         gate_test=config.rules.gate_test,

@@ -188,8 +188,8 @@ class Observation(Section):
     )
     highest_rpm: Literal["ground_truth", "estimated", "none"] = Field(
         "estimated",
-        description="source of the observed limit of the propeller speeds: as of disturbance; with "
-        "a battery",
+        description="source of the observed limit of the propeller speeds, with a battery: as of "
+        "disturbance; none: it is not observed",
     )
     attitude: Literal["euler", "rotation"] = Field(
         "euler",
@@ -474,6 +474,14 @@ class Run(Section):
     initial_policy: str | None = Field(
         None,
         description="policy file (.npz) to start from, next to the config or by its path",
+    )
+    start_states: str | None = Field(
+        None,
+        description="file of states (.npz) in which episodes of training start, next to the config "
+        "or by its path; quadjax improve writes it from flight logs",
+    )
+    start_states_part: float = Field(
+        0.5, ge=0, le=1, description="part of the episodes that start in run.start_states"
     )
     evaluate_every: int = Field(
         500_000, ge=1, le=10**12, description="environment steps between evaluations (one chunk)"

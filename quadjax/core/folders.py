@@ -1,8 +1,8 @@
 """Folders of results: each has a kind, a lock while a process writes to it, and known files.
 
-A folder's kind (training, fit, sweep, export, comparison, report, replay, logs) is in its file
-``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the files
-that it writes itself.
+A folder's kind (training, fit, sweep, export, comparison, report, replay, logs, improvement) is in
+its file ``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the
+files that it writes itself.
 """
 
 import contextlib
@@ -43,7 +43,7 @@ def claim(
 
     Args:
         folder: created if needed.
-        kind: a key of ``EVIDENCE``, or ``logs``.
+        kind: a key of ``EVIDENCE``, ``logs`` or ``improvement``.
         files: patterns of the files that the block writes; see ``check_free``.
         overwrite: accept such files in a folder without a kind.
 

@@ -25,6 +25,8 @@ class WrittenLog:
     path: Path
     rows: int
     crash: str  # reason of an early end, "" for none
+    seconds: float  # of flight
+    total: float  # s of all laps; NaN if it did not finish
 
 
 def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, np.ndarray]:
@@ -86,5 +88,7 @@ def write_logs(
         for run, log in enumerate(logs):
             path = folder / f"{name}_{run}.csv"
             write_log(path, paparazzi_columns(log))
-            written.append(WrittenLog(path, len(log["time"]), ended.laps.crashes[run]))
+            laps = ended.laps
+            result = laps.crashes[run], float(laps.seconds[run]), float(laps.totals[run])
+            written.append(WrittenLog(path, len(log["time"]), *result))
     return written

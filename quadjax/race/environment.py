@@ -27,6 +27,7 @@ from quadjax.race import battery, rules, start
 from quadjax.race.battery import BatteryState, RaceBattery
 from quadjax.race.context import StepContext
 from quadjax.race.layout import LAST_ACTION, Layout, View, make_layout
+from quadjax.race.recorded_starts import draw_recorded
 from quadjax.race.track import Gate, Track, gate, gate_count
 from quadjax.vehicle import estimator as onboard
 from quadjax.vehicle import motor
@@ -145,6 +146,10 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         most = params.limits.episode_steps.astype(drawn.dtype)
         clock = (0.5 * (drawn[1] + 1.0) * most).astype(jnp.int32)
     own = _own_constants(choices, params, drawn[own_draws:])
+    recorded = None
+    if params.start.recorded is not None:
+        recorded = draw_recorded(params.start.recorded, jax.random.fold_in(key, 4))
+        target = jnp.where(recorded.used, recorded.target, target)
     part = None
     if params.start.along_leg is not None:
         part = params.start.along_leg * jax.random.uniform(jax.random.fold_in(key, 1))
@@ -157,6 +162,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         target,
         drawn[2:own_draws],
         part,
+        recorded,
     )
     zero = jnp.zeros((), jnp.int32)
     before = _no_action(choices, params)

@@ -8,6 +8,7 @@ from flax import struct
 
 from quadjax.core.frames import wrap_angle
 from quadjax.core.vectors import Vec3
+from quadjax.race.recorded_starts import RecordedStart, RecordedStarts
 from quadjax.race.track import Track, gate, gate_count, pick
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
 
@@ -27,6 +28,7 @@ class StartRange:
     heading: jax.Array | None = None
     # () farthest start on the way to the target gate, part of the leg; None: at the gate before.
     along_leg: jax.Array | None = None
+    recorded: RecordedStarts | None = None  # states in which a part of the episodes starts
 
 
 @struct.dataclass
@@ -97,13 +99,17 @@ def start(
     target: jax.Array,
     drawn: jax.Array,
     part: jax.Array | None = None,
+    recorded: RecordedStart | None = None,
 ) -> State:
     """The start of a vehicle at the gate before ``target``, of (draw_count(model),) numbers.
 
-    ``part`` () of the leg to the target is behind it; None: nothing.
+    ``part`` () of the leg to the target is behind it; None: nothing. Motion and actuators are those
+    of ``recorded`` where it is used.
     """
-    motion = Motion(*_pose(track, span, target, drawn, part))
-    state = model.start(c, motion, drawn[12:], (span.thrust_low, span.thrust_high))
+    motion, actuators = Motion(*_pose(track, span, target, drawn, part)), drawn[12:]
+    if recorded is not None:
+        motion, actuators = recorded.instead_of(motion, actuators)
+    state = model.start(c, motion, actuators, (span.thrust_low, span.thrust_high))
     if model.disturbance is None:
         return state
     drawn = drawn[-DISTURBANCE_DRAWS:]

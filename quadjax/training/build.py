@@ -19,6 +19,7 @@ from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.race.environment import RaceParams, make_environment
+from quadjax.race.recorded_starts import read_states
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.residual_file import is_shipped, read_residual
 
@@ -87,12 +88,37 @@ def build_learner(config: Config) -> Learner[RaceParams]:
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
         own = config if value is None else config.at(key, value)
-        return make(own).hyper, build_params(own)
+        return make(own).hyper, training_params(own)
 
     total = updates * per_update
     return schedule_learner(
         make(config), config.schedules, numbers_at, config.run.steps, total, config.curriculum
     )
+
+
+def training_params(config: Config) -> RaceParams:
+    """Every number of the race in training, with the states of ``run.start_states``.
+
+    Raises:
+        InputError: a file that cannot be read, or that is of another vehicle or track.
+    """
+    params, name = build_params(config), config.run.start_states
+    if name is None:
+        return params
+    own, states = vehicle_model(config.vehicle.model), read_states(name)
+    found = states.arrays["actuators"].shape[1]
+    if found != own.actuators.size:
+        raise InputError(
+            f"run.start_states: {name} has {found} actuators, the config's vehicle has "
+            f"{own.actuators.size}"
+        )
+    ends = own.actuator_range(params.vehicle.constants)
+    if own.uses_start_thrust:
+        ends = config.start.thrust
+    low, high = (np.array(jax.tree.leaves(end), np.float64) for end in ends)
+    part, gates = config.run.start_states_part, len(config.track.gates)
+    recorded = states.starts(part, (low, high), gates, f"run.start_states: {name}")
+    return params.replace(start=params.start.replace(recorded=recorded))
 
 
 def plan(config: Config, steps_per_update: int) -> tuple[int, int]:
@@ -145,6 +171,7 @@ def initial_policy(config: Config) -> Policy | None:
     )
     for name, found, allowed in (
         ("vehicle", policy.vehicle, vehicle_model(config.vehicle.model).name),
+        ("observation", list(policy.layout.names), list(choices_of(config).layout.names)),
         ("hidden widths", widths, wanted),
         ("hidden widths of the value", critic_widths, wanted),
         ("activation", policy.activation, config.network.activation),

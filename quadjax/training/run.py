@@ -16,7 +16,7 @@ import jax
 from jax.sharding import Mesh
 
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_params, choices_of
+from quadjax.config.race import choices_of
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
@@ -33,7 +33,14 @@ from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams
 from quadjax.training.advice import FEW_STEPS, no_lap
-from quadjax.training.build import build_learner, initial_policy, plan, policy_of, start_state
+from quadjax.training.build import (
+    build_learner,
+    initial_policy,
+    plan,
+    policy_of,
+    start_state,
+    training_params,
+)
 from quadjax.training.checkpoint import Checkpoints
 from quadjax.training.folder import FILES, KIND, prepare_folder
 from quadjax.training.metrics import MetricsFile, check_tensorboard, timed
@@ -201,7 +208,7 @@ class _Callbacks:
 
 def _prepare(config: Config) -> _Job:
     """Prepare a run; bad input is rejected here, before anything is written."""
-    params = build_params(config)
+    params = training_params(config)
     check_functions(choices_of(config), params, len(config.observation.extra))
     learner = build_learner(config)
     shapes = check_learner(config, learner, params)

@@ -15,7 +15,8 @@ from quadjax.training.build import network_policy
 class Score:
     """``Laps.score`` of runs from hover: of the mean action, or sampled (``run.score``).
 
-    One run where every run is the same; sixteen where noise, disturbances or constants are drawn.
+    One run where every run is the same; sixteen where noise, disturbances, constants or charges are
+    drawn.
     """
 
     def __init__(self, config: Config, params: RaceParams) -> None:
@@ -53,5 +54,6 @@ class Score:
 def score_runs(config: Config) -> int:
     """Number of runs that a score is the mean of."""
     drawn = any(value > 0 for value in config.disturbance.half_widths.values())
-    sampled = config.run.score == "sampled"
+    charge = (1.0, 1.0) if config.battery is None else config.battery.charge
+    sampled = config.run.score == "sampled" or charge[0] < charge[1]
     return 16 if sampled or drawn or choices_of(config).randomize else 1

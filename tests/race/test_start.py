@@ -5,13 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.config.race import choices_of
+from quadjax.core.errors import InputError
 from quadjax.race import environment
+from quadjax.race.recorded_starts import MOTION, States
 from quadjax.race.start import draw_constants
 from quadjax.race.track import inside_turn
+from quadjax.training.build import training_params
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
 from tests.convert import rows_of
-from tests.race.support import compiled_reset, make_race, track_of
+from tests.race.support import compiled_reset, make_config, make_race, track_of
 
 COUNT = 4000
 AUTHORS = ("start.roll_pitch_deg=20", "start.body_rates=0.1")
@@ -210,3 +214,44 @@ def test_starts_along_the_leg():
     part = np.sum(moved * leg, axis=1) / np.sum(leg**2, axis=1)
     np.testing.assert_allclose(moved, part[:, None] * leg, atol=1e-5)
     spans(part[:, None], [0.0], [0.8])
+
+
+def recorded(count: int = 5) -> States:
+    random = np.random.default_rng(3)
+    arrays = {name: random.normal(size=(count, 3)) for name in MOTION}
+    arrays |= {"actuators": random.uniform(3000.0, 11000.0, (count, 4))}
+    return States(arrays | {"target": np.arange(count) % 4}, "square")
+
+
+@pytest.mark.parametrize("part", [0.0, 0.4, 1.0])
+def test_a_part_of_the_episodes_starts_in_recorded_states(tmp_path, part):
+    own, path = recorded(), tmp_path / "states.npz"
+    own.save(path)
+    config = make_config(f"run.start_states={path}", f"run.start_states_part={part}")
+    choices, params = choices_of(config), training_params(config)
+    state = compiled_reset(choices)(params, jax.random.split(jax.random.key(0), COUNT))
+    rows, target = rows_of(state.drone), np.asarray(state.target)
+    distance = np.linalg.norm(rows[:, None, ref.V] - own.arrays["velocity"][None], axis=2)
+    which = distance.argmin(axis=1)
+    used = distance.min(axis=1) < 1e-5
+    assert used.mean() == pytest.approx(part, abs=0.03)
+    for name, columns in (("position", ref.P), ("euler", ref.EULER), ("actuators", ref.RPM)):
+        expected = own.arrays[name][which[used]]
+        np.testing.assert_allclose(rows[used][:, columns], expected, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(target[used], own.arrays["target"][which[used]])
+    np.testing.assert_array_equal(target[~used], 0)
+
+
+def test_files_of_states_that_do_not_fit_are_one_line(tmp_path):
+    own, path = recorded(), tmp_path / "states.npz"
+    for name, wrong, says in (
+        ("target", np.full(5, 4), "target is 4 to 4, allowed: the track's gates, 0 to 3"),
+        ("actuators", np.ones((5, 1)), "has 1 actuators, the config's vehicle has 4"),
+        ("euler", np.ones((4, 3)), r"euler has the shape \(4, 3\), expected a row for each of 5"),
+        ("rates", np.full((5, 3), np.nan), "rates"),
+    ):
+        States(own.arrays | {name: wrong}, "square").save(path)
+        with pytest.raises(InputError, match=says):
+            training_params(make_config(f"run.start_states={path}"))
+    with pytest.raises(InputError, match="start_states_part is 0.3, .*without run.start_states"):
+        make_config("run.start_states_part=0.3")

@@ -1,0 +1,136 @@
+"""States of recorded flights in which episodes of training start, and their file.
+
+The file (``.npz``) has the arrays ``position`` (n, 3), m, and ``velocity`` (n, 3), m/s, in the
+world, ``euler`` (n, 3), rad, ``rates`` (n, 3), rad/s, body, ``actuators`` (n, k), propeller speeds
+in rpm or specific thrust in m/s^2, and ``target`` (n,), the index of the gate to pass next; its
+``meta`` has ``format: "quadjax-states/1"`` and the name of the ``track``.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import check_finite, read_npz, write_npz
+from quadjax.core.vectors import Vec3
+from quadjax.vehicle.protocol import Motion
+
+FORMAT = "quadjax-states/1"
+MOTION = ("position", "velocity", "euler", "rates")
+NAMES = (*MOTION, "actuators", "target")
+
+
+@struct.dataclass
+class RecordedStarts:
+    """States of flights, n of each."""
+
+    motion: Motion  # components (n,)
+    actuators: jax.Array  # (n, k) in [-1, 1] over the range of the start
+    target: jax.Array  # (n,) int32, index of the gate to pass next
+    part: jax.Array  # () of the episodes that start in one of them
+
+
+@struct.dataclass
+class RecordedStart:
+    """The state drawn for one episode, and whether it is used."""
+
+    motion: Motion
+    actuators: jax.Array  # (k,)
+    target: jax.Array  # () int32
+    used: jax.Array  # () bool
+
+    def instead_of(self, motion: Motion, actuators: jax.Array) -> tuple[Motion, jax.Array]:
+        """This state where it is used, else the motion and the numbers (m,) of the actuators."""
+        chosen = jax.tree.map(lambda own, x: jnp.where(self.used, own, x), self.motion, motion)
+        count = self.actuators.shape[0]
+        own = jnp.where(self.used, self.actuators, actuators[:count])
+        return chosen, jnp.concatenate([own, actuators[count:]])
+
+
+def draw_recorded(starts: RecordedStarts, key: jax.Array) -> RecordedStart:
+    """One of the states, with equal chances, for a part of the episodes."""
+    which, whether = jax.random.uniform(key, (2,))
+    count = starts.target.shape[0]
+    index = jnp.minimum((which * count).astype(jnp.int32), count - 1)
+    motion = jax.tree.map(lambda values: values[index], starts.motion)
+    used = whether < starts.part
+    return RecordedStart(motion, starts.actuators[index], starts.target[index], used)
+
+
+@dataclass(frozen=True)
+class States:
+    """The content of a file of states."""
+
+    arrays: dict[str, np.ndarray]  # as ``NAMES``
+    track: str
+
+    def __len__(self) -> int:
+        return len(self.arrays["target"])
+
+    def starts(
+        self, part: float, actuator_range: tuple[np.ndarray, np.ndarray], gates: int, name: str
+    ) -> RecordedStarts:
+        """The states as starts of a race.
+
+        Args:
+            part: of the episodes that start in them.
+            actuator_range: states (k,) of the actuators that a start draws as -1 and 1.
+            gates: of the track.
+            name: of the file, for the message.
+
+        Raises:
+            InputError: the target of a state is no gate of the track.
+        """
+        target = self.arrays["target"]
+        if target.min() < 0 or target.max() >= gates:
+            raise InputError(
+                f"{name}: target is {int(target.min())} to {int(target.max())}, allowed: the "
+                f"track's gates, 0 to {gates - 1}"
+            )
+        low, high = actuator_range
+        scaled = 2.0 * (self.arrays["actuators"] - low) / (high - low) - 1.0
+        motion = Motion(
+            *(
+                Vec3(*(jnp.asarray(column, jnp.float32) for column in self.arrays[key].T))
+                for key in MOTION
+            )
+        )
+        return RecordedStarts(
+            motion,
+            jnp.asarray(np.clip(scaled, -1.0, 1.0), jnp.float32),
+            jnp.asarray(target, jnp.int32),
+            jnp.float32(part),
+        )
+
+    def save(self, path: Path | str) -> None:
+        """Write the file atomically."""
+        write_npz(path, self.arrays, {"format": FORMAT, "track": self.track})
+
+
+def read_states(path: Path | str) -> States:
+    """Read and check a file of states.
+
+    Raises:
+        InputError: a missing or damaged file, or arrays of other shapes.
+    """
+    arrays, meta = read_npz(path, FORMAT, NAMES)
+    for name in NAMES:
+        if name not in arrays:
+            raise InputError(f"{path}: {name} is missing; expected {', '.join(NAMES)}")
+        if arrays[name].dtype.kind not in "fiu":
+            raise InputError(f"{path}: {name} holds no numbers")
+        check_finite(path, name, arrays[name])
+    count = len(np.atleast_1d(arrays["target"]))
+    for name in NAMES:
+        own, dims = arrays[name].shape, 1 if name == "target" else 2
+        wide = name not in MOTION or own[-1:] == (3,)
+        if len(own) != dims or own[0] != count or count == 0 or not wide:
+            raise InputError(
+                f"{path}: {name} has the shape {own}, expected a row for each of {max(1, count)} "
+                f"states{', three numbers each' * (name in MOTION)}"
+            )
+    return States({name: arrays[name] for name in NAMES}, str(meta.get("track", "")))

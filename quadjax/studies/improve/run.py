@@ -1,0 +1,317 @@
+"""The rounds of learning from flights: fly, refit, fine-tune; each step once, also after a stop."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_json, write_json, write_text
+from quadjax.core.markdown import table
+from quadjax.fitting.config import FitConfig
+from quadjax.fitting.flight_log import FlightLog, read_log
+from quadjax.plant.config import PlantConfig
+from quadjax.policy.file import Policy
+from quadjax.studies.improve.flights import Flown, fly, fly_and_log
+from quadjax.studies.improve.model import Model, Refit, refit
+from quadjax.studies.improve.states import margin_of, states_of_logs
+from quadjax.studies.improve.training import tuning_config
+from quadjax.training.build import initial_policy
+from quadjax.training.result import read_summary
+from quadjax.training.run import train
+
+KIND = "improvement"
+FILES = ("improve.json", "table.txt", "policy.npz", "round_*", "inputs", "check.json", "logs")
+GATE = "hit a gate"
+SHORT = 0.1  # s more than logs.min_seconds
+CHECK_SEED = 10_000  # of flights that are learned from by no round
+Report = Callable[[str], None]
+COLUMNS = (
+    *("round", "finished", "time of all laps, s", "flight, s", "model", "error", "computing, s"),
+)
+
+
+class StoppedError(Exception):
+    """The user stopped a training, which is saved."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What a command asks for.
+
+    Attributes:
+        race: in which the policy was trained.
+        policy: its file.
+        fit: how logs are fitted.
+        plant: the drone; None to learn from ``logs``.
+        logs: files of real flights.
+        rounds: of flying and learning.
+        flights: in each round.
+        laps: of each flight.
+        steps: environment steps of each fine-tuning.
+        check: flights of the first and the last policy, which nothing is learned from.
+        seed: of batteries, gusts and sensors.
+    """
+
+    race: Config
+    policy: Path
+    fit: FitConfig
+    plant: PlantConfig | None
+    logs: tuple[Path, ...] = ()
+    rounds: int = 3
+    flights: int = 2
+    laps: int = 6
+    steps: int = 2_000_000
+    check: int = 10
+    seed: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """What a resumed command must have in common, without ``rounds`` and ``check``."""
+        sections = {"race": self.race, "fit": self.fit, "plant": self.plant}
+        own = {key: part and part.model_dump(mode="json") for key, part in sections.items()}
+        names = ("flights", "laps", "steps", "seed")
+        logs = [str(path) for path in self.logs]
+        numbers = {name: getattr(self, name) for name in names}
+        return {"policy": str(self.policy), "logs": logs, **numbers, **own}
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """Where the rounds are: the policy and the model that fly next, and all logs so far."""
+
+    policy: Path
+    model: Model
+    margin: float
+    logs: tuple[Path, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """What a round did."""
+
+    flown: Flown
+    found: Refit | None  # None: the logs could not be fitted
+    error: str  # why not
+    computing: float  # s
+    margin: float  # m, inside the gates' edges, of the training
+
+
+def check_setting(setting: Setting) -> None:
+    """Refuse a policy or a race that cannot be improved, before anything is written.
+
+    Raises:
+        InputError: in one line.
+    """
+    name = setting.race.vehicle.model
+    if name != "motor":
+        raise InputError(f"vehicle.model is {name}, allowed: motor, whose constants logs give")
+    policy = Policy.load(setting.policy)
+    if policy.vehicle != name:
+        raise InputError(
+            f"{setting.policy}: a policy for the {policy.vehicle} vehicle; vehicle.model of the "
+            f"config is {name}"
+        )
+    if policy.value is None:
+        raise InputError(
+            f"{setting.policy} has no critic, which fine-tuning needs: files of quadjax train have"
+        )
+    first = Progress(setting.policy, Model.of(setting.race), 0.0)
+    initial_policy(_tuning(setting, first, None))
+
+
+def start(setting: Setting, folder: Path) -> None:
+    """Write the setting, or compare it with that of the command that is resumed.
+
+    Raises:
+        InputError: a folder of another setting, naming the key.
+    """
+    path, now = folder / "improve.json", setting.to_json()
+    if not path.exists():
+        write_json(path, now)
+        return
+    before = read_json(path)
+    for key, value in now.items():
+        if before.get(key) != value:
+            raise InputError(
+                f"{path} has another {key}: give the same, replace the results (--overwrite) or "
+                "choose another folder"
+            )
+
+
+def improve(setting: Setting, folder: Path, report: Report) -> list[Round]:
+    """All rounds; steps whose results are in the folder are not repeated.
+
+    Raises:
+        StoppedError: a training was interrupted; it is saved.
+        InputError: logs or a policy that cannot be used.
+    """
+    margin = setting.race.reward.gate_edge_margin
+    progress = Progress(setting.policy, Model.of(setting.race), margin)
+    rounds: list[Round] = []
+    for number in range(1, setting.rounds + 1):
+        own = folder / f"round_{number}"
+        progress, done = _round(setting, number, own, progress, report)
+        rounds.append(done)
+        Policy.load(progress.policy).save(folder / "policy.npz")
+    return rounds
+
+
+def learn(setting: Setting, folder: Path, report: Report) -> Refit:
+    """Fit real logs, and fine-tune the policy on the model if it is accepted.
+
+    Raises:
+        StoppedError: a training was interrupted; it is saved.
+        InputError: logs or a policy that cannot be used.
+    """
+    present = Model.of(setting.race)
+    path = folder / "model.json"
+    if path.exists():
+        found = Refit.load(path)
+    else:
+        found = refit(setting.logs, setting.logs, setting.fit, present, folder, report)
+        found.save(path)
+    if not found.refused:
+        margin = setting.race.reward.gate_edge_margin
+        own = Progress(setting.policy, found.model, margin, setting.logs)
+        logs = [read_log(file, setting.fit.logs) for file in setting.logs]
+        policy = _train(setting, own, logs, folder, report)
+        Policy.load(policy).save(folder / "policy.npz")
+    return found
+
+
+def _round(
+    setting: Setting, number: int, folder: Path, before: Progress, report: Report
+) -> tuple[Progress, Round]:
+    """One round: its flights, its model, its training."""
+
+    def say(line: str) -> None:
+        report(f"round {number}: {line}")
+
+    folder.mkdir(exist_ok=True)
+    flown, recent = _flown(setting, number, folder, before, say)
+    known = (*before.logs, *recent)
+    found, error = _refitted(setting, known, recent, before.model, folder, say)
+    logs = [read_log(file, setting.fit.logs) for file in known]
+    own = [log for log in logs if Path(log.path) in recent]
+    hits = sum(crash == GATE for crash in flown.crashes)
+    margin = margin_of(setting.race.at("reward.gate_edge_margin", before.margin), own, hits)
+    model = found.model if found and not found.refused else before.model
+    after = Progress(before.policy, model, margin, known)
+    seconds = found.seconds if found else 0.0
+    if model is not before.model or margin > before.margin:
+        after = dataclasses.replace(after, policy=_train(setting, after, logs, folder, say))
+        seconds += float(read_summary(folder / "training")["seconds"])
+    return after, Round(flown, found, error, seconds, margin)
+
+
+def _flown(
+    setting: Setting, number: int, folder: Path, before: Progress, report: Report
+) -> tuple[Flown, list[Path]]:
+    """The flights of a round, and the logs that are long enough to fit."""
+    assert setting.plant is not None
+    path, logs, name = folder / "flights.json", folder / "logs", f"round_{number}"
+    if not path.exists():
+        report("flying")
+        logs.mkdir(exist_ok=True)
+        race, seed = before.model.race(setting.race), setting.seed + number
+        options = (name, logs, setting.flights, setting.laps, seed, report)
+        fly_and_log(race, setting.plant, before.policy, *options).save(path)
+    flown = Flown.load(path)
+    least = setting.fit.logs.min_seconds + SHORT
+    long = [run for run, seconds in enumerate(flown.seconds) if seconds > least]
+    return flown, [logs / f"{name}_{run}.csv" for run in long]
+
+
+def _refitted(
+    setting: Setting,
+    known: Sequence[Path],
+    recent: Sequence[Path],
+    present: Model,
+    folder: Path,
+    report: Report,
+) -> tuple[Refit | None, str]:
+    """The model of a round, or why the logs do not give one."""
+    path, refused = folder / "model.json", folder / "no_model.txt"
+    if path.exists():
+        return Refit.load(path), ""
+    if not refused.exists():
+        try:
+            if not recent:
+                raise InputError("every flight of the round is shorter than logs.min_seconds")
+            found = refit(known, recent, setting.fit, present, folder, report)
+            found.save(path)
+            return found, ""
+        except InputError as error:
+            write_text(refused, f"{error}\n")
+    return None, refused.read_text(encoding="utf-8").strip()
+
+
+def _tuning(setting: Setting, progress: Progress, states: Path | None) -> Config:
+    return tuning_config(
+        setting.race, progress.model, progress.policy, states, progress.margin, setting.steps
+    )
+
+
+def _train(
+    setting: Setting, progress: Progress, logs: Sequence[FlightLog], folder: Path, report: Report
+) -> Path:
+    """Fine-tune a policy in ``folder/training``; returns the file of the result."""
+    path: Path | None = folder / "states.npz"
+    assert path is not None
+    if not path.exists():
+        states = states_of_logs(logs, progress.model.race(setting.race))
+        if states is None:
+            path = None
+        else:
+            states.save(path)
+    report("fine-tuning")
+    config = _tuning(setting, progress, path)
+    run = train(config, folder / "training", resume=True, progress=False)
+    if not run.finished:
+        raise StoppedError
+    return folder / "training" / "policy.npz"
+
+
+def checked(setting: Setting, folder: Path, report: Report) -> dict[str, Flown]:
+    """Flights of the first and the last policy on the plant, which nothing is learned from."""
+    path = folder / f"check_{setting.check}_{setting.rounds}.json"
+    if not path.exists():
+        assert setting.plant is not None
+        found = {}
+        for name, policy in (("before", setting.policy), ("after", folder / "policy.npz")):
+            report(f"checking the policy {name}")
+            options = (setting.check, setting.laps, CHECK_SEED + setting.seed)
+            found[name] = fly(setting.race, setting.plant, policy, *options)
+        write_json(path, {name: dataclasses.asdict(flown) for name, flown in found.items()})
+    return {name: Flown(**values) for name, values in read_json(path).items()}
+
+
+def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
+    """The rounds as a Markdown table; seconds are summed over the rounds."""
+    rows: list[Sequence[str]] = [COLUMNS]
+    flight = computing = 0.0
+    for number, done in enumerate(rounds, start=1):
+        flight += sum(done.flown.seconds)
+        computing += done.computing
+        found = done.found
+        model = "none" if found is None else ("refused" if found.refused else "accepted")
+        error = "-" if found is None else f"{100.0 * found.change:+.0f}%"
+        cells = (f"{flight:.0f}", model, error, f"{computing:.0f}")
+        rows.append((str(number), _finished(done.flown), _mean(done.flown), *cells))
+    for name, flown in check.items():
+        rows.append((f"check, {name}", _finished(flown), _mean(flown), "", "", "", ""))
+    crashes = sum(bool(crash) for done in rounds for crash in done.flown.crashes)
+    notes = [f"crashes in the rounds: {crashes}"]
+    for number, done in enumerate(rounds, start=1):
+        why = done.error or (done.found.refused if done.found else "")
+        notes += [f"round {number}: the model is refused: {why}"] if why else []
+    return "\n".join([table(rows), "", *notes])
+
+
+def _finished(flown: Flown) -> str:
+    return f"{flown.finished} of {len(flown.totals)}"
+
+
+def _mean(flown: Flown) -> str:
+    return f"{flown.mean:.2f}" if flown.finished else "-"

@@ -1,0 +1,82 @@
+"""The battery's limit of the propeller speeds, from commands and measured speeds."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.core.vectors import Rotors
+from quadjax.fitting.battery import BatteryFit, fit_battery
+from quadjax.fitting.flight_log import FlightLog
+from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
+
+HOVER, HIGHEST, TAU, RATE = 7500.0, 11000.0, 0.05, 200.0
+BATTERY = BatteryConfig()
+
+
+def flight(charge: float, seed: int, battery: BatteryConfig | None = BATTERY) -> FlightLog:
+    """Motors that follow steps of the command under a battery, with noise, by Euler's method."""
+    random = np.random.default_rng(seed)
+    count, step = int(8 * RATE), 1.0 / RATE
+    command = np.repeat(random.choice([4000.0, 8000.0, HIGHEST], (count // 40, 4)), 40, axis=0)
+    rpm = np.empty((count, 4))
+    speed = np.full(4, HOVER)
+    drop = BATTERY.drop / BATTERY.voltage
+    sag = BATTERY.resistance * BATTERY.hover_current / BATTERY.voltage
+    for index in range(count):
+        rpm[index] = speed
+        load = np.mean((speed / HOVER) ** 3)
+        top = np.inf
+        if battery is not None:
+            top = battery.rpm_full * (1.0 - drop * (1.0 - charge) - sag * load)
+        charge -= step * load * BATTERY.hover_current / (3600.0 * BATTERY.capacity)
+        kept = np.exp(-step / TAU)
+        speed = kept * speed + (1.0 - kept) * np.minimum(command[index], top)
+    nothing = np.zeros((count, 3))
+    log = FlightLog(
+        *(
+            f"flight_{seed}",
+            "",
+            step * np.arange(count),
+            rpm + 20.0 * random.normal(size=(count, 4)),
+        ),
+        *(command, None, None, nothing, nothing, nothing, np.ones(count, bool), None, None, {}),
+    )
+    return log
+
+
+def test_lag_and_limit_are_found_and_predict_a_flight_of_another_charge():
+    logs = [flight(0.9, 1), flight(0.7, 2), flight(0.8, 3)]
+    found = fit_battery(logs[:2], HOVER, HIGHEST)
+    sag = BATTERY.rpm_full * BATTERY.resistance * BATTERY.hover_current / BATTERY.voltage
+    assert found.tau == pytest.approx(TAU, rel=0.02)
+    assert found.sag == pytest.approx(sag, rel=0.05)
+    assert found.first["flight_1"] - found.first["flight_2"] == pytest.approx(
+        0.2 * BATTERY.rpm_full * BATTERY.drop / BATTERY.voltage, rel=0.1
+    )
+    assert found.rmse == pytest.approx(20.0, rel=0.1)
+    assert found.error(logs[2], HOVER, HIGHEST) < 25.0
+    assert BatteryFit(TAU, 0.0, 0.0).error(logs[2], HOVER, HIGHEST) > 50.0
+
+
+def test_the_battery_of_the_race_has_the_limits_of_the_flights():
+    found = fit_battery([flight(0.9, 1), flight(0.7, 2)], HOVER, HIGHEST)
+    section = found.section(BATTERY)
+    assert 0.5 < section.charge[0] < 0.7 and section.charge[1] == 1.0
+    cells = battery_params(section, HOVER)
+    for load in (1.0, 2.0):
+        speeds = Rotors.same(jnp.float32(HOVER * load ** (1.0 / 3.0)))
+        best = float(highest_rpm(cells, speeds, jnp.float32(0.9)))
+        assert best == pytest.approx(found.first["flight_1"] - load * found.sag, rel=2e-3)
+
+
+def test_without_a_limit_there_is_no_battery():
+    found = fit_battery([flight(1.0, 1, None), flight(1.0, 2, None)], HOVER, HIGHEST)
+    assert found.first == {} and found.section(BATTERY) is None
+    assert found.tau == pytest.approx(TAU, rel=0.02)
+
+
+def test_logs_without_commands_give_none():
+    log = dataclasses.replace(flight(1.0, 1), rpm_command=None)
+    assert fit_battery([log], HOVER, HIGHEST) is None

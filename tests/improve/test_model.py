@@ -1,0 +1,115 @@
+"""A refitted model: what it is made of, and when it is accepted."""
+
+import ast
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import quadjax.studies.improve as package
+from quadjax.fitting.battery import BatteryFit
+from quadjax.fitting.flight_log import FlightLog
+from quadjax.studies.improve.model import NAMES, Model, Refit, refit, refusal
+from quadjax.studies.improve.states import clearances, margin_of, states_of_logs
+from quadjax.studies.improve.training import tuning_config
+from quadjax.training.build import training_params
+from tests.improve.support import FIT, around_the_track, drone_log, policy_file, race
+
+ONES = dict.fromkeys(NAMES, 1.0)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    return [drone_log(folder / f"flight_{seed}.csv", seed) for seed in range(3)]
+
+
+def test_a_model_that_holds_is_accepted_and_once_more_it_is_refused(logs, tmp_path):
+    present = Model.of(race())
+    found = refit(logs, logs[1:], FIT, present, tmp_path)
+    assert found.refused == "" and found.change < -0.2
+    assert found.model.constants["k_w"] == pytest.approx(0.9 * present.constants["k_w"], rel=0.03)
+    assert found.model.constants["rpm_max"] == present.constants["rpm_max"]
+    found.save(tmp_path / "model.json")
+    assert Refit.load(tmp_path / "model.json") == found
+    again = refit(logs, logs, FIT, found.model, tmp_path)
+    assert again.refused.startswith("its error on held-out flights is")
+
+
+def test_refusals():
+    assert refusal(ONES, dict.fromkeys(NAMES, 0.9)) == ""
+    assert "+0%" in refusal(ONES, ONES)
+    harmful = dict.fromkeys(NAMES, 0.5) | {"Mz": 1.2}
+    assert refusal(ONES, harmful) == "its error of Mz on held-out flights is 20% larger"
+    unknown = ONES | {"rpm": float("nan")}
+    assert refusal(unknown, dict.fromkeys(NAMES, 0.9) | {"rpm": float("nan")}) == ""
+
+
+def test_what_learns_knows_nothing_of_the_plant():
+    """The refit receives log files; only the flights themselves and their setting use the plant."""
+    for name in ("model", "states", "training"):
+        text = (Path(package.__file__).parent / f"{name}.py").read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ImportFrom | ast.Import):
+                assert "plant" not in ast.unparse(node)
+
+
+def test_the_training_has_the_model_and_the_numbers_at_the_end_of_the_schedules(tmp_path):
+    scheduled = (
+        "schedules={reward.gate_edge: {linear: [0, value]}, learner.std: {linear: [0.3, 0.1]}}"
+    )
+    config = race("reward.gate_edge=50", scheduled)
+    battery = BatteryFit(0.07, 500.0, 2.0, {"a": 11800.0}, {"a": 11700.0})
+    model = dataclasses.replace(Model.of(config), battery=battery)
+    model = dataclasses.replace(model, constants=model.constants | {"k_w": 4e-8, "tau": 0.07})
+    policy = policy_file(tmp_path)
+    tuned = tuning_config(config, model, policy, None, 0.1, 1000)
+    assert tuned.vehicle.constants["k_w"] == 4e-8 and tuned.vehicle.constants["tau"] == 0.07
+    assert tuned.reward.gate_edge == 50 and tuned.learner.std == 0.1
+    assert tuned.reward.gate_edge_margin == 0.1
+    assert set(tuned.schedules) == {"learner.learning_rate", "learner.critic_learning_rate"}
+    assert tuned.battery.rpm_full > 11800.0 and tuned.observation.highest_rpm == "none"
+    assert tuned.run.initial_policy == str(policy) and tuned.run.start_states is None
+
+
+def flown(config, sideways=0.0, name="flight"):
+    """The log of a path through the gates, ``sideways`` m off their centers."""
+    position = around_the_track(config) + np.array([0.0, 0.0, sideways])
+    count, nothing = len(position), np.zeros((len(position), 3))
+    return FlightLog(
+        *(name, "", np.arange(count) / 100.0, np.full((count, 4), 7000.0), None, None, None),
+        *(nothing + [1.0, 0.0, 0.0], nothing, nothing - [0.0, 0.0, 9.8], np.ones(count, bool)),
+        *(position, Rotation.identity(count), {}),
+    )
+
+
+def test_states_of_logs_are_starts_with_the_gate_ahead(tmp_path):
+    config = race()
+    states = states_of_logs([flown(config)], config)
+    assert (
+        len(states) == 160
+        and states.arrays["target"].tolist()[:45] == [0] * 20 + [1] * 20 + [2] * 5
+    )
+    states.save(tmp_path / "states.npz")
+    tuned = tuning_config(
+        config, Model.of(config), policy_file(tmp_path), tmp_path / "states.npz", 0.0, 64
+    )
+    recorded = training_params(tuned).start.recorded
+    np.testing.assert_allclose(recorded.motion.position.array(), states.arrays["position"], 1e-6)
+    np.testing.assert_allclose(recorded.actuators, 0.0, atol=1e-6)
+    assert states_of_logs([dataclasses.replace(flown(config), position=None)], config) is None
+
+
+def test_the_margin_grows_with_hits_and_with_the_spread_of_the_clearance():
+    config = race("reward.gate_edge=50", "reward.gate_edge_margin=0.05")
+    half = 0.5 * config.track.gates[0].size[1]
+    still = [flown(config)] * 2
+    for values in clearances(still, config).values():
+        np.testing.assert_allclose(values, half, atol=1e-6)
+    assert margin_of(config, still, 0) == 0.05
+    assert margin_of(config, still, 1) == 0.1
+    spread = [flown(config, offset * half) for offset in (0.7, 0.85, 0.95)]
+    assert margin_of(config, spread, 0) > 0.1
+    assert margin_of(race(), spread, 2) == race().reward.gate_edge_margin
