@@ -22,6 +22,8 @@ ALLOWED = {
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
+    "sil": CONFIG - {"learners"}
+    | {"config", "policy", "training", "evaluation", "plant", "export", "studies"},
     "dashboard": CONFIG
     | {"config", "policy", "training", "view", "evaluation", "fitting", "limits", "sweeps"}
     | {"studies"},

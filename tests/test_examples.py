@@ -36,7 +36,7 @@ quadjax.load = short
 def test_there_is_an_example_for_each_thing_that_a_user_brings():
     names = {path.stem for path in EXAMPLES}
     own = {"track", "drone", "schedule", "learner", "vehicle", "reward_term", "observation", "rule"}
-    own.add("log_format")
+    own |= {"log_format", "autopilot"}
     assert {f"own_{name}" for name in own} | {"hello_world", "pendulum"} <= names
 
 

@@ -34,6 +34,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "export": "convert a policy to fixed-point C",
     "import": "convert a network of another project to a policy or residual file",
     "verify": "build, run and check exported C",
+    "sil": "fly exported C, or your own autopilot, on a simulated drone",
     "compare": "compare E2E with INDI, in simulation and on the plant",
     "report": "write the tables and figures of flights",
     "adaptation": "evaluate a policy on drones that differ from their model",

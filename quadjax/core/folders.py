@@ -1,8 +1,8 @@
 """Folders of results: each has a kind, a lock while a process writes to it, and known files.
 
-A folder's kind (training, fit, sweep, export, comparison, report, replay, logs, improvement) is in
-its file ``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the
-files that it writes itself.
+A folder's kind (training, fit, sweep, export, comparison, report, replay, flight, logs, improvement)
+is in its file ``.quadjax.json``. A program writes only to a folder of the same kind, and removes
+only the files that it writes itself.
 """
 
 import contextlib
@@ -28,6 +28,7 @@ EVIDENCE = {  # patterns of files in folders without a marker, which earlier ver
     "comparison": "compare.json",
     "report": "report.json",
     "replay": "replay.json",
+    "flight": "sil.json",
 }
 
 

@@ -14,9 +14,9 @@ from quadjax.core.files import check_file, read_json, read_npz
 from quadjax.core.folders import kind_of
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.sections import build
-from quadjax.evaluation.evaluation import STATES, Evaluation, evaluate
+from quadjax.evaluation.evaluation import Evaluation, evaluate
 from quadjax.evaluation.own_race import own_race
-from quadjax.evaluation.recording import SIGNALS
+from quadjax.evaluation.recording import SIGNALS, STATES
 from quadjax.evaluation.viewing import RATES, flights_of, marker_of, split
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import FlightLog, read_log

@@ -16,7 +16,6 @@ from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Gate
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_npz
 from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
 from quadjax.core.provenance import provenance
 from quadjax.evaluation import viewing
@@ -28,7 +27,7 @@ from quadjax.evaluation.recording import (
     distinct,
     gate_offsets,
     recordings,
-    state_arrays,
+    write_states,
     write_table,
 )
 from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
@@ -38,8 +37,6 @@ from quadjax.race.laps import Actor, Laps, Trace
 from quadjax.training.paper import Row, published_rows
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.view.notebook import show
-
-STATES = "quadjax-states/1"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,10 +158,7 @@ class Evaluation:
         if Path(path).suffix == ".csv":
             write_table(path, self.flights, self.model)
         elif Path(path).suffix == ".npz":
-            more = {"lap_times": self.lap_times}
-            track = [gate.model_dump(mode="json") for gate in self.gates]
-            meta = {"format": STATES, "vehicle": self.model.name, "track": track}
-            write_npz(path, state_arrays(self.flights) | more, self.to_json() | meta)
+            write_states(path, self.flights, self.laps, self.model, self.gates, self.to_json())
         else:
             raise InputError(f"{path}: suffix is {Path(path).suffix!r}, allowed: .npz, .csv")
 

@@ -3,14 +3,16 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from quadjax.config.schema import Gate
-from quadjax.core.files import whole_file
+from quadjax.core.files import whole_file, write_npz
 from quadjax.race.laps import Laps, Trace
 from quadjax.vehicle.protocol import Signal, VehicleModel
 
+STATES = "quadjax-states/1"
 SIGNALS = ("position", "velocity", "euler", "rates", "actuators", "command")
 
 
@@ -71,6 +73,29 @@ def state_arrays(flights: Sequence[Recording]) -> dict[str, np.ndarray]:
         for whole, row in zip(arrays[name], rows, strict=True):
             whole[: len(row)] = row
     return arrays
+
+
+def write_states(
+    path: Path | str,
+    flights: Sequence[Recording],
+    laps: Laps,
+    model: VehicleModel,
+    gates: Sequence[Gate],
+    meta: dict[str, Any],
+) -> None:
+    """Write trajectories as arrays; see ``Evaluation.save_states``.
+
+    Args:
+        path: of the ``.npz`` file.
+        flights: the runs.
+        laps: of the same runs.
+        model: the vehicle model.
+        gates: of the track, in order of passage.
+        meta: further entries of the metadata.
+    """
+    track = [gate.model_dump(mode="json") for gate in gates]
+    known = {"format": STATES, "vehicle": model.name, "track": track}
+    write_npz(path, state_arrays(flights) | {"lap_times": laps.lap_times}, meta | known)
 
 
 def write_table(path: Path | str, flights: Sequence[Recording], model: VehicleModel) -> None:

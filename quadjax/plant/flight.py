@@ -143,6 +143,36 @@ def observe(choices: FlightChoices, params: FlightParams, flight: Flight) -> jax
     return environment.observe(choices.race, params.race, state)
 
 
+def hold(
+    choices: FlightChoices,
+    params: FlightParams,
+    flight: Flight,
+    command: Rotors | RateCommand,
+    key: jax.Array,
+) -> tuple[Flight, Rotors]:
+    """All drones one control step later, under commands that are held.
+
+    Args:
+        choices: static choices.
+        params: of the flights.
+        flight: from ``begin`` or the last step.
+        command: of each drone, along the last axis.
+        key: of the plant's and the sensors' noise.
+
+    Returns:
+        The flights, and the rpm commands of the step's last sample.
+    """
+    runs = flight.race.over.shape[-1]
+    advance = jax.vmap(functools.partial(sample, choices), (None, -1, -1, -1), -1)
+
+    def one(flight: Flight, key: jax.Array) -> tuple[Flight, Rotors]:
+        drawn = jax.random.normal(key, (onboard.DRAWS, runs))
+        return advance(params, flight, command, drawn)
+
+    following, rotors = jax.lax.scan(one, flight, jax.random.split(key, choices.hold))
+    return following, jax.tree.map(lambda x: x[-1], rotors)
+
+
 @functools.partial(jax.jit, static_argnames=("choices", "steps", "recorded", "record"))
 def fly_on(
     choices: FlightChoices,
@@ -175,7 +205,6 @@ def fly_on(
     instruct = jax.vmap(
         functools.partial(environment.command, choices.race), in_axes=(None, 0), out_axes=-1
     )
-    advance = jax.vmap(functools.partial(sample, choices), (None, -1, -1, -1), -1)
     note = jax.vmap(record, (None, -1, -1, -1), -1)
 
     def control(flight: Flight, key: jax.Array) -> tuple[Flight, Record]:
@@ -183,13 +212,7 @@ def fly_on(
         noise = jax.random.normal(of_policy, (runs, 4))
         action = act(pilot, see(params, flight), noise)
         command = instruct(params.race, action)
-
-        def one(flight: Flight, key: jax.Array) -> tuple[Flight, Rotors]:
-            drawn = jax.random.normal(key, (onboard.DRAWS, runs))
-            return advance(params, flight, command, drawn)
-
-        following, rotors = jax.lax.scan(one, flight, jax.random.split(of_plant, choices.hold))
-        last = jax.tree.map(lambda x: x[-1], rotors)
+        following, last = hold(choices, params, flight, command, of_plant)
         first = jax.tree.map(lambda x: x[..., :recorded], (flight, command, last))
         return following, note(params, *first)
 

@@ -8,9 +8,9 @@ from tests.docs.pages import PAGES, ROOT, blocks_of, name_of
 
 MAX_LINE, MAX_COLUMNS, MAX_README = 100, 7, 120
 # By docs/hooks.py.
-GENERATED = {"docs/reference/config.md", "docs/reference/commands.md"} | {
-    f"docs/gallery/{path.stem}.html" for path in (ROOT / "docs" / "gallery").glob("*.json")
-}
+GENERATED = {
+    *(f"docs/reference/{name}.md" for name in ("config", "commands", "sil_messages")),
+} | {f"docs/gallery/{path.stem}.html" for path in (ROOT / "docs" / "gallery").glob("*.json")}
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
 

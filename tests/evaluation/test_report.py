@@ -9,7 +9,7 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
-from quadjax.evaluation.evaluation import STATES
+from quadjax.evaluation.recording import STATES
 from quadjax.fitting.signals import first_order
 from quadjax.studies.report.errors import signals_of
 from quadjax.studies.report.figures import box_figure, gap_figure, trajectory_figure

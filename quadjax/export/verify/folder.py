@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json, read_npz
 from quadjax.core.folders import check_kind
@@ -17,7 +18,7 @@ from quadjax.export.convert import (
     ROLLOUTS_FORMAT,
 )
 from quadjax.export.flights import Rollouts
-from quadjax.export.race_source import CONFIG_FILE, find_config, own_race
+from quadjax.export.race_source import CONFIG_FILE, OwnRace, find_config, own_race
 from quadjax.export.report import report_text
 from quadjax.export.targets import find_target
 from quadjax.policy.file import Policy
@@ -41,12 +42,23 @@ class Folder(Converted):
         return [self.path / f for f in self.expected if f.endswith(".c") and "/" not in f]
 
 
-def read_folder(path: Path) -> Folder:
-    """Read an exported folder, convert its policy again, and compare the files with the result.
+@dataclasses.dataclass(frozen=True)
+class Inputs:
+    """What an exported folder was made from."""
+
+    options: Options
+    policy: Policy
+    config: Config
+    own: OwnRace
+    file: str  # name of the policy file
+    text: str  # the report
+
+
+def read_inputs(path: Path) -> Inputs:
+    """The inputs of an exported folder, without its sources.
 
     Raises:
-        InputError: no such folder, or a file in it that is missing, damaged or not what the
-            converter writes.
+        InputError: no such folder, or a file in it that is missing or damaged.
     """
     check_kind(path, KIND)
     if not path.is_dir():
@@ -60,11 +72,23 @@ def read_folder(path: Path) -> Folder:
     if sha256(path / CONFIG_FILE) != config_hash:
         raise InputError(f"{path / CONFIG_FILE}: not the one that {reports[0].name} names")
     own = own_race(config, policy, CONFIG_FILE, file)
+    return Inputs(options, policy, config, own, file, text)
+
+
+def read_folder(path: Path) -> Folder:
+    """Read an exported folder, convert its policy again, and compare the files with the result.
+
+    Raises:
+        InputError: no such folder, or a file in it that is missing, damaged or not what the
+            converter writes.
+    """
+    inputs = read_inputs(path)
+    policy, own, options, file = inputs.policy, inputs.own, inputs.options, inputs.file
     rollouts = _rollouts(path / ROLLOUTS_FILE)
     converted = convert_policy(policy, own, options, file, path / POLICY_FILE, rollouts)
     _check_shapes(converted, path / ROLLOUTS_FILE)
     expected = converted.sources()
-    texts = expected | {f"{options.name}_report.txt": text}
+    texts = expected | {f"{options.name}_report.txt": inputs.text}
     contents = {name: content.encode("utf-8") for name, content in texts.items()}
     for name, content in (contents | converted.binaries()).items():
         check_file(path / name)

@@ -10,8 +10,7 @@ import numpy as np
 from quadjax.config.schema import Track
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz
-from quadjax.evaluation.evaluation import STATES
-from quadjax.evaluation.recording import Recording
+from quadjax.evaluation.recording import STATES, Recording
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.log_formats import FORMATS

@@ -1,0 +1,112 @@
+"""The stand-in plant as a drone that an autopilot flies."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.plant import flight, plant
+from quadjax.plant.flight import Flight, FlightChoices, FlightParams
+from quadjax.plant.flights import Plan
+from quadjax.policy.pilot import command_ranges
+from quadjax.race import laps
+from quadjax.race.laps import Laps
+from quadjax.sil.message import RPM_PER_RAD_S
+from quadjax.sil.worlds import Now, Seen, numbers, scaled
+from quadjax.vehicle import rate
+from quadjax.vehicle.protocol import VehicleModel
+
+
+@dataclasses.dataclass(frozen=True)
+class PlantWorld:
+    """The stand-in plant with its sensors and estimators."""
+
+    plan: Plan
+    name: str = "stand-in plant"
+
+    @property
+    def model(self) -> VehicleModel:
+        """Of the commands."""
+        return self.plan.choices.race.model
+
+    @property
+    def step(self) -> float:
+        """Of the control loop, s."""
+        return self.plan.step
+
+    @property
+    def limit(self) -> int:
+        """Control steps."""
+        return self.plan.limit
+
+    def ranges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest command."""
+        return command_ranges(self.plan.choices.race, self.plan.params.race)
+
+    def begin(self, seed: int) -> Now:
+        """Hover at the last gate, with drawn battery, gusts and sensors."""
+        start, key = jax.random.split(jax.random.key(seed))
+        plan = self.plan
+        state, seen = _begin_on_plant(plan.choices, plan.laps, plan.params, start)
+        return Now.of((state, key), seen)
+
+    def advance(self, now: Now, command: np.ndarray) -> Now:
+        """One control step."""
+        state, key = now.state
+        plan = self.plan
+        state, key, seen = _advance_plant(plan.choices, plan.params, state, command, key)
+        return Now.of((state, key), seen)
+
+    def result(self, now: Now) -> Laps:
+        """By the rules of the race, at every sample."""
+        plan = self.plan
+        step = float(plan.params.plant.step)
+        return laps.laps_of(now.state[0].race, step, plan.limit * plan.step)
+
+
+@functools.partial(jax.jit, static_argnames=("choices", "lap_count"))
+def _begin_on_plant(
+    choices: FlightChoices, lap_count: int, params: FlightParams, key: jax.Array
+) -> tuple[Flight, Seen]:
+    drones = flight.begin(choices, params, key, 1, lap_count)
+    return drones, _see_plant(choices, params, drones)
+
+
+@functools.partial(jax.jit, static_argnames="choices")
+def _advance_plant(
+    choices: FlightChoices,
+    params: FlightParams,
+    drones: Flight,
+    command: jax.Array,
+    key: jax.Array,
+) -> tuple[Flight, jax.Array, Seen]:
+    key, own = jax.random.split(key)
+    low, _ = choices.race.model.command_range(params.race.vehicle.constants)
+    held = jax.tree.unflatten(jax.tree.structure(low), [x[None] for x in command])
+    drones, _ = flight.hold(choices, params, drones, held, own)
+    return drones, key, _see_plant(choices, params, drones)
+
+
+def _see_plant(choices: FlightChoices, params: FlightParams, drones: Flight) -> Seen:
+    one = jax.tree.map(lambda x: x[..., 0], drones)
+    own, body, target = one.onboard, one.plant.physics.body, one.race.state.target
+    now, measured = own.estimate.motion, own.estimate.measurement
+    rate_level = choices.race.model is rate.MODEL
+    thrust = own.inner.thrust if rate_level else jnp.zeros(())
+    shown = numbers(
+        *(now.position, now.velocity, measured.body_velocity, now.euler, now.rates),
+        *(
+            scaled(measured.rpm, 1.0 / RPM_PER_RAD_S),
+            thrust,
+            measured.gyro,
+            measured.specific_force,
+        ),
+        *(now.moment_ext, now.force_ext, params.race.track, target),
+    )
+    force = plant.truth_of(params.plant, one.plant).specific_force
+    actuators = [-force.z] if rate_level else jax.tree.leaves(body.rpm)
+    motion = (body.position, body.velocity, body.euler, body.rates)
+    true = jnp.stack([*jax.tree.leaves(motion), *actuators])
+    return Seen(shown, target, true, one.race.over)

@@ -1,0 +1,160 @@
+"""Exported C as a process: the bits of the same C in this process, and the command's files."""
+
+import ctypes
+import dataclasses
+import json
+import threading
+
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_npz
+from quadjax.core.resources import PRETRAINED
+from quadjax.evaluation.recording import STATES
+from quadjax.export import flights
+from quadjax.export.conversion import Options, convert_policy
+from quadjax.export.flights import Rollouts
+from quadjax.export.race_source import find_config, own_race
+from quadjax.export.verify import toolchain
+from quadjax.export.verify.folder import Inputs
+from quadjax.plant.config import load_plant_config
+from quadjax.policy.file import Policy
+from quadjax.sil import run as sil
+from quadjax.sil.fly import FLOATS
+from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
+from quadjax.sil.plant_world import PlantWorld
+from quadjax.sil.run import Setting, fly_all, make_world
+from quadjax.sil.source import write_sources
+from tests.commands import run
+from tests.export.test_layouts import made, random_states
+from tests.sil.support import Counting
+
+PLANT = load_plant_config("standin")
+STEPS = 150
+
+
+def written(folder, policy, own, config, target):
+    """The C of a policy in a folder, without the simulated flights of an export."""
+    policy.save(folder / "policy.npz")
+    states = random_states(
+        np.random.default_rng(0), 20, own, policy.command_low, policy.command_high
+    )
+    targets = np.arange(20) % len(own.params.track.yaw)
+    rows = Rollouts(flights.observe(own, states, targets), states, targets)
+    options = Options("made", {"position": 32.0}, sample_rate=500.0, target=target)
+    path = folder / "policy.npz"
+    converted = convert_policy(policy, own, options, path.name, path, rows)
+    for name, text in converted.sources().items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return Inputs(options, policy, config, own, path.name, "")
+
+
+def trained(folder):
+    """A shipped policy on the stand-in plant, with its own estimator."""
+    policy = Policy.load(PRETRAINED / "e2e_adaptive.npz")
+    config, origin = find_config(policy)
+    return written(folder, policy, own_race(config, policy, origin), config, "cortex-a9"), PLANT
+
+
+def untrained(folder):
+    """A policy of the 5-inch drone in its simulator, through INDIflight's interface."""
+    policy, own = made("published racing")
+    config, _ = find_config(policy)
+    return written(folder, policy, own, config, "indiflight"), None
+
+
+def flown_in_this_process(inputs, plant, folder, steps):
+    """The motion and the commands (steps, ..) of the C called through ctypes, step by step."""
+    world = make_world(inputs.config, inputs.policy, plant, 1)
+    sources = write_sources(folder, inputs, 1.0 / world.step, folder)
+    library = ctypes.CDLL(str(sources.build(folder, shared=True)))
+    assert library.sil_self_test() == 0
+    library.sil_begin()
+    factor = RPM_PER_RAD_S if world.model.name == "motor" else 1.0
+    now, rows = world.begin(0), []
+    for _ in range(steps):
+        state, command = new(Kind.STATE), new(Kind.COMMAND)
+        values = np.split(now.numbers, np.cumsum([state[name].size for name in FLOATS])[:-1])
+        for name, value in zip(FLOATS, values, strict=True):
+            state[name] = value.reshape(state[name].shape)
+        library.sil_step(*(x.ctypes.data_as(ctypes.c_void_p) for x in (state, command)))
+        wanted = np.clip(command["command"].astype(np.float64) * factor, *world.ranges())
+        rows.append(np.concatenate([now.true, np.float32(wanted)]))
+        now = world.advance(now, np.float32(wanted))
+    return np.array(rows), sources
+
+
+def short(world):
+    """The same world with a time limit of a few steps."""
+    if isinstance(world, PlantWorld):
+        return dataclasses.replace(world, plan=dataclasses.replace(world.plan, limit=STEPS))
+    return world
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [trained, untrained])
+def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, monkeypatch):
+    inputs, plant = make(tmp_path)
+    monkeypatch.setattr(sil, "read_inputs", lambda path: inputs)
+    monkeypatch.setattr(sil, "make_world", lambda *arguments: short(make_world(*arguments)))
+    setting = Setting(tmp_path, plant, laps=1)
+    flown = fly_all(setting, threading.Event())
+    race = flown.races[0]
+    motion = race.recording
+    parts = (motion.position, motion.velocity, motion.euler, motion.rates, motion.actuators)
+    rows = np.concatenate([*parts, motion.command], axis=1)
+    expected, sources = flown_in_this_process(inputs, plant, tmp_path, len(rows))
+    np.testing.assert_array_equal(rows, expected)
+    assert set(race.counts) <= {"steps", "autopilot: clipped steps", "autopilot: outside steps"}
+    assert sources.own_estimator == (make is trained) and len(rows) > 20
+    flown.write(tmp_path / "out")
+    arrays, meta = read_npz(tmp_path / "out" / "states.npz", STATES, ("position", "lap_times"))
+    np.testing.assert_array_equal(arrays["position"][0], motion.position)
+    assert meta["vehicle"] == inputs.policy.vehicle and len(meta["track"]) > 2
+    numbers = json.loads((tmp_path / "out" / "sil.json").read_text())
+    assert numbers["runs"] == 1 and numbers["counts"]["steps"] == len(rows)
+    record = tmp_path / "page.json"
+    assert run("view", tmp_path / "out" / "states.npz", "--output", record) == 0
+    assert len(json.loads(record.read_text())["flights"]) == 1
+
+
+@pytest.mark.parametrize(
+    "arguments, expected",
+    [
+        (["missing"], "no such folder"),
+        (["."], "expected one *_report.json"),
+        (["no_c"], "made.c: no such file"),
+        (["no_c", "--listen", "5005"], "expected HOST:PORT"),
+        (["no_c", "--delay", "5"], "--delay has no effect without --late"),
+        (["no_c", "--simulator", "effects.gusts=0"], "no effect with --simulator"),
+        (["no_c", "--wrong-unit", "rates=turns"], "--wrong-unit rates=turns, allowed:"),
+        (["no_c", "--drop", "2"], "expected a probability"),
+        (["no_c", "--speed", "0"], "expected max, or 0.01"),
+        (["no_c", "wings=2"], "wings"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, expected, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    policy, own = made("published racing")
+    inputs = Inputs(Options("made"), policy, find_config(policy)[0], own, "made.npz", "")
+    if arguments[0] == "no_c":
+        (tmp_path / "no_c").mkdir()
+        monkeypatch.setattr(sil, "read_inputs", lambda path: inputs)
+        monkeypatch.setattr(sil, "make_world", lambda *_: Counting())
+    assert run("sil", *arguments) == 2
+    lines = capfd.readouterr().err.strip().splitlines()
+    assert expected in lines[-1] and lines[-1].startswith("error: ")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_machine_without_compiler_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(toolchain.shutil, "which", lambda name: None)
+    monkeypatch.setattr(toolchain, "has_module", lambda name: False)
+    policy, own = made("published racing")
+    for name in ("made.c", "made_race.c"):
+        (tmp_path / name).write_text("")
+    inputs = Inputs(Options("made"), policy, find_config(policy)[0], own, "made.npz", "")
+    with pytest.raises(InputError, match="no C compiler on this machine"):
+        write_sources(tmp_path, inputs, 100.0, tmp_path).build(tmp_path)
