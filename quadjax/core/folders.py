@@ -1,8 +1,8 @@
 """Folders of results: each has a kind, a lock while a process writes to it, and known files.
 
-A folder's kind (training, fit, sweep, export, comparison, report, replay, flight, logs, improvement)
-is in its file ``.quadjax.json``. A program writes only to a folder of the same kind, and removes
-only the files that it writes itself.
+The kind (training, fit, sweep, export, comparison, report, replay, flight, logs, improvement) is in
+the file ``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the
+files that it writes itself.
 """
 
 import contextlib
