@@ -44,6 +44,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--laps", type=laps, default=6, help="laps of a run (6)")
     parser.add_argument("--runs", type=runs, default=100, help="number of runs (100)")
+    parser.add_argument("--sampled", action="store_true", help="fly with the noise of training")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--parts", nargs="+", metavar="PART", help="some of the parts (all)")
     parser.add_argument("--name", type=name, default="compare", help="of the folder (compare)")
@@ -81,6 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.runs,
         options.seed,
         options.plants,
+        not options.sampled,
     )
     contenders = (contender("E2E", options.e2e), contender("INDI", options.indi))
     for own, kind in zip(contenders, ("motor", "rate"), strict=True):

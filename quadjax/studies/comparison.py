@@ -53,7 +53,7 @@ class Setting:
     runs: int = 100
     seed: int = 0
     plants: int = 10
-    deterministic: bool = True  # on the plant, apply the mean action
+    deterministic: bool = True  # apply the mean action
 
 
 def contender(name: str, file: str) -> Contender:
@@ -74,7 +74,7 @@ def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
         laps=setting.laps,
         runs=setting.runs,
         seed=setting.seed,
-        deterministic=True,
+        deterministic=setting.deterministic,
         trace=True,
         name=own.file,
     )

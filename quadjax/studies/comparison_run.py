@@ -72,6 +72,7 @@ def run_comparison(
     result: dict[str, object] = {
         "runs": setting.runs,
         "laps": setting.laps,
+        "deterministic": setting.deterministic,
         "provenance": provenance(setting.plant, seed=setting.seed)
         | {"race": provenance(setting.race)["config"]},
     }
