@@ -123,7 +123,7 @@ def test_an_exported_folder_passes_the_checks_of_indiflight(name, tmp_path):
     context = Context(read_folder(tmp_path / "c"), tmp_path / "work", 200, 8, True, True)
     checks = run.checks_of(context.folder)
     chosen = {key: checks[key] for key in checks if key.startswith("INDIflight")}
-    assert len(chosen) == 4
+    assert len(chosen) == 5
     parts = {key: functools.partial(check, context) for key, check in chosen.items()}
     results = [run_check(key, check) for key, check in parts.items()]
     assert all(result.verdict in (PASSED, SKIPPED) for result in results), results

@@ -12,12 +12,20 @@ import numpy as np
 from quadjax.export.actor import fixed_point_fly
 from quadjax.export.indiflight import FOLDER, MOTORS
 from quadjax.export.race_source import OwnRace
+from quadjax.export.render import render
 from quadjax.export.verify.checks_arm import need_emulator
+from quadjax.export.verify.checks_static import eva, proven
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.emitted import write_loop, write_memory
 from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.result import Skipped, require
-from quadjax.export.verify.toolchain import Compiler, arm_none_eabi, host, zig_thumb
+from quadjax.export.verify.toolchain import (
+    Compiler,
+    arm_none_eabi,
+    host,
+    need_program,
+    zig_thumb,
+)
 from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.laps import LapState
@@ -132,6 +140,32 @@ def check_machine(c: Context) -> str:
         found = machine.read(out, np.float32, (4,))
         require(np.array_equal(found, expected), "other motor commands than the host's")
     return f"{len(states)} states the same; nn_control {most:,} instructions, {stack} B stack"
+
+
+def check_eva(c: Context) -> str:
+    """Frama-C EVA of nn_control: no alarm for any state and any memory of the controller.
+
+    A controller with a motor number out of range raises alarms.
+    """
+    need_program("frama-c")
+    folder, work = c.folder.path / FOLDER, c.work / "corrupted"
+    work.mkdir(exist_ok=True)
+    mains = (c.work / "indiflight_eva.c", work / "indiflight_eva.c")
+    for main in mains:  # includes the controller next to it, or else that of the folder
+        main.write_text(render("indiflight/eva_main.c", {}))
+    network = [folder / "neural_network.c"]
+    count = proven(c, mains[0], network, folder)
+    text = (folder / "nn_controller.c").read_text()
+    numbers = "motor_number[4] = {"
+    corrupted = text.replace(f"{numbers}{MOTORS[0]}", f"{numbers}{len(MOTORS)}")
+    require(corrupted != text, "no motor numbers")
+    (work / "nn_controller.c").write_text(corrupted)
+    alarms, _ = eva(c, mains[1], network, folder)
+    require(alarms > 0, "a motor number out of range raised no alarm")
+    return (
+        f"0 alarms for any state and memory; {count} assertions proven; "
+        f"a wrong motor number: {alarms} alarms"
+    )
 
 
 def _world(own: OwnRace) -> Callable[[RaceState], jax.Array]:

@@ -29,27 +29,27 @@ def check_sanitizers(c: Context) -> str:
     return f"{count} vectors and all self-tests, no report"
 
 
-def _eva(c: Context, sources: list[Path], tag: str) -> tuple[int, str]:
-    """Alarms and the summary of an analysis."""
+def eva(c: Context, main: Path, sources: list[Path], include: Path) -> tuple[int, str]:
+    """Alarms and the output of Frama-C's EVA.
+
+    Args:
+        c: the verification.
+        main: C with the function ``eva_main``.
+        sources: the C that it calls.
+        include: folder of the headers.
+
+    Raises:
+        Failed: an error, or no result in time.
+    """
     program = need_program("frama-c")
     widest = max(max(layer.weights.shape) for layer in c.folder.network.layers)
-    command = [
-        program,
-        *EVA,
-        "-eva-min-loop-unroll",
-        str(max(130, widest + 10)),
-        "-main",
-        "eva_main",
-    ]
-    command += [
-        f"-cpp-extra-args=-I{c.folder.path}",
-        *map(str, [write_eva_main(c.folder, c.work), *sources]),
-    ]
+    unroll = str(max(130, widest + 10))
+    command = [program, *EVA, "-eva-min-loop-unroll", unroll, "-main", "eva_main"]
+    command += [f"-cpp-extra-args=-I{include}", *map(str, [main, *sources])]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=EVA_SECONDS)
     except subprocess.TimeoutExpired:
         raise Failed(f"frama-c: no result within {EVA_SECONDS} s") from None
-    (c.work / f"eva_{tag}.log").write_text(done.stdout + done.stderr)
     found = re.search(r"(\d+) alarms? generated", done.stdout)
     if done.returncode or not found:
         lines = (done.stdout + done.stderr).strip().splitlines() or ["no output"]
@@ -57,16 +57,27 @@ def _eva(c: Context, sources: list[Path], tag: str) -> tuple[int, str]:
     return int(found[1]), done.stdout
 
 
+def proven(c: Context, main: Path, sources: list[Path], include: Path) -> int:
+    """Assertions that EVA proves, without an alarm.
+
+    Raises:
+        Failed: an alarm, or an assertion that is not proven.
+    """
+    alarms, text = eva(c, main, sources, include)
+    require(alarms == 0, f"{alarms} alarms")
+    found = re.search(r"Assertions\s+(\d+) valid\s+(\d+) unknown\s+(\d+) invalid", text)
+    require(found is not None, "no assertion was reached")
+    assert found is not None
+    require(found[2] == "0" and found[3] == "0", f"assertions: {found[0]}")
+    return int(found[1])
+
+
 def check_eva(c: Context) -> str:
     """Frama-C EVA: no alarm for any input, the output's range proven; a corrupted row alarms."""
-    alarms, text = _eva(c, c.folder.files, "clean")
-    require(alarms == 0, f"{alarms} alarms")
-    proven = re.search(r"Assertions\s+(\d+) valid\s+(\d+) unknown\s+(\d+) invalid", text)
-    require(proven is not None, "no assertion was reached")
-    assert proven is not None
-    require(proven[2] == "0" and proven[3] == "0", f"assertions: {proven[0]}")
+    need_program("frama-c")
+    count = proven(c, write_eva_main(c.folder, c.work), c.folder.files, c.folder.path)
     return (
-        f"0 alarms for any input; {proven[1]} assertions proven; "
+        f"0 alarms for any input; {count} assertions proven; "
         f"a corrupted row: {_corrupted_alarms(c)} alarms"
     )
 
@@ -83,7 +94,8 @@ def _corrupted_alarms(c: Context) -> int:
     source = c.work / f"{folder.name}.c"
     source.write_text(text[:start] + ",".join(numbers) + text[end:])
     others = [f for f in folder.files if f.name != source.name]
-    alarms, _ = _eva(c, [source, *others], "corrupted")
+    main = write_eva_main(c.folder, c.work)
+    alarms, _ = eva(c, main, [source, *others], c.folder.path)
     require(alarms > 0, "a corrupted row raised no alarm")
     return alarms
 

@@ -56,6 +56,7 @@ AUTOPILOTS: dict[str, dict[str, Check]] = {
         "INDIflight, warnings": checks_indiflight.check_warnings,
         "INDIflight, any state": checks_indiflight.check_any_state,
         "INDIflight, M7": checks_indiflight.check_machine,
+        "INDIflight, Frama-C": checks_indiflight.check_eva,
         "INDIflight, races": checks_indiflight.check_races,
     },
     QJP: checks_qjp.folder_checks(),
