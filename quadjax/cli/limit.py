@@ -48,7 +48,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         type=_number(0.1),
         metavar="M/S",
         help="the lower bound holds for flights below this speed (default: 1.2 times the top "
-        "speed of the best known flight)",
+        "speed of the best known flight, and at most the speed limit)",
     )
     parser.add_argument(
         "--starts",
@@ -60,7 +60,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--seconds",
         type=whole(1, MOST_SECONDS),
         default=300,
-        help="time limit of the search (default: 300)",
+        help="processor time of the search at most (default: 300)",
     )
     parser.add_argument("--json", metavar="FILE.json", help="write the result")
     parser.add_argument("--npz", metavar="FILE.npz", help="write states and commands")
@@ -104,9 +104,8 @@ def _add_race(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed",
         type=_number(0.1),
-        default=60.0,
         metavar="M/S",
-        help="speed limit (default: 60)",
+        help="speed limit (default: the vehicle's fitted_speed, or 60)",
     )
     parser.add_argument(
         "--rates",

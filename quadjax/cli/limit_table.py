@@ -30,7 +30,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--seconds",
         type=whole(1, MOST_SECONDS),
         default=DEFAULT_SECONDS,
-        help=f"time limit of a pair (default: {DEFAULT_SECONDS})",
+        help=f"processor time of a pair's searches at most (default: {DEFAULT_SECONDS})",
+    )
+    parser.add_argument(
+        "--starts", type=whole(1, 100), default=2, help="number of initial guesses (default: 2)"
+    )
+    parser.add_argument(
+        "--no-centers", action="store_true", help="no lap through the centers of the gates"
     )
     return parse(parser, argv)
 
@@ -50,7 +56,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InputError(f"--drones: {name!r} is not a drone of the table: {known}")
     with interruptions(STOPPING) as stop, console.status("compiling") as status:
         limits_table.make(
-            options.folder, tracks, drones, options.seconds, PRETRAINED, stop, status.update
+            options.folder,
+            tracks,
+            drones,
+            options.seconds,
+            PRETRAINED,
+            stop,
+            status.update,
+            options.starts,
+            not options.no_centers,
         )
     print(limits_table.markdown(options.folder, tracks))
     return 1 if stop.is_set() else 0

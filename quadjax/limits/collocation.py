@@ -6,7 +6,6 @@ of motion hold at the ends and the middle of each interval.
 """
 
 import dataclasses
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 
 from quadjax.core.vectors import Vec3
 from quadjax.limits.extra import OPERATIONS, casadi
-from quadjax.limits.ipopt import Program, minimize
+from quadjax.limits.ipopt import Effort, Program, minimize
 from quadjax.limits.jaxpr import translate
 from quadjax.limits.problem import Problem, leaves
 from quadjax.limits.rules import Wall, add_rules
@@ -24,6 +23,7 @@ from quadjax.limits.trajectory import Trajectory
 
 SMOOTHNESS = 1e-4  # s, weight of the squared command differences, relative to the command range
 SMALL_RATE = 100.0  # rad/s
+STEEP, MOST_SLOPE = 1e-3, 100.0  # reserve of steep commands, and from what relative slope on
 LEG_SECONDS = (0.02, 60.0)
 
 
@@ -34,7 +34,7 @@ class Solution:
     trajectory: Trajectory
     converged: bool
     status: str  # IPOPT's
-    seconds: float
+    seconds: float  # of processor time
 
 
 class Dynamics:
@@ -59,6 +59,7 @@ class Dynamics:
         self.slope = casadi.Function("slope", [state, command], [casadi.vertcat(*slope)])
         self.seen = casadi.Function("seen", [state], [casadi.vertcat(*seen)])
         self.constant = np.array([casadi.SX(each).is_zero() for each in slope])
+        self.lowest = np.where(_steep(problem, self.slope), STEEP, 0.0)
 
     def interval(self, scale: np.ndarray, command_scale: np.ndarray) -> Any:
         """The defect of Hermite-Simpson collocation, and the body rates in the middle, rad/s.
@@ -78,6 +79,18 @@ class Dynamics:
         moving = [index for index in range(count) if not self.constant[index]]
         rates = self.seen(middle * scale)[6:9]
         return casadi.Function("interval", [x0, u0, x1, u1, step], [defect[moving], rates])
+
+
+def _steep(problem: Problem, slope: Any) -> np.ndarray:
+    """Which commands (commands,) have an unbounded derivative at the lowest, as motor maps."""
+    (low, high), state = problem.command_range, leaves(problem.hover_state)
+    value = lambda command: np.array(slope(state, command)).ravel()  # noqa: E731
+    found = []
+    for index in range(len(low)):
+        step = np.where(np.arange(len(low)) == index, high - low, 0.0)
+        near, whole = (np.abs(value(low + x * step) - value(low)) / x for x in (1e-8, 1.0))
+        found.append(bool(np.any(near > MOST_SLOPE * (whole + 1e-9 * near.max()))))
+    return np.array(found)
 
 
 def _unit(problem: Problem, state: Any) -> Any:
@@ -101,20 +114,70 @@ def _xyz(vector: Vec3) -> tuple:
     return vector.components()
 
 
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What is solved, in addition to the flight's own rules.
+
+    Attributes:
+        margin: m, further distance from the edges of the openings, the bounds and the ground.
+        reserve: fraction of the commands' ranges that is not used at either end.
+        smoothness: s, weight of the squared command differences, relative to the command range.
+        rate_limit: rad/s, (3,), in place of the problem's.
+        walls: sides of solid frames.
+    """
+
+    margin: float = 0.0
+    reserve: float = 0.0
+    smoothness: float = SMOOTHNESS
+    rate_limit: np.ndarray | None = None
+    walls: tuple[Wall, ...] = ()
+
+
+class Unknowns:
+    """The variables of the program: durations, and scaled states and commands at the nodes."""
+
+    def __init__(self, problem: Problem, guess: Trajectory) -> None:
+        """Symbols for the mesh of a guess, and their scales."""
+        low, high = problem.command_range
+        self.legs, self.nodes = len(guess.leg_times), len(guess.states)
+        self.scale = np.maximum(np.abs(guess.states).max(axis=0), 1.0)
+        self.command_scale = np.maximum(np.abs(low), np.abs(high))
+        self.states = casadi.MX.sym("x", len(self.scale), self.nodes)
+        self.commands = casadi.MX.sym("u", len(low), self.nodes)
+        self.durations = casadi.MX.sym("t", self.legs)
+
+    @property
+    def symbols(self) -> Any:
+        """All variables as a column."""
+        parts = self.durations, casadi.vec(self.states), casadi.vec(self.commands)
+        return casadi.vertcat(*parts)
+
+    def pack(self, leg_times: Any, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        """Values of the variables (n,); arguments may broadcast to the shapes of a trajectory."""
+        return np.concatenate(
+            [
+                np.broadcast_to(leg_times, self.legs),
+                np.broadcast_to(states / self.scale, self.states.shape[::-1]).ravel(),
+                np.broadcast_to(commands / self.command_scale, self.commands.shape[::-1]).ravel(),
+            ]
+        )
+
+    def unpack(self, values: np.ndarray) -> Trajectory:
+        """The inverse of ``pack``."""
+        states, commands = np.split(values[self.legs :], [self.states.numel()])
+        return Trajectory(
+            values[: self.legs],
+            states.reshape(self.nodes, -1) * self.scale,
+            commands.reshape(self.nodes, -1) * self.command_scale,
+        )
+
+
 def solve(
     problem: Problem,
     dynamics: Dynamics,
     guess: Trajectory,
-    *,
-    margin: float = 0.0,
-    reserve: float = 0.0,
-    rate_limit: np.ndarray | None = None,
-    walls: tuple[Wall, ...] = (),
-    seconds: float = 300.0,
-    stop: threading.Event | None = None,
-    report: Callable[[float], object] = lambda value: None,
-    max_iterations: int = 1000,
-    warm: bool = False,
+    settings: Settings | None = None,
+    effort: Effort | None = None,
 ) -> Solution:
     """Solve the nonlinear program on the mesh of an initial guess.
 
@@ -122,79 +185,65 @@ def solve(
         problem: the flight.
         dynamics: of the problem.
         guess: the initial guess, with the same number of intervals for each leg.
-        margin: m, further distance from the edges of the openings, the bounds and the ground.
-        reserve: fraction of the commands' ranges that is not used at either end.
-        rate_limit: rad/s, (3,), in place of the problem's.
-        walls: sides of solid frames.
-        seconds: time limit.
-        stop: if set, the solver returns the current iterate.
-        report: called at each iteration with the objective.
-        max_iterations: of IPOPT.
-        warm: the guess is a solution on another mesh.
+        settings: margins, weights and further limits.
+        effort: when the solver ends.
     """
-    began = time.monotonic()
-    legs, nodes = len(guess.leg_times), len(guess.states)
-    low, high = problem.command_range
-    scale = np.maximum(np.abs(guess.states).max(axis=0), 1.0)
-    command_scale = np.maximum(np.abs(low), np.abs(high))
-    x = casadi.MX.sym("x", dynamics.state_count, nodes)
-    u = casadi.MX.sym("u", dynamics.command_count, nodes)
-    durations = casadi.MX.sym("t", legs)
-
-    program = Program()
-    step = casadi.reshape(casadi.repmat(durations.T / guess.intervals, guess.intervals, 1), 1, -1)
-    interval = dynamics.interval(scale, command_scale).map(nodes - 1)
-    defect, between = interval(x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], step)
-    program.add(defect, 0.0, 0.0)
-    seen = dynamics.seen.map(nodes)(x * scale)
-    add_rules(program, problem, seen[:3, :], seen[3:6, :], guess.intervals, margin, walls)
-    rate_limit = problem.rate_limit if rate_limit is None else rate_limit
-    _add_limits(program, problem, rate_limit, seen, between)
+    began, settings = time.process_time(), settings or Settings()
+    unknowns, program = Unknowns(problem, guess), Program()
+    x, u = unknowns.states, unknowns.commands
+    _add_equations(program, problem, dynamics, unknowns, guess, settings)
     if problem.start == "periodic":
-        _add_period(program, problem, dynamics, x, u, guess, scale)
+        _add_period(program, problem, dynamics, x, u, guess, unknowns.scale)
+    low, high = problem.command_range
     span = np.where(high > low, high - low, 1.0)
-    low, high = low + reserve * (high - low), high - reserve * (high - low)
-    smooth = casadi.sumsqr((u[:, 1:] - u[:, :-1]) * (command_scale / span))
-    lowest, highest = _state_bounds(problem, dynamics, scale, nodes)
+    smooth = casadi.sumsqr((u[:, 1:] - u[:, :-1]) * (unknowns.command_scale / span))
+    lowest = np.maximum(dynamics.lowest, settings.reserve)
+    low, high = low + lowest * (high - low), high - settings.reserve * (high - low)
+    states = _state_bounds(problem, dynamics, unknowns.nodes)
     values, converged, status = minimize(
         program,
-        casadi.vertcat(durations, casadi.vec(x), casadi.vec(u)),
-        casadi.sum1(durations) + SMOOTHNESS * smooth,
-        tuple(
-            np.concatenate(
-                [np.full(legs, leg), states.ravel(), np.tile(end / command_scale, nodes)]
-            )
-            for leg, states, end in zip(LEG_SECONDS, (lowest, highest), (low, high), strict=True)
-        ),
-        np.concatenate(
-            [
-                guess.leg_times,
-                (guess.states / scale).ravel(),
-                (guess.commands / command_scale).ravel(),
-            ]
-        ),
-        seconds=seconds,
-        max_iterations=max_iterations,
-        warm=warm,
-        stop=stop or threading.Event(),
-        report=report,
+        unknowns.symbols,
+        casadi.sum1(unknowns.durations) + settings.smoothness * smooth,
+        tuple(map(unknowns.pack, LEG_SECONDS, states, (low, high))),
+        unknowns.pack(guess.leg_times, guess.states, guess.commands),
+        effort or Effort(),
     )
-    states, commands = np.split(values[legs:], [dynamics.state_count * nodes])
-    commands = np.clip(commands.reshape(nodes, -1) * command_scale, low, high)
-    trajectory = Trajectory(values[:legs], states.reshape(nodes, -1) * scale, commands)
-    return Solution(trajectory, converged, status, time.monotonic() - began)
+    found = unknowns.unpack(values)
+    found = dataclasses.replace(found, commands=np.clip(found.commands, low, high))
+    return Solution(found, converged, status, time.process_time() - began)
+
+
+def _add_equations(
+    program: Program,
+    problem: Problem,
+    dynamics: Dynamics,
+    unknowns: Unknowns,
+    guess: Trajectory,
+    settings: Settings,
+) -> None:
+    """The equations of motion in all intervals, and the rules at all nodes."""
+    x, u, count = unknowns.states, unknowns.commands, guess.intervals
+    step = casadi.reshape(casadi.repmat(unknowns.durations.T / count, count, 1), 1, -1)
+    interval = dynamics.interval(unknowns.scale, unknowns.command_scale).map(unknowns.nodes - 1)
+    defect, between = interval(x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], step)
+    program.add(defect, 0.0, 0.0)
+    seen = dynamics.seen.map(unknowns.nodes)(x * unknowns.scale)
+    margin, walls = settings.margin, settings.walls
+    add_rules(program, problem, seen[:3, :], seen[3:6, :], count, margin, walls)
+    rate_limit = problem.rate_limit if settings.rate_limit is None else settings.rate_limit
+    _add_limits(program, problem, rate_limit, seen, between)
 
 
 def _state_bounds(
-    problem: Problem, dynamics: Dynamics, scale: np.ndarray, nodes: int
+    problem: Problem, dynamics: Dynamics, nodes: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (nodes, leaves) of the scaled states: fixed constants and the start."""
+    """Bounds (nodes, leaves) of the states: fixed constants and the start."""
     low = np.full((nodes, dynamics.state_count), -np.inf)
     high = -low
     start = leaves(problem.hover_state)
-    low[:, dynamics.constant] = high[:, dynamics.constant] = (start / scale)[dynamics.constant]
+    low[:, dynamics.constant] = high[:, dynamics.constant] = start[dynamics.constant]
     if problem.start == "hover":
-        low[0] = high[0] = start / scale
+        low[0] = high[0] = start
     return low, high
 
 

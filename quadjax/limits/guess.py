@@ -79,8 +79,9 @@ def from_point_mass(
         problem: the flight.
         intervals: of a leg.
         speed: m/s, mean of each leg of the spline that the point mass starts from.
-        heading: the nose points along the velocity; otherwise in a constant direction, or, where
-            the yaw rate has a limit, wherever it turns without yaw rate.
+        heading: the nose points along the velocity. Otherwise it turns without yaw rate where the
+            attitude is a quaternion or the yaw rate has a limit, and has a constant direction
+            elsewhere.
         spread: fraction of the opening within which random points replace the centers.
         seed: of these points, and of the constant direction.
         seconds: time limit.
@@ -93,7 +94,8 @@ def from_point_mass(
     path = optimize(problem, first, seconds, stop or threading.Event())
     constant = _start_yaw(problem) if problem.start == "hover" else spread * rng.uniform(-3.0, 3.0)
     yaw = np.full(len(path.position), constant)
-    transported = problem.start == "hover" and problem.rate_limit[2] < SLOW_YAW
+    slow = problem.start == "hover" and problem.rate_limit[2] < SLOW_YAW
+    transported = slow or (problem.normalized.any() and not heading)
     if heading:
         yaw = np.unwrap(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
     return from_path(
@@ -129,8 +131,8 @@ def from_path(
     steps = np.repeat(
         leg_times * len(leg_times) / (len(position) - 1), (len(position) - 1) // len(leg_times)
     )
-    matrices = _transported(force, yaw[0]) if transported else _attitudes(force, yaw)
-    rotations = Rotation.from_matrix(matrices)
+    periodic = problem.start == "periodic"
+    rotations = _transported(force, yaw[0], periodic) if transported else _attitudes(force, yaw)
     euler = np.unwrap(rotations.as_euler("ZYX"), axis=0)[:, ::-1]
     euler[:, 2] += 2.0 * np.pi * np.round((yaw[0] - euler[0, 2]) / (2.0 * np.pi))
     turned = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / steps[:, None]
@@ -148,25 +150,35 @@ def from_path(
     return Trajectory(leg_times, states, _commands(problem, states, steps))
 
 
-def _attitudes(force: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Body-to-world rotations (n, 3, 3) whose thrust is along a force (n, 3), by yaw (n,)."""
-    down = -force / np.linalg.norm(force, axis=1, keepdims=True)
+def _attitudes(force: np.ndarray, yaw: np.ndarray) -> Rotation:
+    """Body-to-world rotations (n,) whose thrust is along a force (n, 3), by yaw (n,)."""
+    down = _down(force)
     nose = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
     right = np.cross(down, nose)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-6)
-    return np.stack([np.cross(right, down), right, down], axis=2)
+    return Rotation.from_matrix(np.stack([np.cross(right, down), right, down], axis=2))
 
 
-def _transported(force: np.ndarray, yaw: float) -> np.ndarray:
-    """Body-to-world rotations (n, 3, 3) along a force (n, 3), each by the shortest turn."""
-    down = -force / np.linalg.norm(force, axis=1, keepdims=True)
-    found = [Rotation.from_matrix(_attitudes(force[:1], np.array([yaw]))[0])]
+def _down(force: np.ndarray) -> np.ndarray:
+    return -force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-6)
+
+
+def _transported(force: np.ndarray, yaw: float, periodic: bool) -> Rotation:
+    """Body-to-world rotations (n,) along a force (n, 3), each by the shortest turn.
+
+    Of a periodic flight a constant turn about the thrust per node is added, so that the last
+    rotation is the first.
+    """
+    down = _down(force)
+    found = [_attitudes(force[:1], np.array([yaw]))[0]]
     for before, after in zip(down[:-1], down[1:], strict=True):
         axis = np.cross(before, after)
         sine = np.linalg.norm(axis)
         angle = np.arctan2(sine, before @ after)
         found.append(Rotation.from_rotvec(axis / max(sine, 1e-12) * angle) * found[-1])
-    return Rotation.concatenate(found).as_matrix()
+    turn = (found[-1].inv() * found[0]).as_rotvec()[2] if periodic else 0.0
+    share = np.linspace(0.0, turn, len(found))
+    return Rotation.concatenate(found) * Rotation.from_rotvec(share[:, None] * [0.0, 0.0, 1.0])
 
 
 def _actuators(problem: Problem, thrust: np.ndarray) -> np.ndarray:

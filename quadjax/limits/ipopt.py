@@ -1,5 +1,6 @@
 """Nonlinear programs, and their solution by IPOPT."""
 
+import dataclasses
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -61,18 +62,46 @@ class Program:
         self.high.append(np.broadcast_to(np.asarray(high, float), (size,)))
 
 
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """How long IPOPT iterates.
+
+    Attributes:
+        seconds: limit of processor time.
+        max_iterations: limit of iterations.
+        warm: the first values are close to a solution, as from a coarser mesh.
+        stop: if set, the current iterate is returned.
+        report: called at each iteration with the objective.
+    """
+
+    seconds: float = 300.0
+    max_iterations: int = 1000
+    warm: bool = False
+    stop: threading.Event = dataclasses.field(default_factory=threading.Event)
+    report: Callable[[float], object] = lambda value: None
+
+    def options(self) -> dict[str, Any]:
+        """IPOPT's options."""
+        options = {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": 1e-6,
+            "acceptable_tol": 1e-5,
+            "max_iter": self.max_iterations,
+            "max_cpu_time": max(0.1, self.seconds),
+            "mu_init": 1e-4 if self.warm else 1e-2,
+            "bound_relax_factor": 0.0,  # a motor map has no slope beyond its lowest command
+        }
+        return options | ({"bound_push": 1e-5, "bound_frac": 1e-5} if self.warm else {})
+
+
 def minimize(
     program: Program,
     variables: Any,
     objective: Any,
     bounds: tuple[np.ndarray, np.ndarray],
     first: np.ndarray,
-    *,
-    seconds: float,
-    max_iterations: int,
-    warm: bool = False,
-    stop: threading.Event,
-    report: Callable[[float], object],
+    effort: Effort,
 ) -> tuple[np.ndarray, bool, str]:
     """Solve a program by IPOPT.
 
@@ -82,46 +111,22 @@ def minimize(
         objective: to be minimized.
         bounds: lowest and highest variables, (n,) each.
         first: (n,) initial values.
-        seconds: time limit.
-        max_iterations: of IPOPT.
-        warm: the first values are close to a solution, as from a coarser mesh.
-        stop: if set, the current iterate is returned.
-        report: called at each iteration with the objective.
+        effort: when the solver ends.
 
     Returns:
         The variables (n,), whether IPOPT converged, and its status.
     """
     constraints = casadi.vertcat(*program.constraints)
-    monitor = Monitor((variables.numel(), constraints.numel()), stop, report)
+    sizes = variables.numel(), constraints.numel()
     options = {
-        "print_level": 0,
-        "sb": "yes",
-        "tol": 1e-6,
-        "acceptable_tol": 1e-5,
-        "max_iter": max_iterations,
-        "max_wall_time": max(0.1, seconds),
-        "mu_init": 1e-4 if warm else 1e-2,
-        "bound_relax_factor": 0.0,  # a motor map has no slope beyond its lowest command
+        "print_time": False,
+        "show_eval_warnings": False,
+        "iteration_callback": Monitor(sizes, effort.stop, effort.report),
+        "ipopt": effort.options(),
     }
-    if warm:
-        options |= {"bound_push": 1e-5, "bound_frac": 1e-5}
-    solver = casadi.nlpsol(
-        "flight",
-        "ipopt",
-        {"x": variables, "f": objective, "g": constraints},
-        {
-            "print_time": False,
-            "show_eval_warnings": False,
-            "iteration_callback": monitor,
-            "ipopt": options,
-        },
-    )
-    result = solver(
-        x0=first,
-        lbx=bounds[0],
-        ubx=bounds[1],
-        lbg=np.concatenate(program.low),
-        ubg=np.concatenate(program.high),
-    )
+    functions = {"x": variables, "f": objective, "g": constraints}
+    solver = casadi.nlpsol("flight", "ipopt", functions, options)
+    low, high = (np.concatenate(sides) for sides in (program.low, program.high))
+    result = solver(x0=first, lbx=bounds[0], ubx=bounds[1], lbg=low, ubg=high)
     stats = solver.stats()
     return np.array(result["x"]).ravel(), bool(stats["success"]), str(stats["return_status"])

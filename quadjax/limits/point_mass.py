@@ -6,20 +6,23 @@ spline through the gates. The attitude, the body rates and the commands follow f
 
 import dataclasses
 import threading
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from quadjax.limits.extra import casadi
 from quadjax.limits.intervals import gravity
-from quadjax.limits.ipopt import Program, minimize
+from quadjax.limits.ipopt import Effort, Program, minimize
 from quadjax.limits.problem import Problem, leaves
 from quadjax.limits.rules import add_rules
 from quadjax.limits.simulation import positions
 
+POINT_MASS = "point mass"  # how the names of such guesses begin
 USED_FORCE = 0.9  # fraction of the largest thrust; the rest is left for control
 TILTING = 10.0  # rad/s, jerk relative to the largest force
 UPRIGHT = 0.15  # smallest vertical part of the force, relative to the largest
+MARGIN, ITERATIONS = 0.01, 300  # m from the edges; of IPOPT
 SMOOTHNESS = 2e-3  # s, weight of the mean squared jerk, relative to its limit
 
 
@@ -95,16 +98,45 @@ def optimize(
     seconds: float,
     stop: threading.Event,
 ) -> Path:
-    """The time-optimal flight of the point mass, from a first guess as of ``spline``."""
+    """The time-optimal flight of the point mass, from a first guess as of ``spline``.
+
+    Where the problem limits the pitch, the force points upward. Otherwise it has any direction.
+    """
     mass = mass_of(problem)
     durations, *parts = first
     legs, nodes = len(durations), len(parts[0])
-    count = (nodes - 1) // legs
     t = casadi.MX.sym("t", legs)
     p, v, f = (casadi.MX.sym(name, 3, nodes) for name in "pvf")
+    program = Program()
+    smooth = _add_equations(program, mass, t, p, v, f)
+    add_rules(program, problem, p, v, (nodes - 1) // legs, MARGIN)
+    if problem.start == "periodic":
+        program.add(casadi.vertcat(*(x[:, -1] - x[:, 0] for x in (p, v, f))), 0.0, 0.0)
+    upright = -UPRIGHT * mass.force if np.isfinite(problem.pitch_limit) else np.inf
+    force = parts[2] + mass.drag * parts[1] - mass.gravity
+    force[:, 2] = np.minimum(force[:, 2], upright)
+    size = np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-6)
+    force *= np.minimum(1.0, mass.force / size)
+    guess = np.concatenate([durations, parts[0].ravel(), parts[1].ravel(), force.ravel()])
+    low, high = np.full(len(guess), -np.inf), np.full(len(guess), np.inf)
+    low[:legs], high[:legs] = 0.02, 60.0
+    high[legs + 6 * nodes + 2 :: 3] = upright
+    if problem.start == "hover":
+        for offset, value in ((legs, parts[0][0]), (legs + 3 * nodes, 0.0)):
+            low[offset : offset + 3] = high[offset : offset + 3] = value
+    variables = casadi.vertcat(t, *(casadi.vec(x) for x in (p, v, f)))
+    objective, effort = casadi.sum1(t) + SMOOTHNESS * smooth, Effort(seconds, ITERATIONS, stop=stop)
+    values, _, _ = minimize(program, variables, objective, (low, high), guess, effort)
+    tables = np.split(values[legs:], 3)
+    return Path(values[:legs], *(table.reshape(nodes, 3) for table in tables))
+
+
+def _add_equations(program: Program, mass: Mass, t: Any, p: Any, v: Any, f: Any) -> Any:
+    """Motion, limits of force and jerk; returns the integral of the squared relative jerk, s."""
+    nodes = p.shape[1]
+    count = (nodes - 1) // t.numel()
     step = casadi.reshape(casadi.repmat(t.T / count, count, 1), 1, -1)
     h = casadi.repmat(step, 3, 1)
-    program = Program()
     slope = f - mass.drag * v + casadi.repmat(casadi.DM(mass.gravity), 1, nodes)
     program.add(
         p[:, 1:]
@@ -120,31 +152,4 @@ def optimize(
     program.add(jerk / most - h, -np.inf, 0.0)
     program.add(-jerk / most - h, -np.inf, 0.0)
     program.add(casadi.sum1(f**2) / mass.force**2, 0.0, 1.0)
-    add_rules(program, problem, p, v, count, 0.01)
-    if problem.start == "periodic":
-        program.add(casadi.vertcat(*(x[:, -1] - x[:, 0] for x in (p, v, f))), 0.0, 0.0)
-    start = np.concatenate([parts[0][0], np.zeros(3)])
-    force = parts[2] + mass.drag * parts[1] - mass.gravity
-    force[:, 2] = np.minimum(force[:, 2], -UPRIGHT * mass.force)
-    force *= np.minimum(1.0, mass.force / np.linalg.norm(force, axis=1, keepdims=True))
-    guess = np.concatenate([durations, parts[0].ravel(), parts[1].ravel(), force.ravel()])
-    low, high = np.full(len(guess), -np.inf), np.full(len(guess), np.inf)
-    low[:legs], high[:legs] = 0.02, 60.0
-    high[legs + 6 * nodes + 2 :: 3] = -UPRIGHT * mass.force
-    if problem.start == "hover":
-        for offset, value in zip((0, 3 * nodes), (start[:3], start[3:]), strict=True):
-            low[legs + offset : legs + offset + 3] = high[legs + offset : legs + offset + 3] = value
-    smooth = casadi.sum2(casadi.sum1((jerk / most) ** 2) / step)
-    values, _, _ = minimize(
-        program,
-        casadi.vertcat(t, *(casadi.vec(x) for x in (p, v, f))),
-        casadi.sum1(t) + SMOOTHNESS * smooth,
-        (low, high),
-        guess,
-        seconds=seconds,
-        max_iterations=300,
-        stop=stop,
-        report=lambda value: None,
-    )
-    tables = np.split(values[legs:], 3)
-    return Path(values[:legs], *(table.reshape(nodes, 3) for table in tables))
+    return casadi.sum2(casadi.sum1((jerk / most) ** 2) / step)

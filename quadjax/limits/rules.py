@@ -11,6 +11,7 @@ from quadjax.limits.problem import Problem
 from quadjax.race.rules import BENEATH
 
 SLOWEST_PASSAGE = 0.2  # m/s, smallest speed through a gate
+BEYOND = 1e-5  # m beyond the gate's plane, at the end of a leg; much less than any margin
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +97,7 @@ def _add_gate(
             program.add(casadi.sumsqr(offset) / radius**2, 0.0, 1.0)
         return
     local, speed = (casadi.mtimes(gates.axes[gate], each) for each in (offset, velocity))
-    program.add(local[0], margin, margin)  # just beyond the plane
+    program.add(local[0], BEYOND, BEYOND)
     program.add(speed[0], SLOWEST_PASSAGE, np.inf)
     places = [(local, offset)]
     if problem.frame is not None and clearance is not None and not gates.world_box:

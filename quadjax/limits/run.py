@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from quadjax.policy.file import Policy
     from quadjax.race.environment import Choices, RaceParams
 
+SPEED = 60.0  # m/s
 INTERVALS = 20  # of a leg, on the first mesh
 SPEEDS = (4.0, 8.0, 2.5, 6.0)  # m/s, of the splines that initial guesses start from
 RANDOM_SPREAD = 0.8  # fraction of the openings
 POLICY_LAPS = 4
-FASTER = 1.2  # default of the bound's speed, times the top speed of the best known flight
+FASTER = 1.2  # times the top speed of the best known flight: default of the bound's speed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Race:
         stops: whether it ends at rest in the center of the last gate.
         waypoint: m, gates are passed within this distance of their centers, in any direction.
         clearance: m from the edges; None: through the centers.
-        speed: m/s, the speed limit.
+        speed: m/s, the speed limit; None: ``fitted_speed``, or 60 where it is unknown.
         rates: rad/s, limits about x, y, z; None: those of the rules.
         fitted_speed: m/s, of the vehicle; None: unknown.
     """
@@ -46,7 +47,7 @@ class Race:
     stops: bool = False
     waypoint: float | None = None
     clearance: float | None = 0.0
-    speed: float = 60.0
+    speed: float | None = None
     rates: tuple[float, float, float] | None = None
     fitted_speed: float | None = None
 
@@ -81,7 +82,7 @@ def problem_of(choices: "Choices", params: "RaceParams", race: Race) -> Problem:
         start="hover" if race.from_start else "periodic",
         stops=race.stops,
         clearance=race.clearance,
-        speed_limit=race.speed,
+        speed_limit=race.speed or race.fitted_speed or SPEED,
         fitted_speed=race.fitted_speed or np.inf,
         **options,
     )
@@ -122,9 +123,11 @@ def guesses(
 ) -> Iterator[tuple[str, Trajectory]]:
     """Initial guesses by name: those given, then flights of a point mass.
 
-    The first of these starts from a spline through the centers, nose in a constant direction; the
+    The first of these starts from a spline through the centers, nose as of ``from_point_mass``; the
     second has the nose along the velocity; others start from random points of the openings.
     """
+    from quadjax.limits.point_mass import POINT_MASS
+
     yield from given.items()
     for index in range(starts):
         guess = from_point_mass(
@@ -137,7 +140,7 @@ def guesses(
             seconds=min(seconds, 60.0),
             stop=stop,
         )
-        yield f"point mass {index + 1}", guess
+        yield f"{POINT_MASS} {index + 1}", guess
 
 
 def search(
@@ -165,8 +168,11 @@ def bound_of(problem: Problem, best: "BestKnown", speed: float | None) -> "Lower
     """The lower bound of flights below a speed, m/s, or why there is none."""
     from quadjax.limits.bound import lower_bound
 
+    top = best.check.top_speed
     try:
-        return lower_bound(problem, speed or FASTER * best.check.top_speed, best.total)
+        return lower_bound(
+            problem, speed or max(top, min(FASTER * top, problem.speed_limit)), best.total
+        )
     except InputError as error:
         return str(error)
 

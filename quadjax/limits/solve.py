@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from quadjax.limits.collocation import Dynamics, solve
+from quadjax.limits.collocation import SMOOTHNESS, Dynamics, Settings, solve
+from quadjax.limits.ipopt import Effort
+from quadjax.limits.point_mass import POINT_MASS
 from quadjax.limits.problem import Problem
-from quadjax.limits.rules import Wall
 from quadjax.limits.simulation import velocities
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import TIME_STEP, Check, verify
@@ -17,10 +18,16 @@ from quadjax.limits.verify import TIME_STEP, Check, verify
 FINEST, NODES = 80, 800  # intervals of a leg, and of all legs, at most
 SAME = 1e-3  # relative change of the time below which the mesh is fine enough
 MARGIN = 1e-4  # m, first distance from the edges; more where the flown path drifts
-WIDENINGS = 4
+WIDENINGS, WIDER = 4, 5e-4  # times that the margin is increased, and by how much at first, m
 MOST_EXCESS = 1.2  # of a body rate over its limit, up to which the limit is lowered
-RESERVE = 0.005  # of the commands' ranges, kept for the regulator where a flight is rejected
-FIRST_SHARE = 0.4  # of the time that is left, for the first mesh of a guess
+RESERVE = 0.002  # of the commands' ranges, kept for the regulator where a flight is rejected
+FIRST_SHARE = 0.4  # of the time that is left, for each of the stages
+STAGES = (  # fraction of the mesh, smoothness in s, reserve of the commands
+    (2, 1e-2, 0.02),
+    (1, 1e-3, 0.005),
+    (1, SMOOTHNESS, 0.0),
+)
+MOST_ITERATIONS = 500
 MISSED = 0.05  # m, by which a flown path may miss before the margin is widened
 
 
@@ -44,7 +51,7 @@ class BestKnown:
         margin: m, kept from the edges of the openings and the bounds.
         mesh_change: relative change of the time between the last two meshes.
         attempts: one for each initial guess.
-        seconds: wall time.
+        seconds: processor time.
         notes: remarks on the result, one sentence each.
     """
 
@@ -81,18 +88,17 @@ class Search:
 
         Args:
             problem: the flight.
-            seconds: time limit of the search.
+            seconds: limit of the search's processor time.
             stop: if set, the search ends with the best so far.
             report: called with one line on the progress.
         """
         self.problem, self.report = problem, report
-        self.began, self.seconds = time.monotonic(), seconds
+        self.began, self.seconds = time.process_time(), seconds
         self.stop = stop or threading.Event()
         self.dynamics = Dynamics(problem)
         self.attempts: list[Attempt] = []
         self.best: BestKnown | None = None
-        self.walls: tuple[Wall, ...] = ()
-        self.rate_limit = problem.rate_limit
+        self.settings = Settings(margin=MARGIN)
 
     @property
     def over(self) -> bool:
@@ -100,7 +106,7 @@ class Search:
         return self.stop.is_set() or self._left() <= 0.0
 
     def _left(self) -> float:
-        return self.seconds - (time.monotonic() - self.began)
+        return self.seconds - (time.process_time() - self.began)
 
     def run(self, guesses: Iterable[tuple[str, Trajectory]]) -> BestKnown:
         """Solve from each initial guess until the time limit.
@@ -115,18 +121,12 @@ class Search:
         if self.best is None:
             tried = "; ".join(f"{each.guess}: {each.status}" for each in self.attempts)
             raise NotFoundError(f"no flight was found ({tried or 'no time'})")
-        seconds = time.monotonic() - self.began
+        seconds = time.process_time() - self.began
         best = dataclasses.replace(self.best, attempts=tuple(self.attempts), seconds=seconds)
         return dataclasses.replace(best, notes=self._notes(best))
 
     def _solve(
-        self,
-        name: str,
-        guess: Trajectory,
-        margin: float,
-        reserve: float = 0.0,
-        share: float = 1.0,
-        warm: bool = False,
+        self, name: str, guess: Trajectory, share: float = 1.0, warm: bool = False
     ) -> tuple[Trajectory, bool, str]:
         """Solve in at most a share of the time that is left."""
         best = "" if self.best is None else f", best {self.best.total:.4f} s"
@@ -135,76 +135,105 @@ class Search:
             self.problem,
             self.dynamics,
             guess,
-            margin=margin,
-            reserve=reserve,
-            rate_limit=self.rate_limit,
-            walls=self.walls,
-            warm=warm,
-            seconds=share * self._left(),
-            stop=self.stop,
-            report=lambda value: self.report(f"{text}: {value:.4f} s"),
+            self.settings,
+            Effort(
+                share * self._left(),
+                MOST_ITERATIONS,
+                warm,
+                self.stop,
+                lambda value: self.report(f"{text}: {value:.4f} s"),
+            ),
         )
         return solution.trajectory, solution.converged, solution.status
 
     def _attempt(self, name: str, guess: Trajectory) -> None:
-        self.walls, self.rate_limit = (), self.problem.rate_limit
-        if self.best is None:  # an unchanged guess that is verified counts, too
-            self._keep(name, guess, verify(self.problem, guess), 0.0, np.inf)
-        first, converged, status = self._solve(name, guess, MARGIN, share=FIRST_SHARE)
+        self.settings = Settings(margin=MARGIN)
+        if self.best is None and not name.startswith(POINT_MASS):  # an earlier flight counts, too
+            self._keep(name, guess, verify(self.problem, guess), np.inf)
+        first, converged, status = self._approach(name, guess)
         if converged and (self.best is None or first.total < self.best.total * (1.0 - 1e-5)):
             status = self._refine(name, first)
         elif not converged:
-            self._keep(name, first, verify(self.problem, first), MARGIN, np.inf)
+            self._keep(name, first, verify(self.problem, first), np.inf)
         self.attempts.append(Attempt(name, first.total if converged else None, status))
+
+    def _approach(self, name: str, guess: Trajectory) -> tuple[Trajectory, bool, str]:
+        """Solve for smooth flights with a reserve of the commands first, then for the fastest.
+
+        If the last does not converge, the fastest that converged is the result.
+        """
+        intervals, found, warm = guess.intervals, None, False
+        status = "no time"
+        for divisor, smoothness, reserve in STAGES:
+            if self.over:
+                break
+            settings = self.settings
+            self.settings = dataclasses.replace(settings, smoothness=smoothness, reserve=reserve)
+            mesh = guess.resample(intervals // divisor)
+            guess, warm, status = self._solve(name, mesh, FIRST_SHARE, warm)
+            if warm:
+                found = guess
+            elif found is not None:
+                self.settings = settings
+                break
+        if found is None or found.intervals < intervals:
+            return guess, False, status
+        return found, True, status
 
     def _refine(self, name: str, trajectory: Trajectory) -> str:
         """Refine the mesh until the time converges and the flight is verified."""
-        margin, widened, change, refine = MARGIN, 0, np.inf, True
-        reserve = 0.0
+        widened, change, refine = 0, np.inf, True
         check = verify(self.problem, trajectory, MISSED)
-        self._keep(name, trajectory, check, margin, change)
+        self._keep(name, trajectory, check, change)
         finest = min(FINEST, max(trajectory.intervals, NODES // len(trajectory.leg_times)))
         while not self.over:
-            self.walls += check.walls
-            self._limit_rates(check)
+            self._limit(check)
             refine = refine and 2 * trajectory.intervals <= finest
             mesh = trajectory.resample(2 * trajectory.intervals) if refine else trajectory
-            finer, converged, status = self._solve(name, mesh, margin, reserve, warm=True)
+            finer, converged, status = self._solve(name, mesh, warm=True)
             if not converged:
-                self._keep(name, finer, verify(self.problem, finer), margin, np.inf)
+                self._keep(name, finer, verify(self.problem, finer), np.inf)
                 return status
             if refine:
                 change = abs(finer.total - trajectory.total) / finer.total
             trajectory = finer
             check = verify(self.problem, trajectory, MISSED)
-            if self._keep(name, trajectory, check, margin, change):
+            if self._keep(name, trajectory, check, change):
                 if change <= SAME or not refine:
                     return "verified"
             elif not np.isfinite(check.drift) or widened == WIDENINGS:
                 return f"rejected: {check.error or 'it misses a gate'}"
             refine = change > SAME and 2 * trajectory.intervals <= finest
             if check.drift > 0.0 and not refine:
+                self._widen(check, widened)
                 widened += 1
-                if check.error:
-                    reserve += RESERVE
-                else:
-                    margin += 1.2 * check.drift + 2e-5
         return f"no time (at last: {check.error or 'verified'})"
 
-    def _limit_rates(self, check: Check) -> None:
-        """Lower the solver's limits of the rates that the flight exceeds between the nodes."""
-        limit = self.problem.rate_limit
+    def _widen(self, check: Check, widened: int) -> None:
+        """More distance from the edges, or a reserve of the commands for the regulator."""
+        margin, reserve = self.settings.margin, self.settings.reserve
+        if check.error:
+            reserve = max(2.0 * reserve, RESERVE)
+        else:
+            margin += 1.2 * check.drift + WIDER * 4.0**widened
+        self.settings = dataclasses.replace(self.settings, margin=margin, reserve=reserve)
+
+    def _limit(self, check: Check) -> None:
+        """Keep to sides of frames, and lower the limits of rates that the flight exceeds."""
+        limit, current = self.problem.rate_limit, self.settings.rate_limit
+        current = limit if current is None else current
         excess = check.rates / limit
         if check.feedback and np.all(excess < MOST_EXCESS):
-            lower = np.where(excess > 1.0, self.rate_limit / (1.001 * excess), self.rate_limit)
-            self.rate_limit = np.minimum(self.rate_limit, lower)
+            lower = np.where(excess > 1.0, current / (1.001 * excess), current)
+            current = np.minimum(current, lower)
+        walls = self.settings.walls + check.walls
+        self.settings = dataclasses.replace(self.settings, rate_limit=current, walls=walls)
 
-    def _keep(
-        self, name: str, trajectory: Trajectory, check: Check, margin: float, change: float
-    ) -> bool:
+    def _keep(self, name: str, trajectory: Trajectory, check: Check, change: float) -> bool:
         """Keep a verified flight if it is the best, and whether it is verified."""
         if check.drift > 0.0:
             return False
+        margin = self.settings.margin
         found = BestKnown(trajectory, check, name, margin, change, (), 0.0, ())
         if (
             self.best is None

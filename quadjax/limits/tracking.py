@@ -16,7 +16,7 @@ from quadjax.limits.problem import Problem
 from quadjax.limits.simulation import make_step
 from quadjax.limits.trajectory import Trajectory
 
-POSITION, VELOCITY, OTHERS = 0.01, 0.1, 0.3  # m, m/s, fraction of the largest value: tolerances
+POSITION, VELOCITY, OTHERS = 0.03, 0.1, 0.03  # m, m/s, fraction of the largest value: tolerances
 COMMAND = 0.1  # fraction of the range
 
 

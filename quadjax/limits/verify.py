@@ -16,6 +16,7 @@ from quadjax.race.rules import hits_ground, inside_frame
 
 TIME_STEP = 1e-3  # s, for which each command is held
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
+STEPS = 1000  # the number of steps is a multiple: each number is compiled anew
 OVERRUN = 1.01  # the simulation is longer than the solution, to reach the last gate
 AT_REST = 0.02, 0.05  # m from the center of the last gate, and m/s, at the end of a flight at rest
 RATE_TOLERANCE, PITCH_TOLERANCE = 1.001, 1e-3  # a factor, and rad
@@ -73,7 +74,7 @@ def verify(problem: Problem, trajectory: Trajectory, tolerance: float = 0.0) -> 
         trajectory: the solution.
         tolerance: m, by which an edge of an opening may be missed.
     """
-    steps = int(np.ceil(OVERRUN * trajectory.total / TIME_STEP))
+    steps = STEPS * int(np.ceil(OVERRUN * trajectory.total / (STEPS * TIME_STEP)))
     _, commands = reference(problem, trajectory, TIME_STEP, steps)
     states = simulate(problem, commands, TIME_STEP, "rk4", trajectory.states[0])
     check = _check(problem, trajectory, states, commands, tolerance, False)

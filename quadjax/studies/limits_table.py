@@ -1,11 +1,12 @@
 """Best known laps and lower bounds of several tracks and drones: one JSON file for each pair."""
 
+import dataclasses
 import json
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from quadjax.limits.report import LIMIT, arrays
 from quadjax.limits.trajectory import Trajectory
 from quadjax.policy.file import Policy
 
+if TYPE_CHECKING:
+    from quadjax.limits.solve import BestKnown, Search
+
 TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s", "grand_challenge")
 DRONES = {  # by name: a preset and overrides
     "Bebop E2E": ("e2e_fastest",),
@@ -32,7 +36,6 @@ DRONES = {  # by name: a preset and overrides
 }
 POLICIES = {("square4", "Bebop E2E"): "e2e_fastest", ("square4", "Bebop INDI"): "indi"}
 SHARES = 0.6, 0.2  # of a cell's time: the best known lap, and that through the centers
-STARTS = 2
 
 
 def file_of(folder: Path, track: str, drone: str) -> Path:
@@ -48,6 +51,8 @@ def make(
     policies: Path,
     stop: threading.Event,
     report: Callable[[str], object],
+    starts: int = 2,
+    centers: bool = True,
 ) -> None:
     """Compute the cells that the folder lacks.
 
@@ -55,10 +60,12 @@ def make(
         folder: where each cell has its ``.json`` and its best known lap as ``.npz``.
         tracks: names of tracks.
         drones: of ``DRONES``.
-        seconds: time limit of a cell.
+        seconds: processor time of a cell's searches at most.
         policies: folder of the policies to compare with.
         stop: if set, the current cell ends with the best so far, and no other begins.
         report: called with one line on the progress.
+        starts: number of initial guesses, in addition to a policy's lap.
+        centers: whether to search the lap through the centers, too.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for track in tracks:
@@ -66,7 +73,8 @@ def make(
             path = file_of(folder, track, drone)
             if path.exists() or stop.is_set():
                 continue
-            result = cell(track, drone, seconds, policies, path.with_suffix(".npz"), stop, report)
+            table = path.with_suffix(".npz")
+            result = cell(track, drone, seconds, policies, table, stop, report, starts, centers)
             if not stop.is_set():
                 write_json(path, result)
 
@@ -79,11 +87,13 @@ def cell(
     table: Path,
     stop: threading.Event,
     report: Callable[[str], object],
+    starts: int,
+    centers: bool,
 ) -> dict[str, Any]:
     """One track and drone: best known lap, lower bound, lap through the centers, policy."""
     from quadjax.limits.solve import NotFoundError, Search
 
-    began = time.monotonic()
+    began = time.process_time()
     preset, *overrides = DRONES[drone]
     config = load_config(preset, [f"track={track}", *overrides])
     choices, params = race_of(config)
@@ -96,10 +106,10 @@ def cell(
     show = lambda text: report(f"{track}, {drone}: {text}")  # noqa: E731
     try:
         best = run.search(
-            problem, given, starts=STARTS, seconds=SHARES[0] * seconds, stop=stop, report=show
+            problem, given, starts=starts, seconds=SHARES[0] * seconds, stop=stop, report=show
         )
     except NotFoundError as error:
-        return result | {"error": str(error), "seconds": time.monotonic() - began}
+        return result | {"error": str(error), "seconds": time.process_time() - began}
     gates = [gate.model_dump(mode="json") for gate in config.track.gates]
     meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track": gates}
     meta["start"] = problem.start
@@ -117,15 +127,23 @@ def cell(
         "policy": laps[0].total if laps else None,
         "gap": laps[0].total / best.total - 1.0 if laps else None,
     }
-    centers = run.problem_of(choices, params, run.Race(clearance=None))
+    if centers:
+        exact = run.problem_of(choices, params, dataclasses.replace(race, clearance=None))
+        result |= _through_centers(Search(exact, SHARES[1] * seconds, stop, show), best)
+    return result | {"seconds": time.process_time() - began}
+
+
+def _through_centers(search: "Search", best: "BestKnown") -> dict[str, Any]:
+    """The lap through the centers, from the best known lap, as part of a cell's result."""
+    from quadjax.limits.solve import NotFoundError
+
     try:
-        again = Search(centers, SHARES[1] * seconds, stop, show)
-        found = again.run([("best known lap", best.trajectory.resample(run.INTERVALS))])
-        if np.isfinite(found.mesh_change):  # else the search ended before it converged
-            result["centers"] = found.total
+        found = search.run([("best known lap", best.trajectory.resample(run.INTERVALS))])
     except NotFoundError as error:
-        result |= {"centers": None, "centers_error": str(error)}
-    return result | {"seconds": time.monotonic() - began}
+        return {"centers": None, "centers_error": str(error)}
+    if not np.isfinite(found.mesh_change):  # the search ended before it converged
+        return {"centers": None, "centers_error": "the mesh was not refined"}
+    return {"centers": found.total}
 
 
 def _laps(config: Config, problem: Problem, folder: Path, name: str | None) -> list[Trajectory]:

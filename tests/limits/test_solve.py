@@ -107,6 +107,33 @@ def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
 
 
 @pytest.mark.slow
+def test_a_lap_with_a_split_s_is_found_from_the_flight_of_a_point_mass():
+    from quadjax.limits.guess import from_point_mass
+    from quadjax.limits.solve import Search
+
+    choices, params = race_of(load_config("e2e_fastest", ["vehicle=5inch", "track=split_s"]))
+    problem = make_problem(choices.model, params, speed_limit=40.0)
+    best = Search(problem, seconds=1000).run([("point mass", from_point_mass(problem, 12, 4.0))])
+    assert best.total <= 3.25
+    assert best.check.error == "" and best.check.clearance >= 0.0 and best.check.margin >= 0.0
+
+
+def test_the_nose_of_a_guess_for_a_quaternion_closes_the_lap():
+    from quadjax.limits.guess import from_path
+
+    choices, params = race_of(load_config("e2e_fastest", ["vehicle=5inch"]))
+    problem = make_problem(choices.model, params)
+    angle = np.linspace(0.0, 2.0 * np.pi, 41)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(41)], axis=1)
+    force = 20.0 * circle - [0.0, 0.0, 9.81]
+    rest = np.zeros((41, 3))
+    guess = from_path(problem, np.ones(4), circle, rest, force, np.zeros(41), True)
+    quaternion = guess.states[:, problem.normalized]
+    assert abs(quaternion[0] @ quaternion[-1]) == pytest.approx(1.0, abs=1e-6)
+    assert np.sum(quaternion[1:] * quaternion[:-1], axis=1).min() > 0.9
+
+
+@pytest.mark.slow
 def test_the_command_writes_a_bracket(tmp_path, capsys):
     path, table = tmp_path / "limit.json", tmp_path / "limit.npz"
     assert run("limit", "indi", "--starts", 1, "--json", path, "--npz", table) == 0
