@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadjax.core.errors import InputError
 from quadjax.race.track import Track
 
 OCTAGON = np.pi / 4.0 * np.arange(8)  # angles of the corners of a round opening's octagon
@@ -75,16 +76,26 @@ class Gates:
         return float(min(width - abs(right), height - abs(down)))
 
 
-def gates_of(track: Track, world_box: bool = False, waypoint: float | None = None) -> Gates:
+def gates_of(
+    track: Track, world_box: bool = False, waypoint: float | None = None, radius: float = 0.0
+) -> Gates:
     """The gates of a track, upright or tilted, rectangular or round.
 
     Args:
         track: the track.
         world_box: the rule ``gate_test: world_box``.
         waypoint: m; gates are passed within this distance of their centers, in any direction.
+        radius: of the drone, m: openings are smaller by it on each side.
+
+    Raises:
+        InputError: an opening is not wider than the drone.
     """
     position = np.stack([np.asarray(x, np.float64) for x in track.position.components()], 1)
     sizes = [np.asarray(x, np.float64) for x in (track.half_width, track.half_height)]
+    half = np.stack(sizes, 1) - radius
+    if np.any(half <= 0.0):
+        gate = int(np.argmin(half.min(axis=1))) + 1
+        raise InputError(f"gate {gate}: no wider than the drone, rules.body_radius {radius:g} m")
     yaw = np.asarray(track.yaw, np.float64)
     angles = np.stack([yaw, np.zeros_like(yaw), np.zeros_like(yaw)], axis=1)
     if track.opening is not None:
@@ -93,4 +104,4 @@ def gates_of(track: Track, world_box: bool = False, waypoint: float | None = Non
             angles[:, column] = np.arctan2(opening[f"sin_{name}"], opening[f"cos_{name}"])
     axes = Rotation.from_euler("ZYX", angles).as_matrix().transpose(0, 2, 1)
     circle = np.zeros(len(yaw), bool) if track.circle is None else np.asarray(track.circle)
-    return Gates(position, axes, np.stack(sizes, 1), circle, world_box, waypoint)
+    return Gates(position, axes, half, circle, world_box, waypoint)

@@ -42,6 +42,7 @@ class Problem:
         fitted_speed: highest speed of the flights that the model is fitted to, m/s.
         frame: solid frames around the openings.
         landing: largest speed near the ground; None: no flight below the ground.
+        radius: of the drone, m. ``gates`` and ``bounds`` are already smaller by it.
     """
 
     model: VehicleModel
@@ -59,6 +60,7 @@ class Problem:
     fitted_speed: float = np.inf
     frame: Frame | None = None
     landing: Landing | None = None
+    radius: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise an ``InputError`` for a gate that no flight can pass."""
@@ -208,18 +210,20 @@ def make_problem(
         InputError: a gate that cannot be passed.
     """
     limits = params.limits
+    radius = 0.0 if limits.body_radius is None else float(limits.body_radius)
     bounds = np.array(NO_BOUNDS)
-    if limits.landing is not None:
-        bounds[1, 2] = BENEATH
+    bounds[1, 2] = -radius if limits.landing is None else BENEATH
     edge = float(limits.position)
     bounds[:, :2] = [[-edge] * 2, [edge] * 2]
     if limits.bounds is not None:
         low, high = (leaves(end) for end in limits.bounds)
-        bounds = np.array([np.maximum(bounds[0], low), np.minimum(bounds[1], high)])
-    gates = gates_of(params.track, world_box, waypoint)
+        inner = np.maximum(bounds[0], low + radius), np.minimum(bounds[1], high - radius)
+        bounds = np.array(inner)
+    gates = gates_of(params.track, world_box, waypoint, radius)
     if not params.track.closed:
         options["start"] = "hover"
     fields = {"bounds": bounds, "frame": limits.frame, "landing": limits.landing} | options
+    fields["radius"] = radius
     axes = np.full(3, float(limits.body_rate))
     if limits.axis_rates is not None:
         axes = leaves(limits.axis_rates)

@@ -102,7 +102,8 @@ def _add_gate(
     places = [(local, offset)]
     if problem.frame is not None and clearance is not None and not gates.world_box:
         # Through the depth of the frame, along the velocity.
-        way = 0.5 * float(problem.frame.depth) / speed[0] * speed
+        depth = 0.5 * float(problem.frame.depth) + problem.radius
+        way = depth / speed[0] * speed
         places = [(local - way, None), (local + way, None)]
     half = np.zeros(2) if clearance is None else gates.half_size[gate] - clearance
     half = np.maximum(half, 0.0)

@@ -65,8 +65,6 @@ def problem_of(choices: "Choices", params: "RaceParams", race: Race) -> Problem:
     """
     if choices.rules:
         raise InputError("rules.extra: time-optimal laps do not support extra rules")
-    if params.limits.body_radius is not None:
-        raise InputError("rules.body_radius: time-optimal laps do not support it, allowed: 0")
     if params.battery is not None:
         raise InputError("battery: time-optimal laps do not support it, allowed: null")
     passages = race.gates

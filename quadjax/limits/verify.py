@@ -154,7 +154,9 @@ def _margin(
             if np.any(hit):
                 return margin, "flies too fast near the ground", ()
         if problem.frame is not None:
-            hit = jax.vmap(lambda p: inside_frame(p, problem.track, problem.frame, 0.0))(place)
+            hit = jax.vmap(
+                lambda p: inside_frame(p, problem.track, problem.frame, 0.0, problem.radius)
+            )(place)
             if np.any(hit):
                 return margin, "hits the frame of a gate", _walls(problem, flown, hit, times)
     return margin, "", ()
@@ -166,12 +168,13 @@ def _walls(
     """For each part of a flight inside a frame, its nearest outer side."""
     (found,) = np.nonzero(np.asarray(hit))
     nodes, walls = np.concatenate([[0.0], times]), []
-    size = np.array([0.5 * float(problem.frame.depth), 0.0, 0.0])
+    size = np.array([0.5 * float(problem.frame.depth) + problem.radius, 0.0, 0.0])
+    wider = float(problem.frame.width) + 2.0 * problem.radius  # than the opening for a point
     for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
         offset = flown[part][:, None] - problem.gates.position  # (n, gates, 3)
         local = np.einsum("gij,ngj->ngi", problem.gates.axes, offset)
         gate = int(np.argmin(np.abs(local[:, :, 0]).max(axis=0) + np.abs(local).max(axis=(0, 2))))
-        size[1:] = problem.gates.half_size[gate] + float(problem.frame.width)
+        size[1:] = problem.gates.half_size[gate] + wider
         depth = size - np.abs(local[:, gate]).max(axis=0)
         axis = 1 + int(np.argmin(depth[1:]))
         sign = float(np.sign(local[:, gate, axis].mean()))

@@ -110,3 +110,17 @@ def test_a_waypoint_is_passed_within_its_distance(aside, tolerance, clearance):
     half = np.sqrt(max(0.3**2 - aside**2, 0.0))
     np.testing.assert_allclose(times, [2.0 - half], atol=2e-3)
     assert not len(crossings(problem, problem.gates.position[0] + 2.0 * way, 1e-3, [0])[0])
+
+
+def test_a_body_radius_narrows_openings_bounds_and_ground():
+    from quadjax.core.errors import InputError
+
+    rules = ["rules.body_radius=0.1", "rules.gate_frame=0.2", "rules.bounds=[[-9,9],[-9,9],[-5,0]]"]
+    choices, params = race_of(load_config("indi", rules))
+    problem = make_problem(choices.model, params)
+    point = gates_of(params.track)
+    np.testing.assert_allclose(problem.gates.half_size, point.half_size - 0.1, atol=1e-6)
+    np.testing.assert_allclose(problem.bounds, [[-8.9, -8.9, -4.9], [8.9, 8.9, -0.1]], atol=1e-6)
+    assert problem.radius == pytest.approx(0.1)
+    with pytest.raises(InputError, match="gate 1: no wider than the drone"):
+        gates_of(params.track, radius=2.0)
