@@ -11,6 +11,7 @@ from quadjax.core.files import read_json, write_json, write_text
 from quadjax.core.markdown import table
 from quadjax.fitting.config import FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_log
+from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.plant.config import PlantConfig
 from quadjax.policy.file import Policy
 from quadjax.studies.improve.flights import Flown, fly, fly_and_log
@@ -22,7 +23,10 @@ from quadjax.training.result import read_summary
 from quadjax.training.run import train
 
 KIND = "improvement"
-FILES = ("improve.json", "table.txt", "policy.npz", "round_*", "inputs", "check.json", "logs")
+FILES = (
+    *("improve.json", "table.txt", "policy.npz", "round_*", "check_*.json"),
+    *("model.json", "states.npz", "training", *FIT_FILES),  # of real logs
+)
 GATE = "hit a gate"
 SHORT = 0.1  # s more than logs.min_seconds
 CHECK_SEED = 10_000  # of flights that are learned from by no round
