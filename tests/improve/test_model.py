@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import quadjax.studies.improve as package
+from quadjax.config.loading import load_config
 from quadjax.fitting.battery import BatteryFit
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.studies.improve.model import NAMES, Model, Refit, refit, refusal
@@ -69,6 +70,8 @@ def test_the_training_has_the_model_and_the_numbers_at_the_end_of_the_schedules(
     assert tuned.vehicle.constants["k_w"] == 4e-8 and tuned.vehicle.constants["tau"] == 0.07
     assert tuned.reward.gate_edge == 50 and tuned.learner.std == 0.1
     assert tuned.reward.gate_edge_margin == 0.1
+    (tmp_path / "config.yaml").write_text(tuned.to_yaml())
+    assert load_config(tmp_path / "config.yaml").schedules == tuned.schedules  # to resume it
     assert set(tuned.schedules) == {"learner.learning_rate", "learner.critic_learning_rate"}
     assert tuned.battery.rpm_full > 11800.0 and tuned.observation.highest_rpm == "none"
     assert tuned.run.initial_policy == str(policy) and tuned.run.start_states is None

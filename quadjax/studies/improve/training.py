@@ -45,13 +45,13 @@ def tuning_config(
     own = model.race(at_the_end(config))
     if own.reward.gate_edge > 0:
         own = own.at("reward.gate_edge_margin", margin)
-    schedules = {}
-    for name in RATES:
-        if name in type(own.learner).model_fields:
-            rate = getattr(own.learner, name)
-            schedules[f"learner.{name}"] = Schedule(linear=(FIRST_RATE * rate, 0.0))
+    rates = [name for name in RATES if name in type(own.learner).model_fields]
+    first = {name: FIRST_RATE * getattr(own.learner, name) for name in rates}
+    falling = Schedule(linear=("value", 0.0))
+    schedules = {f"learner.{name}": falling for name in rates}
     run = {"steps": steps, "evaluate_every": max(1, steps // EVALUATIONS)}
     run |= {"initial_policy": str(policy), "start_states": None if states is None else str(states)}
     if states is None:
         run["start_states_part"] = type(own.run)().start_states_part
-    return own.replace(schedules=schedules, run=own.run.replace(**run))
+    learner = own.learner.replace(**first)
+    return own.replace(learner=learner, schedules=schedules, run=own.run.replace(**run))
