@@ -181,8 +181,6 @@ def fly_all(
     inputs, config, policy = _read(setting)
     laps = setting.laps or config.evaluate.laps
     world = make_world(config, policy, setting.plant, laps)
-    report("compiling")
-    world.advance(world.begin(setting.seed), world.ranges()[0].astype(np.float32))
     races: list[Race] = []
     with _autopilot(setting, inputs, world, stop, report) as (peer, name):
         for run in range(setting.runs):
@@ -191,6 +189,12 @@ def fly_all(
             if stop.is_set() or races[-1].gone:
                 break
     return Flown(setting, config, world, name, races)
+
+
+def _compile(world: World, report: Callable[[str], None]) -> None:
+    """Compile the drone, before an autopilot waits for it."""
+    report("compiling")
+    world.advance(world.begin(0), world.ranges()[0].astype(np.float32))
 
 
 def _read(setting: Setting) -> tuple[Inputs | None, Config, Policy]:
@@ -215,6 +219,7 @@ def _autopilot(
     kind = command_kind(world.model)
     if setting.listen is not None:
         with listening(*setting.listen) as own:
+            _compile(world, report)
             host, port = own.getsockname()
             report(f"waiting for an autopilot at {host}:{port}")
             with greeted(own, kind, CONNECT_SECONDS, stop) as peer:
@@ -224,6 +229,7 @@ def _autopilot(
     with tempfile.TemporaryDirectory() as work, listening(ADDRESS, 0) as own:
         sources = write_sources(setting.source, inputs, 1.0 / world.step, Path(work))
         program = sources.build(Path(work))
+        _compile(world, report)
         estimator = ", its own estimator" if sources.own_estimator else ""
         with running(program, own.getsockname()[1]):
             with greeted(own, kind, START_SECONDS, stop) as peer:

@@ -23,6 +23,7 @@ from quadjax.policy.file import Policy
 from quadjax.sil import run as sil
 from quadjax.sil.fly import FLOATS
 from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
+from quadjax.sil.peer import ADDRESS, listening
 from quadjax.sil.plant_world import PlantWorld
 from quadjax.sil.run import Setting, fly_all, make_world
 from quadjax.sil.source import write_sources
@@ -147,6 +148,15 @@ def test_bad_input_is_one_line(arguments, expected, tmp_path, monkeypatch, capfd
     lines = capfd.readouterr().err.strip().splitlines()
     assert expected in lines[-1] and lines[-1].startswith("error: ")
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_port_that_is_taken_is_one_line(monkeypatch, capfd, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sil, "make_world", lambda *_: Counting())
+    with listening(ADDRESS, 0) as own:
+        address = f"{ADDRESS}:{own.getsockname()[1]}"
+        assert run("sil", "indi_shac", "--listen", address) == 2
+    assert f"error: --listen {address}: cannot listen there" in capfd.readouterr().err
 
 
 def test_a_machine_without_compiler_is_one_line(tmp_path, monkeypatch):
