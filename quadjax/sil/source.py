@@ -104,18 +104,22 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
     }
     for file in ("autopilot.c", "process.c"):
         (work / file).write_text(render(f"sil/{file}", values))
-    (work / "message.h").write_text(header_text())
+    (work / "message.h").write_text(header_text(functions=True))
     include = folder / FOLDER if indiflight else folder
     return Sources(tuple(folder / file for file in names), include, own)
 
 
-def header_text() -> str:
-    """The messages as a C header, for autopilots in C."""
+def header_text(functions: bool = False) -> str:
+    """The messages as a C header, for autopilots in C.
+
+    Args:
+        functions: also declare those of the exported C behind the messages.
+    """
     structs: list[tuple[str, Fields]] = [("sil_header", HEADER_FIELDS)]
     structs += [(f"sil_{kind.name.lower()}", fields) for kind, fields in PAYLOADS.items() if fields]
     sizes = {f"sil_{kind.name.lower()}": DTYPES[kind].itemsize for kind in Kind}
     sizes["sil_header"] = HEADER.itemsize
-    values = {"version": VERSION, "structs": structs, "sizes": sizes}
+    values = {"version": VERSION, "structs": structs, "sizes": sizes, "functions": functions}
     return render("sil/message.h", values)
 
 

@@ -21,9 +21,11 @@ typedef struct {
 typedef char ${struct}_has_its_size[sizeof(${struct}) == ${sizes[struct]} ? 1 : -1];
 {% endfor %}
 
+{% if functions %}
 /* What flies: in autopilot.c. */
 uint32_t sil_self_test(void); /* mismatches */
 void sil_begin(void);         /* a race begins with the next state */
 void sil_step(const sil_state *from, sil_command *to);
+{% endif %}
 
 #endif
