@@ -41,7 +41,7 @@ NOT_STUDIES = (  # options that have no effect on the flights of --robustness an
     *("gates", "start", "deterministic", "fixed_point", "offsets", "states", "figure"),
     *("figure_3d", "signals", "attitude", "animation", "body"),
 )
-NOT_RANDOM_TRACKS = ("robustness", "runs")
+NOT_RANDOM_TRACKS = ("robustness", "runs", "seed")
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:

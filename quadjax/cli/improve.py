@@ -2,7 +2,7 @@
 
 CONFIG is the race in which the policy was trained. The flights are on the stand-in plant, of which
 only the logs are read. A model that does not predict held-out flights better than the present one
-is refused. FOLDER gets the logs, the model and the training of each round, policy.npz and
+is rejected. FOLDER gets the logs, the model and the training of each round, policy.npz and
 table.txt. The same command continues after a stop. With --logs it reads real logs instead: it
 prints what they change in the model and fine-tunes the policy, without flying.
 """
@@ -21,26 +21,27 @@ from quadjax.core.interruptions import loading
 if TYPE_CHECKING:
     from quadjax.studies.improve.run import Report, Setting
 
+OF_FLIGHTS = (  # options that have no effect with --logs
+    *("rounds", "flights", "laps", "check", "seed", "plant", "plant_seed"),
+)
+
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("improve", description=__doc__)
     add_config(parser)
     parser.add_argument("--policy", required=True, metavar="FILE.npz")
-    parser.add_argument("--rounds", type=whole(1, 100), default=3, help="of fly and learn (3)")
-    parser.add_argument("--flights", type=runs, default=2, help="in each round (2)")
-    parser.add_argument("--laps", type=laps, default=6, help="of each flight (6)")
-    parser.add_argument(
-        "--steps", type=whole(1, 10**9), default=2_000_000, help="of each fine-tuning (2000000)"
-    )
+    parser.add_argument("--rounds", type=whole(1, 100), help="of flying and learning (3)")
+    parser.add_argument("--flights", type=runs, help="in each round (2)")
+    parser.add_argument("--laps", type=laps, help="of each flight (6)")
+    parser.add_argument("--steps", type=whole(1, 10**9), help="of each fine-tuning (2000000)")
     parser.add_argument("--fit", metavar="FILE", help="YAML file of configs/fit (improve)")
     parser.add_argument("--logs", nargs="+", metavar="FILE", help="real logs, in place of flights")
     parser.add_argument("--plant", metavar="FILE", help="YAML file of configs/plant (standin)")
     parser.add_argument("--plant-seed", type=seed, help="of the plant's constants")
-    parser.add_argument("--seed", type=seed, default=0, help="of batteries, gusts and sensors")
+    parser.add_argument("--seed", type=seed, help="of batteries, gusts and sensors (0)")
     parser.add_argument(
         "--check",
         type=whole(0, 10_000),
-        default=10,
         help="flights of the first and the last policy that nothing is learned from (10)",
     )
     parser.add_argument("--output", type=Path, default=Path("runs/improve"), metavar="FOLDER")
@@ -88,7 +89,7 @@ def _setting(options: argparse.Namespace) -> "Setting":
     from quadjax.plant.config import load_plant_config
     from quadjax.studies.improve.run import Setting
 
-    for name in ("plant", "plant_seed"):
+    for name in OF_FLIGHTS:
         if options.logs and getattr(options, name) is not None:
             raise InputError(f"--logs and --{name.replace('_', '-')} exclude each other")
     fit, plant = load_fit_config(find_config(options.fit or "improve", "fit")), None
@@ -101,7 +102,8 @@ def _setting(options: argparse.Namespace) -> "Setting":
         if options.plant_seed is not None:
             plant = plant.replace(constants=plant.constants.replace(seed=options.plant_seed))
     names = ("rounds", "flights", "laps", "steps", "check", "seed")
-    numbers = {name: getattr(options, name) for name in names}
+    given = {name: getattr(options, name) for name in names}
+    numbers = {name: value for name, value in given.items() if value is not None}
     race = load_config(options.config, options.overrides)
     return Setting(race, Path(options.policy), fit, plant, logs, **numbers)
 
@@ -115,7 +117,7 @@ def _run(setting: "Setting", folder: Path, report: "Report") -> str:
     if setting.logs:
         found = run.learn(setting, folder, report)
         lines = [*constant_lines(Model.of(setting.race), found.model), "", *error_lines(found)]
-        lines += ["", f"refused: {found.refused}" if found.refused else "accepted; policy.npz"]
+        lines += ["", f"rejected: {found.refused}" if found.refused else "accepted; policy.npz"]
         text = "\n".join(lines)
     else:
         rounds = run.improve(setting, folder, report)

@@ -43,6 +43,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--json", type=Path, metavar="FILE.json", help="write the table")
     arguments = parse(parser, argv)
+    for option in ("runs", "allow_unfinished", "allow_other_race"):
+        if arguments.folder.suffix == ".qjp" and getattr(arguments, option):
+            raise InputError(f"--{option.replace('_', '-')} has no effect on a .qjp file")
     if arguments.vectors < 100:
         raise InputError(f"--vectors {arguments.vectors}: expected at least 100")
     check_outputs(arguments, json=(".json",))

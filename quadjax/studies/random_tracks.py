@@ -9,6 +9,7 @@ import numpy as np
 
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config
+from quadjax.core.limits import MAX_LAPS, check_integer
 from quadjax.core.markdown import table
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
@@ -67,8 +68,10 @@ def fly_random_tracks(
         name: of the policy, for messages.
 
     Raises:
-        InputError: the policy does not fit the race, or there are no tracks with these settings.
+        InputError: the policy does not fit the race, there are no tracks with these settings, or
+            ``lap_count`` is out of range.
     """
+    check_integer("laps", lap_count, 2, MAX_LAPS)
     own = config.replace(randomization=config.randomization.replace(tracks=tracks))
     choices, params = pilot.fit_race(*race_of(own), policy, name)
     choices = dataclasses.replace(choices, stagger_clocks=False)

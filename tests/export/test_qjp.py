@@ -1,4 +1,4 @@
-"""A policy as a file: the same bits in Python and C, and whatever was changed is refused."""
+"""A policy as a file: the same bits in Python and C, and whatever was changed is rejected."""
 
 import ctypes
 import dataclasses
@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 
+from quadjax.cli.verify import main
 from quadjax.core.errors import InputError
 from quadjax.export.fixed import convert
 from quadjax.export.qjp.policy import HASH_BYTES, make_qjp, qjp_bytes
@@ -183,6 +184,8 @@ def test_a_damaged_file_is_named(data, tmp_path):
     path.write_bytes(data[:-1] + b"\0")
     with pytest.raises(InputError, match="racer.qjp: changed since it was written"):
         read_qjp(path)
+    with pytest.raises(InputError, match="--runs has no effect on a .qjp file"):
+        main([str(path), "--runs", "1"])
 
 
 def test_mutated_files_are_refused(context):

@@ -63,8 +63,8 @@ def test_a_stopped_command_repeats_no_step(tmp_path, flights, monkeypatch):
     assert one == done
     text = rounds_table([one, two], {})
     assert text.count("\n| 1 | 2 of 2 | 8.00 | 16 | accepted |") == 1
-    assert text.count("\n| 2 | 2 of 2 | 8.00 | 32 | refused |") == 1
-    assert "round 2: the model is refused: its error on held-out flights" in text
+    assert text.count("\n| 2 | 2 of 2 | 8.00 | 32 | rejected |") == 1
+    assert "round 2: the model is rejected: its error on held-out flights" in text
     assert not (folder / "round_2" / "training").exists()
     with pytest.raises(InputError, match="improve.json has another seed"):
         start(setting_of(tmp_path, seed=1), folder)
@@ -106,6 +106,7 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     for more, says in (
         (("--logs", "none.csv"), "none.csv: no such file"),
         (("--logs", "a.csv", "--plant-seed", "1"), "--logs and --plant-seed exclude each other"),
+        (("--logs", "a.csv", "--seed", "0"), "--logs and --seed exclude each other"),
         (("--rounds", "0"), "--rounds: '0', expected an integer, 1 to 100"),
         (("vehicle.model=rate",), "vehicle.model is rate, allowed: motor"),
         (("network.hidden=[9]",), "has hidden widths [8], the config has [9]"),

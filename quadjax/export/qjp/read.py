@@ -1,4 +1,4 @@
-"""Reads a ``.qjp`` file; refuses whatever the writer does not write."""
+"""Reads a ``.qjp`` file; rejects whatever the writer does not write."""
 
 import hashlib
 from pathlib import Path
@@ -40,7 +40,7 @@ QUATERNION = 4  # numbers of the source of a rotation
 
 
 def read_qjp(path: Path | str) -> QjpPolicy:
-    """Read a ``.qjp`` file and check all that the loader on board checks.
+    """Read a ``.qjp`` file; check its hash, its range proof, its self-tests and its layout.
 
     Raises:
         InputError: no such file, not a .qjp, damaged, of another version, or one of which the

@@ -105,7 +105,7 @@ def qjp_library(c: QjpContext) -> ctypes.CDLL:
     """The loader on this machine, with the file loaded."""
     library = load_library(host(), c.harness, c.work / "loader.so")
     error = library.harness_load(_pointer(c.words), len(c.data))
-    require(error == 0, f"the loader refuses the file: error {error}")
+    require(error == 0, f"the loader rejects the file: error {error}")
     return library
 
 
@@ -204,7 +204,7 @@ def _machine(c: QjpContext, processor: str) -> str:
     words = machine.place(c.words)
     size = machine.reserve(4096)  # of a qjp_policy, more than enough
     used = [machine.count("qjp_load", size, words, len(c.data))]
-    require(machine.call("harness_load", words, len(c.data)) == 0, "the loader refuses the file")
+    require(machine.call("harness_load", words, len(c.data)) == 0, "the loader rejects the file")
     q, out = c.inputs[:: max(1, len(c.inputs) // 500)], machine.reserve(32 * len(c.inputs))
     machine.call("harness_forward", machine.place(q), out, len(q))
     rows = machine.read(out, np.int32, (len(q), OUTPUTS + 1))
@@ -240,9 +240,9 @@ def check_mutations(c: QjpContext) -> str:
         raise Failed(f"exit status {done.returncode}: {lines[0]}")
     counts = {name: int(n) for name, n in (x.rsplit(" ", 1) for x in done.stdout.splitlines())}
     unchanged, accepted = counts["unchanged"], counts["ok"]
-    refused = counts["mutants"] - accepted
+    rejected = counts["mutants"] - accepted
     return (
-        f"{counts['mutants']:,} mutants, half with a new hash: {refused:,} refused, {unchanged} "
+        f"{counts['mutants']:,} mutants, half with a new hash: {rejected:,} rejected, {unchanged} "
         f"unchanged, {accepted - unchanged:,} accepted with a new hash and ranges that hold; no "
         "report of ASan and UBSan"
     )

@@ -34,7 +34,7 @@ def verify_file(
         A result for each check, in order.
 
     Raises:
-        InputError: a file that the reader refuses.
+        InputError: a file that the reader rejects.
     """
     check_file(path)
     with reading(path), open(path, "rb") as stream:

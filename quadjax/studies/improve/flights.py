@@ -21,7 +21,7 @@ Report = Callable[[str], None]
 
 @dataclasses.dataclass(frozen=True)
 class Flown:
-    """Results of flights: what a race's referee knows.
+    """Results of flights, by the rules of the race.
 
     Attributes:
         seconds: of each flight, until its end.

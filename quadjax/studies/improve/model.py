@@ -223,7 +223,7 @@ def mean_change(before: dict[str, float], after: dict[str, float]) -> float:
 
 
 def refusal(before: dict[str, float], after: dict[str, float]) -> str:
-    """Why a model with the errors ``after`` on held-out flights is refused; "" if it is not."""
+    """Why a model with the errors ``after`` on held-out flights is rejected; "" if it is not."""
     change = mean_change(before, after)
     if not change <= -LEAST_GAIN:
         return f"its error on held-out flights is {100.0 * change:+.0f}% of the present model's"

@@ -299,7 +299,7 @@ def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
         flight += sum(done.flown.seconds)
         computing += done.computing
         found = done.found
-        model = "none" if found is None else ("refused" if found.refused else "accepted")
+        model = "none" if found is None else ("rejected" if found.refused else "accepted")
         error = "-" if found is None else f"{100.0 * found.change:+.0f}%"
         cells = (f"{flight:.0f}", model, error, f"{computing:.0f}")
         rows.append((str(number), _finished(done.flown), _mean(done.flown), *cells))
@@ -309,7 +309,7 @@ def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
     notes = [f"crashes in the rounds: {crashes}"]
     for number, done in enumerate(rounds, start=1):
         why = done.error or (done.found.refused if done.found else "")
-        notes += [f"round {number}: the model is refused: {why}"] if why else []
+        notes += [f"round {number}: the model is rejected: {why}"] if why else []
     return "\n".join([table(rows), "", *notes])
 
 

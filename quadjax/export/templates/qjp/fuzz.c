@@ -210,7 +210,7 @@ static int one(const uint8_t *file, uint32_t size, uint32_t number, qjp_error *e
     check_ranges(&policy, number);
     check_commands(&policy, number);
   } else if (same) {
-    fail("refused, but it is the file itself", number);
+    fail("rejected, but it is the file itself", number);
   }
   free(exact);
   free(work);

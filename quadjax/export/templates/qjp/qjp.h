@@ -17,7 +17,7 @@ extern "C" {
 
 #define QJP_VERSION 1
 
-/* Largest policies; larger ones are refused. Stack: 8 bytes for each neuron of the widest layer, 16
+/* Largest policies; larger ones are rejected. Stack: 8 bytes for each neuron of the widest layer, 16
  * in qjp_load. Define others for the whole build. */
 #ifndef QJP_MAX_WIDTH
 #define QJP_MAX_WIDTH 128 /* neurons or inputs of a layer, padded to a multiple of 8 */
@@ -159,8 +159,8 @@ void qjp_forward(const qjp_policy *policy, const int32_t *q, int32_t command[QJP
 void qjp_commands(const qjp_policy *policy, const int32_t q[QJP_COMMANDS],
                   float command[QJP_COMMANDS]);
 
-/* Begin a race at a position, then tell it the position at every step; one that is not finite or
- * outside its range is ignored. */
+/* Begin a race at a position, then update it with the position at every step; a position that is
+ * not finite or outside its range is ignored. */
 void qjp_race_start(const qjp_policy *policy, qjp_race *race, const float position[3],
                     uint32_t target);
 qjp_event qjp_race_update(const qjp_policy *policy, qjp_race *race, const float position[3]);
