@@ -11,6 +11,8 @@ from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import value_at
 from quadjax.core.yaml_files import short
+from quadjax.race.history import LONGEST
+from quadjax.race.layout import remembered_names
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.registry import model as vehicle_model
 
@@ -35,6 +37,7 @@ def check(config: Config) -> None:
     _check_model(config)
     _check_schedules(config)
     _check_learner(config)
+    _check_history(config)
     for test in TESTS:
         _check_values(config, test)
     _check_used(at_end(config))
@@ -115,6 +118,22 @@ def _check_learner(config: Config) -> None:
             warmup,
             f"at most {updates}, the updates of run.steps {config.run.steps}",
         )
+
+
+def _check_history(config: Config) -> None:
+    """Check which fields have a history, and how long it is."""
+    past = config.observation.history
+    if past is None:
+        return
+    model = vehicle_model(config.vehicle.model)
+    allowed = remembered_names(model, config.observation.attitude)
+    names = list(past.fields)
+    if not names or len(set(names)) < len(names) or set(names) - set(allowed):
+        listed = f"one or more of {', '.join(allowed)}, each once"
+        refuse("observation.history.fields", names, listed)
+    if past.steps * past.every > LONGEST:
+        most = LONGEST // past.every
+        refuse("observation.history.steps", past.steps, f"at most {most} with every {past.every}")
 
 
 def _check_schedules(config: Config) -> None:

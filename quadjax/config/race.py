@@ -46,7 +46,7 @@ def choices_of(config: Config) -> Choices:
     """The static part, which selects code."""
     vehicle = vehicle_model_of(config)
     observed, start = config.observation, config.start
-    extra = _own("observation.extra", observed.extra, Field)
+    extra, past = _own("observation.extra", observed.extra, Field), observed.history
     unobserved = observed.highest_rpm == "none"
     return Choices(
         model=vehicle,
@@ -60,6 +60,7 @@ def choices_of(config: Config) -> Choices:
             observed.last_action,
             observed.actuator_range,
             None if config.battery is None or unobserved else observed.highest_rpm,
+            *((), ()) if past is None else (past.fields, past.lags),
         ),
         integrator=config.vehicle.integrator,
         gate_test=config.rules.gate_test,

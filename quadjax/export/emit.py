@@ -132,6 +132,9 @@ def emit_paparazzi(
         "frequency": MODULE_FREQUENCY,
         "estimator": estimator,
     }
+    # A policy with a history runs at the rate of its training, any other one at every call.
+    values["race"] = race
+    values["hold"] = max(1, round(MODULE_FREQUENCY * race.time_step)) if race.history else 1
     values["known"] = [field.name for field in race.fields]
     middle = 0.5 * (network.command_low + network.command_high) / 2.0**network.fraction_bits
     values["halfway"] = [f"{x!r}f" for x in middle.tolist()]

@@ -17,8 +17,9 @@ from quadjax.export.race_tables import LAST_COMMAND, drone_of, example_state, st
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
-from quadjax.race import environment, rules
+from quadjax.race import environment, history, rules
 from quadjax.race.environment import Estimate, RaceState
+from quadjax.race.history import Past
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
 from quadjax.race.layout import DISTURBANCES
 from quadjax.race.track import gate
@@ -40,11 +41,13 @@ class Rollouts:
     targets: np.ndarray  # (n,) int32
     laps: Laps | None = None  # of all flights; None for rows read back from a file
     steps: int = 0  # of all flights
+    longest: np.ndarray | None = None  # rows of one flight, where a history is observed
 
     def thinned(self) -> "Rollouts":
-        """At most ``KEPT_ROWS`` rows, evenly spread."""
+        """At most ``KEPT_ROWS`` rows, evenly spread; with a history those of one flight."""
         count = len(self.states)
         rows = np.linspace(0, count - 1, min(KEPT_ROWS, count)).astype(int)
+        rows = rows if self.longest is None else self.longest[:KEPT_ROWS]
         parts = (self.observations, self.states, self.targets)
         return Rollouts(*(part[rows] for part in parts), self.laps, self.steps)
 
@@ -57,8 +60,27 @@ def simulate(own: OwnRace, runs: int = RUNS, laps: int = LAPS, seed: int = SEED)
     result, trace = _fly(own, pilot.fly, runs, laps, seed, trace=True)
     assert trace is not None
     held = np.array([crash not in LOST_CONTROL for crash in result.crashes])
-    states, targets = _states(trace, own, held if held.any() else ~held, seed)
-    return Rollouts(observe(own, states, targets), states, targets, result, len(states))
+    counted = held if held.any() else ~held
+    states, targets = _states(trace, own, counted, seed)
+    shown, longest = (states, targets), None
+    going = ~np.asarray(trace.over) & counted
+    if depth := history.depth(own.choices.layout.names):
+        earlier, longest = _earlier(going, depth)
+        shown = (*shown, earlier)
+    return Rollouts(observe(own, *shown), states, targets, result, len(states), longest)
+
+
+def _earlier(going: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of earlier states of rows that are ``going`` (time, runs), and rows of one flight.
+
+    Returns:
+        The rows (n, depth) of the states of 1, 2 .. steps before, and those of the longest flight.
+    """
+    rows = np.cumsum(going.ravel()).reshape(going.shape) - 1
+    times = np.arange(len(going))[:, None] - 1 - np.arange(depth)
+    earlier = np.moveaxis(rows[np.maximum(times, 0)], 1, -1)  # (time, runs, depth)
+    run = int(going.sum(axis=0).argmax())
+    return earlier[going], rows[going[:, run], run]
 
 
 def _fly(
@@ -106,27 +128,40 @@ def _states(
     return np.concatenate(rows, axis=1).astype(np.float32), np.asarray(trace.target)[going]
 
 
-def observe(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def observe(
+    own: OwnRace, states: np.ndarray, targets: np.ndarray, earlier: np.ndarray | None = None
+) -> np.ndarray:
     """Observations (n, inputs) float32 of states (n, state_size) towards targets (n,).
 
-    They are in the scaling that the policy was trained with.
+    They are in the scaling that the policy was trained with. Where a history is observed,
+    ``earlier`` has the rows (n, depth) of the states of 1, 2 .. steps before; by default the states
+    are those of one flight from its start on.
     """
+    depth = history.depth(own.choices.layout.names)
+    if earlier is None:
+        earlier = np.maximum(np.arange(len(states))[:, None] - 1 - np.arange(depth), 0)
     example, sizes = example_state(own.choices, own.params), list(_sizes(own).items())
     last = sizes[-1][1] if sizes[-1][0] == LAST_COMMAND else 0
     low, high = command_ranges(own.choices, own.params)
 
-    def one(state: jax.Array, target: jax.Array) -> jax.Array:
-        zero = jnp.zeros((), jnp.int32)
+    def known(state: jax.Array) -> Past:
         drone = drone_of(own.choices.layout, own.choices.model, example, state)
         given = state[len(state) - last :]
         action = tuple(
             (2.0 * given[i] - low[i] - high[i]) / (high[i] - low[i]) for i in range(last)
         )
-        estimate = _estimate(own, drone)
-        race = RaceState(drone, target, zero, zero, None, estimate, action or None)
+        return Past(drone, action or None)
+
+    @jax.jit
+    @functools.partial(jax.vmap, in_axes=(0, 0, 0, None))
+    def shown(state: jax.Array, target: jax.Array, rows: jax.Array, all_: jax.Array) -> jax.Array:
+        zero, now = jnp.zeros((), jnp.int32), known(state)
+        past = jax.vmap(known)(all_[rows]) if depth else None
+        estimate = _estimate(own, now.drone)
+        race = RaceState(now.drone, target, zero, zero, None, estimate, now.action, past=past)
         return pilot.see(own.pilot, environment.observe(own.choices, own.params, race))
 
-    return np.asarray(jax.jit(jax.vmap(one))(states, targets))
+    return np.asarray(shown(states, targets, earlier, states))
 
 
 def _estimate(own: OwnRace, drone: State) -> Estimate | None:

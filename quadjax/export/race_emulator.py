@@ -37,7 +37,10 @@ class Observed:
 
 
 def observe(tables: RaceTables, states: np.ndarray, target: np.ndarray) -> Observed:
-    """Network inputs of states (n, state_size) float32 towards gates ``target`` (n,)."""
+    """Network inputs of states (n, state_size) float32 towards gates ``target`` (n,).
+
+    Where a history is observed, the states are those of one flight from its start on.
+    """
     q = integers.quantize(states, tables.exponents)
     raw = np.concatenate(_inputs(tables, q, np.asarray(target)), axis=1)
     held = np.clip(raw, -ONE, ONE)
@@ -54,7 +57,8 @@ def _input(tables: RaceTables, part: Input, q: np.ndarray, target: np.ndarray) -
     """The inputs (n, size) of one field."""
     if part.kind == GATE:
         return tables.next_gate[target][:, part.sources]
-    values, network = q[:, part.sources], tables.box.exponent[part.name]
+    then = np.maximum(np.arange(len(q)) - part.lag, 0)
+    values, network = q[then][:, part.sources], tables.box.exponent[part.name]
     if part.kind == SCALED:
         pairs = zip(part.rescales, values.T, strict=True)
         return np.stack([_rescaled(r, value) for r, value in pairs], axis=1)

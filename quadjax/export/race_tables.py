@@ -26,6 +26,7 @@ from quadjax.export.scaling import Rescale, Spans, spans_of
 from quadjax.policy.file import Policy
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams
+from quadjax.race.history import split_name
 from quadjax.race.layout import (
     AHEAD,
     DISTURBANCES,
@@ -104,6 +105,7 @@ class Input:
     index: int
     sources: tuple[int, ...]  # numbers of the state, or of the gate's constants
     rescales: tuple[Rescale | None, ...] = ()  # of scaled inputs; None: the policy sees zero
+    lag: int = 0  # steps before the present one, of the state that it is computed from
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,6 +125,12 @@ class RaceTables:
     # (gates, 3, 3) int64 Q30: directions through, to the right and down; None: all upright
     axes: np.ndarray | None = None
     circle: np.ndarray | None = None  # (gates,) bool, round openings; None: all rectangles
+    time_step: float = 0.0  # s, between observations; 0 where it is not known
+
+    @property
+    def history(self) -> int:
+        """The number of earlier states that the observation needs."""
+        return max(part.lag for part in self.inputs)
 
     @property
     def gates(self) -> int:
@@ -172,10 +180,11 @@ def state_sizes(layout: Layout, model: VehicleModel) -> dict[str, int]:
 
     A policy that observes a rotation matrix gets a quaternion, any other one Euler angles.
     """
+    observed = [split_name(name)[0] for name in layout.names]
     angles = {} if "rotation" in layout and "attitude" not in layout else {"euler": 3}
     matrix = {"quaternion": 4} if "rotation" in layout else {}
     disturbances = {} if model.disturbance is None else {"moment_ext": 3, "force_ext": 3}
-    last = {LAST_COMMAND: model.action_size} if LAST_ACTION in layout else {}
+    last = {LAST_COMMAND: model.action_size} if LAST_ACTION in observed else {}
     motion = {"position": 3, "velocity": 3, **angles, **matrix, "rates": 3}
     return {**motion, model.actuators.name: model.actuators.size, **disturbances, **last}
 
@@ -232,7 +241,7 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
     yaw = np.asarray(track.yaw, np.float64)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
     unit = ONE / 2.0**world
-    spans = {name: spans_of(policy, box, name) for name in box.scaled if name in policy.layout}
+    spans = _spans(policy, box)
     fields = _state_fields(box, choices.model, world, spans)
     return RaceTables(
         box=box,
@@ -246,6 +255,7 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
         next_gate=_gate_constants(box, track),
         world_box=choices.gate_test == "world_box",
         axes=_gate_axes(track),
+        time_step=float(params.limits.time_step),
         circle=None if track.circle is None else np.asarray(track.circle),
     )
 
@@ -259,6 +269,22 @@ def _gate_axes(track: Track) -> np.ndarray | None:
         seen = world_to_body(track.opening, Vec3(*jnp.float32(axis)))
         axes.append(np.stack([np.asarray(x, np.float64) for x in seen.components()], axis=1))
     return np.rint(np.stack(axes, axis=2) * ONE).astype(np.int64)
+
+
+def _spans(policy: Policy, box: InputBox) -> dict[str, Spans]:
+    """Exponents and integers of the scaled fields, those of a history under its field's name.
+
+    Raises:
+        InputError: a history with another scale than its field.
+    """
+    spans: dict[str, Spans] = {}
+    for name in policy.layout.names:
+        base = split_name(name)[0]
+        if base in box.scaled:
+            own = spans_of(policy, box, name)
+            if spans.setdefault(base, own) != own:
+                raise InputError(f"the policy's layout: {name} has another span than {base}")
+    return spans
 
 
 def next_gates(track: Track) -> dict[str, np.ndarray]:
@@ -333,7 +359,7 @@ def _inputs(
     """How each field of the layout is computed."""
     starts, found, constants = {field.name: field.start for field in fields}, [], 0
     for field in box.layout.fields:
-        name, index = field.name, box.layout.slice(field.name).start
+        (name, lag), index = split_name(field.name), box.layout.slice(field.name).start
         if name in KINDS:
             kind, source = KINDS[name]
             size = 4 if kind == ROTATION else field.size
@@ -346,5 +372,5 @@ def _inputs(
             kind, numbers = GATE, list(range(constants, constants + field.size))
             constants += field.size
         rescales = tuple(rescale for _, rescale in spans.get(name, ()))
-        found.append(Input(name, kind, index, tuple(numbers), rescales))
+        found.append(Input(field.name, kind, index, tuple(numbers), rescales, lag))
     return tuple(found)

@@ -7,7 +7,15 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
-from quadjax.race.layout import DISTURBANCES, LAST_ACTION, Layout, make_layout, other_fields
+from quadjax.race.history import split_name
+from quadjax.race.layout import (
+    DISTURBANCES,
+    LAST_ACTION,
+    Layout,
+    is_of_motion,
+    make_layout,
+    other_fields,
+)
 from quadjax.vehicle.registry import MODELS
 
 SMALLEST, LARGEST = 2.0**-20, 2.0**20
@@ -37,7 +45,7 @@ class InputBox:
         return [self._unit(f.name) for f in self.layout.fields for _ in range(f.size)]
 
     def _unit(self, field: str) -> str:
-        return "of its range" if field in self.scaled else self.layout[field].unit
+        return "of its range" if split_name(field)[0] in self.scaled else self.layout[field].unit
 
     def limit(self, field: str) -> float:
         """The half-width of a field's range, in its unit."""
@@ -45,8 +53,8 @@ class InputBox:
 
     @property
     def declared(self) -> dict[str, float]:
-        """The half-widths by field of the layout."""
-        return {name: self.limit(name) for name in self.layout.names}
+        """The half-widths by field of the layout; a history has those of its field."""
+        return {name: self.limit(name) for name in self.layout.names if not split_name(name)[1]}
 
     def check(self, observations: np.ndarray) -> None:
         """Raise an ``InputError`` if observations (n, inputs) leave the box."""
@@ -54,6 +62,9 @@ class InputBox:
         sizes = {
             f.name: float(largest[self.layout.slice(f.name)].max()) for f in self.layout.fields
         }
+        for name in self.layout.names:  # the range of a history is that of its field
+            base = split_name(name)[0]
+            sizes[base] = max(sizes[name], sizes.get(base, 0.0))
         beyond = {name: size for name, size in sizes.items() if not size <= self.limit(name)}
         if beyond:
             problems = (
@@ -91,17 +102,20 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     model = MODELS[policy.vehicle]
     known = {f.name: f for f in (*make_layout(model).fields, *other_fields(model.action_size))}
     for field in policy.layout.fields:
-        if field.name not in known or known[field.name].size != field.size:
+        base, lag = split_name(field.name)
+        kept = not lag or (is_of_motion(base) and (base in policy.layout or base == LAST_ACTION))
+        if base not in known or known[base].size != field.size or not kept:
             raise InputError(
                 f"the policy observes {field.name!r} ({field.size} numbers), which has no C; "
                 f"supported: {', '.join(f'{f.name} ({f.size})' for f in known.values())}"
             )
-    own = {field.name: float(field.range) for field in policy.layout.fields}
+    own = {f.name: float(f.range) for f in policy.layout.fields if not split_name(f.name)[1]}
     for name, value in (overrides or {}).items():
         if name not in own:
             raise InputError(f"range {name}={value:g}: unknown name, allowed: {list(own)}")
         own[name] = value
     ranges = {name: field.range for name, field in known.items()} | own
+    ranges |= {name: ranges[split_name(name)[0]] for name in policy.layout.names}
     return InputBox(
         layout=policy.layout,
         exponent={name: _exponent(name, value) for name, value in ranges.items()},

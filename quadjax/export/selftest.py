@@ -24,6 +24,7 @@ PATTERNS = np.array(
     np.uint32,
 )
 RANDOM_STATES, SIMULATED_STATES = 6, 10
+HISTORY_ROUNDS = 6  # of the test's states, of which a digest is compared where there is a history
 MEASUREMENTS, SAMPLES = 16, 64  # of the estimator: the measurements are repeated
 
 
@@ -59,6 +60,8 @@ class RaceTest:
     targets: np.ndarray  # (n,)
     inputs: np.ndarray  # (n, inputs) int32
     status: np.ndarray  # (n, 3) uint32: clipped, nan, outside
+    rounds: int  # in which the states are repeated after that
+    digest: int  # of the inputs of these rounds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,9 +145,13 @@ def race_test(tables: RaceTables, states: np.ndarray, targets: np.ndarray) -> Ra
     pick = np.linspace(0, len(states) - 1, SIMULATED_STATES).astype(int)
     chosen = np.concatenate([random, states[pick].astype(np.float32)])
     goals = np.concatenate([goals, targets[pick]])
-    observed = race_emulator.observe(tables, chosen, goals)
-    status = np.stack([observed.clipped, observed.nan, observed.outside], axis=1)
-    return RaceTest(np.ascontiguousarray(chosen).view(np.uint32), goals, observed.q, status)
+    count, rounds = len(chosen), HISTORY_ROUNDS if tables.history else 0
+    again = np.tile(chosen, (1 + rounds, 1)), np.tile(goals, 1 + rounds)
+    observed = race_emulator.observe(tables, *again)
+    status = np.stack([observed.clipped, observed.nan, observed.outside], axis=1)[:count]
+    bits = np.ascontiguousarray(chosen).view(np.uint32)
+    digest = _digest(observed.q[count:].astype(np.int64))
+    return RaceTest(bits, goals, observed.q[:count], status, rounds, digest)
 
 
 def estimator_test(tables: EstimatorTables) -> EstimatorTest:

@@ -18,7 +18,7 @@ from quadjax.plant import gusts, onboard, plant, sensors
 from quadjax.plant.onboard import OnboardChoices, OnboardParams, OnboardState
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
-from quadjax.race import environment, laps
+from quadjax.race import environment, history, laps
 from quadjax.race.battery import BatteryState
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.start import hover
@@ -89,8 +89,11 @@ def begin(
         first, rest = drawn[: gusts.START_DRAWS], drawn[gusts.START_DRAWS :]
         state = plant.begin(params.plant, body, left, first)
         computers = onboard.begin(choices.onboard, params.onboard, params.plant, state, rest)
-        zero = jnp.zeros((), jnp.int32)
-        return RaceState(body, zero, zero, zero, None), state, computers
+        zero, action = jnp.zeros((), jnp.int32), environment.no_action(choices.race, params.race)
+        known = _known_motion(choices, computers)
+        past = history.begin(choices.race.layout.names, known, action)
+        race = RaceState(body, zero, zero, zero, None, action=action, past=past)
+        return race, state, computers
 
     of_noise, of_charge = jax.random.split(key)
     count = gusts.START_DRAWS + sensors.START_DRAWS
@@ -133,10 +136,7 @@ def sample(
 
 def observe(choices: FlightChoices, params: FlightParams, flight: Flight) -> jax.Array:
     """Observation (n,) of one drone's policy: the race with the estimated state."""
-    motion: MotorState | RateState = flight.onboard.estimate.motion
-    if choices.race.model is rate.MODEL:
-        thrust = flight.onboard.inner.thrust
-        motion = RateState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
+    motion = _known_motion(choices, flight.onboard)
     # The charge is not known on board.
     charged = BatteryState(jnp.zeros(()), flight.onboard.limit)
     state = flight.race.state.replace(drone=motion, battery=charged)
@@ -173,6 +173,24 @@ def hold(
     return following, jax.tree.map(lambda x: x[-1], rotors)
 
 
+def _known_motion(choices: FlightChoices, computers: OnboardState) -> MotorState | RateState:
+    """The estimated state, of the race's vehicle model."""
+    motion = computers.estimate.motion
+    if choices.race.model is not rate.MODEL:
+        return motion
+    thrust = computers.inner.thrust
+    return RateState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
+
+
+def remember(choices: FlightChoices, before: Flight, flight: Flight, action: jax.Array) -> Flight:
+    """One drone's flight after a control step, with what the policy observes of the step itself."""
+    state = before.race.state
+    past = history.push(state.past, _known_motion(choices, before.onboard), state.action)
+    given = None if state.action is None else environment.applied(choices.race, action)
+    after = flight.race.state.replace(past=past, action=given)
+    return flight.replace(race=flight.race.replace(state=after))
+
+
 @functools.partial(jax.jit, static_argnames=("choices", "steps", "recorded", "record"))
 def fly_on(
     choices: FlightChoices,
@@ -206,6 +224,7 @@ def fly_on(
         functools.partial(environment.command, choices.race), in_axes=(None, 0), out_axes=-1
     )
     note = jax.vmap(record, (None, -1, -1, -1), -1)
+    keep = jax.vmap(functools.partial(remember, choices), (-1, -1, 0), -1)
 
     def control(flight: Flight, key: jax.Array) -> tuple[Flight, Record]:
         of_policy, of_plant = jax.random.split(key)
@@ -214,7 +233,7 @@ def fly_on(
         command = instruct(params.race, action)
         following, last = hold(choices, params, flight, command, of_plant)
         first = jax.tree.map(lambda x: x[..., :recorded], (flight, command, last))
-        return following, note(params, *first)
+        return keep(flight, following, action), note(params, *first)
 
     return jax.lax.scan(control, flight, jax.random.split(key, steps))
 

@@ -23,9 +23,10 @@ from quadjax.core.materialize import (
     materialize_cotangent,
 )
 from quadjax.core.vectors import Vec3
-from quadjax.race import battery, rules, start
+from quadjax.race import battery, history, rules, start
 from quadjax.race.battery import BatteryState, RaceBattery
 from quadjax.race.context import StepContext
+from quadjax.race.history import Past
 from quadjax.race.layout import LAST_ACTION, Layout, View, make_layout
 from quadjax.race.recorded_starts import draw_recorded
 from quadjax.race.track import Gate, Track, gate, gate_count
@@ -105,6 +106,7 @@ class RaceState:
     action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
     battery: BatteryState | None = None  # where the race has one
     track: Track | None = None  # of this episode, where it is drawn; else None
+    past: Past | None = None  # where a history is observed
 
 
 def _opaque_true(params: RaceParams) -> jax.Array:
@@ -165,12 +167,12 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         recorded,
     )
     zero = jnp.zeros((), jnp.int32)
-    before = _no_action(choices, params)
+    before = no_action(choices, params)
     state = RaceState(drone, target, clock, zero, own, action=before, track=track)
     if params.battery is not None:
         rpm, own_key = choices.model.actuator_state(drone), jax.random.fold_in(key, 2)
         state = state.replace(battery=battery.drawn(params.battery, rpm, own_key))
-    return with_estimate(choices, params, state)
+    return with_memory(choices, params, state)
 
 
 def _own_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> Constants | None:
@@ -186,15 +188,22 @@ def _own_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> 
     return start.towards(constants, drone, params.population_width)
 
 
-def _no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
+def no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
     """The action before the first, where the observation or the reward needs it."""
-    if LAST_ACTION not in choices.layout and params.reward.action_change is None:
+    observed = LAST_ACTION in (history.split_name(name)[0] for name in choices.layout.names)
+    if not observed and params.reward.action_change is None:
         return None
     return tuple(jnp.zeros(()) for _ in range(choices.model.action_size))
 
 
-def with_estimate(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
-    """The state with a fresh estimate of the disturbance, where the race has an estimator."""
+def with_memory(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
+    """The state with what is kept on board as it is at a start.
+
+    A fresh estimate of the disturbance, where the race has an estimator; a history full of this
+    state, where one is observed.
+    """
+    past = history.begin(choices.layout.names, state.drone, state.action)
+    state = state.replace(past=past)
     if params.estimator is None:
         return state
     measured = choices.model.measure(_vehicle_params(params, state), state.drone)
@@ -218,12 +227,12 @@ def hover_start(
     """
     zero = jnp.zeros((), jnp.int32)
     drone = start.hover(choices.model, constants or params.vehicle.constants, params.track)
-    before = _no_action(choices, params)
+    before = no_action(choices, params)
     state = RaceState(drone, zero, zero, zero, constants, action=before)
     if params.battery is not None:
         rpm = choices.model.actuator_state(drone)
         state = state.replace(battery=battery.at_start(params.battery, rpm, charged))
-    return with_estimate(choices, params, state)
+    return with_memory(choices, params, state)
 
 
 def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
@@ -364,8 +373,8 @@ def transition(
     for weight, term in zip(params.term_weights, choices.terms, strict=True):
         (number,) = own_numbers(f"reward term {name_of(term)}", term, context)
         value = value + weight * jnp.asarray(number, value.dtype)
-    applied = _applied(choices, action) if state.action is not None else None
-    for penalty in _penalties(choices.model, params, state, drone, g, outcome, applied):
+    given = applied(choices, action) if state.action is not None else None
+    for penalty in _penalties(choices.model, params, state, drone, g, outcome, given):
         value = value - penalty
     following = progressed(params, state, drone, outcome)
     if params.battery is not None and state.battery is not None:
@@ -373,10 +382,11 @@ def transition(
         charged = battery.advance(params.battery, state.battery, rpm, sent)
         following = following.replace(battery=charged)
     estimate = _estimate(choices, params, state, drone)
-    return following.replace(estimate=estimate, action=applied), value, outcome
+    past = history.push(state.past, state.drone, state.action)
+    return following.replace(estimate=estimate, action=given, past=past), value, outcome
 
 
-def _applied(choices: Choices, action: jax.Array) -> tuple[jax.Array, ...]:
+def applied(choices: Choices, action: jax.Array) -> tuple[jax.Array, ...]:
     """The numbers of an action, clipped to [-1, 1], without a gradient beyond the limits."""
     return tuple(jnp.clip(action[i], -1.0, 1.0) for i in range(choices.model.action_size))
 

@@ -68,7 +68,7 @@ def starting_states(
             return hover
         disturbance = choices.model.disturbance(drawn.drone)
         drone = choices.model.with_disturbance(hover.drone, *disturbance)
-        return environment.with_estimate(choices, params, hover.replace(drone=drone))
+        return environment.with_memory(choices, params, hover.replace(drone=drone))
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 

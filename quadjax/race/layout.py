@@ -17,6 +17,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.imports import own_numbers
 from quadjax.core.vectors import Vec3, between
+from quadjax.race import history
 from quadjax.race.track import Gate, gates_ahead, pick, to_gate_frame
 from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import State, VehicleModel
@@ -396,6 +397,8 @@ def make_layout(
     with_last_action: bool = False,
     actuator_range: tuple[float, float] | None = None,
     highest_speed: str | None = None,
+    earlier: Sequence[str] = (),
+    lags: Sequence[int] = (),
 ) -> Layout:
     """The observation of a vehicle model in the race.
 
@@ -411,6 +414,8 @@ def make_layout(
         with_last_action: whether the action of the step before is observed.
         actuator_range: actuator states that are observed as -1 and 1; None: the nominal range.
         highest_speed: source of the battery's limit: as of the disturbances; None: not observed.
+        earlier: names of fields, of ``remembered_names``, that are also observed as they were.
+        lags: numbers of steps before, at each of which they are observed.
 
     Raises:
         InputError: two fields of one name.
@@ -432,12 +437,25 @@ def make_layout(
         *([last_action(model.action_size)] if with_last_action else []),
         *(disturbance_fields(disturbance) if model.disturbance is not None else ()),
         *([] if highest_speed is None else [highest_command(highest_speed)]),
-        *extra,
     )
+    known = {field.name: field for field in (last_action(model.action_size), *fields)}
+    past = [history.delayed(known[name], lag) for lag in lags for name in earlier]
+    fields = (*fields, *past, *extra)
     layout = Layout(fields)
     if len(set(layout.names)) != len(fields):
         raise InputError(f"observation fields {', '.join(layout.names)}: two have the same name")
     return layout
+
+
+def remembered_names(model: VehicleModel, attitude: str) -> tuple[str, ...]:
+    """The fields of which a history can be observed: those of the vehicle's motion and actions."""
+    motion = ("position", "velocity", ATTITUDES[attitude].name, "rates", model.actuators.name)
+    return (*motion, LAST_ACTION)
+
+
+def is_of_motion(name: str) -> bool:
+    """Whether a field depends on the vehicle's motion and actions, so that it has a history."""
+    return name not in (*DISTURBANCES, HIGHEST_RPM) and not name.startswith("next")
 
 
 def other_fields(actions: int) -> tuple[Field, ...]:
@@ -461,6 +479,10 @@ def arranged(layout: Layout, wanted: Layout, actions: int, name: str) -> Layout:
     """
     others = (*other_fields(actions), highest_command(NONE))  # without a battery: full speed
     known = {field.name: field for field in (*others, *layout.fields)}
+    for base, lag in map(history.split_name, wanted.names):
+        if lag and base in known and is_of_motion(base):
+            delayed = history.delayed(known[base], lag)
+            known[delayed.name] = delayed
     for field in wanted.fields:
         if field.name not in known or known[field.name].size != field.size:
             raise InputError(

@@ -136,7 +136,7 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     drone = model.start(state.constants, motion, numbers[12:], thrust)
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
-    return environment.with_estimate(choices, params, fresh)
+    return environment.with_memory(choices, params, fresh)
 
 
 def spread_table(flights: Sequence[Flights], name: str) -> str:

@@ -26,16 +26,26 @@ from tests.export.support import ORIGIN
 MORE = ("observation.gates_ahead=2", "observation.last_action=true")
 AXES = "observation.attitude=rotation"
 FIVE_INCH = ("vehicle=5inch", "observation.actuator_range=[0, 3000]")
+HISTORY = (
+    "observation.history={fields: [position, %s, rates, %s, last_action], steps: 2, every: %d}"
+)
 RACES = {  # preset, overrides, size of the observation
+    "e2e with a history": ("e2e_disturbed", (HISTORY % ("velocity, attitude", "rpm", 9),), 64),
     "racing, axes and more": ("e2e_shac", (*FIVE_INCH, AXES, *MORE), 31),
     "e2e, axes and more": ("e2e_disturbed", (AXES, *MORE), 35),
     "published racing": ("e2e_shac", FIVE_INCH, 20),
     "published e2e": ("e2e_disturbed", (), 24),
     "published indi": ("indi_shac", (), 17),
     "e2e with quaternions": ("e2e_disturbed", ("vehicle.quaternion=true",), 24),
+    "racing with a history": (
+        "e2e_shac",
+        (*FIVE_INCH, AXES, MORE[1], HISTORY % ("rotation", "rotor_speed", 2)),
+        27 + 40,
+    ),
+    "indi with a history": ("indi_shac", (HISTORY % ("velocity", "thrust", 3),), 17 + 28),
     "indi and more": ("indi_shac", ("observation.gates_ahead=3", MORE[1]), 29),
 }
-FEW = [pytest.param(name, marks=pytest.mark.slow) for name in list(RACES)[3:]]
+FEW = [pytest.param(name, marks=pytest.mark.slow) for name in list(RACES)[4:]]
 
 
 def made(name):
@@ -67,7 +77,7 @@ def random_states(rng, count, own, low, high):
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-@pytest.mark.parametrize("name", [*list(RACES)[:3], *FEW])
+@pytest.mark.parametrize("name", [*list(RACES)[:4], *FEW])
 def test_the_inputs_of_the_c_are_those_of_the_environment(name, tmp_path):
     policy, own = made(name)
     network = convert(policy, track_ranges(policy.layout, own.params.track) | {"position": 32.0})
@@ -87,6 +97,26 @@ def test_the_inputs_of_the_c_are_those_of_the_environment(name, tmp_path):
     sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
     library = load_library(host(), sources, tmp_path / "made.so", WARNINGS)
     assert library.made_self_test() == 0 and library.made_race_self_test() == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [("HISTORY - steps", "HISTORY - 1U"), ("filled == 0U", "filled == 2U"), ("= s[i]", "= s[0]")],
+)
+def test_the_self_test_catches_a_wrong_history(right, wrong, tmp_path):
+    policy, own = made("e2e with a history")
+    network = convert(policy, {"position": 32.0})
+    tables = make_tables(network.box, policy, own.choices, own.params)
+    states = random_states(np.random.default_rng(0), 20, own, 3000.0, 11000.0)
+    files = emit_network(network, ORIGIN, None)
+    files |= emit_race(tables, network, ORIGIN, states, np.zeros(20, int))
+    assert right in files["made_race.c"]
+    for file, text in files.items():
+        (tmp_path / file).write_text(text.replace(right, wrong) if "race.c" in file else text)
+    sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
+    library = load_library(host(), sources, tmp_path / "made.so")
+    assert library.made_self_test() == 0 and library.made_race_self_test() > 0
 
 
 CHECKS = ("range proof", "NumPy = JAX", "NumPy = C, host", "hostile inputs", "observation")

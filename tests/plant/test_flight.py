@@ -1,5 +1,6 @@
 """Races on the stand-in plant: both policies, their observations, and their logs."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -7,15 +8,18 @@ from quadjax.config.loading import load_config
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs
+from quadjax.plant import flight as onboard_flight
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.plant.flights import fly_plan, recordings, rows
 from quadjax.plant.logs import log_quantities, write_logs
 from quadjax.policy.file import Policy
 from quadjax.studies.plant_races import gate_centers, plan_logs, plan_race, race_config
+from quadjax.training.build import untrained_policy
 from tests.evaluation.support import random_policy
 
 PLANT = load_plant_config(CONFIGS / "plant" / "standin.yaml")
 EXACT = PLANT.replace(navigation="ground_truth")
+HISTORY = "{fields: [rates, rpm, last_action], steps: 2, every: 1}"
 
 
 def flown(name: str, plant: PlantConfig):
@@ -89,3 +93,26 @@ def test_the_race_is_the_policys_own():
     assert race.vehicle.model == "rate" and race.observation.disturbance == "ground_truth"
     widths = random_policy(observation={"disturbance": {"moment_x": 0.03}})
     assert not any(race_config(config, widths).disturbance.half_widths.values())
+
+
+@pytest.mark.slow  # compiles the plant
+def test_a_history_is_of_the_known_states_and_actions():
+    config = load_config("e2e_shac", [f"observation.history={HISTORY}", "network.hidden=[8]"])
+    plan = plan_race(config, EXACT, untrained_policy(config), "own", lap_count=1, runs=2)
+    first = onboard_flight.begin(plan.choices, plan.params, jax.random.key(0), 2, 1)
+
+    def record(params, now, command, rotors):
+        race = now.race.state
+        return race.past, race.action, now.onboard.estimate.motion, command
+
+    arguments = (plan.params, plan.pilot, first, jax.random.key(1), 2, record)
+    _, (past, action, motion, command) = onboard_flight.fly_on(plan.choices, 4, *arguments)
+    low, high = np.asarray(plan.pilot.low)[:, None], np.asarray(plan.pilot.high)[:, None]
+    given = 2.0 * (np.stack(jax.tree.leaves(command), 1) - low) / (high - low) - 1.0
+    np.testing.assert_allclose(np.stack(action, 1)[1:], given[:-1], atol=1e-5)
+    for now, then in ((1, 0), (2, 0), (3, 1)):  # two steps before, or at the start
+        kept = [np.asarray(x)[now, 1] for x in jax.tree.leaves(past.drone)]
+        known = [np.asarray(x)[then] for x in jax.tree.leaves(motion)]
+        np.testing.assert_array_equal(kept, known)
+    before = np.stack(past.action, 1)[3, :, 1]
+    np.testing.assert_array_equal(before, np.stack(action, 1)[1])

@@ -60,7 +60,16 @@ static void run_race(void) {
   race.target = any_unsigned();
   race.passed = any_unsigned();
   race.missed = any_unsigned();
-  (void)${name}_observe(&state, any_unsigned(), q);
+{% if race.history %}
+  for (int step = 0; step < ${race.history}; ++step) {
+    for (int i = 0; i < ${states}; ++i) {
+      race.history.state[step][i] = Frama_C_interval(-${NAME}_INPUT_ONE, ${NAME}_INPUT_ONE);
+    }
+  }
+  race.history.next = any_unsigned();
+  race.history.filled = any_unsigned();
+{% endif %}
+  (void)${name}_observe(${"&race.history, " if race.history else ""}&state, any_unsigned(), q);
   for (int i = 0; i < ${NAME}_INPUTS; ++i) {
     /*@ assert -${NAME}_INPUT_ONE <= q[i] <= ${NAME}_INPUT_ONE; */
   }

@@ -29,9 +29,13 @@ void harness_command(const float *x, uint32_t kernel, ${command_type} *out, uint
 
 /* Row: network inputs, clipped, NaN, outside. */
 void harness_observe(const float *states, const uint32_t *targets, int32_t *out, uint32_t count) {
+{% if race.history %}
+  ${name}_history history;
+  ${name}_history_begin(&history);
+{% endif %}
   for (uint32_t i = 0U; i < count; ++i) {
     const ${name}_race_status status =
-        ${name}_observe((const ${name}_state *)states, targets[i], out);
+        ${name}_observe(${"&history, " if race.history else ""}(const ${name}_state *)states, targets[i], out);
     out[${NAME}_INPUTS] = (int32_t)status.clipped;
     out[${NAME}_INPUTS + 1] = (int32_t)status.nan;
     out[${NAME}_INPUTS + 2] = (int32_t)status.outside;

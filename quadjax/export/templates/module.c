@@ -52,6 +52,9 @@ struct ${name}_log {
 static struct {
   uint32_t mismatches;
   bool flying;
+{% if hold > 1 %}
+  uint32_t calls; /* since the last step of the policy */
+{% endif %}
   ${name}_kernel kernel;
   ${name}_race race;
 {% if estimator %}
@@ -220,9 +223,19 @@ void ${name}_module_periodic(void) {
 {% endif %}
   if (wanted && !module.flying) {
     ${name}_race_start(&module.race, state.position, 0U);
+{% if hold > 1 %}
+    module.calls = 0U;
+{% endif %}
   }
   module.flying = wanted;
+{% if hold > 1 %}
+  /* The history counts steps of ${race.time_step | number} s. */
+  const bool due = (module.calls == 0U);
+  module.calls = (module.calls + 1U < ${hold}U) ? module.calls + 1U : 0U;
+  if (wanted && due) {
+{% else %}
   if (wanted) {
+{% endif %}
     log_status(${name}_race_step(&module.race, module.kernel, &state, module.command, 0));
   }
 }

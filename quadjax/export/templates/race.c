@@ -1,4 +1,59 @@
 {% import "helpers.c" as c %}
+{# The inputs of a field, from the integers of a state in the array ``from``. #}
+{% macro observed(field, from) %}
+{% set i = field.index %}
+{% set s = field.sources[0] %}
+{% if field.kind == "position" %}
+  const int64_t x = (int64_t)${from}[${s}] - g->position[0];
+  const int64_t y = (int64_t)${from}[${s + 1}] - g->position[1];
+  const int64_t z = (int64_t)${from}[${s + 2}] - g->position[2];
+  const int32_t metres = Q30 - POSITION_EXPONENT + INPUT_POSITION_EXPONENT;
+  q[${i}] = hold(round_shift(along(g, x, y), metres), outside, ${i}U);
+  q[${i + 1}] = hold(round_shift(across(g, x, y), metres), outside, ${i + 1}U);
+  q[${i + 2}] = hold(round_shift(z * (INT64_C(1) << Q30), metres), outside, ${i + 2}U);
+{% elif field.kind == "velocity" %}
+  const int32_t speed = Q30 - VELOCITY_EXPONENT + INPUT_VELOCITY_EXPONENT;
+  q[${i}] = hold(round_shift(along(g, ${from}[${s}], ${from}[${s + 1}]), speed), outside, ${i}U);
+  q[${i + 1}] = hold(round_shift(across(g, ${from}[${s}], ${from}[${s + 1}]), speed), outside, ${i + 1}U);
+  q[${i + 2}] = hold(round_shift(${from}[${s + 2}] * (INT64_C(1) << Q30), speed), outside, ${i + 2}U);
+{% elif field.kind == "attitude" %}
+  q[${i}] = ${from}[${s}];
+  q[${i + 1}] = ${from}[${s + 1}];
+  const int64_t yaw = ${from}[${s + 2}] * (INT64_C(1) << YAW_EXPONENT) - g->yaw;
+  q[${i + 2}] = hold(round_shift(wrap(yaw), INPUT_YAW_EXPONENT), outside, ${i + 2}U);
+{% elif field.kind == "rotation" %}
+  const int64_t qw = ${from}[${s}];
+  const int64_t qx = ${from}[${s + 1}];
+  const int64_t qy = ${from}[${s + 2}];
+  const int64_t qz = ${from}[${s + 3}];
+  const int64_t axis[2][3] = { /* the body's x and z axes, world, Q30 */
+      {element(QUATERNION_ONE - 2 * (qy * qy + qz * qz)), element(2 * (qx * qy + qw * qz)),
+       element(2 * (qx * qz - qw * qy))},
+      {element(2 * (qx * qz + qw * qy)), element(2 * (qy * qz - qw * qx)),
+       element(QUATERNION_ONE - 2 * (qx * qx + qy * qy))}};
+  const int32_t unit = Q30 + ${race.box.exponent["rotation"]};
+  for (uint32_t k = 0U; k < 2U; ++k) {
+    const int64_t *const a = axis[k];
+    int32_t *const to = &q[${i}U + 3U * k];
+    to[0] = hold(round_shift(along(g, a[0], a[1]), unit), outside, ${i}U + 3U * k);
+    to[1] = hold(round_shift(across(g, a[0], a[1]), unit), outside, ${i + 1}U + 3U * k);
+    to[2] = hold(round_shift(a[2] * (INT64_C(1) << Q30), unit), outside, ${i + 2}U + 3U * k);
+  }
+{% elif field.kind == "scaled" %}
+{% for number, rescale in zip(field.sources, field.rescales) %}
+{% set k = i + loop.index0 %}
+{% if rescale %}
+  q[${k}] = hold(rescale(${from}[${number}], ${rescale.middle}, ${rescale.factor}, ${rescale.shift}), outside, ${k}U);
+{% else %}
+  q[${k}] = 0; /* the policy was trained without it */
+{% endif %}
+{% endfor %}
+{% else %}
+{% for number in field.sources %}
+  q[${i + loop.index0}] = ${from if field.kind == "copy" else "g->next"}[${number}];
+{% endfor %}
+{% endif %}
+{% endmacro %}
 /*
  * ${name}_race: see ${name}_race.h.
  *
@@ -128,6 +183,41 @@ static int64_t rescale(int32_t value, int32_t middle, int32_t factor, int32_t sh
 }
 
 {% endif %}
+{% if race.history %}
+/* ---- the history -------------------------------------------------------------------------------- */
+
+void ${name}_history_begin(${name}_history *history) {
+  history->next = 0U;
+  history->filled = 0U;
+}
+
+/* Room for the state, which is all of the history at a start. */
+static void make_room(${name}_history *history, const int32_t s[${NAME}_STATE_SIZE]) {
+  history->next = (history->next < ${NAME}_HISTORY) ? history->next : 0U;
+  if (history->filled == 0U) {
+    for (uint32_t step = 0U; step < ${NAME}_HISTORY; ++step) {
+      for (uint32_t i = 0U; i < ${NAME}_STATE_SIZE; ++i) {
+        history->state[step][i] = s[i];
+      }
+    }
+  }
+  history->filled = 1U;
+}
+
+static void remember(${name}_history *history, const int32_t s[${NAME}_STATE_SIZE]) {
+  for (uint32_t i = 0U; i < ${NAME}_STATE_SIZE; ++i) {
+    history->state[history->next][i] = s[i];
+  }
+  history->next = (history->next + 1U < ${NAME}_HISTORY) ? history->next + 1U : 0U;
+}
+
+/* The state of some steps before the present one, at most ${NAME}_HISTORY. */
+static const int32_t *recall(const ${name}_history *history, uint32_t steps) {
+  const uint32_t row = history->next + ${NAME}_HISTORY - steps;
+  return history->state[(row < ${NAME}_HISTORY) ? row : row - ${NAME}_HISTORY];
+}
+
+{% endif %}
 /* ---- the observation ---------------------------------------------------------------------------- */
 
 static ${name}_race_status quantize_state(const ${name}_state *state,
@@ -136,10 +226,33 @@ static ${name}_race_status quantize_state(const ${name}_state *state,
   const float x[${NAME}_STATE_SIZE] = {
 ${state_values | wrapped}};
 ${c.quantize_all("s", NAME ~ "_STATE_SIZE", "quantize(x[i], state_exponent[i]", race.state_size)}
-${name}_race_status ${name}_observe(const ${name}_state *state, uint32_t target,
+{% if race.history %}
+/* Inputs of earlier states, seen from the present gate. */
+static void observe_past(const ${name}_history *history, const gate *g, uint32_t *outside,
+                         int32_t q[${NAME}_INPUTS]) {
+{% if "hold" not in race.helpers %}
+  (void)outside;
+{% endif %}
+{% if "gate" not in race.helpers %}
+  (void)g;
+{% endif %}
+{% for lag, fields in race.inputs | selectattr("lag") | groupby("lag") %}
+  {
+    const int32_t *const past = recall(history, ${lag}U);
+{% for field in fields %}
+${observed(field, "past") | indent(2, first=True)}{% endfor %}
+  }
+{% endfor %}
+}
+
+{% endif %}
+${name}_race_status ${name}_observe(${name ~ "_history *history, " if race.history else ""}const ${name}_state *state, uint32_t target,
                                   int32_t q[${NAME}_INPUTS]) {
   int32_t s[${NAME}_STATE_SIZE];
   ${name}_race_status status = quantize_state(state, s);
+{% if race.history %}
+  make_room(history, s);
+{% endif %}
   const gate *const g = &track[(target < ${NAME}_GATES) ? target : 0U];
   uint32_t *const outside = &status.outside;
 {% if "hold" not in race.helpers %}
@@ -148,60 +261,12 @@ ${name}_race_status ${name}_observe(const ${name}_state *state, uint32_t target,
 {% if "gate" not in race.helpers %}
   (void)g;
 {% endif %}
-{% for field in race.inputs %}
-{% set i = field.index %}
-{% set s = field.sources[0] %}
-{% if field.kind == "position" %}
-  const int64_t x = (int64_t)s[${s}] - g->position[0];
-  const int64_t y = (int64_t)s[${s + 1}] - g->position[1];
-  const int64_t z = (int64_t)s[${s + 2}] - g->position[2];
-  const int32_t metres = Q30 - POSITION_EXPONENT + INPUT_POSITION_EXPONENT;
-  q[${i}] = hold(round_shift(along(g, x, y), metres), outside, ${i}U);
-  q[${i + 1}] = hold(round_shift(across(g, x, y), metres), outside, ${i + 1}U);
-  q[${i + 2}] = hold(round_shift(z * (INT64_C(1) << Q30), metres), outside, ${i + 2}U);
-{% elif field.kind == "velocity" %}
-  const int32_t speed = Q30 - VELOCITY_EXPONENT + INPUT_VELOCITY_EXPONENT;
-  q[${i}] = hold(round_shift(along(g, s[${s}], s[${s + 1}]), speed), outside, ${i}U);
-  q[${i + 1}] = hold(round_shift(across(g, s[${s}], s[${s + 1}]), speed), outside, ${i + 1}U);
-  q[${i + 2}] = hold(round_shift(s[${s + 2}] * (INT64_C(1) << Q30), speed), outside, ${i + 2}U);
-{% elif field.kind == "attitude" %}
-  q[${i}] = s[${s}];
-  q[${i + 1}] = s[${s + 1}];
-  const int64_t yaw = s[${s + 2}] * (INT64_C(1) << YAW_EXPONENT) - g->yaw;
-  q[${i + 2}] = hold(round_shift(wrap(yaw), INPUT_YAW_EXPONENT), outside, ${i + 2}U);
-{% elif field.kind == "rotation" %}
-  const int64_t qw = s[${s}];
-  const int64_t qx = s[${s + 1}];
-  const int64_t qy = s[${s + 2}];
-  const int64_t qz = s[${s + 3}];
-  const int64_t axis[2][3] = { /* the body's x and z axes, world, Q30 */
-      {element(QUATERNION_ONE - 2 * (qy * qy + qz * qz)), element(2 * (qx * qy + qw * qz)),
-       element(2 * (qx * qz - qw * qy))},
-      {element(2 * (qx * qz + qw * qy)), element(2 * (qy * qz - qw * qx)),
-       element(QUATERNION_ONE - 2 * (qx * qx + qy * qy))}};
-  const int32_t unit = Q30 + ${race.box.exponent["rotation"]};
-  for (uint32_t k = 0U; k < 2U; ++k) {
-    const int64_t *const a = axis[k];
-    int32_t *const to = &q[${i}U + 3U * k];
-    to[0] = hold(round_shift(along(g, a[0], a[1]), unit), outside, ${i}U + 3U * k);
-    to[1] = hold(round_shift(across(g, a[0], a[1]), unit), outside, ${i + 1}U + 3U * k);
-    to[2] = hold(round_shift(a[2] * (INT64_C(1) << Q30), unit), outside, ${i + 2}U + 3U * k);
-  }
-{% elif field.kind == "scaled" %}
-{% for number, rescale in zip(field.sources, field.rescales) %}
-{% set k = i + loop.index0 %}
-{% if rescale %}
-  q[${k}] = hold(rescale(s[${number}], ${rescale.middle}, ${rescale.factor}, ${rescale.shift}), outside, ${k}U);
-{% else %}
-  q[${k}] = 0; /* the policy was trained without it */
+{% for field in race.inputs if not field.lag %}
+${observed(field, "s")}{% endfor %}
+{% if race.history %}
+  observe_past(history, g, outside, q);
+  remember(history, s);
 {% endif %}
-{% endfor %}
-{% else %}
-{% for number in field.sources %}
-  q[${i + loop.index0}] = ${"s" if field.kind == "copy" else "g->next"}[${number}];
-{% endfor %}
-{% endif %}
-{% endfor %}
   return status;
 }
 
@@ -223,6 +288,9 @@ void ${name}_race_start(${name}_race *race, const float position[3], uint32_t ta
   race->target = (target < ${NAME}_GATES) ? target : 0U;
   race->passed = 0U;
   race->missed = 0U;
+{% if race.history %}
+  ${name}_history_begin(&race->history);
+{% endif %}
 }
 
 static int64_t magnitude(int64_t value) { return (value < 0) ? -value : value; }
@@ -312,7 +380,7 @@ ${name}_race_status ${name}_race_step(${name}_race *race, ${name}_kernel kernel,
   int32_t q[${NAME}_INPUTS];
   int32_t integers[${NAME}_OUTPUTS];
   const ${name}_event happened = ${name}_race_update(race, state->position);
-  const ${name}_race_status status = ${name}_observe(state, race->target, q);
+  const ${name}_race_status status = ${name}_observe(${"&race->history, " if race.history else ""}state, race->target, q);
   ${name}_forward_q_with(kernel, q, integers);
   ${name}_command(integers, command);
   if (event != 0) {
@@ -336,14 +404,27 @@ ${rows(race_test.status, "unsigned")}
 };
 
 ${c.float_of("float_of")}
-static uint32_t state_fails(uint32_t number) {
-  int32_t q[${NAME}_INPUTS];
+{% macro read_test() %}
   ${name}_state state;
   const uint32_t *const bits = test_state[number];
 {% for name in race.names %}
   state.${name} = float_of(bits[${loop.index0}]);
 {% endfor %}
-  const ${name}_race_status status = ${name}_observe(&state, test_target[number], q);
+{% endmacro %}
+{% if race.history %}
+static ${name}_race_status observe_test(${name}_history *history, uint32_t number,
+                                       int32_t q[${NAME}_INPUTS]) {
+${read_test()}  return ${name}_observe(history, &state, test_target[number], q);
+}
+
+static uint32_t state_fails(${name}_history *history, uint32_t number) {
+  int32_t q[${NAME}_INPUTS];
+  const ${name}_race_status status = observe_test(history, number, q);
+{% else %}
+static uint32_t state_fails(uint32_t number) {
+  int32_t q[${NAME}_INPUTS];
+${read_test()}  const ${name}_race_status status = ${name}_observe(&state, test_target[number], q);
+{% endif %}
   uint32_t wrong = (status.clipped ^ test_status[number][0]) | (status.nan ^ test_status[number][1]);
   wrong |= status.outside ^ test_status[number][2];
   for (uint32_t i = 0U; i < ${NAME}_INPUTS; ++i) {
@@ -352,10 +433,32 @@ static uint32_t state_fails(uint32_t number) {
   return (wrong != 0U) ? 1U : 0U;
 }
 
+{% if race.history %}
+/* A digest of the inputs in further rounds of the states, which go through all of the history. */
+static uint32_t history_digest(${name}_history *history) {
+  uint32_t digest = UINT32_C(2166136261);
+  for (uint32_t step = 0U; step < ${race_test.rounds}U * SELF_TESTS; ++step) {
+    int32_t q[${NAME}_INPUTS];
+    (void)observe_test(history, step % SELF_TESTS, q);
+    for (uint32_t i = 0U; i < ${NAME}_INPUTS; ++i) {
+      digest = (digest ^ (uint32_t)q[i]) * UINT32_C(16777619);
+    }
+  }
+  return digest;
+}
+
+{% endif %}
 uint32_t ${name}_race_self_test(void) {
   uint32_t mismatches = 0U;
+{% if race.history %}
+  ${name}_history history;
+  ${name}_history_begin(&history);
+{% endif %}
   for (uint32_t number = 0U; number < SELF_TESTS; ++number) {
-    mismatches += state_fails(number);
+    mismatches += state_fails(${"&history, " if race.history else ""}number);
   }
+{% if race.history %}
+  mismatches += (history_digest(&history) != UINT32_C(${race_test.digest})) ? 1U : 0U;
+{% endif %}
   return mismatches;
 }

@@ -59,7 +59,8 @@ def write_eva_main(folder: Folder, work: Path) -> Path:
 
 
 def _common(folder: Folder) -> dict[str, object]:
-    return names_of(folder.network, folder.name) | {"estimator": folder.estimator}
+    own = {"estimator": folder.estimator, "race": folder.race}
+    return names_of(folder.network, folder.name) | own
 
 
 def _write(path: Path, values: dict[str, object]) -> Path:

@@ -15,9 +15,11 @@ from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import mean_action, policy_params
 from quadjax.policy.pilot import command_ranges
+from quadjax.race import history
 from quadjax.studies.replay.logged import Logged, commands_of, states_of
 
 AT_LIMIT = 1e-3  # of a command's range
+RATE_ERROR = 0.05  # of a log's sample rate, of a policy that observes a history
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,23 @@ def _observations(
     flight: Logged, targets: np.ndarray, own: OwnRace, commands: np.ndarray | None
 ) -> np.ndarray:
     """Observations (n, inputs) float32, in the scaling of the policy's training."""
+    _check_rate(flight, own)
     sizes, last = state_sizes(own.choices.layout, own.choices.model), None
     if LAST_COMMAND in sizes and commands is not None:
         low, high = command_ranges(own.choices, own.params)
         last = np.concatenate([[0.5 * (low + high)], commands[:-1]])
     states = states_of(flight, own.choices.model, sizes, last)
     return observe(own, states, targets.astype(np.int32))
+
+
+def _check_rate(flight: Logged, own: OwnRace) -> None:
+    """Check that a history, which counts steps, has the log's samples as its steps."""
+    apart = flight.step / own.time_step - 1.0
+    if history.depth(own.choices.layout.names) and abs(apart) > RATE_ERROR:
+        raise InputError(
+            f"{flight.path}: {1.0 / flight.step:.4g} samples/s; the policy observes a history, "
+            f"which needs a log of {1.0 / own.time_step:.4g} samples/s"
+        )
 
 
 def differences(replayed: Replayed) -> list[dict[str, float | str | None]]:

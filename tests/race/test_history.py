@@ -1,0 +1,88 @@
+"""Fields of the observation as they were in earlier steps."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.race import environment, history
+from quadjax.race.layout import View
+from tests.race.support import make_config, make_race
+
+FIELDS = ("velocity", "attitude", "rates", "rpm", "last_action")
+HISTORY = f"observation.history={{fields: [{', '.join(FIELDS)}], steps: 3, every: 2}}"
+STEPS = 9
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A short flight with random actions through a gate: its race, states and observations."""
+    choices, params = make_race(HISTORY, "start.gate=random")
+    step = jax.jit(functools.partial(environment.transition, choices))
+    see = jax.jit(functools.partial(environment.observe, choices))
+    state = environment.reset(choices, params, jax.random.key(0))
+    actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, 4)).astype(np.float32)
+    states = [state]
+    for number, action in enumerate(actions):
+        state, *_ = step(params, state, jnp.asarray(action))
+        if number == 3:  # the earlier states are then seen from another gate
+            state = state.replace(target=(state.target + 1) % 4)
+        states.append(state)
+    return choices, states, [np.asarray(see(params, each)) for each in states], see, params
+
+
+def test_the_history_is_the_earlier_state_seen_from_the_present_gate(flown):
+    choices, states, seen, see, params = flown
+    layout = choices.layout
+    assert layout.size == 24 + 3 * (3 + 3 + 3 + 4 + 4)
+    for now, state in enumerate(states):
+        for lag in (2, 4, 6):
+            then = states[max(now - lag, 0)]
+            plain = np.asarray(see(params, state.replace(drone=then.drone)))
+            for name in FIELDS[:-1]:
+                found = seen[now][layout.slice(f"{name}@{lag}")]
+                np.testing.assert_array_equal(found, plain[layout.slice(name)], f"{name} {now}")
+            given = seen[now][layout.slice(f"last_action@{lag}")]
+            np.testing.assert_allclose(given, np.stack(then.action), atol=1e-6)
+    turned = seen[4][layout.slice("velocity@2")] - seen[2][layout.slice("velocity")]
+    assert np.abs(turned).max() > 0.1
+
+
+def test_gradients_flow_through_the_history(flown):
+    choices, states, _, _, params = flown
+    state = states[0]
+
+    def seen(roll_rate):
+        drone = state.drone.replace(rates=state.drone.rates.replace(x=roll_rate))
+        past = history.push(state.past, drone, state.action)
+        past = history.push(past, state.drone, state.action)
+        view = View(choices.model, params, state.replace(past=past), None)
+        return choices.layout["rates@2"].numbers(view)[0]
+
+    assert jax.grad(seen)(0.3) == 1.0
+
+
+REFUSED = {
+    "observation.history={}": r"fields is \[\], allowed: one or more of position, velocity, ",
+    "observation.history={fields: [rpm, rpm]}": "each once",
+    "observation.history={fields: [rotation]}": "attitude, rates, rpm, last_action",
+    "observation.history={fields: [next_yaw]}": "fields is .'next_yaw'., allowed",
+    "observation.history={fields: [rpm], steps: 16, every: 5}": "steps is 16, allowed: at most 12",
+    "observation.history={fields: [rpm], steps: 0}": "steps",
+    "observation.history={fields: [rpm], last: 3}": "last",
+}
+
+
+@pytest.mark.parametrize("override", REFUSED)
+def test_impossible_histories_are_refused(override):
+    with pytest.raises(InputError, match=REFUSED[override]) as error:
+        make_config(override)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("override", ["{fields: [rpm], every: 16}", "null", "{fields: [position]}"])
+def test_possible_histories(override):
+    assert make_config(f"observation.history={override}")
