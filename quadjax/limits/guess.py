@@ -91,16 +91,19 @@ def from_point_mass(
 
     rng = np.random.default_rng(seed)
     first = spline(problem, intervals, speed, spread, rng)
-    path = optimize(problem, first, seconds, stop or threading.Event())
-    constant = _start_yaw(problem) if problem.start == "hover" else spread * rng.uniform(-3.0, 3.0)
-    yaw = np.full(len(path.position), constant)
-    slow = problem.start == "hover" and problem.rate_limit[2] < SLOW_YAW
-    transported = slow or (problem.normalized.any() and not heading)
-    if heading:
-        yaw = np.unwrap(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
-    return from_path(
-        problem, path.leg_times, path.position, path.velocity, path.force, yaw, transported
-    )
+    with jax.enable_x64(True):  # as in simulations: functions of the model are compiled once
+        path = optimize(problem, first, seconds, stop or threading.Event())
+        constant = (
+            _start_yaw(problem) if problem.start == "hover" else spread * rng.uniform(-3.0, 3.0)
+        )
+        yaw = np.full(len(path.position), constant)
+        slow = problem.start == "hover" and problem.rate_limit[2] < SLOW_YAW
+        transported = bool(slow or (problem.normalized.any() and not heading))
+        if heading:
+            yaw = np.unwrap(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
+        return from_path(
+            problem, path.leg_times, path.position, path.velocity, path.force, yaw, transported
+        )
 
 
 def _start_yaw(problem: Problem) -> float:

@@ -19,7 +19,7 @@ from quadjax.core.provenance import provenance
 from quadjax.limits import run
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.problem import Problem
-from quadjax.limits.report import LIMIT, arrays
+from quadjax.limits.report import LIMIT, arrays, read_guess
 from quadjax.limits.trajectory import Trajectory
 from quadjax.policy.file import Policy
 
@@ -103,6 +103,8 @@ def cell(
     problem = run.problem_of(choices, params, race)
     laps = _laps(config, problem, policies, POLICIES.get((track, drone)))
     given = {"policy's lap": laps[0]} if laps else {}
+    if table.exists():  # of a computation that was interrupted
+        given["earlier flight"] = read_guess(problem, str(table))
     show = lambda text: report(f"{track}, {drone}: {text}")  # noqa: E731
     try:
         best = run.search(
