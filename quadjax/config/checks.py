@@ -363,6 +363,8 @@ def _check_used(config: Config) -> None:
         refuse("battery.charge", list(config.battery.charge), f"no battery (null) {with_model}")
     if config.battery is None:
         unused["observation.highest_rpm"] = "without battery"
+    if not config.observation.actuators:
+        unused["observation.actuator_range"] = "with observation.actuators=false"
     if config.run.start_states is None:
         unused["run.start_states_part"] = "without run.start_states"
     elif config.randomization.tracks is not None:

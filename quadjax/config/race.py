@@ -61,6 +61,7 @@ def choices_of(config: Config) -> Choices:
             observed.actuator_range,
             None if config.battery is None or unobserved else observed.highest_rpm,
             *((), ()) if past is None else (past.fields, past.lags),
+            observed.actuators,
         ),
         integrator=config.vehicle.integrator,
         gate_test=config.rules.gate_test,

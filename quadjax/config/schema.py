@@ -228,6 +228,10 @@ class Observation(Section):
     last_action: bool = Field(
         False, description="observe the action of the step before, -1 to 1; 0 at the start"
     )
+    actuators: bool = Field(
+        True,
+        description="observe the actuators' state; false: for drones that do not measure it",
+    )
     actuator_range: Span | None = Field(
         None,
         description="actuator states that are observed as -1 and 1, in the model's unit; null: "

@@ -20,6 +20,7 @@ from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork, convert
 from quadjax.export.flights import Rollouts
 from quadjax.export.indiflight import emit_indiflight
 from quadjax.export.proof import Proof, prove
+from quadjax.export.qjp.autopilots import emit_crazyflie, emit_px4
 from quadjax.export.qjp.emit import emit_loader
 from quadjax.export.qjp.policy import make_qjp, qjp_bytes
 from quadjax.export.race_source import OwnRace
@@ -27,9 +28,11 @@ from quadjax.export.race_tables import RaceTables, make_tables, track_ranges
 from quadjax.export.render import identifier, is_reserved, shared_symbols
 from quadjax.export.targets import (
     AS_FILE,
+    CRAZYFLIE,
     DEFAULT_TARGET,
     INDIFLIGHT,
     PAPARAZZI,
+    PX4,
     TARGETS,
     Target,
 )
@@ -84,8 +87,17 @@ class Converted:
             files |= emit_paparazzi(network, origin, self.race, self.estimator)
         if self.target.autopilot == INDIFLIGHT:
             files |= emit_indiflight(files, network, origin, self.race, self.own, self.policy)
-        if self.target.autopilot in AS_FILE:
-            files |= emit_loader()
+        return files | self._loaded()
+
+    def _loaded(self) -> dict[str, str]:
+        """The C that loads the policy as a file, and its autopilot's."""
+        autopilot, own = self.target.autopilot, (self.network, self.race)
+        files = emit_loader() if autopilot in AS_FILE else {}
+        if autopilot == PX4:
+            files |= emit_px4(*own)
+        if autopilot == CRAZYFLIE:
+            (data,) = self.binaries().values()
+            files |= emit_crazyflie(self.origin.name, data, *own, self.own.time_step)
         return files
 
     def binaries(self) -> dict[str, bytes]:

@@ -113,6 +113,8 @@ def export_c(
         "paparazzi",
         "indiflight*",
         "qjp",
+        "px4",
+        "crazyflie",
     )
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, sample_rate, cutoff)
@@ -156,7 +158,7 @@ def _check_folder(folder: Path, name: str) -> None:
 
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
-    autopilots = ("paparazzi", "indiflight", "indiflight_2026", "qjp")
+    autopilots = ("paparazzi", "indiflight", "indiflight_2026", "qjp", "px4", "crazyflie")
     own = (f"{name}_estimator.c", f"{name}_estimator.h", f"{name}.qjp")
     return (*own, RESIDUAL_FILE, *autopilots)
 

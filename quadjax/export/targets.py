@@ -9,6 +9,7 @@ import dataclasses
 from quadjax.core.errors import InputError
 
 PAPARAZZI, INDIFLIGHT = "Paparazzi", "INDIflight"
+PX4, CRAZYFLIE = "PX4", "Crazyflie"
 QJP = ".qjp"  # any autopilot that loads the policy as a file
 
 
@@ -21,7 +22,7 @@ class Target:
     autopilot: str | None  # None: no files but those that every autopilot can use
 
 
-AS_FILE = (QJP,)  # autopilots that load NAME.qjp
+AS_FILE = (QJP, PX4, CRAZYFLIE)  # autopilots that load NAME.qjp
 TARGETS = {
     target.name: target
     for target in (
@@ -30,6 +31,8 @@ TARGETS = {
         Target("cortex-m4", "Cortex-M4", None),
         Target("indiflight", "Cortex-M7", INDIFLIGHT),
         Target("qjp", "Cortex-M7", QJP),
+        Target("px4", "Cortex-M7", PX4),
+        Target("crazyflie", "Cortex-M4", CRAZYFLIE),
     )
 }
 DEFAULT_TARGET = "cortex-a9"

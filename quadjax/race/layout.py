@@ -399,6 +399,7 @@ def make_layout(
     highest_speed: str | None = None,
     earlier: Sequence[str] = (),
     lags: Sequence[int] = (),
+    with_actuators: bool = True,
 ) -> Layout:
     """The observation of a vehicle model in the race.
 
@@ -416,21 +417,23 @@ def make_layout(
         highest_speed: source of the battery's limit: as of the disturbances; None: not observed.
         earlier: names of fields, of ``remembered_names``, that are also observed as they were.
         lags: numbers of steps before, at each of which they are observed.
+        with_actuators: whether the actuators' state is observed.
 
     Raises:
         InputError: two fields of one name.
     """
     actuators = model.actuators
+    own = Field(
+        *(actuators.name, actuators.size, actuators.unit, "body", 2.0),
+        value=_actuators,
+        scale=_actuator_bounds if actuator_range is None else _fixed(model, actuator_range),
+    )
     fields = (
         Field("position", 3, "m", "gate", 8.0, _position),
         Field("velocity", 3, "m/s", "gate", 16.0, _velocity),
         ATTITUDES[attitude],
         Field("rates", 3, "rad/s", "body", 16.0, _rates),
-        Field(
-            *(actuators.name, actuators.size, actuators.unit, "body", 2.0),
-            value=_actuators,
-            scale=_actuator_bounds if actuator_range is None else _fixed(model, actuator_range),
-        ),
+        *([own] if with_actuators else []),
         Field("next_position", 3, "m", "gate", 8.0, _next_position),
         NEXT_YAW if wrap_next_yaw else NEXT_YAW_UNWRAPPED,
         *(field for pair in AHEAD[: ahead - 1] for field in pair),
@@ -438,7 +441,7 @@ def make_layout(
         *(disturbance_fields(disturbance) if model.disturbance is not None else ()),
         *([] if highest_speed is None else [highest_command(highest_speed)]),
     )
-    known = {field.name: field for field in (last_action(model.action_size), *fields)}
+    known = {field.name: field for field in (last_action(model.action_size), own, *fields)}
     past = [history.delayed(known[name], lag) for lag in lags for name in earlier]
     fields = (*fields, *past, *extra)
     layout = Layout(fields)

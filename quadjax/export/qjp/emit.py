@@ -12,9 +12,9 @@ FOLDER = "qjp"
 LOADER = ("qjp.h", "qjp_layout.h", "qjp_load.c", "qjp_check.c", "qjp_run.c", "qjp_sha256.c")
 
 
-def emit_loader(folder: str = FOLDER) -> dict[str, str]:
-    """The loader's files, by path in ``folder``."""
-    return {f"{folder}/{file}": qjp_source(file) for file in LOADER}
+def emit_loader() -> dict[str, str]:
+    """The loader's files, by path."""
+    return {f"{FOLDER}/{file}": qjp_source(file) for file in LOADER}
 
 
 @functools.cache

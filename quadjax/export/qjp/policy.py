@@ -28,7 +28,6 @@ from quadjax.export.race_tables import (
 from quadjax.export.scaling import Rescale
 from quadjax.export.selftest import (
     TURN,
-    RaceTest,
     network_test,
     padded_layers,
     race_test,
@@ -59,6 +58,16 @@ class NetworkCases:
 
 
 @dataclasses.dataclass(frozen=True)
+class RaceCases:
+    """States of the self-test, and the inputs that follow from them."""
+
+    states: np.ndarray  # (n, state_size) uint32, the bits
+    targets: np.ndarray  # (n,)
+    inputs: np.ndarray  # (n, inputs) int32
+    status: np.ndarray  # (n, 3) uint32: clipped, nan, outside
+
+
+@dataclasses.dataclass(frozen=True)
 class QjpPolicy:
     """What a ``.qjp`` file contains."""
 
@@ -68,7 +77,7 @@ class QjpPolicy:
     policy_hash: str  # SHA-256 of the policy file
     time_step: float  # s
     network_test: NetworkCases
-    race_test: RaceTest
+    race_test: RaceCases
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,7 +118,8 @@ def make_qjp(
     _check(network, race)
     made = network_test(network, padded_layers(network), observations)
     tests = NetworkCases(made.inputs, made.commands, made.traces)
-    seen = race_test(race, states, targets)
+    own = race_test(race, states, targets)
+    seen = RaceCases(own.states, own.targets, own.inputs, own.status)
     return QjpPolicy(name, network, race, policy_hash, time_step, tests, seen)
 
 

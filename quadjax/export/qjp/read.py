@@ -22,13 +22,14 @@ from quadjax.export.qjp.policy import (
     VERSION,
     NetworkCases,
     QjpPolicy,
+    RaceCases,
     qjp_bytes,
 )
 from quadjax.export.qjp.words import Reader
 from quadjax.export.race_tables import NOTES, ROTATION, SCALED, Input, RaceTables, StateField
 from quadjax.export.ranges import InputBox
 from quadjax.export.scaling import Rescale
-from quadjax.export.selftest import BLOCK, TURN, RaceTest
+from quadjax.export.selftest import BLOCK, TURN
 from quadjax.race.layout import Field, Layout, make_layout, other_fields
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import MODELS
@@ -223,10 +224,10 @@ def _network_test(words: np.ndarray, inputs: int) -> NetworkCases:
     return NetworkCases(words[:, :inputs].astype(np.int32), commands, words[:, -1].astype("u4"))
 
 
-def _race_test(words: np.ndarray, state_size: int, inputs: int) -> RaceTest:
+def _race_test(words: np.ndarray, state_size: int, inputs: int) -> RaceCases:
     """The self-test of the observation that the file states."""
     start = state_size + 1
-    return RaceTest(
+    return RaceCases(
         states=words[:, :state_size].astype(np.uint32),
         targets=words[:, state_size],
         inputs=words[:, start : start + inputs].astype(np.int32),

@@ -231,7 +231,7 @@ def check_mutations(c: QjpContext) -> str:
     compiler = host()
     if compiler.name == "zig cc":
         raise Skipped("needs gcc or clang on this machine, with sanitizers")
-    strict = Compiler(compiler.name, compiler.command, ("-std=c99", *SANITIZERS))
+    strict = Compiler(compiler.name, compiler.command, ("-std=c99", *SANITIZERS, "-O2"))
     program = strict.build([*c.sources, c.work / FOLDER / "fuzz.c"], c.work / "fuzz")
     command = [str(program), str(c.work / "policy.qjp"), str(c.mutations), "0"]
     done = subprocess.run(command, capture_output=True, text=True)

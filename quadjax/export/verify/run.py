@@ -8,7 +8,7 @@ from pathlib import Path
 
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.files import write_text
-from quadjax.export.targets import INDIFLIGHT, QJP
+from quadjax.export.targets import AS_FILE, INDIFLIGHT
 from quadjax.export.verify import (
     checks_arm,
     checks_bits,
@@ -59,7 +59,7 @@ AUTOPILOTS: dict[str, dict[str, Check]] = {
         "INDIflight, Frama-C": checks_indiflight.check_eva,
         "INDIflight, races": checks_indiflight.check_races,
     },
-    QJP: checks_qjp.folder_checks(),
+    **dict.fromkeys(AS_FILE, checks_qjp.folder_checks()),
 }
 # Checks of one processor only.
 PROCESSORS = {build.name: build.processor for build in checks_arm.BUILDS} | dict.fromkeys(

@@ -18,7 +18,13 @@ extern "C" {
 #define QJP_VERSION 1
 
 /* Largest policies; larger ones are rejected. Stack: 8 bytes for each neuron of the widest layer, 16
- * in qjp_load. Define others for the whole build. */
+ * in qjp_load; with -DQJP_STATIC=1 they are static instead, and only one task may call the
+ * functions. Define others for the whole build. */
+#ifdef QJP_STATIC
+#define QJP_BUFFER static
+#else
+#define QJP_BUFFER
+#endif
 #ifndef QJP_MAX_WIDTH
 #define QJP_MAX_WIDTH 128 /* neurons or inputs of a layer, padded to a multiple of 8 */
 #endif

@@ -208,7 +208,7 @@ static qjp_error prove_layer(const qjp_policy *policy, uint32_t number, const ra
 }
 
 static qjp_error prove(const qjp_policy *policy) {
-  ranges range[2];
+  QJP_BUFFER ranges range[2];
   for (uint32_t i = 0U; i < QJP_MAX_WIDTH; ++i) {
     range[0].high[i] = (i < policy->inputs) ? QJP_INPUT_ONE : 0;
     range[0].low[i] = -range[0].high[i];

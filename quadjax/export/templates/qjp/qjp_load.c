@@ -145,8 +145,8 @@ static float float_of(int32_t bits) {
 
 static uint32_t race_test_fails(const qjp_policy *policy, const int32_t *test) {
   const int32_t *const expected = test + policy->state_size + 1U;
-  float state[QJP_MAX_STATE];
-  int32_t q[QJP_MAX_WIDTH];
+  QJP_BUFFER float state[QJP_MAX_STATE];
+  QJP_BUFFER int32_t q[QJP_MAX_WIDTH];
   for (uint32_t i = 0U; i < policy->state_size; ++i) {
     state[i] = float_of(test[i]);
   }

@@ -56,7 +56,7 @@ static int32_t output_command(const qjp_policy *policy, int64_t sum, uint32_t i)
 
 void qjp_forward(const qjp_policy *policy, const int32_t *q, int32_t command[QJP_COMMANDS],
                  uint32_t *trace) {
-  int32_t buffer[2][QJP_MAX_WIDTH];
+  QJP_BUFFER int32_t buffer[2][QJP_MAX_WIDTH];
   int64_t sums[ROWS_PER_BLOCK];
   const uint32_t last = policy->layers - 1U;
   for (uint32_t i = 0U; i < policy->layer[0].padded_columns; ++i) {
@@ -197,7 +197,7 @@ static qjp_status quantize_state(const qjp_policy *policy, const float *state, i
 }
 
 qjp_status qjp_observe(const qjp_policy *policy, const float *state, uint32_t target, int32_t *q) {
-  int32_t s[QJP_MAX_STATE];
+  QJP_BUFFER int32_t s[QJP_MAX_STATE];
   const int32_t *const gate = gate_of(policy, target);
   qjp_status status = quantize_state(policy, state, s);
   for (uint32_t number = 0U; number < policy->parts; ++number) {
