@@ -99,6 +99,7 @@ class Round:
     error: str  # why not
     computing: float  # s
     margin: float  # m, inside the gates' edges, of the training
+    fitted: int  # logs of the round that are fitted
 
 
 def check_setting(setting: Setting) -> None:
@@ -206,13 +207,13 @@ def _round(
     if model is not before.model or margin > before.margin:
         after = dataclasses.replace(after, policy=_train(setting, after, logs, folder, say))
         seconds += float(read_summary(folder / "training")["seconds"])
-    return after, Round(flown, found, error, seconds, margin)
+    return after, Round(flown, found, error, seconds, margin, len(recent))
 
 
 def _flown(
     setting: Setting, number: int, folder: Path, before: Progress, report: Report
 ) -> tuple[Flown, list[Path]]:
-    """The flights of a round, and the logs that are long enough to fit."""
+    """The flights of a round, and the logs that a fit accepts: not those of early crashes."""
     assert setting.plant is not None
     path, logs, name = folder / "flights.json", folder / "logs", f"round_{number}"
     if not path.exists():
@@ -223,8 +224,18 @@ def _flown(
         fly_and_log(race, setting.plant, before.policy, *options).save(path)
     flown = Flown.load(path)
     least = setting.fit.logs.min_seconds + SHORT
-    long = [run for run, seconds in enumerate(flown.seconds) if seconds > least]
-    return flown, [logs / f"{name}_{run}.csv" for run in long]
+    files = [logs / f"{name}_{run}.csv" for run in range(len(flown.seconds))]
+    long = [file for file, seconds in zip(files, flown.seconds, strict=True) if seconds > least]
+    return flown, [file for file in long if _accepted(file, setting.fit)]
+
+
+def _accepted(file: Path, fit: FitConfig) -> bool:
+    """Whether the checks of a log accept it; columns of short logs may seem inconsistent."""
+    try:
+        read_log(file, fit.logs)
+    except InputError:
+        return False
+    return True
 
 
 def _refitted(
@@ -242,7 +253,9 @@ def _refitted(
     if not refused.exists():
         try:
             if not recent:
-                raise InputError("every flight of the round is shorter than logs.min_seconds")
+                raise InputError(
+                    "every log of the round is rejected or shorter than logs.min_seconds"
+                )
             found = refit(known, recent, setting.fit, present, folder, report)
             found.save(path)
             return found, ""
@@ -308,6 +321,8 @@ def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
     crashes = sum(bool(crash) for done in rounds for crash in done.flown.crashes)
     notes = [f"crashes in the rounds: {crashes}"]
     for number, done in enumerate(rounds, start=1):
+        out = len(done.flown.totals) - done.fitted
+        notes += [f"round {number}: {out} logs left out, too short or rejected"] if out else []
         why = done.error or (done.found.refused if done.found else "")
         notes += [f"round {number}: the model is rejected: {why}"] if why else []
     return "\n".join([table(rows), "", *notes])
