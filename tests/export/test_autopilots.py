@@ -38,7 +38,7 @@ from tests.export.test_layouts import made, random_states
 STUBS = Path(__file__).parent
 PX4_FLAGS = (
     "-std=gnu++14 -O2 -Wall -Wextra -Werror -Wdouble-promotion -Wfloat-equal -Wshadow "
-    "-fno-exceptions -fno-rtti -shared -fPIC"
+    "-fno-exceptions -fno-rtti -fno-gnu-unique -shared -fPIC"
 ).split()
 # PX4's motors 1 to 4 by default: front-right, rear-left, front-left, rear-right.
 PX4_PLACES = [1, 3, 0, 2]
