@@ -113,6 +113,7 @@ def _run(setting: "Setting", folder: Path, report: "Report") -> str:
     from quadjax.core.files import write_text
     from quadjax.studies.improve import run
     from quadjax.studies.improve.model import Model, constant_lines, error_lines
+    from quadjax.studies.improve.rounds import rounds_table
 
     if setting.logs:
         found = run.learn(setting, folder, report)
@@ -122,6 +123,6 @@ def _run(setting: "Setting", folder: Path, report: "Report") -> str:
     else:
         rounds = run.improve(setting, folder, report)
         check = run.checked(setting, folder, report) if setting.check else {}
-        text = run.rounds_table(rounds, check)
+        text = rounds_table(rounds, check)
     write_text(folder / "table.txt", text + "\n")
     return text

@@ -88,8 +88,9 @@ class BatteryFit:
     def section(self, base: BatteryConfig) -> BatteryConfig | None:
         """The battery of a race; None without a limit.
 
-        The speed at the full voltage and a full charge are not told apart: the best flight started
-        ``RESERVE`` below full. Voltages and the hover current are those of ``base``.
+        The speed at the full voltage and the charge of a flight cannot be separated: the flight
+        with the highest limit is assumed to start ``RESERVE`` below full. Voltages and the hover
+        current are those of ``base``.
         """
         if not self.first:
             return None

@@ -55,11 +55,11 @@ class _Flight:
     from_autopilot: Channel
     held: np.ndarray  # command in the model's units
     counts: Counter[str] = dataclasses.field(default_factory=Counter)
-    told: int = -1  # newest state that the autopilot accepted
+    accepted: int = -1  # newest state that the autopilot accepted
     answered: int = -1  # newest state whose command was received
     applied: int = -1  # newest state whose command was applied
     last: np.ndarray | None = None  # newest command message
-    heard: float = dataclasses.field(default_factory=time.monotonic)  # when it was received
+    answered_at: float = dataclasses.field(default_factory=time.monotonic)  # when it was received
 
     def step(self, now: Now, number: int, until: float | None) -> None:
         """Exchange the messages of a step; ``held`` is then the command that acts in it.
@@ -78,8 +78,8 @@ class _Flight:
         self.to_autopilot.push(state, at)
         for sent in self.to_autopilot.due(at):
             self.peer.send(sent.data)
-            if sent.intact and sent.sequence > self.told:
-                self.told = sent.sequence
+            if sent.intact and sent.sequence > self.accepted:
+                self.accepted = sent.sequence
         self._receive(until, at)
         before = self.applied
         for sent in self.from_autopilot.due(at):
@@ -91,18 +91,18 @@ class _Flight:
         """Wait for the command of the newest state that was accepted."""
         start = time.monotonic()
         limit = start + self.timing.timeout if until is None else until
-        while self.answered < self.told:
+        while self.answered < self.accepted:
             message = self.peer.receive(limit)
             if message is None:
                 break
             if message["run"] == self.run and message["sequence"] > self.answered:
-                self.answered, self.heard = int(message["sequence"]), time.monotonic()
+                self.answered, self.answered_at = int(message["sequence"]), time.monotonic()
                 self.from_autopilot.push(np.array(message), at)
             else:
                 self.peer.rejected["another step or race"] += 1
-        if self.answered == self.told or self.peer.stopped:
+        if self.answered == self.accepted or self.peer.stopped:
             return
-        if until is None or start - self.heard > self.timing.timeout:
+        if until is None or start - self.answered_at > self.timing.timeout:
             raise self.peer.gone(f"has not answered within {self.timing.timeout:g} s")
         self.counts["late steps"] += 1
 

@@ -1,7 +1,7 @@
 """What a simulated drone is that an autopilot can fly, and what it shows.
 
 A world is two pure functions of a state: its start, and a control step under a command that is
-held. Both also give what the autopilot is told, and the true motion for the record.
+held. Both also give what the autopilot observes, and the true motion for the record.
 """
 
 import dataclasses

@@ -10,7 +10,8 @@ from quadjax.plant.config import PlantConfig
 from quadjax.policy.file import Policy
 from quadjax.studies.improve import run as rounds
 from quadjax.studies.improve.flights import Flown
-from quadjax.studies.improve.run import Setting, check_setting, improve, learn, rounds_table, start
+from quadjax.studies.improve.rounds import rounds_table
+from quadjax.studies.improve.run import Setting, check_setting, improve, learn, start
 from tests.commands import run
 from tests.improve.support import FIT, STEPS, TINY, drone_log, policy_file, race
 from tests.race.support import BLANK

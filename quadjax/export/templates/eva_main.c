@@ -1,19 +1,11 @@
+{% import "helpers.c" as c %}
 #include "__fc_builtin.h"
 #include "${name}_race.h"
 {% if estimator %}
 #include "${name}_estimator.h"
 {% endif %}
 
-/* Any bits at all: NaN, infinities, everything. */
-static float any_float(void) {
-  union {
-    float value;
-    unsigned bits;
-  } pun;
-  pun.bits = Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU);
-  return pun.value;
-}
-
+${c.any_float()}
 static int32_t any_integer(void) { return Frama_C_interval(-2147483647 - 1, 2147483647); }
 static uint32_t any_unsigned(void) { return Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU); }
 

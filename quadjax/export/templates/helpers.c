@@ -19,6 +19,17 @@ static float ${name}(uint32_t bits) {
   return pun.value;
 }
 {% endmacro %}
+{% macro any_float() %}
+/* Any bits: NaN, infinities and all numbers. */
+static float any_float(void) {
+  union {
+    float value;
+    unsigned bits;
+  } pun;
+  pun.bits = Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU);
+  return pun.value;
+}
+{% endmacro %}
 {% macro round_shift() %}
 static int64_t round_shift(int64_t value, int32_t shift) {
   if (shift <= 0) {

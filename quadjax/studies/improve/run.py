@@ -8,7 +8,6 @@ from typing import Any
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json, write_text
-from quadjax.core.markdown import table
 from quadjax.fitting.config import FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.report import PATTERNS as FIT_FILES
@@ -16,6 +15,7 @@ from quadjax.plant.config import PlantConfig
 from quadjax.policy.file import Policy
 from quadjax.studies.improve.flights import Flown, fly, fly_and_log
 from quadjax.studies.improve.model import Model, Refit, refit
+from quadjax.studies.improve.rounds import Round
 from quadjax.studies.improve.states import margin_of, states_of_logs
 from quadjax.studies.improve.training import tuning_config
 from quadjax.training.build import initial_policy
@@ -31,9 +31,6 @@ GATE = "hit a gate"
 SHORT = 0.1  # s more than logs.min_seconds
 CHECK_SEED = 10_000  # of flights that are learned from by no round
 Report = Callable[[str], None]
-COLUMNS = (
-    *("round", "finished", "time of all laps, s", "flight, s", "model", "error", "computing, s"),
-)
 
 
 class StoppedError(Exception):
@@ -88,18 +85,6 @@ class Progress:
     model: Model
     margin: float
     logs: tuple[Path, ...] = ()
-
-
-@dataclasses.dataclass(frozen=True)
-class Round:
-    """What a round did."""
-
-    flown: Flown
-    found: Refit | None  # None: the logs could not be fitted
-    error: str  # why not
-    computing: float  # s
-    margin: float  # m, inside the gates' edges, of the training
-    fitted: int  # logs of the round that are fitted
 
 
 def check_setting(setting: Setting) -> None:
@@ -274,16 +259,13 @@ def _train(
     setting: Setting, progress: Progress, logs: Sequence[FlightLog], folder: Path, report: Report
 ) -> Path:
     """Fine-tune a policy in ``folder/training``; returns the file of the result."""
-    path: Path | None = folder / "states.npz"
-    assert path is not None
+    path = folder / "states.npz"
     if not path.exists():
         states = states_of_logs(logs, progress.model.race(setting.race))
-        if states is None:
-            path = None
-        else:
+        if states is not None:
             states.save(path)
     report("fine-tuning")
-    config = _tuning(setting, progress, path)
+    config = _tuning(setting, progress, path if path.exists() else None)
     run = train(config, folder / "training", resume=True, progress=False)
     if not run.finished:
         raise StoppedError
@@ -302,35 +284,3 @@ def checked(setting: Setting, folder: Path, report: Report) -> dict[str, Flown]:
             found[name] = fly(setting.race, setting.plant, policy, *options)
         write_json(path, {name: dataclasses.asdict(flown) for name, flown in found.items()})
     return {name: Flown(**values) for name, values in read_json(path).items()}
-
-
-def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
-    """The rounds as a Markdown table; seconds are summed over the rounds."""
-    rows: list[Sequence[str]] = [COLUMNS]
-    flight = computing = 0.0
-    for number, done in enumerate(rounds, start=1):
-        flight += sum(done.flown.seconds)
-        computing += done.computing
-        found = done.found
-        model = "none" if found is None else ("rejected" if found.refused else "accepted")
-        error = "-" if found is None else f"{100.0 * found.change:+.0f}%"
-        cells = (f"{flight:.0f}", model, error, f"{computing:.0f}")
-        rows.append((str(number), _finished(done.flown), _mean(done.flown), *cells))
-    for name, flown in check.items():
-        rows.append((f"check, {name}", _finished(flown), _mean(flown), "", "", "", ""))
-    crashes = sum(bool(crash) for done in rounds for crash in done.flown.crashes)
-    notes = [f"crashes in the rounds: {crashes}"]
-    for number, done in enumerate(rounds, start=1):
-        out = len(done.flown.totals) - done.fitted
-        notes += [f"round {number}: {out} logs left out, too short or rejected"] if out else []
-        why = done.error or (done.found.refused if done.found else "")
-        notes += [f"round {number}: the model is rejected: {why}"] if why else []
-    return "\n".join([table(rows), "", *notes])
-
-
-def _finished(flown: Flown) -> str:
-    return f"{flown.finished} of {len(flown.totals)}"
-
-
-def _mean(flown: Flown) -> str:
-    return f"{flown.mean:.2f}" if flown.finished else "-"

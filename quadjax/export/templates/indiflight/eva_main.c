@@ -1,16 +1,9 @@
+{% import "helpers.c" as c %}
 /* INDIflight's functions for any state and any memory of the controller, after its self-tests. */
 #include "__fc_builtin.h"
 #include "nn_controller.c"
 
-static float any_float(void) {
-  union {
-    float value;
-    unsigned bits;
-  } pun;
-  pun.bits = Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU);
-  return pun.value;
-}
-
+${c.any_float()}
 static uint32_t any_unsigned(void) { return Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU); }
 
 static void any_controller(void) {
