@@ -3,7 +3,7 @@
 CONFIG is the race in which the policy was trained. The flights are on the stand-in plant, of which
 only the logs are read. A model that does not predict held-out flights better than the present one
 is rejected. FOLDER gets the logs, the model and the training of each round, policy.npz and
-table.txt. The same command continues after a stop. With --logs it reads real logs instead: it
+table.txt. The same command resumes after a stop. With --logs it reads real logs instead: it
 prints what they change in the model and fine-tunes the policy, without flying.
 """
 

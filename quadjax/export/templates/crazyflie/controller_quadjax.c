@@ -46,7 +46,7 @@ void controllerOutOfTreeInit(void) {
   }
   ticks = (pilot.usable != 0U) ? pilot.policy.period_ns / NS_PER_TICK : 1U;
   if (wrong != 0) {
-    DEBUG_PRINT("quadjax: policy refused: %s\n", wrong);
+    DEBUG_PRINT("quadjax: policy rejected: %s\n", wrong);
   }
 }
 

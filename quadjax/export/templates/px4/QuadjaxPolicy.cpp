@@ -19,7 +19,7 @@ bool QuadjaxPolicy::init()
 	_refused = load();
 
 	if (_refused != nullptr) {
-		PX4_ERR("policy refused: %s", _refused);
+		PX4_ERR("policy rejected: %s", _refused);
 	}
 
 	_period_us = (_refused == nullptr) ? _pilot.policy.period_ns / 1000 : 10000;
