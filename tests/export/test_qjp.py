@@ -133,6 +133,7 @@ EDITS = {  # what is changed: part of the file, word of it, value, error of the 
     "shift": ("header", 13, 33, 6),
     "fraction": ("header", 14, 31, 6),
     "name without an end": ("header", 33, -1, 6),
+    "no time step": ("header", 15, 0, 6),
     "two rotors at one place": ("header", 38, 1, 6),
     "low above high": ("header", 42, 2**31 - 1, 6),
     "rows": ("certificate", 0, 500, 5),
@@ -147,6 +148,7 @@ EDITS = {  # what is changed: part of the file, word of it, value, error of the 
     "a source beyond the state": ("inputs", 0, 99, 8),
     "a shift of 61": ("inputs", 4 * 12 + 3, 61, 8),
     "a cosine above 1": ("gates", 12, 2**30 + 1, 9),
+    "a negative width": ("gates", 14, -1, 9),
     "a gate elsewhere": ("gates", 0, 12345, 12),
 }
 
