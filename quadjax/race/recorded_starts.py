@@ -3,7 +3,7 @@
 The file (``.npz``) has the arrays ``position`` (n, 3), m, and ``velocity`` (n, 3), m/s, in the
 world, ``euler`` (n, 3), rad, ``rates`` (n, 3), rad/s, body, ``actuators`` (n, k), propeller speeds
 in rpm or specific thrust in m/s^2, and ``target`` (n,), the index of the gate to pass next; its
-``meta`` has ``format: "quadjax-states/1"`` and the name of the ``track``.
+``meta`` has ``format: "quadjax-starts/1"`` and the name of the ``track``.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from quadjax.core.files import check_finite, read_npz, write_npz
 from quadjax.core.vectors import Vec3
 from quadjax.vehicle.protocol import Motion
 
-FORMAT = "quadjax-states/1"
+FORMAT = "quadjax-starts/1"
 MOTION = ("position", "velocity", "euler", "rates")
 NAMES = (*MOTION, "actuators", "target")
 
