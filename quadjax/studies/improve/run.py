@@ -1,6 +1,7 @@
 """The rounds of learning from flights: fly, refit, fine-tune; each step once, also after a stop."""
 
 import dataclasses
+import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,8 @@ class Setting:
         names = ("flights", "laps", "steps", "seed")
         logs = [str(path) for path in self.logs]
         numbers = {name: getattr(self, name) for name in names}
-        return {"policy": str(self.policy), "logs": logs, **numbers, **own}
+        policy = hashlib.sha256(self.policy.read_bytes()).hexdigest()
+        return {"policy": policy, "logs": logs, **numbers, **own}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -203,7 +203,7 @@ void QuadjaxPolicy::configure_mode()
 	config.flag_control_attitude_enabled = false;
 	config.flag_control_rates_enabled = false;
 	config.flag_control_allocation_enabled = false;
-	config.flag_control_termination_enabled = true;
+	config.flag_control_termination_enabled = false;
 	_config_pub.publish(config);
 }
 
