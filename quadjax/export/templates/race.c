@@ -7,10 +7,10 @@
   const int64_t x = (int64_t)${from}[${s}] - g->position[0];
   const int64_t y = (int64_t)${from}[${s + 1}] - g->position[1];
   const int64_t z = (int64_t)${from}[${s + 2}] - g->position[2];
-  const int32_t meters = Q30 - POSITION_EXPONENT + INPUT_POSITION_EXPONENT;
-  q[${i}] = hold(round_shift(along(g, x, y), meters), outside, ${i}U);
-  q[${i + 1}] = hold(round_shift(across(g, x, y), meters), outside, ${i + 1}U);
-  q[${i + 2}] = hold(round_shift(z * (INT64_C(1) << Q30), meters), outside, ${i + 2}U);
+  const int32_t metres = Q30 - POSITION_EXPONENT + INPUT_POSITION_EXPONENT;
+  q[${i}] = hold(round_shift(along(g, x, y), metres), outside, ${i}U);
+  q[${i + 1}] = hold(round_shift(across(g, x, y), metres), outside, ${i + 1}U);
+  q[${i + 2}] = hold(round_shift(z * (INT64_C(1) << Q30), metres), outside, ${i + 2}U);
 {% elif field.kind == "velocity" %}
   const int32_t speed = Q30 - VELOCITY_EXPONENT + INPUT_VELOCITY_EXPONENT;
   q[${i}] = hold(round_shift(along(g, ${from}[${s}], ${from}[${s + 1}]), speed), outside, ${i}U);
