@@ -62,7 +62,12 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         "sil", description=__doc__, epilog="Example: quadjax sil out/ --late 0.2 --delay 20"
     )
-    parser.add_argument("source", type=Path, metavar="DIR", help="folder of quadjax export")
+    parser.add_argument(
+        "source",
+        type=Path,
+        metavar="DIR",
+        help="folder of quadjax export; with --listen also a config",
+    )
     parser.add_argument(
         "overrides", nargs="*", default=[], metavar="key=value", help="change keys of the plant"
     )
@@ -152,6 +157,9 @@ def _setting(options: argparse.Namespace) -> "Setting":
     Raises:
         InputError: options that do not go together.
     """
+    if options.listen is None and not options.source.is_dir():
+        hint = "an autopilot of your own needs --listen HOST:PORT"
+        raise InputError(f"{options.source}: no such folder of quadjax export; {hint}")
     from quadjax.plant.config import load_plant_config
     from quadjax.sil.faults import WRONG_UNITS, Faults, parse_nan
     from quadjax.sil.fly import Timing
