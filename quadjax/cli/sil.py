@@ -54,7 +54,9 @@ def _number(text: str, low: float, high: float, allowed: str) -> float:
 def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not host or not port.isascii() or not port.isdigit() or not int(port[:9]) < 65536:
-        raise argparse.ArgumentTypeError(f"{text!r:.60}, expected HOST:PORT")
+        raise argparse.ArgumentTypeError(
+            f"{text!r:.60}, expected HOST:PORT with a port of 0 to 65535"
+        )
     return host, int(port)
 
 
@@ -72,7 +74,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "overrides", nargs="*", default=[], metavar="key=value", help="change keys of the plant"
     )
     parser.add_argument(
-        "--listen", type=_address, metavar="HOST:PORT", help="wait there for your own autopilot"
+        "--listen",
+        type=_address,
+        metavar="HOST:PORT",
+        help="wait there for your own autopilot, at most 120 s",
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--plant", metavar="CONFIG", help="of configs/plant (default: standin)")

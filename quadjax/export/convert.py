@@ -25,7 +25,7 @@ from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, find_config, own_race
 from quadjax.export.report import Json, make_report, report_text
-from quadjax.export.targets import DEFAULT_TARGET, find_target
+from quadjax.export.targets import DEFAULT_TARGET, check_model, find_target
 from quadjax.policy.file import Policy
 
 KIND = "export"
@@ -122,6 +122,7 @@ def export_c(
         _check_folder(folder, symbol)
         own = Policy.load(path)
         check_policy(own)
+        check_model(target, own.vehicle)
         found, origin = find_config(own, path, config, track)
         race = own_race(found, own, origin, path.name)
         if not allow_other_race:

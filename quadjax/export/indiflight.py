@@ -14,10 +14,10 @@ from quadjax.export.fixed import FixedNetwork
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import RaceTables
 from quadjax.export.render import render
+from quadjax.export.targets import check_model
 from quadjax.policy.file import Policy
 from quadjax.race import environment
 
-MODELS = ("racing", "a2rl")  # vehicle models whose commands are 0 to 1
 MOST_GATES = 255  # of target_gate_index, a uint8_t
 # INDIflight's number of the motors front-left, front-right, rear-right, rear-left.
 MOTORS = (3, 1, 0, 2)
@@ -34,11 +34,7 @@ def check_indiflight(network: FixedNetwork, race: RaceTables) -> None:
     low, high = (
         x / 2.0**network.fraction_bits for x in (network.command_low, network.command_high)
     )
-    if network.model.name not in MODELS:
-        raise InputError(
-            f"--target indiflight: the policy's vehicle model is {network.model.name!r}, allowed: "
-            f"{', '.join(MODELS)}, whose motor commands are 0 to 1"
-        )
+    check_model("indiflight", network.model.name)
     if np.any(low < 0.0) or np.any(high > 1.0):
         raise InputError(
             f"--target indiflight: motor commands {low.tolist()}..{high.tolist()}, allowed: 0 to 1"

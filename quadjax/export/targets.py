@@ -36,6 +36,21 @@ TARGETS = {
     )
 }
 DEFAULT_TARGET = "cortex-a9"
+MOTOR_MODELS = ("racing", "a2rl")  # vehicle models whose commands are 0 to 1
+MOTOR_TARGETS = ("indiflight", "px4", "crazyflie")  # whose autopilots take motor commands
+
+
+def check_model(target: str, model: str) -> None:
+    """Check that a target's autopilot takes the commands of a vehicle model.
+
+    Raises:
+        InputError: another vehicle model than those with motor commands.
+    """
+    if target in MOTOR_TARGETS and model not in MOTOR_MODELS:
+        raise InputError(
+            f"--target {target}: the policy's vehicle model is {model!r}, allowed: "
+            f"{', '.join(MOTOR_MODELS)}, whose motor commands are 0 to 1"
+        )
 
 
 def find_target(name: str) -> Target:

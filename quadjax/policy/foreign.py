@@ -183,8 +183,11 @@ def policy_of(
         raise InputError(f"{path}: its activation is {own.activation}, not {activation}")
     activation = own.activation or activation
     if activation not in ACTIVATIONS:
-        found = f"is {activation}" if activation else "is not in the file and has to be given"
+        found = f"is {activation}" if activation else "is not in the file, give it (--activation)"
         raise InputError(f"{path}: the activation {found}, allowed: {', '.join(ACTIVATIONS)}")
+    if actuator_range is not None and not actuator_range[0] < actuator_range[1]:
+        given = list(actuator_range)
+        raise InputError(f"actuator_range is {given}, allowed: the lowest below the highest")
     low, high = command_ranges(choices, params)
     log_std = _log_std(path, own, len(low), std)
     layout = choices.layout.with_spans(choices.model, params)
@@ -236,7 +239,7 @@ def _log_std(path: Path | str, own: Network, actions: int, std: float | None) ->
         raise InputError(f"{path}: has a standard deviation, so std {std} has no effect")
     log_std = np.full(actions, np.log(std)) if std is not None else own.log_std
     if log_std is None:
-        raise InputError(f"{path}: no log_std or output_std, expected the noise's std to be given")
+        raise InputError(f"{path}: no log_std or output_std, give the noise's std (--std)")
     if log_std.shape != (actions,):
         raise InputError(f"{path}: {log_std.size} standard deviations, expected {actions}")
     check_finite(path, "log_std", log_std)

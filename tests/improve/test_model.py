@@ -12,12 +12,14 @@ import quadjax.studies.improve as package
 from quadjax.config.loading import load_config
 from quadjax.fitting.battery import BatteryFit
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.studies.improve.model import NAMES, Model, Refit, refit, refusal
+from quadjax.fitting.nominal import AXES
+from quadjax.studies.improve.model import SPEEDS, Model, Refit, refit, refusal
 from quadjax.studies.improve.states import clearances, margin_of, states_of_logs
 from quadjax.studies.improve.training import tuning_config
 from quadjax.training.build import training_params
 from tests.improve.support import FIT, around_the_track, drone_log, policy_file, race
 
+NAMES = (*AXES, SPEEDS)
 ONES = dict.fromkeys(NAMES, 1.0)
 
 
@@ -39,13 +41,28 @@ def test_a_model_that_holds_is_accepted_and_once_more_it_is_refused(logs, tmp_pa
     assert again.refused.startswith("its error on held-out flights is")
 
 
+def test_logs_without_commanded_speeds_have_no_error_of_the_speeds(logs, tmp_path):
+    bare = []
+    for log in logs[:2]:
+        header, *rows = log.read_text().splitlines()
+        kept = [i for i, name in enumerate(header.split(",")) if "rpm_ref" not in name]
+        assert 0 < len(kept) < len(header.split(","))
+        lines = [",".join(row.split(",")[i] for i in kept) for row in (header, *rows)]
+        bare.append(tmp_path / log.name)
+        bare[-1].write_text("\n".join(lines) + "\n")
+    found = refit(bare, bare, FIT, Model.of(race()), tmp_path / "fit")
+    assert set(found.before) == set(found.after) == set(AXES) and found.model.battery is None
+    found.save(tmp_path / "model.json")
+    assert Refit.load(tmp_path / "model.json") == found
+
+
 def test_refusals():
     assert refusal(ONES, dict.fromkeys(NAMES, 0.9)) == ""
     assert "+0%" in refusal(ONES, ONES)
     harmful = dict.fromkeys(NAMES, 0.5) | {"Mz": 1.2}
     assert refusal(ONES, harmful) == "its error of Mz on held-out flights is 20% larger"
-    unknown = ONES | {"rpm": float("nan")}
-    assert refusal(unknown, dict.fromkeys(NAMES, 0.9) | {"rpm": float("nan")}) == ""
+    without_speeds = dict.fromkeys(AXES, 1.0)
+    assert refusal(without_speeds, dict.fromkeys(AXES, 0.9)) == ""
 
 
 def test_what_learns_knows_nothing_of_the_plant():

@@ -11,6 +11,7 @@ import quadjax
 from quadjax.core.errors import InputError
 from quadjax.core.torch_files import LEGACY, read_state_dict
 from quadjax.policy.file import Policy
+from quadjax.policy.foreign import policy_of
 from quadjax.vehicle.residual_file import import_residual, read_residual
 from tests.commands import run
 from tests.policy.torch_writer import archive, linear, sb3_model, sb3_tensors, state_dict
@@ -223,13 +224,13 @@ NAN = NET | {"2.bias": np.array([0, np.nan, 0, 0], np.float32)}
         (lambda p: as_model(p, SAC), {}, "PPO or A2C"),
         (lambda p: as_model(p, GSDE), {}, "no gSDE"),
         (lambda p: as_model(p), {"std": 0.1}, "has a standard deviation"),
-        (lambda p: as_dict(p, NET), {"activation": "relu"}, "noise's std to be given"),
-        (lambda p: as_dict(p, NET), {"std": 0.1}, "not in the file and has to be given"),
+        (lambda p: as_dict(p, NET), {"activation": "relu"}, "give the noise's std"),
+        (lambda p: as_dict(p, NET), {"std": 0.1}, "not in the file, give it"),
         (lambda p: as_dict(p, without(NET, "2.bias")), {}, "2.weight has no 2.bias"),
         (lambda p: as_dict(p, NET | {"norm": np.zeros(3, np.float32)}), {}, "norm is not of a lin"),
         (lambda p: as_dict(p, CONV), {}, "kernel_0 has shape"),
         (lambda p: as_dict(p, NAN), {}, r"bias_1\[1\] is nan"),
-        (lambda p: as_c(p, c_source(NET, body="")), {}, "not in the file and has to be given"),
+        (lambda p: as_c(p, c_source(NET, body="")), {}, "not in the file, give it"),
         (lambda p: as_c(p, c_source(NET, std="{0, 1, 1, 1}")), {}, "expected numbers above 0"),
         (lambda p: as_c(p, c_source(NET, std="{1, 1, 1, system(1)}")), {}, "expected a number"),
         (lambda p: as_c(p, c_source(NET).replace("biases_fc1[6]", "biases_fc1[7]")), {}, "says 7"),
@@ -271,3 +272,9 @@ def test_an_imported_policy_flies_like_the_original(tmp_path):
     same = Policy.load(path, config, activation="relu")
     laps = [quadjax.evaluate(p, config, runs=1, deterministic=True).totals for p in (own, same)]
     np.testing.assert_allclose(laps[0], laps[1], atol=0.011)
+
+
+def test_the_ends_of_an_actuator_range_are_in_order(tmp_path):
+    path = as_dict(tmp_path / "net", NET)
+    with pytest.raises(InputError, match="the lowest below the highest"):
+        policy_of(path, "e2e_shac", "relu", 0.1, None, (3000.0, 0.0))

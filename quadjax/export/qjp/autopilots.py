@@ -5,16 +5,15 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.export.fixed import FixedNetwork
 from quadjax.export.qjp.emit import LOADER, qjp_source
-from quadjax.export.qjp.policy import COMMAND_KINDS
 from quadjax.export.race_tables import RaceTables
 from quadjax.export.render import render
+from quadjax.export.targets import check_model
 from quadjax.race.layout import DISTURBANCES
 
 PX4_FOLDER, CRAZYFLIE_FOLDER = "px4", "crazyflie"
 PX4_MODULE = f"{PX4_FOLDER}/src/modules/quadjax_policy"  # in EXTERNAL_MODULES_LOCATION
 PX4_FILES = ("CMakeLists.txt", "Kconfig", "QuadjaxPolicy.hpp", "QuadjaxPolicy.cpp")
 PILOT = ("qjp_pilot.h", "qjp_pilot.c")
-MOTOR_MODELS = ("racing", "a2rl")
 TICK = 1e-3  # s, of the Crazyflie's stabilizer
 ROTOR_SPEED = "rotor_speed"
 
@@ -27,11 +26,7 @@ def check_motor_policy(target: str, network: FixedNetwork, race: RaceTables) -> 
     """
     unit = 2.0**network.fraction_bits
     low, high = network.command_low / unit, network.command_high / unit
-    if COMMAND_KINDS.get(network.model.commands[0].name) != COMMAND_KINDS["motor_command"]:
-        raise InputError(
-            f"--target {target}: the policy's vehicle model is {network.model.name!r}, allowed: "
-            f"{', '.join(MOTOR_MODELS)}, whose motor commands are 0 to 1"
-        )
+    check_model(target, network.model.name)
     if np.any(low < 0.0) or np.any(high > 1.0):
         raise InputError(
             f"--target {target}: motor commands {low.tolist()}..{high.tolist()}, allowed: 0 to 1"

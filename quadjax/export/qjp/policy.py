@@ -170,7 +170,7 @@ def _signed(value: int) -> np.ndarray:
 def _check(network: FixedNetwork, race: RaceTables) -> None:
     """Raise an ``InputError`` for what the format cannot represent."""
     if race.history:
-        raise InputError("the policy observes a history, which a .qjp file cannot have")
+        raise InputError("the policy has observation.history, which a .qjp file cannot have")
     unknown = [field.name for field in race.fields if field.name not in STATE_FIELDS]
     unknown += [part.name for part in race.inputs if part.kind not in KINDS]
     if unknown:

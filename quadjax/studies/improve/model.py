@@ -25,7 +25,6 @@ from quadjax.vehicle.constants import MotorConstants, constant_names
 from quadjax.vehicle.residual_file import read_residual
 
 SPEEDS = "rpm"
-NAMES = (*AXES, SPEEDS)
 LEAST_GAIN = 0.01  # least decrease of the mean error for a model to be accepted
 MOST_HARM = 0.1  # largest increase of one quantity's error
 
@@ -92,8 +91,8 @@ class Refit:
 
     Attributes:
         model: the refitted one.
-        before: root mean square errors of the present model on the held-out flights, as ``NAMES``;
-            NaN where the logs have no such quantity.
+        before: root mean square errors of the present model on the held-out flights, by quantity;
+            without the propeller speeds where the logs have no commanded ones.
         after: those of models that are fitted without the flight that they predict.
         refused: why the model is not accepted; "" if it is.
         seconds: of computing.
@@ -161,7 +160,8 @@ def refit(
     names = {file.stem for file in recent}
     before, after = _errors(result, present, names)
     speeds = _speed_errors(result.logs, model, present, names)
-    before[SPEEDS], after[SPEEDS] = speeds
+    if speeds is not None:
+        before[SPEEDS], after[SPEEDS] = speeds
     seconds = round(time.monotonic() - started, 1)
     return Refit(model, before, after, refusal(before, after), seconds)
 
@@ -199,8 +199,11 @@ def _errors(
 
 def _speed_errors(
     logs: Sequence[FlightLog], model: Model, present: Model, names: set[str]
-) -> tuple[float, float]:
-    """Errors of the propeller speeds from commands, of the present model and of fits without."""
+) -> tuple[float, float] | None:
+    """Errors of the propeller speeds from commands, of the present model and of fits without.
+
+    None where no flight can be compared: without commanded speeds, or without a second flight.
+    """
     known = [log for log in logs if log.rpm_command is not None]
     hover, highest = model.hover, model.constants["rpm_max"]
     old = present.battery or BatteryFit(present.constants["tau"], 0.0, 0.0)
@@ -212,14 +215,14 @@ def _speed_errors(
             before.append(old.error(log, hover, highest))
             after.append(own.error(log, hover, highest))
     if not before:
-        return float("nan"), float("nan")
+        return None
     return float(np.sqrt(np.mean(np.square(before)))), float(np.sqrt(np.mean(np.square(after))))
 
 
 def mean_change(before: dict[str, float], after: dict[str, float]) -> float:
     """Relative change of the errors, the geometric mean over the quantities that are known."""
     ratios = np.array([after[name] / max(before[name], 1e-300) for name in before])
-    return float(np.exp(np.nanmean(np.log(np.maximum(ratios, 1e-300)))) - 1.0)
+    return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-300)))) - 1.0)
 
 
 def refusal(before: dict[str, float], after: dict[str, float]) -> str:
