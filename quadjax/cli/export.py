@@ -36,8 +36,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="training config of the policy's race (default: the policy file's own, or the "
         "config.yaml next to it)",
     )
-    parser.add_argument("--sample-rate", type=float, default=512.0, help="of the estimator, Hz")
-    parser.add_argument("--cutoff", type=float, default=8.0, help="of the estimator, Hz")
+    parser.add_argument("--sample-rate", type=float, help="of the estimator, Hz (default: 512)")
+    parser.add_argument("--cutoff", type=float, help="of the estimator, Hz (default: 8)")
     parser.add_argument(
         "--allow-unfinished",
         action="store_true",

@@ -15,7 +15,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
 if TYPE_CHECKING:
-    from quadjax.config.schema import Track
+    from quadjax.config.schema import Gate, Track
 
 PRESET = "e2e_shac"  # whose rules check a track that has none of its own
 PICTURES = (".png", ".svg", ".pdf")
@@ -97,8 +97,8 @@ def describe_track(track: "Track") -> str:
     lines = [
         f"{track.name}: {len(places)} gates, {kind} of {length.sum():.1f} m between centers",
         f"{'gate':>4} {'north':>7} {'east':>7} {'height':>7} {'yaw':>7} {'leg':>7} {'slope':>7} "
-        f"{'turn':>7}",
-        f"{'':>4} {'m':>7} {'m':>7} {'m':>7} {'deg':>7} {'m':>7} {'deg':>7} {'deg':>7}",
+        f"{'turn':>7}  opening",
+        f"{'':>4} {'m':>7} {'m':>7} {'m':>7} {'deg':>7} {'m':>7} {'deg':>7} {'deg':>7}  m",
     ]
     for index, gate in enumerate(track.gates):
         x, y, z = gate.position
@@ -107,6 +107,14 @@ def describe_track(track: "Track") -> str:
         end = f"{round(turn[index]):>7}" if apart else f"{'-':>7}"  # of a leg straight up or down
         lines.append(
             f"{index + 1:>4} {x:>7.2f} {y:>7.2f} {-z:>7.2f} {round(gate.yaw_deg):>7} "
-            f"{length[index]:>7.2f} {round(slope):>7} {end}"
+            f"{length[index]:>7.2f} {round(slope):>7} {end}  {_opening(gate)}"
         )
     return "\n".join(lines)
+
+
+def _opening(gate: "Gate") -> str:
+    """Size, shape and tilt of a gate."""
+    width, height = gate.size
+    size = f"{width:g} x {height:g}" if gate.shape == "rectangle" else f"{width:g} {gate.shape}"
+    tilts = {"pitch": gate.pitch_deg, "roll": gate.roll_deg}
+    return ", ".join([size, *(f"{name} {value:g} deg" for name, value in tilts.items() if value)])

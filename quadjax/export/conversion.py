@@ -15,7 +15,12 @@ from quadjax.export.emit import (
     emit_paparazzi,
     emit_race,
 )
-from quadjax.export.estimator_tables import EstimatorTables, make_estimator
+from quadjax.export.estimator_tables import (
+    CUTOFF,
+    SAMPLE_RATE,
+    EstimatorTables,
+    make_estimator,
+)
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork, convert
 from quadjax.export.flights import Rollouts
 from quadjax.export.indiflight import emit_indiflight
@@ -49,8 +54,8 @@ class Options:
 
     name: str  # prefix of every C symbol
     ranges: dict[str, float] = dataclasses.field(default_factory=dict)
-    sample_rate: float = 512.0
-    cutoff: float = 8.0
+    sample_rate: float = SAMPLE_RATE
+    cutoff: float = CUTOFF
     allow_unfinished: bool = False
     allow_other_race: bool = False
     target: str = DEFAULT_TARGET

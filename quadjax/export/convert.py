@@ -20,13 +20,14 @@ from quadjax.export.conversion import (
     convert_policy,
     symbol_name,
 )
-from quadjax.export.estimator_tables import check_cutoff
+from quadjax.export.estimator_tables import CUTOFF, SAMPLE_RATE, check_cutoff
 from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, find_config, own_race
 from quadjax.export.report import Json, make_report, report_text
 from quadjax.export.targets import DEFAULT_TARGET, check_model, find_target
 from quadjax.policy.file import Policy
+from quadjax.vehicle.registry import MODELS
 
 KIND = "export"
 POLICY_FILE, ROLLOUTS_FILE = "policy.npz", "rollouts.npz"
@@ -60,8 +61,8 @@ def export_c(
     name: str | None = None,
     *,
     track: str | None = None,
-    sample_rate: float = 512.0,
-    cutoff: float = 8.0,
+    sample_rate: float | None = None,
+    cutoff: float | None = None,
     allow_unfinished: bool = False,
     allow_other_race: bool = False,
     target: str = DEFAULT_TARGET,
@@ -82,8 +83,8 @@ def export_c(
             ``{"position": 16.0}``.
         name: prefix of every C symbol; the policy file's name by default.
         track: a track file that replaces the config's.
-        sample_rate: of the disturbance estimator on board, Hz.
-        cutoff: of the estimator's low-pass, Hz.
+        sample_rate: of the disturbance estimator on board, Hz; 512 by default.
+        cutoff: of the estimator's low-pass, Hz; 8 by default.
         allow_unfinished: export a policy although it does not finish its own race.
         allow_other_race: export for a race that differs from the one in the policy file.
         target: processor and autopilot, a name of ``targets.TARGETS``.
@@ -93,12 +94,17 @@ def export_c(
         The integers, the proof and the report.
 
     Raises:
-        InputError: no such target; a sample rate or cut-off out of range; a policy that cannot be
+        InputError: no such target; a sample rate or cut-off out of range, or one for a vehicle
+            without an estimator; a policy that cannot be
             converted, that leaves its declared ranges, or of which less than 90% of the simulated
             flights finish; a race that differs from that of the policy file; a folder that cannot
             be written.
     """
-    check_cutoff(sample_rate, cutoff)
+    rates = (
+        SAMPLE_RATE if sample_rate is None else sample_rate,
+        CUTOFF if cutoff is None else cutoff,
+    )
+    check_cutoff(*rates)
     find_target(target)
     enable_compilation_cache()
     folder = Path(folder)
@@ -117,12 +123,13 @@ def export_c(
         "crazyflie",
     )
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
-        numbers = (ranges or {}, sample_rate, cutoff)
+        numbers = (ranges or {}, *rates)
         options = Options(symbol, *numbers, allow_unfinished, allow_other_race, target)
         _check_folder(folder, symbol)
         own = Policy.load(path)
         check_policy(own)
         check_model(target, own.vehicle)
+        _check_rates(own.vehicle, sample_rate, cutoff)
         found, origin = find_config(own, path, config, track)
         race = own_race(found, own, origin, path.name)
         if not allow_other_race:
@@ -134,6 +141,16 @@ def export_c(
         with writing(folder), replacement(folder, _optional(symbol)) as new:
             _write(converted, new, report, path)
     return Export(folder, converted, report)
+
+
+def _check_rates(vehicle: str, sample_rate: float | None, cutoff: float | None) -> None:
+    """Refuse numbers of the estimator for a vehicle that has none."""
+    given = {"sample rate": sample_rate, "cut-off": cutoff}
+    unused = [f"{name} {value:g} Hz" for name, value in given.items() if value is not None]
+    if unused and MODELS[vehicle].balance is None:
+        raise InputError(
+            f"estimator {unused[0]} has no effect: the vehicle model {vehicle!r} has no estimator"
+        )
 
 
 @contextlib.contextmanager

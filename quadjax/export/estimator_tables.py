@@ -27,6 +27,7 @@ from quadjax.vehicle.residual import Residual
 MODEL_BITS, DIFFERENCE_BITS = 14, 10  # of a monomial's constant beyond the fine unit's
 FINE_BITS = 46  # a channel's range is 2^46 fine units
 Q30 = INPUT_BITS
+SAMPLE_RATE, CUTOFF = 512.0, 8.0  # Hz, if none are given
 SAMPLE_RATES = (1.0, 1e5)  # Hz
 LOW_PASS_BITS = 32  # of the gain
 RESIDUAL_LIMIT = 1 << (FINE_BITS - 1)  # its output is held to half a channel's range
@@ -82,8 +83,8 @@ def monomial_bounds() -> np.ndarray:
 def make_estimator(
     constants: MotorConstants,
     residual: Residual | None,
-    sample_rate: float = 512.0,
-    cutoff: float = 8.0,
+    sample_rate: float = SAMPLE_RATE,
+    cutoff: float = CUTOFF,
 ) -> EstimatorTables:
     """The integers of the estimator of one vehicle.
 

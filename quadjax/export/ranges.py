@@ -127,11 +127,13 @@ def parse_overrides(options: list[str]) -> dict[str, float]:
     """``["position=16", ..]`` as a mapping.
 
     Raises:
-        InputError: an option that is not ``name=number``.
+        InputError: an option that is not ``name=number``, or a name that occurs twice.
     """
-    overrides = {}
+    overrides: dict[str, float] = {}
     for option in options:
         name, _, value = option.partition("=")
+        if name in overrides:
+            raise InputError(f"range {option}: {name} has two ranges, expected one")
         try:
             overrides[name] = float(value)
         except ValueError:

@@ -58,13 +58,15 @@ def parse_nan(texts: list[str]) -> dict[str, float]:
     """Probabilities of ``FIELD=P`` texts.
 
     Raises:
-        InputError: no such field, or no probability.
+        InputError: no such field, a field that occurs twice, or no probability.
     """
-    found = {}
+    found: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
         if name not in FIELDS:
             raise InputError(f"--nan {text}: allowed fields: {', '.join(FIELDS)}")
+        if name in found:
+            raise InputError(f"--nan {text}: {name} has two probabilities, expected one")
         try:
             found[name] = float(value)
         except ValueError:

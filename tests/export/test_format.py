@@ -165,6 +165,8 @@ def test_ranges_are_powers_of_two_of_known_names():
             declare(policy, ranges)
     with pytest.raises(InputError):
         parse_overrides(["velocity"])
+    with pytest.raises(InputError, match="velocity has two ranges"):
+        parse_overrides(["velocity=32", "position=8", "velocity=16"])
     unwrapped = dataclasses.replace(policy, layout=make_layout(MODEL, wrap_next_yaw=False))
     assert declare(unwrapped).ranges[19] == 8.0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS
+from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
@@ -215,6 +215,11 @@ def test_impossible_sample_rates_are_refused_before_anything_is_read(rate, tmp_p
     with pytest.raises(InputError, match="cut-off .* allowed: 0.512 to 128 Hz"):
         export_c(tmp_path / "none.npz", tmp_path / "out", cutoff=rate)
     assert not (tmp_path / "out").exists()
+
+
+def test_numbers_of_the_estimator_need_one(tmp_path):
+    with pytest.raises(InputError, match="cut-off 4 Hz has no effect: .* 'rate'"):
+        export_c(PRETRAINED / "indi.npz", tmp_path / "out", cutoff=4.0)
 
 
 def rearranged(policy, names, source="ground_truth"):

@@ -156,7 +156,8 @@ def test_the_command_writes_and_describes_a_track(tmp_path, capsys):
     assert "exists already" in capsys.readouterr().err
     assert run(["track", "grand_challenge"]) in (0, None)
     text = capsys.readouterr().out
-    assert "11 gates" in text and text.splitlines()[7].split()[-3:] == ["22.09", "0", "-"]
+    row = text.splitlines()[7]
+    assert "11 gates" in text and row.split()[5:] == ["22.09", "0", "-", "1.5", "x", "1.5"]
 
 
 @pytest.mark.slow

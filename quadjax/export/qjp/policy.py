@@ -115,7 +115,7 @@ def make_qjp(
     Raises:
         InputError: a policy that the format cannot represent.
     """
-    _check(network, race)
+    _check(name, network, race)
     made = network_test(network, padded_layers(network), observations)
     tests = NetworkCases(made.inputs, made.commands, made.traces)
     own = race_test(race, states, targets)
@@ -167,7 +167,7 @@ def _signed(value: int) -> np.ndarray:
     return np.array([value], np.uint64).view(np.int64)
 
 
-def _check(network: FixedNetwork, race: RaceTables) -> None:
+def _check(name: str, network: FixedNetwork, race: RaceTables) -> None:
     """Raise an ``InputError`` for what the format cannot represent."""
     if race.history:
         raise InputError("the policy has observation.history, which a .qjp file cannot have")
@@ -176,9 +176,11 @@ def _check(network: FixedNetwork, race: RaceTables) -> None:
     if unknown:
         allowed = ", ".join(STATE_FIELDS)
         raise InputError(f"a .qjp file has no {unknown[0]!r}; its state has: {allowed}")
-    long = [part.name for part in race.inputs if len(part.name) >= FIELD_BYTES]
+    texts = {part.name: FIELD_BYTES for part in race.inputs} | {name: NAME_BYTES}
+    long = [(text, size) for text, size in texts.items() if len(text) >= size]
     if long:
-        raise InputError(f"{long[0]}: a .qjp file has names of up to {FIELD_BYTES - 1} letters")
+        text, size = long[0]
+        raise InputError(f"{text}: a .qjp file has such names of up to {size - 1} letters")
     shifts = [r.shift for part in race.inputs for r in part.rescales if r is not None]
     if network.outputs != OUTPUTS or not all(1 <= shift <= LARGEST_SHIFT for shift in shifts):
         raise InputError(
