@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,19 +19,39 @@ def make_step(
 
     Quaternions are normalized; angles are not wrapped.
     """
-    quaternion = jnp.asarray(problem.normalized)
+    quaternion, model = jnp.asarray(problem.normalized), problem.model
+    advance = _rk4_step if integrator == "rk4" else INTEGRATORS[integrator]
 
     def step(state: jax.Array, command: jax.Array) -> jax.Array:
         held = problem.command(command)
-        after = INTEGRATORS[integrator](
-            lambda drone: problem.model.derivative(problem.vehicle, drone, held),
-            problem.model.hold(problem.state(state), held),
-            time_step,
-        )
-        kept, wrapped = (jnp.stack(jax.tree.leaves(x)) for x in (after, problem.model.wrap(after)))
-        return jnp.where(quaternion, wrapped, kept)
+
+        def slope(drone: jax.Array) -> jax.Array:
+            return _vector(model.derivative(problem.vehicle, problem.state(drone), held))
+
+        after = advance(slope, _vector(model.hold(problem.state(state), held)), time_step)
+        wrapped = _vector(model.wrap(problem.state(after)))
+        return jnp.where(quaternion, wrapped, after)
 
     return step
+
+
+def _vector(tree: Any) -> jax.Array:
+    return jnp.stack([jnp.asarray(leaf) for leaf in jax.tree.leaves(tree)])
+
+
+def _rk4_step(
+    derivative: Callable[[jax.Array], jax.Array], state: jax.Array, dt: float
+) -> jax.Array:
+    """``rk4_step`` as a loop over its stages: a quarter of the program, which compiles faster."""
+
+    def stage(carry: tuple, row: tuple) -> tuple[tuple, None]:
+        (slope, total), (offset, weight) = carry, row
+        slope = derivative(state + dt * offset * slope)
+        return (slope, total + weight * slope), None
+
+    stages = jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+    (_, mean), _ = jax.lax.scan(stage, (jnp.zeros_like(state), jnp.zeros_like(state)), stages)
+    return state + dt * mean
 
 
 @functools.partial(jax.jit, static_argnames=("problem", "time_step", "integrator"))
