@@ -8,8 +8,10 @@ from pathlib import Path
 
 from quadjax.core.errors import InputError
 from quadjax.export import flights
+from quadjax.export.battery_tables import BatteryTables, make_battery
 from quadjax.export.emit import (
     Provenance,
+    emit_battery,
     emit_estimator,
     emit_network,
     emit_paparazzi,
@@ -42,6 +44,8 @@ from quadjax.export.targets import (
     Target,
 )
 from quadjax.policy.file import Policy
+from quadjax.race.battery import middle_limit
+from quadjax.race.layout import HIGHEST_RPM
 
 COMMENT_WIDTH = 96
 LONGEST_NAME = 60
@@ -70,6 +74,7 @@ class Converted:
     proof: Proof
     race: RaceTables
     estimator: EstimatorTables | None  # None for a vehicle without external disturbances
+    battery: BatteryTables | None  # None where the highest propeller speed is not observed
     rollouts: Rollouts  # evenly spread rows of the simulated flights
     own: OwnRace
     origin: Provenance
@@ -88,8 +93,10 @@ class Converted:
         files |= emit_race(self.race, network, origin, rollouts.states, rollouts.targets)
         if self.estimator is not None:
             files |= emit_estimator(self.estimator, network, origin, self.residual_hash)
+        if self.battery is not None:
+            files |= emit_battery(self.battery, network, origin)
         if self.target.autopilot == PAPARAZZI:
-            files |= emit_paparazzi(network, origin, self.race, self.estimator)
+            files |= emit_paparazzi(network, origin, self.race, self.estimator, self.battery)
         if self.target.autopilot == INDIFLIGHT:
             files |= emit_indiflight(files, network, origin, self.race, self.own, self.policy)
         return files | self._loaded()
@@ -159,12 +166,22 @@ def convert_policy(
         proof=proof,
         race=make_tables(network.box, policy, own.choices, own.params),
         estimator=estimator,
+        battery=_battery(policy, own, options),
         rollouts=rollouts,
         own=own,
         origin=_origin(policy, own, options.name, file, sha256(path)),
         residual_hash=sha256(own.residual) if estimator and own.residual else "",
         options=options,
     )
+
+
+def _battery(policy: Policy, own: OwnRace, options: Options) -> BatteryTables | None:
+    """The estimator of the highest propeller speed, for a policy that observes it."""
+    if HIGHEST_RPM not in policy.layout:
+        return None
+    assert own.params.battery is not None
+    first = float(middle_limit(own.params.battery))
+    return make_battery(own.params.vehicle.constants, first, options.sample_rate)
 
 
 def check_symbols(converted: Converted) -> None:

@@ -177,8 +177,8 @@ def _check_folder(folder: Path, name: str) -> None:
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
     autopilots = ("paparazzi", "indiflight", "indiflight_2026", "qjp", "px4", "crazyflie")
-    own = (f"{name}_estimator.c", f"{name}_estimator.h", f"{name}.qjp")
-    return (*own, RESIDUAL_FILE, *autopilots)
+    parts = [f"{name}_{part}.{end}" for part in ("estimator", "battery") for end in "ch"]
+    return (*parts, f"{name}.qjp", RESIDUAL_FILE, *autopilots)
 
 
 def _write(converted: Converted, folder: Path, report: Json, policy: Path) -> None:

@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 
+from quadjax.export import battery_tables
+from quadjax.export.battery_tables import BatteryTables
 from quadjax.export.estimator_tables import (
     DIFFERENCE_BITS,
     FINE_BITS,
@@ -17,7 +19,13 @@ from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
 from quadjax.export.integers import INPUT_BITS
 from quadjax.export.race_tables import TURNS_PER_UNIT, TWO_PI, YAW_EXPONENT, RaceTables
 from quadjax.export.render import render
-from quadjax.export.selftest import estimator_test, network_test, padded_layers, race_test
+from quadjax.export.selftest import (
+    battery_test,
+    estimator_test,
+    network_test,
+    padded_layers,
+    race_test,
+)
 
 MODULE_MODELS = ("motor", "rate")  # vehicle models whose commands the Paparazzi module takes
 MODULE_FREQUENCY = 512  # Hz, of the Paparazzi module
@@ -92,7 +100,6 @@ def emit_estimator(
     residuals = {"thrust": tables.thrust, "moment": tables.moment} if tables.thrust else {}
     hidden = [len(layer.bias) for network in residuals.values() for layer in network.hidden]
     used = np.any(tables.model != 0, axis=0) | np.any(tables.differentiated != 0, axis=0)
-    rate = f"{tables.sample_rate:g}"
     values = common_values(network, origin) | {
         "estimator": tables,
         "estimator_test": estimator_test(tables),
@@ -103,7 +110,7 @@ def emit_estimator(
             if not needed and name not in ACCELEROMETER
         ],
         "channel_units": [f"{2.0 ** (e - INPUT_BITS)!r}F" for e in tables.channel_exponents],
-        "sample_rate": rate if "." in rate else f"{rate}.0",
+        "sample_rate": _float(tables.sample_rate),
         "bits": {
             "model": MODEL_BITS,
             "difference": DIFFERENCE_BITS,
@@ -119,11 +126,26 @@ def emit_estimator(
     return _files(origin, values, [".h", ".c"], "estimator", "_estimator")
 
 
+def emit_battery(
+    tables: BatteryTables, network: FixedNetwork, origin: Provenance
+) -> dict[str, str]:
+    """The header and source of the estimator of the highest propeller speed, by file name."""
+    values = common_values(network, origin) | {
+        "battery": tables,
+        "battery_test": battery_test(tables),
+        "fine_bits": battery_tables.FINE_BITS,
+        "sample_rate": _float(tables.sample_rate),
+        "unit": repr(2.0 ** (tables.exponent - INPUT_BITS)),
+    }
+    return _files(origin, values, [".h", ".c"], "battery", "_battery")
+
+
 def emit_paparazzi(
     network: FixedNetwork,
     origin: Provenance,
     race: RaceTables,
     estimator: EstimatorTables | None,
+    battery: BatteryTables | None,
 ) -> dict[str, str]:
     """The Paparazzi module's files, by path under ``paparazzi/``; of ``MODULE_MODELS`` only."""
     if network.model.name not in MODULE_MODELS:
@@ -131,6 +153,7 @@ def emit_paparazzi(
     values = common_values(network, origin) | {
         "frequency": MODULE_FREQUENCY,
         "estimator": estimator,
+        "battery": battery,
     }
     # A policy with a history runs at the rate of its training, any other one at every call.
     values["race"] = race
@@ -164,6 +187,12 @@ def names_of(network: FixedNetwork, name: str) -> Values:
 def common_values(network: FixedNetwork, origin: Provenance) -> Values:
     """Values of all emitted files."""
     return names_of(network, origin.name) | {"origin": origin}
+
+
+def _float(number: float) -> str:
+    """A number as the digits of a C float."""
+    text = f"{number:g}"
+    return text if "." in text else f"{text}.0"
 
 
 def _limits(commands: np.ndarray) -> list[str]:

@@ -93,7 +93,7 @@ def make_estimator(
             thousandth and a quarter of it; constants that leave no room for the proof.
     """
     check_cutoff(sample_rate, cutoff)
-    rpm_exponent = math.ceil(math.log2(1.25 * float(constants.rpm_max)))
+    rpm_exponent = speed_exponent(float(constants.rpm_max))
     exponents = (GYRO_EXPONENT,) * 3 + (FORCE_EXPONENT,) * 3
     exponents += (rpm_exponent,) * 4 + (VELOCITY_EXPONENT,) * 3
     a1, a2 = _feedback(sample_rate, cutoff)
@@ -119,6 +119,11 @@ def make_estimator(
         tables = _with_residual(tables, residual)
     prove_estimator(tables)
     return tables
+
+
+def speed_exponent(rpm_max: float) -> int:
+    """The exponent of the range of measured speeds, for a highest command in rpm."""
+    return math.ceil(math.log2(1.25 * rpm_max))
 
 
 def check_cutoff(sample_rate: float, cutoff: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from quadjax.core import quaternion
 from quadjax.core.errors import InputError
-from quadjax.core.vectors import Vec3
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.actor import fixed_point_fly
 from quadjax.export.race_source import DEFAULT, OwnRace
 from quadjax.export.race_tables import LAST_COMMAND, drone_of, example_state, state_sizes
@@ -18,10 +18,11 @@ from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import environment, history, rules
+from quadjax.race.battery import BatteryState, RaceBattery, at_start
 from quadjax.race.environment import Estimate, RaceState
 from quadjax.race.history import Past
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.layout import DISTURBANCES
+from quadjax.race.layout import DISTURBANCES, HIGHEST_RPM
 from quadjax.race.track import gate
 from quadjax.vehicle.protocol import State
 
@@ -120,6 +121,9 @@ def _states(
         )
         drawn = rng.uniform(-half, half, (len(counted), 4))[np.nonzero(going)[1]]
         rows += [drawn[:, :3], np.zeros((len(drawn), 2)), drawn[:, 3:]]
+    if HIGHEST_RPM in sizes:
+        assert trace.highest_rpm is not None
+        rows.append(np.asarray(trace.highest_rpm)[going][:, None])
     if LAST_COMMAND in sizes:
         low, high = command_ranges(own.choices, own.params)
         first = np.broadcast_to(0.5 * (low + high)[:, None], trace.command.shape[1:])
@@ -143,6 +147,8 @@ def observe(
     example, sizes = example_state(own.choices, own.params), list(_sizes(own).items())
     last = sizes[-1][1] if sizes[-1][0] == LAST_COMMAND else 0
     low, high = command_ranges(own.choices, own.params)
+    before = itertools.takewhile(lambda part: part[0] != HIGHEST_RPM, sizes)
+    limit = sum(size for _, size in before) if HIGHEST_RPM in dict(sizes) else None
 
     def known(state: jax.Array) -> Past:
         drone = drone_of(own.choices.layout, own.choices.model, example, state)
@@ -159,9 +165,17 @@ def observe(
         past = jax.vmap(known)(all_[rows]) if depth else None
         estimate = _estimate(own, now.drone)
         race = RaceState(now.drone, target, zero, zero, None, estimate, now.action, past=past)
+        if own.params.battery is not None and limit is not None:
+            race = race.replace(battery=_battery(own.params.battery, state[limit]))
         return pilot.see(own.pilot, environment.observe(own.choices, own.params, race))
 
     return np.asarray(shown(states, targets, earlier, states))
+
+
+def _battery(params: RaceBattery, highest: jax.Array) -> BatteryState:
+    """A battery of which the estimate of the highest speed is a number of the state, rpm."""
+    state = at_start(params, Rotors.same(jnp.zeros(())), None)
+    return state.replace(estimate=state.estimate.replace(highest=highest))
 
 
 def _estimate(own: OwnRace, drone: State) -> Estimate | None:

@@ -16,6 +16,7 @@ from quadjax.core.resources import CONFIGS
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
 from quadjax.race.environment import Choices, RaceParams
+from quadjax.race.layout import ESTIMATED, HIGHEST_RPM
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual_file import located
 
@@ -113,6 +114,13 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
     source = "moment_ext" in policy.layout and policy.layout["moment_ext"].source
     if source:
         config = config.at("observation.disturbance", source)
+    if HIGHEST_RPM in policy.layout:
+        if config.battery is None:
+            raise InputError(
+                f"{origin}: battery is null, and {name} observes {HIGHEST_RPM}; give the config "
+                "that it was trained with by --config"
+            )
+        config = config.at("observation.highest_rpm", ESTIMATED)  # as on board
     choices, params = choices_of(config), build_params(config)
     try:
         choices, params = fit_race(choices, params, policy, name)
@@ -202,6 +210,8 @@ def _facts(own: OwnRace) -> dict[str, object]:
     """The properties by which two races are compared."""
     params = own.params
     parts = {"vehicle": params.vehicle, "track": params.track, "time_step": own.time_step}
+    if HIGHEST_RPM in own.choices.layout:
+        parts["battery"] = params.battery
     numbers = {
         jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf)
         for path, leaf in jax.tree_util.tree_leaves_with_path(parts)

@@ -30,6 +30,7 @@ from quadjax.race.history import split_name
 from quadjax.race.layout import (
     AHEAD,
     DISTURBANCES,
+    HIGHEST_RPM,
     LAST_ACTION,
     NEXT_YAW,
     NEXT_YAW_UNWRAPPED,
@@ -70,6 +71,7 @@ NOTES = {  # unit and frame of a field of the state, for the header
     "rpm": "1 front-left, 2 front-right, 3 rear-right, 4 rear-left",
     "moment_ext": "external moment, N m, body",
     "force_ext": "external specific force, m/s^2, body",
+    HIGHEST_RPM: "that the battery permits, rpm: of the battery's update",
 }
 
 
@@ -184,9 +186,10 @@ def state_sizes(layout: Layout, model: VehicleModel) -> dict[str, int]:
     angles = {} if "rotation" in layout and "attitude" not in layout else {"euler": 3}
     matrix = {"quaternion": 4} if "rotation" in layout else {}
     disturbances = {} if model.disturbance is None else {"moment_ext": 3, "force_ext": 3}
+    limit = {HIGHEST_RPM: 1} if HIGHEST_RPM in layout else {}
     last = {LAST_COMMAND: model.action_size} if LAST_ACTION in observed else {}
     motion = {"position": 3, "velocity": 3, **angles, **matrix, "rates": 3}
-    return {**motion, model.actuators.name: model.actuators.size, **disturbances, **last}
+    return {**motion, model.actuators.name: model.actuators.size, **disturbances, **limit, **last}
 
 
 def drone_of(layout: Layout, model: VehicleModel, example: State, numbers: jax.Array) -> State:

@@ -10,8 +10,11 @@ from quadjax.policy.file import Policy
 from quadjax.race.history import split_name
 from quadjax.race.layout import (
     DISTURBANCES,
+    ESTIMATED,
+    HIGHEST_RPM,
     LAST_ACTION,
     Layout,
+    highest_command,
     is_of_motion,
     make_layout,
     other_fields,
@@ -100,7 +103,9 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
             that is not a power of two.
     """
     model = MODELS[policy.vehicle]
-    known = {f.name: f for f in (*make_layout(model).fields, *other_fields(model.action_size))}
+    limits = [highest_command(ESTIMATED)] if model.has_battery else []
+    own_fields = (*make_layout(model).fields, *other_fields(model.action_size), *limits)
+    known = {f.name: f for f in own_fields}
     for field in policy.layout.fields:
         base, lag = split_name(field.name)
         kept = not lag or (is_of_motion(base) and (base in policy.layout or base == LAST_ACTION))
@@ -119,7 +124,7 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     return InputBox(
         layout=policy.layout,
         exponent={name: _exponent(name, value) for name, value in ranges.items()},
-        scaled=(model.actuators.name, *DISTURBANCES, LAST_ACTION),
+        scaled=(model.actuators.name, *DISTURBANCES, LAST_ACTION, HIGHEST_RPM),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from quadjax.core import mlp
 from quadjax.export import emulator
+from quadjax.export.battery_tables import update_error
 from quadjax.export.conversion import Converted
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
 from quadjax.export.integers import WORD, enable_x64
@@ -75,6 +76,13 @@ def make_report(converted: Converted, file: str) -> Json:
         and {
             "residual_sha256": converted.residual_hash,
             "channel_ranges": [2.0**e for e in tables.channel_exponents],
+        },
+        "battery": (battery := converted.battery)
+        and {
+            "lowest_rpm": battery.lowest * battery.unit,
+            "highest_rpm": battery.highest * battery.unit,
+            "first_rpm": battery.first * battery.unit,
+            "update_error_rpm": update_error(battery),
         },
         "flights": {
             "runs": len(laps.crashes),

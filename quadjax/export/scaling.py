@@ -7,7 +7,8 @@ from quadjax.core.errors import InputError
 from quadjax.export.integers import ONE
 from quadjax.export.ranges import InputBox
 from quadjax.policy.file import Policy
-from quadjax.race.layout import DISTURBANCES, NONE, Field
+from quadjax.race.layout import DISTURBANCES, HIGHEST_RPM, NONE, Field
+from quadjax.vehicle.battery import LOWEST
 
 LARGEST_SPAN = 1e6
 
@@ -31,8 +32,10 @@ def spans_of(policy: Policy, box: InputBox, name: str) -> Spans:
         return [
             _external(field, exponent, high) for _, high in field.span or ((0, 0),) * field.size
         ]
-    commands = zip(policy.command_low.tolist(), policy.command_high.tolist(), strict=True)
-    spans = field.span or tuple(commands)[-field.size :]
+    commands = tuple(zip(policy.command_low.tolist(), policy.command_high.tolist(), strict=True))
+    if name == HIGHEST_RPM:
+        commands = ((LOWEST * commands[0][1], commands[0][1]),)
+    spans = field.span or commands[-field.size :]
     for low, high in spans:
         if low == high:
             allowed = "allowed: a width above zero"

@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from quadjax.export import emulator, estimator_emulator, race_emulator
+from quadjax.export import battery_emulator, emulator, estimator_emulator, race_emulator
+from quadjax.export.battery_tables import BatteryTables
 from quadjax.export.estimator_tables import FINE_BITS, EstimatorTables
 from quadjax.export.fixed import FixedLayer, FixedNetwork
 from quadjax.export.integers import INPUT_BITS, WORD, digest, status_flags, words_of
@@ -70,6 +71,14 @@ class EstimatorTest:
 
     measurements: np.ndarray  # (MEASUREMENTS, 13) uint32, the bits
     outputs: np.ndarray  # (SAMPLES, 6) int64, upper words
+
+
+@dataclasses.dataclass(frozen=True)
+class BatteryTest:
+    """Samples of the estimator of the highest speed, and a digest of its memory after each."""
+
+    samples: np.ndarray  # (MEASUREMENTS, 8) uint32, the bits
+    digests: np.ndarray  # (SAMPLES,) uint32
 
 
 def pad(layer: FixedLayer, shift: int, multiple: int) -> PaddedLayer:
@@ -167,3 +176,22 @@ def estimator_test(tables: EstimatorTables) -> EstimatorTest:
     samples = [measured[sample % MEASUREMENTS][None] for sample in range(SAMPLES)]
     fine = [estimator_emulator.update(tables, memory, sample)[0] for sample in samples]
     return EstimatorTest(measured.view(np.uint32), np.stack(fine) >> (FINE_BITS - INPUT_BITS))
+
+
+def battery_test(tables: BatteryTables) -> BatteryTest:
+    """The self-test of the highest speed: commands below and at it, one clipped, one with a NaN."""
+    rng = np.random.default_rng(0)
+    shape, top = (MEASUREMENTS, 4), tables.highest * tables.unit
+    command = np.where(rng.random(shape) < 0.5, 1.0, rng.uniform(0.3, 1.0, shape)) * top
+    rows = np.concatenate([rng.uniform(0.7, 1.0, shape) * top, command], axis=1)
+    rows[-1] *= 8.0  # clipped
+    rows[-2, 2] = rows[-3, 6] = np.nan
+    samples = rows.astype(np.float32)
+    memory, digests = battery_emulator.start(tables, samples[:1]), []
+    for number in range(SAMPLES):
+        if number and number % (MEASUREMENTS // 2) == 0:  # to both limits of the estimate
+            memory.highest[:] = tables.highest if number % MEASUREMENTS else tables.lowest
+        if number:
+            battery_emulator.update(tables, memory, samples[number % MEASUREMENTS][None])
+        digests.append(digest(memory.words)[0])
+    return BatteryTest(samples.view(np.uint32), np.array(digests))

@@ -48,6 +48,7 @@ class Trace:
     command: jax.Array  # (time, actions, runs)
     target: jax.Array  # (time, runs)
     over: jax.Array  # (time, runs) bool, before the step
+    highest_rpm: jax.Array | None = None  # (time, runs), the estimate, where there is a battery
 
 
 def starting_states(
@@ -219,6 +220,7 @@ def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Arr
         command=command,
         target=race.state.target,
         over=race.over,
+        highest_rpm=race.state.battery and race.state.battery.estimate.highest,
     )
 
 

@@ -13,6 +13,7 @@ from quadjax.export.targets import INDIFLIGHT, find_target
 from quadjax.export.verify.folder import Inputs
 from quadjax.export.verify.result import Failed, Skipped
 from quadjax.export.verify.toolchain import Compiler, host
+from quadjax.race.layout import HIGHEST_RPM
 from quadjax.sil.message import (
     DTYPES,
     HEADER,
@@ -66,6 +67,7 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
     """Write the C around an exported folder.
 
     The disturbance estimator of the export runs if it was exported for the rate of the messages.
+    That of the highest propeller speed must have been.
 
     Args:
         folder: of ``quadjax export``.
@@ -74,7 +76,7 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
         work: a folder for the files.
 
     Raises:
-        InputError: a C file is missing.
+        InputError: a C file is missing; an estimator of the highest speed for another rate.
     """
     name, model = inputs.options.name, inputs.own.choices.model
     indiflight = find_target(inputs.options.target).autopilot == INDIFLIGHT
@@ -83,9 +85,17 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
     else:
         names = [f"{name}.c", f"{name}_race.c"]
     fields = state_sizes(inputs.own.choices.layout, model)
-    own = "moment_ext" in fields and abs(inputs.options.sample_rate / rate - 1.0) < SAME_RATE
-    own = own and (folder / f"{name}_estimator.c").is_file()
+    same_rate = abs(inputs.options.sample_rate / rate - 1.0) < SAME_RATE
+    own = "moment_ext" in fields and same_rate and (folder / f"{name}_estimator.c").is_file()
     names += [f"{name}_estimator.c"] if own else []
+    battery = HIGHEST_RPM in fields
+    if battery and not same_rate:
+        raise InputError(
+            f"the policy observes {HIGHEST_RPM}, whose estimator was exported for "
+            f"{inputs.options.sample_rate:g} Hz; the drone's control steps are at {rate:g} Hz: "
+            f"export it with --sample-rate {rate:g}"
+        )
+    names += [f"{name}_battery.c"] if battery else []
     for file in names:
         check_file(folder / file)
     policy = inputs.policy
@@ -95,6 +105,7 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
         "fields": list(fields),
         "indiflight": indiflight,
         "own_estimator": own,
+        "battery": battery,
         "motors": MOTORS,
         "rpm": model.commands[0].unit == "rpm",
         "rpm_per_rad_s": RPM_PER_RAD_S,

@@ -115,13 +115,18 @@ class LimitEstimatorState:
 
 
 def limit_estimator(highest: Scalar, lag: Scalar, sample_rate: Scalar) -> LimitEstimatorParams:
-    """The estimator for motors with a time constant ``lag``, s, and a highest command, rpm."""
-    low_pass = 1.0 - jnp.exp(-1.0 / (jnp.float32(DELAY) * sample_rate))
+    """The estimator for motors with a time constant ``lag``, s, and a highest command, rpm.
+
+    The numbers are float32, or float64 where 64-bit types are enabled.
+    """
+    kind = jnp.result_type(float)
+    delay, adaptation = (jnp.asarray(x, kind) for x in (DELAY, ADAPTATION))
+    low_pass = 1.0 - jnp.exp(-1.0 / (delay * sample_rate))
     return LimitEstimatorParams(
-        highest=jnp.asarray(highest, jnp.float32),
+        highest=jnp.asarray(highest, kind),
         low_pass=low_pass,
         lead=low_pass * lag * sample_rate,
-        gain=0.25 / (jnp.float32(ADAPTATION) * sample_rate),
+        gain=0.25 / (adaptation * sample_rate),
     )
 
 

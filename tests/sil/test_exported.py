@@ -35,7 +35,7 @@ PLANT = load_plant_config("standin")
 STEPS = 150
 
 
-def written(folder, policy, own, config, target):
+def written(folder, policy, own, config, target, rate=500.0):
     """The C of a policy in a folder, without the simulated flights of an export."""
     policy.save(folder / "policy.npz")
     states = random_states(
@@ -43,7 +43,7 @@ def written(folder, policy, own, config, target):
     )
     targets = np.arange(20) % len(own.params.track.yaw)
     rows = Rollouts(flights.observe(own, states, targets), states, targets)
-    options = Options("made", {"position": 32.0}, sample_rate=500.0, target=target)
+    options = Options("made", {"position": 32.0}, sample_rate=rate, target=target)
     path = folder / "policy.npz"
     converted = convert_policy(policy, own, options, path.name, path, rows)
     for name, text in converted.sources().items():

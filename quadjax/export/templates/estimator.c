@@ -40,13 +40,7 @@ ${c.round_shift()}
 /* a b in Q30 */
 static int64_t product(int64_t a, int64_t b) { return round_shift(a * b, Q30); }
 
-/* value * factor / 2^bits of a product that needs more than 64 bits, in two parts. */
-static int64_t scaled(int64_t value, int64_t factor, int32_t bits) {
-  const int64_t upper = value >> SPLIT;
-  const int64_t lower = value & ((INT64_C(1) << SPLIT) - 1);
-  return round_shift(upper * factor + ((lower * factor) >> SPLIT), bits - SPLIT);
-}
-
+${c.scaled()}
 ${c.float_of("from_bits")}
 ${c.bits_of("to_bits")}
 static ${name}_status quantize(const ${name}_measurement *m, int32_t q[MEASUREMENTS]) {

@@ -4,6 +4,9 @@
 {% if estimator %}
 #include "${name}_estimator.h"
 {% endif %}
+{% if battery %}
+#include "${name}_battery.h"
+{% endif %}
 
 ${c.any_float()}
 static int32_t any_integer(void) { return Frama_C_interval(-2147483647 - 1, 2147483647); }
@@ -93,11 +96,38 @@ static void run_estimator(void) {
   (void)${name}_estimator_update(&estimator, &m, moment, force);
 }
 {% endif %}
+{% if battery %}
+
+/* A sample from any memory that the converter has proven the estimator to stay in, and a reset. */
+static void run_battery(void) {
+  ${name}_battery_sample sample;
+  ${name}_battery battery;
+  float highest_rpm;
+  float *const numbers = (float *)&sample;
+  for (int i = 0; i < 8; ++i) {
+    numbers[i] = any_float();
+  }
+  for (int i = 0; i < 4; ++i) {
+    battery.speed[i] = Frama_C_long_long_interval(-${battery_memory}LL, ${battery_memory}LL);
+    battery.expected[i] = Frama_C_long_long_interval(-${battery_memory}LL, ${battery_memory}LL);
+    battery.limited[i] = Frama_C_long_long_interval(0LL, ${battery_memory}LL);
+  }
+  battery.highest = Frama_C_long_long_interval(${battery.lowest}LL, ${battery.highest}LL);
+  battery.started = any_unsigned();
+  (void)${name}_battery_update(&battery, &sample, &highest_rpm);
+  /*@ assert ${battery.lowest} <= battery.highest <= ${battery.highest}; */
+  ${name}_battery_reset(&battery);
+  (void)${name}_battery_update(&battery, &sample, &highest_rpm);
+}
+{% endif %}
 void eva_main(void);
 void eva_main(void) {
   run_network();
   run_race();
 {% if estimator %}
   run_estimator();
+{% endif %}
+{% if battery %}
+  run_battery();
 {% endif %}
 }

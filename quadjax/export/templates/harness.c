@@ -4,6 +4,9 @@
 {% if estimator %}
 #include "${name}_estimator.h"
 {% endif %}
+{% if battery %}
+#include "${name}_battery.h"
+{% endif %}
 void harness_command(const float *x, uint32_t kernel, ${command_type} *out, uint32_t count);
 
 /* Row: commands, trace, clipped, NaN. */
@@ -67,6 +70,18 @@ void harness_estimate(const float *measurements, float *out, uint32_t count) {
   }
 }
 {% endif %}
+{% if battery %}
+
+void harness_battery(const float *samples, float *out, uint32_t count) {
+  ${name}_battery battery;
+  ${name}_battery_reset(&battery);
+  for (uint32_t i = 0U; i < count; ++i) {
+    (void)${name}_battery_update(&battery, (const ${name}_battery_sample *)samples, out);
+    samples += 8;
+    ++out;
+  }
+}
+{% endif %}
 #ifdef HARNESS_MAIN
 /* A step on board with any numbers at all as the state and as what is measured. */
 static void harness_step(uint32_t kernel, const float *x) {
@@ -78,6 +93,11 @@ static void harness_step(uint32_t kernel, const float *x) {
   float moment[3];
   float force[3];
   (void)${name}_estimator_update(&estimator, (const ${name}_measurement *)x, moment, force);
+{% endif %}
+{% if battery %}
+  static ${name}_battery battery;
+  float highest_rpm;
+  (void)${name}_battery_update(&battery, (const ${name}_battery_sample *)x, &highest_rpm);
 {% endif %}
   (void)${name}_race_step(&race, (${name}_kernel)kernel, (const ${name}_state *)x, command, &event);
   if (event != ${NAME}_NO_EVENT) {
@@ -111,7 +131,7 @@ int main(int argc, char **argv) {
   if (fclose(out) != 0) {
     return 2;
   }
-  const uint32_t wrong = ${name}_self_test_with((${name}_kernel)kernel) + ${name}_race_self_test()${" + " ~ name ~ "_estimator_self_test()" if estimator else ""};
+  const uint32_t wrong = ${name}_self_test_with((${name}_kernel)kernel) + ${name}_race_self_test()${" + " ~ name ~ "_estimator_self_test()" if estimator else ""}${" + " ~ name ~ "_battery_self_test()" if battery else ""};
   return (wrong != 0U) ? 1 : 0;
 }
 #endif

@@ -38,6 +38,14 @@ static int64_t round_shift(int64_t value, int32_t shift) {
   return (value + (INT64_C(1) << (shift - 1))) >> shift;
 }
 {% endmacro %}
+{% macro scaled() %}
+/* value * factor / 2^bits of a product that needs more than 64 bits, in two parts. */
+static int64_t scaled(int64_t value, int64_t factor, int32_t bits) {
+  const int64_t upper = value >> SPLIT;
+  const int64_t lower = value & ((INT64_C(1) << SPLIT) - 1);
+  return round_shift(upper * factor + ((lower * factor) >> SPLIT), bits - SPLIT);
+}
+{% endmacro %}
 {% macro relu_upper_word(shift) %}
 static int32_t relu_upper_word(int64_t sum) {
   const int32_t upper = (int32_t)(sum >> ${shift});

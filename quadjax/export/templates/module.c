@@ -21,6 +21,9 @@ ${origin.lines | comment}
 #include "boards/bebop/actuators.h"
 
 #include "modules/${name}/${name}_estimator.h"
+{% if battery %}
+#include "modules/${name}/${name}_battery.h"
+{% endif %}
 {% else %}
 
 {% endif %}
@@ -46,6 +49,10 @@ struct ${name}_log {
 {% if estimator %}
   uint32_t estimator_steps; /* in which a measurement was clipped or not a number */
 {% endif %}
+{% if battery %}
+  uint32_t battery_steps;   /* likewise, a speed or a command */
+  float highest_rpm;        /* the estimate */
+{% endif %}
   ${name}_race_status last;
 };
 
@@ -59,6 +66,9 @@ static struct {
   ${name}_race race;
 {% if estimator %}
   ${name}_estimator estimator;
+{% endif %}
+{% if battery %}
+  ${name}_battery battery;
 {% endif %}
   ${command_type} command[${NAME}_OUTPUTS];
   struct ${name}_log log;
@@ -146,6 +156,26 @@ static void estimate(${name}_state *state) {
 }
 
 {% endif %}
+{% if battery %}
+/* The highest propeller speed, from measured speeds and the commands of the call before: of the
+ * policy, or else of the autopilot. */
+static void estimate_highest(${name}_state *state) {
+  static const uint8_t motor[4] = ${NAME}_MOTORS;
+  ${name}_battery_sample sample;
+  for (uint32_t i = 0U; i < 4U; ++i) {
+    sample.rpm[i] = state->rpm[i];
+    sample.command[i] = module.flying ? (float)module.command[i]
+                                      : (float)actuators_bebop.rpm_ref[motor[i]];
+  }
+  const ${name}_battery_status status =
+      ${name}_battery_update(&module.battery, &sample, &state->highest_rpm);
+  module.log.highest_rpm = state->highest_rpm;
+  if (module.flying && ((status.clipped | status.nan) != 0U)) {
+    ++module.log.battery_steps;
+  }
+}
+
+{% endif %}
 /* ---- the ground --------------------------------------------------------------------------------- */
 
 #if defined(PERIODIC_TELEMETRY) && PERIODIC_TELEMETRY
@@ -158,7 +188,10 @@ static void send_status(struct transport_tx *trans, struct link_device *dev) {
                     (float)module.log.last.clipped,    (float)module.log.last.nan,
                     (float)module.log.last.outside${"," if estimator else "};"}
 {% if estimator %}
-                    (float)module.log.estimator_steps};
+                    (float)module.log.estimator_steps${"," if battery else "};"}
+{% endif %}
+{% if battery %}
+                    (float)module.log.battery_steps,   module.log.highest_rpm};
 {% endif %}
   pprz_msg_send_PAYLOAD_FLOAT(trans, dev, AC_ID, (uint8_t)(sizeof(values) / sizeof(values[0])),
                               values);
@@ -187,6 +220,9 @@ void ${name}_module_init(void) {
   module.mismatches += ${name}_race_self_test();
 {% if estimator %}
   module.mismatches += ${name}_estimator_self_test();
+{% endif %}
+{% if battery %}
+  module.mismatches += ${name}_battery_self_test();
 {% endif %}
   module.flying = false;
   ${name}_race_start(&module.race, origin, 0U);
@@ -220,6 +256,9 @@ void ${name}_module_periodic(void) {
   read_state(&state);
 {% if estimator %}
   estimate(&state);
+{% endif %}
+{% if battery %}
+  estimate_highest(&state);
 {% endif %}
   if (wanted && !module.flying) {
     ${name}_race_start(&module.race, state.position, 0U);

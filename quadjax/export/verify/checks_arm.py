@@ -147,7 +147,7 @@ def _arm_check(c: Context, build: Build) -> str:
     machine = _machine(elf, build)
     mismatches = machine.call(f"{c.folder.name}_self_test_with", build.kernel)
     require(mismatches == 0, f"{mismatches} self-test mismatches")
-    for name in ("race", "estimator"):
+    for name in ("race", "estimator", "battery"):
         if f"{c.folder.name}_{name}_self_test" in machine.symbols:
             mismatches = machine.call(f"{c.folder.name}_{name}_self_test")
             require(mismatches == 0, f"{mismatches} {name} self-test mismatches")
@@ -205,10 +205,10 @@ def check_step(c: Context) -> str:
     need_emulator()
     parts = []
     for build, compiler in _compilers(c):
-        race, estimator, stack = _count_step(c, _executable(c, build, compiler), build)
+        race, more, stack = _count_step(c, _executable(c, build, compiler), build)
         _check_stack(c, stack)
-        more = f" + estimator {estimator:,}" if estimator else ""
-        parts.append(f"{build.label} {race:,}{more}, {stack} B stack")
+        added = "".join(f" + {name} {count:,}" for name, count in more.items())
+        parts.append(f"{build.label} {race:,}{added}, {stack} B stack")
     return "; ".join(parts)
 
 
@@ -224,8 +224,8 @@ def check_memory(c: Context) -> str:
     return "; ".join(f"{name} {text}" for name, text in parts.items())
 
 
-def _count_step(c: Context, elf: Path, build: Build) -> tuple[int, int, int]:
-    """Largest instructions of ``race_step`` and ``estimator_update``, and stack, of any data."""
+def _count_step(c: Context, elf: Path, build: Build) -> tuple[int, dict[str, int], int]:
+    """Largest instructions of ``race_step`` and of the updates, and stack, of any data."""
     machine, prefix = _machine(elf, build), c.folder.name
     rows = np.linspace(0, len(c.folder.rollouts.states) - 1, COUNTED).astype(int)
     hostile = np.linspace(0, len(c.hostile) - 1, COUNTED).astype(int)
@@ -233,18 +233,25 @@ def _count_step(c: Context, elf: Path, build: Build) -> tuple[int, int, int]:
     states = [*c.folder.rollouts.states[rows], *c.hostile[hostile, :size]]
     race, status, command = (machine.reserve(size) for size in (64, 16, 16))
     memory, moment, force = (machine.reserve(size) for size in (128, 16, 16))
-    largest = np.zeros((2, 2), int)
+    battery, calls = machine.reserve(128), {"race_step": (race, build.kernel)}
+    ends = {"race_step": (command, 0), "estimator": (moment, force), "battery": (force,)}
+    calls |= {"estimator": (memory,)} if c.folder.estimator is not None else {}
+    calls |= {"battery": (battery,)} if c.folder.battery is not None else {}
+    largest = np.zeros((len(calls), 2), int)
     for state in states:
         x = machine.place(state)
         used = [
-            machine.count(f"{prefix}_race_step", status, race, build.kernel, x, command, 0),
-            (0, 0),
+            machine.count(_function(prefix, name), status, *first, x, *ends[name])
+            for name, first in calls.items()
         ]
-        if c.folder.estimator is not None:
-            update = f"{prefix}_estimator_update"
-            used[1] = machine.count(update, status, memory, x, moment, force)
         largest = np.maximum(largest, used)
-    return int(largest[0, 0]), int(largest[1, 0]), int(largest[:, 1].max())
+    counts = dict(zip(calls, largest[:, 0].tolist(), strict=True))
+    return counts.pop("race_step"), counts, int(largest[:, 1].max())
+
+
+def _function(prefix: str, name: str) -> str:
+    """The C function of a part of a step."""
+    return f"{prefix}_{name}" if name == "race_step" else f"{prefix}_{name}_update"
 
 
 def _qemu(c: Context, make: Callable[[], Compiler], tag: str) -> str:

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export import flights, race_emulator
+from quadjax.export import battery_emulator, flights, race_emulator
+from quadjax.export.battery_tables import update_error
 from quadjax.export.convert import POLICY_FILE
 from quadjax.export.race_source import check_race
 from quadjax.export.report import float64_commands
@@ -16,6 +17,7 @@ from quadjax.export.verify.result import Failed, Skipped, require
 OBSERVATION_TOLERANCE = 1e-6  # of each input's range
 COMMAND_TOLERANCE = 1e-4  # of the range of a command
 ESTIMATOR_TOLERANCE = (1e-6, 2e-5)  # moment, N m, and force, m/s^2
+BATTERY_TOLERANCE = 0.01  # rpm
 LAP_TOLERANCE = 1e-3  # s
 
 
@@ -115,6 +117,32 @@ def check_estimator(c: Context) -> str:
     return (
         f"{len(logs) * logs.shape[1]} samples, simulated and tumbling: within {moment:.1e} N m and "
         f"{force:.1e} m/s^2 of float64"
+    )
+
+
+def check_battery(c: Context) -> str:
+    """The C's estimate of the highest speed against NumPy, and against float64.
+
+    Samples of simulated flights, and of full power and less in turn as the battery empties.
+    """
+    tables, own = c.folder.battery, c.folder.own
+    if tables is None:
+        raise Skipped("the policy does not observe the highest rpm")
+    rate, rng = tables.sample_rate, np.random.default_rng(0)
+    logs = measurements.speeds_and_commands(rng, c.trace, own.time_step, rate)
+    seconds, constants = logs.shape[1] / rate, own.params.vehicle.constants
+    bursts = measurements.full_power_bursts(rng, constants, rate, seconds)
+    logs = np.concatenate([logs, bursts[None]])
+    found = np.stack([c.library.highest_rpm(log) for log in logs])
+    require(np.array_equal(found, battery_emulator.run(tables, logs)), "C and NumPy differ")
+    first = tables.first * tables.unit
+    exact = measurements.highest_float64(constants, first, logs, rate)
+    worst, moved = float(np.abs(found - exact).max()), float(np.ptp(found))
+    require(worst <= BATTERY_TOLERANCE, f"off by {worst:.2g} rpm")
+    return (
+        f"{logs.shape[0] * logs.shape[1]} samples, simulated and full power: the bits of NumPy, "
+        f"within {worst:.1e} rpm of float64 over {moved:.0f} rpm; proven for one sample: "
+        f"{update_error(tables):.1e} rpm"
     )
 
 

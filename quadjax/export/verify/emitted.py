@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from quadjax.export import battery_tables
 from quadjax.export.emit import names_of
 from quadjax.export.estimator_tables import FINE_BITS
 from quadjax.export.render import render
@@ -54,12 +55,13 @@ def write_eva_main(folder: Folder, work: Path) -> Path:
         "limits": [tuple(number(float(end)) for end in pair) for pair in ends],
         "states": folder.race.state_size,
         "memory": 2**FINE_BITS,
+        "battery_memory": 2**battery_tables.FINE_BITS,
     }
     return _write(work / "eva_main.c", values)
 
 
 def _common(folder: Folder) -> dict[str, object]:
-    own = {"estimator": folder.estimator, "race": folder.race}
+    own = {"estimator": folder.estimator, "race": folder.race, "battery": folder.battery}
     return names_of(folder.network, folder.name) | own
 
 

@@ -67,6 +67,10 @@ class HostLibrary:
         """Moments and forces (n, 6) along measurements (n, 13)."""
         return self._rows("estimate", 6, np.float32, measurements)
 
+    def highest_rpm(self, samples: np.ndarray) -> np.ndarray:
+        """Estimates (n,) of the highest speed, rpm, along samples (n, 8)."""
+        return self._rows("battery", 1, np.float32, samples)[:, 0]
+
     def self_test(self) -> int:
         """Mismatches of the network's self-test."""
         return self._call(f"{self.folder.name}_self_test")

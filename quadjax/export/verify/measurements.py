@@ -1,4 +1,4 @@
-"""Measurements for checks of the estimator: of simulated flights and of a tumbling drone."""
+"""Measurements for checks of the estimators: of simulated flights and of made-up motions."""
 
 import functools
 
@@ -11,7 +11,8 @@ from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.integers import enable_x64
 from quadjax.race.laps import Trace
-from quadjax.vehicle import estimator, motor
+from quadjax.vehicle import battery, estimator, motor
+from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.motor import force_moment
 from quadjax.vehicle.protocol import Measurement, VehicleParams
 
@@ -95,3 +96,65 @@ def _estimate(
         return jax.lax.scan(one, estimator.init(params, measurement(rows[0])), rows)[1]
 
     return np.asarray(jax.jit(jax.vmap(run))(measured))
+
+
+def speeds_and_commands(
+    rng: np.random.Generator, trace: Trace, dt: float, rate: float
+) -> np.ndarray:
+    """Propeller speeds with noise and held commands of flights, (runs, n, 8) float32, rpm.
+
+    Args:
+        rng: of the noise.
+        trace: a step every ``dt`` seconds, until a run ends.
+        dt: time step of the trace, s.
+        rate: of the samples, Hz.
+    """
+    steps = int(np.min(np.sum(~np.asarray(trace.over), axis=0)))
+    times = np.arange(1, int(rate * dt * (steps - 1))) / rate
+    held = np.ceil(times / dt - 1e-9).astype(int) - 1  # the command that ends with the sample
+    rows = (np.moveaxis(np.asarray(x, np.float64), 1, 2) for x in (trace.actuators, trace.command))
+    speeds, commands = rows  # (time, runs, 4)
+    between = CubicSpline(dt * np.arange(steps), speeds[:steps], axis=0)(times)
+    between = between + NOISE[6] * rng.standard_normal(between.shape)
+    return np.moveaxis(np.concatenate([between, commands[held]], axis=2), 0, 1).astype(np.float32)
+
+
+def full_power_bursts(
+    rng: np.random.Generator, c: MotorConstants, rate: float, seconds: float
+) -> np.ndarray:
+    """Speeds and commands (n, 8) float32, rpm, of an emptying battery, with noise.
+
+    Each motor is at full power and at a random speed in turn, 0.2 s each.
+    """
+    top, lag, count = float(c.rpm_max), float(c.tau), round(rate * seconds)
+    turn = (np.arange(count)[:, None] / rate / 0.2 + np.arange(4) / 4).astype(int)
+    levels = rng.uniform(0.4, 1.0, (turn.max() + 1, 4)) * top
+    command = np.where(turn % 2 == 0, top, np.take_along_axis(levels, turn, axis=0))
+    limit = top * np.linspace(0.95, 0.8, count)[:, None]
+    pull, rpm = 1.0 - np.exp(-1.0 / (lag * rate)), [np.full(4, 0.6 * top)]
+    for reached in np.minimum(command, limit)[:-1]:
+        rpm.append(rpm[-1] + pull * (reached - rpm[-1]))
+    measured = np.stack(rpm) + NOISE[6] * rng.standard_normal((count, 4))
+    return np.concatenate([measured, command], axis=1).astype(np.float32)
+
+
+def highest_float64(
+    c: MotorConstants, first: float, samples: np.ndarray, rate: float
+) -> np.ndarray:
+    """Estimates (runs, n), rpm, of ``quadjax.vehicle.battery`` in float64, from samples (.., 8)."""
+    with enable_x64(True):
+        top, lag = (jnp.float64(float(x)) for x in (c.rpm_max, c.tau))
+        params = battery.limit_estimator(top, lag, rate)
+
+        def one(
+            state: battery.LimitEstimatorState, row: jax.Array
+        ) -> tuple[battery.LimitEstimatorState, jax.Array]:
+            state = battery.update(params, state, Rotors.of(row[:4]), Rotors.of(row[4:]))
+            return state, state.highest
+
+        def run(rows: jax.Array) -> jax.Array:
+            begun = battery.begin(params, Rotors.of(rows[0, :4]), jnp.float64(first))
+            found = jax.lax.scan(one, begun, rows[1:])[1]
+            return jnp.concatenate([begun.highest[None], found])
+
+        return np.asarray(jax.jit(jax.vmap(run))(jnp.asarray(samples, jnp.float64)))

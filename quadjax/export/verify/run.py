@@ -37,6 +37,7 @@ CHECKS: dict[str, Check] = {
     "observation": checks_flight.check_observation,
     "gate logic": checks_flight.check_gates,
     "estimator": checks_flight.check_estimator,
+    "highest rpm": checks_flight.check_battery,
     **checks_arm.arm_checks(),
     "against float C": checks_arm.check_against_float,
     "a step on board": checks_arm.check_step,

@@ -6,6 +6,9 @@
 {% if own_estimator %}
 #include "${name}_estimator.h"
 {% endif %}
+{% if battery %}
+#include "${name}_battery.h"
+{% endif %}
 {% endif %}
 #include "message.h"
 
@@ -55,6 +58,9 @@ static struct {
 {% if own_estimator %}
   ${name}_estimator estimator;
 {% endif %}
+{% if battery %}
+  ${name}_battery battery;
+{% endif %}
   float command[4];
   uint32_t nan_steps;
   uint32_t clipped_steps;
@@ -62,7 +68,7 @@ static struct {
 } autopilot;
 
 uint32_t sil_self_test(void) {
-  return ${name}_self_test() + ${name}_race_self_test(){% if own_estimator %} + ${name}_estimator_self_test(){% endif %};
+  return ${name}_self_test() + ${name}_race_self_test(){% if own_estimator %} + ${name}_estimator_self_test(){% endif %}{% if battery %} + ${name}_battery_self_test(){% endif %};
 }
 
 void sil_begin(void) {
@@ -70,6 +76,9 @@ void sil_begin(void) {
   autopilot.racing = 0;
 {% if own_estimator %}
   autopilot.estimator = (${name}_estimator){{0}, {0}, 0U};
+{% endif %}
+{% if battery %}
+  ${name}_battery_reset(&autopilot.battery);
 {% endif %}
   copy(autopilot.command, halfway, 4);
   autopilot.nan_steps = autopilot.clipped_steps = autopilot.outside_steps = 0U;
@@ -111,6 +120,12 @@ void sil_step(const sil_state *from, sil_command *to) {
   copy(state.moment_ext, from->moment_frd_n_m, 3);
   copy(state.force_ext, from->force_frd_m_s2, 3);
 {% endif %}
+{% endif %}
+{% if battery %}
+  ${name}_battery_sample sample;
+  copy(sample.rpm, state.rpm, 4);
+  copy(sample.command, autopilot.command, 4);
+  (void)${name}_battery_update(&autopilot.battery, &sample, &state.highest_rpm);
 {% endif %}
 {% if "last_command" in fields %}
   copy(state.last_command, autopilot.command, 4);

@@ -1,0 +1,268 @@
+"""The estimator of the highest propeller speed in fixed point: bounds, bits of the C, on board."""
+
+import ctypes
+import dataclasses
+import functools
+from fractions import Fraction
+
+import jax
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import build_vehicle
+from quadjax.core.errors import InputError
+from quadjax.export import battery_emulator, emulator
+from quadjax.export.battery_emulator import FINE, Memory
+from quadjax.export.battery_tables import FINE_BITS, make_battery, update_error
+from quadjax.export.conversion import Options, convert_policy
+from quadjax.export.emit import emit_battery, emit_network
+from quadjax.export.fixed import convert
+from quadjax.export.flights import Rollouts
+from quadjax.export.integers import enable_x64, quantize, status_masks
+from quadjax.export.race_source import check_race, own_race
+from quadjax.export.verify import measurements
+from quadjax.export.verify.harness import load_library
+from quadjax.export.verify.toolchain import WARNINGS, host
+from quadjax.race import environment
+from quadjax.race.battery import middle_limit
+from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
+from quadjax.sil.run import make_world
+from quadjax.sil.source import write_sources
+from quadjax.training.build import untrained_policy
+from quadjax.vehicle.battery import limit_estimator
+from tests.export.support import ORIGIN, made_policy
+from tests.export.test_folder import module_run
+from tests.sil.test_exported import FLOATS, written
+
+BATTERY, UNDISTURBED = "battery.charge=[0.1, 1.0]", "observation.disturbance=none"
+NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
+
+
+@functools.cache
+def constants():
+    return build_vehicle(load_config("e2e_shac")).constants
+
+
+@functools.cache
+def made():
+    """An untrained policy that reacts to the highest rpm, its race and its config."""
+    config = load_config("e2e_shac", [BATTERY, UNDISTURBED, "network.hidden=[8]"])
+    policy = untrained_policy(config)
+    layers = [(np.asarray(k) * 0.3, np.asarray(b) + 0.5) for k, b in policy.layers]
+    layers[0][0][-1] = np.linspace(-2.0, 2.0, 8)
+    layers[-1] = (layers[-1][0], np.float32([1.1, 1.0, 0.9, 1.0]))
+    policy = dataclasses.replace(policy, layers=tuple(layers))
+    return policy, own_race(config, policy, "test"), config
+
+
+@pytest.mark.parametrize("rate", [100.0, 512.0])
+def test_it_is_the_reference_in_float64(rate):
+    rng, first = np.random.default_rng(0), 10300.0
+    tables = make_battery(constants(), first, rate)
+    log = measurements.full_power_bursts(rng, constants(), rate, min(8.0, 8_000 / rate))[None]
+    found = battery_emulator.run(tables, log)
+    exact = measurements.highest_float64(constants(), first, log, rate)
+    assert np.abs(found - exact).max() < 1e-3
+    assert np.ptp(found) > 100.0
+
+
+def random_memory(rng, tables, count):
+    """Memories that the estimator can have, many of them at the edges."""
+    one = 1 << FINE_BITS
+    speed, expected = (
+        np.where(rng.random((count, 4)) < 0.3, rng.choice([-one, one], (count, 4)), x)
+        for x in rng.integers(-one, one + 1, (2, count, 4))
+    )
+    limited = np.where(rng.random((count, 4)) < 0.4, one, rng.integers(0, one + 1, (count, 4)))
+    ends = rng.integers(tables.lowest, tables.highest + 1, count)
+    highest = np.where(rng.random(count) < 0.3, tables.highest, ends)
+    return Memory(speed, expected, limited, highest)
+
+
+def random_samples(rng, tables, count):
+    """Any numbers as speeds and commands, and any bits."""
+    top = tables.highest * tables.unit
+    x = (rng.uniform(-2.0, 2.0, (count, 8)) * top).astype(np.float32)
+    x[:, 4:] = np.where(rng.random((count, 4)) < 0.5, np.float32(top), x[:, 4:])
+    hostile = rng.random((count, 8)) < 0.1
+    bits = rng.integers(0, 2**32, (count, 8), dtype=np.uint32).view(np.float32)
+    return np.where(hostile, bits, x)
+
+
+def exact_update(memory, q, numbers, tables, row):
+    """The estimate after one sample in rational arithmetic, in fine units."""
+    k, lead, gain = numbers
+    limit, total = int(memory.highest[row]), Fraction(0)
+    for i in range(4):
+        rpm, command = (int(q[row, j]) * FINE for j in (i, i + 4))
+        speed = int(memory.speed[row, i])
+        expected = int(memory.expected[row, i])
+        expected += k * (min(command, limit) - expected)
+        limited = Fraction(int(memory.limited[row, i]), 1 << FINE_BITS)
+        limited += k * ((command >= limit) - limited)
+        total += (speed + lead * (rpm - speed) - expected) * limited
+    return min(max(limit + gain * total, tables.lowest), tables.highest)
+
+
+@pytest.mark.parametrize("rate", [1.0, 512.0, 1e5])
+def test_one_sample_is_within_its_bound_from_any_memory(rate):
+    rng, tables = np.random.default_rng(1), make_battery(constants(), 10000.0, rate)
+    with enable_x64(True):
+        c = constants()
+        p = limit_estimator(float(c.rpm_max), np.float64(float(c.tau)), rate)
+    numbers = [Fraction(float(x)) for x in (p.low_pass, p.lead, p.gain)]
+    memory, samples = random_memory(rng, tables, 400), random_samples(rng, tables, 400)
+    q = quantize(samples, tables.exponents)
+    exact = [exact_update(memory, q, numbers, tables, row) for row in range(400)]
+    battery_emulator.update(tables, memory, samples)
+    for part in (memory.speed, memory.expected, memory.limited - (1 << FINE_BITS - 1)):
+        assert np.abs(part).max() <= 1 << FINE_BITS  # as the proof claims
+    assert tables.lowest <= memory.highest.min() <= memory.highest.max() <= tables.highest
+    error = max(abs(int(x) - y) for x, y in zip(memory.highest, exact, strict=True))
+    bound = update_error(tables)
+    assert float(error) * tables.unit <= bound < 0.002
+    if rate == 512.0:
+        assert bound < 1e-5
+
+
+def emitted(tables, folder, change=("", "")):
+    """The C of the estimator as a library; the text of its source may be changed."""
+    network = convert(made_policy(8))
+    files = emit_network(network, ORIGIN, None) | emit_battery(tables, network, ORIGIN)
+    assert change[0] in files["made_battery.c"]
+    files["made_battery.c"] = files["made_battery.c"].replace(*change, 1)
+    folder.mkdir(exist_ok=True)
+    for file, text in files.items():
+        (folder / file).write_text(text)
+    sources = [folder / "made.c", folder / "made_battery.c"]
+    return load_library(host(), sources, folder / "made.so", WARNINGS if not change[0] else [])
+
+
+class Status(ctypes.Structure):
+    """What an update returns."""
+
+    _fields_ = (("clipped", ctypes.c_uint32), ("nan", ctypes.c_uint32))
+
+
+def estimates(library, log):
+    """The estimates (n,) and the status (n, 2) of the C along samples (n, 8), after a reset."""
+    state, out, found = (ctypes.c_uint64 * 14)(*range(14)), ctypes.c_float(), []
+    update = library.made_battery_update
+    update.restype = Status
+    library.made_battery_reset(state)
+    for row in np.ascontiguousarray(log):
+        status = update(state, row.ctypes.data_as(ctypes.c_void_p), ctypes.byref(out))
+        found.append((out.value, status.clipped, status.nan))
+    return np.float32([row[0] for row in found]), np.uint32([row[1:] for row in found])
+
+
+CHANGES = [
+    ("command >= limit) ? limit", "command > limit) ? command"),
+    ("LEAD, LEAD_BITS", "LEAD + 1, LEAD_BITS"),
+    ("scaled(sum, GAIN, GAIN_BITS)", "scaled(sum, GAIN, GAIN_BITS) + 1"),
+    ("highest > HIGHEST", "highest > ONE"),
+    ("highest < LOWEST", "highest < 0"),
+    ("(command >= limit) ? ONE", "(command > limit + ONE) ? ONE"),
+    ("value + (INT64_C(1) << (shift - 1))", "value"),
+]
+
+
+def test_the_c_has_the_bits_of_the_emulator(tmp_path):
+    rng, tables = np.random.default_rng(2), make_battery(constants(), 10300.0)
+    library = emitted(tables, tmp_path / "right")
+    assert library.made_battery_self_test() == 0
+    bursts = measurements.full_power_bursts(rng, constants(), 512.0, 1.0)
+    log = np.concatenate([bursts, random_samples(rng, tables, 500), bursts])
+    for samples in (log, bursts[200:]):  # the second one after a reset
+        found, status = estimates(library, samples)
+        assert np.array_equal(found, battery_emulator.run(tables, samples[None])[0])
+        masks = np.stack(status_masks(samples, tables.exponents), axis=1)
+        assert np.array_equal(status, masks)
+    assert masks.max() == 0 and np.ptp(found) > 50.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", CHANGES)
+def test_the_self_test_sees_a_change(change, tmp_path):
+    tables = make_battery(constants(), 10300.0)
+    assert emitted(tables, tmp_path, change).made_battery_self_test() > 0
+
+
+def test_motors_without_room_for_the_proof_are_refused():
+    slow = constants().replace(tau=np.float32(2.0))
+    with pytest.raises(InputError, match="sums may reach 2.*allowed: below 2.62; the motors"):
+        make_battery(slow, 10000.0)
+
+
+@pytest.mark.slow
+def test_what_cannot_be_exported_is_one_line(tmp_path):
+    policy, own, _ = made()
+    with pytest.raises(InputError, match="battery is null, and policy observes highest_rpm; give"):
+        own_race(load_config("e2e_shac"), policy, "e2e_shac")
+    other = load_config("e2e_shac", ["battery.charge=[0.5, 0.6]"])
+    policy.save(tmp_path / "policy.npz")
+    with pytest.raises(InputError, match="trained in another race.*: battery.*in training"):
+        check_race(policy, own_race(other, policy, "config"), tmp_path / "policy.npz")
+    qjp = convert_policy(
+        policy, own, Options("made", target="qjp"), "policy", tmp_path / "policy.npz", NOTHING
+    )
+    with pytest.raises(InputError, match="a .qjp file has no 'highest_rpm'; its state has: "):
+        qjp.binaries()
+
+
+def on_board(folder, rate):
+    """The C of the policy in a folder, and what ``quadjax sil`` reads of it."""
+    policy, own, config = made()
+    return written(folder, policy, own, config, "cortex-a9", rate)
+
+
+def begun(world):
+    """A start with the first estimate of the C, which is that of the middle of the charges."""
+    now, first = world.begin(0), middle_limit(world.params.battery)
+    race = now.state.state
+    estimate = race.battery.estimate.replace(highest=first[None])
+    race = race.replace(battery=race.battery.replace(estimate=estimate))
+    return dataclasses.replace(now, state=now.state.replace(state=race))
+
+
+@pytest.mark.slow
+def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
+    """Commands of the C, and of the policy with the simulator's estimate, step by step."""
+    inputs = on_board(tmp_path, 100.0)
+    world = make_world(inputs.config, inputs.policy, None, 1)
+    sources = write_sources(tmp_path, inputs, 100.0, tmp_path)
+    library = ctypes.CDLL(str(sources.build(tmp_path, shared=True)))
+    assert library.sil_self_test() == 0
+    library.sil_begin()
+    policy, own, _ = made()
+    observe = jax.jit(functools.partial(environment.observe, world.choices))
+    network = convert(policy, {"position": 32.0})
+    now, apart, limits = begun(world), [], []
+    for _ in range(150):
+        state, command = new(Kind.STATE), new(Kind.COMMAND)
+        values = np.split(now.numbers, np.cumsum([state[name].size for name in FLOATS])[:-1])
+        for name, value in zip(FLOATS, values, strict=True):
+            state[name] = value.reshape(state[name].shape)
+        library.sil_step(*(x.ctypes.data_as(ctypes.c_void_p) for x in (state, command)))
+        race = jax.tree.map(lambda x: x[..., 0], now.state.state)
+        limits.append(float(race.battery.estimate.highest))
+        seen = np.asarray(observe(world.params, race))[None]
+        sent = np.float32(command["command"] * RPM_PER_RAD_S)
+        apart.append(np.abs(sent - emulator.commands(network, seen)[0]).max())
+        if now.over:
+            break
+        now = world.advance(now, sent)
+    assert np.ptp(limits) > 20.0
+    assert max(apart) < 0.6  # the C rounds to whole rpm
+
+
+def test_the_paparazzi_module_estimates_it_and_sil_refuses_another_rate(tmp_path):
+    inputs = on_board(tmp_path, 512.0)
+    with pytest.raises(InputError, match="for 512 Hz; the drone's.* 100 Hz: export it with --sam"):
+        write_sources(tmp_path, inputs, 100.0, tmp_path)
+    found = module_run(tmp_path, tmp_path / "build", False)
+    mismatches, fails, before, flies, motors, sent, command = found
+    assert (mismatches, fails, before, flies, motors, sent) == ("0", "0", "0", "1", "1", "16")
+    assert 3000 <= float(command) <= 11000
+    assert "rpm_ref[motor[i]]" in (tmp_path / "paparazzi" / "made_module.c").read_text()
