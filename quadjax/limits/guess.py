@@ -1,6 +1,7 @@
 """Initial guesses: a simulated flight, divided at its gates, or the flight of a point mass."""
 
 import threading
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadjax.limits.problem import Problem, leaves
-from quadjax.limits.simulation import crossings, positions, simulate
+from quadjax.limits.simulation import crossings
 from quadjax.limits.trajectory import Trajectory
 
 FASTEST_RATES = 12.0  # rad/s, body rates of a guess at most
@@ -17,24 +18,30 @@ FITTED = 3  # least-squares steps to the commands of a guess
 
 
 def from_flight(
-    problem: Problem, commands: np.ndarray, time_step: float, integrator: str, intervals: int
+    problem: Problem,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    actuators: np.ndarray,
+    commands: np.ndarray,
+    time_step: float,
+    intervals: int,
 ) -> list[Trajectory]:
-    """Guesses from a flight of the model, by its commands from hover.
+    """Guesses from a recorded flight from hover.
 
     Args:
         problem: the flight to be optimized.
-        commands: (steps, commands) each held for a time step.
+        motion: position, m, velocity, m/s, Euler angles, rad, and body rates, rad/s, (steps, 3).
+        actuators: (steps, actuators), as the model's state.
+        commands: (steps, commands), each held for a time step.
         time_step: s.
-        integrator: of the environment, ``euler`` or ``rk4``.
         intervals: of a leg.
 
     Returns:
         For a periodic problem one guess for each whole lap but the first, the fastest first; for a
         start from hover one guess. None if the flight passed too few gates.
     """
-    states = simulate(problem, commands, time_step, integrator)
+    position, velocity, euler, rates = motion
     repeated = np.arange(50 * len(problem.order)) % problem.gate_count
-    times, _ = crossings(problem, positions(problem, states), time_step, repeated)
+    times, _ = crossings(problem, position, time_step, repeated)
     legs = len(problem.order)
     if problem.start == "hover":
         begins = [0] if len(times) >= legs else []
@@ -42,24 +49,44 @@ def from_flight(
     else:
         begins = list(range(problem.gate_count - 1, len(times) - legs, problem.gate_count))
         begins.sort(key=lambda begin: times[begin + legs] - times[begin])
-    flown = np.arange(len(states)) * time_step
+    columns = [position, velocity, np.unwrap(euler, axis=0), rates, actuators, commands]
+    table = np.concatenate(columns, axis=1)
     return [
-        _cut(times[begin : begin + legs + 1], flown, states, commands, intervals)
+        _cut(problem, times[begin : begin + legs + 1], table, time_step, intervals)
         for begin in begins
     ]
 
 
 def _cut(
-    times: np.ndarray, flown: np.ndarray, states: np.ndarray, commands: np.ndarray, intervals: int
+    problem: Problem, times: np.ndarray, table: np.ndarray, time_step: float, intervals: int
 ) -> Trajectory:
     """The part between the first and the last of the gates' times, each leg resampled."""
     nodes = np.concatenate(
         [np.linspace(a, b, intervals + 1)[:-1] for a, b in zip(times[:-1], times[1:], strict=True)]
         + [times[-1:]]
     )
-    table = np.concatenate([states, np.vstack([commands, commands[-1:]])], axis=1)
+    flown = np.arange(len(table)) * time_step
     rows = np.stack([np.interp(nodes, flown, column) for column in table.T], axis=1)
-    return Trajectory(np.diff(times), *np.split(rows, [states.shape[1]], axis=1))
+    ends = 3, 6, 9, 12, 12 + len(problem.actuator_leaves)
+    *motion, actuators, commands = np.split(rows, ends, axis=1)
+    return Trajectory(np.diff(times), _states(problem, motion, actuators), commands)
+
+
+def _states(problem: Problem, motion: Sequence[np.ndarray], actuators: np.ndarray) -> np.ndarray:
+    """States (nodes, leaves) without jumps of a quaternion's sign.
+
+    Args:
+        problem: the flight.
+        motion: position, velocity, Euler angles and body rates, (nodes, 3) each.
+        actuators: (nodes, actuators).
+    """
+    states = np.array([problem.hover_at(*row) for row in zip(*motion, strict=True)])
+    states[:, problem.actuator_leaves] = actuators
+    mask = problem.normalized
+    if mask.any():
+        same = np.sign(np.sum(states[1:, mask] * states[:-1, mask], axis=1))
+        states[1:, mask] *= np.cumprod(np.where(same < 0.0, -1.0, 1.0))[:, None]
+    return states
 
 
 def from_point_mass(
@@ -141,13 +168,8 @@ def from_path(
     turned = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / steps[:, None]
     rates = np.clip(np.vstack([turned, turned[-1:]]), -FASTEST_RATES, FASTEST_RATES)
     rates = np.clip(rates, -0.9 * problem.rate_limit, 0.9 * problem.rate_limit)
-    motions = zip(position, velocity, euler, rates, strict=True)
-    states = np.array([problem.hover_at(*motion) for motion in motions])
-    states[:, problem.actuator_leaves] = _actuators(problem, np.linalg.norm(force, axis=1))
-    mask = problem.normalized
-    if mask.any():  # a quaternion without jumps of its sign
-        same = np.sign(np.sum(states[1:, mask] * states[:-1, mask], axis=1))
-        states[1:, mask] *= np.cumprod(np.where(same < 0.0, -1.0, 1.0))[:, None]
+    actuators = _actuators(problem, np.linalg.norm(force, axis=1))
+    states = _states(problem, (position, velocity, euler, rates), actuators)
     if problem.start == "hover":
         states[0] = leaves(problem.hover_state)
     return Trajectory(leg_times, states, _commands(problem, states, steps))

@@ -17,6 +17,7 @@ from quadjax.limits.problem import Problem
 from quadjax.limits.simulation import positions, vectors, velocities
 from quadjax.limits.solve import BestKnown
 from quadjax.limits.trajectory import Trajectory
+from quadjax.race.recorded_starts import States
 
 LIMIT = "quadjax-limit/1"
 
@@ -40,6 +41,27 @@ def read_guess(problem: Problem, path: str) -> Trajectory:
         if not np.isfinite(found[name]).all() or (found["leg_times"] <= 0.0).any():
             raise InputError(f"{path}: {name} is not finite, or a leg's time is not above 0")
     return Trajectory(found["leg_times"], found["state"], found["command"])
+
+
+def read_starts(path: str) -> States:
+    """The states of the flight in an ``.npz`` file of ``arrays``, as starts of training.
+
+    One for each node of the mesh but the last, with the gate ahead as its target. Angles are within
+    -pi and pi.
+
+    Raises:
+        InputError: the file cannot be read, or it lacks an array.
+    """
+    names = ("position", "velocity", "euler", "rates", "actuators", "leg_times")
+    found, meta = read_npz(path, LIMIT, names)
+    if missing := [name for name in names if name not in found]:
+        raise InputError(f"{path}: {missing[0]} is missing; expected a file of quadjax limit --npz")
+    nodes, legs = len(found["position"]) - 1, len(found["leg_times"])
+    states = {name: found[name][:nodes] for name in names[:-1]}
+    states["euler"] = np.remainder(states["euler"] + np.pi, 2.0 * np.pi) - np.pi
+    gates = len(meta.get("track", ())) or legs
+    states["target"] = np.arange(nodes) * legs // nodes % gates
+    return States(states, "")
 
 
 def to_json(

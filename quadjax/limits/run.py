@@ -24,6 +24,7 @@ INTERVALS = 20  # of a leg, on the first mesh
 SPEEDS = (4.0, 8.0, 2.5, 6.0)  # m/s, of the splines that initial guesses start from
 RANDOM_SPREAD = 0.8  # fraction of the openings
 POLICY_LAPS = 4
+RECORDED = "position", "velocity", "euler", "rates", "actuators", "command"  # of a policy's flight
 FASTER = 1.2  # times the top speed of the best known flight: default of the bound's speed
 
 
@@ -105,8 +106,9 @@ def policy_laps(
     assert trace is not None
     time_step = float(params.limits.time_step)
     steps = round(float(result.seconds[0]) / time_step)
-    commands = np.asarray(trace.command, np.float64)[:steps, :, 0]
-    found = from_flight(problem, commands, time_step, choices.integrator, INTERVALS)
+    columns = (np.asarray(getattr(trace, x), np.float64)[:steps, :, 0] for x in RECORDED)
+    *motion, actuators, commands = columns
+    found = from_flight(problem, tuple(motion), actuators, commands, time_step, INTERVALS)
     if not found:
         raise InputError(f"{name}: no whole lap to compare ({result.crashes[0] or 'too few laps'})")
     return found

@@ -27,8 +27,11 @@ STAGES = (  # fraction of the mesh, smoothness in s, reserve of the commands
     (1, 1e-3, 0.005),
     (1, SMOOTHNESS, 0.0),
 )
+SCREENED = 0.7  # of the time: when less is left, no further guess is tried
+SAME_START = 1e-4  # relative difference of the first stages' times of the same flight
 MOST_ITERATIONS = 500
 MISSED = 0.05  # m, by which a flown path may miss before the margin is widened
+Stage = tuple[Trajectory, bool, str]  # the flight, whether the solver converged, its status
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,10 +117,18 @@ class Search:
         Raises:
             NotFoundError: no guess led to a verified flight.
         """
+        screened = []
         for name, guess in guesses:
             if self.over:
                 break
-            self._attempt(name, guess)
+            if name.startswith(POINT_MASS):
+                self.settings = Settings(margin=MARGIN)
+                screened.append((name, guess.intervals, self._stage(name, guess, STAGES[0], False)))
+                if self._left() < SCREENED * self.seconds:
+                    break
+            else:
+                self._attempt(name, guess)
+        self._attempt_screened(screened)
         if self.best is None:
             tried = "; ".join(f"{each.guess}: {each.status}" for each in self.attempts)
             raise NotFoundError(f"no flight was found ({tried or 'no time'})")
@@ -125,9 +136,22 @@ class Search:
         best = dataclasses.replace(self.best, attempts=tuple(self.attempts), seconds=seconds)
         return dataclasses.replace(best, notes=self._notes(best))
 
-    def _solve(
-        self, name: str, guess: Trajectory, share: float = 1.0, warm: bool = False
-    ) -> tuple[Trajectory, bool, str]:
+    def _attempt_screened(self, screened: list[tuple[str, int, Stage]]) -> None:
+        """Continue from the first stage of point masses' flights, the fastest first."""
+        tried: dict[str, float] = {}
+        screened.sort(key=lambda each: (not each[2][1], each[2][0].total))
+        for name, intervals, stage in screened:
+            total = stage[0].total
+            same = [x for x, other in tried.items() if abs(other - total) < SAME_START * total]
+            if self.over:
+                break
+            if same and stage[1]:
+                self.attempts.append(Attempt(name, None, f"leads to that of {same[0]}"))
+                continue
+            tried[name] = total
+            self._attempt(name, stage[0], intervals, stage)
+
+    def _solve(self, name: str, guess: Trajectory, share: float = 1.0, warm: bool = False) -> Stage:
         """Solve in at most a share of the time that is left."""
         best = "" if self.best is None else f", best {self.best.total:.4f} s"
         text = f"{name}, {guess.intervals} intervals a leg{best}"
@@ -146,39 +170,51 @@ class Search:
         )
         return solution.trajectory, solution.converged, solution.status
 
-    def _attempt(self, name: str, guess: Trajectory) -> None:
+    def _attempt(
+        self, name: str, guess: Trajectory, intervals: int = 0, stage: Stage | None = None
+    ) -> None:
         self.settings = Settings(margin=MARGIN)
         if self.best is None and not name.startswith(POINT_MASS):  # an earlier flight counts, too
             self._keep(name, guess, verify(self.problem, guess), np.inf)
-        first, converged, status = self._approach(name, guess)
+        first, converged, status = self._approach(name, guess, intervals or guess.intervals, stage)
         if converged and (self.best is None or first.total < self.best.total * (1.0 - 1e-5)):
             status = self._refine(name, first)
         elif not converged:
             self._keep(name, first, verify(self.problem, first), np.inf)
         self.attempts.append(Attempt(name, first.total if converged else None, status))
 
-    def _approach(self, name: str, guess: Trajectory) -> tuple[Trajectory, bool, str]:
+    def _approach(self, name: str, guess: Trajectory, intervals: int, stage: Stage | None) -> Stage:
         """Solve for smooth flights with a reserve of the commands first, then for the fastest.
 
-        If the last does not converge, the fastest that converged is the result.
+        If the last does not converge, the fastest that converged is the result. ``stage`` is the
+        first, if it is solved.
         """
-        intervals, found, warm = guess.intervals, None, False
-        status = "no time"
-        for divisor, smoothness, reserve in STAGES:
+        found, warm, status = None, False, "no time"
+        for index, settings in enumerate(STAGES):
             if self.over:
                 break
-            settings = self.settings
-            self.settings = dataclasses.replace(settings, smoothness=smoothness, reserve=reserve)
-            mesh = guess.resample(intervals // divisor)
-            guess, warm, status = self._solve(name, mesh, FIRST_SHARE, warm)
+            if index or stage is None:
+                stage = self._stage(name, guess.resample(intervals), settings, warm)
+            guess, warm, status = stage
             if warm:
                 found = guess
             elif found is not None:
-                self.settings = settings
                 break
         if found is None or found.intervals < intervals:
             return guess, False, status
         return found, True, status
+
+    def _stage(
+        self, name: str, guess: Trajectory, stage: tuple[int, float, float], warm: bool
+    ) -> Stage:
+        """One of ``STAGES``; its settings stay if it converges, or if none did before."""
+        before, (divisor, smoothness, reserve) = self.settings, stage
+        self.settings = dataclasses.replace(before, smoothness=smoothness, reserve=reserve)
+        mesh = guess.resample(guess.intervals // divisor)
+        solved = self._solve(name, mesh, FIRST_SHARE, warm)
+        if warm and not solved[1]:
+            self.settings = before
+        return solved
 
     def _refine(self, name: str, trajectory: Trajectory) -> str:
         """Refine the mesh until the time converges and the flight is verified."""
