@@ -28,3 +28,23 @@ def test_a_slower_leg_is_where_the_time_is_lost():
         result.lost_per_meter, [0.0, 0.3 / result.length[1], 0.0, 0.0], atol=1e-12
     )
     np.testing.assert_allclose(result.lost[[0, 50, 100, -1]], [0.0, 0.0, 0.3, 0.3], atol=1e-9)
+
+
+def test_laps_are_cut_from_a_recorded_flight():
+    from quadjax.limits.guess import from_flight
+    from quadjax.limits.point_mass import spline
+    from quadjax.limits.simulation import positions, velocities
+
+    choices, params = race_of(load_config("indi"))
+    problem = make_problem(choices.model, params)
+    _, place, velocity, _ = spline(problem, 50, 4.0, 0.0, np.random.default_rng(0))
+    motion = [np.tile(x[:-1], (3, 1)) for x in (place, velocity, 0.0 * place, 0.0 * place)]
+    motion[2][:, 2] = np.linspace(0.0, 9.0, 600) % (2.0 * np.pi)
+    actuators, commands = np.full((600, 1), 9.0), np.zeros((600, 4))
+    (lap, *_) = from_flight(problem, tuple(motion), actuators, commands, 0.01, 10)
+    assert lap.leg_times == pytest.approx(0.5 * np.ones(4), abs=0.011)
+    gates = positions(problem, lap.states[::10])
+    np.testing.assert_allclose(gates, problem.gates.position[[3, 0, 1, 2, 3]], atol=0.05)
+    assert np.linalg.norm(velocities(problem, lap.states), axis=1).min() > 1.0
+    np.testing.assert_allclose(lap.states[:, problem.actuator_leaves], 9.0)
+    assert np.abs(np.diff(lap.states[:, problem.angles], axis=0)).max() < 0.5

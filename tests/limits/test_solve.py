@@ -67,6 +67,28 @@ def test_ctrl_c_keeps_the_best_flight():
     assert best.attempts[0].status == "User_Requested_Stop"
 
 
+def test_of_several_guesses_the_fastest_after_the_first_stage_comes_first(monkeypatch):
+    from quadjax.limits import solve as module
+    from quadjax.limits.collocation import Solution
+    from quadjax.limits.trajectory import Trajectory
+    from quadjax.limits.verify import Check
+
+    rows, zeros = np.zeros((1, 9)), np.zeros(3)
+    check = Check("late", zeros, 0.0, 0.0, 0.0, 0.0, False, rows, rows, zeros)
+    monkeypatch.setattr(module, "verify", lambda *_: check)
+    monkeypatch.setattr(module, "solve", lambda p, d, guess, *_: Solution(guess, True, "", 0.0))
+    times = {"point mass 1": 2.0, "point mass 2": 1.0, "point mass 3": 1.00001}
+    guesses = [
+        (name, Trajectory(np.full(4, seconds), np.zeros((17, 9)), np.zeros((17, 4))))
+        for name, seconds in times.items()
+    ]
+    with pytest.raises(module.NotFoundError) as caught:
+        module.Search(_problem()).run(guesses)
+    tried = str(caught.value).split("(", 1)[1].split("; ")
+    assert [each[:12] for each in tried] == ["point mass 2", "point mass 3", "point mass 1"]
+    assert "leads to that of point mass 2" in tried[1]
+
+
 def test_a_search_that_finds_nothing_exits_with_1(monkeypatch, capsys):
     monkeypatch.setattr("quadjax.limits.solve.Search.over", True)
     assert run("limit", "indi", "--starts", "1") == 1
