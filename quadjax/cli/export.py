@@ -1,6 +1,6 @@
 """Convert a policy file to fixed-point C.
 
-DIR gets the network, the observation, the disturbance estimator and a Paparazzi module as C, with
+DIR gets the network, the observation, the estimators and a Paparazzi module as C, with
 self-tests, and a report of proofs and measurements. ``quadjax verify DIR`` builds and runs it.
 """
 
@@ -36,8 +36,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="training config of the policy's race (default: the policy file's own, or the "
         "config.yaml next to it)",
     )
-    parser.add_argument("--sample-rate", type=float, help="of the estimator, Hz (default: 512)")
-    parser.add_argument("--cutoff", type=float, help="of the estimator, Hz (default: 8)")
+    parser.add_argument("--sample-rate", type=float, help="of the estimators, Hz (default: 512)")
+    parser.add_argument("--cutoff", type=float, help="of the low-pass, Hz (default: 8)")
     parser.add_argument(
         "--allow-unfinished",
         action="store_true",
