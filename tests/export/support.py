@@ -1,5 +1,6 @@
 """Made-up policies, and what the tests of the export package share."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from quadjax.export.emit import Provenance, emit_network
 from quadjax.export.fixed import FixedNetwork, convert
 from quadjax.policy.file import Policy
 from quadjax.policy.release1 import layout_of_release_1
+from quadjax.race.layout import ESTIMATED, highest_command
 from quadjax.vehicle.residual import Residual
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
@@ -51,6 +53,16 @@ def made_policy(
         layout=layout_of_release_1("made up", {"vehicle": vehicle, "observation": seen}, low, high),
         source={"made": "up"},
     )
+
+
+def with_highest_rpm(policy: Policy) -> Policy:
+    """The policy, observing also the highest propeller speed."""
+    top = float(policy.command_high[0])
+    field = dataclasses.replace(highest_command(ESTIMATED), span=((0.75 * top, top),))
+    layout = dataclasses.replace(policy.layout, fields=(*policy.layout.fields, field))
+    (kernel, bias), *others = policy.layers
+    more = np.concatenate([kernel, -2.0 * kernel[:1]])
+    return dataclasses.replace(policy, layout=layout, layers=((more, bias), *others))
 
 
 def made_residual(rng: np.random.Generator, gain: float = 1.0) -> Residual:

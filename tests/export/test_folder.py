@@ -29,7 +29,7 @@ from quadjax.export.verify.result import FAILED, PASSED, SKIPPED, run_check
 from quadjax.export.verify.toolchain import WARNINGS
 from quadjax.policy.file import Policy
 from quadjax.vehicle.residual_file import write_residual
-from tests.export.support import WIDE, made_policy, made_residual, need
+from tests.export.support import WIDE, made_policy, made_residual, need, with_highest_rpm
 
 STUBS = Path(__file__).parent / "paparazzi_stubs"
 COUNT = 2000
@@ -52,11 +52,14 @@ def export(folder, vehicle="motor"):
     """A made-up policy exported; it does not finish its race, and its ranges are wide.
 
     The motor-level one was trained in another race than the one of the export, which has a
-    residual, a track of its own, the authors' gate test and a vehicle without some effects.
+    residual, a track of its own, the authors' gate test and a vehicle without some effects. It
+    observes the highest propeller speed of a battery.
     """
     policy, out = folder / "policy.npz", folder / "c"
-    trained = tree_of(load_config("e2e" if vehicle == "motor" else "indi"))
-    dataclasses.replace(made_policy(24, vehicle, gain=0.5), config=trained).save(policy)
+    preset, battery = ("e2e", ["battery.charge=[0.1, 1]"]) if vehicle == "motor" else ("indi", [])
+    own = made_policy(24, vehicle, gain=0.5)
+    own = with_highest_rpm(own) if vehicle == "motor" else own
+    dataclasses.replace(own, config=tree_of(load_config(preset, battery))).save(policy)
     if vehicle == "rate":
         ranges = WIDE | {"rates": 8.0, "velocity": 32.0}
         export_c(policy, out, ranges=ranges, name="made", allow_unfinished=True)
@@ -65,7 +68,8 @@ def export(folder, vehicle="motor"):
     config, track = folder / "config.yaml", folder / "triangle.yaml"
     track.write_text(TRACK)
     config.write_text(
-        f"base: {CONFIGS / 'e2e.yaml'}\nrules: {{gate_test: world_box}}\nvehicle:\n"
+        f"base: {CONFIGS / 'e2e.yaml'}\nrules: {{gate_test: world_box}}\n"
+        "battery: {charge: [0.1, 1]}\nvehicle:\n"
         f"  residual: {folder / 'made_up.npz'}\n  constants: {{k_h: 0.0, k_r2: 0.0}}\n"
     )
     allowed = {"allow_unfinished": True, "allow_other_race": True}
@@ -95,6 +99,7 @@ FAST = (
     "observation",
     "gate logic",
     "estimator",
+    "highest rpm",
     "closed loop",
 )
 
@@ -288,7 +293,7 @@ def test_the_paparazzi_module_flies(exported, tmp_path):
     mismatches, fails, before, flies, motors, sent, command = module_run(exported, tmp_path, False)
     assert (mismatches, fails, before, flies, motors) == ("0", "0", "0", "1", "1")
     motor = (exported / "made_estimator.c").exists()
-    assert int(sent) == (14 if motor else 13)
+    assert int(sent) == (16 if motor else 13)
     if motor:
         assert 3000 <= float(command) <= 11000
     else:
