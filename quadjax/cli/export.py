@@ -1,7 +1,7 @@
 """Convert a policy file to fixed-point C.
 
-DIR gets the network, the observation, the estimators and a Paparazzi module as C, with
-self-tests, and a report of proofs and measurements. ``quadjax verify DIR`` builds and runs it.
+DIR gets the network, the observation, the estimators and a Paparazzi module as C, with self-tests,
+and a report of proofs and measurements. ``quadjax verify DIR`` builds and runs it.
 """
 
 import argparse
@@ -37,7 +37,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "config.yaml next to it)",
     )
     parser.add_argument("--sample-rate", type=float, help="of the estimators, Hz (default: 512)")
-    parser.add_argument("--cutoff", type=float, help="of the low-pass, Hz (default: 8)")
+    parser.add_argument(
+        "--cutoff", type=float, help="of the disturbance estimator's low-pass, Hz (default: 8)"
+    )
     parser.add_argument(
         "--allow-unfinished",
         action="store_true",

@@ -83,8 +83,8 @@ def export_c(
             ``{"position": 16.0}``.
         name: prefix of every C symbol; the policy file's name by default.
         track: a track file that replaces the config's.
-        sample_rate: of the disturbance estimator on board, Hz; 512 by default.
-        cutoff: of the estimator's low-pass, Hz; 8 by default.
+        sample_rate: of the estimators on board, Hz; 512 by default.
+        cutoff: of the disturbance estimator's low-pass, Hz; 8 by default.
         allow_unfinished: export a policy although it does not finish its own race.
         allow_other_race: export for a race that differs from the one in the policy file.
         target: processor and autopilot, a name of ``targets.TARGETS``.
@@ -95,10 +95,9 @@ def export_c(
 
     Raises:
         InputError: no such target; a sample rate or cut-off out of range, or one for a vehicle
-            without an estimator; a policy that cannot be
-            converted, that leaves its declared ranges, or of which less than 90% of the simulated
-            flights finish; a race that differs from that of the policy file; a folder that cannot
-            be written.
+            without an estimator; a policy that cannot be converted, that leaves its declared
+            ranges, or of which less than 90% of the simulated flights finish; a race that differs
+            from that of the policy file; a folder that cannot be written.
     """
     rates = (
         SAMPLE_RATE if sample_rate is None else sample_rate,

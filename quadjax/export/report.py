@@ -8,7 +8,7 @@ import numpy as np
 
 from quadjax.core import mlp
 from quadjax.export import emulator
-from quadjax.export.battery_tables import update_error
+from quadjax.export.battery_tables import BatteryTables, update_error
 from quadjax.export.conversion import Converted
 from quadjax.export.fixed import FORMAT_VERSION, FixedNetwork
 from quadjax.export.integers import WORD, enable_x64
@@ -77,19 +77,23 @@ def make_report(converted: Converted, file: str) -> Json:
             "residual_sha256": converted.residual_hash,
             "channel_ranges": [2.0**e for e in tables.channel_exponents],
         },
-        "battery": (battery := converted.battery)
-        and {
-            "lowest_rpm": battery.lowest * battery.unit,
-            "highest_rpm": battery.highest * battery.unit,
-            "first_rpm": battery.first * battery.unit,
-            "update_error_rpm": update_error(battery),
-        },
+        "battery": _battery(converted.battery),
         "flights": {
             "runs": len(laps.crashes),
             "finished": laps.finished,
             "laps": laps.lap_times.shape[1],
             "observations": rollouts.steps,
         },
+    }
+
+
+def _battery(tables: BatteryTables | None) -> Json | None:
+    """Range and error of the estimate of the highest propeller speed."""
+    return tables and {
+        "lowest_rpm": tables.lowest * tables.unit,
+        "highest_rpm": tables.highest * tables.unit,
+        "first_rpm": tables.first * tables.unit,
+        "update_error_rpm": update_error(tables),
     }
 
 

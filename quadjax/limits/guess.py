@@ -37,7 +37,7 @@ def from_flight(
 
     Returns:
         For a periodic problem one guess for each whole lap but the first, the fastest first; for a
-        start from hover one guess. None if the flight passed too few gates.
+        start from hover one guess. Empty if the flight passed too few gates.
     """
     position, velocity, euler, rates = motion
     repeated = np.arange(50 * len(problem.order)) % problem.gate_count

@@ -11,6 +11,8 @@ import numpy as np
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.limits.problem import Problem, leaves
 
+Pair = tuple[jax.Array, jax.Array]
+
 
 def make_step(
     problem: Problem, time_step: float, integrator: str = "rk4"
@@ -42,9 +44,9 @@ def _vector(tree: Any) -> jax.Array:
 def _rk4_step(
     derivative: Callable[[jax.Array], jax.Array], state: jax.Array, dt: float
 ) -> jax.Array:
-    """``rk4_step`` as a loop over its stages: a quarter of the program, which compiles faster."""
+    """``quadjax.core.integrators.rk4_step`` as a loop over its stages, which compiles faster."""
 
-    def stage(carry: tuple, row: tuple) -> tuple[tuple, None]:
+    def stage(carry: Pair, row: Pair) -> tuple[Pair, None]:
         (slope, total), (offset, weight) = carry, row
         slope = derivative(state + dt * offset * slope)
         return (slope, total + weight * slope), None

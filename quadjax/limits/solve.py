@@ -4,6 +4,7 @@ import dataclasses
 import threading
 import time
 from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,11 +28,18 @@ STAGES = (  # fraction of the mesh, smoothness in s, reserve of the commands
     (1, 1e-3, 0.005),
     (1, SMOOTHNESS, 0.0),
 )
-SCREENED = 0.7  # of the time: when less is left, no further guess is tried
+SCREENED = 0.7  # of the time: when less is left, no further guess has a first stage
 SAME_START = 1e-4  # relative difference of the first stages' times of the same flight
 MOST_ITERATIONS = 500
 MISSED = 0.05  # m, by which a flown path may miss before the margin is widened
-Stage = tuple[Trajectory, bool, str]  # the flight, whether the solver converged, its status
+
+
+class Solved(NamedTuple):
+    """What the solver returns."""
+
+    flight: Trajectory
+    converged: bool
+    status: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,22 +144,24 @@ class Search:
         best = dataclasses.replace(self.best, attempts=tuple(self.attempts), seconds=seconds)
         return dataclasses.replace(best, notes=self._notes(best))
 
-    def _attempt_screened(self, screened: list[tuple[str, int, Stage]]) -> None:
+    def _attempt_screened(self, screened: list[tuple[str, int, Solved]]) -> None:
         """Continue from the first stage of point masses' flights, the fastest first."""
         tried: dict[str, float] = {}
-        screened.sort(key=lambda each: (not each[2][1], each[2][0].total))
-        for name, intervals, stage in screened:
-            total = stage[0].total
+        screened.sort(key=lambda each: (not each[2].converged, each[2].flight.total))
+        for name, intervals, first in screened:
+            total = first.flight.total
             same = [x for x, other in tried.items() if abs(other - total) < SAME_START * total]
             if self.over:
                 break
-            if same and stage[1]:
+            if same and first.converged:
                 self.attempts.append(Attempt(name, None, f"leads to that of {same[0]}"))
                 continue
             tried[name] = total
-            self._attempt(name, stage[0], intervals, stage)
+            self._attempt(name, first.flight, intervals, first)
 
-    def _solve(self, name: str, guess: Trajectory, share: float = 1.0, warm: bool = False) -> Stage:
+    def _solve(
+        self, name: str, guess: Trajectory, share: float = 1.0, warm: bool = False
+    ) -> Solved:
         """Solve in at most a share of the time that is left."""
         best = "" if self.best is None else f", best {self.best.total:.4f} s"
         text = f"{name}, {guess.intervals} intervals a leg{best}"
@@ -168,10 +178,10 @@ class Search:
                 lambda value: self.report(f"{text}: {value:.4f} s"),
             ),
         )
-        return solution.trajectory, solution.converged, solution.status
+        return Solved(solution.trajectory, solution.converged, solution.status)
 
     def _attempt(
-        self, name: str, guess: Trajectory, intervals: int = 0, stage: Stage | None = None
+        self, name: str, guess: Trajectory, intervals: int = 0, stage: Solved | None = None
     ) -> None:
         self.settings = Settings(margin=MARGIN)
         if self.best is None and not name.startswith(POINT_MASS):  # an earlier flight counts, too
@@ -183,11 +193,13 @@ class Search:
             self._keep(name, first, verify(self.problem, first), np.inf)
         self.attempts.append(Attempt(name, first.total if converged else None, status))
 
-    def _approach(self, name: str, guess: Trajectory, intervals: int, stage: Stage | None) -> Stage:
+    def _approach(
+        self, name: str, guess: Trajectory, intervals: int, stage: Solved | None
+    ) -> Solved:
         """Solve for smooth flights with a reserve of the commands first, then for the fastest.
 
         If the last does not converge, the fastest that converged is the result. ``stage`` is the
-        first, if it is solved.
+        result of the first, if that is solved already.
         """
         found, warm, status = None, False, "no time"
         for index, settings in enumerate(STAGES):
@@ -201,18 +213,18 @@ class Search:
             elif found is not None:
                 break
         if found is None or found.intervals < intervals:
-            return guess, False, status
-        return found, True, status
+            return Solved(guess, False, status)
+        return Solved(found, True, status)
 
     def _stage(
         self, name: str, guess: Trajectory, stage: tuple[int, float, float], warm: bool
-    ) -> Stage:
+    ) -> Solved:
         """One of ``STAGES``; its settings stay if it converges, or if none did before."""
         before, (divisor, smoothness, reserve) = self.settings, stage
         self.settings = dataclasses.replace(before, smoothness=smoothness, reserve=reserve)
         mesh = guess.resample(guess.intervals // divisor)
         solved = self._solve(name, mesh, FIRST_SHARE, warm)
-        if warm and not solved[1]:
+        if warm and not solved.converged:
             self.settings = before
         return solved
 

@@ -67,7 +67,7 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
     """Write the C around an exported folder.
 
     The disturbance estimator of the export runs if it was exported for the rate of the messages.
-    That of the highest propeller speed must have been.
+    The estimator of the highest propeller speed must have been exported for that rate.
 
     Args:
         folder: of ``quadjax export``.
@@ -90,11 +90,7 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
     names += [f"{name}_estimator.c"] if own else []
     battery = HIGHEST_RPM in fields
     if battery and not same_rate:
-        raise InputError(
-            f"the policy observes {HIGHEST_RPM}, whose estimator was exported for "
-            f"{inputs.options.sample_rate:g} Hz; the drone's control steps are at {rate:g} Hz: "
-            f"export it with --sample-rate {rate:g}"
-        )
+        raise InputError(_other_rate(inputs.options.sample_rate, rate))
     names += [f"{name}_battery.c"] if battery else []
     for file in names:
         check_file(folder / file)
@@ -118,6 +114,13 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
     (work / "message.h").write_text(header_text(functions=True))
     include = folder / FOLDER if indiflight else folder
     return Sources(tuple(folder / file for file in names), include, own)
+
+
+def _other_rate(exported: float, rate: float) -> str:
+    return (
+        f"the policy observes {HIGHEST_RPM}, whose estimator was exported for {exported:g} Hz; the "
+        f"drone's control steps are at {rate:g} Hz: export it with --sample-rate {rate:g}"
+    )
 
 
 def header_text(functions: bool = False) -> str:

@@ -180,7 +180,7 @@ def _check(name: str, network: FixedNetwork, race: RaceTables) -> None:
     long = [(text, size) for text, size in texts.items() if len(text) >= size]
     if long:
         text, size = long[0]
-        raise InputError(f"{text}: a .qjp file has such names of up to {size - 1} letters")
+        raise InputError(f"name {text}: allowed in a .qjp file: up to {size - 1} letters")
     shifts = [r.shift for part in race.inputs for r in part.rescales if r is not None]
     if network.outputs != OUTPUTS or not all(1 <= shift <= LARGEST_SHIFT for shift in shifts):
         raise InputError(
