@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 
 from quadjax.cli import STARTED
-from quadjax.cli.arguments import Parser, check_writable, count, parse
+from quadjax.cli.arguments import Parser, check_writable, count, parse, whole
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
@@ -71,7 +71,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar="SECONDS",
         help="only train e2e_paper for SECONDS by quadjax and by Stable-Baselines3, side by side",
     )
-    parser.add_argument("--steps", type=count, help="with --sb3: end each after so many steps")
+    parser.add_argument(
+        "--steps", type=whole(1, 10**12), help="with --sb3: end each after so many steps"
+    )
     parser.add_argument("--figure", metavar="FILE", help="with --sb3: draw both learning curves")
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
     parser.add_argument("--job", help=argparse.SUPPRESS)

@@ -488,19 +488,6 @@ class Randomization(Section):
         return {name: self.width * part for name, part in (found | self.constants).items()}
 
 
-class Tries(Section):
-    """Short trainings at the start of a run, of which the best goes on."""
-
-    number: int = Field(3, ge=2, le=64, description="of tries, each with its own random numbers")
-    part: float = Field(
-        0.2,
-        gt=0,
-        lt=1,
-        description="length of a try, as a fraction of run.steps; the tries that do not go on are "
-        "in addition to run.steps",
-    )
-
-
 class Run(Section):
     """The training run."""
 
@@ -528,11 +515,6 @@ class Run(Section):
     )
     start_states_part: float = Field(
         0.5, ge=0, le=1, description="part of the episodes that start in run.start_states"
-    )
-    tries: Tries | None = Field(
-        None,
-        description="trainings at the start, of which the one with the highest reward goes on; "
-        "null: one",
     )
     evaluate_every: int = Field(
         500_000, ge=1, le=10**12, description="environment steps between evaluations (one chunk)"

@@ -130,16 +130,10 @@ def plan(config: Config, steps_per_update: int) -> tuple[int, int]:
 
 
 def start_state(
-    config: Config,
-    learner: Learner,
-    params: RaceParams,
-    initial: Policy | None = None,
-    index: int = 0,
+    config: Config, learner: Learner, params: RaceParams, initial: Policy | None = None
 ) -> TrainState:
-    """The first state of a run's try ``index``, with the policy ``initial`` if there is one."""
-    key = jax.random.key(config.seed)
-    key = jax.random.fold_in(key, index) if index else key
-    state = jax.jit(learner.init)(learner.hyper, params, key)
+    """A run's first state, with the policy ``initial`` if there is one."""
+    state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(config.seed))
     if initial is None:
         return state
     scales = reward_scale(config), input_scale(config)

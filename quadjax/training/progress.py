@@ -80,9 +80,9 @@ class TrainingProgress:
         if self._live:
             self._bar.stop()
 
-    def show(self, row: Row, part: str = "") -> None:
-        """Show one row of metrics, with the name of the part of the run that it is of."""
-        status = f"{part}  {describe(row)}" if part else describe(row)
+    def show(self, row: Row) -> None:
+        """Show one row of metrics."""
+        status = describe(row)
         if self._live:
             self._bar.update(self._task, completed=row["steps"], status=status)
             return

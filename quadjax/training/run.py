@@ -48,7 +48,6 @@ from quadjax.training.own_functions import check_functions, check_learner
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, read_summary, write_summary
 from quadjax.training.score import Score
-from quadjax.training.tries import best_try, fresh
 
 PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
 POLL = 0.2  # s
@@ -178,11 +177,6 @@ class _Callbacks:
     stop: threading.Event
     enough: Callable[[Row], bool] | None
 
-    def show(self, name: str, row: Row) -> None:
-        """Show the progress of a part of the run that may not go on."""
-        if hosts.is_first() and self.shown is not None:
-            self.shown.show(timed(row), name)
-
     def hooks(self, score: Score, metrics: MetricsFile, checkpoints: Checkpoints) -> Hooks:
         """The functions that the training loop calls between chunks."""
         ended: list[Row] = []
@@ -240,30 +234,25 @@ def _run(job: _Job, folder: Path, resume: bool, started: float, callbacks: _Call
     config, params = job.config, job.params
     checkpoints = Checkpoints(folder / "checkpoints")
     score = Score(config, params)
-
-    def begin(index: int = 0) -> TrainState:
-        first = start_state(config, job.learner, params, job.initial, index)
-        return parallel.place(first, job.mesh)
-
+    begin = functools.partial(start_state, config, job.learner, params, job.initial)
     chunk, first = _compile(job, score, begin, callbacks.stop)
-    position = fresh(first)
+    position = Position(state=first, best=jax.device_get(first.evaluated))
     if resume and checkpoints.any:
         position = checkpoints.restore(position)
         position.state = parallel.place(position.state, job.mesh)
         started = time.monotonic() - position.seconds
     done = position.chunks * job.steps_per_chunk
     metrics = MetricsFile(folder, done, config.run.tensorboard)
-    hooks = callbacks.hooks(score, metrics, checkpoints)
-
-    def train_to(chunks: int, position: Position, hooks: Hooks) -> Position:
-        pause = config.run.checkpoint_seconds
-        return run(chunk, params, position, hooks, chunks, job.steps_per_chunk, pause, started)
-
-    tries = config.run.tries
-    if tries is not None and position.chunks == 0:
-        short = functools.partial(train_to, max(1, round(tries.part * job.chunks)))
-        position = best_try(begin, short, hooks, tries.number, callbacks.show)
-    position = train_to(job.chunks, position, hooks)
+    position = run(
+        chunk,
+        params,
+        position,
+        callbacks.hooks(score, metrics, checkpoints),
+        job.chunks,
+        job.steps_per_chunk,
+        config.run.checkpoint_seconds,
+        started,
+    )
     checkpoints.close()
     metrics.close()
     return position
@@ -282,7 +271,7 @@ def _compile(
     learner, params, mesh = job.learner, job.params, job.mesh
     pool = ThreadPoolExecutor(3)
     try:
-        first = pool.submit(begin)
+        first = pool.submit(lambda: parallel.place(begin(), mesh))
         warm_up = pool.submit(lambda: score(first.result().evaluated))
         abstract = parallel.abstract(job.shapes, mesh)
         chunk = pool.submit(parallel.compile_chunk, learner, mesh, job.updates, params, abstract)
