@@ -38,6 +38,8 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "compare": "compare E2E with INDI, in simulation and on the plant",
     "report": "write the tables and figures of flights",
     "adaptation": "evaluate a policy on drones that differ from their model",
+    "probe": "measure what a policy's layers tell about the drone",
+    "drones": "write vehicle files of drawn drones",
     "simulate-logs": "write flight logs of a known model",
     "recovery": "compare a fit with that known model",
     "plant-logs": "write flight logs of the stand-in plant",

@@ -24,9 +24,16 @@ def apply(layers: Layers, inputs: jax.Array, activation: str = "relu") -> jax.Ar
     Returns:
         (..., outputs) of the last layer.
     """
+    return _affine(*layers[-1], [inputs, *hidden(layers, inputs, activation)][-1])
+
+
+def hidden(layers: Layers, inputs: jax.Array, activation: str = "relu") -> list[jax.Array]:
+    """The activations (..., outputs) of each hidden layer; arguments as of ``apply``."""
+    found: list[jax.Array] = []
     for kernel, bias in layers[:-1]:
         inputs = ACTIVATIONS[activation](_affine(kernel, bias, inputs))
-    return _affine(*layers[-1], inputs)
+        found.append(inputs)
+    return found
 
 
 def _affine(kernel: jax.Array, bias: jax.Array, inputs: jax.Array) -> jax.Array:

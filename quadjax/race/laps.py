@@ -158,7 +158,7 @@ def fly_race(
     last: int | None = None,
 ) -> tuple[LapState, Trace | None]:
     """Fly from given states for at most ``steps`` steps; see ``fly_laps``."""
-    one = _stepper(choices, actor, params, policy, last)
+    one = stepper(choices, actor, params, policy, last)
 
     def record(carry: Carry, _: None) -> tuple[Carry, Trace]:
         following, action = one(carry)
@@ -180,8 +180,8 @@ def fly_race(
     return race, None
 
 
-def _stepper(
-    choices: Choices, actor: Actor, params: RaceParams, policy: object, last: int | None
+def stepper(
+    choices: Choices, actor: Actor, params: RaceParams, policy: object, last: int | None = None
 ) -> Callable[[Carry], tuple[Carry, jax.Array]]:
     """One step of all drones: to the race after it, and the actions (runs, actions)."""
     observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))

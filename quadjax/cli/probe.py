@@ -1,0 +1,73 @@
+"""Measure what the inputs and hidden layers of policies tell about the drones that they fly.
+
+Flies the mean action on drones drawn from the config's randomization. A linear regression from one
+observation, or from one hidden layer, to the thrust-to-weight ratio and other quantities of the
+drone is fitted to half of the drones. The table has its R^2 on the other half.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadjax.cli.arguments import Parser, add_config, check_outputs, parse, seed, whole
+from quadjax.core.interruptions import loading
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = Parser("probe", description=__doc__)
+    add_config(parser)
+    parser.add_argument(
+        "--policy",
+        action="append",
+        required=True,
+        metavar="FILE.npz",
+        help="policy file; may be given several times",
+    )
+    parser.add_argument("--drones", type=whole(40, 10_000), default=500, help="number (500)")
+    parser.add_argument("--seconds", type=whole(2, 60), default=8, help="of a flight (8)")
+    parser.add_argument("--seed", type=seed, default=0, help="of the drones (0)")
+    parser.add_argument("--json", metavar="FILE.json", help="write the numbers")
+    parser.add_argument("--figure", metavar="FILE.png", help="draw R^2 and predictions")
+    arguments = parse(parser, argv)
+    check_outputs(arguments, json=(), figure=(".png", ".svg", ".pdf"))
+    return arguments
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fly, fit, print the table and write the numbers and the figure."""
+    options = _arguments(arguments)
+    with loading():
+        from rich.console import Console
+
+        from quadjax.config.loading import load_config
+        from quadjax.core.files import write_json
+        from quadjax.core.plotting import save_figure
+        from quadjax.core.provenance import file_record, provenance
+        from quadjax.policy.file import Policy
+        from quadjax.studies.probe import probe, probe_figure, probe_table
+
+    config = load_config(options.config, options.overrides)
+    policies = {_label(file): (file, Policy.load(file, config)) for file in options.policy}
+    how, probes = (options.drones, options.seconds, options.seed), []
+    with Console(stderr=True).status("compiling and simulating") as status:
+        for label, (_, policy) in policies.items():
+            status.update(f"{label}: compiling and simulating")
+            probes.append(probe(policy, config, *how, label))
+    print(probe_table(probes))
+    print(f"R^2 of {probes[0].held_out} drones; fitted to {probes[0].fitted}")
+    if options.json:
+        found = [each.to_json() | file_record(policies[each.label][0]) for each in probes]
+        origin = provenance(config, seed=options.seed)
+        how_flown = {"drones": options.drones, "seconds": options.seconds}
+        write_json(options.json, {"probes": found, **how_flown, "provenance": origin})
+    if options.figure:
+        save_figure(probe_figure(probes), Path(options.figure))
+    for file in (options.json, options.figure):
+        if file:
+            print(f"wrote {file}")
+
+
+def _label(file: str) -> str:
+    """The name of a policy: that of its file, or of its run's folder."""
+    path = Path(file)
+    return path.parent.name if path.stem == "policy" and path.parent.name else path.stem

@@ -1,0 +1,125 @@
+"""Drones drawn from the randomization of a config: their constants, as numbers and as files."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from quadjax.config.race import race_of
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.files import write_text
+from quadjax.core.yaml_files import to_yaml
+from quadjax.race.laps import starting_states
+from quadjax.vehicle.protocol import Constants, VehicleModel
+
+AXES = ("roll", "pitch", "yaw")
+
+
+def check_drawn(config: Config) -> None:
+    """Refuse a config that draws no constants.
+
+    Raises:
+        InputError: it does not.
+    """
+    if not config.randomization.drawn:
+        raise InputError(
+            "randomization draws no constants, allowed: a fraction (randomization.all=0.2) or a "
+            "population"
+        )
+
+
+def draw_drones(config: Config, count: int, seed: int) -> Constants:
+    """Constants of drawn drones, each (count,).
+
+    Args:
+        config: of the race, with a randomization.
+        count: number of drones.
+        seed: of the constants.
+
+    Raises:
+        InputError: the config draws no constants.
+    """
+    check_drawn(config)
+    choices, params = race_of(config.replace(schedules={}))
+    states = starting_states(choices, params, jax.random.key(seed), count, True)
+    assert states.constants is not None
+    return reachable(choices.model, params.vehicle.constants, states.constants)
+
+
+def reachable(model: VehicleModel, nominal: Constants, drawn: Constants) -> Constants:
+    """Drawn constants (n,) of which those that limit the commands are within the nominal range.
+
+    A policy commands the nominal range. Where a drawn limit is wider, the drone never reaches it.
+    """
+    found = {}
+    for name in model.constant_names:
+        value, own = getattr(drawn, name), getattr(nominal, name)
+        more = model.command_range(nominal.replace(**{name: 1.01 * own}))
+        ends = zip(more, model.command_range(nominal), strict=True)
+        low, high = (_differ(*pair) for pair in ends)
+        if low or high:
+            found[name] = np.maximum(value, own) if low else np.minimum(value, own)
+    return drawn.replace(**found)
+
+
+def _differ(one: object, other: object) -> bool:
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    return any(not np.array_equal(a, b) for a, b in pairs)
+
+
+def quantities(model: VehicleModel, constants: Constants) -> dict[str, np.ndarray]:
+    """What the drones can do, (n,) each, of those that differ.
+
+    The thrust-to-weight ratio, the largest angular accelerations, the highest rotor speeds or
+    commands of ``VehicleModel.ranges``, and the time constants.
+
+    Args:
+        model: of the vehicle.
+        constants: each (n,).
+    """
+    values = {
+        name: np.asarray(getattr(constants, name), np.float64) for name in model.constant_names
+    }
+    found: dict[str, np.ndarray] = {}
+    if model.thrust_to_weight is not None:
+        found["thrust to weight"] = np.asarray(model.thrust_to_weight(values))
+    if model.angular_acceleration is not None:
+        turns = model.angular_acceleration(values)
+        found |= {
+            f"{axis} acceleration": np.asarray(x) for axis, x in zip(AXES, turns, strict=True)
+        }
+    found |= {name: values[name] for _, name in model.ranges}
+    found |= {name: values[name] for name in model.lags}
+    return {name: x for name, x in found.items() if x.ndim and np.ptp(x) > 0.0}
+
+
+def write_drones(config: Config, count: int, seed: int, folder: Path) -> Sequence[Path]:
+    """Write the vehicle file of each drawn drone.
+
+    Args:
+        config: of the race, with a randomization.
+        count: number of drones.
+        seed: of the constants.
+        folder: of the files ``drone_SEED_INDEX.yaml``.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: the config draws no constants, or a file cannot be written.
+    """
+    drawn, vehicle = draw_drones(config, count, seed), config.vehicle
+    paths = []
+    for index in range(count):
+        name = f"drone_{seed}_{index}"
+        own = {
+            key: float(f"{float(np.asarray(getattr(drawn, key))[index]):.7g}")
+            for key in vehicle.constants
+        }
+        tree = {"name": name, "width": vehicle.width, "model": vehicle.model, vehicle.model: own}
+        paths.append(folder / f"{name}.yaml")
+        comment = f"# Drone {index} of {config.name} with {vehicle.name}, drawn with seed {seed}."
+        write_text(paths[-1], f"{comment}\n{to_yaml(tree)}")
+    return paths
