@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from quadjax.config.schema import Config
     from quadjax.evaluation.evaluation import Evaluation
     from quadjax.policy.file import Policy
+    from quadjax.studies.race_flights import RaceFlights
+    from quadjax.studies.robustness import Flights
 
 PICTURES = (".png", ".svg", ".pdf")
 FIGURES = {  # methods of an evaluation by the options that write their figures
@@ -38,10 +40,10 @@ FIGURES = {  # methods of an evaluation by the options that write their figures
     "attitude": "plot_attitude",
 }
 NOT_STUDIES = (  # options that have no effect on the flights of --robustness and --random-tracks
-    *("gates", "start", "deterministic", "fixed_point", "offsets", "states", "figure"),
+    *("start", "deterministic", "fixed_point", "offsets", "states", "figure"),
     *("figure_3d", "signals", "attitude", "animation", "body"),
 )
-NOT_RANDOM_TRACKS = ("robustness", "runs", "seed")
+NOT_RANDOM_TRACKS = ("robustness", "runs", "seed", "gates")
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -69,6 +71,12 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="print crashes and median lap of 1000 flights of 12 s (or --runs, --seconds) from "
         "1 m before a gate, with all constants drawn from ±0, 10, 20 and 30%%",
     )
+    parser.add_argument(
+        "--from-start",
+        action="store_true",
+        help="with --robustness: whole races (--laps or --gates) from around the track's start, "
+        "with their times and highest speed, also for the populations of the vehicle model",
+    )
     parser.add_argument("--seconds", type=count, help="with --robustness: of a flight")
     parser.add_argument(
         "--random-tracks",
@@ -90,6 +98,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parse(parser, argv)
     if arguments.seconds and not arguments.robustness:
         raise InputError("--seconds is allowed only with --robustness")
+    if arguments.from_start and not arguments.robustness:
+        raise InputError("--from-start is allowed only with --robustness")
     for option in ("robustness", "random_tracks"):
         if getattr(arguments, option):
             _refuse_others(arguments, option)
@@ -102,7 +112,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def _refuse_others(arguments: argparse.Namespace, option: str) -> None:
     """Refuse options that have no effect with --robustness or --random-tracks."""
-    unused = NOT_STUDIES + (NOT_RANDOM_TRACKS if option == "random_tracks" else ("laps",))
+    unused = NOT_STUDIES + (NOT_RANDOM_TRACKS if option == "random_tracks" else ("laps", "gates"))
+    if arguments.from_start:
+        unused, option = (*NOT_STUDIES, "seconds"), "from_start"
     for name in unused:
         if getattr(arguments, name) not in (None, False, "hover"):
             given, other = (each.replace("_", "-") for each in (name, option))
@@ -139,16 +151,24 @@ def _robustness(
     """Fly with randomized constants, print the table and write the numbers."""
     from quadjax.core.files import write_json
     from quadjax.core.provenance import provenance
+    from quadjax.studies.race_flights import fly_races, race_table
     from quadjax.studies.robustness import fly_spreads, spread_table
 
-    runs, seconds = options.runs or 1000, options.seconds or 12
+    runs, seed, name = options.runs or 1000, options.seed, options.policy
+    result: dict[str, object] = {}
+    found: Sequence[Flights | RaceFlights]
     with console.status("compiling and simulating"):
-        found = fly_spreads(policy, config, runs, seconds, options.seed, options.policy)
-    print(spread_table(found, Path(options.policy).stem))
+        if options.from_start:
+            found = fly_races(policy, config, runs, options.laps, options.gates, seed, name)
+            text = race_table(found)
+        else:
+            result["seconds"] = options.seconds or 12
+            found = fly_spreads(policy, config, runs, options.seconds or 12, seed, name)
+            text = spread_table(found, Path(name).stem)
+    print(text)
     if options.json:
-        flights = [each.to_json() for each in found]
-        origin = provenance(config, options.policy, options.seed)
-        write_json(options.json, {"flights": flights, "seconds": seconds, "provenance": origin})
+        result |= {"flights": [each.to_json() for each in found]}
+        write_json(options.json, result | {"provenance": provenance(config, name, seed)})
         console.print(f"wrote {options.json}", highlight=False)
     return 0
 

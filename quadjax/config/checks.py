@@ -238,6 +238,8 @@ def _check_start(config: Config) -> None:
     start, training, gates = config.start, config.training_limits, config.track.gates
     limit, rates = config.rules.position_limit, min(config.rules.largest_body_rates)
     pitch = training.largest_pitch_deg(vehicle_model(config.vehicle.model))
+    most = config.rules.speed_limit  # of a velocity with three components
+    slowest = None if most is None else most / math.sqrt(3)
     places = range(len(gates)) if start.gate == "random" else [len(gates) - 1]
     for index in places:
         x, y, z = gates[index].position
@@ -254,6 +256,7 @@ def _check_start(config: Config) -> None:
         ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.roll_deg", training.roll_deg),
         ("body_rates", start.body_rates, "rules.body_rate_limit", rates),
         ("body_rates", start.body_rates, "training_limits.yaw_rate", training.yaw_rate),
+        ("velocity", start.velocity, "rules.speed_limit / sqrt(3),", slowest),
     ):
         if most is not None and value >= most:
             refuse(f"start.{key}", value, f"below {name} {most:g}")
@@ -394,6 +397,10 @@ def _check_used(config: Config) -> None:
         unused["evaluate.laps"] = "with evaluate.gates"
     if config.rules.ground_speed is None:
         unused["rules.ground_height"] = "without rules.ground_speed"
+    if config.rules.speed_limit is None:
+        unused |= dict.fromkeys(
+            ("reward.overspeed", "reward.overspeed_margin"), "without rules.speed_limit"
+        )
     if config.rules.gate_frame == 0:
         unused["rules.gate_depth"] = "without rules.gate_frame"
     if config.reward.gate_edge == 0 and "reward.gate_edge" not in config.schedules:

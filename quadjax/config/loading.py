@@ -7,7 +7,7 @@ from quadjax.config.checks import check, vehicle_model
 from quadjax.config.layers import Layer, from_layers, layer_of
 from quadjax.config.renamed import check_renamed, without_retired
 from quadjax.config.scales import in_plain_units
-from quadjax.config.schema import Config, Gate, Schedule
+from quadjax.config.schema import Config, Gate, Rules, Schedule, Track
 from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.imports import load_object
 from quadjax.core.resources import CONFIGS, find_config, preset_names
@@ -103,7 +103,7 @@ def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> tuple[Tree, 
     here = Path() if _exists(over, Path()) else path.parent
     tree = _merge(tree, over, here, "overrides", layers)
     with from_layers(layers, str(path)):
-        return generated(tree, str(path)), layers
+        return with_opening(generated(tree, str(path)), str(path)), layers
 
 
 def generated(tree: Tree, source: str) -> Tree:
@@ -131,6 +131,33 @@ def generated(tree: Tree, source: str) -> Tree:
     track = {**track, "generate": None, "name": name, "gates": values["gates"]}
     rules = merge_trees(values["rules"], tree.get("rules") or {})
     return {**tree, "track": track, "rules": rules}
+
+
+def with_opening(tree: Tree, source: str) -> Tree:
+    """A tree with the openings that ``track.opening`` asks for, if it does, in all gates.
+
+    Frames around gates of one size keep their outer edges.
+
+    Raises:
+        InputError: a value that is not allowed, or frames around gates of several sizes.
+    """
+    track = tree.get("track")
+    if not isinstance(track, dict) or track.get("opening") is None:
+        return tree
+    own = build(Track, track, source, "track.")
+    assert own.opening is not None
+    gates = [{**gate, "size": [own.opening, own.opening]} for gate in track["gates"]]
+    tree = {**tree, "track": {**track, "gates": gates, "opening": None}}
+    rules = tree.get("rules") or {}
+    frame = build(Rules, rules, source, "rules.").gate_frame
+    if frame == 0.0:
+        return tree
+    sizes = {side for gate in own.gates for side in gate.size}
+    wider = frame + 0.5 * (min(sizes) - own.opening)
+    if len(sizes) > 1 or wider < 0.0:
+        allowed = f"null with rules.gate_frame {frame:g} around gates of sizes {sorted(sizes)}"
+        raise InputError(f"{source}: track.opening is {own.opening:g}, allowed: {allowed}")
+    return {**tree, "rules": {**rules, "gate_frame": wider}}
 
 
 def _with_data_paths(tree: Tree, folder: Path) -> Tree:

@@ -21,7 +21,7 @@ from quadjax.race.battery import RaceBattery
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field, make_layout
 from quadjax.race.random_track import RandomTracks, generate
-from quadjax.race.rules import Frame, Landing, Limits, Perception, RewardWeights
+from quadjax.race.rules import Frame, Landing, Limits, Overspeed, Perception, RewardWeights
 from quadjax.race.start import DisturbanceRange, StartRange
 from quadjax.race.track import Pose, Track, inside_turn, make_track
 from quadjax.vehicle import motor
@@ -33,6 +33,7 @@ from quadjax.vehicle.registry import model
 from quadjax.vehicle.residual import scale_residual
 from quadjax.vehicle.residual_file import read_residual
 
+APART = ("terms", "perception_deg", "camera_deg", "overspeed", "overspeed_margin")
 OPTIONAL = ("action_change", "perception")  # penalties that are computed where they are used
 
 
@@ -218,10 +219,19 @@ def _reward(config: Config) -> RewardWeights:
         "limit": math.radians(own.perception_deg),
     }
     return RewardWeights(
-        **_traced(_without(own, "terms", "perception_deg", "camera_deg", *OPTIONAL)),
+        **_traced(_without(own, *APART, *OPTIONAL)),
         action_change=jnp.float32(own.action_change) if "action_change" in used else None,
+        overspeed=_overspeed(config),
         perception=Perception(**_traced(sight)) if "perception" in used else None,
     )
+
+
+def _overspeed(config: Config) -> Overspeed | None:
+    limit, own = config.rules.speed_limit, config.reward
+    if limit is None:
+        return None
+    numbers = {"weight": own.overspeed, "limit": limit, "margin": own.overspeed_margin}
+    return Overspeed(**_traced(numbers))
 
 
 def _population_width(config: Config) -> jax.Array | None:
@@ -257,6 +267,7 @@ def _limits(config: Config) -> Limits:
         landing=_landing(rules),
         frame=Frame(**_traced(solid)) if rules.gate_frame else None,
         body_radius=jnp.float32(rules.body_radius) if rules.body_radius else None,
+        speed=None if rules.speed_limit is None else jnp.float32(rules.speed_limit),
     )
 
 
@@ -282,7 +293,8 @@ def _start_range(start: schema.Start) -> StartRange:
         "thrust_high": start.thrust[1],
     }
     part = jnp.float32(start.along_leg) if start.along_leg > 0 else None
-    return StartRange(**_traced(ranges), along_leg=part)
+    race = jnp.float32(start.race) if start.race > 0 else None
+    return StartRange(**_traced(ranges), along_leg=part, race=race)
 
 
 def race_of(config: Config) -> tuple[Choices, RaceParams]:

@@ -166,6 +166,14 @@ class Track(Section):
         max_length=100,
         description="list of {position, yaw_deg, size, pitch_deg, roll_deg, shape}",
     )
+    opening: float | None = Field(
+        None,
+        gt=0,
+        le=100,
+        description="width and height of the openings of all gates, m, in place of their sizes; "
+        "the outer edges of frames (rules.gate_frame) stay; loading writes the sizes into the "
+        "gates and sets this to null",
+    )
     start: TrackStart | None = Field(
         None,
         description="{position, yaw_deg} of the hover from which timed laps start; null: the last "
@@ -291,6 +299,14 @@ class Reward(Section):
     camera_deg: float = Field(
         0.0, ge=-90, le=90, description="upward tilt of the camera's axis from the body's x, deg"
     )
+    overspeed: Penalty = Field(
+        5.0,
+        description="penalty per s and m/s of speed above the margin below rules.speed_limit, as a "
+        "multiple of reward.progress; above 1, flying faster gains less than it loses",
+    )
+    overspeed_margin: float = Field(
+        0.02, ge=0, le=0.9, description="part of rules.speed_limit from which on overspeed applies"
+    )
     terms: dict[str, Weight] = Field(
         {}, max_length=100, description="weights of your own reward terms, by module:function"
     )
@@ -343,6 +359,9 @@ class Rules(Section):
     body_rate_limit: Rate | tuple[Rate, Rate, Rate] | None = Field(
         1000.0,
         description="largest body rate about any axis, or [p, q, r] about each, rad/s; null: none",
+    )
+    speed_limit: float | None = Field(
+        None, gt=0, le=1000, description="largest speed, m/s, above which a flight ends; null: none"
     )
     extra: tuple[str, ...] = Field(
         (), max_length=32, description="your own rules that end an episode, as module:function"
@@ -400,6 +419,13 @@ class Start(Section):
         le=1,
         description="farthest start on the straight line from the gate before to the target gate, "
         "as a fraction of it; starts are uniform up to there",
+    )
+    race: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="part of the episodes that begin as a race: at rest at the track's start (or "
+        "in the last gate), x and y within 0.5 m, yaw within 45 deg",
     )
     position: HalfWidth = Field(0.5, description="half-width about the point on the leg, m")
     velocity: HalfWidth = Field(0.5, description="half-width of each component, m/s")

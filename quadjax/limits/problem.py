@@ -39,6 +39,7 @@ class Problem:
         rate_limit: largest body rates about x, y and z, rad/s, (3,).
         pitch_limit: rad.
         speed_limit: m/s.
+        speed_rule: m/s, of the race; a faster flight is rejected.
         fitted_speed: highest speed of the flights that the model is fitted to, m/s.
         frame: solid frames around the openings.
         landing: largest speed near the ground; None: no flight below the ground.
@@ -57,6 +58,7 @@ class Problem:
     rate_limit: np.ndarray = dataclasses.field(default_factory=lambda: np.full(3, np.inf))
     pitch_limit: float = np.inf
     speed_limit: float = 30.0
+    speed_rule: float = np.inf
     fitted_speed: float = np.inf
     frame: Frame | None = None
     landing: Landing | None = None

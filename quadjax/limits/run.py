@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from quadjax.race.environment import Choices, RaceParams
 
 SPEED = 60.0  # m/s
+BELOW_RULE = 0.998  # of rules.speed_limit, at the nodes: between them a flight may be faster
 INTERVALS = 20  # of a leg, on the first mesh
 SPEEDS = (4.0, 8.0, 2.5, 6.0)  # m/s, of the splines that initial guesses start from
 RANDOM_SPREAD = 0.8  # fraction of the openings
@@ -71,6 +72,7 @@ def problem_of(choices: "Choices", params: "RaceParams", race: Race) -> Problem:
     passages = race.gates
     if race.laps is not None:
         passages = race.laps * len(np.asarray(params.track.yaw))
+    rule = np.inf if params.limits.speed is None else float(params.limits.speed)
     options = {} if race.rates is None else {"rate_limit": np.array(race.rates)}
     return make_problem(
         choices.model,
@@ -81,7 +83,8 @@ def problem_of(choices: "Choices", params: "RaceParams", race: Race) -> Problem:
         start="hover" if race.from_start else "periodic",
         stops=race.stops,
         clearance=race.clearance,
-        speed_limit=race.speed or race.fitted_speed or SPEED,
+        speed_limit=min(race.speed or race.fitted_speed or SPEED, BELOW_RULE * rule),
+        speed_rule=rule,
         fitted_speed=race.fitted_speed or np.inf,
         **options,
     )

@@ -138,6 +138,8 @@ def _margin(
     margin = float(min((flown - low).min(initial=np.inf), (high - flown).min(initial=np.inf)))
     if not np.isfinite(states).all():
         return -np.inf, "leaves the bounds of the race", ()
+    if np.linalg.norm(velocities(problem, states), axis=1).max() > problem.speed_rule:
+        return margin, "exceeds the speed limit", ()
     rates = np.abs(vectors(problem, states, "rates")).max(axis=0)
     if np.any(rates > problem.rate_limit * RATE_TOLERANCE):
         return margin, "exceeds the limit of the body rates", ()

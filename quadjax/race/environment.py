@@ -22,7 +22,7 @@ from quadjax.core.materialize import (
     materialize,
     materialize_cotangent,
 )
-from quadjax.core.vectors import Vec3
+from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race import battery, history, rules, start
 from quadjax.race.battery import BatteryState, RaceBattery
 from quadjax.race.context import StepContext
@@ -166,6 +166,11 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         part,
         recorded,
     )
+    if params.start.race is not None:
+        race_key, used_key = jax.random.split(jax.random.fold_in(key, 5))
+        first = race_drone(choices, params, own, drone, start.draw(race_key, 3))
+        race = functools.partial(jnp.where, jax.random.uniform(used_key) < params.start.race)
+        drone, target = jax.tree.map(race, (first, jnp.zeros_like(target)), (drone, target))
     zero = jnp.zeros((), jnp.int32)
     before = no_action(choices, params)
     state = RaceState(drone, target, clock, zero, own, action=before, track=track)
@@ -211,22 +216,44 @@ def with_memory(choices: Choices, params: RaceParams, state: RaceState) -> RaceS
     return state.replace(estimate=Estimate(fresh, Vec3.zero(), Vec3.zero()))
 
 
+def race_drone(
+    choices: Choices,
+    params: RaceParams,
+    constants: Constants | None,
+    disturbed: State | None,
+    drawn: jax.Array | None,
+) -> State:
+    """A drone at the start of a timed race, with the disturbances of ``disturbed``.
+
+    ``drawn``: see ``quadjax.race.start.hover``.
+    """
+    model = choices.model
+    drone = start.hover(model, constants or params.vehicle.constants, params.track, drawn)
+    if disturbed is None or model.disturbance is None:
+        return drone
+    return model.with_disturbance(drone, *model.disturbance(disturbed))
+
+
 def hover_start(
     choices: Choices,
     params: RaceParams,
-    constants: Constants | None = None,
-    charged: BatteryState | None = None,
+    drawn: RaceState | None = None,
+    moved: jax.Array | None = None,
 ) -> RaceState:
-    """The start of a timed race: hover at the last gate.
+    """The start of a timed race: hover at the track's start, or the last gate.
 
     Args:
         choices: of the race.
         params: of the race.
-        constants: if they are drawn.
-        charged: the battery; None: with the highest charge, where the race has one.
+        drawn: its constants, disturbances and battery are used; None: nothing is drawn, and the
+            battery has the highest charge.
+        moved: (3,) numbers of a start around that place; see ``quadjax.race.start.hover``.
     """
     zero = jnp.zeros((), jnp.int32)
-    drone = start.hover(choices.model, constants or params.vehicle.constants, params.track)
+    constants, charged, disturbed = None, None, None
+    if drawn is not None:
+        constants, charged, disturbed = drawn.constants, drawn.battery, drawn.drone
+    drone = race_drone(choices, params, constants, disturbed, moved)
     before = no_action(choices, params)
     state = RaceState(drone, zero, zero, zero, constants, action=before)
     if params.battery is not None:
@@ -314,6 +341,7 @@ def evaluate_rules(
         non_finite=~_finite(after),
         truncated=state.step + 1 >= limits.episode_steps,
         extra_rule=_extra_rule(choices, params, state, after, g),
+        overspeed=None if limits.speed is None else safe_norm(model.velocity(after)) > limits.speed,
     )
     ended = outcome.terminated
     outcome = outcome.replace(passed=passed & ~ended, truncated=outcome.truncated & ~ended)
@@ -407,6 +435,11 @@ def _penalties(
         seen = model.to_body(drone, g.position - model.position(drone))
         penalty = params.limits.time_step * rules.perception_penalty(sight, seen)
         found.append(jnp.where(outcome.passed, 0.0, penalty))
+    if params.reward.overspeed is not None:
+        rate = rules.overspeed_penalty(
+            params.reward.overspeed, params.reward.progress, model.velocity(drone)
+        )
+        found.append(params.limits.time_step * rate)
     if change is not None:
         assert action is not None and state.action is not None
         found.append(change * rules.action_change(action, state.action))

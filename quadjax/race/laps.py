@@ -12,8 +12,8 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
-from quadjax.core.vectors import Vec3
-from quadjax.race import environment
+from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.race import environment, start
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.result import CRASHES, Laps
 from quadjax.race.rules import Outcome
@@ -24,6 +24,16 @@ SLOWEST_LAP, ITS_LENGTH = 8.0, 14.0  # s and m; longer laps have proportionally 
 
 
 @struct.dataclass
+class Speeds:
+    """Speeds of drones in a race, (runs,) each, and when they pass the first gate."""
+
+    first_gate: jax.Array  # s since the start; 0 before
+    highest: jax.Array  # m/s
+    above: jax.Array  # s faster than ``counted``
+    counted: jax.Array  # m/s
+
+
+@struct.dataclass
 class LapState:
     """Drones in timed laps, batched along the last axis."""
 
@@ -31,6 +41,7 @@ class LapState:
     lap_end: jax.Array  # (laps, runs) s since the start; 0 where not completed
     over: jax.Array  # (runs,) bool
     crash: jax.Array  # (runs,) index into CRASHES
+    speeds: Speeds | None = None  # where they are recorded
 
 
 Carry = tuple[LapState, jax.Array]  # drones and the key of the next noise
@@ -52,11 +63,17 @@ class Trace:
 
 
 def starting_states(
-    choices: Choices, params: RaceParams, key: jax.Array, runs: int, from_hover: bool
+    choices: Choices,
+    params: RaceParams,
+    key: jax.Array,
+    runs: int,
+    from_hover: bool,
+    around: bool = False,
 ) -> RaceState:
     """Starts of a race, batched along the last axis.
 
-    Disturbances and constants are drawn as the config says, whether from hover or at random.
+    Disturbances and constants are drawn as the config says, whether from hover or at random. With
+    ``around``, x, y and yaw of a hover are drawn around the start of the race.
     """
 
     def one(key: jax.Array) -> RaceState:
@@ -64,12 +81,8 @@ def starting_states(
         if not from_hover:
             zero = jnp.zeros((), jnp.int32)
             return drawn.replace(step=zero, gates_passed=zero)
-        hover = environment.hover_start(choices, params, drawn.constants, drawn.battery)
-        if choices.model.disturbance is None:
-            return hover
-        disturbance = choices.model.disturbance(drawn.drone)
-        drone = choices.model.with_disturbance(hover.drone, *disturbance)
-        return environment.with_memory(choices, params, hover.replace(drone=drone))
+        moved = start.draw(jax.random.fold_in(key, 6), 3) if around else None
+        return environment.hover_start(choices, params, drawn, moved)
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 
@@ -82,6 +95,7 @@ def _crash_code(outcome: Outcome) -> jax.Array:
         outcome.attitude,
         outcome.non_finite,
         outcome.extra_rule,
+        outcome.overspeed,
     )
     code = jnp.zeros((), jnp.int32)
     for index, flag in reversed(list(enumerate(flags, start=1))):
@@ -96,7 +110,25 @@ def _step_one(
     """One step of one drone; a race that is over does not change."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
     gates = gate_count(params.track)
-    return score(race, following, outcome, params.limits.time_step, gates, last)
+    scored = score(race, following, outcome, params.limits.time_step, gates, last)
+    if race.speeds is None:
+        return scored
+    speed = safe_norm(choices.model.velocity(following.drone))
+    return scored.replace(speeds=_recorded(race, following, speed, params.limits.time_step))
+
+
+def _recorded(race: LapState, following: RaceState, speed: jax.Array, dt: jax.Array) -> Speeds:
+    """The speeds of one drone's race after a step."""
+    own = race.speeds
+    assert own is not None
+    passed = (own.first_gate == 0.0) & (following.gates_passed > 0)
+    new = Speeds(
+        first_gate=jnp.where(passed, following.step.astype(dt.dtype) * dt, own.first_gate),
+        highest=jnp.maximum(own.highest, speed),
+        above=own.above + dt * (speed > own.counted),
+        counted=own.counted,
+    )
+    return jax.tree.map(lambda now, old: jnp.where(race.over, old, now), new, own)
 
 
 def score(
@@ -133,15 +165,19 @@ def score(
     crash = jnp.where(crashed, _crash_code(outcome), race.crash)
     over = race.over | crashed | (lap_end[-1] > 0)
     state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
-    return LapState(state, lap_end, over, crash)
+    return LapState(state, lap_end, over, crash, race.speeds)
 
 
-def begin(state: RaceState, laps: int) -> LapState:
-    """Drones before a race of some laps, batched along the last axis."""
+def begin(state: RaceState, laps: int, counted: jax.Array | None = None) -> LapState:
+    """Drones before a race of some laps, batched along the last axis.
+
+    With ``counted``, () m/s, their speeds are recorded, and the time in which they are faster.
+    """
     runs = state.step.shape[-1]
-    return LapState(
-        state, jnp.zeros((laps, runs)), jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32)
-    )
+    none = jnp.zeros(runs)
+    speeds = None if counted is None else Speeds(none, none, none, jnp.full(runs, counted))
+    over, crash = jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32)
+    return LapState(state, jnp.zeros((laps, runs)), over, crash, speeds)
 
 
 @functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace", "last"))
@@ -156,15 +192,16 @@ def fly_race(
     state: RaceState,
     key: jax.Array,
     last: int | None = None,
+    counted: jax.Array | None = None,
 ) -> tuple[LapState, Trace | None]:
-    """Fly from given states for at most ``steps`` steps; see ``fly_laps``."""
+    """Fly from given states for at most ``steps`` steps; see ``fly_laps`` and ``begin``."""
     one = stepper(choices, actor, params, policy, last)
 
     def record(carry: Carry, _: None) -> tuple[Carry, Trace]:
         following, action = one(carry)
         return following, _trace(choices, params, carry[0], action)
 
-    carry = (begin(state, laps), key)
+    carry = (begin(state, laps, counted), key)
     if trace:
         (race, _), kept = jax.lax.scan(record, carry, None, steps)
         return race, kept

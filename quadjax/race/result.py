@@ -13,6 +13,7 @@ CRASHES = (
     "lost its attitude",
     "not finite",
     "ended by an extra rule",
+    "above the speed limit",
     "out of time",
 )
 

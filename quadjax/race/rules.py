@@ -52,6 +52,7 @@ class Limits:
     landing: Landing | None = None  # None: touching the ground is a collision
     frame: Frame | None = None  # None: only the target gate's plane is solid
     body_radius: jax.Array | None = None  # m, of the drone; None: a point
+    speed: jax.Array | None = None  # m/s, the speed limit; None: none
 
 
 @struct.dataclass
@@ -61,6 +62,15 @@ class Perception:
     weight: jax.Array  # penalty per s and rad beyond the limit
     camera: jax.Array  # rad, upward tilt of the camera's axis from the body's x
     limit: jax.Array  # rad between the camera's axis and the gate's center
+
+
+@struct.dataclass
+class Overspeed:
+    """The penalty for flying close to the speed limit, or above it."""
+
+    weight: jax.Array  # multiple of the reward for progress
+    limit: jax.Array  # m/s, the speed limit of the race
+    margin: jax.Array  # of the limit, below which there is no penalty
 
 
 @struct.dataclass
@@ -80,6 +90,7 @@ class RewardWeights:
     gate_edge_reach: jax.Array  # largest clearance violation per axis, m
     action_change: jax.Array | None = None  # penalty per change of an action; None: none
     perception: Perception | None = None
+    overspeed: Overspeed | None = None  # None: no speed limit
 
 
 @struct.dataclass
@@ -95,6 +106,7 @@ class Outcome:
     truncated: jax.Array
     extra_rule: jax.Array | None = None  # ended by a user's rule; None where there is none
     finished: jax.Array | None = None  # passed the last gate of a course; None on a closed track
+    overspeed: jax.Array | None = None  # above the speed limit; None where there is none
 
     @property
     def terminated(self) -> jax.Array:
@@ -102,7 +114,9 @@ class Outcome:
         ended = (
             self.gate_collision | self.ground | self.out_of_bounds | self.attitude | self.non_finite
         )
-        return ended if self.extra_rule is None else ended | self.extra_rule
+        for other in (self.extra_rule, self.overspeed):
+            ended = ended if other is None else ended | other
+        return ended
 
     @property
     def over(self) -> jax.Array:
@@ -261,6 +275,16 @@ def perception_penalty(perception: Perception, seen: Vec3) -> jax.Array:
     aside = Vec3(seen.y, sine * seen.x + cosine * seen.z, jnp.zeros_like(seen.y))
     angle = arctan2(safe_norm(aside), along)
     return perception.weight * jnp.maximum(angle - perception.limit, 0.0)
+
+
+def overspeed_penalty(own: Overspeed, progress: Scalar, velocity: Vec3) -> jax.Array:
+    """The penalty () per s of a speed near the limit: an episode's end has no gradient.
+
+    ``weight progress (|v| - (1 - margin) limit)`` above that speed, where ``progress`` is the
+    reward per m of progress: with a weight above 1, flying faster gains less than it loses.
+    """
+    above = safe_norm(velocity) - (1.0 - own.margin) * own.limit
+    return own.weight * progress * jnp.maximum(above, 0.0)
 
 
 def action_change(action: tuple[jax.Array, ...], before: tuple[jax.Array, ...]) -> jax.Array:

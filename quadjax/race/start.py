@@ -1,6 +1,7 @@
 """Starts of episodes: states, disturbances and constants."""
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,7 @@ class StartRange:
     # () farthest start on the way to the target gate, part of the leg; None: at the gate before.
     along_leg: jax.Array | None = None
     recorded: RecordedStarts | None = None  # states in which a part of the episodes starts
+    race: jax.Array | None = None  # () part of the episodes that begin as a race does
 
 
 @struct.dataclass
@@ -119,22 +121,29 @@ def start(
     return model.with_disturbance(state, moment_ext, force_ext)
 
 
-def hover(model: VehicleModel, c: Constants, track: Track) -> State:
+AROUND_START, YAW_OF_START = 0.5, math.pi / 4.0  # half-widths of x and y, m, and of the yaw, rad
+
+
+def hover(model: VehicleModel, c: Constants, track: Track, drawn: jax.Array | None = None) -> State:
     """At rest and level at the track's start, or the last gate, nose towards the first gate.
 
-    On the ground the actuators are at their lowest, elsewhere those of a hover.
+    On the ground the actuators are at their lowest, elsewhere those of a hover. ``drawn`` (3,) in
+    [-1, 1] moves x, y and the yaw by ``AROUND_START`` and ``YAW_OF_START``, as the ground starts
+    of MonoRace (arXiv 2601.15222); None: exactly there.
     """
     if track.start is not None:
-        euler = Vec3.zero().replace(z=wrap_angle(track.start.yaw))
-        motion = Motion(track.start.position, Vec3.zero(), euler, Vec3.zero())
-        if not track.start.on_ground:
-            return model.hover(c, motion)
-        lowest = -jnp.ones(max(4, model.actuators.size))
-        return model.start(c, motion, lowest, (jnp.zeros(()), jnp.zeros(())))
-    last = jax.tree.map(lambda x: x[-1], track.position)
-    first = jax.tree.map(lambda x: x[0], track.position)
-    euler = Vec3.zero().replace(z=wrap_angle(_heading(last, first)))
-    return model.hover(c, Motion(last, Vec3.zero(), euler, Vec3.zero()))
+        position, yaw = track.start.position, track.start.yaw
+    else:
+        position = jax.tree.map(lambda x: x[-1], track.position)
+        yaw = _heading(position, jax.tree.map(lambda x: x[0], track.position))
+    if drawn is not None:
+        aside = Vec3(drawn[0], drawn[1], jnp.zeros_like(drawn[2])) * AROUND_START
+        position, yaw = position + aside, yaw + YAW_OF_START * drawn[2]
+    motion = Motion(position, Vec3.zero(), Vec3.zero().replace(z=wrap_angle(yaw)), Vec3.zero())
+    if track.start is None or not track.start.on_ground:
+        return model.hover(c, motion)
+    lowest = -jnp.ones(max(4, model.actuators.size))
+    return model.start(c, motion, lowest, (jnp.zeros(()), jnp.zeros(())))
 
 
 def towards(nominal: Constants, drone: Constants, width: jax.Array) -> Constants:

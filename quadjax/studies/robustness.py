@@ -7,14 +7,14 @@ flight begins 1 m before a random gate, with any yaw, and lasts 12 s.
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.race import race_of
+from quadjax.config.race import race_of, vehicle_model_of
 from quadjax.config.schema import Config, Disturbance, Randomization
 from quadjax.core.markdown import table
 from quadjax.core.vectors import Vec3
@@ -37,7 +37,8 @@ class Flights:
     """The flights of one randomization.
 
     Attributes:
-        label: ``±10%``, or ``own`` for the randomization of the config.
+        label: ``±10%``, the name of a population of the vehicle model, or ``own`` for the
+            randomization of the config.
         runs: number of flights.
         crashed: number of flights that crashed.
         lap: median of all laps but the first of each flight, s; NaN if there is none.
@@ -77,16 +78,33 @@ def fly_spreads(
     Raises:
         InputError: the policy does not fit the race.
     """
+    return [
+        _fly(label, choices, params, policy, runs, seconds, seed)
+        for label, choices, params in drawn_races(policy, config, name, spreads)
+    ]
+
+
+def drawn_races(
+    policy: Policy, config: Config, name: str, spreads: Sequence[float] = SPREADS
+) -> Iterator[tuple[str, Choices, RaceParams]]:
+    """The race by the exact rules with constants drawn from each spread and each population.
+
+    Args:
+        policy: that is flown.
+        config: of the race. Where it draws constants, its own distribution is the last one.
+        name: of the policy, for messages.
+        spreads: largest relative errors of every constant (of each rotor) except gravity.
+    """
     own = config.randomization
     races = {f"±{100 * part:g}%": Randomization(all=part) for part in spreads}
-    races |= {"own": own} if own.drawn else {}
-    found = []
+    model = vehicle_model_of(config)
+    races |= {each: Randomization(population=each) for each in model.populations}
+    races |= {"own": own} if own.drawn and own.replace(tracks=None) not in races.values() else {}
     for label, randomization in races.items():
         race = config.replace(randomization=randomization, disturbance=Disturbance(), schedules={})
         choices, params = pilot.fit_race(*race_of(race), policy, name)
         choices = dataclasses.replace(choices, randomize=True, stagger_clocks=False)
-        found.append(_fly(label, choices, params, policy, runs, seconds, seed))
-    return found
+        yield label, choices, environment.exact_rules(choices.model, params)
 
 
 def _fly(
@@ -98,7 +116,6 @@ def _fly(
     seconds: float,
     seed: int,
 ) -> Flights:
-    params = environment.exact_rules(choices.model, params)
     key, noise = jax.random.split(jax.random.key(seed))
     states = jax.jit(_starts, static_argnums=(0, 3))(choices, params, key, runs)
     own = pilot.make_pilot(choices, params, policy, deterministic=True)

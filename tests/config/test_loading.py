@@ -296,6 +296,9 @@ REFUSED = [
     ("start.position=1.5", "start.position is 1.5, allowed: below 1.5, the room between track.ga"),
     ("training_limits.pitch_deg=40", "start.roll_pitch_deg is 40.0, allowed: below training_limit"),
     ("training_limits.roll_deg=30", "start.roll_pitch_deg is 40.0, allowed: below training_limits"),
+    ("rules.speed_limit=0.5", "start.velocity is 0.5, allowed: below rules.speed_limit / sqrt(3)"),
+    ("reward.overspeed=3", "reward.overspeed is 3.0, allowed: 5.0 without rules.speed_limit"),
+    ("track.opening=0", "track.opening is 0, allowed: a number, above 0, at most 100, or null"),
     ("rules.body_rate_limit=1", "start.body_rates is 1.0, allowed: below rules.body_rate_limit 1"),
     ("training_limits.yaw_rate=1", "start.body_rates is 1.0, allowed: below training_limits.yaw_"),
     (
@@ -651,3 +654,14 @@ def test_model_of_a_config_is_not_that_of_the_file_below_it():
     assert load_config("e2e_fastest", ["vehicle=5inch"]).vehicle.model == "racing"
     with pytest.raises(InputError, match="5-inch racing quadcopter has constants of: racing"):
         load_config("e2e_fastest", ["vehicle=5inch", "vehicle.model=motor"])
+
+
+def test_one_opening_for_all_gates():
+    """It replaces their sizes before lengths in gates are computed; frames keep their edges."""
+    own = load_config("e2e_race", ["track=grand_challenge", "track.opening=0.55"])
+    assert {gate.size for gate in own.track.gates} == {(0.55, 0.55)} and own.track.opening is None
+    assert own.rules.gate_frame == pytest.approx(0.6 + 0.475)
+    assert own.training_limits.gate_inflation == pytest.approx(0.6 * 0.275)
+    assert config_of(own.model_dump(by_alias=True), "saved") == own
+    with pytest.raises(InputError, match="track.opening is 3, allowed: null with rules.gate_frame"):
+        load_config("e2e_race", ["track=grand_challenge", "track.opening=3"])

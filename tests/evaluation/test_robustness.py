@@ -4,6 +4,7 @@ import json
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -11,8 +12,11 @@ from quadjax.cli import run
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.resources import PRETRAINED
+from quadjax.race.laps import fly_race, starting_states
+from quadjax.studies.race_flights import RaceFlights, race_table
 from quadjax.studies.robustness import Flights, spread_table, start_before_gate
 from tests import reference as ref
+from tests.evaluation.support import rate_race, script, scripted
 from tests.race.support import BLANK
 
 
@@ -52,6 +56,12 @@ def test_the_table_has_a_column_for_each_randomization():
         (["--robustness", "--laps", "3"], "--laps is not allowed with --robustness"),
         (["--robustness", "--figure", "x.png"], "--figure is not allowed with --robustness"),
         (["--seconds", "3"], "--seconds is allowed only with --robustness"),
+        (["--from-start"], "--from-start is allowed only with --robustness"),
+        (["--robustness", "--gates", "3"], "--gates is not allowed with --robustness"),
+        (
+            ["--robustness", "--from-start", "--seconds", "3"],
+            "--seconds is not allowed with --from-start",
+        ),
     ],
 )
 def test_options_without_effect_are_refused(options, message, capsys):
@@ -70,3 +80,40 @@ def test_more_drones_crash_with_larger_errors(tmp_path, capsys):
     assert [each["label"] for each in found] == ["±0%", "±10%", "±20%", "±30%"]
     assert found[0]["crashed"] < found[-1]["crashed"] <= 60
     assert 1.9 < found[0]["lap"] < 2.3
+
+
+def test_the_speeds_of_a_race_are_those_of_its_flight():
+    _, choices, params = rate_race()
+    states = starting_states(choices, params, jax.random.key(0), 2, True, around=True)
+    key, counted = jax.random.key(1), jnp.float32(2.0)
+    race, trace = fly_race(
+        choices, scripted, 1, 250, True, params, script(), states, key, None, counted
+    )
+    speed = np.linalg.norm(trace.velocity, axis=1)[1:]  # after each step but the last
+    np.testing.assert_allclose(race.speeds.highest, speed.max(axis=0), rtol=1e-3)
+    seconds = 0.01 * (speed > 2.0).sum(axis=0)
+    np.testing.assert_allclose(race.speeds.above, seconds, atol=0.011)
+    first = 0.01 * (trace.target == 0).sum(axis=0)
+    np.testing.assert_allclose(race.speeds.first_gate, first, atol=1e-5)
+    assert np.all((seconds > 0.2) & (first > 0.2)) and abs(first[0] - first[1]) > 0.01
+
+
+def test_the_table_of_races_has_a_row_for_each_randomization():
+    own = RaceFlights("±0%", 200, 198, 12.734, 11.79, 31.26, 6.914, 28.0, {"hit a gate": 2})
+    none = RaceFlights("±10%", 2, 0, math.nan, math.nan, math.nan, math.nan, 28.0, {})
+    lines = race_table([own, none]).splitlines()
+    assert "above 28 m/s" in lines[0] and lines[3] == "| ±10% | 0% | - | - | - | - |  |"
+    assert lines[2] == "| ±0% | 99% | 12.73 s | 11.79 s | 31.3 m/s | 6.91 s | 2 hit a gate |"
+    assert none.to_json()["time"] is None and own.to_json()["finished"] == 198
+
+
+@pytest.mark.slow
+def test_whole_races_of_a_policy(tmp_path):
+    file, policy = tmp_path / "found.json", PRETRAINED / "e2e_fastest.npz"
+    options = ["--robustness", "--from-start", "--gates", "6", "--runs", "60", "--json", str(file)]
+    assert run(["evaluate", "e2e_fastest", "--policy", str(policy), *options]) == 0
+    found = json.loads(file.read_text())["flights"]
+    assert [each["label"] for each in found] == ["±0%", "±10%", "±20%", "±30%"]
+    assert found[0]["finished"] > found[-1]["finished"]
+    assert 2.0 < found[0]["between"] < found[0]["time"] < 4.5
+    assert 5.0 < found[0]["highest_speed"] < 15.0 and found[0]["seconds_above"] is None

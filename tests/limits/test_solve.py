@@ -11,6 +11,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.limits.problem import make_problem
+from quadjax.limits.run import Race, problem_of
 from tests.commands import run
 
 pytest.importorskip("casadi")
@@ -29,6 +30,13 @@ def test_a_gate_outside_the_bounds_is_named():
 def test_a_clearance_that_leaves_no_opening_is_named():
     with pytest.raises(InputError, match=r"gate 1: a clearance of 0.5 m"):
         _problem(clearance=0.5)
+
+
+def test_the_speed_limit_of_a_race_is_a_constraint():
+    race = race_of(load_config("indi", ["rules.speed_limit=5"]))
+    assert problem_of(*race, Race()).speed_limit == pytest.approx(5.0, rel=3e-3)
+    assert problem_of(*race, Race(speed=4.0)).speed_limit == 4.0
+    assert problem_of(*race, Race()).speed_rule == 5.0
 
 
 def test_options_that_exclude_each_other(capsys):
@@ -126,6 +134,8 @@ def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
     claimed = best.trajectory
     hasty = dataclasses.replace(claimed, leg_times=0.97 * claimed.leg_times)
     assert verify(problem, hasty).error
+    slow = dataclasses.replace(problem, speed_rule=best.check.top_speed - 0.01)
+    assert verify(slow, claimed).error == "exceeds the speed limit"
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.race import rules
 from quadjax.race.environment import exact_rules, hover_start, make_environment, transition
 from quadjax.race.laps import begin, score
+from quadjax.race.result import CRASHES
 from quadjax.race.track import gate, make_track, to_opening_frame
 from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
@@ -365,7 +366,8 @@ def test_next_gate_progress_rewards_a_leg_the_same_wherever_its_gate_is_passed(t
 
 def test_default_reward_is_the_published_one(race):
     values = vars(race[1].reward)
-    assert {name for name, x in values.items() if x is None} == {"action_change", "perception"}
+    absent = {"action_change", "perception", "overspeed"}
+    assert {name for name, x in values.items() if x is None} == absent
     assert {name: float(x) for name, x in values.items() if x is not None} == {
         "progress": 1.0,
         "gate": 10.0,
@@ -411,6 +413,7 @@ def test_default_limits_are_the_published_ones(race):
         "landing",
         "body_radius",
         "axis_rates",
+        "speed",
     }  # none
     assert limits["time_step"] == pytest.approx(0.01) and limits["episode_steps"] == 1200
     assert (
@@ -634,3 +637,32 @@ def test_a_track_with_rules_and_a_start_on_the_ground():
     for _ in range(20):  # full thrust takes off
         state, _, outcome = step_once(params, state, jnp.ones(4))
     assert not outcome.terminated and float(state.drone.position.z) < 0
+
+
+def test_a_speed_limit_ends_training_and_races():
+    race = make_race("rules.speed_limit=8", "start.velocity=0.5")
+    rows = level(through(0, -2.0), [[7.9, 0, 0], [0, 6, -6]])
+    for choices, params in (race, (race[0], exact_rules(race[0].model, race[1]))):
+        following, _, outcome = step((choices, params), rows)
+        np.testing.assert_array_equal(outcome.overspeed, [False, True])
+        np.testing.assert_array_equal(outcome.terminated, [False, True])
+    assert step(make_race(), rows)[2].overspeed is None
+    before = begin(race_state("motor", rows), 1)
+    scored = score(before, following, outcome, jnp.float32(0.01), 4)
+    assert [CRASHES[code] for code in scored.crash] == ["", "above the speed limit"]
+
+
+def test_flying_near_the_speed_limit_has_a_penalty():
+    """A multiple of the reward for progress, above a part of the limit; its gradient is smooth."""
+    plain = make_race()
+    race = make_race("rules.speed_limit=8", "reward.overspeed=5", "reward.overspeed_margin=0.25")
+    rows = level(through(0, -2.0), [[5.8, 0, 0], [0, 7, 0]])
+    states, value, _ = step(race, rows)
+    speed = np.linalg.norm(states.drone.velocity.array(), axis=-1)
+    assert speed[0] < 6.0 < speed[1] < 8.0
+    expected = 5.0 * 1.0 * 0.01 * np.maximum(speed - 6.0, 0.0)
+    np.testing.assert_allclose(step(plain, rows)[1] - value, expected, atol=1e-5)
+    slope = jax.grad(
+        lambda v: rules.overspeed_penalty(race[1].reward.overspeed, 2.0, Vec3(v, 0.0 * v, 0.0 * v))
+    )
+    np.testing.assert_allclose([slope(5.9), slope(6.1), slope(-6.1)], [0.0, 10.0, -10.0], atol=1e-4)

@@ -255,3 +255,23 @@ def test_files_of_states_that_do_not_fit_are_one_line(tmp_path):
             training_params(make_config(f"run.start_states={path}"))
     with pytest.raises(InputError, match="start_states_part is 0.3, .*without run.start_states"):
         make_config("run.start_states_part=0.3")
+
+
+def test_starts_of_a_race():
+    """A part of the episodes begins at rest around the start of timed laps."""
+    ground = ("rules.ground_speed=5", "track.start={position: [1, -1.2, 0], yaw_deg: 20}")
+    overrides = ("start.race=0.25", "start.gate=random", "start.velocity=0.5")
+    for own, place, yaw, lowest in (
+        ((), ref.GATES[3], 0.0, 7497.0),
+        (ground, [1.0, -1.2, 0.0], np.radians(20), 3000.0),
+    ):
+        state, rows = starts(*overrides, *own)
+        rest = np.all(rows[:, ref.V] == 0.0, axis=1)
+        assert 0.22 < rest.mean() < 0.28
+        assert set(np.asarray(state.target)[rest]) == {0}
+        assert set(np.asarray(state.target)[~rest]) == {0, 1, 2, 3}
+        moved = rows[rest][:, ref.P] - place
+        spans(moved[:, :2], -0.5, 0.5)
+        np.testing.assert_allclose(moved[:, 2], 0.0, atol=1e-6)
+        spans(rows[rest][:, 8] - yaw, -np.pi / 4, np.pi / 4)
+        np.testing.assert_allclose(rows[rest][:, ref.RPM], lowest, rtol=1e-3)
