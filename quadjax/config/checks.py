@@ -123,6 +123,9 @@ def _check_learner(config: Config) -> None:
 def _check_history(config: Config) -> None:
     """Check which fields have a history, and how long it is."""
     past = config.observation.history
+    drawn = config.randomization.drawn or "randomization" in str(list(config.schedules))
+    if config.observation.critic_constants and not drawn:
+        refuse("observation.critic_constants", True, "false where randomization draws none")
     if past is None:
         return
     model = vehicle_model(config.vehicle.model)

@@ -255,6 +255,11 @@ class Observation(Section):
         "every: 4} for those of 4, 8, 12 and 16 steps before; at a start, the first ones; null: "
         "none",
     )
+    critic_constants: bool = Field(
+        False,
+        description="the critic, not the policy, also observes the constants that randomization "
+        "draws; the policy file then has no critic",
+    )
     extra: tuple[str, ...] = Field(
         (), max_length=32, description="further fields, each the module:FIELD of your own Field"
     )

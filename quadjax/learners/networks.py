@@ -48,18 +48,24 @@ class Networks:
     activation: str = "relu"
     clip_mean: bool = False  # clip the mean action to [-1, 1] before noise is added
     input_scale: tuple[float, ...] = ()  # factors on the observation; (): ones
+    privileged_size: int = 0  # last numbers of the observation, which only the value takes
 
     def init(self, key: jax.Array) -> ActorCritic:
         """Initial parameters, with a ``log_std`` of zero."""
         policy_key, value_key = jax.random.split(key)
         return ActorCritic(
-            policy=self._init(policy_key, self.action_size, 0.01),
+            policy=self._init(policy_key, self.policy_size, self.action_size, 0.01),
             log_std=jnp.zeros(self.action_size, jnp.float32),
-            value=self._init(value_key, 1, 1.0),
+            value=self._init(value_key, self.observation_size, 1, 1.0),
         )
 
-    def _init(self, key: jax.Array, outputs: int, last_scale: float) -> Tree:
-        blank = jnp.zeros((1, self.observation_size))
+    @property
+    def policy_size(self) -> int:
+        """Numbers of the observation that the policy takes."""
+        return self.observation_size - self.privileged_size
+
+    def _init(self, key: jax.Array, inputs: int, outputs: int, last_scale: float) -> Tree:
+        blank = jnp.zeros((1, inputs))
         return _Initializer((*self.hidden, outputs), last_scale).init(key, blank)["params"]
 
     def mean(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
@@ -68,7 +74,8 @@ class Networks:
         Where ``clip_mean`` is set, gradients pass the clip if they point inwards; see
         ``quadjax.core.gradients.clip_inward``.
         """
-        mean = mlp.apply(layers_of(params.policy), self._inputs(observation), self.activation)
+        inputs = self._inputs(observation)[..., : self.policy_size]
+        mean = mlp.apply(layers_of(params.policy), inputs, self.activation)
         return clip_inward(mean, -1.0, 1.0) if self.clip_mean else mean
 
     def _inputs(self, observation: jax.Array) -> jax.Array:

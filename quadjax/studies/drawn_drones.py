@@ -1,19 +1,21 @@
 """Drones drawn from the randomization of a config: their constants, as numbers and as files."""
 
-from collections.abc import Sequence
+import contextlib
 from pathlib import Path
 
 import jax
 import numpy as np
 
+from quadjax.config.drone_checks import check_drone
 from quadjax.config.race import race_of
-from quadjax.config.schema import Config
+from quadjax.config.schema import Config, Randomization
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.yaml_files import to_yaml
 from quadjax.race.laps import starting_states
 from quadjax.vehicle.protocol import Constants, VehicleModel
 
+SPARE = 4  # drones are drawn for each one that is written
 AXES = ("roll", "pitch", "yaw")
 
 
@@ -95,8 +97,11 @@ def quantities(model: VehicleModel, constants: Constants) -> dict[str, np.ndarra
     return {name: x for name, x in found.items() if x.ndim and np.ptp(x) > 0.0}
 
 
-def write_drones(config: Config, count: int, seed: int, folder: Path) -> Sequence[Path]:
+def write_drones(config: Config, count: int, seed: int, folder: Path) -> list[Path]:
     """Write the vehicle file of each drawn drone.
+
+    Drawn drones that are refused as a vehicle, such as one whose moments of inertia are those of no
+    body, are left out.
 
     Args:
         config: of the race, with a randomization.
@@ -108,18 +113,34 @@ def write_drones(config: Config, count: int, seed: int, folder: Path) -> Sequenc
         The files.
 
     Raises:
-        InputError: the config draws no constants, or a file cannot be written.
+        InputError: the config draws no constants, too few drones are possible, or a file cannot be
+            written.
     """
-    drawn, vehicle = draw_drones(config, count, seed), config.vehicle
-    paths = []
-    for index in range(count):
+    possible = _possible(config, draw_drones(config, SPARE * count, seed))[:count]
+    if len(possible) < count:
+        found = f"{len(possible)} of {SPARE * count} drawn drones are possible"
+        raise InputError(f"randomization: {found}, expected {count}")
+    vehicle, paths = config.vehicle, []
+    for index, own in enumerate(possible):
         name = f"drone_{seed}_{index}"
-        own = {
-            key: float(f"{float(np.asarray(getattr(drawn, key))[index]):.7g}")
-            for key in vehicle.constants
-        }
         tree = {"name": name, "width": vehicle.width, "model": vehicle.model, vehicle.model: own}
         paths.append(folder / f"{name}.yaml")
         comment = f"# Drone {index} of {config.name} with {vehicle.name}, drawn with seed {seed}."
         write_text(paths[-1], f"{comment}\n{to_yaml(tree)}")
     return paths
+
+
+def _possible(config: Config, drawn: Constants) -> list[dict[str, float]]:
+    """The constants of the drones that are allowed in a vehicle file."""
+    found = []
+    rows = zip(
+        *(np.asarray(getattr(drawn, name)) for name in config.vehicle.constants), strict=True
+    )
+    for row in rows:
+        values = (float(f"{float(x):.7g}") for x in row)
+        own = dict(zip(config.vehicle.constants, values, strict=True))
+        vehicle = config.vehicle.replace(constants=own)
+        with contextlib.suppress(InputError):
+            check_drone(config.replace(vehicle=vehicle, randomization=Randomization()))
+            found.append(own)
+    return found

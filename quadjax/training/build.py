@@ -11,6 +11,7 @@ import numpy as np
 from quadjax.config.race import build_params, choices_of
 from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
+from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic, Networks, layers_of, tree_of
@@ -18,7 +19,8 @@ from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
-from quadjax.race.environment import RaceParams, make_environment
+from quadjax.race.environment import RaceParams, RaceState, make_environment
+from quadjax.race.privileged import with_constants
 from quadjax.race.recorded_starts import read_states
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.residual_file import is_shipped, read_residual
@@ -26,16 +28,35 @@ from quadjax.vehicle.residual_file import is_shipped, read_residual
 REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
 
 
+def build_environment(config: Config) -> Environment[RaceParams, RaceState]:
+    """The race as learners observe it: with the drawn constants at the end, if the critic does."""
+    environment, names = make_environment(choices_of(config)), privileged_names(config)
+    if not names:
+        return environment
+    spread = config.randomization.by_constant(vehicle_model(config.vehicle.model))
+    return with_constants(environment, tuple((name, spread[name] or 1.0) for name in names))
+
+
+def privileged_names(config: Config) -> tuple[str, ...]:
+    """The constants that only the critic observes."""
+    if not config.observation.critic_constants:
+        return ()
+    spread = config.randomization.by_constant(vehicle_model(config.vehicle.model))
+    every = config.randomization.population is not None
+    return tuple(name for name, part in spread.items() if part or every)
+
+
 def build_networks(config: Config) -> Networks:
     """The networks of a config."""
-    environment = make_environment(choices_of(config))
+    environment = build_environment(config)
     return Networks(
         observation_size=environment.observation_size,
         action_size=environment.action_size,
         hidden=config.network.hidden,
         activation=config.network.activation,
         clip_mean=noise_on(config) == "clipped_mean",
-        input_scale=input_scale(config),
+        input_scale=value_scale(config),
+        privileged_size=len(privileged_names(config)),
     )
 
 
@@ -57,6 +78,12 @@ def input_scale(config: Config) -> tuple[float, ...]:
     )
 
 
+def value_scale(config: Config) -> tuple[float, ...]:
+    """Factors on all that the critic observes: ``input_scale``, and ones."""
+    own = input_scale(config)
+    return (*own, *(1.0 for _ in privileged_names(config))) if own else ()
+
+
 def noise_on(config: Config) -> str:
     """What a learner's noise is added to, as in a policy file: ``mean`` or ``clipped_mean``.
 
@@ -73,7 +100,7 @@ def build_learner(config: Config) -> Learner[RaceParams]:
     Raises:
         InputError: a schedule of a key that changes no number, or more than numbers.
     """
-    environment, networks = make_environment(choices_of(config)), build_networks(config)
+    environment, networks = build_environment(config), build_networks(config)
     own = config.learner.make(environment, networks, 1)
     if not isinstance(own, Learner):
         raise InputError(
@@ -187,7 +214,7 @@ def initial_policy(config: Config) -> Policy | None:
 def with_policy(
     params: ActorCritic, policy: Policy, scale: float, inputs: Sequence[float] = ()
 ) -> ActorCritic:
-    """Parameters whose policy is that of a file, and so is the value where the file has it.
+    """Parameters whose policy is that of a file, and so is the value where the file has such a one.
 
     Args:
         params: of networks of the policy's widths.
@@ -198,7 +225,7 @@ def with_policy(
     inverse = [1.0 / x for x in inputs]
     log_std = jnp.asarray(policy.log_std, jnp.float32)
     value = params.value
-    if policy.value is not None:
+    if policy.value is not None and policy.value[0][0].shape == layers_of(value)[0][0].shape:
         value = tree_of(_with_inputs(_scaled(policy.value, scale), inverse))
     own = tree_of(_with_inputs(policy.layers, inverse))
     return params.replace(policy=own, log_std=log_std, value=value)
@@ -236,7 +263,9 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
     constants = model.constants(**config.vehicle.constants)
     low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
     inputs = input_scale(config)
-    value = _with_inputs(_scaled(layers_of(params.value), 1.0 / reward_scale(config)), inputs)
+    value = None
+    if not privileged_names(config):
+        value = _with_inputs(_scaled(layers_of(params.value), 1.0 / reward_scale(config)), inputs)
     layers = _with_inputs(layers_of(params.policy), inputs)
     residual = config.vehicle.residual
     return Policy(
@@ -249,7 +278,7 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
         command_high=high,
         layout=choices.layout.with_spans(model, build_params(config)),
         source=source,
-        value=tuple((np.asarray(k), np.asarray(b)) for k, b in value),
+        value=value and tuple((np.asarray(k), np.asarray(b)) for k, b in value),
         config=config.model_dump(mode="json", by_alias=True),
         residual=read_residual(residual) if residual and not is_shipped(residual) else None,
     )

@@ -70,7 +70,7 @@ def test_drawn_drones_are_vehicle_files(tmp_path, capsys):
     assert run(["drones", str(BLANK), "randomization.all=0.2", *draw]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2
     config = load_config(BLANK, ["randomization.all=0.2"])
-    drawn = draw_drones(config, 2, 3)
+    drawn = draw_drones(config, 8, 3)  # the first two are possible bodies
     nominal = race_of(config)[1].vehicle.constants
     for index in range(2):
         file = tmp_path / f"drone_3_{index}.yaml"

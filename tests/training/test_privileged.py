@@ -1,0 +1,89 @@
+"""A critic that observes the drawn constants, which the policy does not."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.cli import run
+from quadjax.config.race import make_race as race_api
+from quadjax.config.race import race_of
+from quadjax.core.errors import InputError
+from quadjax.policy.file import Policy
+from quadjax.training.build import (
+    build_environment,
+    build_networks,
+    policy_of,
+    privileged_names,
+    with_policy,
+)
+from tests.race.support import BLANK, make_config
+
+SMALL = "network.hidden=[8]"
+OWN = ("randomization={thrust: 0.2, lag: 0.1}", "observation.critic_constants=true")
+
+
+def test_the_observation_of_training_ends_with_the_drawn_constants():
+    config, (plain, params) = make_config(*OWN), race_api(make_config(OWN[0]))
+    environment = build_environment(config)
+    assert privileged_names(config) == ("k_w", "tau")
+    assert environment.observation_size == plain.observation_size + 2
+    state = jax.jit(plain.reset)(params, jax.random.key(1))
+    seen = jax.jit(environment.observe)(params, state)
+    np.testing.assert_array_equal(seen[:-2], jax.jit(plain.observe)(params, state))
+    nominal = race_of(config)[1].vehicle.constants
+    for found, name, most in zip(seen[-2:], ("k_w", "tau"), (0.2, 0.1), strict=True):
+        error = float(getattr(state.constants, name)) / float(getattr(nominal, name)) - 1.0
+        assert abs(error) > 1e-3
+        assert float(found) == pytest.approx(error / most, abs=1e-4)
+
+
+def test_a_population_shows_every_constant():
+    drawn = "randomization.population=all_racing_drones"
+    config = make_config("vehicle=5inch", drawn, OWN[1])
+    assert len(privileged_names(config)) == len(config.vehicle.constants)
+
+
+def test_only_the_value_takes_them():
+    config = make_config(*OWN, SMALL, "network.normalize=true")
+    networks = build_networks(config)
+    params = networks.init(jax.random.key(0))
+    seen = jax.random.normal(jax.random.key(1), (networks.observation_size,))
+    other = seen.at[-2:].add(1.0)
+    np.testing.assert_array_equal(networks.mean(params, seen), networks.mean(params, other))
+    assert abs(networks.value(params, seen) - networks.value(params, other)) > 1e-3
+    policy = policy_of(config, params, {})
+    assert policy.layers[0][0].shape[0] == policy.layout.size == networks.observation_size - 2
+    assert policy.value is None
+    action = policy.mean(seen[:-2])
+    np.testing.assert_allclose(action, jnp.clip(networks.mean(params, seen), -1, 1), atol=1e-5)
+
+
+def test_a_policy_with_a_critic_of_another_size_gives_its_policy_only():
+    plain = make_config(OWN[0], SMALL)
+    policy = policy_of(plain, build_networks(plain).init(jax.random.key(3)), {})
+    params = build_networks(make_config(*OWN, SMALL)).init(jax.random.key(0))
+    found = with_policy(params, policy, 1.0)
+    assert found.value is params.value and policy.value is not None
+    np.testing.assert_array_equal(found.policy["Dense_0"]["kernel"], policy.layers[0][0])
+
+
+def test_it_is_refused_where_nothing_is_drawn():
+    with pytest.raises(InputError, match="critic_constants is True, allowed: false where random"):
+        make_config(OWN[1])
+    scheduled = "schedules={randomization.all: {linear: [0.0, 0.2]}}"
+    assert privileged_names(make_config("randomization.all=0.2", scheduled, OWN[1]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["ppo", "shac"])
+def test_both_learners_train_with_it(tmp_path, algorithm):
+    sizes = {
+        "ppo": ["learner.num_envs=8", "learner.rollout_length=16", "learner.num_minibatches=2"],
+        "shac": ["learner.num_envs=8", "learner.horizon=8"],
+    }
+    short = ["run.steps=1000", "run.devices=1"]
+    own = [*OWN, *short, f"learner.algorithm={algorithm}", *sizes[algorithm], SMALL]
+    assert run(["train", str(BLANK), *own, "--output", str(tmp_path), "--name", "x"]) == 0
+    policy = Policy.load(tmp_path / "x" / "policy.npz")
+    assert policy.value is None and policy.config["observation"]["critic_constants"]
