@@ -305,12 +305,12 @@ class Reward(Section):
         0.0, ge=-90, le=90, description="upward tilt of the camera's axis from the body's x, deg"
     )
     overspeed: Penalty = Field(
-        5.0,
+        20.0,
         description="penalty per s and m/s of speed above the margin below rules.speed_limit, as a "
         "multiple of reward.progress; above 1, flying faster gains less than it loses",
     )
     overspeed_margin: float = Field(
-        0.02, ge=0, le=0.9, description="part of rules.speed_limit from which on overspeed applies"
+        0.03, ge=0, le=0.9, description="part of rules.speed_limit from which on overspeed applies"
     )
     terms: dict[str, Weight] = Field(
         {}, max_length=100, description="weights of your own reward terms, by module:function"
