@@ -15,8 +15,8 @@ from quadjax.training.build import network_policy
 class Score:
     """``Laps.score`` of runs from hover: of the mean action, or sampled (``run.score``).
 
-    One run where every run is the same; sixteen where noise, disturbances, constants or charges are
-    drawn.
+    One run where every run is the same; 16 where noise, disturbances or charges are drawn; 128
+    where constants are, since the worst of the drones decide.
     """
 
     def __init__(self, config: Config, params: RaceParams) -> None:
@@ -56,4 +56,6 @@ def score_runs(config: Config) -> int:
     drawn = any(value > 0 for value in config.disturbance.half_widths.values())
     charge = (1.0, 1.0) if config.battery is None else config.battery.charge
     sampled = config.run.score == "sampled" or charge[0] < charge[1]
-    return 16 if sampled or drawn or choices_of(config).randomize else 1
+    if choices_of(config).randomize:
+        return 128
+    return 16 if sampled or drawn else 1
