@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import value_at
 from quadjax.core.yaml_files import short
 from quadjax.race.history import LONGEST
-from quadjax.race.layout import remembered_names
+from quadjax.race.layout import ACTUATORS, remembered_names
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.registry import model as vehicle_model
 
@@ -131,7 +131,8 @@ def _check_history(config: Config) -> None:
     model = vehicle_model(config.vehicle.model)
     allowed = remembered_names(model, config.observation.attitude)
     names = list(past.fields)
-    if not names or len(set(names)) < len(names) or set(names) - set(allowed):
+    meant = {model.actuators.name if name == ACTUATORS else name for name in names}
+    if not names or len(meant) < len(names) or set(names) - set(allowed):
         listed = f"one or more of {', '.join(allowed)}, each once"
         refuse("observation.history.fields", names, listed)
     if past.steps * past.every > LONGEST:

@@ -193,7 +193,7 @@ class History(Section):
         (),
         max_length=6,
         description="names of observed fields: position, velocity, attitude (or rotation), rates, "
-        "the actuators' (rpm, rotor_speed, thrust), or last_action",
+        "actuators (or their own name: rpm, rotor_speed, thrust), or last_action",
     )
     steps: int = Field(4, ge=1, le=16, description="number of earlier values of each")
     every: int = Field(

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
 LAST_ACTION, HIGHEST_RPM, MOST_AHEAD = "last_action", "highest_rpm", 4  # gates
+ACTUATORS = "actuators"  # in a history: the field of the model's actuators, whatever its name
 GROUND_TRUTH, ESTIMATED, NONE = SOURCES = ("ground_truth", "estimated", "none")
 
 
@@ -442,6 +443,7 @@ def make_layout(
         *([] if highest_speed is None else [highest_command(highest_speed)]),
     )
     known = {field.name: field for field in (last_action(model.action_size), own, *fields)}
+    known[ACTUATORS] = own
     past = [history.delayed(known[name], lag) for lag in lags for name in earlier]
     fields = (*fields, *past, *extra)
     layout = Layout(fields)
@@ -453,7 +455,7 @@ def make_layout(
 def remembered_names(model: VehicleModel, attitude: str) -> tuple[str, ...]:
     """The fields of which a history can be observed: those of the vehicle's motion and actions."""
     motion = ("position", "velocity", ATTITUDES[attitude].name, "rates", model.actuators.name)
-    return (*motion, LAST_ACTION)
+    return (*motion, ACTUATORS, LAST_ACTION)
 
 
 def is_of_motion(name: str) -> bool:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.config.race import choices_of
 from quadjax.core.errors import InputError
 from quadjax.race import environment, history
 from quadjax.race.layout import View
@@ -68,7 +69,8 @@ def test_gradients_flow_through_the_history(flown):
 REFUSED = {
     "observation.history={}": r"fields is \[\], allowed: one or more of position, velocity, ",
     "observation.history={fields: [rpm, rpm]}": "each once",
-    "observation.history={fields: [rotation]}": "attitude, rates, rpm, last_action",
+    "observation.history={fields: [rotation]}": "attitude, rates, rpm, actuators, last_action",
+    "observation.history={fields: [rpm, actuators]}": "each once",
     "observation.history={fields: [next_yaw]}": "fields is .'next_yaw'., allowed",
     "observation.history={fields: [rpm], steps: 16, every: 5}": "steps is 16, allowed: at most 12",
     "observation.history={fields: [rpm], steps: 0}": "steps",
@@ -81,6 +83,12 @@ def test_impossible_histories_are_refused(override):
     with pytest.raises(InputError, match=REFUSED[override]) as error:
         make_config(override)
     assert "\n" not in str(error.value)
+
+
+def test_actuators_are_those_of_any_model():
+    for vehicle, name in (("bebop1", "rpm"), ("5inch", "rotor_speed")):
+        own = (f"vehicle={vehicle}", "observation.history={fields: [actuators], steps: 1}")
+        assert choices_of(make_config(*own)).layout.names[-1] == f"{name}@4"
 
 
 @pytest.mark.parametrize("override", ["{fields: [rpm], every: 16}", "null", "{fields: [position]}"])
