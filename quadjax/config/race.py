@@ -33,6 +33,7 @@ from quadjax.vehicle.registry import model
 from quadjax.vehicle.residual import scale_residual
 from quadjax.vehicle.residual_file import read_residual
 
+FROM_GROUND = 0.1  # default part of the episodes that begin on the ground, where races do
 APART = ("terms", "perception_deg", "camera_deg", "overspeed", "overspeed_margin")
 OPTIONAL = ("action_change", "perception")  # penalties that are computed where they are used
 
@@ -198,7 +199,10 @@ def build_params(config: Config) -> RaceParams:
         tracks=tracks,
         limits=limits,
         reward=_reward(config),
-        start=_start_range(config.start).replace(heading=inside_turn(track) if inside else None),
+        start=_start_range(config.start).replace(
+            heading=inside_turn(track) if inside else None,
+            race=_race_part(config.start.race, track),
+        ),
         disturbance=disturbance_range(config.disturbance),
         randomization=own.constants(**_traced(config.randomization.by_constant(own))),
         population_width=_population_width(config),
@@ -293,8 +297,14 @@ def _start_range(start: schema.Start) -> StartRange:
         "thrust_high": start.thrust[1],
     }
     part = jnp.float32(start.along_leg) if start.along_leg > 0 else None
-    race = jnp.float32(start.race) if start.race > 0 else None
-    return StartRange(**_traced(ranges), along_leg=part, race=race)
+    return StartRange(**_traced(ranges), along_leg=part)
+
+
+def _race_part(part: float | None, track: Track) -> jax.Array | None:
+    """The part of the episodes that begin as a race; None: none."""
+    if part is None:
+        part = FROM_GROUND if track.start is not None and track.start.on_ground else 0.0
+    return jnp.float32(part) if part > 0.0 else None
 
 
 def race_of(config: Config) -> tuple[Choices, RaceParams]:

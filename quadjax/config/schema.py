@@ -425,12 +425,13 @@ class Start(Section):
         description="farthest start on the straight line from the gate before to the target gate, "
         "as a fraction of it; starts are uniform up to there",
     )
-    race: float = Field(
-        0.0,
+    race: float | None = Field(
+        None,
         ge=0,
         le=1,
         description="part of the episodes that begin as a race: at rest at the track's start (or "
-        "in the last gate), x and y within 0.5 m, yaw within 45 deg",
+        "in the last gate), x and y within 0.5 m, yaw within 45 deg; null: 0.1 where the track's "
+        "start is on the ground, else 0",
     )
     position: HalfWidth = Field(0.5, description="half-width about the point on the leg, m")
     velocity: HalfWidth = Field(0.5, description="half-width of each component, m/s")

@@ -260,6 +260,8 @@ def test_files_of_states_that_do_not_fit_are_one_line(tmp_path):
 def test_starts_of_a_race():
     """A part of the episodes begins at rest around the start of timed laps."""
     ground = ("rules.ground_speed=5", "track.start={position: [1, -1.2, 0], yaw_deg: 20}")
+    assert make_race()[1].start.race is None
+    assert float(make_race(*ground)[1].start.race) == pytest.approx(0.1)
     overrides = ("start.race=0.25", "start.gate=random", "start.velocity=0.5")
     for own, place, yaw, lowest in (
         ((), ref.GATES[3], 0.0, 7497.0),
