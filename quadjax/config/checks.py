@@ -364,8 +364,6 @@ def _check_used(config: Config) -> None:
     model, defaults = vehicle_model(config.vehicle.model), _defaults(config)
     with_model = f"with vehicle.model={config.vehicle.model}"
     unused: dict[str, str] = {}
-    if math.isinf(model.pitch_limit):
-        unused["vehicle.quaternion"] = with_model
     if config.battery is not None and not model.has_battery:
         refuse("battery.charge", list(config.battery.charge), f"no battery (null) {with_model}")
     if config.battery is None:

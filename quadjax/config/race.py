@@ -39,9 +39,10 @@ OPTIONAL = ("action_change", "perception")  # penalties that are computed where 
 
 
 def vehicle_model_of(config: Config) -> VehicleModel:
-    """The vehicle model, with quaternions if ``vehicle.quaternion`` is set."""
+    """The vehicle model, with quaternions if ``vehicle.quaternion`` is set and it has none yet."""
     own = model(config.vehicle.model)
-    return with_quaternions(own) if config.vehicle.quaternion else own
+    singular = math.isfinite(own.pitch_limit)
+    return with_quaternions(own) if config.vehicle.quaternion and singular else own
 
 
 def choices_of(config: Config) -> Choices:

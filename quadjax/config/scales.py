@@ -23,6 +23,8 @@ LEAST_RATIO = 1.05  # of thrust to weight: a drone below it hardly accelerates s
 SHORTEST = 0.01  # m, of a leg
 STEPS = ("learner.horizon", "learner.rollout_length", "training_limits.episode_steps")
 DECAYS = ("learner.discount", "learner.cotangent_decay")  # per step
+ENVS = "learner.num_envs"  # times learner.horizon: the same number of steps in every race
+ENVS_MULTIPLE = 8
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
 
@@ -134,4 +136,8 @@ def _plain(key: str, number: float, unit: str, scales: Scales) -> float | int:
             raise InputError(f"{key} is {number:g} {unit}, allowed: a number of leg times above 0")
         steps = value / scales.time_step
         return math.exp(-1.0 / steps) if key in DECAYS else max(1, round(steps))
+    if key == ENVS:
+        if unit != "per leg time" or value <= 0:
+            raise InputError(f"{key} is {number:g} {unit}, allowed: a number per leg time above 0")
+        return max(ENVS_MULTIPLE, ENVS_MULTIPLE * round(value / ENVS_MULTIPLE))
     return value

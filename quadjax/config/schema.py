@@ -82,7 +82,7 @@ class Vehicle(Section):
     quaternion: bool = Field(
         False,
         description="attitude as a quaternion in place of Euler angles, which are singular at a "
-        "pitch of 90 deg; the models racing, a2rl and rotor_thrust always have one",
+        "pitch of 90 deg; models racing, a2rl and rotor_thrust have one in any case",
     )
     integrator: Literal["euler", "rk4"] = Field("euler", description="integration of a time step")
     mismatch: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(

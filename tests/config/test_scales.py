@@ -43,6 +43,7 @@ def test_numbers_with_a_unit_become_plain_numbers():
             "start.position=.2 legs",
             "training_limits.episode_steps=28 leg times",
             "learner.horizon=1.5 leg times",
+            "learner.num_envs=20 per leg time",
             "learner.discount=2 leg times",
             "learner.cotangent_decay=1 leg times",
             "schedules.learner.cotangent_decay={linear: [1 leg times, 2e0 leg times]}",
@@ -58,6 +59,7 @@ def test_numbers_with_a_unit_become_plain_numbers():
     assert config.start.position == pytest.approx(0.2 * leg)
     assert config.training_limits.episode_steps == round(28 * time / 0.01)
     assert config.learner.horizon == round(1.5 * time / 0.01)
+    assert config.learner.num_envs == 8 * round(20 / time / 8)
     assert config.learner.discount == pytest.approx(math.exp(-0.01 / (2 * time)))
     decays = config.schedules["learner.cotangent_decay"].linear
     assert decays == pytest.approx([math.exp(-0.01 / time), math.exp(-0.005 / time)])
@@ -69,6 +71,7 @@ def test_numbers_with_a_unit_become_plain_numbers():
         ("learner.horizon=2 legs", "learner.horizon is 2 legs, allowed: a number of leg times"),
         ("learner.discount=-1 leg times", "learner.discount is -1 leg times"),
         ("reward.gate=2 feet", "reward.gate is"),
+        ("learner.num_envs=3 legs", "learner.num_envs is 3 legs, allowed: a number per leg time"),
     ],
 )
 def test_a_wrong_unit_is_one_line(override, named):
