@@ -57,6 +57,7 @@ UNITS: dict[str, Callable[[Scales], float]] = {
     "per leg time": lambda s: 1.0 / s.time,
     "legs per leg time": lambda s: s.leg / s.time,
     "half gates": lambda s: s.half_gate,
+    "per half gate": lambda s: 1.0 / s.half_gate,
 }
 _WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s+({'|'.join(sorted(UNITS, key=len, reverse=True))})\s*")
 
