@@ -422,8 +422,9 @@ class Start(Section):
         0.0,
         ge=0,
         le=1,
-        description="farthest start on the straight line from the gate before to the target gate, "
-        "as a fraction of it; starts are uniform up to there",
+        description="farthest start on the way from the gate before to the target gate, as a "
+        "fraction of it; the way is a cubic curve that leaves and enters the gates along their "
+        "yaw; starts are uniform up to there",
     )
     race: float | None = Field(
         None,

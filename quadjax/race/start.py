@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.frames import wrap_angle
-from quadjax.core.vectors import Vec3
+from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.recorded_starts import RecordedStart, RecordedStarts
 from quadjax.race.track import Track, gate, gate_count, pick
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
@@ -27,7 +27,7 @@ class StartRange:
     thrust_high: jax.Array
     # (gates,) rad, center of the drawn yaw by target gate; None: north.
     heading: jax.Array | None = None
-    # () farthest start on the way to the target gate, part of the leg; None: at the gate before.
+    # () farthest start on the way to the target gate, a part of it; None: at the gate before.
     along_leg: jax.Array | None = None
     recorded: RecordedStarts | None = None  # states in which a part of the episodes starts
     race: jax.Array | None = None  # () part of the episodes that begin as a race does
@@ -63,18 +63,31 @@ def start_gate(track: Track, drawn: jax.Array) -> jax.Array:
     return jnp.minimum((0.5 * (drawn + 1.0) * count).astype(jnp.int32), count - 1)
 
 
+def _way(track: Track, target: jax.Array, part: jax.Array) -> Vec3:
+    """The point, m, at a ``part`` () of the way from the gate before to the target gate.
+
+    The way is a cubic Hermite curve with the horizontal headings of both gates and the length of
+    the leg as the length of its tangents. Its height lies between those of the gates.
+    """
+    count = gate_count(track)
+    before, after = gate(track, (target + count - 1) % count), gate(track, target)
+    begin, heading = before.position, Vec3(before.cos_yaw, before.sin_yaw, jnp.zeros_like(part))
+    if not track.closed and track.start is not None:
+        first = functools.partial(jnp.where, target == 0)
+        begin = jax.tree.map(first, track.start.position, begin)
+        heading = jax.tree.map(first, Vec3.zero(), heading)
+    leg = after.position - begin
+    length, left = safe_norm(leg), 1.0 - part
+    leave, enter = length * part * left**2, -length * part**2 * left
+    arrival = Vec3(after.cos_yaw, after.sin_yaw, jnp.zeros_like(part))
+    return begin + leg * (part**2 * (3.0 - 2.0 * part)) + heading * leave + arrival * enter
+
+
 def _pose(
     track: Track, span: StartRange, target: jax.Array, drawn: jax.Array, part: jax.Array | None
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
-    """Position, velocity, Euler angles and body rates around a point of the leg to the target."""
-    count = gate_count(track)
-    before = gate(track, (target + count - 1) % count)
-    position = before.position
-    if not track.closed and track.start is not None:
-        first = functools.partial(jnp.where, target == 0)
-        position = jax.tree.map(first, track.start.position, position)
-    if part is not None:
-        position = position + (gate(track, target).position - position) * part
+    """Position, velocity, Euler angles and body rates around a point of the way to the target."""
+    position = _way(track, target, jnp.zeros(()) if part is None else part)
     angle = Vec3(span.roll_pitch, span.roll_pitch, span.yaw)
     euler = Vec3.of(drawn[6:9]) * angle
     if span.heading is not None:

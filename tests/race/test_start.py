@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial import cKDTree
 
 from quadjax.config.race import choices_of
 from quadjax.core.errors import InputError
@@ -204,16 +206,19 @@ def test_starts_repeat_with_their_key():
     assert np.all(rows_of(one.drone)[:, 0] != rows_of(other.drone)[:, 0])
 
 
-def test_starts_along_the_leg():
-    """From the gate before up to a part of the leg, each part as often."""
+def test_starts_along_the_way_to_the_next_gate():
+    """From the gate before, along its yaw, up to a part of the way; each part as often."""
     state, rows = starts("start.gate=random", "start.along_leg=0.8", "start.position=0")
-    target = np.asarray(state.target)
-    centers = np.asarray(ref.GATES)
-    begin, leg = centers[target - 1], centers[target] - centers[target - 1]
-    moved = rows[:, ref.P] - begin
-    part = np.sum(moved * leg, axis=1) / np.sum(leg**2, axis=1)
-    np.testing.assert_allclose(moved, part[:, None] * leg, atol=1e-5)
-    spans(part[:, None], [0.0], [0.8])
+    ahead = np.stack([np.cos(ref.GATE_YAW), np.sin(ref.GATE_YAW), np.zeros(4)], axis=1)
+    parts, found = np.linspace(0, 0.8, 8001), []
+    for target in range(4):
+        ends = ref.GATES[[target - 1, target]]
+        slopes = ahead[[target - 1, target]] * np.linalg.norm(ends[1] - ends[0])
+        way = CubicHermiteSpline([0, 1], ends, slopes)(parts)
+        distance, nearest = cKDTree(way).query(rows[state.target == target][:, ref.P])
+        assert distance.max() < 1e-3
+        found.append(parts[nearest])
+    spans(np.concatenate(found)[:, None], [0.0], [0.8])
 
 
 def recorded(count: int = 5) -> States:
