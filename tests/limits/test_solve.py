@@ -122,7 +122,8 @@ def test_a_race_from_rest_to_rest():
 
 
 @pytest.mark.slow
-def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
+def test_the_lap_on_square4_is_verified_and_other_commands_are_refused(monkeypatch):
+    from quadjax.limits import verify as module
     from quadjax.limits.guess import from_point_mass
     from quadjax.limits.solve import Search
     from quadjax.limits.verify import verify
@@ -134,6 +135,8 @@ def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
     claimed = best.trajectory
     hasty = dataclasses.replace(claimed, leg_times=0.97 * claimed.leg_times)
     assert verify(problem, hasty).error
+    flown = best.check.states, best.check.commands
+    monkeypatch.setattr(module, "follow", lambda *_: flown)  # a regulator flies no slower
     slow = dataclasses.replace(problem, speed_rule=best.check.top_speed - 0.01)
     assert verify(slow, claimed).error == "exceeds the speed limit"
 
