@@ -1,8 +1,8 @@
 """Write vehicle files of drones that are drawn from the randomization of a config.
 
-A policy can be trained or evaluated on one of them: quadjax train CONFIG vehicle=FILE. Limits of
-the commands that are wider than those of the config's drone are written as those, because a policy
-does not command more.
+A policy can be trained or evaluated on one of them: quadjax train CONFIG vehicle=FILE. A limit of
+the commands that is wider than that of the config's drone is replaced by the limit of that drone,
+because a policy does not command more.
 """
 
 from collections.abc import Sequence

@@ -47,19 +47,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.studies.probe import probe, probe_figure, probe_table
 
     config = load_config(options.config, options.overrides)
-    policies = {_label(file): (file, Policy.load(file, config)) for file in options.policy}
-    how, probes = (options.drones, options.seconds, options.seed), []
+    policies = {
+        label: (file, Policy.load(file, config))
+        for label, file in zip(_labels(options.policy), options.policy, strict=True)
+    }
+    probes = []
     with Console(stderr=True).status("compiling and simulating") as status:
         for label, (_, policy) in policies.items():
             status.update(f"{label}: compiling and simulating")
-            probes.append(probe(policy, config, *how, label))
+            found = probe(policy, config, options.drones, options.seconds, options.seed, label)
+            probes.append(found)
     print(probe_table(probes))
     print(f"R^2 of {probes[0].held_out} drones; fitted to {probes[0].fitted}")
     if options.json:
-        found = [each.to_json() | file_record(policies[each.label][0]) for each in probes]
-        origin = provenance(config, seed=options.seed)
-        how_flown = {"drones": options.drones, "seconds": options.seconds}
-        write_json(options.json, {"probes": found, **how_flown, "provenance": origin})
+        numbers = {
+            "probes": [each.to_json() | file_record(policies[each.label][0]) for each in probes],
+            "drones": options.drones,
+            "seconds": options.seconds,
+            "provenance": provenance(config, seed=options.seed),
+        }
+        write_json(options.json, numbers)
     if options.figure:
         save_figure(probe_figure(probes), Path(options.figure))
     for file in (options.json, options.figure):
@@ -67,7 +74,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"wrote {file}")
 
 
-def _label(file: str) -> str:
-    """The name of a policy: that of its file, or of its run's folder."""
-    path = Path(file)
-    return path.parent.name if path.stem == "policy" and path.parent.name else path.stem
+def _labels(files: Sequence[str]) -> list[str]:
+    """Names of policies: those of their files or runs' folders; the files if two have one name."""
+    paths = [Path(file) for file in files]
+    names = [
+        path.parent.name if path.stem == "policy" and path.parent.name else path.stem
+        for path in paths
+    ]
+    return names if len(set(names)) == len(names) else list(files)

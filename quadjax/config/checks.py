@@ -37,6 +37,7 @@ def check(config: Config) -> None:
     _check_model(config)
     _check_schedules(config)
     _check_learner(config)
+    _check_critic(config)
     _check_history(config)
     for test in TESTS:
         _check_values(config, test)
@@ -120,12 +121,18 @@ def _check_learner(config: Config) -> None:
         )
 
 
+def _check_critic(config: Config) -> None:
+    """Check that constants are drawn where the critic observes them."""
+    own, model = config.randomization, vehicle_model(config.vehicle.model)
+    drawn = own.population is not None or any(own.by_constant(model).values())
+    if config.observation.critic_constants and not drawn:
+        allowed = "false where randomization draws none; a scheduled fraction is above 0 here, too"
+        refuse("observation.critic_constants", True, allowed)
+
+
 def _check_history(config: Config) -> None:
     """Check which fields have a history, and how long it is."""
     past = config.observation.history
-    drawn = config.randomization.drawn or "randomization" in str(list(config.schedules))
-    if config.observation.critic_constants and not drawn:
-        refuse("observation.critic_constants", True, "false where randomization draws none")
     if past is None:
         return
     model = vehicle_model(config.vehicle.model)
@@ -242,8 +249,8 @@ def _check_start(config: Config) -> None:
     start, training, gates = config.start, config.training_limits, config.track.gates
     limit, rates = config.rules.position_limit, min(config.rules.largest_body_rates)
     pitch = training.largest_pitch_deg(vehicle_model(config.vehicle.model))
-    most = config.rules.speed_limit  # of a velocity with three components
-    slowest = None if most is None else most / math.sqrt(3)
+    speed = config.rules.speed_limit
+    component = None if speed is None else speed / math.sqrt(3)
     places = range(len(gates)) if start.gate == "random" else [len(gates) - 1]
     for index in places:
         x, y, z = gates[index].position
@@ -260,7 +267,7 @@ def _check_start(config: Config) -> None:
         ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.roll_deg", training.roll_deg),
         ("body_rates", start.body_rates, "rules.body_rate_limit", rates),
         ("body_rates", start.body_rates, "training_limits.yaw_rate", training.yaw_rate),
-        ("velocity", start.velocity, "rules.speed_limit / sqrt(3),", slowest),
+        ("velocity", start.velocity, "rules.speed_limit / sqrt(3),", component),
     ):
         if most is not None and value >= most:
             refuse(f"start.{key}", value, f"below {name} {most:g}")

@@ -134,7 +134,7 @@ def generated(tree: Tree, source: str) -> Tree:
 
 
 def with_opening(tree: Tree, source: str) -> Tree:
-    """A tree with the openings that ``track.opening`` asks for, if it does, in all gates.
+    """A tree whose gates have the size ``track.opening``, if there is one.
 
     Frames around gates of one size keep their outer edges.
 

@@ -67,7 +67,8 @@ def _way(track: Track, target: jax.Array, part: jax.Array) -> Vec3:
     """The point, m, at a ``part`` () of the way from the gate before to the target gate.
 
     The way is a cubic Hermite curve with the horizontal headings of both gates and the length of
-    the leg as the length of its tangents. Its height lies between those of the gates.
+    the leg as the length of its tangents. Its height lies between those of the gates. The curve
+    from the start of a course has no tangent there.
     """
     count = gate_count(track)
     before, after = gate(track, (target + count - 1) % count), gate(track, target)

@@ -252,7 +252,7 @@ def _bars(axes: Any, probes: Sequence[Probe], name: str) -> None:
         heights = [row[name] for row in each.r_squared.values()]
         places = np.arange(len(heights)) + width * (index - 0.5 * (len(probes) - 1))
         axes.bar(places, heights, 0.92 * width, color=color, label=each.label)
-    sources = list(probes[0].r_squared)
+    sources = max((list(each.r_squared) for each in probes), key=len)
     axes.set_xticks(range(len(sources)), sources)
     axes.axhline(0.0, color=MUTED, linewidth=0.8)
     axes.set_ylim(min(0.0, axes.get_ylim()[0]), 1.0)

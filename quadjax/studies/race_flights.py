@@ -36,7 +36,7 @@ class RaceFlights:
         finished: number of flights that pass all gates.
         time: median time from the start to the last gate, s; NaN if no flight finishes.
         between: median time from the first to the last gate, s.
-        highest_speed: of all flights, m/s.
+        highest_speed: the largest of any of them, m/s.
         seconds_above: mean time of a flight above ``speed``, s.
         speed: m/s, ``fitted_speed`` of the vehicle; None: unknown.
         crashes: why flights do not finish, with their number.

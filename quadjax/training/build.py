@@ -29,7 +29,7 @@ REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and t
 
 
 def build_environment(config: Config) -> Environment[RaceParams, RaceState]:
-    """The race as learners observe it: with the drawn constants at the end, if the critic does."""
+    """The race of training; where the critic observes the drawn constants, they come last."""
     environment, names = make_environment(choices_of(config)), privileged_names(config)
     if not names:
         return environment
@@ -79,7 +79,7 @@ def input_scale(config: Config) -> tuple[float, ...]:
 
 
 def value_scale(config: Config) -> tuple[float, ...]:
-    """Factors on all that the critic observes: ``input_scale``, and ones."""
+    """Factors on all that the critic observes: ``input_scale``, and ones for the constants."""
     own = input_scale(config)
     return (*own, *(1.0 for _ in privileged_names(config))) if own else ()
 
@@ -214,7 +214,7 @@ def initial_policy(config: Config) -> Policy | None:
 def with_policy(
     params: ActorCritic, policy: Policy, scale: float, inputs: Sequence[float] = ()
 ) -> ActorCritic:
-    """Parameters whose policy is that of a file, and so is the value where the file has such a one.
+    """Parameters with the policy of a file, and with its value where that has the same inputs.
 
     Args:
         params: of networks of the policy's widths.

@@ -16,7 +16,7 @@ class Score:
     """``Laps.score`` of runs from hover: of the mean action, or sampled (``run.score``).
 
     One run where every run is the same; 16 where noise, disturbances or charges are drawn; 128
-    where constants are, since the worst of the drones decide.
+    where constants are, because the drones of the flights differ.
     """
 
     def __init__(self, config: Config, params: RaceParams) -> None:

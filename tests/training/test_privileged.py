@@ -69,9 +69,10 @@ def test_a_policy_with_a_critic_of_another_size_gives_its_policy_only():
 
 
 def test_it_is_refused_where_nothing_is_drawn():
-    with pytest.raises(InputError, match="critic_constants is True, allowed: false where random"):
-        make_config(OWN[1])
     scheduled = "schedules={randomization.all: {linear: [0.0, 0.2]}}"
+    for drawn in ((), (scheduled,), ("randomization.all=0.2", "randomization.width=0")):
+        with pytest.raises(InputError, match="critic_constants is True, allowed: false where rand"):
+            make_config(*drawn, OWN[1])
     assert privileged_names(make_config("randomization.all=0.2", scheduled, OWN[1]))
 
 
