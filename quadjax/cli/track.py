@@ -59,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     if options.settings:
         _write(Path(options.track), options.settings, options.overwrite)
-    track = load_config(PRESET, [f"track.file={options.track}"]).track
+    one = "evaluate.laps=1"  # all that a course has
+    track = load_config(PRESET, [f"track.file={options.track}", one]).track
     print(describe_track(track))
     if options.figure:
         save_figure(trajectory_figure([], track.gates, track.name), options.figure)

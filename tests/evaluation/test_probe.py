@@ -67,6 +67,9 @@ def test_limits_of_the_commands_are_within_the_nominal_range():
 @pytest.mark.slow
 def test_drawn_drones_are_vehicle_files(tmp_path, capsys):
     draw = ["--count", "2", "--seed", "3", "--output", str(tmp_path)]
+    (tmp_path / "file").touch()
+    taken = ["drones", str(BLANK), "randomization.all=0.2", "--output", str(tmp_path / "file")]
+    assert run(taken) == 2 and "file/drone_0_0.yaml: cannot be written" in capsys.readouterr().err
     assert run(["drones", str(BLANK), "randomization.all=0.2", *draw]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2
     config = load_config(BLANK, ["randomization.all=0.2"])

@@ -179,3 +179,16 @@ def test_tracks_with_the_same_number_of_gates_share_a_compilation():
     np.testing.assert_array_equal(first[1], second[0])
     next_gate = races[0][0].observation_size - 8  # next_position, next_yaw, moment, force
     assert not np.allclose(first[0, next_gate:], first[1, next_gate:])
+
+
+def test_the_command_describes_a_course_from_the_ground(tmp_path, capsys):
+    file = tmp_path / "course.yaml"
+    file.write_text(
+        "name: course\nclosed: false\nrules: {ground_speed: 5.0}\n"
+        "start: {position: [0, 0, 0], yaw_deg: 0}\n"
+        "gates: [{position: [3, 0, -1.5], yaw_deg: 0, size: [1, 1]},\n"
+        "  {position: [3, 4, -1.5], yaw_deg: 90, size: [1, 1]}]\n"
+    )
+    assert run(["track", str(file)]) in (0, None)
+    length = (3**2 + 1.5**2) ** 0.5 + 4
+    assert f"course: 2 gates, a course of {length:.1f} m" in capsys.readouterr().out
