@@ -298,13 +298,12 @@ def fly_laps(
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)
     steps = step_limit(params, length)
-    part = (gates or 0) % gate_count(params.track)
-    last = gates if part else None
+    last = last_gate(params.track, gates)
     race, kept = fly_race(
         choices, actor, laps, steps, trace, params, policy, states, noise_key, last
     )
     result = laps_of(race, float(params.limits.time_step), time_limit(params.track, length))
-    return dataclasses.replace(result, last_gates=part), kept
+    return dataclasses.replace(result, last_gates=(gates or 0) % gate_count(params.track)), kept
 
 
 def race_length(track: Track, laps: int, gates: int | None = None) -> float:
@@ -318,6 +317,11 @@ def race_length(track: Track, laps: int, gates: int | None = None) -> float:
     if not track.closed:
         raise InputError(f"gates is {gates}, allowed: null on a course (track.closed false)")
     return gates / gate_count(track)
+
+
+def last_gate(track: Track, gates: int | None) -> int | None:
+    """The number of gates after which a race ends within a lap; None: at the end of a lap."""
+    return gates if gates is not None and gates % gate_count(track) else None
 
 
 def time_limit(track: Track, laps: float) -> float:

@@ -20,7 +20,6 @@ from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race import laps
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.track import gate_count
 from quadjax.studies.robustness import drawn_races
 
 TITLES = ("constants", "finished", "median", "first to last gate", "highest speed")
@@ -90,8 +89,9 @@ def fly_races(
     """
     if laps is None and gates is None:
         laps, gates = config.evaluate.laps, config.evaluate.gates
+    speed = config.vehicle.fitted_speed
     return [
-        _fly(label, choices, params, policy, runs, laps or 1, gates, config, seed)
+        _fly(label, choices, params, policy, runs, laps or 1, gates, speed, seed)
         for label, choices, params in drawn_races(policy, config, name)
     ]
 
@@ -104,11 +104,10 @@ def _fly(
     runs: int,
     count: int,
     gates: int | None,
-    config: Config,
+    speed: float | None,
     seed: int,
 ) -> RaceFlights:
     length = laps.race_length(params.track, count, gates)
-    speed = config.vehicle.fitted_speed
     key, noise = jax.random.split(jax.random.key(seed))
     begin = jax.jit(laps.starting_states, static_argnums=(0, 3, 4, 5))
     states = begin(choices, params, key, runs, True, True)
@@ -123,7 +122,7 @@ def _fly(
         own,
         states,
         noise,
-        gates if gates is not None and gates % gate_count(params.track) else None,
+        laps.last_gate(params.track, gates),
         jnp.float32(math.inf if speed is None else speed),
     )
     limit = laps.time_limit(params.track, length)

@@ -38,6 +38,7 @@ def test_numbers_with_a_unit_become_plain_numbers():
             "track=figure8_tudelft",
             "reward.progress=10 per leg",
             "training_limits.gate_inflation=0.6 half gates",
+            "reward.gate_edge=30 per half gate",
             "training_limits.yaw_rate=2.5 per leg time",
             "start.velocity=0.1 legs per leg time",
             "start.position=.2 legs",
@@ -54,6 +55,7 @@ def test_numbers_with_a_unit_become_plain_numbers():
     assert leg == pytest.approx(1.5 * math.sqrt(2))
     assert config.reward.progress == pytest.approx(10 / leg)
     assert config.training_limits.gate_inflation == pytest.approx(0.45)
+    assert config.reward.gate_edge == pytest.approx(40.0)
     assert config.training_limits.yaw_rate == pytest.approx(2.5 / time)
     assert config.start.velocity == pytest.approx(0.1 * leg / time)
     assert config.start.position == pytest.approx(0.2 * leg)
