@@ -85,6 +85,7 @@ def interrupted():
         ("e2e_ppo.yaml", ()),
         ("e2e_shac.yaml", ()),
         ("e2e_fastest.yaml", ("schedules.reward.gate_edge.by=pass_rate",)),
+        ("e2e_any_track.yaml", ("randomization.tracks={count: 3, drawn_by: learning_progress}",)),
     ],
 )
 def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name, keys):

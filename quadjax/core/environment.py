@@ -20,6 +20,15 @@ State = TypeVar("State")
 
 
 @dataclasses.dataclass(frozen=True)
+class Variants(Generic[Params, State]):
+    """Variants of a task, one of which ``reset`` draws: tracks, for example."""
+
+    count: int
+    index: Callable[[State], jax.Array]  # -> () int32 of the variant
+    weighted: Callable[[Params, jax.Array], Params]  # with the chance (count,) of each variant
+
+
+@dataclasses.dataclass(frozen=True)
 class Environment(Generic[Params, State]):
     """Three pure functions of one agent, and the sizes that a network needs.
 
@@ -37,3 +46,4 @@ class Environment(Generic[Params, State]):
     # (before, after) -> () float, parts of the task that a step completed: gates passed. None: not
     # reported.
     completed: Callable[[State, State], jax.Array] | None = None
+    variants: Variants[Params, State] | None = None  # with ``completed``: drawn by progress

@@ -7,7 +7,7 @@ distance is allowed (position-based dynamics, Mueller et al. 2007). World NED, m
 """
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import model_validator
@@ -22,6 +22,7 @@ FAR = 1e6  # m, no largest distance
 SLACK = 0.03  # m and fraction by which drawn values are inside the allowed ones
 DEPTH = 0.2  # m, room for the depth of two frames
 BETWEEN = 0.3  # m between the frames of two gates that are one above the other
+ACROSS = 85.0  # deg, largest angle between a leg and the direction of its gate
 MARGIN = 5.0  # m from the outermost gate to the position limit
 
 
@@ -35,6 +36,20 @@ class RandomTrack(Section):
     )
     turn_deg: float = Field(
         120.0, ge=1, le=170, description="largest turn between the legs before and after a gate"
+    )
+    leg_ratio: float | None = Field(
+        None,
+        ge=1.2,
+        le=100,
+        description="largest ratio of the legs of one track: its shortest leg is drawn first, "
+        "uniformly in its logarithm; null: all legs are drawn from leg",
+    )
+    yaw_deg: float = Field(
+        0.0,
+        ge=0,
+        le=80,
+        description="largest angle between a gate and the mean of the directions to and from it; "
+        f"both directions stay within {ACROSS:g} deg of the gate's",
     )
     height: tuple[Length, Length] = Field(
         (1.2, 2.5), description="lowest and highest center of a gate above ground, m"
@@ -92,11 +107,16 @@ class RandomTracks(RandomTrack):
 
     seed: int = Field(0, ge=0, le=2**30, description="seed of the first track; then one higher")
     count: int = Field(256, ge=1, le=4096, description="number of tracks")
+    drawn_by: Literal["uniform", "learning_progress"] = Field(
+        "uniform",
+        description="how the track of an episode is drawn: all with the same chance, or half of "
+        "the episodes by the change of each track's pass rate",
+    )
 
     @property
     def each(self) -> list[RandomTrack]:
         """The settings of each track."""
-        own = self.model_dump(exclude={"count"})
+        own = self.model_dump(exclude={"count", "drawn_by"})
         return [RandomTrack(**own | {"seed": self.seed + i}) for i in range(self.count)]
 
 
@@ -139,6 +159,9 @@ def _solve(rng: np.random.Generator, track: RandomTrack, double: np.ndarray) -> 
     """Places (n, 2) whose distances are near the allowed ones."""
     count, (short, long) = len(double), track.leg
     least = max(short, _room(track))
+    if track.leg_ratio is not None and long > track.leg_ratio * least:
+        least *= (long / track.leg_ratio / least) ** rng.uniform()
+        long = track.leg_ratio * least
     inside = min(SLACK, 0.25 * (long - least))
     legs = rng.uniform(least + inside, max(long - inside, least + inside), count)
     turns = rng.uniform(-track.turn_deg, track.turn_deg, count) + 180.0 * double
@@ -214,11 +237,15 @@ def _gates(
     low, high = track.height
     below = track.size[1] + 2.0 * track.frame + BETWEEN
     gates = []
-    for (x, y), yaw, two in zip(places, heading + 0.5 * turn, double, strict=True):
+    axes = heading + 0.5 * turn
+    for (x, y), yaw, own, two in zip(places, axes, turn, double, strict=True):
         heights = [rng.uniform(low, high)]
         if two:
             lower = rng.uniform(low, high - below)
             heights = [rng.uniform(lower + below, high), lower]
+        if track.yaw_deg:
+            most = min(track.yaw_deg, max(0.0, ACROSS - abs(math.degrees(0.5 * own))))
+            yaw += math.radians(rng.uniform(-most, most))
         for index, height in enumerate(heights):
             angle = (math.degrees(yaw) + 180.0 * index + 180.0) % 360.0 - 180.0
             gates.append(

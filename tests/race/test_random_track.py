@@ -19,6 +19,7 @@ SETTINGS = [
     {"gates": 25, "height": [1.05, 6], "frame": 0.2, "size": [1.2, 1.0]},
     {"gates": 12, "split_s": 0.25, "height": [1.2, 5]},
     {"gates": 10, "turn_deg": 60, "leg": [4, 12]},
+    {"leg": [2, 12], "leg_ratio": 3, "yaw_deg": 45, "turn_deg": 130, "size": [1, 1]},
 ]
 
 
@@ -91,7 +92,13 @@ def _check_legs(settings, gates, places, below):
     limit = np.radians(settings.get("turn_deg", 120))
     assert np.all(np.arccos(np.clip(cosine, -1, 1)) <= limit + 1e-6)
     through = np.sum(unit * np.stack([np.cos(yaw), np.sin(yaw)], axis=1), axis=1)
-    assert np.all(through >= np.cos(0.5 * limit) - 0.01)
+    aside = np.radians(settings.get("yaw_deg", 0))
+    most = min(0.5 * limit + aside, max(0.5 * limit, np.radians(85)))
+    assert np.all(through >= np.cos(most) - 0.01)
+    assert length.max() <= settings.get("leg_ratio", np.inf) * length.min() + 1e-6
+    mean = np.arctan2(*(unit + np.roll(unit, -1, axis=0) * np.where(upper, -1, 1)[:, None]).T[::-1])
+    off = np.abs((yaw - mean + np.pi) % (2 * np.pi) - np.pi)
+    assert np.all(off <= aside + 0.01) and (off.max() > 0.1) == (aside > 0)
 
 
 def test_the_seed_and_the_settings_determine_the_track():

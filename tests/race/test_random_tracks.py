@@ -35,6 +35,20 @@ def test_every_episode_is_on_one_of_the_tracks():
     assert np.bincount(drawn).min() > 20
 
 
+def test_tracks_are_drawn_by_their_chances():
+    environment, params = race("randomization.tracks.drawn_by=learning_progress")
+    variants = environment.variants
+    assert variants.count == 5 and race()[0].variants is None
+    params = variants.weighted(params, np.array([0.0, 0.75, 0.0, 0.25, 0.0], np.float32))
+    states = jax.vmap(environment.reset, in_axes=(None, 0))(
+        params, jax.random.split(jax.random.key(0), 400)
+    )
+    index = np.asarray(jax.vmap(variants.index)(states))
+    assert np.bincount(index, minlength=5) == pytest.approx([0, 300, 0, 100, 0], abs=30)
+    firsts = np.asarray(params.tracks.position.x)[:, 0]
+    np.testing.assert_array_equal(np.asarray(states.track.position.x)[:, 0], firsts[index])
+
+
 def test_a_drawn_track_is_raced_as_a_track_of_its_own():
     environment, params = race("observation.gates_ahead=2")
     state = environment.reset(params, jax.random.key(4))
