@@ -20,11 +20,11 @@ from quadjax.core.interruptions import interruptions, loading
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
+    from quadjax.limits.best_known import BestKnown, NotFoundError
     from quadjax.limits.bound import LowerBound
     from quadjax.limits.compare import Comparison
     from quadjax.limits.problem import Problem
     from quadjax.limits.run import Race
-    from quadjax.limits.solve import BestKnown
     from quadjax.limits.trajectory import Trajectory
 
 STOPPING = b"\nstopping: the best flight so far is kept; Ctrl-C again ends without it\n"
@@ -138,9 +138,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.config.loading import load_config
         from quadjax.config.race import race_of
         from quadjax.limits import run
+        from quadjax.limits.best_known import NotFoundError
         from quadjax.limits.compare import compare
         from quadjax.limits.report import read_guess
-        from quadjax.limits.solve import NotFoundError
         from quadjax.policy.file import Policy
 
     config = nominal(load_config(options.config, options.overrides))
@@ -163,8 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 report=lambda text: _show(status, stop, text),
             )
         except NotFoundError as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 1
+            return _not_found(error, options.npz)
         status.update("lower bound")
         bound = run.bound_of(problem, best, options.bound_speed)
     flown = compare(problem, best.trajectory, laps[0]) if laps else None
@@ -174,6 +173,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if path:
             console.print(f"wrote {path}", highlight=False)
     return 0
+
+
+def _not_found(error: "NotFoundError", path: str | None) -> int:
+    """Say why, and write a solution that is not verified, for ``--guess``."""
+    from quadjax.limits.report import write_unverified
+
+    print(f"error: {error}", file=sys.stderr)
+    if error.unverified is not None and path is not None:
+        write_unverified(path, error.unverified)
+        print(f"wrote {path}: not verified, only for --guess", file=sys.stderr)
+    return 1
 
 
 def _race(options: argparse.Namespace, fitted_speed: float | None) -> "Race":
@@ -218,7 +228,8 @@ def _write(
     from quadjax.core.files import write_json, write_npz
     from quadjax.core.plotting import save_figure
     from quadjax.limits.compare import figure
-    from quadjax.limits.report import LIMIT, arrays, to_json
+    from quadjax.limits.report import arrays, to_json
+    from quadjax.race.recorded_starts import LIMIT
 
     report = to_json(config, problem, best, bound, flown, options.policy)
     if options.json:

@@ -544,7 +544,7 @@ class Run(Section):
     start_states: str | None = Field(
         None,
         description="file of states (.npz) in which episodes of training start, next to the config "
-        "or by its path; quadjax improve writes it from flight logs",
+        "or by its path; of quadjax improve, or a flight of quadjax limit --npz",
     )
     start_states_part: float = Field(
         0.5, ge=0, le=1, description="part of the episodes that start in run.start_states"

@@ -20,8 +20,8 @@ from quadjax.evaluation.recording import SIGNALS, STATES
 from quadjax.evaluation.viewing import RATES, flights_of, marker_of, split
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import FlightLog, read_log
-from quadjax.limits.report import LIMIT
 from quadjax.policy.file import FORMATS
+from quadjax.race.recorded_starts import LIMIT
 from quadjax.studies.flight_files import (
     STATE_ARRAYS,
     ends_in,

@@ -14,6 +14,7 @@ from quadjax.limits.problem import Problem, leaves
 
 TOLERANCE = 3e-3  # relative, of the largest force
 MOST_BOXES = 1_000_000
+PART = 4096  # boxes that are evaluated at once
 ROUNDING = 1.0 + 1e-9  # covers the rounding of some hundred operations in float64
 
 
@@ -196,27 +197,49 @@ def largest_force(problem: Problem, speed: float, drag: float) -> float:
         InputError: an operation of the model without an interval bound.
     """
     function, slope, low, high = _squared_force(problem, speed, drag)
-    lows, highs = low[None], high[None]
+    boxes = [(low[None], high[None])]
     reached, settled = 0.0, 0.0  # value at some point; bound over the boxes that need no split
-    while len(lows):
-        lows, highs, steepness = _narrowed(slope, lows, highs)
-        middle = 0.5 * (lows + highs)
-        centered = function(Interval(middle.T, middle.T)).high + (
-            steepness * 0.5 * (highs - lows)
-        ).sum(axis=1)
-        bound = np.minimum(function(Interval(lows.T, highs.T)).high, centered)
-        inner = middle.copy()
-        length = np.linalg.norm(inner[:, :3], axis=1, keepdims=True)
-        inner[:, :3] *= np.minimum(1.0, speed / np.maximum(length, 1e-9))
-        reached = max(reached, function(Interval(inner.T, inner.T)).low.max())
-        done = (bound <= reached * (1.0 + TOLERANCE) ** 2) | (len(lows) > MOST_BOXES)
-        settled = max(settled, bound[done].max(initial=0.0))
-        widest = np.argmax((steepness * (highs - lows))[~done], axis=1)
-        lows, highs = _split(lows[~done], highs[~done], widest)
-        nearest = np.clip(0.0, lows[:, :3], highs[:, :3])
-        inside = np.linalg.norm(nearest, axis=1) <= speed
-        lows, highs = lows[inside], highs[inside]
+    while boxes:
+        most = sum(len(lows) for lows, _ in boxes) > MOST_BOXES
+        left = []
+        for lows, highs in boxes:
+            lows, highs, steepness = _narrowed(slope, lows, highs)
+            bound, value = _bounds(function, lows, highs, steepness, speed)
+            reached = max(reached, value)
+            done = (bound <= reached * (1.0 + TOLERANCE) ** 2) | most
+            settled = max(settled, bound[done].max(initial=0.0))
+            widest = np.argmax((steepness * (highs - lows))[~done], axis=1)
+            lows, highs = _split(lows[~done], highs[~done], widest)
+            nearest = np.clip(0.0, lows[:, :3], highs[:, :3])
+            inside = np.linalg.norm(nearest, axis=1) <= speed
+            left.append((lows[inside], highs[inside]))
+        boxes = _parts(*(np.concatenate(side) for side in zip(*left, strict=True)))
     return float(np.sqrt(max(settled, reached)) * ROUNDING)
+
+
+def _parts(lows: np.ndarray, highs: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes (n, k) in parts that fit in the processor's cache."""
+    starts = range(0, len(lows), PART)
+    return [(lows[index : index + PART], highs[index : index + PART]) for index in starts]
+
+
+def _bounds(
+    function: Callable[[Interval], Interval],
+    lows: np.ndarray,
+    highs: np.ndarray,
+    steepness: np.ndarray,
+    speed: float,
+) -> tuple[np.ndarray, float]:
+    """Upper bounds (n,) of a function in boxes (n, k), and its largest value in their middles."""
+    middle = 0.5 * (lows + highs)
+    centered = function(Interval(middle.T, middle.T)).high + (steepness * 0.5 * (highs - lows)).sum(
+        axis=1
+    )
+    inner = middle.copy()
+    length = np.linalg.norm(inner[:, :3], axis=1, keepdims=True)
+    inner[:, :3] *= np.minimum(1.0, speed / np.maximum(length, 1e-9))
+    value = float(function(Interval(inner.T, inner.T)).low.max())
+    return np.minimum(function(Interval(lows.T, highs.T)).high, centered), value
 
 
 def _narrowed(

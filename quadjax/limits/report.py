@@ -1,6 +1,7 @@
 """Results as JSON and as arrays."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -9,17 +10,15 @@ import numpy as np
 import pydantic
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import read_npz
+from quadjax.core.files import read_npz, write_npz
 from quadjax.core.provenance import provenance
+from quadjax.limits.best_known import BestKnown, Unverified
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.compare import Comparison
 from quadjax.limits.problem import Problem
 from quadjax.limits.simulation import positions, vectors, velocities
-from quadjax.limits.solve import BestKnown
 from quadjax.limits.trajectory import Trajectory
-from quadjax.race.recorded_starts import States
-
-LIMIT = "quadjax-limit/1"
+from quadjax.race.recorded_starts import LIMIT
 
 
 def read_guess(problem: Problem, path: str) -> Trajectory:
@@ -43,25 +42,11 @@ def read_guess(problem: Problem, path: str) -> Trajectory:
     return Trajectory(found["leg_times"], found["state"], found["command"])
 
 
-def read_starts(path: str) -> States:
-    """The states of the flight in an ``.npz`` file of ``arrays``, as starts of training.
-
-    One for each node of the mesh but the last, with the gate ahead as its target. Angles are within
-    -pi and pi.
-
-    Raises:
-        InputError: the file cannot be read, or it lacks an array.
-    """
-    names = ("position", "velocity", "euler", "rates", "actuators", "leg_times")
-    found, meta = read_npz(path, LIMIT, names)
-    if missing := [name for name in names if name not in found]:
-        raise InputError(f"{path}: {missing[0]} is missing; expected a file of quadjax limit --npz")
-    nodes, legs = len(found["position"]) - 1, len(found["leg_times"])
-    states = {name: found[name][:nodes] for name in names[:-1]}
-    states["euler"] = np.remainder(states["euler"] + np.pi, 2.0 * np.pi) - np.pi
-    gates = len(meta.get("track", ())) or legs
-    states["target"] = np.arange(nodes) * legs // nodes % gates
-    return States(states, "")
+def write_unverified(path: str | Path, found: Unverified) -> None:
+    """Write a solution that is not verified as an ``.npz`` file for ``read_guess``."""
+    flight = found.trajectory
+    names = {"state": flight.states, "command": flight.commands, "leg_times": flight.leg_times}
+    write_npz(path, names, {"format": LIMIT, "not_verified": found.error})
 
 
 def to_json(

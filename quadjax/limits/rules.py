@@ -51,7 +51,7 @@ def add_rules(
     for axis in range(3):
         program.add(position[axis, 1:last], low[axis] + margin, high[axis] - margin)
     program.add(casadi.sum1(velocity[:, 1:] ** 2), 0.0, problem.speed_limit**2)
-    _add_ground(program, problem, position, velocity, count)
+    _add_ground(program, problem, position, velocity, count, margin)
     for leg, gate in enumerate(problem.order):
         node = (leg + 1) * count
         if problem.stops and leg + 1 == problem.passages:
@@ -68,14 +68,14 @@ def add_rules(
 
 
 def _add_ground(
-    program: Program, problem: Problem, position: Any, velocity: Any, count: int
+    program: Program, problem: Problem, position: Any, velocity: Any, count: int, margin: float
 ) -> None:
     """Slow flight near the ground: on the first leg after a start there, elsewhere none."""
     if problem.landing is None:
         return
     height, speed = float(problem.landing.height), float(problem.landing.speed)
     first = count if problem.start == "hover" else 0
-    program.add(position[2, first + 1 :], -np.inf, -height)
+    program.add(position[2, first + 1 :], -np.inf, -height - margin)
     if first:
         slope = speed**2 / (height + BENEATH)  # at BENEATH no speed is left
         allowed = speed**2 - slope * (position[2, 1 : first + 1] + height)

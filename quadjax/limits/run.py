@@ -13,9 +13,9 @@ from quadjax.limits.problem import Problem, make_problem
 from quadjax.limits.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from quadjax.limits.best_known import BestKnown
     from quadjax.limits.bound import LowerBound
     from quadjax.limits.compare import Comparison
-    from quadjax.limits.solve import BestKnown
     from quadjax.policy.file import Policy
     from quadjax.race.environment import Choices, RaceParams
 

@@ -8,10 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.core.integrators import INTEGRATORS
+from quadjax.core.integrators import INTEGRATORS, rk4_loop_step
 from quadjax.limits.problem import Problem, leaves
-
-Pair = tuple[jax.Array, jax.Array]
 
 
 def make_step(
@@ -22,7 +20,7 @@ def make_step(
     Quaternions are normalized; angles are not wrapped.
     """
     quaternion, model = jnp.asarray(problem.normalized), problem.model
-    advance = _rk4_step if integrator == "rk4" else INTEGRATORS[integrator]
+    advance = rk4_loop_step if integrator == "rk4" else INTEGRATORS[integrator]
 
     def step(state: jax.Array, command: jax.Array) -> jax.Array:
         held = problem.command(command)
@@ -39,21 +37,6 @@ def make_step(
 
 def _vector(tree: Any) -> jax.Array:
     return jnp.stack([jnp.asarray(leaf) for leaf in jax.tree.leaves(tree)])
-
-
-def _rk4_step(
-    derivative: Callable[[jax.Array], jax.Array], state: jax.Array, dt: float
-) -> jax.Array:
-    """``quadjax.core.integrators.rk4_step`` as a loop over its stages, which compiles faster."""
-
-    def stage(carry: Pair, row: Pair) -> tuple[Pair, None]:
-        (slope, total), (offset, weight) = carry, row
-        slope = derivative(state + dt * offset * slope)
-        return (slope, total + weight * slope), None
-
-    stages = jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-    (_, mean), _ = jax.lax.scan(stage, (jnp.zeros_like(state), jnp.zeros_like(state)), stages)
-    return state + dt * mean
 
 
 @functools.partial(jax.jit, static_argnames=("problem", "time_step", "integrator"))

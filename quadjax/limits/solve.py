@@ -8,16 +8,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadjax.limits.best_known import (
+    SAME,
+    Attempt,
+    BestKnown,
+    NotFoundError,
+    Unverified,
+    notes_on,
+)
 from quadjax.limits.collocation import SMOOTHNESS, Dynamics, Settings, solve
 from quadjax.limits.ipopt import Effort
 from quadjax.limits.point_mass import POINT_MASS
 from quadjax.limits.problem import Problem
-from quadjax.limits.simulation import velocities
 from quadjax.limits.trajectory import Trajectory
-from quadjax.limits.verify import TIME_STEP, Check, verify
+from quadjax.limits.verify import Check, verify
 
 FINEST, NODES = 80, 800  # intervals of a leg, and of all legs, at most
-SAME = 1e-3  # relative change of the time below which the mesh is fine enough
 MARGIN = 1e-4  # m, first distance from the edges; more where the flown path drifts
 WIDENINGS, WIDER = 4, 5e-4  # times that the margin is increased, and by how much at first, m
 MOST_EXCESS = 1.2  # of a body rate over its limit, up to which the limit is lowered
@@ -40,49 +46,6 @@ class Solved(NamedTuple):
     flight: Trajectory
     converged: bool
     status: str
-
-
-@dataclasses.dataclass(frozen=True)
-class Attempt:
-    """The result from one initial guess."""
-
-    guess: str
-    time: float | None  # s, None where the solver did not converge
-    status: str
-
-
-@dataclasses.dataclass(frozen=True)
-class BestKnown:
-    """A verified flight. Its time is an upper bound of the shortest time; it may not be optimal.
-
-    Attributes:
-        trajectory: states and commands at the nodes.
-        check: the flight by the commands.
-        guess: where the solver started.
-        margin: m, kept from the edges of the openings and the bounds.
-        mesh_change: relative change of the time between the last two meshes.
-        attempts: one for each initial guess.
-        seconds: processor time.
-        notes: remarks on the result, one sentence each.
-    """
-
-    trajectory: Trajectory
-    check: Check
-    guess: str
-    margin: float
-    mesh_change: float
-    attempts: tuple[Attempt, ...]
-    seconds: float
-    notes: tuple[str, ...]
-
-    @property
-    def total(self) -> float:
-        """Time, s: the longer of the solution's and of the flight by its commands."""
-        return max(self.trajectory.total, self.check.total)
-
-
-class NotFoundError(Exception):
-    """No initial guess led to a verified flight: one line that says what was tried."""
 
 
 class Search:
@@ -109,6 +72,7 @@ class Search:
         self.dynamics = Dynamics(problem)
         self.attempts: list[Attempt] = []
         self.best: BestKnown | None = None
+        self.last: Unverified | None = None  # solution that IPOPT found, whether verified or not
         self.settings = Settings(margin=MARGIN)
 
     @property
@@ -137,12 +101,21 @@ class Search:
             else:
                 self._attempt(name, guess)
         self._attempt_screened(screened)
+        if self.best is None and self.last is not None:
+            self._verify_last(self.last)
         if self.best is None:
             tried = "; ".join(f"{each.guess}: {each.status}" for each in self.attempts)
-            raise NotFoundError(f"no flight was found ({tried or 'no time'})")
+            raise NotFoundError(tried, self.last)
         seconds = time.process_time() - self.began
         best = dataclasses.replace(self.best, attempts=tuple(self.attempts), seconds=seconds)
-        return dataclasses.replace(best, notes=self._notes(best))
+        return dataclasses.replace(best, notes=notes_on(self.problem, best))
+
+    def _verify_last(self, last: Unverified) -> None:
+        """Keep the last solution if it is verified, else the reason why it is not."""
+        check = verify(self.problem, last.trajectory)
+        if not self._keep(last.guess, last.trajectory, check, np.inf):
+            error = check.error or f"it misses an edge by {1e3 * check.drift:.1f} mm"
+            self.last = dataclasses.replace(last, error=error)
 
     def _attempt_screened(self, screened: list[tuple[str, int, Solved]]) -> None:
         """Continue from the first stage of point masses' flights, the fastest first."""
@@ -152,7 +125,8 @@ class Search:
             total = first.flight.total
             same = [x for x, other in tried.items() if abs(other - total) < SAME_START * total]
             if self.over:
-                break
+                self.attempts.append(Attempt(name, None, "only the first stage"))
+                continue
             if same and first.converged:
                 self.attempts.append(Attempt(name, None, f"leads to that of {same[0]}"))
                 continue
@@ -178,6 +152,8 @@ class Search:
                 lambda value: self.report(f"{text}: {value:.4f} s"),
             ),
         )
+        if solution.converged:
+            self.last = Unverified(solution.trajectory, name, self.settings.reserve, "")
         return Solved(solution.trajectory, solution.converged, solution.status)
 
     def _attempt(
@@ -290,21 +266,3 @@ class Search:
         ):
             self.best = found
         return True
-
-    def _notes(self, best: BestKnown) -> tuple[str, ...]:
-        notes = []
-        if best.check.top_speed > 0.99 * self.problem.speed_limit:
-            notes.append(
-                f"the flight reaches the speed limit of {self.problem.speed_limit:g} m/s; the "
-                "vehicle model may not hold there"
-            )
-        fitted, speeds = self.problem.fitted_speed, velocities(self.problem, best.check.states)
-        above = TIME_STEP * np.sum(np.linalg.norm(speeds, axis=1) > fitted)
-        if above > 0.0:
-            notes.append(
-                f"for {above:.2f} s the flight is faster than {fitted:g} m/s, the highest speed of "
-                "the flights that the model is fitted to"
-            )
-        if best.mesh_change > SAME:
-            notes.append("the mesh was not refined until the time converged")
-        return tuple(notes)

@@ -12,13 +12,14 @@ from quadjax.limits.rules import Wall
 from quadjax.limits.simulation import crossings, positions, simulate, vectors, velocities
 from quadjax.limits.tracking import follow, reference
 from quadjax.limits.trajectory import Trajectory
-from quadjax.race.rules import hits_ground, inside_frame
+from quadjax.race.rules import inside_frame
 
 TIME_STEP = 1e-3  # s, for which each command is held
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
 STEPS = 1000  # the number of steps is a multiple: each number is compiled anew
 OVERRUN = 1.01  # the simulation is longer than the solution, to reach the last gate
 AT_REST = 0.02, 0.05  # m from the center of the last gate, and m/s, at the end of a flight at rest
+NEAR_GATE = 0.1  # legs from a gate, within which its own frame is that of the passage
 RATE_TOLERANCE, PITCH_TOLERANCE = 1.001, 1e-3  # a factor, and rad
 
 
@@ -102,7 +103,11 @@ def _check(
     if problem.clearance is None:
         clearance = 0.0 if len(times) == len(problem.order) else clearance
     last = min(round(times[-1] / TIME_STEP), len(flown) - 1) if len(times) else 0
-    margin, error, walls = _margin(problem, states[: last + 1], times)
+    margin, error = _margin(problem, states[: last + 1], tolerance)
+    frame_clearance, walls = frames_hit(problem, positions(problem, states[1 : last + 1]), times)
+    clearance = min(clearance, frame_clearance)
+    if walls and not error:
+        error = "hits the frame of a gate"
     if problem.stops and not error and len(times) == len(problem.order):
         error = _at_rest(problem, states[last])
     error = _error(problem, trajectory.total, times, clearance, margin, tolerance) or error
@@ -129,60 +134,80 @@ def _at_rest(problem: Problem, state: np.ndarray) -> str:
     return ""
 
 
-def _margin(
-    problem: Problem, states: np.ndarray, times: np.ndarray
-) -> tuple[float, str, tuple[Wall, ...]]:
-    """Smallest distance from the bounds, m, what else is hit, and sides of frames to keep to."""
+def _margin(problem: Problem, states: np.ndarray, tolerance: float) -> tuple[float, str]:
+    """Smallest distance from the bounds and, in fast flight, the ground, m; and what else fails."""
     flown = positions(problem, states)[1:]
     low, high = problem.bounds
     margin = float(min((flown - low).min(initial=np.inf), (high - flown).min(initial=np.inf)))
     if not np.isfinite(states).all():
-        return -np.inf, "leaves the bounds of the race", ()
+        return -np.inf, "leaves the bounds of the race"
     if np.linalg.norm(velocities(problem, states), axis=1).max() > problem.speed_rule:
-        return margin, "exceeds the speed limit", ()
+        return margin, "exceeds the speed limit"
     rates = np.abs(vectors(problem, states, "rates")).max(axis=0)
     if np.any(rates > problem.rate_limit * RATE_TOLERANCE):
-        return margin, "exceeds the limit of the body rates", ()
+        return margin, "exceeds the limit of the body rates"
     if (
         np.abs(vectors(problem, states, "euler")[:, 1]).max()
         > problem.pitch_limit + PITCH_TOLERANCE
     ):
-        return margin, "exceeds the limit of the pitch", ()
+        return margin, "exceeds the limit of the pitch"
+    if problem.landing is not None:
+        fast = np.linalg.norm(velocities(problem, states)[1:], axis=1) > float(
+            problem.landing.speed
+        )
+        height = float(-flown[fast, 2].max(initial=-np.inf) - problem.landing.height)
+        margin = min(margin, height)
+        if height < -tolerance:
+            return margin, "flies too fast near the ground"
+    return margin, ""
+
+
+def frames_hit(
+    problem: Problem, flown: np.ndarray, times: np.ndarray
+) -> tuple[float, tuple[Wall, ...]]:
+    """Where a flight is inside solid frames.
+
+    Returns:
+        The smallest distance, m, from the inner edges of the frames of the gates that it passes,
+        negative inside, inf if it is inside none; and for each part inside the frame of another
+        gate, the nearest outer side.
+    """
+    clearance, walls = np.inf, []
+    if problem.frame is None:
+        return clearance, ()
     with jax.enable_x64(True):
-        place = Vec3.of(jnp.asarray(flown))
-        if problem.landing is not None:
-            speed = Vec3.of(jnp.asarray(velocities(problem, states)[1:]))
-            hit = jax.vmap(lambda p, v: hits_ground(p, v, problem.landing))(place, speed)
-            if np.any(hit):
-                return margin, "flies too fast near the ground", ()
-        if problem.frame is not None:
-            hit = jax.vmap(
-                lambda p: inside_frame(p, problem.track, problem.frame, 0.0, problem.radius)
-            )(place)
-            if np.any(hit):
-                return margin, "hits the frame of a gate", _walls(problem, flown, hit, times)
-    return margin, "", ()
-
-
-def _walls(
-    problem: Problem, flown: np.ndarray, hit: np.ndarray, times: np.ndarray
-) -> tuple[Wall, ...]:
-    """For each part of a flight inside a frame, its nearest outer side."""
+        hit = jax.vmap(
+            lambda p: inside_frame(p, problem.track, problem.frame, 0.0, problem.radius)
+        )(Vec3.of(jnp.asarray(flown)))
+    nodes = np.concatenate([[0.0], times])
     (found,) = np.nonzero(np.asarray(hit))
-    nodes, walls = np.concatenate([[0.0], times]), []
-    size = np.array([0.5 * float(problem.frame.depth) + problem.radius, 0.0, 0.0])
-    wider = float(problem.frame.width) + 2.0 * problem.radius  # than the opening for a point
-    for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
-        offset = flown[part][:, None] - problem.gates.position  # (n, gates, 3)
-        local = np.einsum("gij,ngj->ngi", problem.gates.axes, offset)
-        gate = int(np.argmin(np.abs(local[:, :, 0]).max(axis=0) + np.abs(local).max(axis=(0, 2))))
-        size[1:] = problem.gates.half_size[gate] + wider
-        depth = size - np.abs(local[:, gate]).max(axis=0)
-        axis = 1 + int(np.argmin(depth[1:]))
-        sign = float(np.sign(local[:, gate, axis].mean()))
+    for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1) if len(found) else ():
         legs = np.interp(TIME_STEP * (part[[0, -1]] + 1), nodes, np.arange(len(nodes)))
-        walls.append(Wall((legs[0] - 0.1, legs[1] + 0.1), gate, axis, sign, float(size[axis])))
-    return tuple(walls)
+        gate, local = _nearest_frame(problem, flown[part])
+        passed = round(legs.mean())
+        if abs(legs.mean() - passed) < NEAR_GATE and problem.order[passed - 1] == gate:
+            own = [problem.gates.clearance(gate, place) for place in flown[part]]
+            clearance = min(clearance, *own)
+        else:
+            walls.append(_wall(problem, gate, local, legs))
+    return clearance, tuple(walls)
+
+
+def _nearest_frame(problem: Problem, places: np.ndarray) -> tuple[int, np.ndarray]:
+    """The gate whose frame is nearest to places (n, 3), and these in its axes (n, 3), m."""
+    offset = places[:, None] - problem.gates.position  # (n, gates, 3)
+    local = np.einsum("gij,ngj->ngi", problem.gates.axes, offset)
+    gate = int(np.argmin(np.abs(local[:, :, 0]).max(axis=0) + np.abs(local).max(axis=(0, 2))))
+    return gate, local[:, gate]
+
+
+def _wall(problem: Problem, gate: int, local: np.ndarray, legs: np.ndarray) -> Wall:
+    """The outer side of a frame that is nearest to places (n, 3) in the gate's axes, m."""
+    wider = float(problem.frame.width) + 2.0 * problem.radius  # than the opening for a point
+    size = problem.gates.half_size[gate] + wider
+    axis = 1 + int(np.argmin(size - np.abs(local[:, 1:]).max(axis=0)))
+    sign = float(np.sign(local[:, axis].mean()))
+    return Wall((legs[0] - 0.1, legs[1] + 0.1), gate, axis, sign, float(size[axis - 1]))
 
 
 def _error(
@@ -194,6 +219,8 @@ def _error(
     tolerance: float,
 ) -> str:
     legs = len(problem.order)
+    if clearance < -tolerance and len(times) == legs:
+        return "hits the frame of a gate"
     if clearance < -tolerance:
         return f"misses gate {problem.order[len(times)] + 1} by {-1e3 * clearance:.1f} mm"
     if len(times) < legs:

@@ -3,11 +3,13 @@
 The file (``.npz``) has the arrays ``position`` (n, 3), m, and ``velocity`` (n, 3), m/s, in the
 world, ``euler`` (n, 3), rad, ``rates`` (n, 3), rad/s, body, ``actuators`` (n, k), propeller speeds
 in rpm or specific thrust in m/s^2, and ``target`` (n,), the index of the gate to pass next; its
-``meta`` has ``format: "quadjax-starts/1"`` and the name of the ``track``.
+``meta`` has ``format: "quadjax-starts/1"`` and the name of the ``track``. A flight of
+``quadjax limit --npz`` is such a file, too: its states are the nodes of its mesh.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +22,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.vehicle.protocol import Motion
 
 FORMAT = "quadjax-starts/1"
+LIMIT = "quadjax-limit/1"  # of a flight of quadjax limit
 MOTION = ("position", "velocity", "euler", "rates")
 NAMES = (*MOTION, "actuators", "target")
 
@@ -112,12 +115,17 @@ class States:
 
 
 def read_states(path: Path | str) -> States:
-    """Read and check a file of states.
+    """Read and check a file of states, or the states of a flight of ``quadjax limit --npz``.
+
+    Of a flight: one state for each node of the mesh but the last, with the gate ahead as its
+    target and angles within -pi and pi.
 
     Raises:
         InputError: a missing or damaged file, or arrays of other shapes.
     """
-    arrays, meta = read_npz(path, FORMAT, NAMES)
+    arrays, meta = read_npz(path, (FORMAT, LIMIT), (*NAMES, "leg_times"))
+    if meta["format"] == LIMIT:
+        arrays, meta = _nodes(arrays, meta), {}
     for name in NAMES:
         if name not in arrays:
             raise InputError(f"{path}: {name} is missing; expected {', '.join(NAMES)}")
@@ -134,3 +142,13 @@ def read_states(path: Path | str) -> States:
                 f"states{', three numbers each' * (name in MOTION)}"
             )
     return States({name: arrays[name] for name in NAMES}, str(meta.get("track", "")))
+
+
+def _nodes(arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The states at the nodes of a flight of ``quadjax limit``; arrays that it lacks stay out."""
+    states = {name: arrays[name][:-1] for name in NAMES if name in arrays}
+    if "euler" in states:
+        states["euler"] = np.remainder(states["euler"] + np.pi, 2.0 * np.pi) - np.pi
+    nodes, legs = len(states.get("position", ())), len(arrays.get("leg_times", ()))
+    gates = len(meta.get("track", ())) or legs
+    return states | {"target": np.arange(nodes) * legs // max(nodes, 1) % max(gates, 1)}

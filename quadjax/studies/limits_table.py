@@ -19,12 +19,14 @@ from quadjax.core.provenance import provenance
 from quadjax.limits import run
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.problem import Problem
-from quadjax.limits.report import LIMIT, arrays, read_guess
+from quadjax.limits.report import arrays, read_guess, write_unverified
 from quadjax.limits.trajectory import Trajectory
 from quadjax.policy.file import Policy
+from quadjax.race.recorded_starts import LIMIT
 
 if TYPE_CHECKING:
-    from quadjax.limits.solve import BestKnown, Search
+    from quadjax.limits.best_known import BestKnown
+    from quadjax.limits.solve import Search
 
 TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s", "grand_challenge")
 DRONES = {  # by name: a preset and overrides
@@ -91,7 +93,8 @@ def cell(
     centers: bool,
 ) -> dict[str, Any]:
     """One track and drone: best known lap, lower bound, lap through the centers, policy."""
-    from quadjax.limits.solve import NotFoundError, Search
+    from quadjax.limits.best_known import NotFoundError
+    from quadjax.limits.solve import Search
 
     began = time.process_time()
     preset, *overrides = DRONES[drone]
@@ -111,6 +114,8 @@ def cell(
             problem, given, starts=starts, seconds=SHARES[0] * seconds, stop=stop, report=show
         )
     except NotFoundError as error:
+        if error.unverified is not None and not table.exists():
+            write_unverified(table, error.unverified)
         return result | {"error": str(error), "seconds": time.process_time() - began}
     gates = [gate.model_dump(mode="json") for gate in config.track.gates]
     meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track": gates}
@@ -137,7 +142,7 @@ def cell(
 
 def _through_centers(search: "Search", best: "BestKnown") -> dict[str, Any]:
     """The lap through the centers, from the best known lap, as part of a cell's result."""
-    from quadjax.limits.solve import NotFoundError
+    from quadjax.limits.best_known import NotFoundError
 
     try:
         found = search.run([("best known lap", best.trajectory.resample(run.INTERVALS))])

@@ -124,3 +124,26 @@ def test_a_body_radius_narrows_openings_bounds_and_ground():
     assert problem.radius == pytest.approx(0.1)
     with pytest.raises(InputError, match="gate 1: no wider than the drone"):
         gates_of(params.track, radius=2.0)
+
+
+def test_own_frames_have_a_clearance_and_those_of_other_gates_an_outer_side():
+    """A flight that grazes its own opening's edge, then hits the frame of the gate before."""
+    from quadjax.limits.verify import TIME_STEP, frames_hit
+
+    rules = ["rules.gate_frame=0.2", "rules.gate_depth=0.1"]
+    choices, params = race_of(load_config("e2e_fastest", rules))
+    problem = make_problem(choices.model, params)
+    along, half = np.linspace(-0.5, 0.5, 201), problem.gates.half_size[0, 0]
+
+    def through(gate, right):
+        """Positions on a straight line through the plane of a gate."""
+        ahead, side, _ = problem.gates.axes[gate]
+        return problem.gates.position[gate] + along[:, None] * ahead + right * side
+
+    flown = np.concatenate([through(0, half + 0.003), through(1, 0.0), through(0, -half - 0.15)])
+    times = TIME_STEP * np.array([101.0, 302.0, 603.0])  # the third gate is not flown
+    clearance, (wall,) = frames_hit(problem, flown, times)
+    assert clearance == pytest.approx(-0.003, abs=1e-6)
+    assert (wall.gate, wall.axis, wall.sign) == (0, 1, -1.0)
+    assert wall.distance == pytest.approx(half + 0.2)
+    assert wall.legs[0] < 2.0 + 200.0 / 301.0 < wall.legs[1]

@@ -92,9 +92,31 @@ def test_of_several_guesses_the_fastest_after_the_first_stage_comes_first(monkey
     ]
     with pytest.raises(module.NotFoundError) as caught:
         module.Search(_problem()).run(guesses)
-    tried = str(caught.value).split("(", 1)[1].split("; ")
+    tried = str(caught.value).split("(", 1)[1].split(")")[0].split("; ")
     assert [each[:12] for each in tried] == ["point mass 2", "point mass 3", "point mass 1"]
     assert "leads to that of point mass 2" in tried[1]
+
+
+def test_ctrl_c_in_the_first_stage_writes_the_solution_that_is_not_verified(
+    tmp_path, monkeypatch, capsys
+):
+    from quadjax.limits import run as module
+    from quadjax.limits.best_known import NotFoundError, Unverified
+    from quadjax.limits.report import read_guess
+    from quadjax.limits.trajectory import Trajectory
+
+    found = Trajectory(np.ones(4), np.zeros((9, 13)), np.zeros((9, 4)))
+
+    def interrupted(*arguments, **options):
+        raise NotFoundError("a: stopped", Unverified(found, "a", 0.02, "misses gate 1 by 3.0 mm"))
+
+    monkeypatch.setattr(module, "search", interrupted)
+    path = tmp_path / "lap.npz"
+    assert run("limit", "indi", "--starts", "1", "--npz", path) == 1
+    lines = capsys.readouterr().err
+    assert "4.000 s with 2 intervals a leg and a reserve of 2% of the commands" in lines
+    assert "is not verified: misses gate 1 by 3.0 mm" in lines and "only for --guess" in lines
+    assert read_guess(_problem(), str(path)).total == 4.0
 
 
 def test_a_search_that_finds_nothing_exits_with_1(monkeypatch, capsys):

@@ -13,8 +13,8 @@ pytest.importorskip("casadi")
 @pytest.mark.slow
 def test_an_interrupted_pair_starts_from_the_flight_that_was_found(tmp_path, monkeypatch):
     from quadjax.limits import run
-    from quadjax.limits.report import LIMIT
     from quadjax.limits.solve import NotFoundError
+    from quadjax.race.recorded_starts import LIMIT
     from quadjax.studies import limits_table
 
     tried = {}

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.core.integrators import INTEGRATORS, euler_step, rk4_step
+from quadjax.core.integrators import INTEGRATORS, euler_step, rk4_loop_step, rk4_step
 from quadjax.vehicle import motor
 from quadjax.vehicle.protocol import VehicleParams
 from tests import reference as ref
@@ -45,6 +45,7 @@ def test_one_step_of_each():
     assert float(euler_step(slope, state, 0.1)["x"]) == pytest.approx(1.8, rel=1e-14)
     series = 2 * (1 - 0.1 + 0.1**2 / 2 - 0.1**3 / 6 + 0.1**4 / 24)
     assert float(rk4_step(slope, state, 0.1)["x"]) == pytest.approx(series, rel=1e-14)
+    assert float(rk4_loop_step(jnp.negative, state["x"], 0.1)) == pytest.approx(series, rel=1e-14)
 
 
 @pytest.mark.parametrize(("name", "order"), [("euler", 1), ("rk4", 4)])
