@@ -20,7 +20,7 @@ from quadjax.fitting.config import ResidualConfig
 from quadjax.fitting.nominal import evaluate
 from quadjax.fitting.selection import Selection
 from quadjax.fitting.tasks import ResidualNetwork, Task, mirrored
-from quadjax.fitting.train import Rows, initial_layers, mean_output, minimize
+from quadjax.fitting.train import Rows, initial_layers, mean_output, minimize, padded
 
 BATCH = 256
 
@@ -70,13 +70,15 @@ def distill(
     datasets = [_dataset(ensemble, config.margin, random) for ensemble in ensembles]
     length = min(len(rows["inputs"]) for rows in datasets)
     picks = [random.permutation(len(rows["inputs"]))[:length] for rows in datasets]
+    fill = np.arange(padded(length)) % length
     rows = {
         name: jnp.asarray(
-            np.stack([d[name][p] for d, p in zip(datasets, picks, strict=True)]), jnp.float32
+            np.stack([d[name][p[fill]] for d, p in zip(datasets, picks, strict=True)]), jnp.float32
         )
         for name in datasets[0]
     }
-    layers = _train(network.hidden(config), config.distill_epochs, rows, jax.random.key(seed))
+    key = jax.random.key(seed)
+    layers = _train(network.hidden(config), config.distill_epochs, rows, length, key)
     return [
         _in_file_units(ensemble, jax.tree.map(lambda x, i=i: np.asarray(x[i], np.float64), layers))
         for i, ensemble in enumerate(ensembles)
@@ -103,8 +105,8 @@ def _dataset(
 
 
 @partial(jax.jit, static_argnames=("hidden", "epochs"))
-def _train(hidden: int, epochs: int, rows: Rows, key: jax.Array) -> Layers:
-    """Final layers, leaves (ensemble, ..), of rows (ensemble, n, ..)."""
+def _train(hidden: int, epochs: int, rows: Rows, count: jax.Array | int, key: jax.Array) -> Layers:
+    """Final layers, leaves (ensemble, ..), of rows (ensemble, n, ..), ``count`` without padding."""
     length = rows["inputs"].shape[1]
     batch = min(BATCH, length)
     schedule = optax.cosine_decay_schedule(1e-2, epochs * -(-length // batch))
@@ -115,7 +117,7 @@ def _train(hidden: int, epochs: int, rows: Rows, key: jax.Array) -> Layers:
     def one(rows: Rows) -> Layers:
         start = initial_layers(key, rows["inputs"].shape[-1], hidden, rows["targets"].shape[-1])
         keys = jax.random.split(key, epochs)
-        history = minimize(loss, start, schedule, rows, length, batch, keys)
+        history = minimize(loss, start, schedule, rows, count, batch, keys)
         return jax.tree.map(lambda leaf: leaf[-1], history)
 
     return jax.vmap(one)(rows)

@@ -30,7 +30,7 @@ from quadjax.fitting.tasks import (
     nominal_error,
     nominal_without,
 )
-from quadjax.fitting.train import train_tasks
+from quadjax.fitting.train import padded, train_tasks
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.residual import Residual
 
@@ -140,7 +140,7 @@ class _Trained:
             for s in constants
         }
         self.history = train_tasks(network, list(self.tasks.values()), config, seed)
-        self.longest = int(np.bincount(fold[fold >= 0]).max())
+        self.longest = padded(int(np.bincount(fold[fold >= 0]).max()))
 
     def layers(self, key: tuple[LeftOut, bool]) -> Layers:
         """Layers of one task, every leaf (seed, epoch, ..)."""

@@ -18,6 +18,14 @@ from quadjax.fitting.tasks import ResidualNetwork, Task
 Rows = dict[str, jax.Array]  # (n, ..)
 
 
+ROWS = 512  # numbers of rows are padded to multiples of it, so that fits share compiled programs
+
+
+def padded(count: int) -> int:
+    """A number of rows with padding."""
+    return -(-count // ROWS) * ROWS
+
+
 def initial_layers(key: jax.Array, inputs: int, hidden: int, outputs: int) -> Layers:
     """One hidden layer whose kinks cover standardized inputs, and a small last layer."""
     first, bias, last = jax.random.split(key, 3)
@@ -84,11 +92,11 @@ def train_tasks(
     Returns:
         The averaged layers after each epoch: leaves (task, seed, epoch, ..).
     """
-    length = max(len(task.inputs) for task in tasks)
+    length = padded(max(len(task.inputs) for task in tasks))
 
     def stacked(name: str) -> jax.Array:
-        padded = [np.resize(getattr(t, name), (length, getattr(t, name).shape[1])) for t in tasks]
-        return jnp.asarray(np.stack(padded), jnp.float32)
+        same = [np.resize(getattr(t, name), (length, getattr(t, name).shape[1])) for t in tasks]
+        return jnp.asarray(np.stack(same), jnp.float32)
 
     rows = {name: stacked(name) for name in ("inputs", "errors", "weights")}
     counts = jnp.asarray([len(task.inputs) for task in tasks], jnp.int32)

@@ -10,11 +10,18 @@ from scipy.spatial.transform import Rotation
 
 import quadjax.studies.improve as package
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.fitting.battery import BatteryFit
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.nominal import AXES
-from quadjax.studies.improve.model import SPEEDS, Model, Refit, refit, refusal
-from quadjax.studies.improve.states import clearances, margin_of, states_of_logs
+from quadjax.studies.improve.model import SPEEDS, Model, Refit, check_speeds, refit, refusal
+from quadjax.studies.improve.states import (
+    STATES,
+    clearances,
+    margin_of,
+    spread_of,
+    states_of_logs,
+)
 from quadjax.studies.improve.training import tuning_config
 from quadjax.training.build import training_params
 from tests.improve.support import FIT, around_the_track, drone_log, policy_file, race
@@ -105,13 +112,21 @@ def flown(config, sideways=0.0, name="flight"):
     )
 
 
+def test_logs_of_a_drone_that_turns_faster_than_the_policy_commands_are_refused():
+    config = race()
+    own = Model.of(config)
+    slow = dataclasses.replace(own, constants=own.constants | {"rpm_max": 6000.0})
+    check_speeds([flown(config)], own, 0.1)
+    with pytest.raises(InputError, match="up to 7000 rpm; the config's vehicle commands 3000 to"):
+        check_speeds([flown(config)], slow, 0.1)
+
+
 def test_states_of_logs_are_starts_with_the_gate_ahead(tmp_path):
     config = race()
     states = states_of_logs([flown(config)], config)
-    assert (
-        len(states) == 160
-        and states.arrays["target"].tolist()[:45] == [0] * 20 + [1] * 20 + [2] * 5
-    )
+    target = states.arrays["target"]
+    assert len(states) == STATES and (np.diff(target) % 4 <= 1).all()
+    np.testing.assert_allclose(np.bincount(target), STATES / 4, atol=2)
     states.save(tmp_path / "states.npz")
     tuned = tuning_config(
         config, Model.of(config), policy_file(tmp_path), tmp_path / "states.npz", 0.0, 64
@@ -128,8 +143,35 @@ def test_the_margin_grows_with_hits_and_with_the_spread_of_the_clearance():
     still = [flown(config)] * 2
     for values in clearances(still, config).values():
         np.testing.assert_allclose(values, half, atol=1e-6)
-    assert margin_of(config, still, 0) == 0.05
-    assert margin_of(config, still, 1) == 0.1
+    assert margin_of(config, still, (), 0) == 0.05
+    assert margin_of(config, still, (), 1) == 0.1
     spread = [flown(config, offset * half) for offset in (0.7, 0.85, 0.95)]
-    assert margin_of(config, spread, 0) > 0.1
-    assert margin_of(race(), spread, 2) == race().reward.gate_edge_margin
+    assert margin_of(config, spread, (), 0) > 0.1
+    assert margin_of(race(), spread, (), 2) == race().reward.gate_edge_margin
+
+
+def test_the_spread_is_an_upper_bound_that_more_passages_lower():
+    values = np.random.default_rng(0).normal(0.1, 0.04, (400, 4, 10))
+    for count in (2, 4, 10):
+        bounds = [spread_of(dict(enumerate(own[:, :count]))) for own in values]
+        assert np.mean(np.array(bounds) > 0.04) == pytest.approx(0.9, abs=0.05)
+    few, many = (spread_of({0: values[0, 0, :count]}) for count in (3, 10))
+    assert few > many > values[0, 0].std()
+    assert np.isnan(spread_of({0: np.array([0.1])})) and np.isnan(spread_of({}))
+
+
+def test_a_flight_that_ends_at_a_gate_passes_it_outside_of_the_opening():
+    config = race()
+    gate = config.track.gates[1]
+    whole = flown(config, 0.5 * gate.size[1] + 0.03)
+    past = (whole.position - np.array(gate.position)) @ np.array(gate.axes)[:, 0] >= 0
+    end = int(np.flatnonzero(past & (np.arange(len(past)) > 100))[0]) - 3
+    arrays = ("time", "rpm", "rates", "body_velocity", "specific_force", "flying", "position")
+    cut = {name: getattr(whole, name)[:end] for name in arrays}
+    velocity = np.diff(whole.position, axis=0)[:end] * 100.0
+    log = dataclasses.replace(
+        whole, **(cut | {"body_velocity": velocity}), attitude=Rotation.identity(end)
+    )
+    assert len(clearances([log], config)[0]) == 1 and 1 not in clearances([log], config)
+    found = clearances([log], config, {"flight"})
+    np.testing.assert_allclose(found[1], -0.03, atol=1e-3)

@@ -107,6 +107,8 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     for more, says in (
         (("--logs", "none.csv"), "none.csv: no such file"),
         (("--logs", "a.csv", "--plant-seed", "1"), "--logs and --plant-seed exclude each other"),
+        (("--logs", "a.csv", "--plants", "2"), "--logs and --plants exclude each other"),
+        (("--check", "0", "--reference"), "--reference needs flights to compare"),
         (("--logs", "a.csv", "--seed", "0"), "--logs and --seed exclude each other"),
         (("--rounds", "0"), "--rounds: '0', expected an integer, 1 to 100"),
         (("vehicle.model=rate",), "vehicle.model is rate, allowed: motor"),
@@ -125,6 +127,9 @@ def test_a_policy_of_another_vehicle_or_without_a_critic_is_refused(tmp_path):
     dataclasses.replace(own, value=None).save(setting.policy)
     with pytest.raises(InputError, match="has no critic"):
         check_setting(setting)
+    drawn = race("randomization.all=0.2", "observation.critic_constants=true")
+    with pytest.raises(InputError, match="critic_constants is true, allowed: false"):
+        check_setting(dataclasses.replace(setting, race=drawn))
     policy_file(tmp_path, race("vehicle.model=rate"))
     with pytest.raises(InputError, match="a policy for the rate vehicle"):
         check_setting(setting)

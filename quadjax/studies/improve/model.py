@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
 from quadjax.fitting.battery import BatteryFit, fit_battery
 from quadjax.fitting.config import FitConfig
@@ -65,7 +66,7 @@ class Model:
         vehicle, observed = config.vehicle, config.observation
         gain = {} if self.residual is None else {"residual_gain": 1.0}
         new = {"constants": {**vehicle.constants, **self.constants}, "residual": self.residual}
-        battery = self.battery and self.battery.section(config.battery or BatteryConfig())
+        battery = self.limits(config)
         if battery is None:
             battery = config.battery
         elif config.battery is None:
@@ -73,6 +74,10 @@ class Model:
         return config.replace(
             vehicle=vehicle.replace(**new, **gain), battery=battery, observation=observed
         )
+
+    def limits(self, config: Config) -> BatteryConfig | None:
+        """The battery in a race; None where the flights show none."""
+        return self.battery and self.battery.section(config.battery or BatteryConfig())
 
     def to_json(self) -> dict[str, Any]:
         """The model for a JSON file."""
@@ -120,6 +125,22 @@ class Refit:
         own = Model.from_json(values["model"])
         rest = (values[name] for name in ("before", "after", "refused", "seconds"))
         return cls(own, *rest)
+
+
+def check_speeds(logs: Sequence[FlightLog], present: Model, scale_error: float) -> None:
+    """Refuse logs of another drone: with speeds beyond the range that the policy commands.
+
+    Raises:
+        InputError: naming the log, its speeds and the range.
+    """
+    low, high = present.constants["rpm_min"], present.constants["rpm_max"]
+    for log in logs:
+        fastest = float(np.percentile(log.rpm, 99.0))
+        if fastest > high * (1.0 + scale_error):
+            raise InputError(
+                f"{log.path}: speeds of up to {fastest:.5g} rpm; the config's vehicle commands "
+                f"{low:g} to {high:g} (is it this drone? are logs.units.rpm right?)"
+            )
 
 
 def refit(
@@ -255,7 +276,9 @@ def constant_lines(present: Model, found: Model) -> list[str]:
         old = present.constants[name]
         if new != old:
             lines.append(f"{name:10}{old:12.5g}{new:12.5g}{100.0 * (new / old - 1.0):+8.1f}%")
-    if found.battery is None or not found.battery.first:
+    if found.battery is None:
+        return [*lines, "battery: not fitted, as no log has commanded propeller speeds"]
+    if not found.battery.first:
         return [*lines, "battery: no limit of the propeller speeds found"]
     top = list(found.battery.first.values())
     return [

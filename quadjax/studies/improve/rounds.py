@@ -23,6 +23,13 @@ class Round:
     margin: float  # m, inside the gates' edges, of the training
     fitted: int  # logs of the round that are fitted
 
+    @property
+    def state(self) -> str:
+        """What became of the model."""
+        if self.found is None:
+            return "none"
+        return "rejected" if self.found.refused else "accepted"
+
 
 def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
     """The rounds as a Markdown table; seconds are summed over the rounds."""
@@ -32,9 +39,8 @@ def rounds_table(rounds: Sequence[Round], check: dict[str, Flown]) -> str:
         flight += sum(done.flown.seconds)
         computing += done.computing
         found = done.found
-        model = "none" if found is None else ("rejected" if found.refused else "accepted")
         error = "-" if found is None else f"{100.0 * found.change:+.0f}%"
-        cells = (f"{flight:.0f}", model, error, f"{computing:.0f}")
+        cells = (f"{flight:.0f}", done.state, error, f"{computing:.0f}")
         rows.append((str(number), _finished(done.flown), _mean(done.flown), *cells))
     for name, flown in check.items():
         rows.append((f"check, {name}", _finished(flown), _mean(flown), "", "", "", ""))

@@ -14,23 +14,23 @@ from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.plant.config import PlantConfig
 from quadjax.policy.file import Policy
-from quadjax.studies.improve.flights import Flown, fly, fly_and_log
-from quadjax.studies.improve.model import Model, Refit, refit
+from quadjax.studies.improve.flights import Flown, fly_and_log
+from quadjax.studies.improve.model import Model, Refit, check_speeds, refit
 from quadjax.studies.improve.rounds import Round
 from quadjax.studies.improve.states import margin_of, states_of_logs
 from quadjax.studies.improve.training import tuning_config
 from quadjax.training.build import initial_policy
-from quadjax.training.result import read_summary
+from quadjax.training.result import is_finished, read_summary
 from quadjax.training.run import train
 
 KIND = "improvement"
 FILES = (
-    *("improve.json", "table.txt", "policy.npz", "round_*", "check_*.json"),
+    *("improve.json", "table.txt", "policy.npz", "round_*", "check_*.json", "reference"),
+    *("plant_*", "plants.json", "plants.png"),  # of several plants
     *("model.json", "states.npz", "training", *FIT_FILES),  # of real logs
 )
 GATE = "hit a gate"
 SHORT = 0.1  # s more than logs.min_seconds
-CHECK_SEED = 10_000  # of flights that are learned from by no round
 Report = Callable[[str], None]
 
 
@@ -54,6 +54,7 @@ class Setting:
         steps: environment steps of each fine-tuning.
         check: flights of the first and the last policy, which nothing is learned from.
         seed: of batteries, gusts and sensors.
+        reference: also fine-tune the first policy on the plant's own numbers, for comparison.
     """
 
     race: Config
@@ -67,9 +68,10 @@ class Setting:
     steps: int = 2_000_000
     check: int = 10
     seed: int = 0
+    reference: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """What a resumed command must have in common, without ``rounds`` and ``check``."""
+        """What a resumed command must have in common, without ``rounds``, checks and reference."""
         sections = {"race": self.race, "fit": self.fit, "plant": self.plant}
         own = {key: part and part.model_dump(mode="json") for key, part in sections.items()}
         names = ("flights", "laps", "steps", "seed")
@@ -104,9 +106,15 @@ def check_setting(setting: Setting) -> None:
             f"{setting.policy}: a policy for the {policy.vehicle} vehicle; vehicle.model of the "
             f"config is {name}"
         )
+    if setting.race.observation.critic_constants:
+        raise InputError(
+            "observation.critic_constants is true, allowed: false; such a critic is not in the "
+            "policy's file, and fine-tuning needs it"
+        )
     if policy.value is None:
         raise InputError(
-            f"{setting.policy} has no critic, which fine-tuning needs: files of quadjax train have"
+            f"{setting.policy} has no critic, which fine-tuning needs; allowed: files of quadjax "
+            "train with observation.critic_constants false"
         )
     first = Progress(setting.policy, Model.of(setting.race), 0.0)
     initial_policy(_tuning(setting, first, None))
@@ -158,16 +166,17 @@ def learn(setting: Setting, folder: Path, report: Report) -> Refit:
     """
     present = Model.of(setting.race)
     path = folder / "model.json"
+    logs = [read_log(file, setting.fit.logs) for file in setting.logs]
     if path.exists():
         found = Refit.load(path)
     else:
+        check_speeds(logs, present, setting.fit.logs.max_scale_error)
         found = refit(setting.logs, setting.logs, setting.fit, present, folder, report)
         found.save(path)
     if not found.refused:
         margin = setting.race.reward.gate_edge_margin
         own = Progress(setting.policy, found.model, margin, setting.logs)
-        logs = [read_log(file, setting.fit.logs) for file in setting.logs]
-        policy = _train(setting, own, logs, folder, report)
+        policy = tune(setting, own, logs, folder, report)
         Policy.load(policy).save(folder / "policy.npz")
     return found
 
@@ -186,13 +195,14 @@ def _round(
     found, error = _refitted(setting, known, recent, before.model, folder, say)
     logs = [read_log(file, setting.fit.logs) for file in known]
     own = [log for log in logs if Path(log.path) in recent]
-    hits = sum(crash == GATE for crash in flown.crashes)
-    margin = margin_of(setting.race.at("reward.gate_edge_margin", before.margin), own, hits)
+    hit = [f"round_{number}_{run}" for run, why in enumerate(flown.crashes) if why == GATE]
+    race = setting.race.at("reward.gate_edge_margin", before.margin)
+    margin = margin_of(race, own, hit, len(hit))
     model = found.model if found and not found.refused else before.model
     after = Progress(before.policy, model, margin, known)
     seconds = found.seconds if found else 0.0
     if model is not before.model or margin > before.margin:
-        after = dataclasses.replace(after, policy=_train(setting, after, logs, folder, say))
+        after = dataclasses.replace(after, policy=tune(setting, after, logs, folder, say))
         seconds += float(read_summary(folder / "training")["seconds"])
     return after, Round(flown, found, error, seconds, margin, len(recent))
 
@@ -257,32 +267,24 @@ def _tuning(setting: Setting, progress: Progress, states: Path | None) -> Config
     )
 
 
-def _train(
+def tune(
     setting: Setting, progress: Progress, logs: Sequence[FlightLog], folder: Path, report: Report
 ) -> Path:
-    """Fine-tune a policy in ``folder/training``; returns the file of the result."""
+    """Fine-tune a policy in ``folder/training``; returns the file of its last parameters.
+
+    Where these do not fly, it is the file of the best ones.
+    """
     path = folder / "states.npz"
     if not path.exists():
         states = states_of_logs(logs, progress.model.race(setting.race))
         if states is not None:
             states.save(path)
-    report("fine-tuning")
-    config = _tuning(setting, progress, path if path.exists() else None)
-    run = train(config, folder / "training", resume=True, progress=False)
-    if not run.finished:
-        raise StoppedError
-    return folder / "training" / "policy.npz"
-
-
-def checked(setting: Setting, folder: Path, report: Report) -> dict[str, Flown]:
-    """Flights of the first and the last policy on the plant, which nothing is learned from."""
-    path = folder / f"check_{setting.check}_{setting.rounds}.json"
-    if not path.exists():
-        assert setting.plant is not None
-        found = {}
-        for name, policy in (("before", setting.policy), ("after", folder / "policy.npz")):
-            report(f"checking the policy {name}")
-            options = (setting.check, setting.laps, CHECK_SEED + setting.seed)
-            found[name] = fly(setting.race, setting.plant, policy, *options)
-        write_json(path, {name: dataclasses.asdict(flown) for name, flown in found.items()})
-    return {name: Flown(**values) for name, values in read_json(path).items()}
+    place = folder / "training"
+    if not is_finished(place):
+        report("fine-tuning")
+        config = _tuning(setting, progress, path if path.exists() else None)
+        if not train(config, place, resume=True, progress=False).finished:
+            raise StoppedError
+    # The best by lap time may pass closer to the edges than the margin asks for.
+    flies = read_summary(place)["last_lap_total"] is not None
+    return place / ("policy_last.npz" if flies else "policy.npz")

@@ -1,8 +1,9 @@
 """What logged flights tell a training: states to start from, and the clearance that they need."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from quadjax.config.race import build_vehicle, choices_of, vehicle_model_of
 from quadjax.config.schema import Config
@@ -13,9 +14,11 @@ from quadjax.studies.replay.logged import Logged, logged
 from quadjax.studies.report.flights import passages
 from quadjax.view.flight import clearance
 
-RATE = 20.0  # Hz, of the states that are kept
+STATES = 1024  # that are kept: with one number, all trainings are one compiled program
 REACH = 0.5  # m by which openings are wider where a logged position tells the gate ahead
-SPREAD = 3.0  # standard deviations of the clearance at a gate that are to be free
+BEFORE = 0.1  # s before a gate's plane at which a flight may end and still count as its passage
+SPREAD = 4.0  # standard deviations of the clearance that are to be free
+UNSURE = 0.1  # probability that the standard deviation is larger than assumed
 AFTER_A_HIT = 0.05  # m, least increase of the margin
 MOST = 0.2  # m, largest increase in a round
 
@@ -29,7 +32,7 @@ def _signals(log: FlightLog, config: Config) -> Logged | None:
 
 
 def states_of_logs(logs: Sequence[FlightLog], config: Config) -> States | None:
-    """States of flights at ``RATE``, with the gate ahead of each.
+    """``STATES`` states at even intervals of the flights, with the gate ahead of each.
 
     Logs without a position, a passage of the first gate, or propeller speeds give none; None if no
     log gives any.
@@ -43,7 +46,6 @@ def states_of_logs(logs: Sequence[FlightLog], config: Config) -> States | None:
         passed, targets = passages(flight.position, config.track, REACH)
         if not passed:
             continue
-        rows = slice(None, None, max(1, round(1.0 / (RATE * flight.step))))
         own = {
             "position": flight.position,
             "velocity": flight.velocity,
@@ -52,50 +54,83 @@ def states_of_logs(logs: Sequence[FlightLog], config: Config) -> States | None:
             "actuators": flight.actuators[name],
             "target": np.array(targets),
         }
-        parts.append({key: values[rows] for key, values in own.items()})
+        parts.append(own)
     if not parts:
         return None
     arrays = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    return States(arrays, config.track.name)
+    rows = np.linspace(0, len(arrays["target"]) - 1, STATES).round().astype(int)
+    return States({key: values[rows] for key, values in arrays.items()}, config.track.name)
 
 
-def clearances(logs: Sequence[FlightLog], config: Config) -> dict[int, np.ndarray]:
-    """Distances (n,) from the edge of the opening at the passages of each gate, m."""
+def clearances(
+    logs: Sequence[FlightLog], config: Config, hit: Collection[str] = ()
+) -> dict[int, np.ndarray]:
+    """Distances (n,) from the edge of the opening at the passages of each gate, m.
+
+    Args:
+        logs: of the flights.
+        config: of the race.
+        hit: names of the logs that end at a gate. This end is a passage too, with the position at
+            the plane of the gate, so its distance is negative or nearly zero.
+    """
     found: dict[int, list[float]] = {}
     for log in logs:
         flight = _signals(log, config)
         if flight is None:
             continue
         samples, targets = passages(flight.position, config.track, REACH)
-        for index in samples:
-            number = targets[index - 1]
+        places = [(targets[index - 1], flight.position[index]) for index in samples]
+        if log.name in hit:
+            places += _at_the_end(flight, config, targets[-1])
+        for number, place in places:
             gate = config.track.gates[number]
-            local = (flight.position[index] - np.array(gate.position)) @ np.array(gate.axes)
+            local = (place - np.array(gate.position)) @ np.array(gate.axes)
             found.setdefault(number, []).append(float(clearance(gate, local[1:])))
     return {number: np.array(values) for number, values in sorted(found.items())}
 
 
-def margin_of(config: Config, logs: Sequence[FlightLog], hits: int) -> float:
+def _at_the_end(flight: Logged, config: Config, number: int) -> list[tuple[int, np.ndarray]]:
+    """The gate ahead and the position at its plane, if a flight ends close to it; else nothing."""
+    gate, position, velocity = config.track.gates[number], flight.position[-1], flight.velocity[-1]
+    forward = np.array(gate.axes)[:, 0]
+    speed = float(velocity @ forward)
+    left = float((np.array(gate.position) - position) @ forward)
+    if speed <= 0 or left > BEFORE * speed:
+        return []
+    return [(number, position + velocity * left / speed)]
+
+
+def spread_of(found: dict[int, np.ndarray]) -> float:
+    """Standard deviation of clearances around the mean of their gate, m, as an upper bound.
+
+    With few passages it is larger than the estimate, by the distribution of a variance: smaller
+    than the true one only with a probability of ``UNSURE``. NaN without a second passage.
+    """
+    squares = sum(float(((values - values.mean()) ** 2).sum()) for values in found.values())
+    free = sum(len(values) - 1 for values in found.values())
+    return float(np.sqrt(squares / chi2.ppf(UNSURE, free))) if free > 0 else float("nan")
+
+
+def margin_of(config: Config, logs: Sequence[FlightLog], hit: Collection[str], hits: int) -> float:
     """The margin inside the gates' edges, m, that flights call for: ``reward.gate_edge_margin``.
 
-    It grows by what ``SPREAD`` standard deviations of the clearance at a gate exceed its mean, by
-    at least ``AFTER_A_HIT`` where a flight hit a gate. A reward without a penalty near the edges
-    has no margin to change.
+    It grows by what ``SPREAD`` standard deviations of the clearance exceed its mean at the gate
+    with the smallest mean, by at least ``AFTER_A_HIT`` where a flight hit a gate. A reward without
+    a penalty near the edges has no margin to change.
 
     Args:
         config: of the training before.
         logs: the flights of its policy.
-        hits: number of them that hit a gate.
+        hit: names of the logs that end at a gate.
+        hits: number of flights that hit a gate; the checks of logs may reject some.
     """
     now = config.reward.gate_edge_margin
     if config.reward.gate_edge == 0:
         return now
-    needed = [
-        SPREAD * float(values.std(ddof=1)) - float(values.mean())
-        for values in clearances(logs, config).values()
-        if len(values) > 2
-    ]
-    more = max([*needed, AFTER_A_HIT if hits else 0.0, 0.0])
+    found = clearances(logs, config, hit)
+    least = min((float(values.mean()) for values in found.values()), default=np.inf)
+    needed = SPREAD * spread_of(found) - least
+    more = max(needed if np.isfinite(needed) else 0.0, AFTER_A_HIT if hits else 0.0, 0.0)
     half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
     largest = max(now, 0.5 * (half - config.rules.body_radius))
     return round(min(now + min(more, MOST), largest), 3)

@@ -8,7 +8,7 @@ from quadjax.studies.improve.model import Model
 
 FIRST_RATE = 0.3  # of the config's learning rates, at the start of a fine-tuning
 RATES = ("learning_rate", "critic_learning_rate")
-EVALUATIONS = 4  # of a fine-tuning
+EVALUATIONS = 2  # of a fine-tuning
 
 
 def at_the_end(config: Config) -> Config:
