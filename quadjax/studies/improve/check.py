@@ -85,7 +85,7 @@ def checked(
         "after": _check(setting, last, folder, f"after_{len(rounds)}", report),
     }
     if setting.reference:
-        policy = _reference(setting, rounds, last, folder / REFERENCE, report)
+        policy = _reference(setting, rounds, folder / REFERENCE, report)
         found[REFERENCE] = _check(setting, policy, folder, REFERENCE, report)
     return found
 
@@ -101,14 +101,12 @@ def _check(setting: Setting, policy: Path, folder: Path, name: str, report: Repo
     return Flown.load(path)
 
 
-def _reference(
-    setting: Setting, rounds: Sequence[Round], policy: Path, folder: Path, report: Report
-) -> Path:
+def _reference(setting: Setting, rounds: Sequence[Round], folder: Path, report: Report) -> Path:
     """The first policy, fine-tuned on the plant's own numbers, with as many steps as the last."""
     assert setting.plant is not None
     seed = CHECK_SEED + 1 + setting.seed
     options = (setting.fit, folder, seed, lambda line: report(f"reference: {line}"))
-    model = plant_model(setting.race, setting.plant, policy, *options)
+    model = plant_model(setting.race, setting.plant, setting.policy, *options)
     longer = dataclasses.replace(setting, steps=setting.steps * len(rounds))
     logs = [read_log(file, setting.fit.logs) for file in model.logs]
     return tune(longer, Progress(setting.policy, model, rounds[-1].margin), logs, folder, report)
