@@ -39,6 +39,7 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "report": "write the tables and figures of flights",
     "adaptation": "evaluate a policy on drones that differ from their model",
     "probe": "measure what a policy's layers tell about the drone",
+    "specialize": "write the policy of one drone, from one that observes constants",
     "drones": "write vehicle files of drawn drones",
     "simulate-logs": "write flight logs of a known model",
     "recovery": "compare a fit with that known model",

@@ -125,9 +125,13 @@ def _check_critic(config: Config) -> None:
     """Check that constants are drawn where the critic observes them."""
     own, model = config.randomization, vehicle_model(config.vehicle.model)
     drawn = own.population is not None or any(own.by_constant(model).values())
-    if config.observation.critic_constants and not drawn:
-        allowed = "false where randomization draws none; a scheduled fraction is above 0 here, too"
-        refuse("observation.critic_constants", True, allowed)
+    observed = config.observation
+    for key in ("constants", "critic_constants"):
+        if getattr(observed, key) and not drawn:
+            most = "false where randomization draws none; a scheduled fraction is above 0 here, too"
+            refuse(f"observation.{key}", True, most)
+    if observed.constants and observed.critic_constants:
+        refuse("observation.critic_constants", True, "false with observation.constants")
 
 
 def _check_history(config: Config) -> None:

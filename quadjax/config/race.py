@@ -67,6 +67,7 @@ def choices_of(config: Config) -> Choices:
             None if config.battery is None or unobserved else observed.highest_rpm,
             *((), ()) if past is None else (past.fields, past.lags),
             observed.actuators,
+            observed.constants,
         ),
         integrator=config.vehicle.integrator,
         gate_test=config.rules.gate_test,

@@ -255,6 +255,11 @@ class Observation(Section):
         "every: 4} for those of 4, 8, 12 and 16 steps before; at a start, the first ones; null: "
         "none",
     )
+    constants: bool = Field(
+        False,
+        description="observe the drone's constants, of those that randomization draws: for drones "
+        "whose constants are known",
+    )
     critic_constants: bool = Field(
         False,
         description="the critic, not the policy, also observes the constants that randomization "

@@ -66,7 +66,7 @@ def fit_race(
             f"{name}: commands {len(policy.command_low)} numbers, the vehicle takes "
             f"{choices.model.action_size}"
         )
-    layout = arranged(choices.layout, policy.layout, choices.model.action_size, name)
+    layout = arranged(choices.layout, policy.layout, choices.model, name)
     widths = {name: jnp.float32(value) for name, value in policy.disturbance_widths.items()}
     scale = params.observed_disturbance.replace(**widths)
     return dataclasses.replace(choices, layout=layout), params.replace(disturbance_scale=scale)

@@ -17,7 +17,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
 from quadjax.core.imports import own_numbers
 from quadjax.core.vectors import Vec3, between
-from quadjax.race import history
+from quadjax.race import history, known_drone
 from quadjax.race.track import Gate, gates_ahead, pick, to_gate_frame
 from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import State, VehicleModel
@@ -388,6 +388,13 @@ def highest_command(source: str) -> Field:
     return Field(HIGHEST_RPM, 1, "rpm", "body", 2.0, value, _limit_bounds, source)
 
 
+def constants_field(model: VehicleModel) -> Field:
+    """Every constant of the drone, as far as it is drawn."""
+    names = model.constant_names
+    scaled = known_drone.bounds
+    return Field(known_drone.CONSTANTS, len(names), "", "", 8.0, known_drone.numbers, scaled)
+
+
 def make_layout(
     model: VehicleModel,
     disturbance: str = GROUND_TRUTH,
@@ -401,6 +408,7 @@ def make_layout(
     earlier: Sequence[str] = (),
     lags: Sequence[int] = (),
     with_actuators: bool = True,
+    with_constants: bool = False,
 ) -> Layout:
     """The observation of a vehicle model in the race.
 
@@ -419,6 +427,7 @@ def make_layout(
         earlier: names of fields, of ``remembered_names``, that are also observed as they were.
         lags: numbers of steps before, at each of which they are observed.
         with_actuators: whether the actuators' state is observed.
+        with_constants: whether the drone's constants are observed.
 
     Raises:
         InputError: two fields of one name.
@@ -441,6 +450,7 @@ def make_layout(
         *([last_action(model.action_size)] if with_last_action else []),
         *(disturbance_fields(disturbance) if model.disturbance is not None else ()),
         *([] if highest_speed is None else [highest_command(highest_speed)]),
+        *([constants_field(model)] if with_constants else []),
     )
     known = {field.name: field for field in (last_action(model.action_size), own, *fields)}
     known[ACTUATORS] = own
@@ -460,7 +470,9 @@ def remembered_names(model: VehicleModel, attitude: str) -> tuple[str, ...]:
 
 def is_of_motion(name: str) -> bool:
     """Whether a field depends on the vehicle's motion and actions, so that it has a history."""
-    return name not in (*DISTURBANCES, HIGHEST_RPM) and not name.startswith("next")
+    return name not in (*DISTURBANCES, HIGHEST_RPM, known_drone.CONSTANTS) and not name.startswith(
+        "next"
+    )
 
 
 def other_fields(actions: int) -> tuple[Field, ...]:
@@ -470,19 +482,23 @@ def other_fields(actions: int) -> tuple[Field, ...]:
     return (*ATTITUDES.values(), *others, *pairs)
 
 
-def arranged(layout: Layout, wanted: Layout, actions: int, name: str) -> Layout:
+def arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> Layout:
     """The layout with the fields of another one, in its order.
 
     Args:
         layout: of a race.
         wanted: of a policy.
-        actions: number of the vehicle's actions.
+        model: of the vehicle.
         name: the policy's file, for the message.
 
     Raises:
         InputError: the race has no such field, or one of another size.
     """
-    others = (*other_fields(actions), highest_command(NONE))  # without a battery: full speed
+    others = (
+        *other_fields(model.action_size),
+        highest_command(NONE),  # without a battery: full speed
+        constants_field(model),
+    )
     known = {field.name: field for field in (*others, *layout.fields)}
     for base, lag in map(history.split_name, wanted.names):
         if lag and base in known and is_of_motion(base):

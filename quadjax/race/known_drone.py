@@ -1,0 +1,51 @@
+"""Observed constants: the policy knows the drone that it flies.
+
+Trained over drawn drones, such a policy is one for each of them. For a drone whose constants are
+known, ``quadjax specialize`` writes them into the first layer.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+
+from quadjax.vehicle.protocol import Constants, VehicleModel
+
+if TYPE_CHECKING:
+    from quadjax.race.environment import RaceParams
+    from quadjax.race.layout import View
+
+CONSTANTS = "constants"  # name of the field
+
+
+def numbers(view: "View") -> Sequence[jax.Array]:
+    """Every constant of the drone, in the model's order and its units.
+
+    A drone that differs from its model (``vehicle.mismatch``) shows those of the model.
+    """
+    drawn, known = view.state.constants, view.params.vehicle.constants
+    if drawn is None or view.params.mismatch is not None:
+        return _listed(view.model, known)
+    return _listed(view.model, drawn)
+
+
+def bounds(
+    model: VehicleModel, params: "RaceParams"
+) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+    """What is observed as -1 and 1: the nominal constants minus and plus the drawn differences.
+
+    Of a population, whose limits are not known, the constants minus and plus their size.
+    """
+    nominal = _listed(model, params.vehicle.constants)
+    if params.population_width is not None:
+        widths = [jnp.abs(x) for x in nominal]
+    else:
+        parts = _listed(model, params.randomization)
+        widths = [jnp.abs(x) * part for x, part in zip(nominal, parts, strict=True)]
+    pairs = list(zip(nominal, widths, strict=True))
+    return tuple(x - width for x, width in pairs), tuple(x + width for x, width in pairs)
+
+
+def _listed(model: VehicleModel, constants: Constants) -> list[jax.Array]:
+    return [getattr(constants, name) for name in model.constant_names]

@@ -1,0 +1,81 @@
+"""Policies that observe the drone's constants, and the policy of one drone made from one."""
+
+import jax
+import numpy as np
+import pytest
+
+from quadjax.cli import run
+from quadjax.config.race import make_race, race_of
+from quadjax.core.errors import InputError
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy
+from quadjax.race.environment import make_environment
+from quadjax.studies.specialize import specialize
+from quadjax.training.build import untrained_policy
+from tests.race.support import BLANK, make_config
+
+SEES = "observation.constants=true"
+DRAWN = "randomization={thrust: 0.2, lag: 0.1}"
+SMALL = "network.hidden=[8]"
+
+
+def test_drawn_constants_are_observed_from_minus_one_to_one():
+    config = make_config(DRAWN, SEES)
+    environment, params = make_race(config)
+    states = jax.vmap(environment.reset, in_axes=(None, 0))(
+        params, jax.random.split(jax.random.key(0), 100)
+    )
+    seen = np.asarray(jax.vmap(environment.observe, in_axes=(None, 0))(params, states))
+    names = race_of(config)[0].model.constant_names
+    seen = dict(zip(names, seen[:, -len(names) :].T, strict=True))
+    for name, part in (("k_w", 0.2), ("tau", 0.1)):
+        own = float(getattr(params.vehicle.constants, name))
+        drawn = np.asarray(getattr(states.constants, name), np.float64)
+        np.testing.assert_allclose(seen[name], (drawn / own - 1.0) / part, atol=1e-4)
+        assert np.ptp(seen[name]) > 1.8
+    assert not any(seen[name].any() for name in set(names) - {"k_w", "tau"})
+
+
+def test_an_error_of_the_model_is_not_observed():
+    config = make_config(DRAWN, SEES, "vehicle.mismatch={k_w: 0.9}")
+    environment, params = make_race(config)
+    state = environment.reset(params, jax.random.key(0))
+    size = len(race_of(config)[0].model.constant_names)
+    np.testing.assert_allclose(environment.observe(params, state)[-size:], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("drawn", [DRAWN, "randomization.population=all_racing_drones"])
+def test_the_policy_of_a_drone_acts_as_the_one_that_sees_its_constants(drawn):
+    model = "vehicle=5inch" if "population" in drawn else "vehicle.constants.k_w=4.2e-8"
+    other = "vehicle=3inch" if "population" in drawn else "vehicle.constants.k_w=4.5e-8"
+    policy = untrained_policy(make_config(model, drawn, SEES, SMALL))
+    config = make_config(other)
+    choices, params = pilot.fit_race(*race_of(config), policy)
+    own = specialize(policy, config)
+    assert "constants" not in own.layout and own.layers[0][0].shape[0] == own.layout.size
+    assert own.value[0][0].shape[0] == own.layout.size
+    environment, plain = make_race(config)
+    state = environment.reset(plain, jax.random.key(3))
+    flown = pilot.make_pilot(choices, params, policy, deterministic=True)
+    seen = pilot.see(flown, make_environment(choices).observe(params, state))
+    kept = np.delete(np.asarray(seen), policy.layout.slice("constants"))
+    np.testing.assert_allclose(own.mean(kept), policy.mean(seen), atol=2e-5)
+    assert own.config["observation"]["constants"] is False
+
+
+def test_what_cannot_be_specialized_is_refused(tmp_path, capsys):
+    plain = tmp_path / "plain.npz"
+    untrained_policy(make_config(SMALL)).save(plain)
+    file = tmp_path / "one.npz"
+    assert run(["specialize", str(BLANK), "--policy", str(plain), "--output", str(file)]) == 2
+    assert "does not observe constants, allowed: a policy that was" in capsys.readouterr().err
+    seeing = untrained_policy(make_config(DRAWN, SEES, SMALL))
+    with pytest.raises(InputError, match="a policy for the motor vehicle; vehicle.model of the"):
+        specialize(seeing, make_config("vehicle=5inch"))
+    seeing.save(plain)
+    assert run(["specialize", str(BLANK), "--policy", str(plain), "--output", str(file)]) == 0
+    assert "constants" not in Policy.load(file).layout
+    with pytest.raises(InputError, match="observation.constants is True, allowed: false where ra"):
+        make_config(SEES)
+    with pytest.raises(InputError, match="critic_constants is True, allowed: false with observ"):
+        make_config(DRAWN, SEES, "observation.critic_constants=true")
