@@ -43,6 +43,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--overwrite", action="store_true", help="remove an earlier run of the same name first"
     )
     parser.add_argument(
+        "--fine-tune",
+        metavar="FILE.npz",
+        help="continue from a policy and its critic, with all schedules at their ends",
+    )
+    parser.add_argument(
         "--watch", action="store_true", help="show the training in the browser; see quadjax watch"
     )
     parser.add_argument(
@@ -65,8 +70,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.config.loading import load_config
         from quadjax.learners import hosts
         from quadjax.learners.devices import prepare_devices
+        from quadjax.training.fine_tuning import fine_tuning
 
     config = load_config(options.config, overrides_of(options))
+    if options.fine_tune:
+        config = fine_tuning(config, options.fine_tune)
     prepare_devices(config.run.devices)
     hosts.connect(options.coordinator, options.processes, options.process)
     with loading():
@@ -99,6 +107,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _again(options: argparse.Namespace) -> str:
     """The command that resumes a stopped run."""
     command = ["quadjax", "train", options.config, *overrides_of(options), "--resume"]
+    if options.fine_tune:
+        command += ["--fine-tune", options.fine_tune]
     if str(options.output) != "runs":
         command += ["--output", str(options.output)]
     return shlex.join(command)

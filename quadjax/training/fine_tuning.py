@@ -1,0 +1,39 @@
+"""Training that continues from a policy: schedules at their ends, falling learning rates."""
+
+from pathlib import Path
+
+from quadjax.config.schema import Config
+from quadjax.learners.section import Schedule
+
+FIRST_RATE = 0.3  # of the config's learning rates, at the start
+RATES = ("learning_rate", "critic_learning_rate")
+
+
+def fine_tuning(config: Config, policy: Path | str) -> Config:
+    """The config of a training that continues from a policy file, and from its critic.
+
+    Each scheduled number has its last value. The learning rates start at 0.3 of the config's and
+    end at zero.
+
+    Args:
+        config: of the race in which the policy is to fly.
+        policy: its file.
+    """
+    own = _at_the_end(config)
+    rates = [name for name in RATES if name in type(own.learner).model_fields]
+    first = {name: FIRST_RATE * getattr(own.learner, name) for name in rates}
+    return own.replace(
+        learner=own.learner.replace(**first),
+        schedules={f"learner.{name}": Schedule(linear=("value", 0.0)) for name in rates},
+        run=own.run.replace(initial_policy=str(policy)),
+    )
+
+
+def _at_the_end(config: Config) -> Config:
+    """The config without schedules: each number has its last value, learning rates their own."""
+    own = config
+    for key, schedule in config.schedules.items():
+        last = schedule.linear[-1]
+        if last != "value" and key.removeprefix("learner.") not in RATES:
+            own = own.at(key, last)
+    return own.replace(schedules={})

@@ -1,0 +1,40 @@
+"""Training that continues from a policy."""
+
+import numpy as np
+import pytest
+
+from quadjax.cli import run
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.policy.file import Policy
+from quadjax.training.build import initial_policy, untrained_policy
+from quadjax.training.fine_tuning import fine_tuning
+from tests.race.support import BLANK, make_config
+
+
+def test_schedules_are_at_their_ends_and_learning_rates_fall(tmp_path):
+    config = load_config("e2e_race", ["track=square4"])
+    own = fine_tuning(config, tmp_path / "a.npz")
+    assert own.run.initial_policy == str(tmp_path / "a.npz")
+    assert own.learner.learning_rate == pytest.approx(0.3 * config.learner.learning_rate)
+    assert set(own.schedules) == {"learner.learning_rate", "learner.critic_learning_rate"}
+    assert own.schedules["learner.learning_rate"].linear == ("value", 0.0)
+    assert own.learner.discount == config.schedules["learner.discount"].linear[-1]
+    assert own.learner.std == config.schedules["learner.std"].linear[-1] == 0.05
+    assert own.reward == config.reward and own.training_limits == config.training_limits
+
+
+def test_the_network_is_that_of_the_file(tmp_path):
+    file = tmp_path / "small.npz"
+    small = make_config("network.hidden=[8]")
+    untrained_policy(small).save(file)
+    found = initial_policy(fine_tuning(small, file))
+    np.testing.assert_array_equal(found.layers[0][0], Policy.load(file).layers[0][0])
+    with pytest.raises(InputError, match=r"small.npz has hidden widths \[8\], the config has \[6"):
+        initial_policy(fine_tuning(make_config("network.hidden=[6, 6]"), file))
+
+
+def test_a_missing_file_is_one_line(tmp_path, capsys):
+    taken = ["train", str(BLANK), "--fine-tune", "none.npz", "--output", str(tmp_path)]
+    assert run(taken) == 2
+    assert "none.npz: no such file" in capsys.readouterr().err
