@@ -36,6 +36,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--starts", type=whole(1, 100), default=2, help="number of initial guesses (default: 2)"
     )
     parser.add_argument(
+        "--policies",
+        type=Path,
+        metavar="FOLDER",
+        help="policies to compare with and to start from, named as the results: "
+        "square4_5-inch.npz (default: the shipped ones)",
+    )
+    parser.add_argument(
         "--no-centers", action="store_true", help="no lap through the centers of the gates"
     )
     return parse(parser, argv)
@@ -45,10 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Compute what is missing and print the table."""
     options, console = _arguments(arguments), Console(stderr=True)
     with loading():
-        from quadjax.core.resources import PRETRAINED
         from quadjax.studies import limits_table
 
     tracks = options.tracks or list(limits_table.TRACKS)
+    if options.policies is not None and not options.policies.is_dir():
+        raise InputError(f"--policies: {options.policies} is not a folder")
     drones = options.drones or list(limits_table.DRONES)
     for name in drones:
         if name not in limits_table.DRONES:
@@ -60,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tracks,
             drones,
             options.seconds,
-            PRETRAINED,
+            options.policies,
             stop,
             status.update,
             options.starts,

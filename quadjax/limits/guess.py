@@ -41,7 +41,7 @@ def from_flight(
     """
     position, velocity, euler, rates = motion
     repeated = np.arange(50 * len(problem.order)) % problem.gate_count
-    times, _ = crossings(problem, position, time_step, repeated)
+    times, _ = crossings(problem, position, time_step, repeated, openings=True)
     legs = len(problem.order)
     if problem.start == "hover":
         begins = [0] if len(times) >= legs else []

@@ -17,6 +17,7 @@ from quadjax.race.track import Track
 from quadjax.vehicle.protocol import Motion, State, VehicleModel, VehicleParams
 
 NO_BOUNDS = ((-np.inf,) * 3, (np.inf, np.inf, 0.0))  # the ground is at z = 0
+CENTERED = 0.02  # m from a center, within which a flight passes through it
 Start = Literal["periodic", "hover"]
 
 
@@ -83,6 +84,15 @@ class Problem:
         start = leaves(self.model.position(self.hover_state))
         if self.start == "hover" and np.any((start < low) | (start > high)):
             raise InputError(f"the start at {start.round(3).tolist()} is outside the bounds")
+
+    def leeway(self, index: int, place: np.ndarray) -> float:
+        """How far, m, a passage of a gate is inside what the clearance leaves; negative outside.
+
+        Through the centers, within ``CENTERED`` of the center.
+        """
+        if self.clearance is None:
+            return float(CENTERED - np.linalg.norm(place - self.gates.position[index]))
+        return self.gates.clearance(index, place) - self.clearance
 
     @property
     def gate_count(self) -> int:

@@ -93,6 +93,7 @@ def crossings(
     time_step: float,
     order: np.ndarray,
     tolerance: float = 0.0,
+    openings: bool = False,
 ) -> tuple[np.ndarray, float]:
     """When a flight passes its gates, missing none by more than ``tolerance``, m.
 
@@ -102,18 +103,20 @@ def crossings(
         time_step: s, between them.
         order: (gates,) indices of the gates.
         tolerance: m.
+        openings: anywhere in the openings, whatever clearance the problem requires.
 
     Returns:
         The times (gates passed,), s, where straight lines between the samples cross the planes, and
-        the smallest distance from an edge, m, negative where a gate was missed; times end there.
+        the smallest ``Problem.leeway``, m, negative where a gate was missed; times end there.
     """
     times: list[float] = []
     clearance, step = np.inf, 0
+    measure = problem.gates.clearance if openings else problem.leeway
     for gate in order:
         when, where = _passage(problem, flown, step, gate, tolerance)
         if not np.isfinite(when):
             break
-        clearance = min(clearance, problem.gates.clearance(gate, where))
+        clearance = min(clearance, measure(gate, where))
         if clearance < -tolerance:
             break
         times.append(when * time_step)

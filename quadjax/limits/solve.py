@@ -20,6 +20,7 @@ from quadjax.limits.collocation import SMOOTHNESS, Dynamics, Settings, solve
 from quadjax.limits.ipopt import Effort
 from quadjax.limits.point_mass import POINT_MASS
 from quadjax.limits.problem import Problem
+from quadjax.limits.tracking import refined
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import Check, verify
 
@@ -213,7 +214,9 @@ class Search:
         while not self.over:
             self._limit(check)
             refine = refine and 2 * trajectory.intervals <= finest
-            mesh = trajectory.resample(2 * trajectory.intervals) if refine else trajectory
+            mesh = trajectory
+            if refine:
+                mesh = refined(self.problem, trajectory, 2 * trajectory.intervals)
             finer, converged, status = self._solve(name, mesh, warm=True)
             if not converged:
                 self._keep(name, finer, verify(self.problem, finer), np.inf)

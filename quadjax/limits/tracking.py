@@ -63,7 +63,7 @@ def reference(
         change = np.where(problem.angles, trajectory.states[-1] - trajectory.states[0], 0.0)
     over = when >= total if problem.start == "periodic" else np.zeros(len(when), bool)
     wrapped = np.minimum(np.where(over, when - total, when), total)
-    states = _curve(problem, trajectory)(wrapped) + np.where(over[:, None], change, 0.0)
+    states = curve(problem, trajectory)(wrapped) + np.where(over[:, None], change, 0.0)
     if problem.normalized.any() and problem.start == "periodic":
         mask = problem.normalized
         if trajectory.states[0, mask] @ trajectory.states[-1, mask] < 0.0:
@@ -73,7 +73,7 @@ def reference(
     return states, np.stack(commands, axis=1)
 
 
-def _curve(problem: Problem, trajectory: Trajectory) -> CubicHermiteSpline:
+def curve(problem: Problem, trajectory: Trajectory) -> CubicHermiteSpline:
     """The solution as a function of time, with the slopes that the equations give."""
 
     def slope(state: jax.Array, command: jax.Array) -> jax.Array:
@@ -90,6 +90,13 @@ def _curve(problem: Problem, trajectory: Trajectory) -> CubicHermiteSpline:
         pairs = map(jnp.asarray, (trajectory.states, trajectory.commands))
         slopes = np.asarray(jax.jit(jax.vmap(slope))(*pairs))
     return CubicHermiteSpline(trajectory.times, trajectory.states, slopes)
+
+
+def refined(problem: Problem, trajectory: Trajectory, intervals: int) -> Trajectory:
+    """A solution on a finer mesh: in the middle of an interval it has the collocation's state."""
+    mesh = trajectory.resample(intervals)
+    states = curve(problem, trajectory)(mesh.times)
+    return Trajectory(mesh.leg_times, states, mesh.commands)
 
 
 @functools.partial(jax.jit, static_argnames=("problem", "time_step"))

@@ -30,7 +30,7 @@ class Check:
     Attributes:
         error: why the solution is rejected; "" if it is verified.
         leg_times: (legs,) s, between the gates.
-        clearance: smallest distance from an edge of an opening, m; negative: outside.
+        clearance: smallest ``Problem.leeway``, m; negative where a gate is missed.
         margin: smallest distance from the bounds and the ground, m; negative: outside.
         top_speed: m/s.
         closure: m, distance between the start and the end of a periodic flight.
@@ -100,8 +100,6 @@ def _check(
     times, clearance = crossings(problem, flown, TIME_STEP, order, tolerance)
     if problem.stops and len(times) == len(order):
         times = np.append(times, trajectory.total)
-    if problem.clearance is None:
-        clearance = 0.0 if len(times) == len(problem.order) else clearance
     last = min(round(times[-1] / TIME_STEP), len(flown) - 1) if len(times) else 0
     margin, error = _margin(problem, states[: last + 1], tolerance)
     frame_clearance, walls = frames_hit(problem, positions(problem, states[1 : last + 1]), times)

@@ -16,6 +16,7 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_npz
 from quadjax.core.provenance import provenance
+from quadjax.core.resources import PRETRAINED
 from quadjax.limits import run
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.problem import Problem
@@ -50,7 +51,7 @@ def make(
     tracks: list[str],
     drones: list[str],
     seconds: float,
-    policies: Path,
+    policies: Path | None,
     stop: threading.Event,
     report: Callable[[str], object],
     starts: int = 2,
@@ -63,7 +64,7 @@ def make(
         tracks: names of tracks.
         drones: of ``DRONES``.
         seconds: processor time of a cell's searches at most.
-        policies: folder of the policies to compare with.
+        policies: folder of policies to compare with, named as the results; None: the shipped ones.
         stop: if set, the current cell ends with the best so far, and no other begins.
         report: called with one line on the progress.
         starts: number of initial guesses, in addition to a policy's lap.
@@ -85,7 +86,7 @@ def cell(
     track: str,
     drone: str,
     seconds: float,
-    policies: Path,
+    policies: Path | None,
     table: Path,
     stop: threading.Event,
     report: Callable[[str], object],
@@ -104,7 +105,7 @@ def cell(
     result["provenance"] = provenance(config)
     race = run.Race(fitted_speed=config.vehicle.fitted_speed)
     problem = run.problem_of(choices, params, race)
-    laps = _laps(config, problem, policies, POLICIES.get((track, drone)))
+    laps = _laps(config, problem, _policy(policies, track, drone))
     given = {"policy's lap": laps[0]} if laps else {}
     if table.exists():  # of a computation that was interrupted
         given["earlier flight"] = read_guess(problem, str(table))
@@ -153,11 +154,19 @@ def _through_centers(search: "Search", best: "BestKnown") -> dict[str, Any]:
     return {"centers": found.total}
 
 
-def _laps(config: Config, problem: Problem, folder: Path, name: str | None) -> list[Trajectory]:
-    """The laps of a shipped policy, if there is one."""
-    if name is None:
+def _policy(folder: Path | None, track: str, drone: str) -> Path | None:
+    """A pair's policy: that of a folder, or the shipped one, if there is one."""
+    own = None if folder is None else file_of(folder, track, drone).with_suffix(".npz")
+    if own is not None and own.exists():
+        return own
+    shipped = POLICIES.get((track, drone))
+    return None if shipped is None else PRETRAINED / f"{shipped}.npz"
+
+
+def _laps(config: Config, problem: Problem, path: Path | None) -> list[Trajectory]:
+    """The laps of a policy, if there is one."""
+    if path is None:
         return []
-    path = folder / f"{name}.npz"
     return run.policy_laps(*race_of(config), problem, Policy.load(path), str(path))
 
 

@@ -147,3 +147,19 @@ def test_own_frames_have_a_clearance_and_those_of_other_gates_an_outer_side():
     assert (wall.gate, wall.axis, wall.sign) == (0, 1, -1.0)
     assert wall.distance == pytest.approx(half + 0.2)
     assert wall.legs[0] < 2.0 + 200.0 / 301.0 < wall.legs[1]
+
+
+@pytest.mark.parametrize(("clearance", "right", "leeway"), [
+    (0.0, 0.3, 0.2), (0.2, 0.25, 0.05), (0.2, 0.35, -0.05), (None, 0.01, 0.01), (None, 0.3, -0.28),
+])  # fmt: skip
+def test_a_required_clearance_is_part_of_the_verification(clearance, right, leeway):
+    from quadjax.limits.simulation import crossings
+
+    choices, params = race_of(load_config("e2e_fastest"))
+    problem = make_problem(choices.model, params, clearance=clearance)
+    ahead, side, _ = problem.gates.axes[0]
+    way = np.linspace(-0.5, 0.5, 11)[:, None] * ahead + right * side
+    times, found = crossings(problem, problem.gates.position[0] + way, 1e-3, [0])
+    assert found == pytest.approx(leeway, abs=1e-6)
+    assert len(times) == (leeway > 0.0)
+    assert len(crossings(problem, problem.gates.position[0] + way, 1e-3, [0], openings=True)[0])

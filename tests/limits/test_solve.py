@@ -87,7 +87,7 @@ def test_of_several_guesses_the_fastest_after_the_first_stage_comes_first(monkey
     monkeypatch.setattr(module, "solve", lambda p, d, guess, *_: Solution(guess, True, "", 0.0))
     times = {"point mass 1": 2.0, "point mass 2": 1.0, "point mass 3": 1.00001}
     guesses = [
-        (name, Trajectory(np.full(4, seconds), np.zeros((17, 9)), np.zeros((17, 4))))
+        (name, Trajectory(np.full(4, seconds), np.zeros((17, 13)), np.zeros((17, 4))))
         for name, seconds in times.items()
     ]
     with pytest.raises(module.NotFoundError) as caught:
@@ -201,3 +201,23 @@ def test_the_command_writes_a_bracket(tmp_path, capsys):
     with np.load(table) as arrays:
         assert arrays["time"][-1] == pytest.approx(report["best_known"], rel=5e-3)
     assert "best known" in capsys.readouterr().out
+
+
+def test_a_finer_mesh_starts_from_the_middle_states_of_the_collocation():
+    from quadjax.limits.collocation import Dynamics
+    from quadjax.limits.tracking import refined
+    from quadjax.limits.trajectory import Trajectory
+
+    problem, rng = _problem(), np.random.default_rng(0)
+    states = 0.3 * rng.normal(size=(9, 13))
+    states[:, problem.actuator_leaves] = 9.0
+    low, high = problem.command_range
+    commands = rng.uniform(low, high, (9, len(low)))
+    coarse = Trajectory(np.array([0.4, 0.6, 0.5, 0.3]), states, commands)
+    fine, dynamics = refined(problem, coarse, 4), Dynamics(problem)
+    np.testing.assert_allclose(fine.states[::2], states, atol=1e-12)
+    pairs = zip(states, commands, strict=True)
+    slope = np.array([np.array(dynamics.slope(x, u)).ravel() for x, u in pairs])
+    step = np.repeat(coarse.leg_times / 2, 2)[:, None]
+    middle = 0.5 * (states[1:] + states[:-1]) + step / 8.0 * (slope[:-1] - slope[1:])
+    np.testing.assert_allclose(fine.states[1::2], middle, atol=1e-9)
