@@ -7,7 +7,8 @@ A motor of first order follows its command, limited to the highest speed that th
 
 ``load`` is the rotors' power over that of hover, and ``a`` a number of each flight, as batteries
 are charged differently. ``tau``, ``b``, ``c`` and each ``a`` are fitted by least squares on
-simulated speeds, so noise of the measured ones does not bias them. No voltage is needed.
+simulated speeds, so noise of the measured ones does not bias them. No voltage is needed. In short
+flights the charge hardly falls, so ``c`` is then that of the vehicle's battery.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,6 +26,7 @@ RATE = 100.0  # Hz, at which errors are compared
 LEAST_GAIN = 0.02  # relative decrease of the error, below which there is no limit
 RESERVE = 0.1  # charge above and below that of the flights, for flights to come
 UNIT = 1000.0  # rpm
+LEAST_USED = 20.0  # s of hover in the longest flight, below which the drain is not fitted
 START = 0.05  # s, the lag from which the search starts
 
 
@@ -106,33 +108,45 @@ class BatteryFit:
         )
 
 
-def fit_battery(logs: Sequence[FlightLog], hover: float, highest: float) -> BatteryFit | None:
+def drain_of(battery: BatteryConfig) -> float:
+    """Decrease of the highest speed per second of hover, rpm/s, by a battery's capacity."""
+    part = battery.hover_current / (3600.0 * battery.capacity)
+    return battery.rpm_full * battery.drop / battery.voltage * part
+
+
+def fit_battery(
+    logs: Sequence[FlightLog],
+    hover: float,
+    base: BatteryConfig = BatteryConfig(),  # noqa: B008 (frozen)
+) -> BatteryFit | None:
     """Fit the limit over flights with commanded speeds; None without any.
 
     Args:
         logs: flights of one drone.
         hover: propeller speed of a hover, rpm.
-        highest: command, rpm.
+        base: the battery whose drain is assumed where flights are too short to show it.
     """
     parts = {log.name: Speeds.of(log, hover) for log in logs if log.rpm_command is not None}
     if not parts:
         return None
 
     def error(x: np.ndarray) -> np.ndarray:
-        tops = [UNIT * (a - x[1] * p.load - x[2] * p.used) for a, p in zip(x[3:], own, strict=True)]
+        c = x[2] if shown else drain_of(base) / UNIT
+        tops = [UNIT * (a - x[1] * p.load - c * p.used) for a, p in zip(x[3:], own, strict=True)]
         tau = float(np.exp(x[0]))
         return np.concatenate([p.error(tau, top) for p, top in zip(own, tops, strict=True)])
 
     own = list(parts.values())
+    shown = max(p.used[-1] for p in own) >= LEAST_USED
     first = [(np.percentile(p.rpm, 99.0) / UNIT + 0.1 * np.median(p.load)) for p in own]
-    free = np.array([np.log(START), 0.0, 0.0, *np.full(len(own), highest / UNIT)])
+    free = np.array([np.log(START), 0.0, 0.0, *np.full(len(own), np.inf)])
     tau = _least(lambda x: error(np.array([*x, *free[1:]])), free[:1])
     without = _rmse(error(np.array([*tau, *free[1:]])))
     x = _least(error, np.array([np.log(START), 0.1, 0.001, *first]))
     rmse = _rmse(error(x))
     if rmse > (1.0 - LEAST_GAIN) * without:
         return BatteryFit(float(np.exp(tau[0])), 0.0, 0.0, rmse=without)
-    sag, drain = UNIT * float(x[1]), UNIT * float(x[2])
+    sag, drain = UNIT * float(x[1]), UNIT * float(x[2]) if shown else drain_of(base)
     begin = {name: UNIT * float(a) for name, a in zip(parts, x[3:], strict=True)}
     end = {name: begin[name] - drain * float(part.used[-1]) for name, part in parts.items()}
     return BatteryFit(float(np.exp(x[0])), sag, drain, begin, end, rmse)

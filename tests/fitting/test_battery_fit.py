@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.vectors import Rotors
-from quadjax.fitting.battery import BatteryFit, fit_battery
+from quadjax.fitting.battery import BatteryFit, drain_of, fit_battery
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
 
@@ -15,10 +15,12 @@ HOVER, HIGHEST, TAU, RATE = 7500.0, 11000.0, 0.05, 200.0
 BATTERY = BatteryConfig()
 
 
-def flight(charge: float, seed: int, battery: BatteryConfig | None = BATTERY) -> FlightLog:
+def flight(
+    charge: float, seed: int, battery: BatteryConfig | None = BATTERY, seconds: int = 8
+) -> FlightLog:
     """Motors that follow steps of the command under a battery, with noise, by Euler's method."""
     random = np.random.default_rng(seed)
-    count, step = int(8 * RATE), 1.0 / RATE
+    count, step = seconds * int(RATE), 1.0 / RATE
     command = np.repeat(random.choice([4000.0, 8000.0, HIGHEST], (count // 40, 4)), 40, axis=0)
     rpm = np.empty((count, 4))
     speed = np.full(4, HOVER)
@@ -48,7 +50,7 @@ def flight(charge: float, seed: int, battery: BatteryConfig | None = BATTERY) ->
 
 def test_lag_and_limit_are_found_and_predict_a_flight_of_another_charge():
     logs = [flight(0.9, 1), flight(0.7, 2), flight(0.8, 3)]
-    found = fit_battery(logs[:2], HOVER, HIGHEST)
+    found = fit_battery(logs[:2], HOVER)
     sag = BATTERY.rpm_full * BATTERY.resistance * BATTERY.hover_current / BATTERY.voltage
     assert found.tau == pytest.approx(TAU, rel=0.02)
     assert found.sag == pytest.approx(sag, rel=0.05)
@@ -61,7 +63,7 @@ def test_lag_and_limit_are_found_and_predict_a_flight_of_another_charge():
 
 
 def test_the_battery_of_the_race_has_the_limits_of_the_flights():
-    found = fit_battery([flight(0.9, 1), flight(0.7, 2)], HOVER, HIGHEST)
+    found = fit_battery([flight(0.9, 1), flight(0.7, 2)], HOVER)
     section = found.section(BATTERY)
     assert 0.5 < section.charge[0] < 0.7 and section.charge[1] == 1.0
     cells = battery_params(section, HOVER)
@@ -71,12 +73,22 @@ def test_the_battery_of_the_race_has_the_limits_of_the_flights():
         assert best == pytest.approx(found.first["flight_1"] - load * found.sag, rel=2e-3)
 
 
+def test_the_drain_is_fitted_to_long_flights_only():
+    used = drain_of(BATTERY)
+    other = BATTERY.replace(capacity=0.5 * BATTERY.capacity)
+    assert used == pytest.approx(2.15, abs=0.01) and drain_of(other) == pytest.approx(2.0 * used)
+    long = fit_battery([flight(0.9, 1, seconds=24)], HOVER, other)
+    short = fit_battery([flight(0.9, 1, seconds=4)], HOVER, other)
+    assert long.drain == pytest.approx(used, rel=0.1)
+    assert short.drain == drain_of(other) and short.tau == pytest.approx(TAU, rel=0.05)
+
+
 def test_without_a_limit_there_is_no_battery():
-    found = fit_battery([flight(1.0, 1, None), flight(1.0, 2, None)], HOVER, HIGHEST)
+    found = fit_battery([flight(1.0, 1, None), flight(1.0, 2, None)], HOVER)
     assert found.first == {} and found.section(BATTERY) is None
     assert found.tau == pytest.approx(TAU, rel=0.02)
 
 
 def test_logs_without_commands_give_none():
     log = dataclasses.replace(flight(1.0, 1), rpm_command=None)
-    assert fit_battery([log], HOVER, HIGHEST) is None
+    assert fit_battery([log], HOVER) is None

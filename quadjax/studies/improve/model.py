@@ -192,7 +192,7 @@ def _model_of(result: FitResult, present: Model, folder: Path) -> Model:
     motor = result.vehicle.motor
     constants = {name: float(getattr(motor, name)) for name in constant_names(MotorConstants)}
     model = Model(constants, str(folder / "residual.npz"))
-    battery = fit_battery(result.logs, model.hover, constants["rpm_max"])
+    battery = fit_battery(result.logs, model.hover)
     if battery is None:
         return dataclasses.replace(model, battery=present.battery)
     return dataclasses.replace(model, constants=constants | {"tau": battery.tau}, battery=battery)
@@ -231,7 +231,7 @@ def _speed_errors(
     before, after = [], []
     for log in known:
         others = [other for other in known if other is not log]
-        own = fit_battery(others, hover, highest) if log.name in names else None
+        own = fit_battery(others, hover) if log.name in names else None
         if own is not None:
             before.append(old.error(log, hover, highest))
             after.append(own.error(log, hover, highest))
