@@ -145,18 +145,22 @@ def _present(run: "Run") -> None:
         print(no_lap((*sampled.laps.crashes, *steady.laps.crashes), run.summary["steps"]))
 
 
+def _amount(number: int) -> str:
+    return f"{number / 1e6:.1f} million" if number >= 1e5 else f"{number:,}"
+
+
 def _report(run: "Run") -> str:
     """Steps, time, memory and the folder of a run, as text."""
     summary, devices = run.summary, run.summary["devices"]
     first, memory = summary.get("first_under"), summary.get("peak_memory_mib")
     line = (
-        f"trained {summary['steps'] / 1e6:.1f} million steps in {summary['seconds']:.0f} s on "
+        f"trained {_amount(summary['steps'])} steps in {summary['seconds']:.0f} s on "
         f"{devices} device{'' if devices == 1 else 's'}"
     )
     lines = [line if memory is None else f"{line}, {memory:.0f} MiB at most"]
     if first and first["seconds"] is not None:
         lines.append(
             f"first under {first['total']:.2f} s after {first['seconds']:.0f} s and "
-            f"{first['steps'] / 1e6:.1f} million steps"
+            f"{_amount(first['steps'])} steps"
         )
     return "\n".join([*lines, f"policy, figures and metrics are in {run.folder}"])

@@ -253,6 +253,8 @@ def _merge(
             rules = values.pop("rules")
             over = {**over, "rules": merge_trees(rules, own_rules) if own_rules else rules}
         lower = under.get(section, {})
+        if section == "vehicle" and "model" not in own:
+            _check_level(lower, values, own["file"])
         under[section] = {k: v for k, v in lower.items() if k not in keys}
         over = {**over, section: merge_trees(values, {**own, "file": None})}
     if layers is not None:
@@ -267,6 +269,16 @@ def _merge(
             schedules = under.get("schedules") or {}
             under["schedules"] = {k: v for k, v in schedules.items() if "learner." not in k}
     return merge_trees(under, over)
+
+
+def _check_level(under: Tree, values: Tree, file: str) -> None:
+    """Refuse a vehicle file that would turn a race of body rates into one of rotor commands."""
+    model = values.get("model")
+    if under.get("model") == "rate" and model not in (None, "rate"):
+        raise InputError(
+            f"vehicle.file {file} has the model {model}, the config the model rate; allowed: a "
+            f"file with constants of rate, or vehicle.model={model} for rotor commands"
+        )
 
 
 def _switch_model(under: Tree, over: Tree) -> None:

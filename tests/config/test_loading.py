@@ -656,6 +656,13 @@ def test_model_of_a_config_is_not_that_of_the_file_below_it():
         load_config("e2e_fastest", ["vehicle=5inch", "vehicle.model=motor"])
 
 
+def test_a_drone_without_a_rate_level_is_refused_where_body_rates_are_commanded():
+    with pytest.raises(InputError, match="file 5inch has the model racing, the config the model r"):
+        load_config("indi_race", ["vehicle=5inch"])
+    own = load_config("indi_race", ["vehicle=5inch", "vehicle.model=racing"])
+    assert own.vehicle.model == "racing"
+
+
 def test_one_opening_for_all_gates():
     """It replaces their sizes before lengths in gates are computed; frames keep their edges."""
     own = load_config("e2e_race", ["track=grand_challenge", "track.opening=0.55"])
