@@ -133,6 +133,8 @@ def guesses(
 
     yield from given.items()
     for index in range(starts):
+        if stop.is_set():
+            return
         guess = from_point_mass(
             problem,
             INTERVALS,

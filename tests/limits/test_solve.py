@@ -97,6 +97,31 @@ def test_of_several_guesses_the_fastest_after_the_first_stage_comes_first(monkey
     assert "leads to that of point mass 2" in tried[1]
 
 
+def test_a_small_violation_is_removed_before_the_mesh_is_refined(monkeypatch):
+    from quadjax.limits import solve as module
+    from quadjax.limits.collocation import Solution
+    from quadjax.limits.trajectory import Trajectory
+    from quadjax.limits.verify import Check
+
+    rows, zeros, tried = np.zeros((1, 13)), np.zeros(3), []
+    guess = Trajectory(np.ones(4), np.zeros((33, 13)), np.zeros((33, 4)))
+
+    def solve(problem, dynamics, mesh, settings, effort):
+        tried.append((mesh.intervals, settings.margin))
+        return Solution(mesh, True, "", 0.0)
+
+    def verify(problem, trajectory, tolerance=0.0):
+        clearance = 0.001 if tried[-1:] > [(8, 0.003)] else -0.003
+        return Check("", np.ones(4), clearance, 1.0, 5.0, 0.0, True, rows, rows, zeros)
+
+    monkeypatch.setattr(module, "verify", verify)
+    monkeypatch.setattr(module, "solve", solve)
+    best = module.Search(_problem()).run([("guess", guess)])
+    first, last = [(4, module.MARGIN), *2 * [(8, module.MARGIN)]], pytest.approx(0.0042)
+    assert tried == [*first, (8, last), (16, last)]
+    assert best.attempts[0].status == "verified" and best.margin == last
+
+
 def test_ctrl_c_in_the_first_stage_writes_the_solution_that_is_not_verified(
     tmp_path, monkeypatch, capsys
 ):
