@@ -29,6 +29,7 @@ MARGIN = 1e-4  # m, first distance from the edges; more where the flown path dri
 WIDENINGS, WIDER = 4, 5e-4  # times that the margin is increased, and by how much at first, m
 MOST_EXCESS = 1.2  # of a body rate over its limit, up to which the limit is lowered
 RESERVE = 0.002  # of the commands' ranges, kept for the regulator where a flight is rejected
+FIRM_RESERVE = 0.01  # where it leaves the solution by more than ``MISSED``
 SMALL = 0.01  # m, violation that is removed before the mesh is refined
 FIRST_SHARE = 0.4  # of the time that is left, for each of the stages
 STAGES = (  # fraction of the mesh, smoothness in s, reserve of the commands
@@ -247,7 +248,7 @@ class Search:
         """More distance from the edges, or a reserve of the commands for the regulator."""
         margin, reserve = self.settings.margin, self.settings.reserve
         if check.error:
-            reserve = max(2.0 * reserve, RESERVE)
+            reserve = max(2.0 * reserve, RESERVE if check.drift < MISSED else FIRM_RESERVE)
         else:
             margin += 1.2 * check.drift + WIDER * 4.0**widened
         self.settings = dataclasses.replace(self.settings, margin=margin, reserve=reserve)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s", "grand_challenge")
 DRONES = {  # by name: a preset and overrides
-    "Bebop E2E": ("e2e_fastest",),
+    "Bebop E2E": ("e2e_race",),
     "Bebop INDI": ("indi_fastest",),
     "5-inch": ("e2e_fastest", "vehicle=5inch"),
     "3-inch": ("e2e_fastest", "vehicle=3inch"),
