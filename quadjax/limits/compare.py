@@ -13,7 +13,7 @@ from quadjax.limits.simulation import positions, vectors, velocities
 from quadjax.limits.trajectory import Trajectory
 
 POINTS = 50  # of a leg
-STYLES = ("-", "--", "-.", ":")  # of the commands
+MOST_NUMBERED = 24  # legs, up to which the gates have their numbers in the plots of the time lost
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,22 +79,23 @@ def figure(problem: Problem, flights: dict[str, Trajectory]) -> Figure:
     for (name, flight), color in zip(flights.items(), SERIES, strict=False):
         _draw(problem, flight, (path, axes), color, f"{name}, {flight.total:.3f} s")
     _gates(problem, path)
-    labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands, fraction")
+    labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands")
     for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label, color=INK)
     axes[-1].set_xlabel("time [s]", color=INK)
-    _name_commands(problem, axes[-1])
     path.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     lost = [whole.add_subplot(layout[row, 0]) for row in (2, 3)] if two else []
     if two:
-        _draw_lost(compare(problem, *list(flights.values())[:2]), lost)
+        compared = compare(problem, *list(flights.values())[:2])
+        _draw_lost(compared, lost, problem.gate_count)
     for axis in (path, *lost, *axes):
         tidy(axis)
+    _name_commands(problem, axes[-1])
     return whole
 
 
-def _draw_lost(result: Comparison, axes: Sequence[Axes]) -> None:
-    """The time lost along the best known flight, and per meter of it."""
+def _draw_lost(result: Comparison, axes: Sequence[Axes], gates: int) -> None:
+    """The time lost along the best known flight, and per meter of it; gates have their numbers."""
     total, rate = axes
     total.plot(result.distance, 1e3 * result.lost, color=SERIES[1])
     total.set_ylabel("time lost [ms]", color=INK)
@@ -103,11 +104,14 @@ def _draw_lost(result: Comparison, axes: Sequence[Axes]) -> None:
     rate.plot(middle, 1e3 * np.diff(result.lost) / steps, color=SERIES[1])
     rate.set_ylabel("lost per meter [ms/m]", color=INK)
     rate.set_xlabel("distance along the best known flight [m]", color=INK)
-    gates = np.cumsum(result.length)[:-1]
     for axis in axes:
         axis.axhline(0.0, color=INK, linewidth=0.7)
-        for gate in gates:
+        for gate in np.cumsum(result.length)[:-1]:
             axis.axvline(gate, color=MUTED, linewidth=0.7, linestyle=":")
+    if len(result.length) <= MOST_NUMBERED:
+        top = {"xycoords": total.get_xaxis_transform(), "ha": "center", "va": "bottom"}
+        for index, gate in enumerate(np.cumsum(result.length)):
+            total.annotate(str(index % gates + 1), (gate, 1.0), color=MUTED, **top)
 
 
 def _draw(problem: Problem, flight: Trajectory, axes: tuple, color: str, label: str) -> None:
@@ -124,31 +128,37 @@ def _draw(problem: Problem, flight: Trajectory, axes: tuple, color: str, label: 
     low, high = problem.command_range
     shares = (flight.commands - low) / np.where(high > low, high - low, 1.0)
     for index, row in enumerate(shares.T):
-        command.plot(time, row, color=color, linewidth=0.9, linestyle=STYLES[index % 4])
+        command.plot(time, 0.1 + 0.8 * row - index, color=color, linewidth=0.9)
 
 
 def _name_commands(problem: Problem, axis: Axes) -> None:
-    """A legend of the line styles."""
+    """Names of the commands: each has a band of the axis, from its lowest to its highest."""
     names = []
     for signal in problem.model.commands:
-        single = signal.size == 1
-        names += [signal.name if single else f"{signal.name} {i + 1}" for i in range(signal.size)]
-    for index, name in enumerate(names):
-        axis.plot([], [], color=INK, linewidth=0.9, linestyle=STYLES[index % 4], label=name)
-    axis.set_ylim(-0.05, 1.45)  # room for the legend
-    axis.legend(frameon=False, loc="upper center", ncols=2, fontsize="x-small")
+        title = signal.name.replace("_", " ")
+        numbers = range(1, signal.size + 1)
+        names += [title] if signal.size == 1 else [f"{title} {number}" for number in numbers]
+    axis.set_yticks(0.5 - np.arange(len(names)), names, fontsize="x-small")
+    axis.set_ylim(1.0 - len(names), 1.0)
+    for edge in range(len(names)):
+        axis.axhline(-edge, color=MUTED, linewidth=0.5)
 
 
 def _gates(problem: Problem, path: Axes) -> None:
-    """Gates from above, each with its number beyond its right end."""
-    gates = problem.gates
+    """Gates from above, numbered beyond their right ends; those at one place have one label."""
+    gates, names = problem.gates, dict[tuple[float, ...], str]()
+    places = [tuple(center[:2].round(1)) for center in gates.position]
+    for index, place in enumerate(places):
+        names[place] = f"{names[place]}, {index + 1}" if place in names else str(index + 1)
     for index, center in enumerate(gates.position):
         side = gates.axes[index, 1] * gates.half_size[index, 0]
         ends = np.stack([center - side, center + side])
         path.plot(ends[:, 0], ends[:, 1], color=INK, linewidth=2.5)
         away = 9.0 * gates.axes[index, 1, :2] * [1.0, -1.0]  # points; the axis of y is inverted
+        if places.index(places[index]) < index:
+            continue
         path.annotate(
-            str(index + 1),
+            names[places[index]],
             ends[1, :2],
             xytext=away,
             textcoords="offset points",

@@ -48,3 +48,22 @@ def test_laps_are_cut_from_a_recorded_flight():
     assert np.linalg.norm(velocities(problem, lap.states), axis=1).min() > 1.0
     np.testing.assert_allclose(lap.states[:, problem.actuator_leaves], 9.0)
     assert np.abs(np.diff(lap.states[:, problem.angles], axis=0)).max() < 0.5
+
+
+def test_gates_at_one_place_have_one_label():
+    from quadjax.limits.compare import figure
+    from quadjax.limits.trajectory import Trajectory
+
+    choices, params = race_of(load_config("indi", ["track=split_s"]))
+    problem = make_problem(choices.model, params)
+    states = np.random.default_rng(0).normal(size=(29, 13))
+    flights = {
+        name: Trajectory(np.full(7, seconds), states, np.zeros((29, 4)))
+        for name, seconds in (("best known", 0.5), ("policy", 0.6))
+    }
+    path, *others = figure(problem, flights).axes
+    assert [x.get_text() for x in path.texts] == ["1", "2", "3", "4, 5", "6", "7"]
+    (lost,) = [axes for axes in others if axes.get_ylabel() == "time lost [ms]"]
+    assert [x.get_text() for x in lost.texts] == [str(gate + 1) for gate in range(7)]
+    (commands,) = [axes for axes in others if axes.get_ylabel() == "commands"]
+    assert len(commands.get_yticklabels()) == 4

@@ -28,7 +28,7 @@ def test_an_interrupted_pair_starts_from_the_flight_that_was_found(tmp_path, mon
     path = limits_table.file_of(tmp_path, "square4", "A2RL")
     write_npz(path.with_suffix(".npz"), flight, {"format": LIMIT})
     stop, drones = threading.Event(), ["A2RL", "3-inch"]
-    limits_table.make(tmp_path, ["square4"], drones, 1.0, tmp_path, stop, lambda text: None)
+    limits_table.make(tmp_path, ["square4"], drones, 1.0, None, stop, lambda text: None)
     assert list(tried) == ["earlier flight"]
     assert tried["earlier flight"].total == 4.0
     assert "square4, 3-inch" in limits_table.markdown(tmp_path, ["square4"])
