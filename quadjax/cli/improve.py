@@ -34,7 +34,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--rounds", type=whole(1, 100), help="of flying and learning (3)")
     parser.add_argument("--flights", type=runs, help="in each round (2)")
     parser.add_argument("--laps", type=laps, help="of each flight (6)")
-    parser.add_argument("--steps", type=whole(1, 10**9), help="of each fine-tuning (2000000)")
+    parser.add_argument("--steps", type=whole(1, 10**9), help="of each fine-tuning (1000000)")
     parser.add_argument("--fit", metavar="FILE", help="YAML file of configs/fit (improve)")
     parser.add_argument("--logs", nargs="+", metavar="FILE", help="real logs, in place of flights")
     parser.add_argument("--plant", metavar="FILE", help="YAML file of configs/plant (standin)")

@@ -17,7 +17,7 @@ def improvement_figure(results: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fi
 
     Thin lines are plants: from the check flights before the first round over the flights of the
     later rounds to the check flights after the last one. A plant without a flight that finished
-    has no point. Thick lines are means over all plants, of the share of finished flights too.
+    has no point. Thick lines are means over all plants, where each has a point.
 
     Args:
         results: content of ``plants.json`` by the label of the policy.
@@ -28,8 +28,8 @@ def improvement_figure(results: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fi
         curves = [_curve(plant) for plant in plants]
         for flight, time, _ in curves:
             times.plot(flight, time, "o-", color=color, alpha=FAINT, markersize=3, linewidth=0.8)
-        flight, time, share = np.nanmean(np.array(curves), axis=0)
-        known = ~np.isnan(np.array(curves)[:, 1]).any(axis=0)
+        flight, time, share = np.mean(np.array(curves), axis=0)
+        known = np.isfinite(time)
         times.plot(flight[known], time[known], "o-", color=color, linewidth=2.2, label=label)
         shares.plot(flight, 100.0 * share, "o-", color=color, linewidth=2.2, label=label)
         _own(times, plants, float(flight[-1]), color)

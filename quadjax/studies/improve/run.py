@@ -65,7 +65,7 @@ class Setting:
     rounds: int = 3
     flights: int = 2
     laps: int = 6
-    steps: int = 2_000_000
+    steps: int = 1_000_000
     check: int = 10
     seed: int = 0
     reference: bool = False
