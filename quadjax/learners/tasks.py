@@ -1,4 +1,4 @@
-"""A curriculum over variants of a task: those on which the policy changes are drawn more often.
+"""A curriculum over variants of a task: those whose pass rate changes are drawn more often.
 
 The learning progress of a variant is the difference between its pass rate over a short and over a
 long time (Kanitscheider et al., 2021, arXiv 2106.14876). A variant that is mastered, or that cannot
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.environment import Environment, Variants
+from quadjax.core.errors import InputError
 from quadjax.learners.state import AXIS, Learner, Metrics, TrainState
 
 SHORT, LONG = 0.02, 0.1  # fractions of a run over which pass rates are averaged
@@ -78,6 +79,9 @@ def with_learning_progress(learner: Learner, environment: Environment, updates: 
         learner: whose metrics contain those of ``variant_metrics``.
         environment: of the learner; without variants the learner is returned as it is.
         updates: of the run.
+
+    Raises:
+        InputError: in an update, the learner or the environment does not report what is completed.
     """
     variants = environment.variants
     if variants is None:
@@ -92,6 +96,11 @@ def with_learning_progress(learner: Learner, environment: Environment, updates: 
     def update(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
         own = variants.weighted(params, chances(state.record))
         following, metrics = learner.update(hyper, own, state)
+        if COMPLETED not in metrics:
+            raise InputError(
+                "Environment.variants needs Environment.completed, and a learner with the metrics "
+                "of quadjax.learners.tasks.variant_metrics"
+            )
         counts = jnp.stack([metrics.pop(COMPLETED), metrics.pop(CRASHED)])
         before = state.record
         record = Record(kept[0] * before.short + counts, kept[1] * before.long + counts)

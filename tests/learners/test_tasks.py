@@ -9,6 +9,7 @@ import pytest
 from flax import struct
 
 from quadjax.core.environment import Environment, Variants
+from quadjax.core.errors import InputError
 from quadjax.learners import tasks
 from quadjax.learners.state import AXIS, Learner
 from quadjax.learners.tasks import Record, chances, learning_progress, variant_metrics
@@ -84,3 +85,6 @@ def test_the_learner_draws_what_changes_and_forgets():
         state, found = learner.update(None, None, state)
     assert found["learning_progress"] < 5e-3  # the rates do not change any more
     assert tasks.with_learning_progress(plain, Environment(None, None, None, 1, 1), 9) is plain
+    silent = dataclasses.replace(plain, update=lambda hyper, share, state: (state, {}))
+    with pytest.raises(InputError, match=r"variants needs Environment.completed, and a learner wi"):
+        tasks.with_learning_progress(silent, environment, 9).update(None, None, state)

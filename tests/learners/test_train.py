@@ -1,6 +1,7 @@
 """Training on any environment in memory: by PPO, by SHAC and by own learners."""
 
 import contextlib
+import dataclasses
 import io
 import runpy
 from pathlib import Path
@@ -10,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.core.environment import Variants
 from quadjax.core.errors import InputError
+from quadjax.learners import tasks
 from quadjax.learners.section import LearnerSection, Network, Schedule
 from quadjax.learners.state import Learner, TrainState
 from quadjax.learners.train import train
@@ -128,6 +131,28 @@ def test_an_own_learner():
     result = train(Ascent(), ENVIRONMENT, probe(best=1.0), 800, network=NETWORK)
     assert result.policy(observations())[0] == pytest.approx(0.5, abs=0.05)
     assert Ascent(num_envs=4).train(ENVIRONMENT, probe(best=1.0), 40).steps == 40
+
+
+class Counted(Ascent):
+    """An own learner that reports what is completed in each of two variants."""
+
+    def make(self, environment, networks, num_updates, max_shards=8):
+        learner = super().make(environment, networks, num_updates, max_shards)
+        counts = {tasks.COMPLETED: jnp.array([3.0, 1.0]), tasks.CRASHED: jnp.ones(2)}
+
+        def update(hyper, params, state):
+            state, metrics = learner.update(hyper, params, state)
+            return state, metrics | counts
+
+        return dataclasses.replace(learner, update=update)
+
+
+def test_variants_of_a_task_are_drawn_by_learning_progress():
+    variants = Variants(2, lambda state: state.clock.astype(int), lambda params, chances: params)
+    environment = dataclasses.replace(ENVIRONMENT, variants=variants)
+    found = Counted(num_envs=4).train(environment, probe(best=1.0), 8, network=NETWORK).metrics
+    assert set(found) == {"reward", "learning_progress"}
+    assert found["learning_progress"].shape == (2,) and found["learning_progress"][-1] > 0.0
 
 
 @pytest.mark.slow
