@@ -1,9 +1,11 @@
 """Write the policy of one drone, from a policy that observes the drone's constants.
 
 CONFIG is a race with the drone, such as e2e_race vehicle=mine.yaml. The constants of its vehicle
-file enter the first layer of the network; the new file has no such observation.
+file enter the first layer of the network; the new file has no such observation. A note names the
+constants that are outside the range of the policy's training.
 """
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,9 +28,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.policy.file import Policy
-        from quadjax.studies.specialize import specialize
+        from quadjax.studies.specialize import outside, specialize
 
     config = load_config(options.config, options.overrides)
     policy = Policy.load(options.policy, config)
-    specialize(policy, config, options.policy.name).save(options.output)
+    own = specialize(policy, config, options.policy.name)
+    if names := outside(policy, config):
+        others = "outside the range of the policy's training"
+        print(f"note: constants of the drone {others}: {', '.join(names)}", file=sys.stderr)
+    own.save(options.output)
     print(f"wrote {options.output}")

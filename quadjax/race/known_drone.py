@@ -1,7 +1,7 @@
-"""Observed constants: the policy knows the drone that it flies.
+"""Observation of the drone's constants.
 
-Trained over drawn drones, such a policy is one for each of them. For a drone whose constants are
-known, ``quadjax specialize`` writes them into the first layer.
+A policy that observes them is trained over drawn drones and flies all of them. ``quadjax
+specialize`` writes the constants of one drone into its first layer.
 """
 
 from collections.abc import Sequence

@@ -389,7 +389,7 @@ def highest_command(source: str) -> Field:
 
 
 def constants_field(model: VehicleModel) -> Field:
-    """Every constant of the drone, as far as it is drawn."""
+    """Every constant of the drone; those that are not drawn are observed as 0."""
     names = model.constant_names
     scaled = known_drone.bounds
     return Field(known_drone.CONSTANTS, len(names), "", "", 8.0, known_drone.numbers, scaled)

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import numpy as np
 
 from quadjax.config.race import race_of
@@ -11,6 +10,8 @@ from quadjax.core.errors import InputError
 from quadjax.policy.file import Layers, Policy
 from quadjax.race.known_drone import CONSTANTS
 from quadjax.race.layout import Layout
+
+ROUNDING = 1e-6  # relative, of the constants in single precision
 
 
 def specialize(policy: Policy, config: Config, name: str = "policy") -> Policy:
@@ -27,23 +28,9 @@ def specialize(policy: Policy, config: Config, name: str = "policy") -> Policy:
     Raises:
         InputError: the policy does not observe constants, or is for another vehicle model.
     """
-    if CONSTANTS not in policy.layout:
-        raise InputError(
-            f"{name}: does not observe constants, allowed: a policy that was trained with "
-            "observation.constants=true"
-        )
-    choices, params = race_of(config)
-    field = policy.layout[CONSTANTS]
-    model = choices.model
-    if (policy.vehicle, field.size) != (model.name, len(model.constant_names)):
-        raise InputError(
-            f"{name}: a policy for the {policy.vehicle} vehicle; vehicle.model of the config is "
-            f"{model.name}"
-        )
-    values = [getattr(params.vehicle.constants, each) for each in model.constant_names]
-    low, high = np.asarray(field.span, np.float64).T
+    values, low, high = _constants(policy, config, name)
     wide = np.where(high > low, high - low, np.inf)
-    seen = (2.0 * np.asarray(jax.device_get(values), np.float64) - low - high) / wide
+    seen = (2.0 * np.array(list(values.values())) - low - high) / wide
     columns = policy.layout.slice(CONSTANTS)
     own = config.replace(
         observation=config.observation.replace(constants=False), randomization=Randomization()
@@ -56,6 +43,41 @@ def specialize(policy: Policy, config: Config, name: str = "policy") -> Policy:
         source=policy.source | {"vehicle": config.vehicle.name},
         config=own.model_dump(mode="json", by_alias=True),
     )
+
+
+def outside(policy: Policy, config: Config, name: str = "policy") -> list[str]:
+    """The drone's constants that are outside the range of the policy's training, by name.
+
+    None for a policy that was trained on a population, whose range is not known. The arguments are
+    those of ``specialize``.
+    """
+    values, low, high = _constants(policy, config, name)
+    if (policy.config or {}).get("randomization", {}).get("population") is not None:
+        return []
+    slack = ROUNDING * np.maximum(np.abs(low), np.abs(high))
+    ends = zip(values.items(), low - slack, high + slack, strict=True)
+    return [key for (key, value), least, most in ends if not least <= value <= most]
+
+
+def _constants(
+    policy: Policy, config: Config, name: str
+) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
+    """The drone's constants by name, and what the policy observes as -1 and 1."""
+    if CONSTANTS not in policy.layout:
+        raise InputError(
+            f"{name}: does not observe constants, allowed: a policy that was trained with "
+            "observation.constants=true"
+        )
+    choices, params = race_of(config)
+    field, model = policy.layout[CONSTANTS], choices.model
+    if (policy.vehicle, field.size) != (model.name, len(model.constant_names)):
+        raise InputError(
+            f"{name}: a policy for the {policy.vehicle} vehicle; vehicle.model of the config is "
+            f"{model.name}"
+        )
+    values = {key: float(getattr(params.vehicle.constants, key)) for key in model.constant_names}
+    low, high = np.asarray(field.span, np.float64).T
+    return values, low, high
 
 
 def _folded(layers: Layers, columns: slice, inputs: np.ndarray) -> Layers:

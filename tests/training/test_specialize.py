@@ -73,8 +73,12 @@ def test_what_cannot_be_specialized_is_refused(tmp_path, capsys):
     with pytest.raises(InputError, match="a policy for the motor vehicle; vehicle.model of the"):
         specialize(seeing, make_config("vehicle=5inch"))
     seeing.save(plain)
-    assert run(["specialize", str(BLANK), "--policy", str(plain), "--output", str(file)]) == 0
+    taken = ["specialize", str(BLANK), "--policy", str(plain), "--output", str(file)]
+    assert run(taken) == 0 and capsys.readouterr().err == ""
     assert "constants" not in Policy.load(file).layout
+    far = ("vehicle.constants.k_w=9e-8", "vehicle.constants.k_x=1e-4")
+    assert run([*taken, *far]) == 0
+    assert "outside the range of the policy's training: k_x, k_w" in capsys.readouterr().err
     with pytest.raises(InputError, match="observation.constants is True, allowed: false where ra"):
         make_config(SEES)
     with pytest.raises(InputError, match="critic_constants is True, allowed: false with observ"):
