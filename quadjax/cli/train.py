@@ -26,6 +26,7 @@ from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
 if TYPE_CHECKING:
+    from quadjax.config.schema import Config
     from quadjax.training.result import Run
 
 
@@ -74,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     config = load_config(options.config, overrides_of(options))
     if options.fine_tune:
+        _check_fine_tuning(config, options.fine_tune)
         config = fine_tuning(config, options.fine_tune)
     prepare_devices(config.run.devices)
     hosts.connect(options.coordinator, options.processes, options.process)
@@ -102,6 +104,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if hosts.is_first():
         _present(run)
     return 0
+
+
+def _check_fine_tuning(config: "Config", file: str) -> None:
+    from quadjax.policy.file import Policy
+
+    if config.run.initial_policy is not None:
+        raise InputError("--fine-tune and run.initial_policy exclude each other")
+    if Policy.load(file).value is None:
+        raise InputError(
+            f"--fine-tune: {file} has no critic, allowed: a policy with one; "
+            f"run.initial_policy={file} starts with an untrained critic"
+        )
 
 
 def _again(options: argparse.Namespace) -> str:

@@ -78,6 +78,11 @@ class RandomTrack(Section):
         for key, (least, most) in (("leg", self.leg), ("height", self.height)):
             if least > most:
                 raise ValueError(f"{key} is {[least, most]}, allowed: [lowest, highest]")
+        if self.leg_ratio is not None and self.leg[1] <= self.leg_ratio * self.leg[0]:
+            raise ValueError(
+                f"leg_ratio is {self.leg_ratio:g}, allowed with leg {list(self.leg)}: less than "
+                "their ratio, or null"
+            )
         outer = [side + 2.0 * self.frame for side in self.size]
         if low < 0.5 * outer[1]:
             raise ValueError(
@@ -109,9 +114,15 @@ class RandomTracks(RandomTrack):
     count: int = Field(256, ge=1, le=4096, description="number of tracks")
     drawn_by: Literal["uniform", "learning_progress"] = Field(
         "uniform",
-        description="how the track of an episode is drawn: all with the same chance, or half of "
-        "the episodes by the change of each track's pass rate",
+        description="how the track of an episode is drawn; uniform: all with the same chance; "
+        "learning_progress: half of the episodes by the change of each track's pass rate",
     )
+
+    @model_validator(mode="after")
+    def _check_drawn(self) -> "RandomTracks":
+        if self.count == 1 and self.drawn_by != "uniform":
+            raise ValueError(f"drawn_by is {self.drawn_by}, allowed with one track: uniform")
+        return self
 
     @property
     def each(self) -> list[RandomTrack]:

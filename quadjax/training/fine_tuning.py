@@ -12,8 +12,8 @@ RATES = ("learning_rate", "critic_learning_rate")
 def fine_tuning(config: Config, policy: Path | str) -> Config:
     """The config of a training that continues from a policy file, and from its critic.
 
-    Each scheduled number has its last value. The learning rates start at 0.3 of the config's and
-    end at zero.
+    Each scheduled number has its last value. The learning rates start at ``FIRST_RATE`` of the
+    config's and end at zero.
 
     Args:
         config: of the race in which the policy is to fly.

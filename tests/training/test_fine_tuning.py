@@ -1,5 +1,7 @@
 """Training that continues from a policy."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -34,7 +36,14 @@ def test_the_network_is_that_of_the_file(tmp_path):
         initial_policy(fine_tuning(make_config("network.hidden=[6, 6]"), file))
 
 
-def test_a_missing_file_is_one_line(tmp_path, capsys):
-    taken = ["train", str(BLANK), "--fine-tune", "none.npz", "--output", str(tmp_path)]
-    assert run(taken) == 2
-    assert "none.npz: no such file" in capsys.readouterr().err
+def test_bad_input_is_one_line(tmp_path, capsys):
+    file = tmp_path / "bare.npz"
+    dataclasses.replace(untrained_policy(make_config()), value=None).save(file)
+    for name, more, says in (
+        ("none.npz", (), "none.npz: no such file"),
+        (file, (), "bare.npz has no critic, allowed: a policy with one; run.initial_policy="),
+        (file, (f"run.initial_policy={file}",), "and run.initial_policy exclude each other"),
+    ):
+        taken = ["train", str(BLANK), *more, "--fine-tune", str(name), "--output", str(tmp_path)]
+        assert run(taken) == 2
+        assert says in capsys.readouterr().err
