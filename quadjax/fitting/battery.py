@@ -7,8 +7,8 @@ A motor of first order follows its command, limited to the highest speed that th
 
 ``load`` is the rotors' power over that of hover, and ``a`` a number of each flight, as batteries
 are charged differently. ``tau``, ``b``, ``c`` and each ``a`` are fitted by least squares on
-simulated speeds, so noise of the measured ones does not bias them. No voltage is needed. In short
-flights the charge hardly falls, so ``c`` is then that of the vehicle's battery.
+simulated speeds, so noise of the measured ones does not bias them. No voltage is needed. Short
+flights do not show ``c``, because the charge hardly falls; it is then that of a given battery.
 """
 
 from collections.abc import Callable, Sequence
@@ -117,7 +117,7 @@ def drain_of(battery: BatteryConfig) -> float:
 def fit_battery(
     logs: Sequence[FlightLog],
     hover: float,
-    base: BatteryConfig = BatteryConfig(),  # noqa: B008 (frozen)
+    base: BatteryConfig,
 ) -> BatteryFit | None:
     """Fit the limit over flights with commanded speeds; None without any.
 

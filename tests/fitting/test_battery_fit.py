@@ -50,7 +50,7 @@ def flight(
 
 def test_lag_and_limit_are_found_and_predict_a_flight_of_another_charge():
     logs = [flight(0.9, 1), flight(0.7, 2), flight(0.8, 3)]
-    found = fit_battery(logs[:2], HOVER)
+    found = fit_battery(logs[:2], HOVER, BATTERY)
     sag = BATTERY.rpm_full * BATTERY.resistance * BATTERY.hover_current / BATTERY.voltage
     assert found.tau == pytest.approx(TAU, rel=0.02)
     assert found.sag == pytest.approx(sag, rel=0.05)
@@ -63,7 +63,7 @@ def test_lag_and_limit_are_found_and_predict_a_flight_of_another_charge():
 
 
 def test_the_battery_of_the_race_has_the_limits_of_the_flights():
-    found = fit_battery([flight(0.9, 1), flight(0.7, 2)], HOVER)
+    found = fit_battery([flight(0.9, 1), flight(0.7, 2)], HOVER, BATTERY)
     section = found.section(BATTERY)
     assert 0.5 < section.charge[0] < 0.7 and section.charge[1] == 1.0
     cells = battery_params(section, HOVER)
@@ -84,11 +84,11 @@ def test_the_drain_is_fitted_to_long_flights_only():
 
 
 def test_without_a_limit_there_is_no_battery():
-    found = fit_battery([flight(1.0, 1, None), flight(1.0, 2, None)], HOVER)
+    found = fit_battery([flight(1.0, 1, None), flight(1.0, 2, None)], HOVER, BATTERY)
     assert found.first == {} and found.section(BATTERY) is None
     assert found.tau == pytest.approx(TAU, rel=0.02)
 
 
 def test_logs_without_commands_give_none():
     log = dataclasses.replace(flight(1.0, 1), rpm_command=None)
-    assert fit_battery([log], HOVER) is None
+    assert fit_battery([log], HOVER, BATTERY) is None

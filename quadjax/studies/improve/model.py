@@ -150,6 +150,7 @@ def refit(
     present: Model,
     folder: Path,
     report: Report = lambda line: None,
+    battery: BatteryConfig | None = None,
 ) -> Refit:
     """Fit a model to logs, and compare its predictions with those of the present model.
 
@@ -164,6 +165,7 @@ def refit(
         present: the model in use.
         folder: for the vehicle file, the residual and the report of the fit.
         report: called with the progress.
+        battery: of the race, whose drain is assumed where flights are too short to show it.
 
     Raises:
         InputError: bad logs, or a fit of impossible constants, in one line.
@@ -177,22 +179,23 @@ def refit(
     result = run_fit(config, Path(), report)
     report("fitting the battery")
     write_results(result, folder)
-    model = _model_of(result, present, folder)
+    base = battery or BatteryConfig()
+    model = _model_of(result, present, folder, base)
     names = {file.stem for file in recent}
     before, after = _errors(result, present, names)
-    speeds = _speed_errors(result.logs, model, present, names)
+    speeds = _speed_errors(result.logs, model, present, names, base)
     if speeds is not None:
         before[SPEEDS], after[SPEEDS] = speeds
     seconds = round(time.monotonic() - started, 1)
     return Refit(model, before, after, refusal(before, after), seconds)
 
 
-def _model_of(result: FitResult, present: Model, folder: Path) -> Model:
+def _model_of(result: FitResult, present: Model, folder: Path, base: BatteryConfig) -> Model:
     """The fitted model; its lag is that of motors under the battery's limit."""
     motor = result.vehicle.motor
     constants = {name: float(getattr(motor, name)) for name in constant_names(MotorConstants)}
     model = Model(constants, str(folder / "residual.npz"))
-    battery = fit_battery(result.logs, model.hover)
+    battery = fit_battery(result.logs, model.hover, base)
     if battery is None:
         return dataclasses.replace(model, battery=present.battery)
     return dataclasses.replace(model, constants=constants | {"tau": battery.tau}, battery=battery)
@@ -219,7 +222,11 @@ def _errors(
 
 
 def _speed_errors(
-    logs: Sequence[FlightLog], model: Model, present: Model, names: set[str]
+    logs: Sequence[FlightLog],
+    model: Model,
+    present: Model,
+    names: set[str],
+    base: BatteryConfig,
 ) -> tuple[float, float] | None:
     """Errors of the propeller speeds from commands, of the present model and of fits without.
 
@@ -231,7 +238,7 @@ def _speed_errors(
     before, after = [], []
     for log in known:
         others = [other for other in known if other is not log]
-        own = fit_battery(others, hover) if log.name in names else None
+        own = fit_battery(others, hover, base) if log.name in names else None
         if own is not None:
             before.append(old.error(log, hover, highest))
             after.append(own.error(log, hover, highest))

@@ -171,7 +171,8 @@ def learn(setting: Setting, folder: Path, report: Report) -> Refit:
         found = Refit.load(path)
     else:
         check_speeds(logs, present, setting.fit.logs.max_scale_error)
-        found = refit(setting.logs, setting.logs, setting.fit, present, folder, report)
+        battery = setting.race.battery
+        found = refit(setting.logs, setting.logs, setting.fit, present, folder, report, battery)
         found.save(path)
     if not found.refused:
         margin = setting.race.reward.gate_edge_margin
@@ -253,7 +254,8 @@ def _refitted(
                 raise InputError(
                     "every log of the round is rejected or shorter than logs.min_seconds"
                 )
-            found = refit(known, recent, setting.fit, present, folder, report)
+            battery = setting.race.battery
+            found = refit(known, recent, setting.fit, present, folder, report, battery)
             found.save(path)
             return found, ""
         except InputError as error:
