@@ -257,8 +257,8 @@ class Observation(Section):
     )
     constants: bool = Field(
         False,
-        description="observe the drone's constants, of those that randomization draws: for drones "
-        "whose constants are known",
+        description="the policy observes the constants of the drone that randomization draws: for "
+        "drones whose constants are known",
     )
     critic_constants: bool = Field(
         False,
@@ -549,7 +549,7 @@ class Run(Section):
     start_states: str | None = Field(
         None,
         description="file of states (.npz) in which episodes of training start, next to the config "
-        "or by its path; of quadjax improve, or a flight of quadjax limit --npz",
+        "or by its path; quadjax improve and quadjax limit --npz write such files",
     )
     start_states_part: float = Field(
         0.5, ge=0, le=1, description="part of the episodes that start in run.start_states"

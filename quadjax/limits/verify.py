@@ -30,7 +30,8 @@ class Check:
     Attributes:
         error: why the solution is rejected; "" if it is verified.
         leg_times: (legs,) s, between the gates.
-        clearance: smallest ``Problem.leeway``, m; negative where a gate is missed.
+        clearance: smallest ``Problem.leeway``, m, or depth in the frame of a gate that is passed;
+            negative where a gate is missed or its frame is hit.
         margin: smallest distance from the bounds and the ground, m; negative: outside.
         top_speed: m/s.
         closure: m, distance between the start and the end of a periodic flight.
