@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.limits import run
         from quadjax.limits.best_known import NotFoundError
         from quadjax.limits.compare import compare
-        from quadjax.limits.report import read_guess
+        from quadjax.limits.report import read_guess, write_flight
         from quadjax.policy.file import Policy
 
     config = nominal(load_config(options.config, options.overrides))
@@ -164,7 +164,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         except NotFoundError as error:
             return _not_found(error, options.npz)
-        _write_flight(config, problem, options, best)  # the lower bound may take a minute
+        if options.npz:  # the lower bound may take a minute
+            write_flight(options.npz, config.vehicle.model, config.track.gates, problem, best)
         status.update("lower bound")
         bound = run.bound_of(problem, best, options.bound_speed)
     flown = compare(problem, best.trajectory, laps[0]) if laps else None
@@ -229,33 +230,16 @@ def _write(
     from quadjax.core.files import write_json
     from quadjax.core.plotting import save_figure
     from quadjax.limits.compare import figure
-    from quadjax.limits.report import to_json
+    from quadjax.limits.report import to_json, write_flight
 
     report = to_json(config, problem, best, bound, flown, options.policy)
     if options.json:
         write_json(options.json, report)
-    _write_flight(config, problem, options, best, report)
+    if options.npz:
+        gates = config.track.gates
+        write_flight(options.npz, config.vehicle.model, gates, problem, best, report)
     if options.figure:
         flights = {"best known": best.trajectory}
         if laps:
             flights["policy"] = laps[0]
         save_figure(figure(problem, flights), options.figure)
-
-
-def _write_flight(
-    config: "Config",
-    problem: "Problem",
-    options: argparse.Namespace,
-    best: "BestKnown",
-    report: dict[str, Any] | None = None,
-) -> None:
-    """The ``.npz`` file of a flight, with the report if it is complete."""
-    from quadjax.core.files import write_npz
-    from quadjax.limits.report import arrays
-    from quadjax.race.recorded_starts import LIMIT
-
-    if options.npz:
-        track = [gate.model_dump(mode="json") for gate in config.track.gates]
-        meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track": track}
-        meta["start"] = problem.start
-        write_npz(options.npz, arrays(problem, best), (report or {}) | meta)

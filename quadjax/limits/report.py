@@ -1,6 +1,7 @@
 """Results as JSON and as arrays."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,21 @@ def read_guess(problem: Problem, path: str) -> Trajectory:
         if not np.isfinite(found[name]).all() or (found["leg_times"] <= 0.0).any():
             raise InputError(f"{path}: {name} is not finite, or a leg's time is not above 0")
     return Trajectory(found["leg_times"], found["state"], found["command"])
+
+
+def write_flight(
+    path: str | Path,
+    vehicle: str,
+    gates: Sequence[pydantic.BaseModel],
+    problem: Problem,
+    best: BestKnown,
+    report: dict[str, Any] | None = None,
+) -> None:
+    """Write a verified flight as an ``.npz`` file, with the entries of a report in ``meta``."""
+    track = [gate.model_dump(mode="json") for gate in gates]
+    meta = {"format": LIMIT, "vehicle": vehicle, "track": track}
+    meta["start"] = problem.start
+    write_npz(path, arrays(problem, best), (report or {}) | meta)
 
 
 def write_unverified(path: str | Path, found: Unverified) -> None:

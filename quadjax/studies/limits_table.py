@@ -14,16 +14,15 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_json, write_npz
+from quadjax.core.files import write_json
 from quadjax.core.provenance import provenance
 from quadjax.core.resources import PRETRAINED
 from quadjax.limits import run
 from quadjax.limits.bound import LowerBound
 from quadjax.limits.problem import Problem
-from quadjax.limits.report import arrays, read_guess, write_unverified
+from quadjax.limits.report import read_guess, write_flight, write_unverified
 from quadjax.limits.trajectory import Trajectory
 from quadjax.policy.file import Policy
-from quadjax.race.recorded_starts import LIMIT
 
 if TYPE_CHECKING:
     from quadjax.limits.best_known import BestKnown
@@ -118,10 +117,7 @@ def cell(
         if error.unverified is not None and not table.exists():
             write_unverified(table, error.unverified)
         return result | {"error": str(error), "seconds": time.process_time() - began}
-    gates = [gate.model_dump(mode="json") for gate in config.track.gates]
-    meta = {"format": LIMIT, "vehicle": config.vehicle.model, "track": gates}
-    meta["start"] = problem.start
-    write_npz(table, arrays(problem, best), result | meta)
+    write_flight(table, config.vehicle.model, config.track.gates, problem, best, result)
     bound = run.bound_of(problem, best, None)
     result |= {
         "best_known": best.total,
