@@ -13,7 +13,7 @@ from tests.docs.notebooks import NOTEBOOKS, execute, parameters_of, read  # noqa
 MAX_BYTES = 2_000_000
 SMALL = {
     "adaptation": [
-        "ROLL, PITCH, THRUST, CHARGES = (0.0,), (0.03,), (1.0,), (1.0,)",
+        "ROLL, PITCH, THRUST, CHARGES = (0.0,), (0.03,), (1.0,), ()",
         'CONTENDERS = {"E2E": ("e2e", "e2e.npz")}',
         "RUNS, FLIGHTS, DRONES, SECONDS, LAPS, SEED = 2, 1, 60, 2, 1, 0",
     ],
