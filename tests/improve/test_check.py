@@ -11,7 +11,7 @@ from quadjax.plant.config import load_plant_config
 from quadjax.policy.file import Policy
 from quadjax.studies.improve import check, reference
 from quadjax.studies.improve.flights import Flown
-from quadjax.studies.improve.reference import exact, plant_model
+from quadjax.studies.improve.reference import PlantModel, exact, plant_model
 from quadjax.studies.improve.rounds import Round
 from quadjax.studies.improve.run import Setting
 from tests.improve.support import FIT, drone_log, policy_file, race
@@ -54,6 +54,29 @@ def test_each_plant_is_learned_from_the_first_policy_and_checked_once(tmp_path, 
     assert (tmp_path / "plants.png").stat().st_size > 10_000
     stored = json.loads((tmp_path / "plants.json").read_text())
     assert [part["check"]["after"]["totals"][0] for part in stored] == [7.9, 7.8, 7.7]
+
+
+def test_the_reference_has_the_steps_of_all_rounds(tmp_path, flown, monkeypatch):
+    tuned = []
+
+    def plant_model(config, plant, policy, fit, folder, seed, report):
+        folder.mkdir(exist_ok=True)
+        return PlantModel({}, None)
+
+    def tune(setting, progress, logs, folder, report):
+        tuned.append((setting.steps, progress.margin, folder.name))
+        return setting.policy
+
+    monkeypatch.setattr(check, "plant_model", plant_model)
+    monkeypatch.setattr(check, "tune", tune)
+    options = {"check": 2, "steps": 100, "reference": True}
+    setting = Setting(race(), policy_file(tmp_path), FIT, PLANT, **options)
+    done = Round(Flown([2.0], [8.0], [""]), None, "too short", 30.0, 0.2, 1)
+    for count in (1, 3):
+        found = check.checked(setting, [done] * count, tmp_path, **SILENT)
+    assert tuned == [(100, 0.2, "rounds_1"), (300, 0.2, "rounds_3")]
+    assert list(found) == ["before", "after", "reference"]
+    assert len(flown) == 5  # that before the first round is flown once
 
 
 def test_a_reference_has_the_constants_and_the_battery_of_the_plant(tmp_path, monkeypatch):
