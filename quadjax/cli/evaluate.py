@@ -112,6 +112,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def _refuse_others(arguments: argparse.Namespace, option: str) -> None:
     """Refuse options that have no effect with --robustness or --random-tracks."""
+    if option == "random_tracks" and arguments.laps == 1:
+        raise InputError("--laps is 1, allowed: at least 2 with --random-tracks")
     unused = NOT_STUDIES + (NOT_RANDOM_TRACKS if option == "random_tracks" else ("laps", "gates"))
     if arguments.from_start:
         unused, option = (*NOT_STUDIES, "seconds"), "from_start"

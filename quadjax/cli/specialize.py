@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     config = load_config(options.config, options.overrides)
     policy = Policy.load(options.policy, config)
-    own = specialize(policy, config, options.policy.name)
+    own = specialize(policy, config, str(options.policy))
     if names := outside(policy, config):
         others = "outside the range of the policy's training"
         print(f"note: constants of the drone {others}: {', '.join(names)}", file=sys.stderr)

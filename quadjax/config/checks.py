@@ -128,7 +128,7 @@ def _check_critic(config: Config) -> None:
     observed = config.observation
     for key in ("constants", "critic_constants"):
         if getattr(observed, key) and not drawn:
-            most = "false where randomization draws none; a scheduled fraction is above 0 here, too"
+            most = "false where randomization draws none (randomization.all=0.2 draws them)"
             refuse(f"observation.{key}", True, most)
     if observed.constants and observed.critic_constants:
         refuse("observation.critic_constants", True, "false with observation.constants")

@@ -52,9 +52,17 @@ def check_drone(config: Config) -> None:
     _check_signs(model, constants)
     factors, spread = config.vehicle.mismatch, config.randomization.by_constant(model)
     population = config.randomization.population
-    if population is not None and (population not in model.populations or any(spread.values())):
+    if population is not None and population not in model.populations:
         allowed = " or ".join(["null", *model.populations])
-        refuse("randomization.population", population, f"{allowed}, without fractions")
+        hint = close_match(population, model.populations)
+        refuse("randomization.population", population, f"{allowed} with model {model.name}{hint}")
+    fractions = {name: part for name, part in spread.items() if part}
+    if population is not None and fractions:
+        name, part = next(iter(fractions.items()))
+        drawn = (
+            f"null with fractions (here {part:g} of {name}), or randomization.all=0 and no other"
+        )
+        refuse("randomization.population", population, drawn)
     simulated = {name: value * factors.get(name, 1.0) for name, value in constants.items()}
     _check_ranges(model, simulated, spread)
     _check_thrust(model, constants)

@@ -157,8 +157,9 @@ class Track(Section):
     )
     generate: RandomTrack | None = Field(
         None,
-        description="random track in place of gates: {seed, gates, leg, turn_deg, height, size, "
-        "frame, split_s}; loading writes its gates into the config and sets this to null",
+        description="random track in place of gates: {seed, gates, leg, leg_ratio, turn_deg, "
+        "yaw_deg, height, size, frame, split_s}; loading writes its gates into the config and sets "
+        "this to null",
     )
     name: str = Field("", description="name of the track, for tables and figures")
     gates: tuple[Gate, ...] = Field(
@@ -509,7 +510,8 @@ class Randomization(Section):
     tracks: RandomTracks | None = Field(
         None,
         description="random tracks, one of which is drawn for every training episode in place of "
-        "track: {count} and the keys of track.generate; flights of evaluations are on track",
+        "track: {count, drawn_by} and the keys of track.generate; flights of evaluations are on "
+        "track",
     )
 
     @property

@@ -78,7 +78,7 @@ class NotFoundError(Exception):
     def __init__(self, tried: str, unverified: Unverified | None = None) -> None:
         """Say what was tried, and what the last solution is."""
         self.unverified = unverified
-        text = f"no flight was found ({tried or 'no time'})"
+        text = f"no flight was found ({tried or 'no time'}); try more time (--seconds)"
         if unverified is not None:
             found = unverified.trajectory
             text += (

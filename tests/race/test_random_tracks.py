@@ -104,5 +104,5 @@ def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
     assert f"{len(done)} of 4" in capsys.readouterr().out
     with pytest.raises(InputError, match="--runs is not allowed with --random-tracks"):
         main([*arguments, "--runs", "3"])
-    with pytest.raises(InputError, match="laps is 1, allowed: "):
+    with pytest.raises(InputError, match="--laps is 1, allowed: at least 2 with --random"):
         main([*arguments, "--laps", "1"])
