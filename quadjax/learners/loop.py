@@ -36,13 +36,13 @@ def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> tupl
     """Updates of one chunk, and chunks of a run: whole numbers, each at least one.
 
     Args:
-        steps: environment steps of the run; the result is as close to it as whole chunks allow.
-        steps_per_chunk: environment steps of a chunk; a shorter run is one chunk.
+        steps: environment steps of the run; the plan differs by at most half an update per chunk.
+        steps_per_chunk: environment steps of a chunk, about: chunks divide the run evenly.
         steps_per_update: environment steps of an update.
     """
     wanted = max(1, round(steps / steps_per_update))
-    updates = min(wanted, max(1, round(steps_per_chunk / steps_per_update)))
-    return updates, max(1, round(wanted / updates))
+    chunks = max(1, round(wanted / max(1, round(steps_per_chunk / steps_per_update))))
+    return round(wanted / chunks), chunks
 
 
 @dataclasses.dataclass(frozen=True)

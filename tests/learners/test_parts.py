@@ -172,10 +172,20 @@ def test_minibatches_take_every_block_of_every_shard_once():
         (50, 100, 10, (5, 1)),
         (3, 100, 10, (1, 1)),
         (1000, 3, 7, (1, 143)),
+        (1_490_000, 1_000_000, 1000, (1490, 1)),
+        (3_400_000, 1_000_000, 1000, (1133, 3)),
+        (16_000_000, 250_000, 12288, (20, 65)),  # as a preset plans it
     ],
 )
 def test_plan_chunks(steps, chunk, update, expected):
     assert plan_chunks(steps, chunk, update) == expected
+
+
+def test_a_run_has_the_steps_that_are_asked_for():
+    for wanted in range(1, 400):
+        for chunk in range(1, 60):
+            updates, chunks = plan_chunks(10 * wanted, 10 * chunk, 10)
+            assert abs(updates * chunks - wanted) <= chunks / 2
 
 
 def test_the_best_policy_is_the_latest_of_equal_scores():
