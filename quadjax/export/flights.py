@@ -27,7 +27,13 @@ from quadjax.race.track import gate
 from quadjax.vehicle.protocol import State
 
 Carry = tuple[jax.Array, jax.Array]  # a position and the target after it
-LOST_CONTROL = ("lost its attitude", "out of bounds", "not finite")  # of CRASHES
+LOST_CONTROL = (  # of CRASHES
+    "lost its attitude",
+    "out of bounds",
+    "above the body rate limit",
+    "above the training limit of the yaw rate",
+    "not finite",
+)
 RUNS, LAPS, SEED = 32, 6, 0
 FINISHED = 0.9  # fraction of the flights that must finish
 KEPT_ROWS = 20_000  # rows of the simulated flights that are kept for the verification

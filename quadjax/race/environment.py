@@ -346,10 +346,10 @@ def evaluate_rules(
         passed=passed,
         gate_collision=hit,
         ground=rules.hits_ground(position, model.velocity(after), limits.landing, radius),
-        out_of_bounds=outside | rules.too_fast(rates, limits),
-        attitude=(jnp.abs(euler.y) > limits.pitch)
-        | (jnp.abs(euler.x) > limits.roll)
-        | (jnp.abs(rates.z) > limits.yaw_rate),
+        out_of_bounds=outside,
+        body_rate=rules.too_fast(rates, limits),
+        yaw_rate=jnp.abs(rates.z) > limits.yaw_rate,
+        attitude=(jnp.abs(euler.y) > limits.pitch) | (jnp.abs(euler.x) > limits.roll),
         non_finite=~_finite(after),
         truncated=state.step + 1 >= limits.episode_steps,
         extra_rule=_extra_rule(choices, params, state, after, g),

@@ -92,6 +92,8 @@ def _crash_code(outcome: Outcome) -> jax.Array:
         outcome.gate_collision,
         outcome.ground,
         outcome.out_of_bounds,
+        outcome.body_rate,
+        outcome.yaw_rate,
         outcome.attitude,
         outcome.non_finite,
         outcome.extra_rule,

@@ -10,6 +10,8 @@ CRASHES = (
     "hit a gate",
     "hit the ground",
     "out of bounds",
+    "above the body rate limit",
+    "above the training limit of the yaw rate",
     "lost its attitude",
     "not finite",
     "ended by an extra rule",

@@ -101,7 +101,9 @@ class Outcome:
     gate_collision: jax.Array
     ground: jax.Array
     out_of_bounds: jax.Array
-    attitude: jax.Array  # pitch, roll or yaw rate beyond its limit
+    body_rate: jax.Array  # above the race's limit
+    yaw_rate: jax.Array  # above the training limit
+    attitude: jax.Array  # pitch or roll beyond its limit
     non_finite: jax.Array
     truncated: jax.Array
     extra_rule: jax.Array | None = None  # ended by a user's rule; None where there is none
@@ -111,9 +113,8 @@ class Outcome:
     @property
     def terminated(self) -> jax.Array:
         """Whether the episode ended in a collision of any kind."""
-        ended = (
-            self.gate_collision | self.ground | self.out_of_bounds | self.attitude | self.non_finite
-        )
+        ended = self.gate_collision | self.ground | self.out_of_bounds | self.body_rate
+        ended = ended | self.yaw_rate | self.attitude | self.non_finite
         for other in (self.extra_rule, self.overspeed):
             ended = ended if other is None else ended | other
         return ended

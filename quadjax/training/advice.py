@@ -11,6 +11,8 @@ CHANGES = {  # by the reason of CRASHES
     "passed, lower training_limits.gate_inflation",
     "hit the ground": "lower start.position and start.roll_pitch_deg, or raise the gates",
     "out of bounds": "raise rules.position_limit",
+    "above the body rate limit": "raise rules.body_rate_limit or reward.body_rates",
+    "above the training limit of the yaw rate": "raise training_limits.yaw_rate",
     "lost its attitude": "raise training_limits.pitch_deg, or lower vehicle.residual_gain",
     "not finite": "check the constants of the vehicle: quadjax vehicle FILE",
     "ended by an extra rule": "check rules.extra",

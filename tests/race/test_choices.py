@@ -75,7 +75,7 @@ def test_limits_of_body_rates_about_each_axis():
     race = make_race("rules.body_rate_limit=[5, 7, 0.3]", "start.body_rates=0.1")
     rows = level(np.tile([0.0, 0, -2], (4, 1)), np.zeros(3))
     rows[:, ref.RATES] = [[6, 0, 0], [0, -6, 0], [0, 0, 6], [0, 0, 0.6]]
-    np.testing.assert_array_equal(step(race, rows)[2].out_of_bounds, [True, False, True, True])
+    np.testing.assert_array_equal(step(race, rows)[2].body_rate, [True, False, True, True])
 
 
 def test_limits_of_body_rates_below_the_commanded_ones_are_refused():

@@ -34,7 +34,15 @@ from tests.race.support import (
     track_of,
 )
 
-FLAGS = ("gate_collision", "ground", "out_of_bounds", "attitude", "non_finite")
+FLAGS = (
+    "gate_collision",
+    "ground",
+    "out_of_bounds",
+    "body_rate",
+    "yaw_rate",
+    "attitude",
+    "non_finite",
+)
 FAR = np.array([0.0, 0.0, -1.5])  # in the middle of the track, away from every plane
 ONE_TO_GO = np.linalg.norm(ref.GATES[1] - through(0, 0.03, 0.2))  # 3 cm beyond the first gate
 
@@ -234,7 +242,7 @@ def test_every_way_to_crash(race):
             case(set(), FAR + 9.9 * move, 5 * move)
     for column in ("c9", "c10", "c11"):
         for sign in (1, -1):
-            case({"out_of_bounds"}, **{column: sign * 1010.0})
+            case({"body_rate"}, **{column: sign * 1010.0})
             case(set(), **{column: sign * 900.0})
     for column, limit in (("c6", 1.5), ("c7", 1.0)):
         for sign in (1, -1):
@@ -356,7 +364,7 @@ def test_next_gate_progress_rewards_a_leg_the_same_wherever_its_gate_is_passed(t
     targets = [target, target, following]
     paid = 0.0
     for before, after, index, passed in zip(flown, flown[1:], targets, passing, strict=False):
-        outcome = rules.Outcome(*[jnp.zeros(1, bool)] * 7).replace(passed=jnp.array([passed]))
+        outcome = rules.Outcome(*[jnp.zeros(1, bool)] * 9).replace(passed=jnp.array([passed]))
         g = gate(track, jnp.int32(index))
         pitch, dt = jnp.zeros(1), jnp.float32(0.01)
         paid += rules.reward(kinds, outcome, before, after, pitch, before, g, dt)[0]
@@ -400,7 +408,7 @@ def test_spinning_ends_an_episode_in_training_alone():
     rows = level(through(0, -2.0), 0.0)
     for rate, ends in ((4.5, False), (6.0, True), (-6.0, True)):
         rows[:, ref.RATES] = [0.0, 0.0, rate]
-        assert bool(step((choices, params), rows)[2].attitude[0]) == ends
+        assert bool(step((choices, params), rows)[2].yaw_rate[0]) == ends
         assert not step((choices, exact_rules(choices.model, params)), rows)[2].terminated[0]
 
 
@@ -650,6 +658,23 @@ def test_a_speed_limit_ends_training_and_races():
     before = begin(race_state("motor", rows), 1)
     scored = score(before, following, outcome, jnp.float32(0.01), 4)
     assert [CRASHES[code] for code in scored.crash] == ["", "above the speed limit"]
+
+
+def test_each_limit_of_the_rates_and_the_attitude_has_its_own_text():
+    race = make_race(
+        "rules.body_rate_limit=5", "training_limits.yaw_rate=3", "training_limits.roll_deg=80"
+    )
+    rows = level(np.tile(FAR, (4, 1)), 0.0)
+    rows[0, ref.RATES], rows[1, ref.RATES] = [6, 0, 0], [0, 0, 4]
+    rows[2, 6], rows[3, ref.P] = 1.5, [99, 0, -1]
+    following, _, outcome = step(race, rows)
+    scored = score(begin(race_state("motor", rows), 1), following, outcome, jnp.float32(0.01), 4)
+    assert [CRASHES[code] for code in scored.crash] == [
+        "above the body rate limit",
+        "above the training limit of the yaw rate",
+        "lost its attitude",
+        "out of bounds",
+    ]
 
 
 def test_flying_near_the_speed_limit_has_a_penalty():
