@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.environment import Environment, Variants
+from quadjax.core.errors import InputError
 from quadjax.core.gradients import clip_inward
 from quadjax.core.imports import name_of, own_numbers
 from quadjax.core.integrators import INTEGRATORS
@@ -141,9 +142,16 @@ def _draw_track(
 
 
 def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
-    """A random start."""
+    """A random start.
+
+    Raises:
+        InputError: ``params`` has both random tracks and headings of the starts, which are those of
+            ``params.track``.
+    """
     track, index = None, None
     if params.tracks is not None:
+        if params.start.heading is not None:
+            raise InputError("params.start.heading is set, allowed: None with params.tracks")
         track_key = jax.random.fold_in(key, 3)
         track, index = _draw_track(params.tracks, params.track_chances, track_key)
         params = on_track(params, track)

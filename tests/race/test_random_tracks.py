@@ -90,6 +90,14 @@ def test_refused(key, named):
         load_config("e2e_fastest", [*KEYS, "start.heading=north", key])
 
 
+def test_headings_of_one_track_are_refused_on_random_tracks():
+    environment, params = race()
+    inside = make_race(load_config("e2e_fastest", ["start.heading=inside_turn"]))[1].start
+    params = params.replace(start=params.start.replace(heading=inside.heading))
+    with pytest.raises(InputError, match="params.start.heading is set, allowed: None with params"):
+        environment.reset(params, jax.random.key(0))
+
+
 def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
     arguments = ["e2e_fastest", "--policy", str(PRETRAINED / "e2e_fastest.npz")]
     arguments += ["--random-tracks", "4", "--laps", "2", "--json", str(tmp_path / "found.json")]
