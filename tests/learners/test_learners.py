@@ -29,8 +29,28 @@ def test_constant_reward(name):
 def test_truncated_episodes_have_a_future(name):
     """The reward is 1 and every step truncates: the value is 1 + 1/2 + 1/4 + ... = 2."""
     run = Run(name, probe(constant=1.0, truncates=1.0))
-    run.train(25)
-    assert run.value(observations()) / SCALE[name] == pytest.approx(2.0, abs=0.1)
+    run.train(20)
+    values = []
+    for _ in range(20):  # the value of SHAC varies by a tenth from chunk to chunk
+        run.train(1)
+        values.append(run.value(observations()) / SCALE[name])
+    assert np.mean(values) == pytest.approx(2.0, abs=0.1)
+
+
+@BOTH
+def test_an_update_keeps_every_field_of_the_state(name):
+    """Also those that only wrappers of a learner set."""
+    learner = make(name)
+
+    def update(key):
+        state = learner.init(learner.hyper, probe(), key)
+        state = state.replace(level=jnp.float32(0.5), record=jnp.float32(0.25))
+        return state, learner.update(learner.hyper, probe(), state)[0]
+
+    before, after = jax.eval_shape(
+        jax.vmap(update, axis_name=AXIS), jax.random.split(jax.random.key(0), 1)
+    )
+    assert jax.tree.structure(after) == jax.tree.structure(before)
 
 
 @BOTH
