@@ -2,9 +2,9 @@
 
 The best known flight is a local optimum, found by direct collocation from several initial guesses
 and verified in the model. It is an upper bound of the shortest time. The lower bound holds for
-every flight that stays below --bound-speed. With --policy, the policy's fastest lap is compared
-with the best known one, and is one of the initial guesses. Disturbances, randomization and model
-mismatch of the config are ignored. key=value overrides change the race.
+every flight that stays below --bound-speed, up to rounding in float64. With --policy, the policy's
+fastest lap is compared with the best known one, and is one of the initial guesses. Disturbances,
+randomization and model mismatch of the config are ignored. key=value overrides change the race.
 """
 
 import argparse

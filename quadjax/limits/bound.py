@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 
+from quadjax.core.errors import InputError
 from quadjax.limits.dual import Numbers, cells, softened
 from quadjax.limits.intervals import gravity, largest_force
 from quadjax.limits.problem import Problem, leaves
@@ -22,6 +23,7 @@ FINE = 4000  # cells of durations in the evaluation
 SOFTNESS = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4)  # s, of the smoothed minimum
 DRAGS = (1e-3, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4)  # 1/s, tried
 LEAST_DRAG = 1e-3
+TOUCHING = 1e-6  # m, distance of openings below which a leg has no shortest duration
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Course:
 
 @dataclasses.dataclass(frozen=True)
 class LowerBound:
-    """A proven lower bound of the time of every flight slower than ``mass.speed``."""
+    """A lower bound of the time of every flight slower than ``mass.speed``, up to rounding."""
 
     time: float  # s
     mass: PointMass
@@ -77,7 +79,8 @@ def lower_bound(problem: Problem, speed: float, longest: float) -> LowerBound:
         longest: s, a time that some flight achieves; the bound is at most this.
 
     Raises:
-        InputError: the largest force of the vehicle has no bound.
+        InputError: the largest force of the vehicle has no bound, or two consecutive openings
+            touch.
     """
     weight, course = gravity(problem), course_of(problem)
     best = LowerBound(0.0, PointMass(np.inf, LEAST_DRAG, weight, speed))
@@ -104,6 +107,9 @@ def maximize(
 
     Returns:
         The bound, s, and the multipliers.
+
+    Raises:
+        InputError: two consecutive openings touch, so that a leg may have any short duration.
     """
     legs = _Legs(course, mass, longest)
     x = legs.first() if start is None else start
@@ -140,8 +146,13 @@ class _Legs:
             for side in (self.before, self.after)
         )
         self.numbers = Numbers(mass.force, mass.drag, mass.gravity, *ends)
-        gap = [_distance(a, b) for a, b in zip(self.before, self.after, strict=True)]
-        self.shortest = np.maximum(np.array(gap) / mass.speed, 1e-3)
+        gap = np.array([_distance(a, b) for a, b in zip(self.before, self.after, strict=True)])
+        if gap.min() < TOUCHING:
+            raise InputError(
+                f"leg {gap.argmin() + 1} begins in an opening that touches the next one; a lower "
+                "bound needs openings apart from each other"
+            )
+        self.shortest = gap / mass.speed
         self.longest = longest
 
     @property
@@ -192,10 +203,11 @@ class _Legs:
 
 
 def _distance(before: np.ndarray, after: np.ndarray) -> float:
-    """A lower bound of the distance between two openings, m."""
-    middles = before.mean(axis=0), after.mean(axis=0)
-    radius = sum(
-        np.linalg.norm(each - middle, axis=1).max()
-        for each, middle in zip((before, after), middles, strict=True)
-    )
-    return max(0.0, float(np.linalg.norm(middles[1] - middles[0]) - radius))
+    """A lower bound of the distance between two openings, m: the widest gap between their corners.
+
+    The gap is measured along the axes and along the lines that join two corners.
+    """
+    ways = (after[:, None] - before[None]).reshape(-1, 3)
+    ways = np.concatenate([np.eye(3), -np.eye(3), ways[np.linalg.norm(ways, axis=1) > TOUCHING]])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    return float(((after @ ways.T).min(axis=0) - (before @ ways.T).max(axis=0)).max())

@@ -1,4 +1,4 @@
-"""Interval arithmetic, and a proven bound of a vehicle's largest specific force."""
+"""Interval arithmetic, and a bound, up to rounding, of a vehicle's largest specific force."""
 
 import dataclasses
 import math

@@ -195,8 +195,8 @@ def summary(
     else:
         width = 100.0 * (best.total - bound.time) / best.total
         lines.append(
-            f"lower bound: {bound.time:.4f} s for flights below {bound.mass.speed:.1f} m/s; "
-            f"the bracket is {width:.1f}% wide"
+            f"lower bound: {bound.time:.4f} s, up to rounding, for flights below "
+            f"{bound.mass.speed:.1f} m/s; the bracket is {width:.1f}% wide"
         )
     if flown is not None:
         lines += [

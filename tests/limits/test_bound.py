@@ -7,6 +7,7 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.limits.bound import Course, PointMass, maximize
 from quadjax.limits.intervals import gravity, largest_force
@@ -32,6 +33,20 @@ def test_a_circle():
     exact = 2.0 * math.pi * math.sqrt(2.0 / 10.0)
     found, _ = maximize(course, FREE, longest=10.0)
     assert 0.99 * exact < found <= exact * 1.001
+
+
+def _square(x: float):
+    return np.array([[x, y, z] for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+
+
+def test_openings_that_touch_have_no_lower_bound():
+    """A leg between them may be shorter than any duration that the bound is evaluated for."""
+    with pytest.raises(InputError, match="leg 2 begins in an opening that touches the next one"):
+        maximize(Course((_square(4.0), _square(4.0)), start=np.zeros(3)), FREE, longest=10.0)
+    near = Course((_square(4.0), _square(4.5)), start=np.zeros(3))
+    found, _ = maximize(near, FREE, longest=10.0)
+    exact = math.sqrt(2.0 * 4.5 / 10.0)
+    assert 0.98 * exact < found <= exact * 1.001
 
 
 @pytest.mark.parametrize(
