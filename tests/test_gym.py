@@ -113,6 +113,20 @@ def test_the_next_episode_begins_a_step_later_where_asked():
     assert following[1].all()
 
 
+def test_a_single_race_does_not_restart_by_itself():
+    env = RaceEnv(*short())
+    env.reset(seed=1)
+    for _ in range(5):
+        *_, terminated, truncated, _ = env.step(hover(1)[0])
+        if terminated or truncated:
+            break
+    assert terminated or truncated
+    with pytest.raises(RuntimeError, match="an episode is over: call reset"):
+        env.step(hover(1)[0])
+    env.reset()
+    assert env.step(hover(1)[0])[1] != 0.0
+
+
 def test_a_wrapper_counts_episodes():
     env = RecordEpisodeStatistics(RaceVectorEnv(*short(), N, "SameStep"))
     env.reset(seed=1)

@@ -182,7 +182,7 @@ class RaceVectorEnv(VectorEnv):
         if self._batch is None:
             raise RuntimeError("reset has to be called before step")
         if self._mode == AutoresetMode.DISABLED and bool(self._batch.over.any()):
-            raise RuntimeError("an episode is over: reset it, with options reset_mask")
+            raise RuntimeError("an episode is over: call reset (a vector: options reset_mask)")
         shaped = jnp.asarray(actions, jnp.float32).reshape(self.action_space.shape)
         self._batch, outcome = self._step(self._params, self._batch, shaped)
         found: Any = jax.device_get(outcome)
@@ -206,7 +206,7 @@ class RaceVectorEnv(VectorEnv):
 
 
 class RaceEnv(gymnasium.Env):
-    """One drone's race, as ``gymnasium.Env``; the caller resets it."""
+    """One drone's race, as ``gymnasium.Env``; after an episode's end the caller resets it."""
 
     metadata = {"render_modes": []}
 
@@ -214,7 +214,7 @@ class RaceEnv(gymnasium.Env):
         self, environment: Environment, params: RaceParams, render_mode: None = None
     ) -> None:
         """Prepare the race, which ``quadjax.make_race`` returns."""
-        self._one = RaceVectorEnv(environment, params, 1, AutoresetMode.NEXT_STEP)
+        self._one = RaceVectorEnv(environment, params, 1, AutoresetMode.DISABLED)
         self.observation_space = self._one.single_observation_space
         self.action_space = self._one.single_action_space
         self.render_mode = render_mode
@@ -228,7 +228,11 @@ class RaceEnv(gymnasium.Env):
         return observation[0], {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
-        """Simulate one step."""
+        """Simulate one step.
+
+        Raises:
+            RuntimeError: before ``reset``, or after the end of an episode that was not reset.
+        """
         observation, reward, terminated, truncated, infos = self._one.step(np.asarray(action)[None])
         info = {"gates_passed": int(infos["gates_passed"][0])}
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
