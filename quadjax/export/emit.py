@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from quadjax.core.errors import InputError
 from quadjax.export import battery_tables
 from quadjax.export.battery_tables import BatteryTables
 from quadjax.export.estimator_tables import (
@@ -29,6 +30,7 @@ from quadjax.export.selftest import (
 
 MODULE_MODELS = ("motor", "rate")  # vehicle models whose commands the Paparazzi module takes
 MODULE_FREQUENCY = 512  # Hz, of the Paparazzi module
+STEP_ERROR = 0.05  # of a step of the policy, where an autopilot calls it several times in one
 ACCELEROMETER = {"a_x": "s[3]", "a_y": "s[4]", "a_z": "s[5]"}  # monomials with no name of their own
 
 
@@ -155,15 +157,29 @@ def emit_paparazzi(
         "estimator": estimator,
         "battery": battery,
     }
-    # A policy with a history runs at the rate of its training, any other one at every call.
+    # A policy that observes earlier steps runs at the rate of its training, another at every call.
     values["race"] = race
-    values["hold"] = max(1, round(MODULE_FREQUENCY * race.time_step)) if race.history else 1
+    values["hold"] = 1
+    if race.box.layout.counts_steps:
+        values["hold"] = calls_per_step(MODULE_FREQUENCY, race.time_step)
+        if not values["hold"]:
+            raise InputError(
+                f"--target cortex-a9: the policy observes earlier steps of {race.time_step:g} s, "
+                f"allowed: whole periods of {MODULE_FREQUENCY} Hz within {STEP_ERROR:.0%}; "
+                "--target cortex-m7 has no Paparazzi module"
+            )
     values["known"] = [field.name for field in race.fields]
     middle = 0.5 * (network.command_low + network.command_high) / 2.0**network.fraction_bits
     values["halfway"] = [f"{x!r}f" for x in middle.tolist()]
     files = _files(origin, values, [".h", ".c"], "module", "_module")
     files |= _files(origin, values, [".xml"], "module")
     return {f"paparazzi/{file}": text for file, text in files.items()}
+
+
+def calls_per_step(frequency: float, time_step: float) -> int:
+    """Calls at a frequency, Hz, in a step, s; 0 where no whole number is within ``STEP_ERROR``."""
+    calls = round(frequency * time_step)
+    return calls if abs(calls - frequency * time_step) <= STEP_ERROR * calls else 0
 
 
 def _files(
@@ -191,8 +207,7 @@ def common_values(network: FixedNetwork, origin: Provenance) -> Values:
 
 def _float(number: float) -> str:
     """A number as the digits of a C float."""
-    text = f"{number:g}"
-    return text if "." in text else f"{text}.0"
+    return repr(float(number))
 
 
 def _limits(commands: np.ndarray) -> list[str]:

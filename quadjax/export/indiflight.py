@@ -9,7 +9,7 @@ firmware of 2026, untested.
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.export.emit import Provenance, Values, common_values
+from quadjax.export.emit import Provenance, Values, calls_per_step, common_values
 from quadjax.export.fixed import FixedNetwork
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import RaceTables
@@ -21,6 +21,7 @@ from quadjax.race import environment
 MOST_GATES = 255  # of target_gate_index, a uint8_t
 # INDIflight's number of the motors front-left, front-right, rear-right, rear-left.
 MOTORS = (3, 1, 0, 2)
+CALL_RATE = 500  # Hz, of nn_control: every 20th inner loop
 SELF_TEST_INFERENCES = 40  # of about as many instructions as all self-tests
 FOLDER, FOLDER_2026 = "indiflight", "indiflight_2026"
 
@@ -66,6 +67,12 @@ def emit_indiflight(
     values = common_values(network, origin) | _track(own) | {"race": race, "motors": MOTORS}
     values |= {part: _inlined(files[f"{origin.name}{end}"], origin) for part, end in parts.items()}
     middle = 0.5 * (network.command_low + network.command_high) / 2.0**network.fraction_bits
+    step = race.time_step
+    fits = not race.box.layout.counts_steps or calls_per_step(CALL_RATE, step)
+    values |= {
+        "call_rate": CALL_RATE if fits else round(1.0 / step),
+        "period_ns": round(step * 1e9),
+    }
     values |= {"halfway": middle, "selftest_inferences": SELF_TEST_INFERENCES}
     names = [f"{stem}.{end}" for stem in ("neural_network", "nn_controller") for end in "hc"]
     found = {f"{FOLDER}/{name}": render(f"indiflight/{name}", values) for name in names}

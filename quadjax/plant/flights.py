@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation.recording import Recording
 from quadjax.plant import flight
@@ -23,6 +24,7 @@ from quadjax.race import laps
 from quadjax.race.battery import middle_limit
 from quadjax.race.environment import Choices, RaceParams, exact_rules
 from quadjax.race.laps import Laps
+from quadjax.race.layout import Layout
 from quadjax.vehicle import motor
 from quadjax.vehicle.battery import limit_estimator
 from quadjax.vehicle.estimator import estimator_params
@@ -30,6 +32,7 @@ from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.rate import RateCommand
 
 CHUNK_SECONDS = 1.0  # of flight between checks for the end
+SAME_STEP = 1e-6  # relative difference of time steps that count as equal
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,6 +115,24 @@ def _onboard(model: VehicleParams, plant: PlantConfig, race: RaceParams) -> Onbo
     )
 
 
+def check_steps(layout: Layout, trained: float, step: float) -> None:
+    """Check that a policy that observes earlier steps flies in steps of its training.
+
+    Args:
+        layout: of the policy.
+        trained: time step of the training, s.
+        step: of the control loop, s.
+
+    Raises:
+        InputError: a history or a last action, and another step.
+    """
+    if layout.counts_steps and abs(step / trained - 1.0) > SAME_STEP:
+        raise InputError(
+            f"the policy observes earlier steps of {trained:g} s, the drone's control steps are "
+            f"{step:g} s: add control_rate={1.0 / trained:g}"
+        )
+
+
 def fly_chunks(
     plan: Plan, seed: int = 0, record: Recorder = flight.record_frame
 ) -> Iterator[tuple[Flight, Record]]:
@@ -124,7 +145,12 @@ def fly_chunks(
 
     Yields:
         The drones, and the records of the chunk as NumPy arrays.
+
+    Raises:
+        InputError: see ``check_steps``.
     """
+    race = plan.params.race
+    check_steps(plan.choices.race.layout, float(race.limits.time_step), plan.step)
     start, key = jax.random.split(jax.random.key(seed))
     drones = jax.jit(flight.begin, static_argnums=(0, 3, 4))(
         plan.choices, plan.params, start, plan.runs, plan.laps

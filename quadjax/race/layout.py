@@ -122,6 +122,12 @@ class Layout:
         """A name for each number."""
         return tuple(label for field in self.fields for label in field.labels)
 
+    @property
+    def counts_steps(self) -> bool:
+        """Whether a field is of an earlier step: a history, or the last action."""
+        parts = map(history.split_name, self.names)
+        return any(lag or name == LAST_ACTION for name, lag in parts)
+
     def __contains__(self, name: str) -> bool:
         return name in self.names
 

@@ -22,9 +22,9 @@ from quadjax.evaluation.recording import write_states
 from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
 from quadjax.export.verify.folder import Inputs, read_inputs
 from quadjax.plant.config import PlantConfig
+from quadjax.plant.flights import check_steps
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race
-from quadjax.race.history import split_name
 from quadjax.race.laps import Laps
 from quadjax.sil.faults import Faults
 from quadjax.sil.fly import Race, Timing, fly
@@ -44,7 +44,6 @@ from quadjax.sil.worlds import World, command_kind
 from quadjax.studies.plant_races import plan_race, race_config
 from quadjax.training.build import untrained_policy
 
-SAME_STEP = 1e-6  # relative difference of time steps that count as equal
 ON_PLANT = ("motor", "rate")  # vehicle models that the stand-in plant has
 STATES_FILE, NUMBERS_FILE, TABLE_FILE, HEADER_FILE = (
     *("states.npz", "sil.json", "table.txt", "message.h"),
@@ -184,7 +183,7 @@ def fly_all(
     laps = setting.laps or config.evaluate.laps
     world = make_world(config, policy, setting.plant, laps)
     if inputs is not None:
-        _check_history(inputs, world.step)
+        check_steps(inputs.policy.layout, inputs.own.time_step, world.step)
     races: list[Race] = []
     with _autopilot(setting, inputs, world, stop, report) as (peer, name):
         for run in range(setting.runs):
@@ -193,17 +192,6 @@ def fly_all(
             if stop.is_set() or races[-1].gone:
                 break
     return Flown(setting, config, world, name, races)
-
-
-def _check_history(inputs: Inputs, step: float) -> None:
-    """Refuse a policy with a history on a drone with other control steps, s, than in training."""
-    own = inputs.own.time_step
-    past = any(split_name(name)[1] for name in inputs.policy.layout.names)
-    if past and abs(step / own - 1.0) > SAME_STEP:
-        raise InputError(
-            f"the policy observes a history of steps of {own:g} s, the drone's are {step:g} s: add "
-            f"control_rate={1.0 / own:g}"
-        )
 
 
 def _compile(world: World, report: Callable[[str], None]) -> None:

@@ -36,6 +36,7 @@ class Sources:
     files: tuple[Path, ...]
     include: Path
     own_estimator: bool  # the export's disturbance estimator runs, not the drone's
+    options: tuple[str, ...]  # of the compiler
 
     def build(self, work: Path, shared: bool = False) -> Path:
         """Compile the autopilot as a program, or as a shared library without the socket.
@@ -50,7 +51,7 @@ class Sources:
         output = work / ("autopilot.so" if shared else "autopilot")
         own = [work / "autopilot.c"] if shared else [work / "autopilot.c", work / "process.c"]
         options = ["-shared", "-fPIC"] if shared else []
-        options += [f"-I{self.include}", f"-I{work}"]
+        options += [f"-I{self.include}", f"-I{work}", *self.options]
         try:
             compiler = _unchanged_arithmetic(host())
             return compiler.build([*self.files, *own], output, [*options, "-lm"])
@@ -113,7 +114,8 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
         (work / file).write_text(render(f"sil/{file}", values))
     (work / "message.h").write_text(header_text(functions=True))
     include = folder / FOLDER if indiflight else folder
-    return Sources(tuple(folder / file for file in names), include, own)
+    options = (f"-DNN_CONTROL_HZ={round(rate)}",) if indiflight else ()
+    return Sources(tuple(folder / file for file in names), include, own, options)
 
 
 def _other_rate(exported: float, rate: float) -> str:

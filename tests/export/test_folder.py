@@ -30,6 +30,7 @@ from quadjax.export.verify.toolchain import WARNINGS
 from quadjax.policy.file import Policy
 from quadjax.vehicle.residual_file import write_residual
 from tests.export.support import WIDE, made_policy, made_residual, need, with_highest_rpm
+from tests.export.test_layouts import converted_in, made
 
 STUBS = Path(__file__).parent / "paparazzi_stubs"
 COUNT = 2000
@@ -221,6 +222,11 @@ def test_rollouts_of_another_policy_are_refused(exported, tmp_path):
         run.verify(copy, COUNT)
 
 
+def test_a_check_that_does_not_exist_is_refused(exported):
+    with pytest.raises(InputError, match="check 'own flight': no such check, allowed: range proof"):
+        run.verify(exported, COUNT, only=("own flight",))
+
+
 def test_an_unfinished_policy_fails_unless_allowed(exported):
     found = [
         run.verify(exported, COUNT, only=("own flights",), allow_unfinished=allowed)[-1]
@@ -290,8 +296,10 @@ def module_run(exported, tmp_path, broken):
 
 
 def test_the_paparazzi_module_flies(exported, tmp_path):
-    mismatches, fails, before, flies, motors, sent, command = module_run(exported, tmp_path, False)
-    assert (mismatches, fails, before, flies, motors) == ("0", "0", "0", "1", "1")
+    mismatches, fails, before, flies, motors, sent, command, steps = module_run(
+        exported, tmp_path, False
+    )
+    assert (mismatches, fails, before, flies, motors) == ("0", "0", "0", "1", "1") and steps == "20"
     motor = (exported / "made_estimator.c").exists()
     assert int(sent) == (16 if motor else 13)
     if motor:
@@ -301,9 +309,21 @@ def test_the_paparazzi_module_flies(exported, tmp_path):
 
 
 def test_the_paparazzi_module_refuses_to_arm(exported, tmp_path):
-    mismatches, fails, before, flies, motors, _, command = module_run(exported, tmp_path, True)
+    mismatches, fails, before, flies, motors, _, command, _ = module_run(exported, tmp_path, True)
     assert int(mismatches) > 0
     assert (fails, before, flies, motors, command) == ("1", "0", "0", "0", "0")
+
+
+def test_the_module_holds_the_last_action_at_the_rate_of_the_training(tmp_path):
+    policy, own = made("indi and more")
+    folder = tmp_path / "c"
+    converted = converted_in(folder, policy, own, "cortex-a9")
+    assert not converted.race.history and policy.layout.counts_steps
+    *_, steps = module_run(folder, tmp_path, False)
+    assert steps == "4"  # in 20 calls at 512 Hz, of 0.01 s
+    slow = dataclasses.replace(converted.race, time_step=0.003)
+    with pytest.raises(InputError, match="earlier steps of 0.003 s, allowed: whole periods of 512"):
+        dataclasses.replace(converted, race=slow).sources()
 
 
 def test_the_module_names_every_source(exported):

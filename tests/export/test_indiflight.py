@@ -12,21 +12,20 @@ from quadjax.export.emit import emit_network, emit_race
 from quadjax.export.fixed import convert
 from quadjax.export.indiflight import MOTORS, check_indiflight, emit_indiflight
 from quadjax.export.race_tables import make_tables, track_ranges
-from quadjax.export.verify import run
+from quadjax.export.verify import checks_indiflight, run
 from quadjax.export.verify.checks_indiflight import WARNINGS, hostile_states
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
 from quadjax.export.verify.harness import load_library
-from quadjax.export.verify.result import PASSED, SKIPPED, run_check
+from quadjax.export.verify.result import PASSED, SKIPPED, Failed, run_check
 from quadjax.export.verify.toolchain import host
-from tests.export.support import ORIGIN, named_network
+from tests.export.support import ORIGIN, named_network, need
 from tests.export.test_layouts import made, random_states
 
 
-@pytest.fixture(scope="module")
-def emitted():
-    """The files, by path, of an untrained policy in a race of the 5-inch drone."""
-    policy, own = made("published racing")
+def emit(name):
+    """The files, by path, of an untrained policy in a race of the 5-inch drone, and the race."""
+    policy, own = made(name)
     network = convert(policy, track_ranges(policy.layout, own.params.track) | {"position": 32.0})
     tables = make_tables(network.box, policy, own.choices, own.params)
     rng = np.random.default_rng(0)
@@ -36,10 +35,19 @@ def emitted():
     return files | emit_indiflight(files, network, ORIGIN, tables, own, policy), own
 
 
-def build(files, folder):
+@pytest.fixture(scope="module")
+def emitted():
+    return emit("published racing")
+
+
+def write(files, folder):
     for path, text in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_text(text)
+
+
+def build(files, folder):
+    write(files, folder)
     sources = [folder / "indiflight" / name for name in ("neural_network.c", "nn_controller.c")]
     own = [folder / "made.c", folder / "made_race.c"]
     return (
@@ -91,6 +99,50 @@ def test_commands_are_those_of_the_exported_race_and_in_range(emitted, tmp_path)
     library.nn_counters.restype = Counters
     counters = library.nn_counters()
     assert counters.steps == 501 and 0 < counters.nan < 501 and 0 < counters.clipped < 501
+
+
+@pytest.mark.parametrize("name", ["racing, axes and more", "racing with a history"])
+def test_a_policy_of_earlier_steps_runs_at_the_rate_of_its_training(name, tmp_path):
+    files, own = emit(name)
+    write(files, tmp_path)
+    folder = tmp_path / "indiflight"
+    sources = [folder / "neural_network.c", folder / "nn_controller.c"]
+
+    def library(*flags):
+        return load_library(host(), sources, tmp_path / f"{len(flags)}.so", [*flags, "-lm"])
+
+    assert own.time_step == pytest.approx(0.01)
+    states = np.random.default_rng(2).uniform(-1, 1, (40, 16)).astype(np.float32)
+    states[:, 12:] += 900
+    often, seldom = library(), library("-DNN_CONTROL_HZ=100")  # 500 Hz is the firmware's rate
+    fast = np.stack([control(often, row) for row in states])
+    slow = np.stack([control(seldom, row) for row in states[::5]])
+    np.testing.assert_array_equal(fast, np.repeat(slow, 5, axis=0))
+    assert len(np.unique(slow, axis=0)) == len(slow)
+    often.nn_counters.restype = Counters
+    assert often.nn_counters().steps == len(slow)
+    with pytest.raises(Failed, match="NN_CONTROL_HZ: no whole number of calls is a step"):
+        library("-DNN_CONTROL_HZ=130", "-DNDEBUG")
+
+
+@pytest.mark.slow
+def test_the_proof_covers_any_history(tmp_path):
+    need("frama-c")
+    policy, _ = made("racing with a history")
+    policy.save(tmp_path / "policy.npz")
+    ranges = {"position": 64.0, "velocity": 128.0, "rates": 1024.0}
+    options = {"allow_unfinished": True, "target": "indiflight"}
+    export_c(tmp_path / "policy.npz", tmp_path / "c", ranges=ranges, name="made", **options)
+    (tmp_path / "work").mkdir()
+    context = Context(read_folder(tmp_path / "c"), tmp_path / "work", 200, 8, True, True)
+    assert "0 alarms" in checks_indiflight.check_eva(context)
+    source = tmp_path / "c" / "indiflight" / "nn_controller.c"
+    text = source.read_text()
+    bound = "(history->next < MADE_HISTORY) ? history->next : 0U"
+    assert bound in text
+    source.write_text(text.replace(bound, "history->next"))
+    with pytest.raises(Failed, match="alarms"):
+        checks_indiflight.check_eva(context)
 
 
 def test_a_changed_weight_switches_the_motors_off(emitted, tmp_path):

@@ -9,6 +9,7 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.export import flights, race_emulator
+from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
 from quadjax.export.emit import emit_network, emit_race
 from quadjax.export.fixed import convert
@@ -77,6 +78,24 @@ def random_states(rng, count, own, low, high):
             part = rng.uniform(1.0, {"rpm": 11000, "rotor_speed": 3000}.get(name, 15), part.shape)
         parts.append(part)
     return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+def converted_in(folder, policy, own, target, rate=500.0):
+    """A policy converted, with its C in a folder, without the simulated flights of an export."""
+    folder.mkdir(exist_ok=True)
+    policy.save(folder / "policy.npz")
+    rng = np.random.default_rng(0)
+    states = random_states(rng, 20, own, policy.command_low, policy.command_high)
+    targets = np.arange(20) % len(own.params.track.yaw)
+    rows = flights.Rollouts(flights.observe(own, states, targets), states, targets)
+    options = Options("made", {"position": 32.0}, sample_rate=rate, target=target)
+    path = folder / "policy.npz"
+    converted = convert_policy(policy, own, options, path.name, path, rows)
+    contents = {name: text.encode() for name, text in converted.sources().items()}
+    for name, data in (contents | converted.binaries()).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return converted
 
 
 @pytest.mark.parametrize("name", [*list(RACES)[:4], *FEW])

@@ -12,7 +12,7 @@ from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
-from quadjax.export.emit import emit_network, emit_race
+from quadjax.export.emit import emit_estimator, emit_network, emit_race
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
 from quadjax.export.race_source import find_config
@@ -161,6 +161,26 @@ def test_tilted_and_round_gates_are_the_simulators(kind, tmp_path):
     assert [library.made_race_update(race, point) for point in at[1:]] == events.tolist()
 
 
+def test_a_track_of_many_gates_has_its_own_self_tests(tmp_path):
+    policy = made_policy(8, "rate")
+    own = own_race(policy)
+    network = convert(policy)
+    tables = make_tables(network.box, policy, own.choices, own.params)
+    of_gates = ("gate_position", "gate_cos", "gate_sin", "gate_yaw", "half_size", "next_gate")
+    arrays = {name: getattr(tables, name) for name in of_gates}
+    tables = dataclasses.replace(
+        tables, **{name: np.resize(x, (301, *x.shape[1:])) for name, x in arrays.items()}
+    )
+    states, targets = random_states(np.random.default_rng(0), 40, "rate"), np.arange(40) * 7
+    files = emit_network(network, ORIGIN, None)
+    files |= emit_race(tables, network, ORIGIN, states, targets)
+    for file, text in files.items():
+        (tmp_path / file).write_text(text)
+    sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
+    library = load_library(host(), sources, tmp_path / "made.so", WARNINGS)
+    assert library.made_race_self_test() == 0
+
+
 def test_a_policys_own_limits_are_the_vehicles():
     policy = dataclasses.replace(made_policy(8), command_high=np.full(4, 12000.0))
     constants = own_race(policy).params.vehicle.constants
@@ -200,6 +220,13 @@ def test_estimator_is_the_reference(with_residual, rate, cutoff):
     error = np.abs(found - measurements.estimate_float64(vehicle, measured[None], rate, cutoff)[0])
     assert error[:, :3].max() < 1e-6
     assert error[:, 3:].max() < 2e-5
+
+
+def test_the_header_states_the_rate_of_the_estimator_in_full():
+    constants = own_race(made_policy(8)).params.vehicle.constants
+    tables, network = make_estimator(constants, None, 512.0625, 8.0), convert(made_policy(8))
+    header = emit_estimator(tables, network, ORIGIN, "")["made_estimator.h"]
+    assert "#define MADE_ESTIMATOR_RATE 512.0625F" in header
 
 
 def test_estimator_refuses_a_cutoff_without_room():

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs
 from quadjax.plant import flight as onboard_flight
 from quadjax.plant.config import PlantConfig, load_plant_config
-from quadjax.plant.flights import fly_plan, recordings, rows
+from quadjax.plant.flights import fly_chunks, fly_plan, recordings, rows
 from quadjax.plant.logs import log_quantities, write_logs
 from quadjax.policy.file import Policy
 from quadjax.studies.plant_races import gate_centers, plan_logs, plan_race, race_config
@@ -93,6 +94,15 @@ def test_the_race_is_the_policys_own():
     assert race.vehicle.model == "rate" and race.observation.disturbance == "ground_truth"
     widths = random_policy(observation={"disturbance": {"moment_x": 0.03}})
     assert not any(race_config(config, widths).disturbance.half_widths.values())
+
+
+@pytest.mark.parametrize("observed", [f"history={HISTORY}", "last_action=true"])
+def test_earlier_steps_of_another_length_are_refused(observed):
+    config = load_config("e2e_shac", [f"observation.{observed}", "network.hidden=[8]"])
+    policy, other = untrained_policy(config), EXACT.replace(control_rate=500.0)
+    plan = plan_race(config, other, policy, "own", lap_count=1, runs=2)
+    with pytest.raises(InputError, match="of 0.01 s, .* steps are 0.002 s: add control_rate=100"):
+        next(fly_chunks(plan))
 
 
 @pytest.mark.slow  # compiles the plant

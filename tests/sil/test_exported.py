@@ -12,9 +12,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.recording import STATES
-from quadjax.export import flights
-from quadjax.export.conversion import Options, convert_policy
-from quadjax.export.flights import Rollouts
+from quadjax.export.conversion import Options
 from quadjax.export.race_source import find_config, own_race
 from quadjax.export.verify import toolchain
 from quadjax.export.verify.folder import Inputs
@@ -28,7 +26,7 @@ from quadjax.sil.plant_world import PlantWorld
 from quadjax.sil.run import Setting, fly_all, make_world
 from quadjax.sil.source import write_sources
 from tests.commands import run
-from tests.export.test_layouts import made, random_states
+from tests.export.test_layouts import converted_in, made
 from tests.sil.support import Counting
 
 PLANT = load_plant_config("standin")
@@ -37,18 +35,8 @@ STEPS = 150
 
 def written(folder, policy, own, config, target, rate=500.0):
     """The C of a policy in a folder, without the simulated flights of an export."""
-    policy.save(folder / "policy.npz")
-    states = random_states(
-        np.random.default_rng(0), 20, own, policy.command_low, policy.command_high
-    )
-    targets = np.arange(20) % len(own.params.track.yaw)
-    rows = Rollouts(flights.observe(own, states, targets), states, targets)
-    options = Options("made", {"position": 32.0}, sample_rate=rate, target=target)
+    options = converted_in(folder, policy, own, target, rate).options
     path = folder / "policy.npz"
-    converted = convert_policy(policy, own, options, path.name, path, rows)
-    for name, text in converted.sources().items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)
     return Inputs(options, policy, config, own, path.name, "")
 
 
@@ -148,6 +136,15 @@ def test_bad_input_is_one_line(arguments, expected, tmp_path, monkeypatch, capfd
     lines = capfd.readouterr().err.strip().splitlines()
     assert expected in lines[-1] and lines[-1].startswith("error: ")
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_last_action_of_other_steps_is_refused(tmp_path, monkeypatch):
+    policy, own = made("indi and more")
+    inputs = Inputs(Options("made"), policy, find_config(policy)[0], own, "made.npz", "")
+    monkeypatch.setattr(sil, "read_inputs", lambda path: inputs)
+    monkeypatch.setattr(sil, "make_world", lambda *_: Counting(step=0.002))
+    with pytest.raises(InputError, match="earlier steps of 0.01 s, .* are 0.002 s: add control_ra"):
+        fly_all(Setting(tmp_path, PLANT), threading.Event())
 
 
 def test_a_port_that_is_taken_is_one_line(monkeypatch, capfd, tmp_path):

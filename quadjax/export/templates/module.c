@@ -268,7 +268,7 @@ void ${name}_module_periodic(void) {
   }
   module.flying = wanted;
 {% if hold > 1 %}
-  /* The history counts steps of ${race.time_step | number} s. */
+  /* The policy observes earlier steps, of ${race.time_step | number} s. */
   const bool due = (module.calls == 0U);
   module.calls = (module.calls + 1U < ${hold}U) ? module.calls + 1U : 0U;
   if (wanted && due) {

@@ -395,7 +395,7 @@ ${name}_race_status ${name}_race_step(${name}_race *race, ${name}_kernel kernel,
 static const uint32_t test_state[SELF_TESTS][${NAME}_STATE_SIZE] = {
 ${rows(race_test.states, "hex")}
 };
-static const uint8_t test_target[SELF_TESTS] = {${race_test.targets | join(", ")}};
+static const ${"uint8_t" if race.gates <= 256 else "uint32_t"} test_target[SELF_TESTS] = {${race_test.targets | join(", ")}};
 static const int32_t test_input[SELF_TESTS][${NAME}_INPUTS] = {
 ${rows(race_test.inputs, "int32")}
 };

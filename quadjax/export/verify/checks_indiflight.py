@@ -12,11 +12,10 @@ import numpy as np
 from quadjax.export.actor import fixed_point_fly
 from quadjax.export.indiflight import FOLDER, MOTORS
 from quadjax.export.race_source import OwnRace
-from quadjax.export.render import render
 from quadjax.export.verify.checks_arm import need_emulator
 from quadjax.export.verify.checks_static import eva, proven
 from quadjax.export.verify.context import Context
-from quadjax.export.verify.emitted import write_loop, write_memory
+from quadjax.export.verify.emitted import write_indiflight_eva, write_loop, write_memory
 from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.result import Skipped, require
 from quadjax.export.verify.toolchain import (
@@ -150,9 +149,8 @@ def check_eva(c: Context) -> str:
     need_program("frama-c")
     folder, work = c.folder.path / FOLDER, c.work / "corrupted"
     work.mkdir(exist_ok=True)
-    mains = (c.work / "indiflight_eva.c", work / "indiflight_eva.c")
-    for main in mains:  # includes the controller next to it, or else that of the folder
-        main.write_text(render("indiflight/eva_main.c", {}))
+    # Each includes the controller next to it, or else that of the folder.
+    mains = [write_indiflight_eva(c.folder, where) for where in (c.work, work)]
     network = [folder / "neural_network.c"]
     count = proven(c, mains[0], network, folder)
     text = (folder / "nn_controller.c").read_text()

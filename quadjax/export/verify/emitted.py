@@ -45,6 +45,13 @@ def write_loop(folder: Folder, work: Path) -> Path:
     return path
 
 
+def write_indiflight_eva(folder: Folder, work: Path) -> Path:
+    """Calls of INDIflight's functions for any state and any memory of the controller."""
+    path = work / "indiflight_eva.c"
+    path.write_text(render("indiflight/eva_main.c", _common(folder)))
+    return path
+
+
 def write_eva_main(folder: Folder, work: Path) -> Path:
     """Calls of all exported functions for any input and any memory, with assertions."""
     network = folder.network

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from quadjax.core.compilation_cache import enable_compilation_cache
+from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.export.targets import AS_FILE, INDIFLIGHT
 from quadjax.export.verify import (
@@ -95,8 +96,8 @@ def verify(
         vectors: number of vectors on which every build must agree.
         runs: flights of the closed loop, 0 for none.
         announce: called with the name of every check before it runs.
-        only: names of the checks to run besides that of the sources, as in ``CHECKS``; all if
-            not given.
+        only: names of the checks to run besides that of the sources, as ``checks_of`` has them;
+            all if not given.
         allow_unfinished: accept a policy that was exported although it does not finish its race.
         allow_other_race: accept an export for another race than the one in the policy file.
         report: called with every result.
@@ -107,11 +108,15 @@ def verify(
 
     Raises:
         InputError: no such folder, or a file in it that is missing, damaged or not what the
-            converter writes; nothing is compiled.
+            converter writes, or a name in ``only`` that is no check of its target; nothing is
+            compiled.
     """
     enable_compilation_cache()
     folder = read_folder(Path(path))
     checks = checks_of(folder)
+    unknown = [name for name in only or () if name not in checks]
+    if unknown:
+        raise InputError(f"check {unknown[0]!r}: no such check, allowed: {', '.join(checks)}")
     chosen = [name for name in checks if only is None or name in only]
     announce(SOURCES)
     results = [run_check(SOURCES, lambda: check_sources(folder))]

@@ -16,6 +16,7 @@ static bool motors = true;
 static preflight_check_f check;
 static telemetry_cb telemetry;
 static int sent;
+static double steps; /* of the policy */
 
 uint8_t autopilot_get_mode(void) { return mode; }
 bool autopilot_set_motors_on(bool on) { return motors = on; }
@@ -42,8 +43,8 @@ void pprz_msg_send_PAYLOAD_FLOAT(struct transport_tx *trans, struct link_device 
   (void)trans;
   (void)dev;
   (void)id;
-  (void)values;
   sent = count;
+  steps = (double)values[6];
 }
 struct NedCoor_f *stateGetPositionNed_f(void) {
   static struct NedCoor_f p = {-2.0f, -1.5f, -1.5f};
@@ -91,7 +92,7 @@ int main(void) {
   }
   const bool flies = made_module_command(command);
   telemetry(0, 0);
-  printf("%u %d %d %d %d %d %g\n", (unsigned)made_module_mismatches(), result.fails, before, flies,
-         motors, sent, (double)command[0]);
+  printf("%u %d %d %d %d %d %g %g\n", (unsigned)made_module_mismatches(), result.fails, before, flies,
+         motors, sent, (double)command[0], steps);
   return 0;
 }

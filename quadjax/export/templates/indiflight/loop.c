@@ -26,7 +26,9 @@ void loop_begin(unsigned char *memory, const float *world, const uint32_t *targe
 void loop_step(unsigned char *memory, const float *world, float *command, uint32_t count) {
   for (uint32_t i = 0U; i < count; ++i) {
     copy((unsigned char *)&controller, memory + sizeof(controller) * i);
-    nn_control(world + 16U * i, command + 4U * i);
+    for (uint32_t call = 0U; call < (uint32_t)NN_STEP_CALLS; ++call) { /* one step of the policy */
+      nn_control(world + 16U * i, command + 4U * i);
+    }
     copy(memory + sizeof(controller) * i, (const unsigned char *)&controller);
   }
 }

@@ -13,6 +13,24 @@ ${origin.lines | comment}
 #define GATES_AHEAD 1
 #define NUM_GATES ${race.gates}
 
+{% if race.box.layout.counts_steps %}
+/* The policy observes earlier steps, of ${race.time_step | number} s. NN_CONTROL_HZ is the rate at which the firmware
+ * calls nn_control (inner loops per second by rate_denom): change it if yours differs. The policy
+ * runs at every NN_STEP_CALLS-th call; its commands are held in between. */
+#ifndef NN_CONTROL_HZ
+#define NN_CONTROL_HZ ${call_rate}
+#endif
+#define NN_PERIOD_NS ${period_ns}LL /* of a step of the policy */
+#define NN_STEP_CALLS ((NN_CONTROL_HZ * NN_PERIOD_NS + 500000000LL) / 1000000000LL)
+#if (20 * NN_CONTROL_HZ * NN_PERIOD_NS > 21000000000LL * NN_STEP_CALLS) || \
+    (20 * NN_CONTROL_HZ * NN_PERIOD_NS < 19000000000LL * NN_STEP_CALLS) || (NN_STEP_CALLS < 1)
+#error "NN_CONTROL_HZ: no whole number of calls is a step of the policy, within 5%"
+#endif
+{% else %}
+/* Call nn_control at any rate; the policy was trained with steps of ${race.time_step | number} s. It runs at every call. */
+#define NN_STEP_CALLS 1
+{% endif %}
+
 extern const float gate_pos[NUM_GATES][3]; /* centers, m */
 extern const float gate_yaw[NUM_GATES];    /* direction of flight, rad */
 extern const float start_pos[3];           /* m */
@@ -21,7 +39,7 @@ extern uint8_t target_gate_index;          /* gate to pass next; written here on
 
 /* What was wrong with the inputs since start-up. */
 typedef struct {
-  uint32_t steps;         /* calls of nn_control */
+  uint32_t steps;         /* of the policy */
   uint32_t nan_steps;     /* in which a number was NaN; it is taken as zero */
   uint32_t clipped_steps; /* in which a number was outside its range; it is taken as the edge */
   uint32_t outside_steps; /* in which an input of the network was outside its range */
