@@ -24,17 +24,18 @@ from quadjax.policy.file import FORMATS
 from quadjax.race.recorded_starts import LIMIT
 from quadjax.studies.flight_files import (
     STATE_ARRAYS,
-    ends_in,
     flying_part,
+    log_passages,
     recording_of_log,
     recordings_of_states,
+    target_of,
 )
 from quadjax.vehicle.protocol import Signal
 from quadjax.vehicle.registry import MODELS
 from quadjax.view.data import FORMAT, Scene, check_record, flight_record, gate_record
-from quadjax.view.flight import MOTORS, Flight, Marker, clearance, passages, passages_at, strip
+from quadjax.view.flight import MOTORS, Flight, Marker, passages, passages_at, strip
 
-RECORDED = (*STATE_ARRAYS, "leg_times")
+RECORDED = (*STATE_ARRAYS, "target", "leg_times")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,13 +154,16 @@ def _states(
     name: str,
 ) -> list[Flight]:
     """Flights of ``Evaluation.save_states``."""
-    recordings = recordings_of_states(path, arrays, meta)
+    recordings = recordings_of_states(path, arrays, meta, gates)
     flights = []
     for run, each in enumerate(recordings):
         label = name if len(recordings) == 1 else f"{name} {run + 1}"
         own = {key: getattr(each, key) for key in SIGNALS}
-        flight = _flight(each.time, own, meta, gates, label)
-        flights.append(dataclasses.replace(flight, lap_ends=each.lap_ends, crash=each.crash))
+        flight = _flight(each.time, own, meta, label)
+        passed = passages(each.time, each.position, gates, each.target)
+        flights.append(
+            dataclasses.replace(flight, passages=passed, lap_ends=each.lap_ends, crash=each.crash)
+        )
     return flights
 
 
@@ -178,7 +182,7 @@ def _limit(
         raise InputError(f"{path}: a best known lap without gates or leg_times")
     periodic = meta.get("start") == "periodic"
     note = "best known lap, flying start" if periodic else "best known flight from hover"
-    flight = _flight(arrays["time"], arrays, meta, gates, name)
+    flight = _flight(arrays["time"], arrays, meta, name)
     when = np.cumsum(arrays["leg_times"])
     ends = when[len(gates) - 1 :: len(gates)]
     passed = passages_at(flight.time, flight.position, gates, when)
@@ -191,7 +195,6 @@ def _flight(
     time: np.ndarray,
     arrays: dict[str, np.ndarray],
     meta: dict[str, Any],
-    gates: tuple[Gate, ...],
     name: str,
 ) -> Flight:
     vehicle = MODELS.get(str(meta.get("vehicle")))  # code that a file names is not imported
@@ -215,7 +218,6 @@ def _flight(
             *split(own[1], actuators, ""),
             strip("body rates", "rad/s", RATES, arrays["rates"]),
         ),
-        passages(time, arrays["position"], gates),
     )
 
 
@@ -223,10 +225,13 @@ def _read_log(path: Path, name: str, options: Options) -> Source:
     log, gates = read_log(path, options.logs), _gates(options)
     if log.position is None or log.attitude is None:
         raise InputError(f"{path}: position and attitude are needed to show a flight log")
-    return Source(gates, (flight_of_log(log, gates, name),))
+    closed = options.race is None or options.race.track.closed
+    return Source(gates, (flight_of_log(log, gates, name, closed),))
 
 
-def flight_of_log(log: FlightLog, gates: tuple[Gate, ...], name: str) -> Flight:
+def flight_of_log(
+    log: FlightLog, gates: tuple[Gate, ...], name: str, closed: bool = True
+) -> Flight:
     """The flying part of a flight log; a lap ends with the last gate."""
     part = flying_part(log) if log.flying.any() else slice(None)
     flown = recording_of_log(log, part)
@@ -236,15 +241,9 @@ def flight_of_log(log: FlightLog, gates: tuple[Gate, ...], name: str) -> Flight:
     if log.rpm_command is not None:
         strips.insert(0, strip("commanded rotor speed", "rpm", MOTORS, flown.command))
     strips.append(strip("body rates", "rad/s", RATES, flown.rates))
-    passed = passages(flown.time, flown.position, gates)
-    if len(passed) and passed[0, 1] == len(gates) - 1:  # the start
-        passed = passed[1:]
-    if len(passed):
-        target = (int(passed[-1, 1]) + 1) % len(gates)
-        if ends_in(flown, gates[target]):  # its passage ended the flight
-            place = (flown.position[-1] - gates[target].position) @ np.array(gates[target].axes)
-            last = [flown.time[-1], target, float(clearance(gates[target], place[1:]))]
-            passed = np.concatenate([passed, [last]])
+    samples = log_passages(flown.position, flown.velocity, gates, closed)
+    target = target_of(len(flown.time), samples, gates)
+    passed = passages(flown.time, flown.position, gates, target)
     return Flight(
         name,
         flown.time,

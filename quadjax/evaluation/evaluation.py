@@ -148,9 +148,10 @@ class Evaluation:
 
         Arrays: ``time`` (steps,) s; ``position``, ``velocity`` (runs, steps, 3) m, m/s, world NED;
         ``euler``, ``rates`` (runs, steps, 3) rad, rad/s; ``actuators`` (runs, steps, 4 or 1) rpm or
-        m/s^2; ``command`` (runs, steps, 4); NaN after the end of a run; ``lap_times`` (runs, laps)
-        s; ``meta``, the JSON of ``to_json``, with the vehicle model and the gates. The table has
-        the same signals with their units in the header, and a line for each time of each run.
+        m/s^2; ``command`` (runs, steps, 4); ``target`` (runs, steps) index of the gate to pass
+        next; NaN after the end of a run; ``lap_times`` (runs, laps) s; ``meta``, the JSON of
+        ``to_json``, with the vehicle model and the gates. The table has the same signals with their
+        units in the header, and a line for each time of each run.
 
         Raises:
             InputError: another suffix.

@@ -64,12 +64,15 @@ def recordings(trace: Trace, laps: Laps, dt: float) -> list[Recording]:
 
 
 def state_arrays(flights: Sequence[Recording]) -> dict[str, np.ndarray]:
-    """``time`` (steps,), and each signal of all runs (runs, steps, n); NaN after a run's end."""
+    """``time`` (steps,), and of all runs the signals (runs, steps, n) and ``target`` (runs, steps).
+
+    NaN after a run's end.
+    """
     time = max((flight.time for flight in flights), key=len)
     arrays = {"time": time}
-    for name in SIGNALS:
+    for name in (*SIGNALS, "target"):
         rows = [getattr(flight, name) for flight in flights]
-        arrays[name] = np.full((len(rows), len(time), rows[0].shape[1]), np.nan)
+        arrays[name] = np.full((len(rows), len(time), *rows[0].shape[1:]), np.nan)
         for whole, row in zip(arrays[name], rows, strict=True):
             whole[: len(row)] = row
     return arrays

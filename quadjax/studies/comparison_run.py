@@ -30,7 +30,7 @@ from quadjax.studies.comparison import (
     rows,
 )
 from quadjax.studies.drawn_plants import OnPlants, conditions, interval, plants_table
-from quadjax.studies.report.flights import RATES, RPM, Flight, make_flight
+from quadjax.studies.report.flights import KINDS, Flight, make_flight
 from quadjax.studies.report.run import fastest_signals, write_report
 from quadjax.training.paper import LAPS, PUBLISHED, Row
 
@@ -126,20 +126,17 @@ def _numbers(setting: Setting, own: Compared) -> dict[str, object]:
 
 def flights_of(setting: Setting, *compared: Compared) -> dict[str, list[Flight]]:
     """The recorded flights of each contender, in the simulator and on the plant, for a report."""
-    track, dt = setting.race.track, setting.race.rules.time_step
+    gates, dt = len(setting.race.track.gates), setting.race.rules.time_step
     groups: dict[str, list[Flight]] = {}
     for own in compared:
-        name, commands = (
-            own.contender.name,
-            RPM if own.contender.policy.vehicle == "motor" else RATES,
-        )
+        name, commands = own.contender.name, KINDS[own.contender.policy.vehicle]
         worlds = {
             f"{name} simulated": simulated_recordings(own.trace, own.simulated, dt)[:FLIGHTS],
             f"{name} stand-in plant": recordings(own.on_plant),
         }
         for label, flown in worlds.items():
             groups[label] = [
-                make_flight(label, f"{run}", recording, track, commands)
+                make_flight(label, f"{run}", recording, gates, commands)
                 for run, recording in enumerate(flown, start=1)
             ]
     return groups

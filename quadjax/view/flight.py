@@ -161,14 +161,14 @@ def passages(
         time: (n,) s.
         position: (n, 3) m, world.
         gates: of the track, in order of passage.
-        target: (n,) index of the gate to pass next; None: every passage through an opening, or at
-            most ``REACH`` outside it, in the gate's direction.
+        target: (n,) index of the gate to pass next; None, or with a single gate: every passage
+            through an opening, or at most ``REACH`` outside it, in the gate's direction.
 
     Returns:
         (k, 3): time, s; index of the gate; distance from the edge of its opening, m, negative
         outside. In order of time.
     """
-    found = []
+    found, target = [], target if len(gates) > 1 else None
     for index, gate in enumerate(gates):
         local = (position - np.array(gate.position)) @ np.array(gate.axes)
         if target is None:

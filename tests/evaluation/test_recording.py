@@ -3,7 +3,7 @@
 import numpy as np
 
 from quadjax.config.schema import Gate
-from quadjax.evaluation.recording import Recording, gate_offsets
+from quadjax.evaluation.recording import Recording, gate_offsets, state_arrays
 
 GATES = [
     Gate(position=(2.0, 0.0, -1.5), yaw_deg=0.0),
@@ -34,3 +34,9 @@ def test_an_offset_is_measured_where_the_plane_is_crossed():
     found = gate_offsets(flight(positions, [0, 1, 1, 0]), GATES)
     np.testing.assert_allclose(found, [0.3, 0.4], atol=1e-6)
     assert gate_offsets(flight(positions, [0, 0, 0, 0]), GATES).size == 0
+
+
+def test_states_have_the_targets_of_every_run():
+    short, long = flight(np.zeros((2, 3)), [0, 1]), flight(np.zeros((3, 3)), [0, 1, 0])
+    target = state_arrays([short, long])["target"]
+    np.testing.assert_array_equal(target, [[0, 1, np.nan], [0, 1, 0]])

@@ -9,11 +9,13 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.dashboard.sources import Options, scene_record
 from quadjax.evaluation.recording import STATES
 from quadjax.fitting.signals import first_order
+from quadjax.studies.flight_files import log_passages, passages, target_of
 from quadjax.studies.report.errors import signals_of
 from quadjax.studies.report.figures import box_figure, gap_figure, trajectory_figure
-from quadjax.studies.report.flights import find_flights, passages
+from quadjax.studies.report.flights import find_flights
 from quadjax.studies.report.run import figures
 from quadjax.studies.report.tables import latex_table, text_table
 from tests.commands import run
@@ -30,7 +32,7 @@ def circle(seconds: float, laps: float, height: float = 1.5):
     return np.column_stack([place, np.full(len(time), -height)]), time
 
 
-def states_file(path, seconds, laps=2, crash_after=None, actuators=4):
+def states_file(path, seconds, laps=2, crash_after=None, actuators=4, vehicle="motor"):
     """A file of ``evaluate --states``, a flight for each of ``seconds`` a lap."""
     runs, lap_times, crashes = [], [], []
     for index, each in enumerate(seconds):
@@ -53,7 +55,7 @@ def states_file(path, seconds, laps=2, crash_after=None, actuators=4):
                 whole[: len(position)] = position
             elif name in ("actuators", "command") and actuators == 4:
                 whole[: len(position)] = 8000.0
-    write_npz(path, arrays, {"format": STATES, "crashes": crashes})
+    write_npz(path, arrays, {"format": STATES, "vehicle": vehicle, "crashes": crashes})
     return path
 
 
@@ -61,22 +63,74 @@ def states_file(path, seconds, laps=2, crash_after=None, actuators=4):
 def groups(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flights")
     states_file(folder / "fast.npz", [3.0, 2.8, 2.9])
-    states_file(folder / "slow.npz", [4.0, 4.2], crash_after=5.0, actuators=1)
+    states_file(folder / "slow.npz", [4.0, 4.2], crash_after=5.0, actuators=1, vehicle="rate")
     words = [f"E2E simulated={folder}/fast.npz", f"{folder}/slow.npz"]
     return find_flights(words, RACE.track)
 
 
 def test_gates_are_counted_in_order_and_through_their_openings():
     position, time = circle(3.0, 2)
-    samples, target = passages(position, RACE.track)
+    gates = RACE.track.gates
+    samples = passages(position, gates)
+    target = target_of(len(position), samples, gates)
     assert len(samples) == 7 + (target[-1] == 0) and list(np.unique(target)) == [0, 1, 2, 3]
     legs = np.diff(time[samples[:5]])
     ends = np.arctan2([-1.5, 1.5, 1.5, -1.5], [2, 2, -2, -2])
     wanted = 3.0 * np.diff(np.unwrap(ends)) / (2 * np.pi)
     np.testing.assert_allclose(legs[:3], wanted, atol=0.02)
-    assert passages(position + [0, 0, -0.6], RACE.track)[0] == []
-    assert len(passages(position + [0, 0, -0.55], RACE.track, reach=0.1)[0]) >= 7
-    assert passages(position[::-1], RACE.track)[0] == []
+    assert passages(position + [0, 0, -0.6], gates) == []
+    assert len(passages(position + [0, 0, -0.55], gates, reach=0.1)) >= 7
+    assert passages(position[::-1], gates) == [] == passages(position, [])
+    assert len(passages(position, gates, closed=False)) == 4
+
+
+def test_the_corners_of_a_round_gate_are_no_passages():
+    """0.64 m from the center: within the square around a circle of 0.5 m, and outside of it."""
+    gates = [gate.replace(shape="circle") for gate in RACE.track.gates]
+    position, _ = circle(3.0, 1)
+    aside = np.array([0.0, 0.0, 0.45]) + 0.45 / RADIUS * position * [1.0, 1.0, 0.0]
+    assert len(passages(position + aside, RACE.track.gates)) >= 3
+    assert passages(position + aside, gates) == []
+    assert len(passages(position + 0.5 * aside, gates)) >= 3
+
+
+def test_a_log_that_ends_just_before_its_last_gate_passes_it():
+    position, time = circle(3.0, 2)
+    velocity, gates = np.gradient(position, time, axis=0), RACE.track.gates
+    passed = passages(position[:-3], gates)
+    assert len(passed) == 7
+    assert log_passages(position[:-3], velocity[:-3], gates) == [*passed, len(position) - 4]
+    assert log_passages(position[:-30], velocity[:-30], gates) == passed
+    course = passages(position, gates, closed=False)
+    assert log_passages(position[: course[-1] + 5], velocity, gates, closed=False) == course
+
+
+def test_the_targets_of_a_file_count_rather_than_the_openings(tmp_path):
+    """A gate test other than the square, as world_box, passes gates beside their openings."""
+    path = states_file(tmp_path / "a.npz", [3.0])
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files if name != "meta"}
+    position, _ = circle(3.0, 2)
+    target = target_of(len(position), passages(position, RACE.track.gates), RACE.track.gates)
+    arrays["position"][0] += [0.0, 0.0, -0.6]
+    meta = {"format": STATES, "vehicle": "motor", "track": [], "crashes": []}
+    write_npz(path, arrays, meta)
+    assert len(find_flights([str(path)], RACE.track)["a"][0].gate_times) == 0
+    write_npz(path, arrays | {"target": np.float64(target)[None]}, meta)
+    (flight,) = find_flights([str(path)], RACE.track)["a"]
+    assert len(flight.gate_times) == 8 and (np.diff(flight.gate_times) > 0.5).all()
+    record = scene_record([path], [], "page", Options(race=RACE))
+    assert len(record["flights"][0]["passages"]) >= 7
+
+
+@pytest.mark.parametrize("race", ["e2e_race", "e2e_fastest"])
+def test_a_racing_quadcopter_has_a_report_without_errors_of_its_commands(race, tmp_path):
+    path = states_file(tmp_path / "a.npz", [3.0], vehicle="racing")
+    where = ("--race", race, "--output", tmp_path, "--name", "out")
+    assert run("report", f"E2E={path}", *where) == 0
+    names = {file.stem for file in (tmp_path / "out").iterdir()}
+    assert {"boxes", "gaps", "trajectories", "table", "report"} <= names
+    assert not any(name.startswith("errors") for name in names)
 
 
 def test_the_table_has_every_flight_the_fastest_in_bold(groups):
@@ -136,7 +190,7 @@ def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     wanted = indi.recording.rates - first_order(command[:, :3], start, rate["tau_rate"], STEP)
     np.testing.assert_allclose(own.error, wanted, atol=1e-6)
     names = dict(figures(groups, RACE))
-    assert {"errors_1", "errors_2", "architectures", "toolchain"} <= set(names)
+    assert {"errors_1", "errors_2"} <= set(names)
     ticks = [line for line in names["errors_1"].axes[1].lines if len(line.get_xdata()) == 2]
     assert len(ticks) >= 8
 
@@ -146,7 +200,7 @@ def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
     assert run("report", f"E2E={path}", "--output", tmp_path, "--name", "out") == 0
     assert "3.00" in capsys.readouterr().out
     names = {file.name for file in (tmp_path / "out").iterdir()}
-    for name in ("boxes", "gaps", "trajectories", "errors_1", "architectures", "toolchain"):
+    for name in ("boxes", "gaps", "trajectories", "errors_1"):
         assert {f"{name}.pdf", f"{name}.svg", f"{name}.png"} <= names
     with Image.open(tmp_path / "out" / "trajectories.png") as image:
         assert min(image.size) > 200

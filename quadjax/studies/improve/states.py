@@ -10,8 +10,8 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.race.recorded_starts import States
+from quadjax.studies.flight_files import passages, target_of
 from quadjax.studies.replay.logged import Logged, logged
-from quadjax.studies.report.flights import passages
 from quadjax.view.flight import clearance
 
 STATES = 1024  # that are kept: with one number, all trainings are one compiled program
@@ -43,7 +43,8 @@ def states_of_logs(logs: Sequence[FlightLog], config: Config) -> States | None:
         flight = _signals(log, config)
         if flight is None or name not in flight.actuators:
             continue
-        passed, targets = passages(flight.position, config.track, REACH)
+        gates = config.track.gates
+        passed = passages(flight.position, gates, REACH, config.track.closed)
         if not passed:
             continue
         own = {
@@ -52,7 +53,7 @@ def states_of_logs(logs: Sequence[FlightLog], config: Config) -> States | None:
             "euler": flight.attitude.as_euler("ZYX")[:, ::-1],
             "rates": flight.rates,
             "actuators": flight.actuators[name],
-            "target": np.array(targets),
+            "target": target_of(len(flight.position), passed, gates),
         }
         parts.append(own)
     if not parts:
@@ -78,12 +79,13 @@ def clearances(
         flight = _signals(log, config)
         if flight is None:
             continue
-        samples, targets = passages(flight.position, config.track, REACH)
-        places = [(targets[index - 1], flight.position[index]) for index in samples]
+        gates = config.track.gates
+        samples = passages(flight.position, gates, REACH, config.track.closed)
+        places = [(n % len(gates), flight.position[index]) for n, index in enumerate(samples)]
         if log.name in hit:
-            places += _at_the_end(flight, config, targets[-1])
+            places += _at_the_end(flight, config, len(samples) % len(gates))
         for number, place in places:
-            gate = config.track.gates[number]
+            gate = gates[number]
             local = (place - np.array(gate.position)) @ np.array(gate.axes)
             found.setdefault(number, []).append(float(clearance(gate, local[1:])))
     return {number: np.array(values) for number, values in sorted(found.items())}

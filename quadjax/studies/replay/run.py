@@ -16,14 +16,13 @@ from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import example_state
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.policy.file import Policy
+from quadjax.studies.flight_files import REACH, log_passages, passages, target_of
 from quadjax.studies.replay.commands import Replayed, differences, replay_commands
 from quadjax.studies.replay.figures import commands_figure, prediction_figure
 from quadjax.studies.replay.logged import Logged, logged
 from quadjax.studies.replay.prediction import QUANTITIES, Prediction, predict
-from quadjax.studies.report.flights import passages
 
 FORMATS = ("pdf", "svg", "png")
-REACH = 0.1  # m by which openings are wider: positions are measured
 
 
 @dataclass(frozen=True)
@@ -62,13 +61,15 @@ def replay(
     """
     choices, params = choices_of(drone), build_params(drone)
     flight = logged(log, choices.model, params.vehicle)
-    samples, targets = passages(flight.position, track, REACH)
+    samples = log_passages(flight.position, flight.velocity, track.gates, track.closed)
     times = flight.time[samples]
     laps = np.diff(times[len(track.gates) - 1 :: len(track.gates)], prepend=0.0)
     commands = None
     if own is not None and policy is not None:
         of_policy = logged(log, own.choices.model, own.params.vehicle)
-        commands = replay_commands(of_policy, np.array(targets), own, policy)
+        before = passages(flight.position, track.gates, REACH, track.closed)
+        targets = target_of(len(flight.time), before, track.gates)
+        commands = replay_commands(of_policy, targets, own, policy)
     prediction = predict(
         flight, choices.model, params.vehicle, example_state(choices, params), drive
     )

@@ -16,13 +16,15 @@ from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.log_formats import FORMATS
 from quadjax.studies.flight_files import (
     STATE_ARRAYS,
-    ends_in,
     flying_part,
+    log_passages,
     recording_of_log,
     recordings_of_states,
+    target_of,
 )
 
 RPM, RATES = "rpm", "rates"  # what a flight's commands are
+KINDS = {"motor": RPM, "rate": RATES}  # by the name of the vehicle model
 MOST_FILES = 1000
 
 
@@ -35,7 +37,7 @@ class Flight:
         name: of the flight within its group.
         recording: its trajectory; time 0 is the start.
         gate_times: (passed,) time of each gate passage, s.
-        commands: "rpm", "rates" (body rates and thrust), or "" where unknown.
+        commands: "rpm", "rates" (body rates and thrust), or "" for others and where unknown.
     """
 
     group: str
@@ -56,43 +58,21 @@ class Flight:
         return np.nan if self.recording.crash or not len(ends) else float(ends[-1])
 
 
-def passages(position: np.ndarray, track: Track, reach: float = 0.0) -> tuple[list[int], list[int]]:
-    """Samples at which a path is past the gates in turn, and the gate ahead at each sample.
+def make_flight(group: str, name: str, recording: Recording, gates: int, commands: str) -> Flight:
+    """A flight with its gate passages; those at a lap's end are at the recorded ends.
 
     Args:
-        position: (n, 3) m, world.
-        track: the gates in order of passage.
-        reach: m by which openings are wider: for positions that were measured.
-
-    Returns:
-        Index of the first sample past each passed gate, and the target (n,).
+        group: what it is compared with.
+        name: of the flight.
+        recording: its trajectory; the target changes at the first sample past a gate.
+        gates: number of gates of the track.
+        commands: see ``Flight``.
     """
-    center = np.array([gate.position for gate in track.gates])
-    axes = np.array([gate.axes for gate in track.gates])
-    half = 0.5 * np.array([gate.size for gate in track.gates]) + reach
-    samples: list[int] = []
-    target, targets = 0, [0]
-    for index in range(1, len(position)):
-        before, after = (position[i] - center[target] for i in (index - 1, index))
-        before, after = before @ axes[target], after @ axes[target]
-        inside = abs(after[1]) <= half[target, 0] and abs(after[2]) <= half[target, 1]
-        if before[0] < 0 <= after[0] and inside:
-            samples.append(index)
-            target = (target + 1) % len(center)
-            if not track.closed and target == 0:
-                break
-        targets.append(target)
-    return samples, targets + [target] * (len(position) - len(targets))
-
-
-def make_flight(
-    group: str, name: str, recording: Recording, track: Track, commands: str, reach: float = 0.0
-) -> Flight:
-    """A flight with its gate passages; those at a lap's end are at the recorded ends."""
-    samples, _ = passages(recording.position, track, reach)
-    times, gates = list(recording.time[samples]), len(track.gates)
-    if recording.lap_ends.size * gates == len(times) + 1:  # it ends in the last gate
-        times.append(recording.lap_ends[-1])
+    ends = recording.lap_ends
+    (passed,) = np.nonzero(np.diff(recording.target))
+    times = list(recording.time[passed + 1]) if gates > 1 else list(ends)
+    if ends.size * gates == len(times) + 1:  # it ends in the last gate
+        times.append(ends[-1])
     return Flight(group, name, recording, np.array(times), commands)
 
 
@@ -116,17 +96,15 @@ def read_flights(path: Path, group: str, track: Track, logs: LogsConfig | None) 
 
 
 def _simulated(path: Path, group: str, track: Track) -> list[Flight]:
-    arrays, meta = read_npz(path, STATES, STATE_ARRAYS)
-    recordings = recordings_of_states(path, arrays, meta)
+    arrays, meta = read_npz(path, STATES, (*STATE_ARRAYS, "target"))
+    recordings = recordings_of_states(path, arrays, meta, track.gates)
     if arrays["lap_times"].shape[1] * len(track.gates) == 0:
         raise InputError(f"{path}: no laps")
-    commands = RPM if arrays["actuators"].shape[2] == 4 else RATES
-    flights = []
-    for run, recording in enumerate(recordings):
-        _, target = passages(recording.position, track)
-        recording = dataclasses.replace(recording, target=np.array(target))
-        flights.append(make_flight(group, f"{run + 1}", recording, track, commands))
-    return flights
+    commands = KINDS.get(str(meta.get("vehicle")), "")
+    return [
+        make_flight(group, f"{run}", recording, len(track.gates), commands)
+        for run, recording in enumerate(recordings, start=1)
+    ]
 
 
 def _logged(path: Path, group: str, track: Track, logs: LogsConfig | None) -> Flight:
@@ -137,22 +115,20 @@ def _logged(path: Path, group: str, track: Track, logs: LogsConfig | None) -> Fl
     part = flying_part(log)
     if part.stop == 0:
         raise InputError(f"{path}: no sample in flight (logs.columns.mode)")
-    recording = recording_of_log(log, part)
-    samples, target = passages(recording.position, track, reach=0.1)
+    flown = recording_of_log(log, part)
+    samples = log_passages(flown.position, flown.velocity, track.gates, track.closed)
     if not samples:
         raise InputError(f"{path}: passes no gate of the track {track.name}, name its --race")
-    if ends_in(recording, track.gates[target[-1]]):
-        samples.append(len(target) - 1)
-    ends = recording.time[samples][len(track.gates) - 1 :: len(track.gates)]
+    ends = flown.time[samples][len(track.gates) - 1 :: len(track.gates)]
     if ends.size:  # laps that were completed; what comes after them is the landing
-        last = int(np.searchsorted(recording.time, ends[-1])) + 1
-        target = target[:last]
-        recording = recording_of_log(log, slice(part.start, part.start + last))
+        last = int(np.searchsorted(flown.time, ends[-1])) + 1
+        flown = recording_of_log(log, slice(part.start, part.start + last))
+    target = target_of(len(flown.time), samples, track.gates)
     recording = dataclasses.replace(
-        recording, target=np.array(target), lap_ends=ends, crash="" if ends.size else "no lap"
+        flown, target=target, lap_ends=ends, crash="" if ends.size else "no lap"
     )
     commands = "" if log.rpm_command is None else RPM
-    return make_flight(group, path.stem, recording, track, commands, reach=0.1)
+    return make_flight(group, path.stem, recording, len(track.gates), commands)
 
 
 def _format(path: Path) -> LogsConfig:

@@ -10,7 +10,6 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
-from quadjax.studies.report.diagrams import architecture_figure, toolchain_figure
 from quadjax.studies.report.errors import Signals, error_figure, signals_of
 from quadjax.studies.report.figures import box_figure, gap_figure, trajectory_figure
 from quadjax.studies.report.flights import RATES, RPM, Flight, fastest
@@ -25,8 +24,7 @@ def write_report(groups: Groups, config: Config, folder: Path) -> str:
     """Write tables and figures of groups of flights; returns the table as text.
 
     ``table.txt``, ``table.tex``, ``report.json``, and as PDF, SVG and PNG ``boxes``, ``gaps``,
-    ``trajectories``, ``errors_N`` of each group's fastest flight, ``architectures`` and
-    ``toolchain``.
+    ``trajectories``, and ``errors_N`` of each group's fastest flight.
 
     Args:
         groups: flights by the label of their group.
@@ -57,16 +55,17 @@ def figures(groups: Groups, config: Config) -> Iterator[tuple[str, Figure]]:
     labels = list(groups)
     for label, (best, signals) in fastest_signals(groups, config).items():
         yield f"errors_{labels.index(label) + 1}", error_figure(best, signals, len(gates))
-    yield "architectures", architecture_figure()
-    yield "toolchain", toolchain_figure()
 
 
 def fastest_signals(groups: Groups, config: Config) -> dict[str, tuple[Flight, Signals]]:
-    """The fastest flight of each group that has commands, and its signals, by label."""
-    found = {}
+    """The fastest flight of each group that has commands, and its signals, by label.
+
+    Without the groups whose vehicle model the config's vehicle has no constants of.
+    """
+    found, known = {}, (config.vehicle.model, *config.vehicle.models)
     for label, flights in groups.items():
         best = fastest(flights)
-        if best.commands:
+        if MODELS.get(best.commands) in known:
             model = config.vehicle.with_model(MODELS[best.commands])
             found[label] = best, signals_of(best, model.constants)
     return found
