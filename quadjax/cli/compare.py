@@ -34,7 +34,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")
     parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
     parser.add_argument(
-        "--plants", type=whole(1, 1000), default=10, help="drawn plants, which share the runs (10)"
+        "--plants",
+        type=whole(1, 1000),
+        default=10,
+        help="drawn plants, which share --runs (10)",
     )
     parser.add_argument(
         "--conditions",
@@ -71,6 +74,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InputError(f"--parts: {part!r}, allowed: {', '.join(PARTS)}")
     if options.conditions and "plants" not in parts:
         raise InputError("--conditions has no effect without the part plants (--parts)")
+    if "plants" in parts and options.runs % options.plants:
+        raise InputError(
+            f"--runs is {options.runs}, allowed: multiples of --plants ({options.plants})"
+        )
     known = Wanted.conditions
     for condition in options.conditions or ():
         if condition not in known:

@@ -9,6 +9,7 @@ import numpy as np
 
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
 from quadjax.evaluation.tables import lap_row
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights, fly_plan
@@ -83,7 +84,7 @@ def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
 
 
 def fly(setting: Setting, plant: PlantConfig, own: Contender) -> Flights:
-    """A contender's flights on a plant."""
+    """A contender's flights on a plant, with the noise of ``setting.seed``."""
     options = {"lap_count": setting.laps, "runs": setting.runs, "recorded": FLIGHTS}
     options["deterministic"] = setting.deterministic
     plan = plan_race(setting.race, plant, own.policy, own.file, **options)
@@ -108,9 +109,22 @@ def rows(compared: Compared) -> list[Row]:
 
 
 def fly_drawn(setting: Setting, plant: PlantConfig, own: Contender) -> OnPlants:
-    """A contender's flights on drawn plants; the number of runs is divided among them."""
-    share = dataclasses.replace(setting, runs=max(1, setting.runs // setting.plants))
-    return OnPlants(tuple(fly(share, one, own).laps for one in drawn(plant, setting.plants)))
+    """A contender's flights on drawn plants, which share the runs equally.
+
+    Each plant has its own seed of batteries, gusts and sensors, the same for every contender.
+
+    Raises:
+        InputError: a number of runs that is no multiple of the number of plants.
+    """
+    if setting.runs % setting.plants:
+        raise InputError(f"runs is {setting.runs}, allowed: multiples of plants ({setting.plants})")
+    share = dataclasses.replace(setting, runs=setting.runs // setting.plants)
+    return OnPlants(
+        tuple(
+            fly(dataclasses.replace(share, seed=setting.seed + number), one, own).laps
+            for number, one in enumerate(drawn(plant, setting.plants))
+        )
+    )
 
 
 def fly_conditions(

@@ -29,7 +29,7 @@ from quadjax.studies.comparison import (
     limit_fractions,
     rows,
 )
-from quadjax.studies.drawn_plants import OnPlants, conditions, interval, plants_table
+from quadjax.studies.drawn_plants import OnPlants, compared, conditions, interval, plants_table
 from quadjax.studies.report.flights import KINDS, Flight, make_flight
 from quadjax.studies.report.run import fastest_signals, write_report
 from quadjax.training.paper import LAPS, PUBLISHED, Row
@@ -160,20 +160,22 @@ def _plants(
     report: Report,
 ) -> str:
     e2e, indi = (fly_conditions(setting, own, report, only) for own in contenders)
+    pairs = {label: compared(own, indi[label]) for label, own in e2e.items()}
     result["plants"] = {
-        own.name: {label: _of_plants(flown) for label, flown in found.items()}
-        for own, found in zip(contenders, (e2e, indi), strict=True)
+        own.name: {label: _of_plants(found[label], pairs[label][place]) for label in pairs}
+        for place, (own, found) in enumerate(zip(contenders, (e2e, indi), strict=True))
     }
     return plants_table(e2e, indi, setting.plants)
 
 
-def _of_plants(flown: OnPlants) -> dict[str, object]:
-    """Mean, interval, and the means of each plant, of the total times; and the finished runs."""
-    mean, width = interval(flown.totals)
+def _of_plants(flown: OnPlants, both: OnPlants) -> dict[str, object]:
+    """Total times of the flights that both contenders finish, and the numbers of all flights."""
+    mean, width = interval(both.totals)
     return {
         "mean": mean if np.isfinite(mean) else None,
         "interval": width if np.isfinite(width) else None,
-        "each plant": [x if np.isfinite(x) else None for x in flown.totals.tolist()],
+        "each plant": [x if np.isfinite(x) else None for x in both.totals.tolist()],
+        "both finish": both.finished,
         "finished": flown.finished,
         "runs": flown.runs,
         "crashes": flown.crashes,

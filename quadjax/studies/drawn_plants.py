@@ -1,7 +1,8 @@
 """Contenders on several drawn plants: with each effect switched off, and with each alone.
 
 A plant is drawn by ``constants.seed``. An interval is that of the mean over the drawn plants, by
-Student's distribution, so it contains the difference from drone to drone.
+Student's distribution, so it contains the difference from drone to drone. Two contenders are
+compared on the flights that both finish: the same plants, batteries and gusts.
 """
 
 import dataclasses
@@ -56,6 +57,20 @@ class OnPlants:
         return self.lap_means.sum(axis=1)
 
 
+def compared(first: OnPlants, second: OnPlants) -> tuple[OnPlants, OnPlants]:
+    """Two contenders with the lap times of the flights that both finish, NaN of the others."""
+
+    def masked(own: Laps, other: Laps) -> Laps:
+        both = np.isfinite(own.totals) & np.isfinite(other.totals)
+        return dataclasses.replace(own, lap_times=np.where(both[:, None], own.lap_times, np.nan))
+
+    pairs = list(zip(first.laps, second.laps, strict=True))
+    return (
+        OnPlants(tuple(masked(own, other) for own, other in pairs)),
+        OnPlants(tuple(masked(other, own) for own, other in pairs)),
+    )
+
+
 def interval(values: np.ndarray) -> tuple[float, float]:
     """Mean of the finite values (n,), and half the width of its 95% interval; NaN for fewer."""
     known = values[np.isfinite(values)]
@@ -106,26 +121,36 @@ def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:
 
 
 def plants_table(e2e: dict[str, OnPlants], indi: dict[str, OnPlants], count: int) -> str:
-    """Both contenders under every condition as text, and E2E's lead on the same plants."""
+    """Both contenders under every condition as text, and E2E's lead on the same flights."""
     lines = [
-        f"{count} drawn plants: total time, s, with 95% intervals; all runs",
+        f"{count} drawn plants: total time, s, of the flights that both finish, with 95%",
+        "intervals over the plants; finished: of all flights",
         f"{'':22}{'E2E':>15} {'finished':>9}{'INDI':>16} {'finished':>9}",
     ]
+    notes = []
     for label, own in e2e.items():
         other = indi[label]
+        pair = compared(own, other)
         lines.append(
-            f"{label:22}{show_interval(own.totals):>15} {own.finished:>4}/{own.runs:<4}"
-            f"{show_interval(other.totals):>16} {other.finished:>4}/{other.runs:<4}"
+            f"{label:22}{show_interval(pair[0].totals):>15} {own.finished:>4}/{own.runs:<4}"
+            f"{show_interval(pair[1].totals):>16} {other.finished:>4}/{other.runs:<4}"
         )
+        if pair[0].finished < own.runs:
+            plants = int(np.isfinite(pair[0].totals).sum())
+            notes.append(
+                f"{label}: both finish {pair[0].finished} of {own.runs} flights, on {plants} of "
+                f"{count} plants"
+            )
     for name, flown in (("E2E", e2e), ("INDI", indi)):
         for label, own in flown.items():
             counts = ", ".join(f"{reason} {number}" for reason, number in own.crashes.items())
-            lines += [f"{name}, {label}, early ends: {counts}"] if counts else []
+            notes += [f"{name}, {label}, early ends: {counts}"] if counts else []
     label = next(iter(e2e))
-    ahead = indi[label].lap_means - e2e[label].lap_means
+    first, second = compared(e2e[label], indi[label])
+    ahead = second.lap_means - first.lap_means
     later = ahead[:, 1:].mean(axis=1) if ahead.shape[1] > 1 else ahead[:, 0] * np.nan
-    lines += [
+    lead = [
         f"E2E's lead, {label}: {show_interval(ahead.sum(axis=1), True)} s; first lap",
         f"{show_interval(ahead[:, 0], True)} s, each later lap {show_interval(later, True)} s",
     ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *notes, *lead])

@@ -63,7 +63,9 @@ class Objective(Section):
         max_length=4096,
         description="evaluate on this stand-in plant: a file or a name of configs/plant",
     )
-    plants: int = Field(3, ge=1, le=1000, description="drones drawn from it, which share the runs")
+    plants: int = Field(
+        4, ge=1, le=1000, description="drones drawn from it, which share the runs equally"
+    )
 
 
 class Budget(Section):
@@ -112,6 +114,11 @@ class SweepFile(Section):
             raise ValueError(
                 "storage: allowed: journal, or postgresql://USER:PASSWORD@HOST:PORT/DATABASE?KEY="
                 "VALUE, in which special characters are percent-encoded"
+            )
+        runs, plants = self.objective.runs, self.objective.plants
+        if self.objective.plant is not None and runs % plants:
+            raise ValueError(
+                f"objective.runs is {runs}, allowed: multiples of objective.plants ({plants})"
             )
         if search.method == "grid" and search.base_first:
             raise ValueError("search.base_first is true, allowed: false for a grid")

@@ -10,6 +10,10 @@ import quadjax
 from quadjax.fitting.columns import PLAIN
 from quadjax.fitting.flight_log import write_log
 from quadjax.policy.file import Policy
+from quadjax.studies.replay.logged import Logged, disturbances_of
+from quadjax.vehicle import motor
+from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.protocol import VehicleParams
 from tests.commands import run
 from tests.fitting import racing_logs
 
@@ -71,6 +75,51 @@ def test_the_policy_of_a_flight_commands_what_the_log_has(flown, tmp_path, capsy
     for name in ("trajectory", "commands", "prediction"):
         assert {f"{name}.pdf", f"{name}.svg", f"{name}.png"} <= names
     assert json.loads((tmp_path / "out/replay.json").read_text()) == found
+
+
+@pytest.mark.slow
+def test_a_log_that_ends_before_its_last_gate_has_its_last_lap(flown, tmp_path):
+    log, evaluation = flown
+    lines = log.read_text().splitlines()
+    (tmp_path / "cut.csv").write_text("\n".join(lines[:-3]) + "\n")
+    drone = ("--vehicle", "bebop1.yaml", "--output", tmp_path, "--json", tmp_path / "r.json")
+    assert run("replay", tmp_path / "cut.csv", *drone) == 0
+    found = json.loads((tmp_path / "r.json").read_text())
+    np.testing.assert_allclose(found["lap_times"], evaluation.lap_times[0], atol=0.04)
+
+
+@pytest.mark.slow
+def test_a_policy_replayed_on_its_own_log_observes_the_estimated_disturbance(tmp_path, capsys):
+    """On the plant, whose effects the policy's model lacks; with zeros the RMS is up to 500 rpm."""
+    own = ("standin", "--race", "e2e_adaptive", "--policy", "e2e_adaptive")
+    logs, out = tmp_path / "logs", ("--output", tmp_path, "--name", "out")
+    assert run("plant-logs", *own, "--flights", 1, "--laps", 1, "--output", logs) == 0
+    (log,) = logs.glob("*.csv")
+    assert run("replay", log, "--policy", "e2e_adaptive", "--logs", "paparazzi", *out) == 0
+    assert "external moment and force: estimated from the log" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out/replay.json").read_text())
+    assert len(found["lap_times"]) == 1 and len(found["gate_times"]) == 4
+    assert found["commands"]["disturbance"] == "estimated from the log"
+    for row in found["commands"]["each"]:
+        assert row["correlation"] > 0.98 and row["rms_difference"] < 150.0
+
+
+def test_the_disturbances_of_a_log_are_those_of_the_onboard_estimator():
+    """A hover with 0.5 m/s^2 more force, and a roll that is faster by 2 rad/s^2."""
+    c = MotorConstants(**quadjax.load("e2e_shac").vehicle.constants)
+    count, step = 300, 0.005
+    zero, time = np.zeros((count, 3)), step * np.arange(count)
+    flight = Logged(
+        *("log", "log.csv", time, zero, zero, Rotation.identity(count)),
+        rates=zero + np.array([2.0, 0.0, 0.0]) * time[:, None],
+        specific_force=zero - [0.0, 0.0, c.g + 0.5],
+        actuators={"rpm": np.full((count, 4), float(motor.hover_rpm(c)))},
+        commands={},
+        speeds_measured=True,
+    )
+    found = disturbances_of(flight, motor.MODEL, VehicleParams(c))
+    np.testing.assert_allclose(found["force_ext"][-1], [0.0, 0.0, -0.5], atol=1e-4)
+    np.testing.assert_allclose(found["moment_ext"][-1], [2.0 * c.i_xx, 0.0, 0.0], atol=1e-6)
 
 
 @pytest.mark.slow

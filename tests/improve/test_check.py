@@ -56,6 +56,19 @@ def test_each_plant_is_learned_from_the_first_policy_and_checked_once(tmp_path, 
     assert [part["check"]["after"]["totals"][0] for part in stored] == [7.9, 7.8, 7.7]
 
 
+def test_the_means_over_plants_are_of_the_plants_on_which_every_policy_finishes():
+    def flown(total):
+        return Flown([9.0], [total], ["" if total else "hit a gate"])
+
+    results = [
+        check.Result(1, [], {"before": flown(9.0), "after": flown(8.0)}),
+        check.Result(2, [], {"before": flown(None), "after": flown(6.0)}),
+    ]
+    text = check.plants_table(results)
+    assert "| all | 9.00 (1 of 2) | 8.00 (2 of 2) | - |" in text
+    assert "means over the 1 of 2 plants on which every policy finishes" in text
+
+
 def test_the_reference_has_the_steps_of_all_rounds(tmp_path, flown, monkeypatch):
     tuned = []
 

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors
 from quadjax.fitting.signals import first_order
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
+from quadjax.studies import comparison
 from quadjax.studies.ablation import VARIANTS, present
 from quadjax.studies.comparison import (
     Compared,
@@ -25,6 +27,7 @@ from quadjax.studies.comparison import (
 )
 from quadjax.studies.comparison_run import table_text
 from quadjax.studies.drawn_plants import OnPlants, conditions, drawn, interval, plants_table
+from quadjax.studies.drawn_plants import compared as common
 from quadjax.studies.plant_races import race_config
 from tests.commands import run
 
@@ -127,6 +130,41 @@ def test_the_table_of_plants_has_both_and_the_lead():
     assert max(map(len, text.splitlines())) <= 80
 
 
+def test_contenders_are_compared_on_the_flights_that_both_finish():
+    """E2E finishes the fast plant alone, INDI both: without INDI's slow plant it is slower."""
+
+    def flown(*laps):
+        times = np.array(laps)[:, None] * np.ones(6)
+        return Laps(times, tuple("" if x == x else "hit a gate" for x in laps), 6 * times[0], 48.0)
+
+    e2e = {"all effects": OnPlants((flown(2.5, np.nan), flown(np.nan, np.nan)))}
+    indi = {"all effects": OnPlants((flown(2.4, 3.0), flown(3.0, 3.0)))}
+    text = plants_table(e2e, indi, 2)
+    assert "all effects 15.00 1/4 14.40 4/4" in " ".join(text.split())
+    assert "all effects: both finish 1 of 4 flights, on 1 of 2 plants" in text
+    assert "E2E's lead, all effects: -0.60 s; first lap\n-0.10 s" in text
+    for own, total in zip(
+        common(e2e["all effects"], indi["all effects"]), (15.0, 14.4), strict=True
+    ):
+        np.testing.assert_allclose(own.totals, [total, np.nan])
+
+
+def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(monkeypatch):
+    seen = []
+
+    def fly(setting, plant, own):
+        seen.append((plant.constants.seed, setting.seed, setting.runs))
+        return SimpleNamespace(laps=None)
+
+    monkeypatch.setattr(comparison, "fly", fly)
+    setting = Setting(load_config("e2e"), PlantConfig(), runs=6, seed=7, plants=3)
+    comparison.fly_drawn(setting, PlantConfig(), None)
+    assert [number for number, _, _ in seen] == [1, 2, 3]
+    assert len({seed for _, seed, _ in seen}) == 3 and {runs for *_, runs in seen} == {2}
+    with pytest.raises(InputError, match=r"runs is 7, allowed: multiples of plants \(3\)"):
+        comparison.fly_drawn(dataclasses.replace(setting, runs=7), PlantConfig(), None)
+
+
 def test_a_first_order_lag_of_held_commands():
     dt, tau = 0.002, 0.06
     command = np.full((200, 2), 5.0)
@@ -170,6 +208,7 @@ def test_what_is_missing_is_known(tmp_path):
         (["--e2e", "INDI"], "a policy for the rate"),
         (["effects.wind=1"], "effects.wind"),
         (["--runs", "0"], "--runs"),
+        (["--runs", "25"], "--runs is 25, allowed: multiples of --plants (10)"),
         (["--name", "../../zz"], "'../../zz'"),
     ],
 )

@@ -66,6 +66,10 @@ IMPOSSIBLE_FILES = {
     "too many trials": ({"budget": {"trials": 10**9}}, ["budget.trials", "10000"]),
     "no seeds": ({"objective": {"seeds": 0}}, ["objective.seeds", "0"]),
     "too many flights": ({"objective": {"runs": 10**9}}, ["objective.runs"]),
+    "flights that plants cannot share": (
+        {"objective": {"runs": 10, "plant": "standin", "plants": 3}},
+        ["objective.runs is 10", "multiples of objective.plants (3)"],
+    ),
     "no flights": ({"objective": {"runs": -1}}, ["objective.runs", "-1"]),
     "no such config": ({"config": "none.yaml"}, ["config", "none.yaml", "no such file"]),
     "an empty config": ({"config": ""}, ["no such file"]),

@@ -58,7 +58,7 @@ def test_a_trial_is_judged_on_drawn_plants(tmp_path, monkeypatch):
 
 def test_a_plant_that_is_not_there_is_found_before_any_training(tmp_path):
     with pytest.raises(InputError, match="stanndin"):
-        open_small(tmp_path, objective={"seeds": 1, "runs": 2, "plant": "stanndin"})
+        open_small(tmp_path, objective={"seeds": 1, "runs": 4, "plant": "stanndin"})
 
 
 @pytest.mark.slow

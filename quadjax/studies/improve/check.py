@@ -24,6 +24,7 @@ from quadjax.studies.improve.run import Progress, Report, Setting, improve, star
 
 CHECK_SEED = 10_000  # of flights that are learned from by no round
 REFERENCE = "reference"
+NAMES = ("before", "after", REFERENCE)
 COLUMNS = (
     *("plant", "before, s", "after, s", "reference, s", "flight, s", "computing, s", "models"),
 )
@@ -151,15 +152,20 @@ def plants_table(results: Sequence[Result]) -> str:
     """A row for each plant, and the mean over all, as a Markdown table."""
     rows: list[Sequence[str]] = [COLUMNS]
     for result in results:
-        cells = [_cell([result.check.get(name)]) for name in ("before", "after", REFERENCE)]
+        cells = [_cell([result.check.get(name)]) for name in NAMES]
         models = ", ".join(done.state for done in result.rounds)
         times = (f"{result.flight:.0f}", f"{result.computing:.0f}")
         rows.append((str(result.seed), *cells, *times, models))
-    cells = [_cell([r.check.get(name) for r in results]) for name in ("before", "after", REFERENCE)]
+    finished = [r for r in results if all(flown.finished for flown in r.check.values())]
+    parts = ([[r.check.get(name) for r in rs] for rs in (results, finished)] for name in NAMES)
+    cells = [_cell(*part) for part in parts]
     means = [f"{np.mean([getattr(r, name) for r in results]):.0f}" for name in TIMES]
     rows.append(("all", *cells, *means, ""))
     crashes = sum(bool(c) for r in results for done in r.rounds for c in done.flown.crashes)
     notes = [f"crashes in the rounds: {crashes}"]
+    if len(finished) < len(results):
+        count = f"{len(finished)} of {len(results)}"
+        notes.append(f"means over the {count} plants on which every policy finishes")
     pairs = [(r.check["after"], r.check[REFERENCE]) for r in results if REFERENCE in r.check]
     gaps = [own.mean - other.mean for own, other in pairs if own.finished and other.finished]
     if gaps:
@@ -170,12 +176,12 @@ def plants_table(results: Sequence[Result]) -> str:
     return "\n".join([table(rows), "", *notes])
 
 
-def _cell(flown: Sequence[Flown | None]) -> str:
-    """Mean over plants of the mean time of all laps, and the flights that finished."""
+def _cell(flown: Sequence[Flown | None], timed: Sequence[Flown | None] | None = None) -> str:
+    """Mean over plants of the mean time of all laps, and the flights that finished of all."""
     known = [part for part in flown if part is not None]
     if not known:
         return "-"
-    means = [part.mean for part in known if part.finished]
+    means = [part.mean for part in (flown if timed is None else timed) if part and part.finished]
     time = f"{np.mean(means):.2f}" if means else "-"
     done, runs = sum(p.finished for p in known), sum(len(p.totals) for p in known)
     return f"{time} ({done} of {runs})"

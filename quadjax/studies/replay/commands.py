@@ -16,7 +16,14 @@ from quadjax.policy.file import Policy
 from quadjax.policy.inference import mean_action, policy_params
 from quadjax.policy.pilot import command_ranges
 from quadjax.race import history
-from quadjax.studies.replay.logged import Logged, commands_of, states_of
+from quadjax.studies.replay.logged import (
+    DISTURBANCES,
+    Logged,
+    Signals,
+    commands_of,
+    disturbances_of,
+    states_of,
+)
 
 AT_LIMIT = 1e-3  # of a command's range
 RATE_ERROR = 0.05  # of a log's sample rate, of a policy that observes a history
@@ -37,12 +44,14 @@ class Replayed:
     clipped: dict[str, float]  # fraction of the samples outside the declared range, by input
     low: np.ndarray  # (k,) lowest command
     high: np.ndarray
+    disturbance: str  # the external moment and force that the policy observes; "" for none
 
 
 def replay_commands(flight: Logged, targets: np.ndarray, own: OwnRace, policy: Policy) -> Replayed:
     """Commands of a policy in the logged states.
 
-    Its commands do not act on the flight. External moments and forces are taken as zero.
+    Its commands do not act on the flight. External moments and forces that it observes are those
+    of the onboard estimator, with the model of its race, in the log.
 
     Args:
         flight: the log.
@@ -59,7 +68,7 @@ def replay_commands(flight: Logged, targets: np.ndarray, own: OwnRace, policy: P
     same = tuple((s.size, s.unit) for s in model.commands) == (model.actuators[1:],)
     if measured is None and same:
         measured, source = actuators, f"logged {model.actuators.name} (no commands in the log)"
-    observations = _observations(flight, targets, own, measured)
+    observations, disturbance = _observations(flight, targets, own, measured)
     low, high = (np.asarray(end, np.float64) for end in (policy.command_low, policy.command_high))
     action = np.clip(np.asarray(jax.jit(mean_action)(policy_params(policy), observations)), -1, 1)
     commands = low + 0.5 * (high - low) * (action.astype(np.float64) + 1.0)
@@ -83,21 +92,38 @@ def replay_commands(flight: Logged, targets: np.ndarray, own: OwnRace, policy: P
     )
     units = tuple(signal.unit for signal in signals)
     return Replayed(
-        names, units, measured, source, commands, fixed, reason, inside, clipped, low, high
+        *(names, units, measured, source, commands, fixed, reason, inside, clipped, low, high),
+        disturbance,
     )
 
 
 def _observations(
     flight: Logged, targets: np.ndarray, own: OwnRace, commands: np.ndarray | None
-) -> np.ndarray:
-    """Observations (n, inputs) float32, in the scaling of the policy's training."""
+) -> tuple[np.ndarray, str]:
+    """Observations (n, inputs) float32, in the scaling of training, and their disturbances."""
     _check_rate(flight, own)
     sizes, last = state_sizes(own.choices.layout, own.choices.model), None
     if LAST_COMMAND in sizes and commands is not None:
         low, high = command_ranges(own.choices, own.params)
         last = np.concatenate([[0.5 * (low + high)], commands[:-1]])
-    states = states_of(flight, own.choices.model, sizes, last)
-    return observe(own, states, targets.astype(np.int32))
+    found, said = _disturbances(flight, own)
+    states = states_of(flight, own.choices.model, sizes, last, found)
+    return observe(own, states, targets.astype(np.int32)), said
+
+
+def _disturbances(flight: Logged, own: OwnRace) -> tuple[Signals, str]:
+    """The external moment and force that a policy observes, and where they are from."""
+    layout = own.choices.layout
+    observed = [name for name in layout.names if history.split_name(name)[0] in DISTURBANCES]
+    if not observed:
+        return {}, ""
+    if layout[observed[0]].source == "none":
+        return {}, "zero, as in the training of the policy"
+    found = disturbances_of(flight, own.choices.model, own.params.vehicle)
+    if not found:
+        return {}, "taken as zero, as the model has no estimator"
+    speeds = "" if flight.speeds_measured else " with simulated rotor speeds"
+    return found, f"estimated from the log{speeds}"
 
 
 def _check_rate(flight: Logged, own: OwnRace) -> None:

@@ -3,16 +3,20 @@
 import dataclasses
 from collections.abc import Mapping
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.motor_map import NAMES, RPM, settled, with_simulated_speeds
-from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
+from quadjax.vehicle.estimator import EstimatorState, estimator_params, init, update
+from quadjax.vehicle.protocol import Constants, Measurement, VehicleModel, VehicleParams
 
 Signals = dict[str, np.ndarray]
-DISTURBANCES = ("moment_ext", "force_ext")  # zero: a log does not have them
+DISTURBANCES = ("moment_ext", "force_ext")  # of the state; no column of a log
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,6 +30,7 @@ class Logged:
     velocity: np.ndarray  # (n, 3) m/s, world
     attitude: Rotation  # n, body to world
     rates: np.ndarray  # (n, 3) rad/s
+    specific_force: np.ndarray  # (n, 3) m/s^2, body
     actuators: Signals  # (n, k) by the name of ``VehicleModel.actuators``, where they are known
     commands: Signals  # (n, k) by the name of ``VehicleModel.commands``
     speeds_measured: bool
@@ -70,6 +75,7 @@ def logged(log: FlightLog, model: VehicleModel, params: VehicleParams) -> Logged
         attitude.apply(log.body_velocity[part]),
         attitude,
         log.rates[part],
+        log.specific_force[part],
         {"thrust": -log.specific_force[part, 2:], **(speeds if known else {})},
         {name: values[part] for name, values in commands.items() if values is not None},
         log.speeds_measured,
@@ -97,11 +103,39 @@ def commands_of(flight: Logged, model: VehicleModel) -> np.ndarray | None:
     return np.concatenate([flight.commands[name] for name in names], axis=1)
 
 
+def disturbances_of(flight: Logged, model: VehicleModel, params: VehicleParams) -> Signals:
+    """External moment, N m, and force, m/s^2, (n, 3) body, by the onboard estimator.
+
+    Empty for a model without an estimator, or a log without rotor speeds.
+    """
+    speeds = flight.actuators.get(model.actuators.name)
+    if model.balance is None or speeds is None:
+        return {}
+    own = estimator_params(model, params, 1.0 / flight.step)
+    velocity = flight.attitude.inv().apply(flight.velocity)
+    vectors = (flight.rates, flight.specific_force, velocity)
+    rates, force, velocity = (Vec3(*jnp.asarray(x.T, jnp.float32)) for x in vectors)
+    samples = Measurement(rates, force, Rotors(*jnp.asarray(speeds.T, jnp.float32)), velocity)
+
+    def run(samples: Measurement) -> list[jax.Array]:
+        def step(
+            state: EstimatorState, sample: Measurement
+        ) -> tuple[EstimatorState, list[jax.Array]]:
+            state, *found = update(own, state, sample)
+            return state, [each.array() for each in found]
+
+        return jax.lax.scan(step, init(own, jax.tree.map(lambda x: x[0], samples)), samples)[1]
+
+    found = jax.jit(run)(samples)
+    return {name: np.asarray(x) for name, x in zip(DISTURBANCES, found, strict=True)}
+
+
 def states_of(
     flight: Logged,
     model: VehicleModel,
     sizes: Mapping[str, int],
     last_command: np.ndarray | None = None,
+    disturbances: Mapping[str, np.ndarray] | None = None,
 ) -> np.ndarray:
     """States (n, k) in the order of ``sizes``, names and sizes of the fields.
 
@@ -110,6 +144,7 @@ def states_of(
         model: of the drone.
         sizes: see ``quadjax.export.race_tables.state_sizes``.
         last_command: (n, k) of the step before.
+        disturbances: of ``disturbances_of``; zero if not given.
 
     Raises:
         InputError: a field that the log does not have.
@@ -124,6 +159,7 @@ def states_of(
         "last_command": last_command,
         **flight.actuators,
         **{name: np.zeros((len(euler), 3)) for name in DISTURBANCES},
+        **(disturbances or {}),
     }
     for name, size in sizes.items():
         values = own.get(name)

@@ -98,6 +98,7 @@ def numbers(result: Replay) -> dict[str, object]:
         if part is None
         else {
             "compared_with": part.source if part.logged is not None else None,
+            "disturbance": part.disturbance or None,
             "each": differences(part),
             "clipped_inputs": part.clipped,
             "fixed_point": part.reason or "as the exported C",
@@ -173,6 +174,8 @@ def _commands(part: Replayed | None) -> list[str]:
             )
         )
         lines.append(f"  {row['command']:17}{row['unit']:>7}{cells}")
+    if part.disturbance:
+        lines.append(f"  observed external moment and force: {part.disturbance}")
     if part.fixed is None:
         return [*lines, f"  fixed point: not converted: {part.reason}"]
     worst = np.abs(part.fixed - part.policy)[part.inside] / (part.high - part.low)
