@@ -1,0 +1,18 @@
+"""The numbers that scripts of ``benchmarks/`` print are those of the documentation."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+from quadjax.core.resources import PRETRAINED
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.slow
+def test_size_of_the_residual_of_the_plant():
+    script = runpy.run_path(str(ROOT / "benchmarks" / "residual_size.py"))
+    row = script["row"](str(PRETRAINED / "standin_residual.npz"), script["nominal_flight"]())
+    page = (ROOT / "docs" / "design" / "comparison.md").read_text(encoding="utf-8")
+    assert row in page.splitlines()
