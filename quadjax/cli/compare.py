@@ -1,4 +1,4 @@
-"""Compare E2E and INDI in the simulator and on the stand-in plant, next to the published flights.
+"""Compare E2E and INDI in the simulator and on the stand-in plant.
 
 DIR/NAME gets table.txt, compare.json, config.yaml and figures. key=value overrides change the
 plant's config. The ablation evaluates the policies that are in its folder, and prints how to train
