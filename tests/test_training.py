@@ -231,10 +231,12 @@ def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_short_run_is_one_short_chunk_without_advice(tmp_path, capsys):
     arguments = ("run.steps=64", "run.evaluate_every=1000000", "learner.rollout_length=4")
-    assert training.train(config_of("e2e_ppo.yaml", *arguments), tmp_path / "run").summary[
-        "steps"
-    ] == pytest.approx(64)
+    config = config_of("e2e_ppo.yaml", *arguments).with_notes(["track 'mine': ..."])
+    run = training.train(config, tmp_path / "run")
+    assert run.summary["steps"] == pytest.approx(64)
     told = capsys.readouterr().err
+    first = ["e2e_ppo: track 'mine': ...", "e2e_ppo: 16 environments (learner.num_envs)"]
+    assert told.splitlines()[:2] == first
     assert "reward" in told and "no flight completes" not in told, told  # too early for advice
 
 

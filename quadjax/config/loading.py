@@ -7,7 +7,7 @@ from quadjax.config.checks import check, vehicle_model
 from quadjax.config.layers import Layer, from_layers, layer_of
 from quadjax.config.renamed import check_renamed, without_retired
 from quadjax.config.scales import in_plain_units
-from quadjax.config.schema import Config, Gate, Rules, Schedule, Track
+from quadjax.config.schema import Config, Rules, Schedule, Track
 from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.imports import load_object
 from quadjax.core.resources import CONFIGS, find_config, preset_names
@@ -16,6 +16,7 @@ from quadjax.core.yaml_files import (
     Tree,
     close_match,
     find_file,
+    flatten,
     merge_trees,
     parse_overrides,
     read_tree_with_bases,
@@ -38,7 +39,8 @@ DATA_FILES = (  # keys that name .npz files
     ("run", "initial_policy"),
     ("run", "start_states"),
 )
-OTHER_TRACKS = "other_tracks"  # keys of a file that apply where the track is not the default one
+OTHER_TRACKS = "other_tracks"  # keys of a file that apply on tracks of another name than this one
+PAPER_TRACK = "square4"
 DEFAULTS: Tree = {"vehicle": {"file": "bebop1.yaml"}, "track": {"file": "square4.yaml"}}
 
 
@@ -48,7 +50,7 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
     Args:
         config: the name of a preset, or a YAML file. A key ``base`` names one or several other
             configs, over which this one is merged. Keys in its section ``other_tracks`` apply
-            where the gates are not those of the paper's track.
+            on tracks that are not named ``square4``; ``Config.notes`` lists them.
         overrides: ``key=value`` with dotted keys; the value is read as YAML. ``track=figure8`` is
             short for ``track.file=figure8.yaml``; likewise ``vehicle``.
 
@@ -61,18 +63,21 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
         hint = close_match(str(config), names)
         raise InputError(f"{config}: no such preset or file{hint}; presets: {', '.join(names)}")
     tree, layers = _read(path, overrides, elsewhere=False)
-    if _gates(tree) != _gates(_defaults({})):
-        tree, layers = _read(path, overrides, elsewhere=True)
+    track, notes = tree.get("track"), []
+    name = track.get("name") if isinstance(track, dict) else None
+    if name != PAPER_TRACK:
+        paper, (tree, layers) = tree, _read(path, overrides, elsewhere=True)
+        if changes := _changes(paper, tree):
+            notes = [f"track {short(name or 'without a name')}: {OTHER_TRACKS} sets {changes}"]
     with from_layers(layers, str(path)):
-        return config_of(tree, str(path))
+        return config_of(tree, str(path)).with_notes(notes)
 
 
-def _gates(tree: Tree) -> tuple[Gate, ...] | None:
-    """The gates of a tree with all their values; None if they are not valid."""
-    try:
-        return tuple(build(Gate, gate, "gates") for gate in tree["track"]["gates"])
-    except (InputError, KeyError, TypeError):
-        return None
+def _changes(before: Tree, after: Tree) -> str:
+    """The values of a tree that differ from those of another one, as text."""
+    old, new = (flatten(tree, leaf=("linear",)) for tree in (before, after))
+    changed = {key: value for key, value in new.items() if key not in old or old[key] != value}
+    return ", ".join(f"{key} to {short(value)}" for key, value in changed.items())
 
 
 def _read(path: Path, overrides: Sequence[str], elsewhere: bool) -> tuple[Tree, list[Layer]]:
@@ -301,7 +306,7 @@ def _switch_gates(under: Tree, over: Tree) -> None:
     if own.get("generate") is not None:
         replaced = tuple(key for key in FROM_FILE["track"] if key != "generate")
     elif "gates" in own:
-        replaced = ("generate",)
+        replaced = ("generate",) if "name" in own else ("generate", "name")
     under["track"] = {key: value for key, value in lower.items() if key not in replaced}
 
 
@@ -351,23 +356,25 @@ def config_of(tree: Tree, source: str) -> Config:
     vehicle = tree.get("vehicle")
     if not isinstance(vehicle, dict):
         raise InputError(f"{source}: vehicle is {short(vehicle)}, allowed: a mapping")
-    with prefixed(source):
-        tree = in_plain_units({**tree, "vehicle": _with_constants(vehicle, source)})
     learner = tree.get("learner", {})
     if not isinstance(learner, dict):
         raise InputError(f"{source}: learner is {short(learner)}, allowed: a mapping")
+    schema = _learner_schema(learner, source)
+    with prefixed(source):
+        vehicle = _with_constants(vehicle, source)
+        tree, written = in_plain_units({**tree, "vehicle": vehicle}, schema)
     schedules = {} if tree.get("schedules") is None else tree["schedules"]
     if isinstance(schedules, dict):  # null removes a schedule; schedules=null removes all
         schedules = {key: value for key, value in schedules.items() if value is not None}
     tree = {
         **tree,
-        "learner": _learner(learner, source),
+        "learner": build(schema, tree.get("learner", {}), source, prefix="learner."),
         "schedules": schedules,
     }
     config = build(Config, tree, source)
     with prefixed(source):
         check(config)
-    return config
+    return config.with_units(written)
 
 
 def _with_constants(vehicle: Tree, source: str) -> Tree:
@@ -408,16 +415,15 @@ def _with_constants(vehicle: Tree, source: str) -> Tree:
     }
 
 
-def _learner(tree: Tree, source: str) -> LearnerSection:
-    """The learner section, of the class that its algorithm names."""
+def _learner_schema(tree: Tree, source: str) -> type[LearnerSection]:
+    """The class of the learner section, which its algorithm names."""
     name = tree.get("algorithm", "ppo")
     allowed = f"{', '.join(LEARNERS)} or module:Class"
     if isinstance(name, str) and ":" in name:
         schema = load_object(name, "learner.algorithm")
         if not (isinstance(schema, type) and issubclass(schema, LearnerSection)):
             raise InputError(f"{source}: learner.algorithm is {name}: not a LearnerSection")
-    elif name in LEARNERS:
-        schema = LEARNERS[name]
-    else:
+        return schema
+    if not isinstance(name, str) or name not in LEARNERS:
         raise InputError(f"{source}: learner.algorithm is {short(name)}, allowed: {allowed}")
-    return build(schema, tree, source, prefix="learner.")
+    return LEARNERS[name]

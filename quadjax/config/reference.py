@@ -11,10 +11,14 @@ LEARNERS: tuple[type[Section], ...] = (PPO, SHAC)
 
 
 def commented_yaml(config: Config) -> str:
-    """A config as YAML with the description of each key on the line above it."""
+    """A config as YAML with its notes and the description of each key on the line above it."""
     keys = describe(Config) + describe(type(config.learner), "learner.")
     comments = {info.key: f"{info.description} [{info.allowed}]" for info in keys}
-    return to_yaml(config.model_dump(by_alias=True), comments)
+    for location, (text, number) in config.with_unit.items():
+        key = ".".join(part for part in location if isinstance(part, str))
+        comments[key] = f"{comments.get(key, '')} {text}: {number:g}".lstrip()
+    notes = "".join(f"# {note}\n" for note in config.notes)
+    return notes + to_yaml(config.to_tree(), comments)
 
 
 def training_sections() -> list[tuple[str, list[KeyInfo]]]:

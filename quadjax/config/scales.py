@@ -12,20 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.schema import Rules, Track, Vehicle
+from quadjax.config.schema import Config, Location, Rules, Track, Vehicle, WithUnit
 from quadjax.core.errors import InputError
-from quadjax.core.sections import build
+from quadjax.core.sections import Section, build, number_unit
 from quadjax.core.yaml_files import Tree
 from quadjax.vehicle.registry import model as vehicle_model
 
 GRAVITY = 9.81
 LEAST_RATIO = 1.05  # of thrust to weight: a drone below it hardly accelerates sideways
 SHORTEST = 0.01  # m, of a leg
-STEPS = ("learner.horizon", "learner.rollout_length", "training_limits.episode_steps")
-DECAYS = ("learner.discount", "learner.cotangent_decay")  # per step
-ENVS = "learner.num_envs"  # times learner.horizon: the same number of steps in every race
 ENVS_MULTIPLE = 8
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_WITH_UNIT = re.compile(
+    r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(?P<unit>[^\s\d].*?)\s*"
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Scales:
         return math.sqrt(self.leg / self.acceleration)
 
 
-UNITS: dict[str, Callable[[Scales], float]] = {
+FACTORS: dict[str, Callable[[Scales], float]] = {
     "legs": lambda s: s.leg,
     "per leg": lambda s: 1.0 / s.leg,
     "leg times": lambda s: s.time,
@@ -59,7 +58,15 @@ UNITS: dict[str, Callable[[Scales], float]] = {
     "half gates": lambda s: s.half_gate,
     "per half gate": lambda s: 1.0 / s.half_gate,
 }
-_WITH_UNIT = re.compile(rf"\s*({_NUMBER})\s+({'|'.join(sorted(UNITS, key=len, reverse=True))})\s*")
+UNITS: dict[str | None, tuple[str, ...]] = {  # of a race, by the unit of the field
+    "m": ("legs", "half gates"),
+    "1/m": ("per leg", "per half gate"),
+    "1/s": ("per leg time",),
+    "m/s": ("legs per leg time",),
+    "steps": ("leg times",),
+    "decay": ("leg times",),
+    "environments": ("per leg time",),
+}
 
 
 def race_scales(track: Track, vehicle: Vehicle, time_step: float) -> Scales:
@@ -79,7 +86,7 @@ def race_scales(track: Track, vehicle: Vehicle, time_step: float) -> Scales:
     if model.thrust_to_weight is None:
         raise InputError(
             f"vehicle.model is {vehicle.model}, which has no thrust_to_weight; allowed: one that "
-            f"has, or values without the units {', '.join(UNITS)}"
+            f"has, or values without the units {', '.join(FACTORS)}"
         )
     ratio = max(float(model.thrust_to_weight(vehicle.constants)), LEAST_RATIO)
     centers = np.array([gate.position for gate in track.gates], np.float64)
@@ -94,31 +101,59 @@ def race_scales(track: Track, vehicle: Vehicle, time_step: float) -> Scales:
     )
 
 
-def in_plain_units(tree: Tree) -> Tree:
+def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
     """The tree of a config with a plain number in place of each number with a unit.
 
     Args:
         tree: of a whole config, with the constants of the vehicle.
+        learner: the class of its section ``learner``.
+
+    Returns:
+        The tree, and the numbers with a unit.
 
     Raises:
-        InputError: a unit with a key that has none, or an invalid track or vehicle.
+        InputError: a unit that is not one of the key's unit, or an invalid track or vehicle.
     """
     scales: list[Scales] = []
+    written: WithUnit = {}
 
-    def convert(node: Any, key: str) -> Any:
+    def convert(node: Any, location: Location) -> Any:
         if isinstance(node, dict):
-            return {k: convert(v, f"{key}.{k}" if key else k) for k, v in node.items()}
+            return {key: convert(value, (*location, key)) for key, value in node.items()}
         if isinstance(node, list):
-            return [convert(item, key) for item in node]
-        found = _WITH_UNIT.fullmatch(node) if isinstance(node, str) else None
-        if found is None:
+            return [convert(item, (*location, index)) for index, item in enumerate(node)]
+        match = _WITH_UNIT.fullmatch(node) if isinstance(node, str) else None
+        takes_numbers, unit = _number_unit(location, learner) if match else (False, None)
+        if match is None or not takes_numbers:
             return node
-        if not scales:
-            scales.append(_scales_of(tree))
-        return _plain(key, float(found[1]), found[2], scales[0])
+        _check_unit(location, match, unit)
+        scales[:] = scales or [_scales_of(tree)]
+        value = float(match["number"]) * FACTORS[match["unit"]](scales[0])
+        written[location] = (node, _in_unit(value, unit, scales[0].time_step))
+        return written[location][1]
 
-    converted = {k: convert(v, k) for k, v in tree.items() if k not in ("track", "vehicle")}
-    return {**tree, **converted}
+    keys = sorted((k for k in tree if k not in ("track", "vehicle")), key=lambda k: k != "rules")
+    return {**tree, **{key: convert(tree[key], (key,)) for key in keys}}, written
+
+
+def _number_unit(location: Location, learner: type[Section]) -> tuple[bool, str | None]:
+    """Whether the key of a value takes numbers, and their unit."""
+    if location[0] == "schedules" and location[2:3] == ("linear",):
+        location = tuple(str(location[1]).split("."))
+    if location[0] == "learner":
+        return number_unit(learner, location[1:])
+    return number_unit(Config, location)
+
+
+def _check_unit(location: Location, match: re.Match, unit: str | None) -> None:
+    """Refuse a unit of the race that is not one of the key's, and times that are not above 0."""
+    key = ".".join(str(part) for part in location if isinstance(part, str))
+    units = UNITS.get(unit, ())
+    above = " above 0" if unit in ("steps", "decay", "environments") else ""
+    if match["unit"] not in units or (above and float(match["number"]) <= 0.0):
+        or_unit = f" or a number{above} with the unit {' or '.join(units)}" if units else ""
+        text = f"{match['number']} {match['unit']}"[:60]
+        raise InputError(f"{key} is {text}, allowed: a plain number{or_unit}")
 
 
 def _scales_of(tree: Tree) -> Scales:
@@ -128,17 +163,12 @@ def _scales_of(tree: Tree) -> Scales:
     return race_scales(track, vehicle, rules.time_step)
 
 
-def _plain(key: str, number: float, unit: str, scales: Scales) -> float | int:
-    """A number with a unit, converted to the unit of its key."""
-    key = key.removeprefix("schedules.").removesuffix(".linear")
-    value = number * UNITS[unit](scales)
-    if key in STEPS + DECAYS:
-        if unit != "leg times" or value <= 0:
-            raise InputError(f"{key} is {number:g} {unit}, allowed: a number of leg times above 0")
-        steps = value / scales.time_step
-        return math.exp(-1.0 / steps) if key in DECAYS else max(1, round(steps))
-    if key == ENVS:
-        if unit != "per leg time" or value <= 0:
-            raise InputError(f"{key} is {number:g} {unit}, allowed: a number per leg time above 0")
+def _in_unit(value: float, unit: str | None, time_step: float) -> float | int:
+    """A number in SI units, converted to the unit of its field."""
+    if unit == "steps":
+        return max(1, round(value / time_step))
+    if unit == "decay":
+        return math.exp(-time_step / value)
+    if unit == "environments":
         return max(ENVS_MULTIPLE, ENVS_MULTIPLE * round(value / ENVS_MULTIPLE))
     return value

@@ -5,13 +5,14 @@ world frame is north-east-down, the body frame front-right-down.
 """
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import SerializeAsAny
+from pydantic import PrivateAttr, SerializeAsAny
 
 from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
-from quadjax.core.sections import Field, FolderName, Section
+from quadjax.core.sections import Field, FolderName, Section, Unit
 from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import Curriculum, LearnerSection, Network, Schedule
@@ -30,6 +31,8 @@ HalfWidth = Annotated[float, Field(ge=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=1e6)]
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
 Penalty = Annotated[float, Field(ge=0, le=1e6)]
+Location = tuple[str | int, ...]  # of a value in a tree: keys, and indices of lists
+WithUnit = dict[Location, tuple[str, float | int]]  # numbers in units of the race: text, number
 
 
 class Vehicle(Section):
@@ -274,25 +277,31 @@ class Observation(Section):
 class Reward(Section):
     """Weights of the reward terms; the defaults are the published ones."""
 
-    progress: Weight = Field(1.0, description="reward per m of progress to the target gate")
+    progress: Annotated[Weight, Unit("1/m")] = Field(
+        1.0, description="reward per m of progress to the target gate"
+    )
     gate: Weight = Field(10.0, description="reward per gate passed")
-    gate_offset: Weight = Field(10.0, description="penalty per m from the gate's center on passing")
+    gate_offset: Annotated[Weight, Unit("1/m")] = Field(
+        10.0, description="penalty per m from the gate's center on passing"
+    )
     collision: Weight = Field(10.0, description="penalty for a collision")
-    time: Weight = Field(0.0, description="penalty per s")
+    time: Annotated[Weight, Unit("1/s")] = Field(0.0, description="penalty per s")
     body_rates: Weight = Field(0.0, description="penalty per s and rad/s of body rate")
-    pitch_up: Penalty = Field(0.0, description="penalty per s and rad of pitch (nose up)")
-    next_gate_progress: Penalty = Field(
+    pitch_up: Annotated[Penalty, Unit("1/s")] = Field(
+        0.0, description="penalty per s and rad of pitch (nose up)"
+    )
+    next_gate_progress: Annotated[Penalty, Unit("1/m")] = Field(
         0.0,
         description="reward per m of progress to the next gate within the step that passes a gate; "
         "equal to progress, a leg's reward does not depend on where its gates are passed",
     )
-    gate_edge: Penalty = Field(
+    gate_edge: Annotated[Penalty, Unit("1/m")] = Field(
         0.0, description="penalty per m of clearance violation on crossing the gate's plane"
     )
-    gate_edge_margin: Penalty = Field(
+    gate_edge_margin: Annotated[Penalty, Unit("m")] = Field(
         0.1, description="required clearance from each edge of a gate's opening, m"
     )
-    gate_edge_reach: Penalty = Field(
+    gate_edge_reach: Annotated[Penalty, Unit("m")] = Field(
         1.0,
         description="clearance violation in each axis from which on the penalty is constant, m; at "
         "least that at the edge of a widened opening",
@@ -301,7 +310,7 @@ class Reward(Section):
         0.0,
         description="penalty per change of an action from step to step, each in -1 to 1, summed",
     )
-    perception: Penalty = Field(
+    perception: Annotated[Penalty, Unit("1/s")] = Field(
         0.0,
         description="penalty per s and rad of the angle between the camera's axis and the target "
         "gate's center beyond perception_deg",
@@ -388,7 +397,9 @@ class Rules(Section):
 class TrainingLimits(Section):
     """Limits that apply in training only."""
 
-    episode_steps: int = Field(1200, ge=1, le=10**6, description="time steps of an episode")
+    episode_steps: Annotated[int, Unit("steps")] = Field(
+        1200, ge=1, le=10**6, description="time steps of an episode"
+    )
     pitch_deg: float | None = Field(
         None,
         ge=1,
@@ -397,8 +408,10 @@ class TrainingLimits(Section):
         "singular at 90, and none for those with quaternions",
     )
     roll_deg: float | None = Field(None, ge=1, le=180, description="largest |roll|, deg")
-    yaw_rate: float | None = Field(None, gt=0, le=1e6, description="largest |yaw rate|, rad/s")
-    gate_inflation: float = Field(
+    yaw_rate: Annotated[float | None, Unit("1/s")] = Field(
+        None, gt=0, le=1e6, description="largest |yaw rate|, rad/s"
+    )
+    gate_inflation: Annotated[float, Unit("m")] = Field(
         0.0,
         ge=-50,
         le=50,
@@ -440,11 +453,17 @@ class Start(Section):
         "in the last gate), x and y within 0.5 m, yaw within 45 deg; null: 0.1 where the track's "
         "start is on the ground, else 0",
     )
-    position: HalfWidth = Field(0.5, description="half-width about the point on the leg, m")
-    velocity: HalfWidth = Field(0.5, description="half-width of each component, m/s")
+    position: Annotated[HalfWidth, Unit("m")] = Field(
+        0.5, description="half-width about the point on the leg, m"
+    )
+    velocity: Annotated[HalfWidth, Unit("m/s")] = Field(
+        0.5, description="half-width of each component, m/s"
+    )
     roll_pitch_deg: float = Field(40.0, ge=0, le=89, description="half-width of roll and pitch")
     yaw_deg: float = Field(180.0, ge=0, le=180, description="half-width of yaw about the heading")
-    body_rates: HalfWidth = Field(1.0, description="half-width of each component, rad/s")
+    body_rates: Annotated[HalfWidth, Unit("1/s")] = Field(
+        1.0, description="half-width of each component, rad/s"
+    )
     thrust: tuple[HalfWidth, HalfWidth] = Field(
         (7.4, 7.6), description="lowest and highest thrust, m/s^2; model rate"
     )
@@ -636,6 +655,12 @@ class Config(Section):
     )
     run: Run = Run()
     evaluate: Evaluate = Evaluate()
+    _with_unit: WithUnit = PrivateAttr({})
+    _notes: tuple[str, ...] = PrivateAttr(())
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all values are equal, however they are written."""
+        return isinstance(other, Config) and self.__dict__ == other.__dict__
 
     def at(self, key: str, value: Any) -> Self:
         """The config with another value at a dotted key.
@@ -645,9 +670,55 @@ class Config(Section):
         """
         return _at(self, key.split("."), value)
 
+    def replace(self, **changes: Any) -> Self:
+        """A changed copy, as ``Section.replace``; it keeps its units if the race has the same."""
+        copy = super().replace(**changes).with_notes(self._notes)
+        return copy.with_units(self._with_unit) if copy._scale == self._scale else copy
+
+    @property
+    def _scale(self) -> tuple[Any, ...]:
+        """What the units of the race depend on."""
+        return self.track, self.vehicle.model, self.vehicle.constants, self.rules.time_step
+
+    def with_units(self, numbers: WithUnit) -> Self:
+        """The config, whose file has these numbers in units of the race."""
+        copy = self.model_copy()
+        copy._with_unit = numbers
+        return copy
+
+    @property
+    def with_unit(self) -> WithUnit:
+        """The numbers that the config's file has in units of the race."""
+        return self._with_unit
+
+    def with_notes(self, notes: Sequence[str]) -> Self:
+        """The config with lines that ``quadjax train`` and ``quadjax config`` print."""
+        copy = self.model_copy()
+        copy._notes = tuple(notes)
+        return copy
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What loading changed without an override: values for tracks other than the paper's."""
+        return self._notes
+
+    def to_tree(self) -> dict[str, Any]:
+        """The whole config as plain values, numbers in units of the race as text."""
+        return _written(self.model_dump(by_alias=True), (), self._with_unit)
+
     def to_yaml(self) -> str:
         """The whole config as YAML, which ``load`` reads back without any other file."""
-        return to_yaml(self.model_dump(by_alias=True))
+        return to_yaml(self.to_tree())
+
+
+def _written(node: Any, location: Location, numbers: WithUnit) -> Any:
+    """A tree with the text of each number in units of the race that has still the same value."""
+    if isinstance(node, dict):
+        return {key: _written(value, (*location, key), numbers) for key, value in node.items()}
+    if isinstance(node, (list, tuple)):
+        return [_written(item, (*location, index), numbers) for index, item in enumerate(node)]
+    text, number = numbers.get(location, (None, None))
+    return node if text is None or node != number else text
 
 
 def _at(node: Section | dict[str, Any], parts: list[str], value: Any) -> Any:

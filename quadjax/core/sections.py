@@ -28,6 +28,7 @@ changed copy, validated again.
 """
 
 import contextlib
+import dataclasses
 import re
 import types
 import typing
@@ -60,6 +61,18 @@ FolderName = Annotated[str, Field(pattern=rf"^{FOLDER_NAME}$")]
 
 _UNION_TAG = re.compile(r"int|float|str|bool|(literal|tuple|constrained|function)\b.*")
 MIN_FLOAT, MAX_FLOAT = 1.2e-38, 3.4e38  # single precision
+
+
+@dataclasses.dataclass(frozen=True)
+class Unit:
+    """The unit of a field's number, as in ``Annotated[float, Unit("m")]``.
+
+    Attributes:
+        name: ``m``, ``1/m``, ``1/s``, ``m/s``; ``steps``, time steps; ``decay``, a factor per time
+            step; ``environments``, their number.
+    """
+
+    name: str
 
 
 class Section(pydantic.BaseModel):
@@ -251,6 +264,19 @@ def _at(schema: type[Section], location: Sequence) -> tuple[object, FieldInfo | 
             inner = [a for option in _options(hint) for a in typing.get_args(option)]
             hint = next((a for a in reversed(inner) if a not in (Ellipsis, type(None))), hint)
     return hint, field
+
+
+def number_unit(schema: type[Section], location: Sequence) -> tuple[bool, str | None]:
+    """Whether the key at a location takes numbers, and the name of their unit, if it has one.
+
+    Args:
+        schema: of the location's first key.
+        location: keys of sections and mappings, and indices of lists.
+    """
+    hint, field = _at(schema, location)
+    kinds = {getattr(option, "__origin__", option) for option in _options(hint)}
+    units = [item.name for item in (field.metadata if field else ()) if isinstance(item, Unit)]
+    return not kinds.isdisjoint((int, float)), units[0] if units else None
 
 
 def _section_of(hint: object) -> type[Section] | None:

@@ -105,10 +105,13 @@ def check_same(config: Config, folder: Path) -> None:
     if not path.exists() or kind_of(folder) not in (None, KIND):
         return
     contents = _inputs(config)
-    own: Any = parse_yaml(_with_inputs(config, contents).to_yaml(), "config")
-    complete: Any = parse_yaml(load_config(path).to_yaml(), str(path))
+    saved = load_config(path)
+    with_unit = {".".join(p for p in each if isinstance(p, str)) for each in saved.with_unit}
+    own: Any = parse_yaml(_with_inputs(config, contents).with_units({}).to_yaml(), "config")
+    complete: Any = parse_yaml(saved.with_units({}).to_yaml(), str(path))
     now = flatten(own)
-    before = {**flatten(complete), **flatten(read_yaml(path))}  # keys that were added later
+    written = {k: v for k, v in flatten(read_yaml(path)).items() if k not in with_unit}
+    before = {**flatten(complete), **written}  # flatten(complete): keys that were added later
     for key in [*now, *before]:
         if key not in FREE and before.get(key) != now.get(key):
             raise InputError(

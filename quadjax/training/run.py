@@ -104,12 +104,20 @@ def train(
             policy = Policy.load(folder / "policy.npz")
             return Run(config, folder, policy, True, read_summary(folder))
         shown = TrainingProgress(job.steps, config.name) if progress else None
+        for note in (*config.notes, *_sizes(config)) if shown and hosts.is_first() else ():
+            shown.note(f"{config.name}: {note}")
         with interruptions() as stop, shown or contextlib.nullcontext():
             callbacks = _Callbacks(job, folder, shown, stop, enough)
             position = _run(job, folder, resume, started, callbacks)
         summary = read_summary(folder) if hosts.is_first() else {}
         finished = position.chunks >= job.chunks
         return Run(job.config, folder, job.best(position), finished, summary)
+
+
+def _sizes(config: Config) -> list[str]:
+    """The number of environments of a learner that has one, as a line."""
+    count = getattr(config.learner, "num_envs", None)
+    return [] if count is None else [f"{count} environments (learner.num_envs)"]
 
 
 def _claimed(folder: Path, overwrite: bool) -> AbstractContextManager[None]:

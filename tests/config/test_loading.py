@@ -7,6 +7,7 @@ import pydantic
 import pytest
 
 from quadjax.config.loading import config_of, load_config
+from quadjax.config.reference import commented_yaml
 from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
@@ -157,7 +158,10 @@ def test_other_tracks_than_the_papers(tmp_path):
     assert paper.reward.gate_edge == 0.0
     assert paper.schedules["learner.std"].linear == ("value", 0.05)
     inline = [gate.model_dump(mode="json") for gate in paper.track.gates]
-    assert load_config("e2e_shac", [f"track.gates={inline}"]) == paper
+    named = ["track.name=square4", f"track.gates={inline}"]
+    assert load_config("e2e_shac", named) == paper and paper.notes == ()
+    nameless = load_config("e2e_shac", named[1:])  # gates without a name are another track
+    assert nameless.track.name == "" and nameless.reward.gate_edge == 20.0
     other = load_config("e2e_shac", ["track=figure8"])
     assert other.reward.gate_edge == 20.0
     assert other.schedules["learner.std"].linear == ("value", 0.1)
@@ -178,6 +182,21 @@ def test_other_tracks_than_the_papers(tmp_path):
     assert load_config(path, ["track=square4"]).reward.gate == 5.0
     path.write_text("base: e2e_shac\nother_tracks: {track: figure8}\n")
     assert "other_tracks" in refusal(path)
+
+
+def test_the_gates_of_a_track_do_not_change_the_reward_unseen():
+    """Values for other tracks depend on the track's name, and a note lists them."""
+    paper = load_config("e2e_shac")
+    for change in ("track.opening=1.001", "track.opening=0.8"):
+        config = load_config("e2e_shac", [change])
+        assert config.track != paper.track and config.notes == ()
+        assert config.reward == paper.reward and config.schedules == paper.schedules
+    other = load_config("e2e_shac", ["track=figure8", "reward.gate_edge=30"])
+    (note,) = other.at("seed", 3).notes
+    assert "track 'figure8': other_tracks sets " in note and "learner.std to" in note
+    assert "gate_edge to 20" not in note  # the override has precedence
+    assert commented_yaml(other).startswith(f"# {note}\n")
+    assert load_config("e2e_race", ["track=figure8"]).notes == ()
 
 
 def test_a_vehicle_and_a_track_next_to_the_config(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import make_race
+from quadjax.config.reference import commented_yaml
 from quadjax.config.scales import race_scales
 from quadjax.core.errors import InputError
 from quadjax.training.build import input_scale
@@ -70,16 +71,49 @@ def test_numbers_with_a_unit_become_plain_numbers():
 @pytest.mark.parametrize(
     ("override", "named"),
     [
-        ("learner.horizon=2 legs", "learner.horizon is 2 legs, allowed: a number of leg times"),
-        ("learner.discount=-1 leg times", "learner.discount is -1 leg times"),
-        ("reward.gate=2 feet", "reward.gate is"),
-        ("learner.num_envs=3 legs", "learner.num_envs is 3 legs, allowed: a number per leg time"),
+        ("learner.horizon=2 legs", "learner.horizon is 2 legs, allowed: .* leg times"),
+        ("learner.discount=-1 leg times", "learner.discount is -1 leg times, .* above 0"),
+        ("learner.num_envs=3 legs", "learner.num_envs is 3 legs, allowed: .* per leg time"),
+        ("reward.gate_edge=3 legs", "gate_edge is 3 legs, allowed: .* per leg or per half gate"),
+        ("reward.time=2 per half gate", "time is 2 per half gate, allowed: .* per leg time"),
+        ("reward.progress=2 per legs", "is 2 per legs, allowed: .* per leg or per half gate"),
+        ("reward.gate=2 feet", "reward.gate is 2 feet, allowed: a plain number$"),
+        ("reward.body_rates=3 legs", "body_rates is 3 legs, allowed: a plain number$"),
+        ("learner.std=0.05 legs", "learner.std is 0.05 legs, allowed: a plain number$"),
+        ("run.steps=1 leg times", "run.steps is 1 leg times, allowed: a plain number$"),
+        ("rules.body_radius=1 legs", "rules.body_radius is 1 legs, allowed: a plain number$"),
+        ("schedules.learner.std.linear=[1 legs, 2]", "learner.std.linear is 1 legs, allowed"),
+        ("schedules.reward.gate_edge.from=1 legs", "gate_edge.from is 1 legs, allowed"),
     ],
 )
 def test_a_wrong_unit_is_one_line(override, named):
     with pytest.raises(InputError, match=named) as caught:
         load_config("e2e_fastest", [override])
     assert "\n" not in str(caught.value)
+
+
+def test_a_saved_config_keeps_its_units(tmp_path):
+    """On another track its numbers are those of the preset there; an edited number stays."""
+    saved, over = tmp_path / "config.yaml", ["track=split_s", "rules.position_limit=null"]
+    first = load_config("e2e_race", ["learner.std=0.2"]).at("reward.gate_edge", 50.0)
+    saved.write_text(first.to_yaml())
+    assert load_config(saved) == first.replace() and load_config(saved).reward == first.reward
+    new, preset = load_config(saved, over), load_config("e2e_race", over)
+    assert preset.reward.progress < 0.5 * first.reward.progress
+    assert new.reward == preset.reward.replace(gate_edge=50.0)
+    assert new.training_limits == preset.training_limits
+    assert new.schedules == preset.schedules and new.learner == preset.learner.replace(std=0.2)
+    saved.write_text(first.replace(track=preset.track, rules=preset.rules).to_yaml())
+    assert load_config(saved).reward == first.reward  # numbers of another race have no unit
+
+
+def test_a_printed_config_keeps_its_units(tmp_path):
+    config, mine = load_config("e2e_race"), tmp_path / "mine.yaml"
+    mine.write_text(commented_yaml(config))
+    assert load_config(mine) == config and load_config(mine).to_yaml() == config.to_yaml()
+    text = " ".join(line.strip(" #") for line in mine.read_text().splitlines())
+    assert f"13.5 per leg: {config.reward.progress:g}" in text
+    assert f"5 leg times: {config.schedules['learner.discount'].linear[1]:g}" in text
 
 
 def test_a_model_without_thrust_to_weight_has_no_units():

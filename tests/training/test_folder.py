@@ -187,6 +187,18 @@ def test_a_run_of_another_config_names_the_key(tmp_path):
         check_same(load_config(BLANK, ["seed=3"]), tmp_path)
 
 
+def test_a_run_with_units_of_the_race_is_the_same_run(tmp_path):
+    config = load_config("e2e_race")
+    prepare_folder(config, tmp_path, resume=False, overwrite=False)
+    check_same(config, tmp_path)
+    plain = config.with_units({})  # as files were written before they had units
+    check_same(plain, tmp_path)
+    (tmp_path / "config.yaml").write_text(plain.to_yaml())
+    check_same(config, tmp_path)
+    with pytest.raises(InputError, match="reward.progress"):
+        check_same(load_config("e2e_race", ["reward.progress=13 per leg"]), tmp_path)
+
+
 def test_a_run_keeps_the_files_of_its_config(tmp_path):
     """The folder is moved, and every file that the run was started with removed."""
     files = tmp_path / "files"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from quadjax.core.sections import LARGEST, Field, model_validator
+from quadjax.core.sections import LARGEST, Field, Unit, model_validator
 from quadjax.learners.section import MAX_ENVS, MAX_UPDATE_STEPS, LearnerSection
 
 if TYPE_CHECKING:
@@ -17,10 +17,10 @@ class PPO(LearnerSection):
     """Proximal policy optimization (Schulman et al., 2017)."""
 
     algorithm: Literal["ppo"] = Field("ppo", description="proximal policy optimization")
-    num_envs: int = Field(
+    num_envs: Annotated[int, Unit("environments")] = Field(
         1024, ge=1, le=MAX_ENVS, description="number of environments simulated in parallel"
     )
-    rollout_length: int = Field(
+    rollout_length: Annotated[int, Unit("steps")] = Field(
         64, ge=1, le=100_000, description="steps of each environment per update"
     )
     num_minibatches: int = Field(8, ge=1, le=100_000, description="minibatches per epoch")
@@ -34,7 +34,9 @@ class PPO(LearnerSection):
     )
     learning_rate: float = Field(7e-4, ge=0, le=1, description="step size of Adam")
     adam_epsilon: float = Field(1e-5, gt=0, le=1, description="epsilon of Adam")
-    discount: float = Field(0.99, ge=0, lt=1, description="discount factor per step")
+    discount: Annotated[float, Unit("decay")] = Field(
+        0.99, ge=0, lt=1, description="discount factor per step"
+    )
     gae_lambda: float = Field(
         0.95, ge=0, le=1, description="lambda of generalized advantage estimation"
     )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
-from quadjax.core.sections import LARGEST, Field, model_validator
+from quadjax.core.sections import LARGEST, Field, Unit, model_validator
 from quadjax.learners.section import MAX_ENVS, MAX_UPDATE_STEPS, LearnerSection
 
 if TYPE_CHECKING:
@@ -19,10 +19,10 @@ class SHAC(LearnerSection):
     noise_on: ClassVar[Literal["mean", "clipped_mean"]] = "clipped_mean"
 
     algorithm: Literal["shac"] = Field("shac", description="short-horizon actor-critic")
-    num_envs: int = Field(
+    num_envs: Annotated[int, Unit("environments")] = Field(
         256, ge=1, le=MAX_ENVS, description="number of environments simulated in parallel"
     )
-    horizon: int = Field(
+    horizon: Annotated[int, Unit("steps")] = Field(
         48,
         ge=1,
         le=4096,
@@ -59,14 +59,16 @@ class SHAC(LearnerSection):
         description="part of the way that the target critic moves to the critic per update",
     )
     td_lambda: float = Field(0.95, ge=0, le=1, description="lambda of the critic's TD targets")
-    discount: float = Field(0.99, ge=0, lt=1, description="discount factor per step")
-    cotangent_decay: float = Field(
+    discount: Annotated[float, Unit("decay")] = Field(
+        0.99, ge=0, lt=1, description="discount factor per step"
+    )
+    cotangent_decay: Annotated[float, Unit("decay")] = Field(
         0.95,
         ge=0,
         le=1,
         description="factor per step on the gradient that flows back through the state",
     )
-    cotangent_clip: float = Field(
+    cotangent_clip: Annotated[float, Unit("1/m")] = Field(
         0.02,
         gt=0,
         le=LARGEST,
