@@ -12,7 +12,7 @@ import quadjax.studies.improve as package
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.fitting.battery import BatteryFit
-from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.nominal import AXES
 from quadjax.studies.improve.model import SPEEDS, Model, Refit, check_speeds, refit, refusal
 from quadjax.studies.improve.states import (
@@ -37,8 +37,13 @@ def logs(tmp_path_factory):
 
 
 def test_a_model_that_holds_is_accepted_and_once_more_it_is_refused(logs, tmp_path):
-    present = Model.of(race())
+    battery = BatteryFit(0.06, 1000.0, 1.0, {"a": 9500.0}, {"a": 9400.0})
+    present = dataclasses.replace(Model.of(race()), battery=battery)
     found = refit(logs, logs[1:], FIT, present, tmp_path)
+    files = [read_log(path, FIT.logs) for path in logs[1:]]
+    limit = present.constants["rpm_max"]
+    errors = [battery.error(log, present.hover, limit) for log in files]
+    assert found.before[SPEEDS] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-6)
     assert found.refused == "" and found.change < -0.2
     assert found.model.constants["k_w"] == pytest.approx(0.9 * present.constants["k_w"], rel=0.03)
     assert found.model.constants["rpm_max"] == present.constants["rpm_max"]
@@ -65,7 +70,9 @@ def test_logs_without_commanded_speeds_have_no_error_of_the_speeds(logs, tmp_pat
 
 def test_refusals():
     assert refusal(ONES, dict.fromkeys(NAMES, 0.9)) == ""
-    assert "+0%" in refusal(ONES, ONES)
+    worse, better = (refusal(ONES, dict.fromkeys(NAMES, 1.0 + x)) for x in (0.03, -0.005))
+    assert "is 3.0% larger than that of the present model, allowed: at least 1% smaller" in worse
+    assert "is 0.5% smaller than that of the present model" in better
     harmful = dict.fromkeys(NAMES, 0.5) | {"Mz": 1.2}
     assert refusal(ONES, harmful) == "its error of Mz on held-out flights is 20% larger"
     without_speeds = dict.fromkeys(AXES, 1.0)

@@ -230,18 +230,17 @@ def _speed_errors(
 ) -> tuple[float, float] | None:
     """Errors of the propeller speeds from commands, of the present model and of fits without.
 
-    None where no flight can be compared: without commanded speeds, or without a second flight.
+    Loads are relative to the hover of each model. None where no flight can be compared: without commanded speeds, or without a second flight.
     """
     known = [log for log in logs if log.rpm_command is not None]
-    hover, highest = model.hover, model.constants["rpm_max"]
     old = present.battery or BatteryFit(present.constants["tau"], 0.0, 0.0)
     before, after = [], []
     for log in known:
         others = [other for other in known if other is not log]
-        own = fit_battery(others, hover, base) if log.name in names else None
+        own = fit_battery(others, model.hover, base) if log.name in names else None
         if own is not None:
-            before.append(old.error(log, hover, highest))
-            after.append(own.error(log, hover, highest))
+            before.append(old.error(log, present.hover, present.constants["rpm_max"]))
+            after.append(own.error(log, model.hover, model.constants["rpm_max"]))
     if not before:
         return None
     return float(np.sqrt(np.mean(np.square(before)))), float(np.sqrt(np.mean(np.square(after))))
@@ -257,7 +256,11 @@ def refusal(before: dict[str, float], after: dict[str, float]) -> str:
     """Why a model with the errors ``after`` on held-out flights is rejected; "" if it is not."""
     change = mean_change(before, after)
     if not change <= -LEAST_GAIN:
-        return f"its error on held-out flights is {100.0 * change:+.0f}% of the present model's"
+        than = f"{100.0 * abs(change):.1f}% {'smaller' if change < 0 else 'larger'} than"
+        return (
+            f"its error on held-out flights is {than} that of the present model, allowed: at least "
+            f"{100.0 * LEAST_GAIN:g}% smaller"
+        )
     for name, error in after.items():
         harm = error / max(before[name], 1e-300) - 1.0
         if harm > MOST_HARM:
