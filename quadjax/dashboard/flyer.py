@@ -96,23 +96,20 @@ class Flyer:
         choices, params = race_of(config)
         gates, laps = config.track.gates, min(LAPS, config.evaluate.laps)
         flights: list[Flight] = []
-        for name, shown in (("mean action", 1), ("sampled", SHOWN)):
+        causes: Counter[str] = Counter()
+        for name, runs in (("mean action", 1), ("sampled", RUNS)):
+            sampled = name == "sampled"
             flown, trace = fly_policy(
-                choices,
-                params,
-                policy,
-                laps=laps,
-                runs=RUNS,
-                deterministic=name != "sampled",
-                trace=True,
+                choices, params, policy, laps=laps, runs=runs, deterministic=not sampled, trace=True
             )
             assert trace is not None
-            runs = recordings(trace, flown, config.rules.time_step)[:shown]
+            shown = recordings(trace, flown, config.rules.time_step)[:SHOWN]
             flights += [
-                flight_of(run, choices.model, gates, f"{name} {k + 1}" if shown > 1 else name)
-                for k, run in enumerate(runs)
+                flight_of(run, choices.model, gates, f"{name} {k}" if sampled else name)
+                for k, run in enumerate(shown, start=1)
             ]
-        causes = Counter(reason or "finished" for reason in flown.crashes)
+            if sampled:
+                causes.update(reason or "finished" for reason in flown.crashes)
         self.record = Scene(self._folder.name, tuple(gates), tuple(flights)).record()
         self.causes = dict(causes)
         self.count += 1

@@ -41,12 +41,14 @@ class Flights:
             randomization of the config.
         runs: number of flights.
         crashed: number of flights that crashed.
+        lapless: number of flights that neither crash nor complete a lap.
         lap: median of all laps but the first of each flight, s; NaN if there is none.
     """
 
     label: str
     runs: int
     crashed: int
+    lapless: int
     lap: float
 
     def to_json(self) -> dict[str, Any]:
@@ -124,8 +126,10 @@ def _fly(
     ends = np.asarray(race.lap_end, np.float64)
     times = np.diff(np.where(ends > 0, ends, np.nan), axis=0)
     flown = times[np.isfinite(times)]
-    crashed = int(np.count_nonzero(np.asarray(race.crash)))
-    return Flights(label, runs, crashed, float(np.median(flown)) if flown.size else math.nan)
+    crashed = np.asarray(race.crash) != 0
+    lapless = ~crashed & ~(ends > 0).any(axis=0)
+    counts = (int(np.count_nonzero(which)) for which in (crashed, lapless))
+    return Flights(label, runs, *counts, float(np.median(flown)) if flown.size else math.nan)
 
 
 def _starts(choices: Choices, params: RaceParams, key: jax.Array, runs: int) -> RaceState:
@@ -157,11 +161,16 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
 
 
 def spread_table(flights: Sequence[Flights], name: str) -> str:
-    """A Markdown table with a column for each randomization: crashes and median lap."""
+    """A Markdown table with a column for each randomization: crashes and median lap.
+
+    Flights that neither crash nor complete a lap are counted, too.
+    """
     titles = ["policy", *(each.label for each in flights)]
     return table([titles, [name, *(_cell(each) for each in flights)]])
 
 
 def _cell(own: Flights) -> str:
     share = f"{100 * own.crashed / own.runs:.3g}%"
+    if own.lapless:
+        share += f" and {100 * own.lapless / own.runs:.3g}% without a lap"
     return f"{share} / {own.lap:.3f} s" if math.isfinite(own.lap) else f"{share} / -"

@@ -12,11 +12,13 @@ from quadjax.cli import run
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.resources import PRETRAINED
+from quadjax.policy import pilot
 from quadjax.race.laps import fly_race, starting_states
+from quadjax.studies import robustness
 from quadjax.studies.race_flights import RaceFlights, race_table
-from quadjax.studies.robustness import Flights, spread_table, start_before_gate
+from quadjax.studies.robustness import Flights, fly_spreads, spread_table, start_before_gate
 from tests import reference as ref
-from tests.evaluation.support import rate_race, script, scripted
+from tests.evaluation.support import random_policy, rate_race, script, scripted
 from tests.race.support import BLANK
 
 
@@ -42,12 +44,26 @@ def test_flights_start_before_the_gates():
 
 
 def test_the_table_has_a_column_for_each_randomization():
-    flights = [Flights("±0%", 200, 5, 1.51), Flights("±10%", 200, 200, math.nan)]
+    flights = [Flights("±0%", 200, 5, 0, 1.51), Flights("±10%", 200, 200, 0, math.nan)]
     lines = spread_table(flights, "mine").splitlines()
     assert (
         lines[0] == "| policy | ±0% | ±10% |" and lines[2] == "| mine | 2.5% / 1.510 s | 100% / - |"
     )
     assert flights[1].to_json()["lap"] is None
+
+
+def test_a_drone_that_hovers_is_neither_crashed_nor_has_it_a_lap(monkeypatch):
+    """A pilot that holds still in place of the policy: no crash, and no lap either."""
+    config, _, _ = rate_race()
+    monkeypatch.setattr(pilot, "fly", lambda own, observation, noise: hover)
+    hover = jnp.array([0.0, 0.0, 0.0, 2.0 * 9.81 / 15.0 - 1.0])
+    monkeypatch.setattr(robustness, "ROLL_PITCH", 0.0)
+    monkeypatch.setattr(robustness, "VELOCITY", 0.0)
+    monkeypatch.setattr(robustness, "RATES", 0.0)
+    (still,) = fly_spreads(random_policy("rate"), config, 4, 0.5, spreads=(0.0,))
+    assert (still.crashed, still.lapless, still.runs) == (0, 4, 4)
+    assert "| 0% and 100% without a lap / - |" in spread_table([still], "still")
+    assert still.to_json()["lapless"] == 4
 
 
 @pytest.mark.parametrize(

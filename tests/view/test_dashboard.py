@@ -6,7 +6,9 @@ import shutil
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
@@ -15,6 +17,7 @@ from quadjax.core.resources import PRETRAINED
 from quadjax.dashboard.flyer import Flyer
 from quadjax.dashboard.run_state import POINTS, TrainingRun
 from quadjax.dashboard.sweep_state import JOURNAL, SweepRun
+from quadjax.race.laps import Laps
 from tests.commands import run
 from tests.view.browser import browser, wait_until
 
@@ -93,6 +96,30 @@ def test_a_policy_is_simulated_in_the_race_of_its_own_trial(tmp_path):
         time.sleep(0.1)
     flyer.close()
     assert "nothing_of_first" in flyer.error
+
+
+def test_the_mean_action_flies_once_and_causes_are_of_the_sampled_flights(tmp_path, monkeypatch):
+    shutil.copy(PRETRAINED / "e2e_nominal.npz", tmp_path / "policy.npz")
+    (tmp_path / "config.yaml").write_text("base: e2e_shac\n", encoding="utf-8")
+    seen = []
+
+    def fly_policy(choices, params, policy, *, runs, deterministic, laps, trace):
+        seen.append((runs, deterministic))
+        sizes = {"position": 3, "velocity": 3, "euler": 3, "rates": 3, "actuators": 4, "command": 4}
+        arrays = {name: np.zeros((3, size, runs)) for name, size in sizes.items()}
+        crashes = ("" if deterministic else "hit a gate",) * runs
+        flown = Laps(np.full((runs, laps), np.nan), crashes, np.full(runs, 0.02), 10.0)
+        return flown, SimpleNamespace(**arrays, target=np.zeros((3, runs), int))
+
+    monkeypatch.setattr("quadjax.policy.pilot.fly_policy", fly_policy)
+    flyer = Flyer(Flipping(tmp_path / "policy.npz"))
+    for _ in range(6000):
+        if flyer.error or flyer.count:
+            break
+        time.sleep(0.1)
+    flyer.close()
+    assert not flyer.error and seen == [(1, True), (8, False)]
+    assert flyer.causes == {"hit a gate": 8} and len(flyer.record["flights"]) == 1 + 3
 
 
 def test_a_sweep_in_a_database_is_refused(tmp_path):

@@ -230,7 +230,8 @@ def _speed_errors(
 ) -> tuple[float, float] | None:
     """Errors of the propeller speeds from commands, of the present model and of fits without.
 
-    Loads are relative to the hover of each model. None where no flight can be compared: without commanded speeds, or without a second flight.
+    Loads are relative to the hover of each model. None where no flight can be compared: without
+    commanded speeds, or without a second flight.
     """
     known = [log for log in logs if log.rpm_command is not None]
     old = present.battery or BatteryFit(present.constants["tau"], 0.0, 0.0)
