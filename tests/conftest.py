@@ -17,4 +17,6 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 
 import jax  # noqa: E402
 
+from tests.skips import pytest_sessionfinish, pytest_terminal_summary  # noqa: E402, F401
+
 jax.config.update("jax_num_cpu_devices", 8)  # before anything starts the backend

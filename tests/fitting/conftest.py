@@ -40,13 +40,16 @@ def _simulated(folder):
     return sorted(folder.glob("*.csv"))
 
 
-@pytest.fixture(scope="session")
+def _real():
+    """Logs of four flights beside the repository, which are no part of it; empty without them."""
+    paths = sorted(FLIGHTS.glob("*.csv"))
+    return paths if len(paths) >= 4 and "SIMULATED_FLIGHTS" not in os.environ else []
+
+
+@pytest.fixture(scope="session", params=["real flights" if _real() else "simulated flights"])
 def plain_flights(tmp_path_factory):
-    """Logs of four flights: real ones beside the repository, which are no part of it, or simulated.
+    """Logs of four flights; the ids of tests and the summary say whether they are real.
 
     Set ``SIMULATED_FLIGHTS`` in the environment to use simulated ones in any case.
     """
-    paths = sorted(FLIGHTS.glob("*.csv"))
-    if len(paths) < 4 or "SIMULATED_FLIGHTS" in os.environ:
-        paths = _simulated(tmp_path_factory.mktemp("flights"))
-    return paths
+    return _real() or _simulated(tmp_path_factory.mktemp("flights"))
