@@ -1,5 +1,6 @@
 """Every example runs as it is, with a shorter training, and has at most 40 lines of code."""
 
+import ast
 import os
 import re
 import subprocess
@@ -7,6 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+import quadjax
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -41,10 +44,38 @@ def test_there_is_an_example_for_each_thing_that_a_user_brings():
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_examples_are_short_and_use_only_public_modules(path):
+def test_examples_are_short_and_use_only_public_names(path):
     text = path.read_text(encoding="utf-8")
     assert sum(bool(line.strip()) for line in text.splitlines()) <= 40
     assert text.startswith('"""') and "._" not in text
+    assert package_names(ast.parse(text)) <= public_names()
+
+
+def public_names() -> set[str]:
+    """The names of ``quadjax``, and the objects that the pages of the reference describe."""
+    pages = (ROOT / "docs" / "reference").glob("*.md")
+    described = {x for p in pages for x in re.findall(r"^::: (\S+)", p.read_text("utf-8"), re.M)}
+    return described | {f"quadjax.{name}" for name in quadjax.__all__} | {"quadjax"}
+
+
+def package_names(tree: ast.Module) -> set[str]:
+    """The full names of what a module takes from the package."""
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import)]
+    names = {alias.name for node in imports for alias in node.names}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "quadjax":
+            names.add(f"quadjax.{node.attr}")
+    return {name for name in names if name.split(".")[0] == "quadjax"}
+
+
+def test_a_module_that_no_page_describes_is_not_public():
+    tree = ast.parse(
+        "import numpy, quadjax.race.laps\nfrom quadjax.core import vectors\nquadjax.Run"
+    )
+    names = {"quadjax.race.laps", "quadjax.core.vectors"}
+    assert package_names(tree) == names | {"quadjax.Run"} and not names & public_names()
 
 
 @pytest.mark.slow
