@@ -16,14 +16,14 @@ from tests.sweeps.support import TINY
 resource = pytest.importorskip("resource", reason="limits of a process need POSIX")
 
 ROOT = Path(__file__).resolve().parents[1]
-SIZES = os.environ.get("QUADJAX_TEST_SIZES", "0 400 4000 20000").split()  # largest files, bytes
+SIZES = [0, 400, 4000, 20_000]  # largest files, bytes
 OVERRIDES = [f"learner.{key}={value}" for key, value in TINY["learner"].items()]
 OVERRIDES += ["network.hidden=[8]", "run.steps=512", "run.evaluate_every=128", "evaluate.laps=1"]
 OVERRIDES += ["run.checkpoint_seconds=0", "run.compilation_cache=false", "run.devices=1"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", map(int, SIZES))
+@pytest.mark.parametrize("size", SIZES)
 def test_a_full_disk_is_one_line_and_the_run_resumes(tmp_path, size):
     folder = tmp_path / "runs" / "one"
     command = ["train", "e2e_ppo", *OVERRIDES, "name=one", "--output", folder.parent, "--resume"]

@@ -259,8 +259,7 @@ class Search:
         current = limit if current is None else current
         excess = check.rates / limit
         if check.feedback and np.all(excess < MOST_EXCESS):
-            lower = np.where(excess > 1.0, current / (1.001 * excess), current)
-            current = np.minimum(current, lower)
+            current = current / np.where(excess > 1.0, 1.001 * excess, 1.0)
         walls = self.settings.walls + check.walls
         self.settings = dataclasses.replace(self.settings, rate_limit=current, walls=walls)
 

@@ -97,6 +97,7 @@ def test_of_several_guesses_the_fastest_after_the_first_stage_comes_first(monkey
     assert "leads to that of point mass 2" in tried[1]
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_a_small_violation_is_removed_before_the_mesh_is_refined(monkeypatch):
     from quadjax.limits import solve as module
     from quadjax.limits.collocation import Solution
