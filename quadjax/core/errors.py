@@ -15,6 +15,8 @@ INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
 MAX_WORD, MAX_LINE = 200, 1000  # characters of a word and of a line that a command prints
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
+PACKAGE = str(Path(__file__).resolve().parent.parent) + os.sep
+OWN_ERRORS = (Exception, SystemExit)  # what a user's own code may raise, apart from Ctrl-C
 OWN_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_object`` has imported
 
 
@@ -63,7 +65,8 @@ def run_command(main: Callable[[], int | None]) -> int:
     """Run the main function of a command and return its exit status.
 
     Bad input and system errors (disk full, no permission, no memory) are printed as one line on
-    stderr. Every other exception is a fault of the program and is raised.
+    stderr, and so is an error in a user's own module. Every other exception is a fault of the
+    program and is raised, with its traceback.
     """
     # JAX compiles where its cache cannot be read or written, which needs no message.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
@@ -122,12 +125,13 @@ def error_line(error: BaseException) -> str | None:
         return f"{where}{error.strerror}"
     if isinstance(error, MemoryError):
         return f"not enough memory ({text})" if text else "not enough memory"
-    if isinstance(error, OverflowError):
-        return f"a number is too large ({text})"
-    if isinstance(error, RecursionError):
-        return f"the input is nested too deeply ({text})"
     if type(error).__name__ in ("JaxRuntimeError", "XlaRuntimeError"):
         return f"not enough memory ({text[:160]})" if "RESOURCE_EXHAUSTED" in text else None
-    if own_lines(error):
-        return own_error(error)
-    return None
+    return own_error(error) if _is_own(error) else None
+
+
+def _is_own(error: BaseException) -> bool:
+    """Whether an exception is raised in a user's module or below it, and not again in quadjax."""
+    files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
+    files = [file for file in files if file in OWN_FILES or file.startswith(PACKAGE)]
+    return bool(files) and not files[-1].startswith(PACKAGE)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from quadjax.core.errors import OWN_FILES, InputError, own_error
+from quadjax.core.errors import OWN_ERRORS, OWN_FILES, InputError, own_error
 
 
 def load_object(path: str, key: str) -> object:
@@ -27,7 +27,7 @@ def load_object(path: str, key: str) -> object:
         raise InputError(f'{key} is {path!r}, allowed: "module:name"')
     try:
         found = _import(module_name)
-    except Exception as error:  # a user's module may raise anything
+    except OWN_ERRORS as error:
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise InputError(f"{key}: module {module_name} cannot be imported ({reason})") from error
     if own_file := getattr(found, "__file__", None):
@@ -77,7 +77,7 @@ def own_numbers(
         shapes = [_shape(value) for value in values]
     except InputError:
         raise
-    except Exception as error:  # a user's function may raise anything
+    except OWN_ERRORS as error:
         raise InputError(f"{label}: {own_error(error)}") from error
     wanted = "one number" if size in (None, 1) else f"{size} numbers"
     if size is not None and len(values) != size:

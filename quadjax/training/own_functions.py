@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.schema import Config
-from quadjax.core.errors import InputError, own_error
+from quadjax.core.errors import OWN_ERRORS, InputError, own_error
 from quadjax.core.imports import name_of, own_numbers
 from quadjax.learners import sharding as parallel
 from quadjax.learners.state import Learner, TrainState
@@ -77,7 +77,7 @@ def check_learner(config: Config, learner: Learner, params: RaceParams) -> Train
             parallel.check_update(learner, parallel.make_mesh(1), params, shapes)
     except InputError:
         raise
-    except Exception as error:  # a user's learner may raise anything
+    except OWN_ERRORS as error:
         raise InputError(f"{name}: {own_error(error)}") from error
     if part == "init":
         raise InputError(f"{name}: init gives {shapes!r:.60}, expected a quadjax.TrainState")

@@ -12,6 +12,7 @@ import pytest
 import quadjax
 from quadjax.cli import COMMANDS
 from quadjax.core.errors import InputError, error_line, run_command
+from quadjax.core.imports import load_object
 from tests.commands import run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -105,8 +106,6 @@ def raising(error):
         (OSError(errno.ENAMETOOLONG, "File name too long", "n"), "n: File name too long"),
         (NotADirectoryError(errno.ENOTDIR, "Not a directory", "f"), "f: Not a directory"),
         (MemoryError("Unable to allocate 522. GiB"), "not enough memory (Unable to allocate"),
-        (OverflowError("int too large"), "too large"),
-        (RecursionError("maximum depth"), "nested too deeply"),
     ],
     ids=lambda value: type(value).__name__,
 )
@@ -134,12 +133,28 @@ def test_a_closed_output_is_no_fault(monkeypatch):
     assert run_command(lambda: 0) == 0
 
 
-def test_faults_of_the_program_are_raised(monkeypatch):
-    with pytest.raises(KeyError):
-        run_command(raising(KeyError("x")))
+@pytest.mark.parametrize("kind", [KeyError, OverflowError, RecursionError])
+def test_faults_of_the_program_are_raised(monkeypatch, kind):
+    with pytest.raises(kind):
+        run_command(raising(kind("x")))
     monkeypatch.setenv("QUADJAX_DEBUG", "1")
     with pytest.raises(InputError):
         run_command(raising(InputError("x")))
+
+
+def test_an_error_in_a_user_s_module_is_one_line(tmp_path, monkeypatch, capsys):
+    """One in quadjax is not, also when it is called by a user's module."""
+    (tmp_path / "blames.py").write_text(
+        "from quadjax.core.yaml_files import to_yaml\n"
+        "def wrong():\n    return 1 / 0\n"
+        "def calls():\n    return to_yaml({1: {}, 'a': object()})\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert run_command(load_object("blames:wrong", "key")) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and f"{tmp_path / 'blames.py'}:3; QUADJAX_DEBUG=1" in error
+    with pytest.raises(TypeError):
+        run_command(load_object("blames:calls", "key"))
 
 
 def test_an_interrupt_is_one_word_and_status_130(capsys):

@@ -20,11 +20,13 @@ def test_an_object_of_a_module_next_to_the_config(tmp_path, monkeypatch):
         ("../math:pi", "allowed"),
         ("no_such_module_here:x", "module no_such_module_here cannot be imported"),
         ("math:no_such_name", "has no 'no_such_name'"),
+        ("leaves:x", r"cannot be imported \(SystemExit: 3\)"),
         ("broken_module:x", r"cannot be imported \(ZeroDivisionError: division by zero\)"),
     ],
 )
 def test_what_cannot_be_loaded_is_one_line(tmp_path, monkeypatch, path, message):
     (tmp_path / "broken_module.py").write_text("1 / 0\n")
+    (tmp_path / "leaves.py").write_text("import sys\n\nsys.exit(3)\n")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=message) as caught:
         load_object(path, "reward.terms")

@@ -1,5 +1,7 @@
 """Functions and learners with mistakes, for tests of what is said about them."""
 
+import sys
+
 import jax.numpy as jnp
 import optax
 
@@ -48,4 +50,5 @@ class NoLearner(LearnerSection):
 
 NO_STATE = learner(lambda hyper, params, key: 3, lambda hyper, params, state: state)
 NO_METRICS = learner(None, lambda hyper, params, state: (state,))
+LEAVES = learner(None, lambda hyper, params, state: sys.exit(3))
 DIVIDES = learner(None, lambda hyper, params, state: (state, {"reward": 1 / 0}))

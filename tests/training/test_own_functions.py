@@ -27,6 +27,8 @@ OWN = "tests.training.own"
             f"{OWN}:attribute: AttributeError: 'StepContext' object has no attribute 'nosuch' (",
         ),
         (f"rules.extra=['{OWN}:attribute']", f"rule {OWN}:attribute: AttributeError: "),
+        ("rules.extra=['sys:exit']", "rule sys:exit: SystemExit: "),
+        (f"learner.algorithm={OWN}:LEAVES", f"learner.algorithm {OWN}:LEAVES: SystemExit: 3 ("),
         (f"rules.extra=['{OWN}:vector']", "gives an array of shape (4,), expected one number"),
         (
             f"observation.extra=['{OWN}:THREE']",
