@@ -4,7 +4,6 @@ import argparse
 import os
 import re
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -41,6 +40,9 @@ def positive(text: str) -> float:
     return value
 
 
+FILE_OVERRIDE = re.compile(  # the key of an override whose value is a file
+    r"^([\w.]+\.)?(vehicle|track|file|residual|initial_policy|start_states|config)="
+)
 POLICIES = {"policy", "e2e", "indi", "without"}  # options that name policy files
 seed, laps, runs = whole(0, MAX_SEED), whole(1, MAX_LAPS), whole(1, MAX_RUNS)
 gates = whole(1, MAX_GATES)
@@ -144,6 +146,12 @@ def add_ranges(parser: argparse.ArgumentParser, text: str) -> None:
     )
 
 
+def is_override(text: str) -> bool:
+    """Whether an argument is ``key=value``, not a file, whose path may have ``=`` in it."""
+    key, equals, _ = text.partition("=")
+    return bool(equals) and "/" not in key and not os.path.exists(text)
+
+
 def overrides_of(arguments: argparse.Namespace) -> list[str]:
     """The overrides of a command line, with --name as ``name=NAME``."""
     extra = [f"name={arguments.name}"] if getattr(arguments, "name", None) else []
@@ -167,8 +175,8 @@ def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> Non
         suffixes: the allowed ones; any if empty.
 
     Raises:
-        InputError: a wrong suffix, a directory, a pipe, a device, or a place that cannot be
-            written.
+        InputError: a wrong suffix, a directory, a link, a pipe, a device, or a folder that does
+            not exist or cannot be written.
     """
     if path is None:
         return
@@ -176,16 +184,16 @@ def check_writable(path: Path | str | None, suffixes: Sequence[str] = ()) -> Non
     if suffixes and path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: {', '.join(suffixes)}")
     with writing(path):
+        if path.is_symlink():
+            raise InputError(f"{path}: is a link, expected the name of a file")
         if path.is_dir():
             raise InputError(f"{path}: is a directory, expected the name of a file")
         if path.exists():
             check_file(path)
-        new = [folder for folder in path.parents if not folder.exists()]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent):
-            pass
-        for folder in new:  # the deepest first; made again when the file is written
-            folder.rmdir()
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: there is no folder {path.parent}, expected an existing one")
+        if not os.access(path.parent, os.W_OK):
+            raise InputError(f"{path}: cannot be written (no permission in {path.parent})")
 
 
 def check_outputs(arguments: argparse.Namespace, **suffixes: Sequence[str]) -> None:
@@ -208,10 +216,10 @@ def check_outputs(arguments: argparse.Namespace, **suffixes: Sequence[str]) -> N
 
 
 def _check_other(option: str, path: Path | str, key: str, value: object) -> None:
-    """Refuse an output that is also another argument, or the value of an override."""
+    """Refuse an output that is also another argument, or the file of an override."""
     if not isinstance(value, (str, Path)) or not str(value):
         return
-    for text in {str(value), str(value).rpartition("=")[2]}:
-        with writing(path):
-            if os.path.realpath(text) == os.path.realpath(path):
-                raise InputError(f"--{option} {path}: is also {key}, expected a different file")
+    file = FILE_OVERRIDE.sub("", str(value))
+    with writing(path):
+        if os.path.realpath(file) == os.path.realpath(path):
+            raise InputError(f"--{option} {path}: is also {key}, expected a different file")

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quadjax.cli.arguments import Parser, parse, runs
+from quadjax.cli.arguments import Parser, is_override, parse, runs
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
@@ -54,7 +54,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--output", type=Path, default=Path("runs/tracks"), metavar="DIR", help="(runs/tracks)"
     )
     options = parse(parser, argv)
-    if "=" in options.config:
+    if is_override(options.config):
         options.overrides, options.config = [options.config, *options.overrides], CONFIG
     return options
 

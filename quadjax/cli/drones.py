@@ -8,7 +8,7 @@ because a policy does not command more.
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, check_writable, parse, seed, whole
+from quadjax.cli.arguments import Parser, add_config, parse, seed, whole
 from quadjax.core.interruptions import loading
 
 
@@ -22,7 +22,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--output", type=Path, required=True, metavar="DIR", help="folder of the vehicle files"
     )
     options = parse(parser, arguments)
-    check_writable(options.output / "drone_0_0.yaml")
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.studies.drawn_drones import write_drones

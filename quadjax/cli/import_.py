@@ -11,7 +11,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from quadjax.cli.arguments import Parser, check_outputs, parse, positive
+from quadjax.cli.arguments import Parser, check_outputs, is_override, parse, positive
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
@@ -59,8 +59,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     arguments = parse(parser, argv)
     given = arguments.files
-    arguments.overrides = [text for text in given if "=" in text]
-    arguments.files = [text for text in given if "=" not in text]
+    arguments.overrides = [text for text in given if is_override(text)]
+    arguments.files = [text for text in given if not is_override(text)]
     check_outputs(arguments, output=(".npz",))
     return arguments
 

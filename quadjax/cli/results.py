@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quadjax.cli.arguments import Parser, check_outputs, parse, runs
+from quadjax.cli.arguments import Parser, check_outputs, is_override, parse, runs
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED, policy_names
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from quadjax.evaluation.protocols import protocol_table
         from quadjax.training.progress import bar
 
-    overrides = [each for each in options.policies if "=" in each]
+    overrides = [each for each in options.policies if is_override(each)]
     paths = [Path(each) for each in options.policies if each not in overrides]
     if overrides and options.race is None:
         raise InputError(f"{overrides[0]}: overrides change the race of --race, which is missing")

@@ -16,6 +16,7 @@ from quadjax.cli.arguments import (
     add_name,
     add_output,
     check_writable,
+    is_override,
     parse,
     seed,
 )
@@ -63,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     configs, overrides = configs_of([*options.configs, *named])
     runs, seeds = options.output, list(dict.fromkeys(options.seeds))
     figure = Path(options.figure or runs / f"{'_and_'.join(configs)}_seeds.png")
-    check_writable(figure, (".png", ".svg", ".pdf"))
+    check_writable(options.figure, (".png", ".svg", ".pdf"))
     groups = {
         name: [train_seed(file, overrides, seed, runs, options.overwrite) for seed in seeds]
         for name, file in configs.items()
@@ -91,7 +92,7 @@ def configs_of(argv: Sequence[str]) -> tuple[dict[str, str], list[str]]:
     from quadjax.config.loading import load_config
     from quadjax.evaluation.curves import check_lengths
 
-    overrides = [each for each in argv if "=" in each and "/" not in each.partition("=")[0]]
+    overrides = [each for each in argv if is_override(each)]
     files = [str(find_config(each)) for each in argv if each not in overrides]
     configs = [load_config(path, overrides) for path in files]
     names = [config.name for config in configs]

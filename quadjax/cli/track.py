@@ -38,11 +38,18 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "settings", nargs="*", metavar="key=value", help="settings of a random track to write"
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
     parser.add_argument("--figure", metavar="FILE.png", help="draw the track from two sides")
     options = parse(parser, argv)
     check_outputs(options, figure=PICTURES)
+    if options.figure:
+        _check_new(Path(options.figure), options.overwrite)
     return options
+
+
+def _check_new(path: Path, overwrite: bool) -> None:
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: exists already, allowed: another name, or --overwrite")
 
 
 def _shown(default: object) -> str:
@@ -72,8 +79,7 @@ def _write(path: Path, settings: Sequence[str], overwrite: bool) -> None:
     from quadjax.core.files import write_text
     from quadjax.core.yaml_files import parse_overrides, to_yaml
 
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already, allowed: another name, or --overwrite")
+    _check_new(path, overwrite)
     check_writable(path, (".yaml",))
     tree = generated({"track": {"generate": parse_overrides(settings)}}, "settings")
     gates = {"name": path.stem, "rules": tree["rules"], "gates": tree["track"]["gates"]}

@@ -1,13 +1,17 @@
 """What commands refuse before any work: outputs that would replace other files, and bad options."""
 
+import argparse
 import os
 import warnings
+from pathlib import Path
 
 import pytest
 
+from quadjax.cli.arguments import check_outputs
+from quadjax.cli.seeds import configs_of
 from quadjax.core.errors import InputError, run_command
 from quadjax.core.folders import claim
-from quadjax.core.resources import PRETRAINED
+from quadjax.core.resources import CONFIGS, PRETRAINED
 from tests.commands import run
 
 
@@ -81,8 +85,53 @@ def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys
         "link": ("--states", tmp_path / "l.npz"),
     }[other]
     error = refusal(capsys, "evaluate", config, "--policy", policy, *extra)
-    assert "is also" in error
+    assert "is a link" in error if other == "link" else "is also" in error
     assert policy.read_text() == "mine" and config.read_text() == "base: e2e"
+
+
+def test_the_text_of_an_override_is_a_file_only_for_keys_of_files():
+    options = argparse.Namespace(json="a.json", overrides=["seed=1", "name=a.json"])
+    check_outputs(options, json=(".json",))
+    for key in ("vehicle.residual", "track", "overrides.vehicle.file"):
+        options.overrides[1] = f"{key}=./a.json"
+        with pytest.raises(InputError, match="--json a.json: is also overrides"):
+            check_outputs(options, json=(".json",))
+
+
+def test_a_picture_replaces_no_file_and_no_target_of_a_link(tmp_path, capsys):
+    (tmp_path / "thesis.txt").write_text("mine")
+    (tmp_path / "link.png").symlink_to(tmp_path / "thesis.txt")
+    (tmp_path / "old.png").write_text("mine")
+    command = ("track", "square4", "--figure")
+    assert "is a link" in refusal(capsys, *command, tmp_path / "link.png", "--overwrite")
+    assert "--overwrite" in refusal(capsys, *command, tmp_path / "old.png")
+    assert (tmp_path / "thesis.txt").read_text() == (tmp_path / "old.png").read_text() == "mine"
+    assert run(*command, tmp_path / "old.png", "--overwrite") == 0
+    assert (tmp_path / "old.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("folder", ["nosuch", "nosuch/deeper", "file"])
+def test_the_folder_of_an_output_has_to_exist(tmp_path, capsys, monkeypatch, folder):
+    (tmp_path / "file").write_text("")
+    seen = []
+    monkeypatch.setattr(os, "mkdir", lambda *arguments, **_: seen.append(arguments))
+    error = refusal(capsys, "track", "square4", "--figure", tmp_path / folder / "x.png")
+    assert f"there is no folder {tmp_path / folder}" in error
+    assert not seen and [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_path_with_an_equals_sign_is_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for folder in (tmp_path, tmp_path / "lr=0.1"):
+        folder.mkdir(exist_ok=True)
+        (folder / "a=b.npz").write_text("no policy")
+    for file in ("a=b.npz", "lr=0.1/a=b.npz"):
+        assert run("results", file) == 2
+        assert f"\nerror: {file}: not an .npz file\n" in capsys.readouterr().err
+        assert file in refusal(capsys, "import", "e2e", file, "--output", "out.npz")
+    Path("a=b.yaml").write_text("base: e2e_shac\nname: mine\n")
+    overrides = ["seed=3", f"vehicle={CONFIGS / 'vehicles/bebop1.yaml'}"]
+    assert configs_of(["a=b.yaml", *overrides]) == ({"mine": "a=b.yaml"}, overrides)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
