@@ -186,6 +186,11 @@ POLICY_DAMAGE = {
     "nan": (lambda a: poked(a, "kernel_1", np.nan), {}, "kernel_1[0, 3] is nan"),
     "infinite": (lambda a: poked(a, "bias_0", np.inf), {}, "bias_0[3] is inf"),
     "nan log_std": (lambda a: poked(a, "log_std", np.nan), {}, "log_std"),
+    "large": (
+        lambda a: poked(a, "kernel_1", -1e30),
+        {},
+        "kernel_1 has 1e+30, allowed: up to",
+    ),
     "too large": (lambda a: a | {"bias_0": np.full(8, 1e300)}, {}, "bias_0"),
     "turned": (lambda a: a | {"kernel_1": a["kernel_1"].T}, {}, "kernel_1"),
     "flat": (lambda a: a | {"kernel_0": a["kernel_0"].ravel()}, {}, "kernel_0"),

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from quadjax.config.checks import check, vehicle_model
-from quadjax.config.layers import Layer, from_layers, layer_of
 from quadjax.config.renamed import check_renamed, without_retired
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Rules, Schedule, Track
 from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.imports import load_object
+from quadjax.core.layers import Layer, from_layers, layer_of
 from quadjax.core.resources import CONFIGS, find_config, preset_names
 from quadjax.core.sections import build
 from quadjax.core.yaml_files import (

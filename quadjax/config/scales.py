@@ -14,7 +14,7 @@ import numpy as np
 
 from quadjax.config.schema import Config, Location, Rules, Track, Vehicle, WithUnit
 from quadjax.core.errors import InputError
-from quadjax.core.sections import Section, build, number_unit
+from quadjax.core.sections import LARGEST, Section, build, number_unit
 from quadjax.core.yaml_files import Tree
 from quadjax.vehicle.registry import model as vehicle_model
 
@@ -150,8 +150,10 @@ def _check_unit(location: Location, match: re.Match, unit: str | None) -> None:
     key = ".".join(str(part) for part in location if isinstance(part, str))
     units = UNITS.get(unit, ())
     above = " above 0" if unit in ("steps", "decay", "environments") else ""
-    if match["unit"] not in units or (above and float(match["number"]) <= 0.0):
-        or_unit = f" or a number{above} with the unit {' or '.join(units)}" if units else ""
+    number = float(match["number"])
+    if match["unit"] not in units or abs(number) > LARGEST or (above and number <= 0.0):
+        span = f"{above}, at most {LARGEST:g}" if abs(number) > LARGEST else above
+        or_unit = f" or a number{span} with the unit {' or '.join(units)}" if units else ""
         text = f"{match['number']} {match['unit']}"[:60]
         raise InputError(f"{key} is {text}, allowed: a plain number{or_unit}")
 

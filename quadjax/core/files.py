@@ -24,6 +24,7 @@ from quadjax.core.errors import InputError, reading, writing
 TEMPORARY = ".writing-"  # prefix of temporary files, with the machine and the process
 STALE_SECONDS = 86_400.0  # age after which another machine's temporary file is not in use
 ARRAYS = re.compile(r"(\w+_)?(kernel|bias)_\d{1,3}|log_std")  # that an .npz file may hold
+MAX_WEIGHT = 1e6  # of a network: products over some layers stay finite in single precision
 MAX_BYTES = 2**28  # of one array of an .npz file, and of a text file
 
 
@@ -248,7 +249,8 @@ def read_layers(
     """The dense layers ``{prefix}kernel_0, {prefix}bias_0, ..`` of a file, checked to fit.
 
     Raises:
-        InputError: a missing or misshapen array, or a non-finite number in one, by name.
+        InputError: a missing or misshapen array, or a number in one that is not finite or above
+            ``MAX_WEIGHT``, by name.
     """
     layers: list[tuple[np.ndarray, np.ndarray]] = []
     while f"{prefix}kernel_{len(layers)}" in arrays:
@@ -270,6 +272,8 @@ def read_layers(
             )
         for name, array in ((k_name, kernel), (b_name, bias)):
             check_finite(path, name, array, layer=len(layers))
+            if (largest := np.abs(array).max()) > MAX_WEIGHT:
+                raise InputError(f"{path}: {name} has {largest:g}, allowed: up to {MAX_WEIGHT:g}")
         layers.append((kernel, bias))
     if not layers:
         raise InputError(f"{path}: {prefix}kernel_0 is missing")

@@ -41,6 +41,7 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic.fields import FieldInfo
 
 from quadjax.core.errors import InputError
+from quadjax.core.layers import Layer, from_layers
 from quadjax.core.resources import find_config
 from quadjax.core.yaml_files import (
     Tree,
@@ -177,8 +178,9 @@ def load_section(
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
     path = find_config(path, folder)
-    tree = merge_trees(read_tree_with_bases(path), parse_overrides(overrides))
-    return build(schema, tree, str(path))
+    tree, over = read_tree_with_bases(path), parse_overrides(overrides)
+    with from_layers([Layer(str(path), tree), Layer("overrides", over)], str(path)):
+        return build(schema, merge_trees(tree, over), str(path))
 
 
 @contextlib.contextmanager
@@ -234,6 +236,8 @@ def _message(schema: type[Section], error: Mapping, prefix: str) -> str:
     text = allowed(field) if field is not None else error["msg"]
     if error["type"] == "missing":
         return f"{dotted} is missing, allowed: {text}"
+    if error["type"] == "too_long":
+        return f"{dotted} has {len(error['input'])} items, allowed: {text}"
     if not dotted:
         return f"{short(error['input'])} is not a mapping of keys to values"
     return f"{dotted} is {short(error['input'])}, allowed: {text}"

@@ -12,6 +12,7 @@ from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
 from quadjax.core.yaml_files import read_yaml
+from quadjax.fitting.config import load_fit_config
 from quadjax.sweeps.sweep import load_sweep
 from tests import reference as ref
 
@@ -497,8 +498,22 @@ def test_an_error_names_the_file_that_sets_the_key(tmp_path):
     assert refusal(BLANK, f"vehicle={drone}").startswith(f"{drone}: vehicle.constants.k_w is -")
     assert refusal(base).startswith(f"{base}: reward.gate is 'much'")
     assert refusal(base, "reward.gate=more").startswith("overrides: reward.gate is 'more'")
+    for wrong in ("seed=-1", "name=../a", "run=", "learner=[1]", "nosuch=1", "schedules=3"):
+        assert refusal(BLANK, wrong).startswith("overrides: "), wrong
+    base.write_text(f"base: {BLANK}\nseed: -1\n")
+    assert refusal(base, "reward.gate=2").startswith(f"{base}: seed is -1, allowed")
+    with pytest.raises(InputError, match=r"^overrides: logs.files is 3, allowed"):
+        load_fit_config("standin", ["logs.files=3"])
     track.write_text(gates % "90" + "\nrules: {position_limit: 1}")
     assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].position is")
+
+
+def test_of_a_long_list_the_number_of_items_is_named():
+    gates = [{"position": [0, 0, -i]} for i in range(1, 1001)]
+    text = (
+        "track.gates has 1000 items, allowed: a list of mappings, at least 1, at most 100 of them"
+    )
+    assert refusal(BLANK, f"track.gates={gates}") == f"overrides: {text}"
 
 
 @pytest.mark.parametrize(("override", "message"), REFUSED, ids=[word for word, _ in REFUSED])

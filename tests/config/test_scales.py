@@ -73,6 +73,7 @@ def test_numbers_with_a_unit_become_plain_numbers():
     [
         ("learner.horizon=2 legs", "learner.horizon is 2 legs, allowed: .* leg times"),
         ("learner.discount=-1 leg times", "learner.discount is -1 leg times, .* above 0"),
+        ("learner.horizon=1e308 leg times", "horizon is 1e308 leg times, .* at most 1e\\+09"),
         ("learner.num_envs=3 legs", "learner.num_envs is 3 legs, allowed: .* per leg time"),
         ("reward.gate_edge=3 legs", "gate_edge is 3 legs, allowed: .* per leg or per half gate"),
         ("reward.time=2 per half gate", "time is 2 per half gate, allowed: .* per leg time"),

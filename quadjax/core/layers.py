@@ -8,7 +8,8 @@ from typing import NamedTuple
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import Tree
 
-KEY = re.compile(r"(?:[A-Za-z_]\w*)(?:\.\w+|\[\d+\])+")  # learner.std, track.gates[0].size
+DOTTED = re.compile(r"[A-Za-z_]\w*(?:\.\w+|\[\d+\])+")  # learner.std, track.gates[0].size
+TOP = re.compile(r"(?:unknown key )?([A-Za-z_]\w*)")  # seed, at the start of a message
 
 
 class Layer(NamedTuple):
@@ -52,12 +53,12 @@ def from_layers(layers: list[Layer], path: str) -> Iterator[None]:
 
 
 def _source(layers: list[Layer], text: str) -> str | None:
-    """The last layer that sets the first key in a text, or the section of that key."""
-    match = KEY.search(text.partition(", allowed")[0])
-    if match is None:
+    """The last layer that sets the first key in a text, or the section of a dotted one."""
+    dotted, top = DOTTED.search(text.partition(", allowed")[0]), TOP.match(text)
+    if dotted is None and top is None:
         return None
-    parts = re.findall(r"\w+", match[0])
-    for count in range(len(parts), 1, -1):
+    parts = re.findall(r"\w+", dotted[0]) if dotted else [top[1]]
+    for count in range(len(parts), 1, -1) if dotted else [1]:
         for layer in reversed(layers):
             for root in (layer.tree, layer.tree.get("schedules")):
                 if _has(root, parts[:count]):
