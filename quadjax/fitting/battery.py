@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
+from quadjax.core.errors import InputError
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.lag import LONGEST, SHORTEST
 from quadjax.fitting.signals import first_order
@@ -42,8 +43,13 @@ class Speeds:
 
     @classmethod
     def of(cls, log: FlightLog, hover: float) -> "Speeds":
-        """Those of a log with commands, for a drone that hovers at ``hover`` rpm."""
-        assert log.rpm_command is not None
+        """Those of a log with commands, for a drone that hovers at ``hover`` rpm.
+
+        Raises:
+            InputError: a log without commanded speeds.
+        """
+        if log.rpm_command is None:
+            raise InputError(f"{log.path}: no commanded speeds (logs.columns.rpm_command)")
         load = ((log.rpm / hover) ** 3).mean(axis=1)
         used = np.cumsum(load) / log.sample_rate
         return cls(log.rpm, log.rpm_command, log.sample_rate, load, used)
@@ -66,6 +72,7 @@ class BatteryFit:
         first: rpm at no load at the start of each flight, by its name; empty without a limit.
         last: the same at the end.
         rmse: of the simulated speeds of the flights, rpm.
+        converged: false if the solver stopped at its limit of steps.
     """
 
     tau: float
@@ -74,6 +81,7 @@ class BatteryFit:
     first: dict[str, float] = field(default_factory=dict)
     last: dict[str, float] = field(default_factory=dict)
     rmse: float = 0.0
+    converged: bool = True
 
     def error(self, log: FlightLog, hover: float, highest: float) -> float:
         """Root mean square error, rpm, of the speeds of a flight that was not fitted.
@@ -130,34 +138,38 @@ def fit_battery(
     if not parts:
         return None
 
-    def error(x: np.ndarray) -> np.ndarray:
-        c = x[2] if shown else drain_of(base) / UNIT
-        tops = [UNIT * (a - x[1] * p.load - c * p.used) for a, p in zip(x[3:], own, strict=True)]
-        tau = float(np.exp(x[0]))
-        return np.concatenate([p.error(tau, top) for p, top in zip(own, tops, strict=True)])
+    flights = list(parts.values())
+    has_drain = max(p.used[-1] for p in flights) >= LEAST_USED
 
-    own = list(parts.values())
-    shown = max(p.used[-1] for p in own) >= LEAST_USED
-    first = [(np.percentile(p.rpm, 99.0) / UNIT + 0.1 * np.median(p.load)) for p in own]
-    free = np.array([np.log(START), 0.0, 0.0, *np.full(len(own), np.inf)])
-    tau = _least(lambda x: error(np.array([*x, *free[1:]])), free[:1])
+    def error(x: np.ndarray) -> np.ndarray:
+        c = x[2] if has_drain else drain_of(base) / UNIT
+        tops = [
+            UNIT * (a - x[1] * p.load - c * p.used) for a, p in zip(x[3:], flights, strict=True)
+        ]
+        tau = float(np.exp(x[0]))
+        return np.concatenate([p.error(tau, top) for p, top in zip(flights, tops, strict=True)])
+
+    first = [(np.percentile(p.rpm, 99.0) / UNIT + 0.1 * np.median(p.load)) for p in flights]
+    free = np.array([np.log(START), 0.0, 0.0, *np.full(len(flights), np.inf)])
+    tau, converged = _least(lambda x: error(np.array([*x, *free[1:]])), free[:1])
     without = _rmse(error(np.array([*tau, *free[1:]])))
-    x = _least(error, np.array([np.log(START), 0.1, 0.001, *first]))
+    x, limit_converged = _least(error, np.array([np.log(START), 0.1, 0.001, *first]))
     rmse = _rmse(error(x))
     if rmse > (1.0 - LEAST_GAIN) * without:
-        return BatteryFit(float(np.exp(tau[0])), 0.0, 0.0, rmse=without)
-    sag, drain = UNIT * float(x[1]), UNIT * float(x[2]) if shown else drain_of(base)
+        return BatteryFit(float(np.exp(tau[0])), 0.0, 0.0, rmse=without, converged=converged)
+    sag, drain = UNIT * float(x[1]), UNIT * float(x[2]) if has_drain else drain_of(base)
     begin = {name: UNIT * float(a) for name, a in zip(parts, x[3:], strict=True)}
     end = {name: begin[name] - drain * float(part.used[-1]) for name, part in parts.items()}
-    return BatteryFit(float(np.exp(x[0])), sag, drain, begin, end, rmse)
+    return BatteryFit(float(np.exp(x[0])), sag, drain, begin, end, rmse, limit_converged)
 
 
 def _rmse(error: np.ndarray) -> float:
     return float(np.sqrt((error**2).mean()))
 
 
-def _least(error: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> np.ndarray:
-    """Least squares over the logarithm of tau, and numbers of at least zero."""
+def _least(error: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Least squares over the logarithm of tau and numbers of at least zero; if it converged."""
     low = np.array([np.log(SHORTEST), *np.zeros(len(start) - 1)])
     high = np.array([np.log(LONGEST), *np.full(len(start) - 1, np.inf)])
-    return least_squares(lambda x: error(x).ravel() / UNIT, start, bounds=(low, high)).x
+    found = least_squares(lambda x: error(x).ravel() / UNIT, start, bounds=(low, high))
+    return found.x, bool(found.success)

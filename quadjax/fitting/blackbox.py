@@ -48,7 +48,6 @@ UNITS = {
     "length": "mm",
 }
 MOTOR_RANGE = (158.0, 2048.0)  # DSHOT
-ACCELEROMETER = 2048.0  # counts of 1 g
 HIGH_RESOLUTION = 10.0  # factor of the gyro's columns
 COUNTS = 200.0  # m/s^2, of a median specific force that is in counts
 FLIP = np.array([1.0, -1.0, -1.0])
@@ -73,7 +72,13 @@ def adjust(quantities: Quantities, settings: Mapping[str, str]) -> Quantities:
     result = dict(quantities)
     force = result["acceleration"]
     if np.median(np.linalg.norm(force, axis=1)) > COUNTS:
-        force = force / setting(settings, "acc_1G", ACCELEROMETER)
+        one_g = setting(settings, "acc_1G", 0.0)
+        if not one_g:
+            raise InputError(
+                "the accelerometer is in counts, but the head of the file has no setting acc_1G, "
+                "the counts of 1 g (512, 2048 or 4096): add a row before the header: acc_1G,2048"
+            )
+        force = force / one_g
     if setting(settings, "blackbox_high_resolution", 0.0):
         result["gyro"] = result["gyro"] / HIGH_RESOLUTION
     flip = FLIP if np.median(force[:, 2]) > 0.0 else 1.0

@@ -140,7 +140,7 @@ class SplitConfig(Section):
         "auto", description="auto is flight for two or more flights"
     )
     test_flights: tuple[str, ...] = Field(
-        (), max_length=1000, description="test flights, used only for residual.max_harm"
+        (), max_length=1000, description="not fitted, used only for residual.max_harm"
     )
     test_fraction: float = Field(
         0.3, gt=0.0, lt=0.9, description="by time: the last part of each flight"
@@ -185,7 +185,7 @@ class FitConfig(Section):
     name: FolderName = Field("fit", description="folder of results")
     vehicle: str = Field("bebop1.yaml", description="base vehicle, a file in configs/vehicles")
     seed: int = Field(0, ge=0, le=MAX_SEED, description="of everything random in the fit")
-    figures: bool = Field(True, description="draw figures of the fit")
+    figures: bool = Field(True, description="draw figures, of the models with a residual")
     logs: LogsConfig = LogsConfig()
     body: BodyConfig = BodyConfig()
     prepare: PrepareConfig = PrepareConfig()

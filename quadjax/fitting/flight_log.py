@@ -1,8 +1,9 @@
 """Flight logs: reading, checking, and conversion to one set of units and frames."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,6 +28,10 @@ from quadjax.fitting.log_frames import WORLD, to_standard_frames
 from quadjax.fitting.motor_checks import check_commands, check_motors, typical_speeds
 
 Quantities = dict[str, np.ndarray]
+SIGNALS = (
+    *("time", "rpm", "rpm_command", "rate_command", "thrust_command", "motor_command", "flying"),
+    *("body_velocity", "rates", "specific_force", "position", "attitude"),
+)
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,15 @@ class FlightLog:
     def sample_rate(self) -> float:
         """Samples per second, Hz."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
+
+    def __getitem__(self, rows: slice) -> Self:
+        """The flight at some consecutive samples."""
+        parts = {
+            name: value[rows]
+            for name, value in vars(self).items()
+            if name in SIGNALS and value is not None
+        }
+        return replace(self, **parts)
 
 
 def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
@@ -215,6 +229,12 @@ def _motor_range(
             "allowed: the lowest and the highest command"
         )
     return span[0], span[1]
+
+
+def highest_speed(logs: Sequence[FlightLog]) -> float:
+    """The highest speed of some flights, m/s, to 0.1 m/s."""
+    speeds = [np.linalg.norm(log.body_velocity[log.flying], axis=1).max() for log in logs]
+    return round(float(max(speeds)), 1)
 
 
 def write_log(path: Path | str, columns: Quantities) -> None:

@@ -47,7 +47,7 @@ def fit_nominal(samples: Samples, base: Constants, any_sign: bool = False) -> li
             impossible sign that is small or within its uncertainty of zero.
         any_sign: accept constants of an impossible sign.
     """
-    blocks = _blocks(samples)
+    blocks = half_seconds(samples)
     return [fit_axis(axis, samples, blocks, base, any_sign) for axis in AXES]
 
 
@@ -136,7 +136,7 @@ def r_squared(measured: np.ndarray, modeled: np.ndarray) -> np.ndarray:
     return 1.0 - ((measured - modeled) ** 2).sum(axis=0) / np.maximum(spread, 1e-300)
 
 
-def _blocks(samples: Samples) -> np.ndarray:
+def half_seconds(samples: Samples) -> np.ndarray:
     """Index (n,) of the block of half a second of one flight."""
     label = samples.flight * 1_000_000 + np.floor(samples.time / BLOCK).astype(int)
     return np.unique(label, return_inverse=True)[1]

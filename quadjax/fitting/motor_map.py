@@ -222,6 +222,10 @@ def _solved(
         for name, value, deviation in zip(NAMES, values, deviations, strict=True)
         if np.isfinite(deviation) and deviation > EQUATIONS[RacingConstants].uncertain * abs(value)
     ]
+    if not found.success:
+        uncertain.append(
+            f"motors: the solver stopped after {MOST_STEPS} steps, before it converged"
+        )
     r_squared = 1.0 - float((error**2).sum()) / max(spread, 1e-300)
     if r_squared < EXPLAINED:
         uncertain.append(

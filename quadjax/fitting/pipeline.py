@@ -10,14 +10,15 @@ import numpy as np
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import BodyConfig, FitConfig
-from quadjax.fitting.flight_log import FlightLog, read_logs
+from quadjax.fitting.flight_log import FlightLog, highest_speed, read_logs
 from quadjax.fitting.lag import LagFit, fit_motor_lag
-from quadjax.fitting.least_squares import AxisFit, check_signs, fit_nominal, with_fit
-from quadjax.fitting.nominal import AXES
+from quadjax.fitting.least_squares import AxisFit, check_signs, fit_nominal
+from quadjax.fitting.nominal import AXES, CONSTANTS
 from quadjax.fitting.prediction import (
     Prediction,
     harmful_constants,
     harmless_gains,
+    limited_by_others,
     predict,
     with_gains,
 )
@@ -53,9 +54,10 @@ class FitResult:
     rate: RateFit | None  # the rate-and-thrust model, if the logs have its commands
     fits: dict[LeftOut, ResidualFit]
     training: Prediction  # the final model on its own rows
-    held_out: list[Prediction]  # each by a model that has not seen these rows
-    unlimited: list[Prediction]  # the same before the harm of the residual was limited
-    gains: np.ndarray  # (4,) factors on the residual's outputs that limit its harm
+    held_out: list[Prediction]  # each by a fit without it, with the factors of the others' errors
+    unlimited: list[Prediction]  # the same without factors
+    gains: np.ndarray  # (4,) factors on the written residual's outputs, from all of ``unlimited``
+    harmful: dict[str, str]  # why axes keep the base vehicle's constants
     warnings: list[str]
 
 
@@ -80,15 +82,13 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
     if not config.nominal.any_sign:
         check_signs(axes)
     lag, rate = _fit_lags(config, logs, samples, base)
-    config, kept = _without_harmful_constants(config, samples, split, flights, base)
+    models = _NominalModels(config, samples, split, flights, base.motor)
+    harmful = models.harmful(ALL)
     vehicle = base
     if config.nominal.fit:
-        fitted = with_fit(base.motor, [fit for fit in axes if fit.axis in config.nominal.axes])
-        others = dict(base.others)
-        if rate is not None:
-            others["rate"] = others["rate"] | rate.values
-        vehicle = dataclasses.replace(base, motor=fitted.replace(tau=lag.tau), others=others)
-    fits = _fit_residuals(config, samples, split, base, report)
+        motor = models.without(ALL).replace(tau=lag.tau)
+        vehicle = _fitted_vehicle(base, motor, rate, config, logs)
+    fits = _fit_residuals(config, samples, split, base, models, report)
     held_out = [
         predict(name, samples, rows, fits[left_out])
         for name, rows, left_out in _held_out_rows(samples, split, flights)
@@ -100,10 +100,28 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
         for left_out, fit in fits.items()
     }
     training = predict("training", samples, learned_rows(split.fold, ALL), fits[ALL])
-    limited = [part.scaled(gains) for part in held_out]
-    warnings = _warnings(config, logs, axes, lag, rate) + kept + _limits(held_out, gains)
+    limited = limited_by_others(held_out, config.residual.max_harm, config.residual.min_gain)
+    warnings = _warnings(config, logs, axes, lag, rate) + list(harmful.values())
+    warnings += _limits(held_out, gains)
     data = (config, logs, samples, split, vehicle, axes, lag, rate)
-    return FitResult(*data, fits, training, limited, held_out, gains, warnings)
+    return FitResult(*data, fits, training, limited, held_out, gains, harmful, warnings)
+
+
+def _fitted_vehicle(
+    base: BaseVehicle,
+    motor: MotorConstants,
+    rate: RateFit | None,
+    config: FitConfig,
+    logs: list[FlightLog],
+) -> BaseVehicle:
+    """The base vehicle with fitted constants, and the highest speed of the flights."""
+    others, keys = dict(base.others), dict(base.keys)
+    if rate is not None:
+        others["rate"] = others["rate"] | rate.values
+    if "fitted_speed" in keys:
+        tested = config.split.test_flights
+        keys["fitted_speed"] = highest_speed([log for log in logs if log.name not in tested])
+    return dataclasses.replace(base, motor=motor, others=others, keys=keys)
 
 
 def _read(
@@ -166,37 +184,63 @@ def _with_rpm_range(
     return dataclasses.replace(base, motor=motor)
 
 
-def _without_harmful_constants(
-    config: FitConfig, samples: Samples, split: Split, flights: list[str], base: BaseVehicle
-) -> tuple[FitConfig, list[str]]:
-    """The config with only the axes whose fitted constants suit every held-out flight."""
+class _NominalModels:
+    """Nominal models without some folds, with the base's constants on axes where those are better.
 
-    def fitted(left_out: LeftOut) -> MotorConstants:
-        return nominal_without(samples, split.fold, left_out, base.motor, config.nominal)
+    Whether they are is decided on the folds that are not left out, each by a fit without it, too,
+    and on the test rows.
+    """
 
-    held_out = {
-        name: (rows, fitted(left_out))
-        for name, rows, left_out in _held_out_rows(samples, split, flights)
-        if config.split.leave_one_out or not left_out
-    }
-    harmful = harmful_constants(samples, held_out, base.motor, config.residual.max_harm)
-    axes = tuple(axis for axis in config.nominal.axes if axis not in harmful)
-    return config.replace(nominal=config.nominal.replace(axes=axes)), list(harmful.values())
+    def __init__(
+        self,
+        config: FitConfig,
+        samples: Samples,
+        split: Split,
+        flights: list[str],
+        base: MotorConstants,
+    ) -> None:
+        self.config, self.samples, self.split, self.base = config, samples, split, base
+        self.parts = list(_held_out_rows(samples, split, flights))
+        self._fitted: dict[LeftOut, MotorConstants] = {}
+
+    def _fit(self, left_out: LeftOut) -> MotorConstants:
+        if left_out not in self._fitted:
+            self._fitted[left_out] = nominal_without(
+                self.samples, self.split.fold, left_out, self.base, self.config.nominal
+            )
+        return self._fitted[left_out]
+
+    def harmful(self, left_out: LeftOut) -> dict[str, str]:
+        """A line for each axis on which the base vehicle's constants are kept."""
+        left_out = left_out if self.split.by == "flight" else ALL  # one choice for all blocks
+        parts = {
+            name: (rows, self._fit(left_out | fold))
+            for name, rows, fold in self.parts
+            if not (fold and fold <= left_out) and len(left_out | fold) < self.split.folds
+        }
+        return harmful_constants(self.samples, parts, self.base, self.config.residual.max_harm)
+
+    def without(self, left_out: LeftOut) -> MotorConstants:
+        """The constants fitted without some folds."""
+        names = [name for axis in self.harmful(left_out) for name in CONSTANTS[axis]]
+        return self._fit(left_out).replace(**{name: getattr(self.base, name) for name in names})
 
 
 def _fit_residuals(
-    config: FitConfig, samples: Samples, split: Split, base: BaseVehicle, report: Report
+    config: FitConfig,
+    samples: Samples,
+    split: Split,
+    base: BaseVehicle,
+    models: _NominalModels,
+    report: Report,
 ) -> dict[LeftOut, ResidualFit]:
     leave_one_out = config.split.leave_one_out and split.by == "flight" and split.folds > 1
-    nominal = config.nominal
     if config.residual.fit:
-        return fit_residuals(
-            samples, split, base.motor, config.residual, config.seed, leave_one_out, nominal, report
-        )
+        options = (config.residual, config.seed, leave_one_out, models.without, report)
+        return fit_residuals(samples, split, base.motor, *options)
     zero = zero_residual(base.motor)
     return {
-        s: ResidualFit(nominal_without(samples, split.fold, s, base.motor, nominal), zero, {}, {})
-        for s in outer_sets(split, leave_one_out)
+        s: ResidualFit(models.without(s), zero, {}, {}) for s in outer_sets(split, leave_one_out)
     }
 
 

@@ -84,6 +84,17 @@ def harmless_gains(held_out: list[Prediction], max_harm: float, min_gain: float)
     return np.where(limited & (-change < min_gain), 0.0, gains)
 
 
+def limited_by_others(
+    held_out: list[Prediction], max_harm: float, min_gain: float
+) -> list[Prediction]:
+    """Each prediction with the factors of the other ones; see ``harmless_gains``."""
+    found = []
+    for part in held_out:
+        others = [other for other in held_out if other is not part]
+        found.append(part.scaled(harmless_gains(others, max_harm, min_gain)))
+    return found
+
+
 def harmful_constants(
     samples: Samples,
     held_out: dict[str, tuple[np.ndarray, MotorConstants]],

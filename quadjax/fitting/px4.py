@@ -1,7 +1,8 @@
 """PX4's ULog files, through pyulog (the extra ``px4``).
 
 The topics have their own clocks. Everything is brought to the clock of the body rates: measurements
-by interpolation, commands by their last value.
+by interpolation, commands by their last value. Velocity and position are logged at 10 Hz: between
+their samples the accelerometer is integrated.
 """
 
 import contextlib
@@ -10,11 +11,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
 
 MAX_GAP = 0.05  # s, between samples of a topic
+MAX_STEP = 0.125  # s, the same of velocity and position
+GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s^2
 ORDER = (2, 0, 3, 1)  # motors front-left, front-right, rear-right, rear-left
 
 
@@ -57,6 +62,7 @@ FIELDS = (
 )
 SECOND_CHOICE = _field("vehicle_acceleration", "acceleration", _axes("xyz"))
 HELD = ("actuator_motors",)
+SMOOTH = ("vehicle_local_position",)
 
 
 def read_ulog(path: Path) -> dict[str, np.ndarray]:
@@ -69,7 +75,7 @@ def read_ulog(path: Path) -> dict[str, np.ndarray]:
     check_file(path)
     topics = _topics(path)
     if CLOCK.topic not in topics:
-        raise InputError(f"{path}: no topic {CLOCK.topic}, expected it in the log's profile")
+        raise InputError(f"{path}: no topic {CLOCK.topic} (SDLOG_PROFILE=17 logs it)")
     sources = [field for field in FIELDS if field.topic in topics]
     if "sensor_combined" not in topics and SECOND_CHOICE.topic in topics:
         sources.append(SECOND_CHOICE)
@@ -85,9 +91,35 @@ def read_ulog(path: Path) -> dict[str, np.ndarray]:
     if not len(clock):
         raise InputError(f"{path}: the topics have no time in common")
     columns = {"timestamp": clock - clock[0]}
-    for field, (time, values) in series.items():
-        columns |= dict(zip(field.names, _at(clock, time, values, field).T, strict=True))
+    at_clock = {field.names: _at(clock, *found, field) for field, found in series.items()}
+    _integrate_between(clock, at_clock, {field.names: found for field, found in series.items()})
+    for names, values in at_clock.items():
+        columns |= dict(zip(names, values.T, strict=True))
     return columns
+
+
+def _integrate_between(
+    clock: np.ndarray,
+    at_clock: dict[tuple[str, ...], np.ndarray],
+    series: dict[tuple[str, ...], tuple[np.ndarray, np.ndarray]],
+) -> None:
+    """Replace velocity and position at the clock, us, by integrals between their samples."""
+    attitude, force, velocity, position = (
+        tuple(COLUMNS[name])
+        for name in ("quaternion", "acceleration", "world_velocity", "position")
+    )
+    if not {attitude, force, velocity, position} <= set(at_clock):
+        return
+    quaternion = at_clock[attitude][:, [1, 2, 3, 0]]
+    inside = (series[velocity][0] >= clock[0]) & (series[velocity][0] <= clock[-1])
+    if not quaternion.any(axis=1).all() or not inside.any():
+        return
+    slope = Rotation.from_quat(quaternion).apply(at_clock[force]) + GRAVITY
+    for names in (velocity, position):
+        time, values = series[names]
+        whole = cumulative_trapezoid(slope, 1e-6 * clock, axis=0, initial=0.0)
+        offset = values[inside] - _interpolated(time[inside], clock, whole)
+        slope = at_clock[names] = whole + _interpolated(clock, time[inside], offset)
 
 
 def _topics(path: Path) -> dict[str, dict[str, np.ndarray]]:
@@ -124,11 +156,12 @@ def _series(
         row = int((steps <= 0.0).argmax()) + 1 if len(time) > 1 else 0
         raise InputError(f"{path}: topic {field.topic}, sample {row}: time does not increase")
     usual, longest = float(np.median(steps)), float(steps.max())
-    most = MAX_GAP if usual > MAX_GAP else max(MAX_GAP, 2.5 * usual)
+    step = MAX_STEP if field.topic in SMOOTH else MAX_GAP
+    most = step if usual > step else max(step, 2.5 * usual)
     if longest > most:
         raise InputError(
             f"{path}: topic {field.topic}, sample {steps.argmax() + 1}: a gap of {longest:.3g} s "
-            f"among samples {usual:.3g} s apart, allowed: {most:.3g} s (SDLOG_PROFILE: high rate)"
+            f"among samples {usual:.3g} s apart, allowed: {most:.3g} s (SDLOG_PROFILE=17)"
         )
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
@@ -151,4 +184,9 @@ def _at(clock: np.ndarray, time: np.ndarray, values: np.ndarray, field: Field) -
         values = np.concatenate(
             [values[:1], values[1:] * np.cumprod(np.where(turned, -1, 1))[:, None]]
         )
-    return np.stack([np.interp(clock, time, column) for column in values.T], axis=1)
+    return _interpolated(clock, time, values)
+
+
+def _interpolated(at: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (m, k) at times (m,) from those (n, k) at times (n,)."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)

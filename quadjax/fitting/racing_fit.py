@@ -1,23 +1,26 @@
 """The model of a racing quadcopter (``quadjax.vehicle.racing``) from flight logs."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.core.yaml_files import find_file, read_yaml
-from quadjax.fitting.config import FitConfig
-from quadjax.fitting.flight_log import FlightLog, read_logs
+from quadjax.core.yaml_files import Tree
+from quadjax.fitting.config import FitConfig, ResidualConfig
+from quadjax.fitting.flight_log import FlightLog, highest_speed, read_logs
 from quadjax.fitting.least_squares import AxisFit, check_signs, fit_nominal, r_squared, with_fit
 from quadjax.fitting.motor_map import RPM, MotorFit, fit_motors, with_simulated_speeds
 from quadjax.fitting.nominal import AXES, EQUATIONS
-from quadjax.fitting.prepare import Samples, prepare
+from quadjax.fitting.prepare import Samples, airborne, prepare
+from quadjax.fitting.split import GUARD, flight_groups
 from quadjax.fitting.tasks import nominal_error
+from quadjax.fitting.vehicle_file import kept_keys, number, vehicle_tree
 from quadjax.vehicle.racing import RacingConstants
-from quadjax.vehicle.vehicle_file import vehicle_values
+from quadjax.vehicle.vehicle_file import for_each_rotor
 
 Report = Callable[[str], None]
 MODEL = "racing"
@@ -27,7 +30,7 @@ MODEL = "racing"
 class HeldOut:
     """What a fit without some rows predicts of them; six numbers, as ``AXES``."""
 
-    name: str
+    name: str  # of the flight
     rmse: np.ndarray
     r_squared: np.ndarray
 
@@ -38,7 +41,8 @@ class RacingFit:
 
     config: FitConfig
     logs: list[FlightLog]
-    samples: Samples
+    by: str  # flight, time: what is held out
+    keys: Tree  # of the vehicle file, without constants
     constants: RacingConstants
     axes: list[AxisFit]
     motors: MotorFit
@@ -52,18 +56,13 @@ def read_racing_vehicle(name: str, folder: Path = Path()) -> RacingConstants | N
     Raises:
         InputError: a missing file or constant, or a value that is not a number.
     """
-    path = find_file(name, folder, "vehicles")
-    tree = read_yaml(path)
-    if tree.get("model") != MODEL:
+    path, values = vehicle_tree(name, folder)
+    if values.get("model") != MODEL:
         return None
-    values = vehicle_values(path, tree)["models"].get(MODEL, {})
-    found = {}
-    for field in dataclasses.fields(RacingConstants):
-        value = values.get(field.name, values.get(field.name.rstrip("1234")))
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise InputError(f"{path}: {MODEL}.{field.name} is {value!r}, expected a finite number")
-        found[field.name] = float(value)
-    return RacingConstants(**found)
+    constants = values["models"].get(MODEL, {})
+    names = [field.name for field in dataclasses.fields(RacingConstants)]
+    constants = for_each_rotor(constants, names)
+    return RacingConstants(**{name: number(path, constants, name, f"{MODEL}.") for name in names})
 
 
 def run_racing_fit(
@@ -72,29 +71,41 @@ def run_racing_fit(
     """Fit the constants of the motors, then those of forces and moments.
 
     Args:
-        config: of the fit; body.inertia and residual are not used.
+        config: of the fit.
         folder: of the config file, in which named files are looked up as well.
         base: values of constants that the logs do not determine.
         report: called with the progress.
 
     Raises:
-        InputError: bad logs or a bad config, in one line.
+        InputError: bad logs, a bad config, or a key of it that has no effect, in one line.
     """
+    _check_keys(config)
+    keys = kept_keys(*vehicle_tree(config.vehicle, folder)) | {"model": MODEL}
     if config.body.rpm_range is not None:
         low, high = (value / RPM for value in config.body.rpm_range)
         base = base.replace(w_min=low, w_max=high)
     report("reading the logs")
     logs = read_logs(config.logs, folder)
-    report("fitting the motors")
-    motors = fit_motors(logs, base, config.prepare)
-    logs = [with_simulated_speeds(log, motors.values) for log in logs]
-    report("fitting forces and moments")
-    samples = prepare(logs, base, config.prepare, config.logs.min_seconds)
-    axes = fit_nominal(samples, with_common(samples, base), config.nominal.any_sign)
+    by, groups = flight_groups([log.name for log in logs], config.split)
+    learned = [log for log in logs if log.name not in config.split.test_flights]
+    report("fitting motors, forces and moments")
+    motors, axes, constants = _fit(learned, base, config, config.logs.min_seconds)
     if not config.nominal.any_sign:
         check_signs(axes)
-    kept = [fit for fit in axes if fit.axis in config.nominal.axes]
-    constants = with_fit(base, kept).replace(**motors.constants)
+    if "fitted_speed" in keys:
+        keys["fitted_speed"] = highest_speed(learned)
+    report("fitting without the held-out flights")
+    held_out = []
+    if by == "time":
+        first, last = zip(*(_cut(log, config) for log in learned), strict=True)
+        held_out = _predicted(last, *_fit(first, base, config)[::2], config)
+    elif config.split.leave_one_out:
+        for group in groups:
+            others = [logs[index] for other in groups if other is not group for index in other]
+            fit = _fit(others, base, config)
+            held_out += _predicted([logs[index] for index in group], *fit[::2], config)
+    tested = [log for log in logs if log.name in config.split.test_flights]
+    held_out += _predicted(tested, motors, constants, config)
     warnings = [*motors.warnings, *(line for fit in axes for line in fit.warnings)]
     warnings += [
         f"{log.name}: row {log.cut_row} is left out: it may be cut" for log in logs if log.cut_row
@@ -105,8 +116,64 @@ def run_racing_fit(
         for log in logs
         if log.unchecked
     ]
-    held_out = list(_held_out(config, logs, samples, base))
-    return RacingFit(config, logs, samples, constants, axes, motors, held_out, warnings)
+    return RacingFit(config, logs, by, keys, constants, axes, motors, held_out, warnings)
+
+
+def _check_keys(config: FitConfig) -> None:
+    """Refuse keys without effect on this model."""
+    reasons = dict.fromkeys(
+        (f"residual.{name}" for name in ResidualConfig.model_fields if name != "fit"),
+        "this model has no residual",
+    )
+    reasons["seed"] = "nothing in the fit of this model is random"
+    reasons["nominal.fit"] = "this model has no residual, so nothing would be fitted"
+    reasons["body.inertia"] = "the constants of this model are per inertia"
+    if config.split.by == "time":
+        reasons |= dict.fromkeys(
+            ("split.folds", "split.leave_one_out"), "split.by=time holds out the last parts alone"
+        )
+    default = FitConfig()
+    for key, reason in reasons.items():
+        value, usual = (attrgetter(key)(section) for section in (config, default))
+        if value != usual:
+            raise InputError(
+                f"{key} is {value!r}, which has no effect on a vehicle of the model {MODEL}: "
+                f"{reason}; allowed: {usual!r}"
+            )
+
+
+def _fit(
+    logs: Sequence[FlightLog], base: RacingConstants, config: FitConfig, min_seconds: float = 0.0
+) -> tuple[MotorFit, list[AxisFit], RacingConstants]:
+    """Motors, the axes that are fitted, and all constants, from some flights alone."""
+    motors = fit_motors(logs, base, config.prepare)
+    simulated = [with_simulated_speeds(log, motors.values) for log in logs]
+    samples = prepare(simulated, base, config.prepare, min_seconds)
+    fits = fit_nominal(samples, with_common(samples, base), config.nominal.any_sign)
+    axes = [fit for fit in fits if fit.axis in config.nominal.axes]
+    return motors, axes, with_fit(base, axes).replace(**motors.constants)
+
+
+def _cut(log: FlightLog, config: FitConfig) -> tuple[FlightLog, FlightLog]:
+    """The first part of a flight, ``GUARD`` before its last part, and the flight in that alone."""
+    rows = np.flatnonzero(airborne(log, config.prepare))
+    start = log.time[rows[int((1.0 - config.split.test_fraction) * len(rows))]]
+    first = log[: int(np.searchsorted(log.time, start - GUARD))]
+    return first, dataclasses.replace(log, flying=log.flying & (log.time >= start))
+
+
+def _predicted(
+    logs: Sequence[FlightLog], motors: MotorFit, constants: RacingConstants, config: FitConfig
+) -> list[HeldOut]:
+    """What a fit without some flights predicts of them."""
+    found = []
+    for log in logs:
+        simulated = with_simulated_speeds(log, motors.values)
+        samples = prepare([simulated], constants, config.prepare, 0.0)
+        error = nominal_error(samples, constants)
+        rmse = np.sqrt((error**2).mean(axis=0))
+        found.append(HeldOut(log.name, rmse, r_squared(samples.measured, samples.measured - error)))
+    return found
 
 
 def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
@@ -136,27 +203,3 @@ def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
             if value > 0.0:
                 found |= {f"{stem}{rotor}": float(value) for rotor in (1, 2, 3, 4)}
     return base.replace(**found)
-
-
-def _held_out(
-    config: FitConfig, logs: list[FlightLog], samples: Samples, base: RacingConstants
-) -> list[HeldOut]:
-    """Each flight by a fit without it; the last part of the only flight, or of each by time."""
-    parts = {log.name: samples.flight == index for index, log in enumerate(logs)}
-    if len(logs) == 1 or config.split.by == "time":
-        last = np.zeros(len(samples), bool)
-        for rows in parts.values():
-            own = np.flatnonzero(rows)
-            last[own[int((1.0 - config.split.test_fraction) * len(own)) :]] = True
-        parts = {"last part": last}
-    found = []
-    for name, rows in parts.items():
-        known = samples[~rows]
-        start = with_common(known, base)
-        constants = with_fit(start, fit_nominal(known, start, config.nominal.any_sign))
-        own = samples[rows]
-        error = nominal_error(own, constants)
-        modeled = own.measured - error
-        rmse = np.sqrt((error**2).mean(axis=0))
-        found.append(HeldOut(name, rmse, r_squared(own.measured, modeled)))
-    return found

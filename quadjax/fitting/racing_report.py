@@ -9,8 +9,11 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.fitting.motor_map import NAMES
-from quadjax.fitting.nominal import AXES
+from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.racing_fit import MODEL, RacingFit
+from quadjax.fitting.report import NONE_HELD_OUT
+from quadjax.fitting.vehicle_file import head_lines
+from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.vehicle_file import ROTORS, TURNING
 
 FILES = ("config.yaml", "vehicle.yaml", "report.json", "report.txt")
@@ -30,8 +33,15 @@ def racing_tables(result: RacingFit) -> str:
         lines.append(f"{head:6}{name:>9}{value:13.5g}{error:12.2g}{relative:>8}{quality}")
         shown.add(axis)
     lines += [f"warning: {line}" for line in result.warnings]
+    if not result.held_out:
+        return "\n".join([*lines, "", NONE_HELD_OUT]) + "\n"
     width = max(len(part.name) for part in result.held_out) + 2
-    lines += ["", "held out: R^2 by a fit without it", " " * width + _row(AXES, ">8")]
+    what = "last part of each flight" if result.by == "time" else "flight"
+    lines += [
+        "",
+        f"held out: R^2 of each {what} by a fit without it",
+        " " * width + _row(AXES, ">8"),
+    ]
     lines += [f"{part.name:{width}}{_row(part.r_squared, '8.3f')}" for part in result.held_out]
     return "\n".join(lines) + "\n"
 
@@ -95,19 +105,14 @@ def _note(error: float) -> str:
 
 
 def _vehicle_file(result: RacingFit) -> str:
-    fitted = ("motors", *result.config.nominal.axes)
-    notes = {
-        name: _note(error) if axis in fitted else "the base vehicle's"
-        for name, axis, _, error in _constants(result)
-    }
-    quoted = result.config.body.name.replace("'", "''")
-    mass = result.config.body.mass
+    linear = EQUATIONS[RacingConstants].constants.values()
+    notes = dict.fromkeys((name for names in linear for name in names), "the base vehicle's")
+    notes |= {name: _note(error) for name, _, _, error in _constants(result)}
+    body, tested = result.config.body, result.config.split.test_flights
+    flights = ", ".join(log.name for log in result.logs if log.name not in tested)
+    source = f"Fitted on {flights}\nby quadjax fit; see report.txt in this folder."
     lines = [
-        f"# Fitted on {', '.join(log.name for log in result.logs)}",
-        "# by quadjax fit; see report.txt in this folder.",
-        f"name: '{quoted}'",
-        *([f"mass: {mass!r}"] if mass is not None else []),
-        f"model: {MODEL}",
+        *head_lines(body.name, body.mass, result.keys, source),
         f"rotors: [{', '.join(ROTORS)}]",
         f"{MODEL}:",
     ]

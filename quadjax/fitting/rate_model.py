@@ -12,7 +12,7 @@ import numpy as np
 
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.fitting.lag import LagFit, fit_lag, followed
-from quadjax.fitting.least_squares import BLOCK
+from quadjax.fitting.least_squares import half_seconds, r_squared
 from quadjax.fitting.nominal import AXES
 from quadjax.fitting.prepare import Samples
 
@@ -33,7 +33,7 @@ class RateFit:
 def fit_rate_model(
     logs: list[FlightLog],
     flying: list[np.ndarray],
-    known: list[int],
+    training: list[int],
     samples: Samples,
     base: dict[str, float],
 ) -> RateFit | None:
@@ -42,13 +42,13 @@ def fit_rate_model(
     Args:
         logs: the flights.
         flying: rows of each in flight, (n,) bool.
-        known: indices of the flights that are used.
+        training: indices of the flights that are used.
         samples: prepared rows of the flights, in the same order.
         base: the base vehicle's constants.
     """
     usable = [
         index
-        for index in known
+        for index in training
         if logs[index].rate_command is not None and logs[index].thrust_command is not None
     ]
     if not usable:
@@ -63,10 +63,10 @@ def fit_rate_model(
         values[name], errors[name], explained[name] = _drag(samples[rows], axis)
     warnings = []
     for name, lag in lags.items():
-        known = lag.r_squared > LEAST_EXPLAINED and np.isfinite(lag.standard_error)
-        values[name] = lag.tau if known else base[name]
+        explains = lag.r_squared > LEAST_EXPLAINED and np.isfinite(lag.standard_error)
+        values[name] = lag.tau if explains else base[name]
         errors[name], explained[name] = lag.standard_error, lag.r_squared
-        if known or not np.isfinite(lag.standard_error):
+        if explains or not np.isfinite(lag.standard_error):
             warnings += [lag.warning] if lag.warning else []
         else:
             warnings.append(
@@ -103,13 +103,11 @@ def _thrust_lag(
 
 
 def _drag(samples: Samples, axis: str) -> tuple[float, float, float]:
-    """Drag constant, 1/s, its cluster-robust standard error, and R^2."""
+    """Drag constant, 1/s, its cluster-robust standard error, and R^2 about the mean force."""
     column = AXES.index(axis)
     v, f = samples.motion.body_velocity[:, column], samples.measured[:, column]
     square = float(v @ v)
     drag = -float(v @ f) / square
-    left = f + drag * v
-    edges = np.arange(0, len(v), max(1, int(BLOCK * samples.sample_rate)))
-    scores = np.add.reduceat(left * v, edges)
+    scores = np.bincount(half_seconds(samples), (f + drag * v) * v)
     error = float(np.sqrt((scores**2).sum())) / square
-    return drag, error, float(1.0 - (left @ left) / ((f - f.mean()) ** 2).sum())
+    return drag, error, float(r_squared(f, -drag * v))

@@ -13,6 +13,7 @@ from quadjax.fitting.nominal import AXES, UNITS
 from quadjax.fitting.pipeline import FitResult
 from quadjax.fitting.prediction import Prediction, pooled
 from quadjax.fitting.residual_fit import ALL
+from quadjax.fitting.split import TEST
 from quadjax.fitting.vehicle_file import write_vehicle
 from quadjax.vehicle.constants import MotorConstants, constant_names
 from quadjax.vehicle.residual_file import write_residual
@@ -20,6 +21,7 @@ from quadjax.vehicle.residual_file import write_residual
 RESIDUAL_AXES = AXES[2:]
 FILES = ("config.yaml", "vehicle.yaml", "residual.npz", "report.json", "report.txt")
 FIGURES = ("held_out_*.png", "training_*.png", "errors.png")  # see ``figures.write_figures``
+NONE_HELD_OUT = "held out: none (split.leave_one_out is off, split.test_flights is empty)"
 PATTERNS = (*FILES, *FIGURES)  # of all files that a fit writes
 
 
@@ -28,10 +30,18 @@ def tables(result: FitResult) -> str:
     parts = [_nominal_table(result), _change_table("training", result.training)]
     if result.held_out:
         parts += [_change_table("held out", pooled(result.held_out)), _by_flight(result.held_out)]
+        if result.harmful and (result.split.fold == TEST).any():
+            axes = ", ".join(result.harmful)
+            parts.append(
+                f"the base vehicle's constants of {axes} were chosen on the test rows, too"
+            )
         if (result.gains < 1.0).any():
-            parts.append(_by_flight(result.unlimited, ", without residual.max_harm"))
+            written = [part.scaled(result.gains) for part in result.unlimited]
+            parts.append(
+                _by_flight(written, ", scaled as written: by factors chosen on these flights")
+            )
     else:
-        parts.append("held out: none (split.leave_one_out is off, split.test_flights is empty)")
+        parts.append(NONE_HELD_OUT)
     if result.fits[ALL].choices:
         parts.append(_choices(result))
     return "\n\n".join(parts) + "\n"
@@ -40,13 +50,14 @@ def tables(result: FitResult) -> str:
 def write_results(result: FitResult, folder: Path) -> list[Path]:
     """Write config, vehicle, residual and report to a folder; return the paths."""
     config, vehicle, residual, numbers, text = paths = [folder / name for name in FILES]
-    flights, fit = [log.name for log in result.logs], result.fits[ALL]
+    tested, fit = result.config.split.test_flights, result.fits[ALL]
     write_text(config, to_yaml(result.config.model_dump()))
-    source = f"Fitted on {', '.join(flights)}\nby quadjax fit; see report.txt in this folder."
+    fitted = [log.name for log in result.logs if log.name not in tested]
+    source = f"Fitted on {', '.join(fitted)}\nby quadjax fit; see report.txt in this folder."
     write_vehicle(vehicle, result.vehicle, _notes(result), source)
     fitted_on = {
         "fit": result.config.name,
-        "flights": flights,
+        "flights": fitted,
         "rejected": {axis: c.rejected for axis, c in fit.choices.items() if c.rejected},
         "constants": {
             name: float(getattr(fit.constants, name)) for name in constant_names(MotorConstants)
@@ -129,7 +140,7 @@ def _notes(result: FitResult) -> dict[str, dict[str, str]]:
     """A comment for every fitted constant of the vehicle file, by model."""
     if not result.config.nominal.fit:
         return {}
-    fitted = ("", *result.config.nominal.axes)  # tau has no axis
+    fitted = {"", *result.config.nominal.axes} - set(result.harmful)  # tau has no axis
     motor = {
         name: f"+- {error:.2g}" if axis in fitted and np.isfinite(error) else "the base vehicle's"
         for name, axis, _, error in _fitted(result)
@@ -159,6 +170,10 @@ def _nominal_table(result: FitResult) -> str:
         relative = _percent(100.0 * error / max(abs(value), 1e-300))
         lines.append(f"{'':5}{name:>10}{value:14.5g}{error:12.2g}{relative:>8}{'':11}{r2:8.3f}")
     return "\n".join(lines + [f"warning: {line}" for line in result.warnings])
+
+
+def _spread(value: float) -> str:
+    return f"{100 * value:.1f}%" if np.isfinite(value) else "-"
 
 
 def _percent(value: float) -> str:
@@ -206,9 +221,15 @@ def _choices(result: FitResult) -> str:
         gains = " ".join(f"{100 * gain:+.1f}%" for gain in c.gains)
         lines.append(
             f"{axis:5}{'yes' if c.mirror else 'no':>8}{c.epoch + 1:8d}{c.scale:7.2f}"
-            f"{100 * c.gain:7.1f}%{100 * c.seed_spread:9.1f}%{c.agreement:11.2f}"
+            f"{100 * c.gain:7.1f}%{_spread(c.seed_spread):>10}{c.agreement:11.2f}"
             f"{fit.distilled[axis]:11.3f}  {gains}"
         )
+    lines += [
+        "agreement: mean square of the ensemble's mean over that of its networks, 1 is the same",
+        "distilled: R^2 of the written network to the ensemble",
+    ]
+    if result.config.residual.seeds == 1:
+        lines.append("residual.seeds is 1: gains are not compared with the spread between seeds")
     for axis, c in fit.choices.items():
         if c.rejected:
             lines.append(f"rejected: {axis}: {c.rejected}; written as zero")

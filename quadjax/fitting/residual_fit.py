@@ -57,7 +57,7 @@ def fit_residuals(
     config: ResidualConfig,
     seed: int,
     leave_one_out: bool,
-    nominal: NominalConfig | None = None,
+    constants_without: Callable[[LeftOut], MotorConstants] | None = None,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[LeftOut, ResidualFit]:
     """Fit both networks on all folds and, if wanted, once more without each fold.
@@ -69,7 +69,7 @@ def fit_residuals(
         config: of the training.
         seed: of everything random.
         leave_one_out: repeat the fit, selection included, without each fold.
-        nominal: of the nominal model, which is fitted to the same rows each time.
+        constants_without: nominal model of the rows without some folds; None fits every axis.
         report: called with the progress.
 
     Returns:
@@ -82,7 +82,9 @@ def fit_residuals(
     if len(outer) > 1 and split.folds > 2:
         left_outs += [frozenset(pair) for pair in combinations(range(split.folds), 2)]
     constants = {
-        s: nominal_without(samples, split.fold, s, base, nominal or NominalConfig())
+        s: constants_without(s)
+        if constants_without
+        else nominal_without(samples, split.fold, s, base, NominalConfig())
         for s in left_outs
     }
 

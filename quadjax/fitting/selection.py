@@ -9,9 +9,9 @@ the ensemble's mean, relative to nominal alone, the scale ``s`` in [0, 1] minimi
     mean_u ratio_u(s) + caution * max(0, max_u ratio_u(s) - 1)
 
 so the worst fold counts twice where the residual increases its error, and no fold's error may
-increase by more than ``max_harm``. The gain ``1 - mean_u
-ratio_u`` of the choice must exceed a minimum and its standard deviation over the seeds; a smaller
-gain is not significant. Otherwise the axis is rejected and its output is zero.
+increase by more than ``max_harm``. The gain ``1 - mean_u ratio_u`` of the choice must exceed a
+minimum and, with two or more seeds, its standard deviation between the seeds. Otherwise the axis is
+rejected and its output is zero.
 """
 
 from dataclasses import dataclass, replace
@@ -48,7 +48,7 @@ class Selection:
     scale: float  # zero if rejected
     gains: tuple[float, ...]  # per held-out fold, before any rejection
     gain: float  # their mean
-    seed_spread: float  # standard deviation of the mean gain over seeds
+    seed_spread: float  # standard deviation of the mean gain over seeds; nan for one seed
     agreement: float  # mean square of the mean output over mean square output
     rejected: str | None  # reason
 
@@ -106,7 +106,7 @@ def select(
         options = [
             _best(axis, column, mirror, scores, config) for mirror, scores in candidates.items()
         ]
-        choices.append(min(options, key=lambda option: option[0])[1])
+        choices.append(min(options, key=lambda option: (bool(option[1].rejected), option[0]))[1])
     return choices
 
 
@@ -146,7 +146,7 @@ def _best(
         scale=scale,
         gains=tuple(float(gain) for gain in gains),
         gain=float(gains.mean()),
-        seed_spread=float(seed_gains.std(ddof=1)) if len(seed_gains) > 1 else 0.0,
+        seed_spread=float(seed_gains.std(ddof=1)) if len(seed_gains) > 1 else float("nan"),
         agreement=float((square[:, epoch] / np.maximum(seed_square.mean(1), 1e-30)).mean()),
         rejected=None,
     )
@@ -154,7 +154,7 @@ def _best(
 
 
 def _reject(choice: Selection, config: ResidualConfig) -> Selection:
-    """The choice, rejected if it is not significantly better than the nominal model."""
+    """The choice, rejected if it is not clearly better than the nominal model."""
     reason = None
     if choice.scale == 0.0 or choice.gain <= 0.0:
         reason = "no better than the nominal model on held-out data"
@@ -162,8 +162,8 @@ def _reject(choice: Selection, config: ResidualConfig) -> Selection:
         reason = f"a gain of {100 * choice.gain:.1f}% on held-out data is below residual.min_gain"
     elif choice.gain < choice.seed_spread:
         reason = (
-            f"a gain of {100 * choice.gain:.1f}% on held-out data is not significant: "
-            f"+- {100 * choice.seed_spread:.1f}% between seeds"
+            f"a gain of {100 * choice.gain:.1f}% on held-out data is below its standard deviation "
+            f"between seeds of the training, {100 * choice.seed_spread:.1f}%"
         )
     if reason is None:
         return choice

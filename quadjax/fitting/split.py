@@ -43,29 +43,37 @@ def make_split(samples: Samples, flights: list[str], config: SplitConfig) -> Spl
     Raises:
         InputError: an unknown test flight, or too few flights.
     """
-    _check(flights, config)
-    test = np.isin(samples.flight, [flights.index(name) for name in config.test_flights])
-    learned = [index for index, name in enumerate(flights) if name not in config.test_flights]
-    by = config.by if config.by != "auto" else ("flight" if len(learned) > 1 else "time")
+    by, groups = flight_groups(flights, config)
     fold = np.full(len(samples), TEST)
     if by == "time":
         names = tuple(f"block {index + 1}" for index in range(max(2, min(4, config.folds))))
-        for flight in learned:
+        for flight in groups[0]:
             rows = np.flatnonzero(samples.flight == flight)
             fold[rows] = _blocks(samples.time[rows], len(names), config.test_fraction)
     else:
-        if len(learned) < 2:
-            raise InputError(
-                f"split.by is 'flight' with {len(learned)} training flight, expected at least 2; "
-                "add flights or set split.by=time"
-            )
-        count = min(config.folds, len(learned))
-        groups = [learned[index::count] for index in range(count)]
         names = tuple("+".join(flights[index] for index in group) for group in groups)
         for number, group in enumerate(groups):
             fold[np.isin(samples.flight, group)] = number
-    fold[test] = TEST
     return Split(by, fold, names)
+
+
+def flight_groups(flights: list[str], config: SplitConfig) -> tuple[str, list[list[int]]]:
+    """``flight`` or ``time``, and the indices of the training flights: of each fold, or all.
+
+    Raises:
+        InputError: an unknown test flight, or too few flights.
+    """
+    _check(flights, config)
+    learned = [index for index, name in enumerate(flights) if name not in config.test_flights]
+    if config.by == "time" or (config.by == "auto" and len(learned) < 2):
+        return "time", [learned]
+    if len(learned) < 2:
+        raise InputError(
+            f"split.by is 'flight' with {len(learned)} training flight, expected at least 2; "
+            "add flights or set split.by=time"
+        )
+    count = min(config.folds, len(learned))
+    return "flight", [learned[index::count] for index in range(count)]
 
 
 def _blocks(time: np.ndarray, count: int, test_fraction: float) -> np.ndarray:

@@ -1,19 +1,24 @@
 """The vehicle file as base and result of a fit.
 
 Keys as in ``configs/vehicles/*.yaml``: ``name``, ``mass`` (optional), ``motor`` (constants of the
-motor-level model), and constants of other models, which a fit copies.
+motor-level model), and ``KEPT`` and constants of other models, which a fit copies.
 """
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
-from quadjax.core.yaml_files import find_file, read_yaml
+from quadjax.core.yaml_files import Tree, find_file, read_tree_with_bases, to_yaml
 from quadjax.fitting.config import BodyConfig
 from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.vehicle_file import vehicle_values
+
+KEPT = ("width", "fitted_speed", "model")
+MOTOR = constant_names(MotorConstants)
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,29 @@ class BaseVehicle:
     mass: float | None  # kg
     motor: MotorConstants
     others: dict[str, dict[str, float]]  # constants of other models
+    keys: Tree = field(default_factory=dict)  # those of KEPT that the file has
+
+
+def vehicle_tree(name: str, folder: Path = Path()) -> tuple[Path, Tree]:
+    """A vehicle file, found relative to ``folder`` or in ``configs/vehicles``, and its values.
+
+    Raises:
+        InputError: a missing file, or a value of the wrong kind.
+    """
+    path = find_file(name, folder, "vehicles")
+    tree = read_tree_with_bases(path)
+    mass = {"mass": tree["mass"]} if tree.get("mass") is not None else {}
+    return path, vehicle_values(path, tree) | mass
+
+
+def kept_keys(path: Path, values: Tree) -> Tree:
+    """The keys ``KEPT`` of a vehicle file.
+
+    Raises:
+        InputError: a value of the wrong kind.
+    """
+    found = {key: number(path, values, key) for key in KEPT[:2] if values.get(key) is not None}
+    return found | ({"model": str(values["model"])} if "model" in values else {})
 
 
 def read_vehicle(name: str, folder: Path = Path()) -> BaseVehicle:
@@ -32,27 +60,30 @@ def read_vehicle(name: str, folder: Path = Path()) -> BaseVehicle:
     Raises:
         InputError: a missing file or key, or a value that is not a finite number.
     """
-    path = find_file(name, folder, "vehicles")
-    tree = read_yaml(path)
-    if not isinstance(tree.get("motor"), dict):
+    path, values = vehicle_tree(name, folder)
+    models = values["models"]
+    if "motor" not in models:
         raise InputError(f"{path}: motor is missing, expected a mapping of constants")
-    motor = {key: _number(path, "motor", tree, key) for key in constant_names(MotorConstants)}
+    motor = {key: number(path, models["motor"], key, "motor.") for key in MOTOR}
     others = {
-        model: {key: _number(path, model, tree, key) for key in constants}
-        for model, constants in tree.items()
-        if isinstance(constants, dict) and model != "motor"
+        model: {key: number(path, constants, key, f"{model}.") for key in constants}
+        for model, constants in models.items()
+        if model != "motor"
     }
-    mass = _number(path, "", {"": tree}, "mass") if tree.get("mass") is not None else None
-    return BaseVehicle(str(tree.get("name", path.stem)), mass, MotorConstants(**motor), others)
+    mass = number(path, values, "mass") if "mass" in values else None
+    keys = kept_keys(path, values)
+    return BaseVehicle(str(values["name"]), mass, MotorConstants(**motor), others, keys)
 
 
 def with_body(base: BaseVehicle, body: BodyConfig) -> BaseVehicle:
     """The base vehicle with the config's name, mass, inertia and rpm range.
 
+    Mass and width of the base vehicle are those of a drone with its inertia.
+
     Raises:
         InputError: no inertia.
     """
-    motor, mass = base.motor, body.mass
+    motor, mass, keys = base.motor, body.mass, dict(base.keys)
     if body.inertia is None:
         raise InputError(
             "body.inertia is null; logs do not determine it, and all moments are proportional to "
@@ -61,10 +92,11 @@ def with_body(base: BaseVehicle, body: BodyConfig) -> BaseVehicle:
     if body.inertia == "base":
         mass = base.mass if mass is None else mass
     else:
+        keys.pop("width", None)
         motor = motor.replace(**dict(zip(("i_xx", "i_yy", "i_zz"), body.inertia, strict=True)))
     if body.rpm_range is not None:
         motor = motor.replace(rpm_min=body.rpm_range[0], rpm_max=body.rpm_range[1])
-    return dataclasses.replace(base, name=body.name, mass=mass, motor=motor)
+    return dataclasses.replace(base, name=body.name, mass=mass, motor=motor, keys=keys)
 
 
 def write_vehicle(
@@ -78,11 +110,9 @@ def write_vehicle(
         notes: by model and constant, such as its standard error.
         source: comment at the head of the file.
     """
-    quoted = vehicle.name.replace("'", "''")
-    lines = [f"# {line}" for line in source.splitlines()] + [f"name: '{quoted}'"]
-    lines += [f"mass: {vehicle.mass!r}"] if vehicle.mass is not None else []
+    lines = head_lines(vehicle.name, vehicle.mass, vehicle.keys, source)
     lines.append("motor:")
-    for name in constant_names(MotorConstants):
+    for name in MOTOR:
         value = float(getattr(vehicle.motor, name))
         lines.append(_constant_line(name, value, notes.get("motor", {})))
     for model, constants in vehicle.others.items():
@@ -92,15 +122,29 @@ def write_vehicle(
     write_text(path, "\n".join(lines) + "\n")
 
 
+def head_lines(name: str, mass: float | None, keys: Tree, source: str) -> list[str]:
+    """The lines of a vehicle file before its constants."""
+    values = {"name": name, **({} if mass is None else {"mass": mass}), **keys}
+    return [*(f"# {line}" for line in source.splitlines()), *to_yaml(values).splitlines()]
+
+
 def _constant_line(name: str, value: float, notes: dict[str, str]) -> str:
     return f"  {name}: {value!r}" + (f"  # {notes[name]}" if name in notes else "")
 
 
-def _number(path: Path, section: str, tree: dict, name: str) -> float:
-    value = tree[section].get(name)
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not math.isfinite(value):
-        raise InputError(
-            f"{path}: {f'{section}.{name}'.lstrip('.')} is {value!r}, expected a finite number"
-        )
+def number(path: Path, values: Mapping[str, object], name: str, section: str = "") -> float:
+    """A finite number of a vehicle file.
+
+    Args:
+        path: of the file, for messages.
+        values: numbers by name.
+        name: of the number.
+        section: before the name in messages.
+
+    Raises:
+        InputError: no such number.
+    """
+    value = values.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{path}: {section}{name} is {value!r}, expected a finite number")
     return float(value)

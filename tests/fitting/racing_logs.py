@@ -179,20 +179,24 @@ def write_tii(path, columns):
 
 
 def ulog_topics(flight):
-    """Topics by name: rate, Hz, and fields (n, ..) of single precision."""
+    """Topics by name: rate, Hz, and fields (n, ..) of single precision.
+
+    Rates of PX4's profiles "default" and "high rate" together: the position every 100 ms, the
+    telemetry of the speed controllers every 5 ms at most, the rest as it is published.
+    """
     return {
         "vehicle_angular_velocity": (500, {"xyz": flight["gyro"]}),
         "sensor_combined": (250, {"accelerometer_m_s2": flight["force"]}),
         "vehicle_attitude": (250, {"q": flight["quaternion"]}),
         "vehicle_local_position": (
-            125,
+            10,
             {
                 **{name: flight["position"][:, i] for i, name in enumerate("xyz")},
                 **{f"v{name}": flight["velocity"][:, i] for i, name in enumerate("xyz")},
             },
         ),
         "esc_status": (
-            500,
+            RATE / 3,
             {f"esc[{i}].esc_rpm": flight["speed"][:, k] * 30 / np.pi for i, k in enumerate(PX4)},
         ),
         "actuator_motors": (
@@ -228,7 +232,7 @@ def write_ulog(path, flight, topics):
         text = f"{topic}:uint64_t timestamp;{';'.join(names)};"
         head.append(message("F", text.encode()))
         subscriptions.append(message("A", struct.pack("<BH", 0, number) + topic.encode()))
-        step = int(RATE / rate)
+        step = round(RATE / rate)
         codes = "<HQ" + "".join("i" if kind == "int32_t" else "f" for kind, _ in columns)
         for row in range(0, len(flight["time"]), step):
             time = int(flight["time"][row] * 1e6) + 10_000_000

@@ -8,10 +8,12 @@ import yaml
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
+from quadjax.fitting import motor_map, racing_fit
 from quadjax.fitting.config import FitConfig, LogsConfig, PrepareConfig
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.prepare import prepare
 from quadjax.fitting.racing_fit import read_racing_vehicle, run_racing_fit, with_common
+from quadjax.fitting.racing_report import racing_tables
 from tests.commands import run
 
 from . import racing_logs
@@ -76,7 +78,8 @@ def test_every_constant_is_recovered(form, drone, flight, tmp_path):
 def test_a_log_is_the_flight_in_our_units_and_frames(form, short, tmp_path):
     log = read_log(_write(form, short, tmp_path, variant=True), LogsConfig(format=form))
     count = len(log.time)
-    assert abs(count - len(short["time"])) < 10 and log.speeds_measured == (form != "tii")
+    most = 60 if form == "ulog" else 10  # the last position is 0.1 s before the end
+    assert abs(count - len(short["time"])) < most and log.speeds_measured == (form != "tii")
     body = short["attitude"].inv().apply(short["velocity"])[:count]
     np.testing.assert_allclose(log.body_velocity, body, atol=0.05)
     np.testing.assert_allclose(log.rates, short["gyro"][:count], atol=0.02)
@@ -219,6 +222,15 @@ def test_a_setting_that_cannot_be_used_is_named(settings, short, tmp_path):
         read_log(path, LogsConfig(format="blackbox"))
 
 
+def test_an_accelerometer_in_counts_of_unknown_size_is_refused(short, tmp_path):
+    """With 512 counts of 1 g, 2048 would give a quarter of the force."""
+    path = tmp_path / "bad.csv"
+    racing_logs.write_blackbox(path, racing_logs.blackbox_columns(short))
+    path.write_text(path.read_text().replace("acc_1G,2048", "other,2048"))
+    with pytest.raises(InputError, match=r"bad.csv: .* no setting acc_1G, .*: acc_1G,2048"):
+        read_log(path, LogsConfig(format="blackbox"))
+
+
 def test_a_matrix_that_is_no_rotation_is_one_line(short, tmp_path):
     columns = racing_logs.tii_columns(short)
     for factor, determinant in ((0.0, "0"), (-1.0, "-1")):
@@ -246,6 +258,21 @@ def test_topics_of_a_ulog_file_are_checked(short, tmp_path):
     refuse(topics | {"vehicle_angular_velocity": (500, {"xyz": gyro})}, r"sample 20, field 'xyz\[1")
     slow = (10, topics["vehicle_attitude"][1])
     refuse(topics | {"vehicle_attitude": slow}, "topic vehicle_attitude, sample .*: a gap of 0.1")
+    position = topics["vehicle_local_position"][1]
+    refuse(topics | {"vehicle_local_position": (7, position)}, "vehicle_local_position, .*: a gap")
+    motors = topics["actuator_motors"][1]
+    refuse(topics | {"actuator_motors": (10, motors)}, r"actuator_motors, .*SDLOG_PROFILE=17")
+    for axis in (0, 2):
+        negated = short["force"] * np.where(np.arange(3) == axis, -1, 1)
+        refuse(
+            topics | {"sensor_combined": (250, {"accelerometer_m_s2": negated})},
+            rf"accelerometer_m_s2.{axis}",
+        )
+    for name in ("vy", "z"):
+        negated = position | {name: -position[name]}
+        refuse(
+            topics | {"vehicle_local_position": (10, negated)}, rf"column 'v?{name[-1]}' is minus"
+        )
     refuse({"vehicle_attitude": topics["vehicle_attitude"]}, "no topic vehicle_angular_velocity")
     without = {name: topic for name, topic in topics.items() if name != "sensor_combined"}
     refuse(without, "column 'accelerometer_m_s2.0.' is missing")
@@ -286,6 +313,98 @@ def test_the_command_writes_a_vehicle_for_training(short, tmp_path):
     config = load_config("e2e_fastest", [f"vehicle={tmp_path}/mine/vehicle.yaml"])
     assert config.vehicle.model == "racing"
     assert abs(config.vehicle.constants["k_w"] / 2.49e-6 - 1.0) < 0.02
+
+
+@pytest.fixture(scope="module")
+def pieces(short, tmp_path_factory):
+    """Two flights, as logs without rotor speeds (tii) and with them."""
+    folder = tmp_path_factory.mktemp("pieces")
+    for name, rows in (("a", slice(0, 1250)), ("b", slice(1250, 2500))):
+        part = {key: values[rows] for key, values in short.items()}
+        racing_logs.write_tii(folder / f"{name}_tii.csv", racing_logs.tii_columns(part))
+        racing_logs.write_blackbox(
+            folder / f"{name}_blackbox.csv", racing_logs.blackbox_columns(part)
+        )
+    return folder
+
+
+def _fit(pieces, form, names, **changes):
+    files = [str(pieces / f"{name}_{form}.csv") for name in names]
+    logs = {"files": files, "format": form, "min_seconds": 1.0}
+    config = FitConfig(vehicle="5inch.yaml", logs=logs, **changes)
+    return run_racing_fit(
+        config, pieces, read_racing_vehicle("5inch.yaml").replace(tau=0.04, k=0.4)
+    )
+
+
+@pytest.mark.parametrize("form", [pytest.param("tii", marks=pytest.mark.slow), "blackbox"])
+def test_a_held_out_flight_has_no_influence_on_its_prediction(form, pieces):
+    """Motors, rotor speeds and regressors are those of the fit to the other flights alone."""
+    both, tested, alone = (
+        _fit(pieces, form, names, **changes)
+        for names, changes in (
+            ("ab", {}),
+            ("ab", {"split": {"test_flights": [f"a_{form}"]}}),
+            ("b", {}),
+        )
+    )
+    assert tested.constants == alone.constants != both.constants
+    errors = [{part.name: part.rmse for part in fit.held_out} for fit in (both, tested)]
+    np.testing.assert_array_equal(errors[0][f"a_{form}"], errors[1][f"a_{form}"])
+    assert set(errors[0]) == {f"a_{form}", f"b_{form}"}
+    text = (racing_tables(tested), racing_tables(_fit(pieces, form, "ab", split={"by": "time"})))
+    assert "of each flight by a fit" in racing_tables(both) and "last part of each" in text[1]
+
+
+def test_by_time_the_fit_ends_before_the_held_out_part(pieces, monkeypatch):
+    seen = []
+
+    def record(logs, *rest):
+        seen.append([(log.time[0], log.time[-1]) for log in logs])
+        return motor_map.fit_motors(logs, *rest)
+
+    monkeypatch.setattr(racing_fit, "fit_motors", record)
+    _fit(pieces, "blackbox", "a", split={"by": "time", "test_fraction": 0.4})
+    (whole,), (first,) = seen
+    length = whole[1] - whole[0]
+    assert 0.5 * length - 0.15 < first[1] - first[0] <= 0.6 * length - 0.1
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("nominal.fit", {"nominal": {"fit": False}}),
+        ("residual.seeds", {"residual": {"seeds": 2}}),
+        ("residual.max_harm", {"residual": {"max_harm": 0.2}}),
+        ("seed", {"seed": 3}),
+        ("body.inertia", {"body": {"inertia": "base"}}),
+        ("split.folds", {"split": {"by": "time", "folds": 3}}),
+    ],
+)
+def test_keys_without_effect_on_a_racing_quadcopter_are_refused(key, changes, pieces):
+    with pytest.raises(
+        InputError, match=rf"^{key} is .* no effect .* racing: .*; allowed: "
+    ) as caught:
+        _fit(pieces, "blackbox", "ab", **changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_axes_that_are_not_fitted_keep_the_base_vehicle(pieces):
+    fit = _fit(pieces, "blackbox", "ab", nominal={"axes": ["az"]}, split={"leave_one_out": False})
+    base = read_racing_vehicle("5inch.yaml")
+    assert fit.constants.k_w != base.k_w and fit.constants.k_x == base.k_x
+    assert [axis.axis for axis in fit.axes] == ["az"] and not fit.held_out
+    assert "held out: none" in racing_tables(fit)
+
+
+def test_width_and_speed_are_in_the_written_vehicle(pieces, tmp_path):
+    text = (REPOSITORY / "configs/vehicles/5inch.yaml").read_text()
+    (tmp_path / "base.yaml").write_text(f"width: 0.3\nfitted_speed: 28.0\n{text}")
+    logs = f"logs.files=[{pieces}/?_blackbox.csv]"
+    place = [f"vehicle={tmp_path}/base.yaml", "--output", tmp_path, "--name", "mine"]
+    assert run("fit", "blackbox", logs, *place) == 0
+    written = yaml.safe_load((tmp_path / "mine/vehicle.yaml").read_text())
+    assert written["width"] == 0.3 and 1.0 < written["fitted_speed"] < 20.0  # of these flights
 
 
 def test_a_drone_without_measured_speeds_needs_the_racing_model(short, tmp_path, capsys):

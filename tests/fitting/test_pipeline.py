@@ -10,6 +10,7 @@ from quadjax.fitting import pipeline
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.pipeline import run_fit
+from quadjax.fitting.report import tables
 from quadjax.fitting.simulate import random_residual, simulate_flight
 from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.vehicle.protocol import VehicleParams
@@ -104,6 +105,28 @@ def test_flights_are_held_out_of_the_nominal_model_without_networks_too(folder):
     for part in result.held_out:
         assert not part.change.any()
         assert (part.rmse(part.nominal) > 0.0).all()
+
+
+@pytest.mark.slow
+def test_the_choice_of_constants_for_a_held_out_flight_is_made_without_it(bebop, folder, tmp_path):
+    """The third flight is of a drone with half the drag, which the fits to it and another show."""
+    for name in ("flight_0", "flight_1"):
+        (tmp_path / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
+    other = VehicleParams(bebop.replace(k_x=0.5 * bebop.k_x))
+    write_log(tmp_path / "flight_2.csv", simulate_flight(other, 2, seconds=12.0))
+    arguments = [f"logs.files=[{tmp_path}/*.csv]", "residual.fit=false"]
+    result = run_fit(load_fit_config(CONFIG, arguments), folder)
+    assert "ax" in result.harmful and result.vehicle.motor.k_x == bebop.k_x
+    without = result.fits[frozenset({2})].constants
+    assert without.k_x != bebop.k_x and without.k_x == pytest.approx(bebop.k_x, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_report_of_one_seed_says_that_the_spread_is_not_tested(folder):
+    short = "residual={seeds: 1, epochs: 2, distill_epochs: 2, batch: 2048}"
+    config = load_fit_config(CONFIG, [f"logs.files=[{folder}/*.csv]", short])
+    text = tables(run_fit(config, folder))
+    assert "residual.seeds is 1: gains are not compared" in text and "nan" not in text
 
 
 @pytest.mark.parametrize(

@@ -135,6 +135,20 @@ def test_small_and_insignificant_gains_are_rejected():
     assert useless.scale == 0.0 and "no better" in useless.rejected
 
 
+def test_a_candidate_that_is_rejected_does_not_displace_an_accepted_one():
+    """The mirrored one has the lower error, but its seeds disagree by more than its gain."""
+    noisy, sound = [_score(0.3, 0.3, spread=0.4)] * 2, [_score(0.2, 0.2)] * 2
+    chosen = select(("az",), {True: noisy, False: sound}, ResidualConfig())[0]
+    assert chosen.rejected is None and chosen.scale > 0.0 and not chosen.mirror
+
+
+def test_one_seed_has_no_spread():
+    moments = np.array([[0.2]])
+    one = FoldMoments(moments, moments, moments[None], moments[None])
+    chosen = select(("az",), {False: [one, one]}, ResidualConfig(seeds=1))[0]
+    assert np.isnan(chosen.seed_spread) and chosen.rejected is None
+
+
 def test_mirror_image_is_one_of_the_nominal_model(bebop):
     """The model is left-right symmetric, so it must agree with its own mirror image."""
     random = np.random.default_rng(0)

@@ -289,6 +289,8 @@ def constant_lines(present: Model, found: Model) -> list[str]:
             lines.append(f"{name:10}{old:12.5g}{new:12.5g}{100.0 * (new / old - 1.0):+8.1f}%")
     if found.battery is None:
         return [*lines, "battery: not fitted, as no log has commanded propeller speeds"]
+    if not found.battery.converged:
+        lines.append("warning: the fit of the battery stopped before it converged")
     if not found.battery.first:
         return [*lines, "battery: no limit of the propeller speeds found"]
     top = list(found.battery.first.values())
