@@ -115,6 +115,13 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_overwrite(parser: argparse.ArgumentParser, kind: str) -> None:
+    """Add ``--overwrite``, for results of this kind."""
+    parser.add_argument(
+        "--overwrite", action="store_true", help=f"replace an earlier {kind} of the same name"
+    )
+
+
 def add_name(parser: argparse.ArgumentParser) -> None:
     """Add ``--name NAME``, which is short for the override ``name=NAME``."""
     parser.add_argument("--name", type=name, help="name of the run's folder, as name=NAME")

@@ -14,6 +14,7 @@ from quadjax.cli.arguments import (
     Parser,
     add_config,
     add_output,
+    add_overwrite,
     laps,
     name,
     parse,
@@ -52,6 +53,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--parts", nargs="+", metavar="PART", help="some of the parts (all)")
     parser.add_argument("--name", type=name, default="compare", help="of the folder (compare)")
     add_output(parser)
+    add_overwrite(parser, "comparison")
     return parse(parser, argv)
 
 
@@ -62,10 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from rich.console import Console
 
         from quadjax.config.loading import load_config
-        from quadjax.core.folders import claim
+        from quadjax.core.folders import results
         from quadjax.plant.config import load_plant_config
         from quadjax.studies.comparison import Setting, contender
-        from quadjax.studies.comparison_run import PARTS, Wanted, run_comparison
+        from quadjax.studies.comparison_run import FILES, PARTS, Wanted, run_comparison
         from quadjax.training.progress import bar
 
     parts = tuple(options.parts or PARTS)
@@ -99,9 +101,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"--{own.name.lower()}"
             )
     only = tuple(options.conditions or known)
-    wanted = Wanted(parts, options.ablation, options.output / options.name, only)
-    console = Console(stderr=True)
-    with claim(wanted.folder, "comparison"), bar(counted=True, console=console) as progress:
+    folder, console = options.output / options.name, Console(stderr=True)
+    claimed = results(folder, "comparison", FILES, options.overwrite)
+    with claimed as new, bar(counted=True, console=console) as progress:
+        wanted = Wanted(parts, options.ablation, new, only)
         task = progress.add_task("compiling", total=wanted.steps())
 
         def report(line: str) -> None:
@@ -111,5 +114,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         text = run_comparison(setting, contenders, wanted, report)
     print(text)
-    print(f"wrote {wanted.folder}/ in {time.monotonic() - started:.0f} s")
+    print(f"wrote {folder}/ in {time.monotonic() - started:.0f} s")
     return 0

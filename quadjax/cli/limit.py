@@ -9,13 +9,13 @@ randomization and model mismatch of the config are ignored. key=value overrides 
 
 import argparse
 import sys
-import threading
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from quadjax.cli.arguments import Parser, add_config, check_outputs, parse, whole
+from quadjax.cli.progress import steps
 from quadjax.core.interruptions import interruptions, loading
 
 if TYPE_CHECKING:
@@ -60,7 +60,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--seconds",
         type=whole(1, MOST_SECONDS),
         default=300,
-        help="processor time of the search at most (default: 300)",
+        help="processor time of the search at most, summed over its threads; the lower bound takes "
+        "up to a minute more (default: 300)",
     )
     parser.add_argument("--json", metavar="FILE.json", help="write the result")
     parser.add_argument("--npz", metavar="FILE.npz", help="write states and commands")
@@ -148,7 +149,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     problem = run.problem_of(choices, params, _race(options, config.vehicle.fitted_speed))
     laps: list[Trajectory] = []
     guesses = {path: read_guess(problem, path) for path in options.guess or ()}
-    with interruptions(STOPPING) as stop, console.status("compiling") as status:
+    with interruptions(STOPPING) as stop, steps(console) as show:
+        show("compiling")
         if options.policy is not None:
             policy = Policy.load(options.policy)
             laps = run.policy_laps(choices, params, problem, policy, options.policy)
@@ -160,13 +162,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 starts=options.starts,
                 seconds=options.seconds,
                 stop=stop,
-                report=lambda text: _show(status, stop, text),
+                report=lambda text: show("stopping" if stop.is_set() else text),
             )
         except NotFoundError as error:
             return _not_found(error, options.npz)
         if options.npz:  # the lower bound may take a minute
             write_flight(options.npz, config.vehicle.model, config.track.gates, problem, best)
-        status.update("lower bound")
+        show("lower bound")
         bound = run.bound_of(problem, best, options.bound_speed)
     flown = compare(problem, best.trajectory, laps[0]) if laps else None
     print(run.summary(best, bound, flown, options.policy))
@@ -201,10 +203,6 @@ def _race(options: argparse.Namespace, fitted_speed: float | None) -> "Race":
         rates=None if options.rates is None else tuple(options.rates),
         fitted_speed=fitted_speed,
     )
-
-
-def _show(status: Any, stop: threading.Event, text: str) -> None:
-    status.update("stopping" if stop.is_set() else text)
 
 
 def nominal(config: "Config") -> "Config":

@@ -12,7 +12,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_output, check_outputs, name, parse
+from quadjax.cli.arguments import Parser, add_output, add_overwrite, check_outputs, name, parse
+from quadjax.cli.progress import steps
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
@@ -43,6 +44,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--json", metavar="FILE.json", help="write the numbers there as well")
     parser.add_argument("--name", type=name, default="replay", help="of the folder (replay)")
     add_output(parser)
+    add_overwrite(parser, "replay")
     arguments = parse(parser, argv)
     if arguments.policy is None and arguments.vehicle is None:
         raise InputError("--policy or --vehicle is required (try --help)")
@@ -56,15 +58,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Read, replay, print, write."""
     options = _arguments(arguments)
     with loading():
+        from rich.console import Console
+
         from quadjax.config.loading import load_config
         from quadjax.core.files import write_json, write_text
-        from quadjax.core.folders import claim
+        from quadjax.core.folders import results
         from quadjax.core.provenance import provenance
         from quadjax.export.race_source import find_config, own_race
         from quadjax.fitting.config import LogsConfig, load_fit_config
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
-        from quadjax.studies.replay.run import numbers, replay, tables, write_figures
+        from quadjax.studies.replay.run import FILES, numbers, replay, tables, write_figures
 
     policy = own = drone = None
     if options.policy is not None:
@@ -79,13 +83,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     assert drone is not None
     logs = load_fit_config(options.logs).logs if options.logs else LogsConfig()
     track = drone.track if policy is None else found[0].track
-    result = replay(read_log(options.log, logs), track, drone, own, policy, options.drive)
-    folder = options.output / options.name
-    with claim(folder, "replay"):
+    folder, console = options.output / options.name, Console(stderr=True)
+    with results(folder, "replay", FILES, options.overwrite) as new, steps(console) as report:
+        log = read_log(options.log, logs)
+        result = replay(log, track, drone, own, policy, options.drive, report)
+        report("figures")
         text, record = tables(result), numbers(result) | {"provenance": provenance(drone)}
-        write_text(folder / "table.txt", text + "\n")
-        write_json(folder / "replay.json", record)
-        write_figures(result, folder)
+        write_text(new / "table.txt", text + "\n")
+        write_json(new / "replay.json", record)
+        write_figures(result, new)
     if options.json:
         write_json(options.json, record)
     print(text)

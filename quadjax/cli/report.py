@@ -9,7 +9,7 @@ its track has the gates, its vehicle the limits and time constants.
 import argparse
 from collections.abc import Sequence
 
-from quadjax.cli.arguments import Parser, add_output, name, parse
+from quadjax.cli.arguments import Parser, add_output, add_overwrite, name, parse
 from quadjax.core.interruptions import loading
 
 
@@ -29,6 +29,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--name", type=name, default="report", help="of the folder (report)")
     add_output(parser)
+    add_overwrite(parser, "report")
     return parse(parser, argv)
 
 
@@ -37,16 +38,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = _arguments(arguments)
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.core.folders import claim
+        from quadjax.core.folders import results
         from quadjax.fitting.config import load_fit_config
         from quadjax.studies.report.flights import find_flights
-        from quadjax.studies.report.run import write_report
+        from quadjax.studies.report.run import FILES, write_report
 
     config = load_config(options.race)
     logs = None if options.logs is None else load_fit_config(options.logs).logs
     groups = find_flights(options.flights, config.track, logs)
     folder = options.output / options.name
-    with claim(folder, "report"):
-        text = write_report(groups, config, folder)
+    with results(folder, "report", FILES, options.overwrite) as new:
+        text = write_report(groups, config, new)
     print(text)
     print(f"wrote {folder}/")

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from quadjax.cli.arguments import Parser, add_output, laps, name, parse, runs, seed
+from quadjax.cli.arguments import Parser, add_output, add_overwrite, laps, name, parse, runs, seed
+from quadjax.cli.progress import steps
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import interruptions, loading
 
@@ -98,6 +99,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--view", action="store_true", help="show the flight in the browser")
     parser.add_argument("--name", type=name, default="sil", help="of the folder (default: sil)")
     add_output(parser)
+    add_overwrite(parser, "flight")
     return parse(parser, argv)
 
 
@@ -132,18 +134,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Fly, print the result, write the files."""
     options, console = _arguments(arguments), Console(stderr=True)
     with loading():
-        from quadjax.core.folders import claim
+        from quadjax.core.folders import results
         from quadjax.sil.fly import INTERRUPTED as STOPPED
-        from quadjax.sil.run import STATES_FILE, fly_all
+        from quadjax.sil.run import FILES, STATES_FILE, fly_all
 
     setting, folder = _setting(options), options.output / options.name
 
-    def report(line: str) -> None:
-        console.print(line, highlight=False)
-
-    with claim(folder, "flight"), interruptions(STOPPING) as stop:
+    with (
+        results(folder, "flight", FILES, options.overwrite) as new,
+        interruptions(STOPPING) as stop,
+        steps(console) as report,
+    ):
         flown = fly_all(setting, stop, report)
-        flown.write(folder)
+        flown.write(new)
     print(flown.text())
     print(f"wrote {folder}/")
     last = flown.races[-1]

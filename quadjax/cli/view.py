@@ -9,6 +9,7 @@ action.
 """
 
 import argparse
+import dataclasses
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from quadjax.cli.arguments import Parser, check_outputs, laps, parse, runs, seed
+from quadjax.cli.progress import steps
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
@@ -75,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         race, options.laps, options.runs, options.sampled, options.seed, _logs(options.logs)
     )
     title = options.title or (race.track.name if race else "") or "Flights"
-    with console.status("simulating"):
+    with steps(console) as report:
+        reading = dataclasses.replace(reading, progress=report)
         record = scene_record(options.flights, options.names, title, reading)
     if options.output.endswith(".json"):
         write_json(options.output, record)

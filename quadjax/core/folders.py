@@ -8,7 +8,7 @@ files that it writes itself.
 import contextlib
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -160,6 +160,31 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def results(
+    folder: Path | str, kind: str, files: Sequence[str], overwrite: bool = False
+) -> Iterator[Path]:
+    """Claim a folder; gives a temporary one for its results, which replace earlier ones at the end.
+
+    Args:
+        folder: see ``claim``.
+        kind: see ``claim``.
+        files: patterns of all files that the block writes.
+        overwrite: replace earlier results.
+
+    Raises:
+        InputError: also where there are earlier results, before the block.
+    """
+    with claim(folder, kind, files, overwrite):
+        if present_files(folder, files) and not overwrite:
+            raise InputError(
+                f"{folder} holds {_a(kind)} already: replace it (--overwrite) or choose another "
+                "name"
+            )
+        with replacement(folder, files) as new:
+            yield new
 
 
 @contextlib.contextmanager

@@ -1,6 +1,7 @@
 """Flights from runs, policies, recorded states, best known laps, flight logs and JSON."""
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,7 @@ class Options:
         sampled: sampled actions rather than the mean action.
         seed: of the noise and the disturbances.
         logs: columns and frames of flight logs.
+        progress: called with the policy that is simulated.
     """
 
     race: Config | None = None
@@ -57,6 +59,7 @@ class Options:
     sampled: bool = False
     seed: int = 0
     logs: LogsConfig = dataclasses.field(default_factory=LogsConfig)
+    progress: Callable[[str], None] = lambda line: None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,6 +120,7 @@ def _read_npz(path: Path, name: str, options: Options) -> Source:
 
 def fly(path: Path, config: Config, name: str, options: Options) -> Source:
     """Flights of a policy file in a race."""
+    options.progress(f"simulating {path}")
     evaluation = evaluate(
         path,
         config,
@@ -278,7 +282,10 @@ def _read_json(path: Path, name: str, options: Options) -> Source:
 
 
 def scene_record(
-    sources: list[Path | str], names: list[str], title: str, options: Options
+    sources: list[Path | str],
+    names: list[str],
+    title: str,
+    options: Options,
 ) -> dict[str, Any]:
     """The record of a page with all sources; periodic laps are repeated to match the other flights.
 

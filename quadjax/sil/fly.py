@@ -9,6 +9,7 @@ import dataclasses
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
@@ -158,6 +159,7 @@ def fly(
     seed: int,
     run: int,
     stop: threading.Event,
+    report: Callable[[float], None] = lambda seconds: None,
 ) -> Race:
     """Fly one race.
 
@@ -169,6 +171,7 @@ def fly(
         seed: of the world and of the faults.
         run: number of the race, in the messages.
         stop: ends the race, whose record so far is kept.
+        report: called every second of flight, with the seconds so far.
     """
     now = world.begin(seed + run)
     there, back = (Channel(faults, seed + run, stream) for stream in (0, 1))
@@ -178,6 +181,8 @@ def fly(
     for number in range(world.limit):
         if now.over or stop.is_set():
             break
+        if number and number % round(1.0 / world.step) == 0:
+            report(number * world.step)
         try:
             flight.step(now, number, clock.begin(number))
         except Gone as error:

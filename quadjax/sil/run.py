@@ -48,6 +48,7 @@ ON_PLANT = ("motor", "rate")  # vehicle models that the stand-in plant has
 STATES_FILE, NUMBERS_FILE, TABLE_FILE, HEADER_FILE = (
     *("states.npz", "sil.json", "table.txt", "message.h"),
 )
+FILES = (STATES_FILE, NUMBERS_FILE, TABLE_FILE, HEADER_FILE, "flight.html")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,8 +188,12 @@ def fly_all(
     races: list[Race] = []
     with _autopilot(setting, inputs, world, stop, report) as (peer, name):
         for run in range(setting.runs):
-            report(f"run {run + 1} of {setting.runs}")
-            races.append(fly(world, peer, setting.faults, setting.timing, setting.seed, run, stop))
+            text = f"run {run + 1} of {setting.runs}"
+            report(text)
+            options = (setting.faults, setting.timing, setting.seed, run, stop)
+            races.append(
+                fly(world, peer, *options, lambda s, text=text: report(f"{text}: {s:.0f} s flown"))
+            )
             if stop.is_set() or races[-1].gone:
                 break
     return Flown(setting, config, world, name, races)
@@ -231,6 +236,7 @@ def _autopilot(
     assert inputs is not None
     with tempfile.TemporaryDirectory() as work, listening(ADDRESS, 0) as own:
         sources = write_sources(setting.source, inputs, 1.0 / world.step, Path(work))
+        report("building the C")
         program = sources.build(Path(work))
         _compile(world, report)
         estimator = ", its own estimator" if sources.own_estimator else ""

@@ -35,6 +35,7 @@ from quadjax.studies.report.run import fastest_signals, write_report
 from quadjax.training.paper import Row
 
 PARTS = ("table", "plants", "ablation")
+FILES = ("table.txt", "compare.json", "config.yaml", "report/*")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,12 +1,15 @@
 """What commands refuse before any work: outputs that would replace other files, and bad options."""
 
 import argparse
+import io
 import os
 import warnings
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from quadjax.cli import progress
 from quadjax.cli.arguments import check_outputs
 from quadjax.cli.seeds import configs_of
 from quadjax.core.errors import InputError, run_command
@@ -161,6 +164,47 @@ def test_somebody_s_files_are_not_replaced(tmp_path, capsys, arguments, file):
     error = refusal(capsys, *arguments, output)
     assert file in error and "--overwrite" in error
     assert [path.name for path in folder.iterdir()] == [file]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "file"),
+    [
+        (("replay", "log.csv", "--vehicle", "bebop1.yaml"), "replay.json"),
+        (("sil", "one"), "sil.json"),
+        (("compare", "standin"), "compare.json"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value[0],
+)
+def test_earlier_results_are_replaced_only_with_overwrite(tmp_path, capsys, arguments, file):
+    """They are refused at once, before logs are read, C is compiled or flights are simulated."""
+    name, *words = [tmp_path if word == "one" else word for word in arguments]
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / file).write_text("earlier")
+    error = refusal(capsys, name, *words, "--output", tmp_path)
+    assert "already: replace it (--overwrite) or choose another name" in error
+    assert (folder / file).read_text() == "earlier" and len(list(folder.iterdir())) == 1
+
+
+def test_the_steps_of_a_command_are_lines_where_there_is_no_terminal(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    text = io.StringIO()
+    with progress.steps(Console(file=text)) as report:
+        for wait, line in ((0.0, "compiling"), (1.0, "too soon"), (4.5, "3 s flown")):
+            now[0] += wait
+            report(line)
+    assert text.getvalue() == "compiling\n3 s flown\n"
+
+
+def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):
+    def evaluate(*options, **more):
+        raise InputError("enough")
+
+    monkeypatch.setattr("quadjax.dashboard.sources.evaluate", evaluate)
+    assert run("view", "e2e", "--race", "e2e", "--output", tmp_path / "a.html") == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"simulating {PRETRAINED / 'e2e.npz'}", "error: enough"]
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,7 @@ def test_another_drone_predicts_the_flight_worse(flown, tmp_path):
         .replace("k_w:", "k_w: 3.3e-8 #")
     )  # fmt: skip
     for vehicle in ("bebop1.yaml", tmp_path / "heavy.yaml"):
-        out = ("--output", tmp_path, "--name", "out")
+        out = ("--output", tmp_path, "--name", "out", "--overwrite")
         assert run("replay", log, "--vehicle", vehicle, "--drive", "speeds", *out) == 0
         found = json.loads((tmp_path / "out/replay.json").read_text())
         assert found["commands"] is None and found["prediction"]["drive"] == "speeds"
@@ -146,7 +146,8 @@ def test_a_racing_quadcopter_without_rotor_speeds(tmp_path, capsys):
     path = PRETRAINED.parents[1] / "configs/vehicles/5inch.yaml"
     flight = racing_logs.fly(racing_logs.constants(path), seed=2, seconds=5.0)
     racing_logs.write_tii(tmp_path / "flight.csv", racing_logs.tii_columns(flight))
-    arguments = ("--vehicle", "5inch.yaml", "--logs", "tii", "--output", tmp_path, "--name", "out")
+    out = ("--output", tmp_path, "--name", "out", "--overwrite")
+    arguments = ("--vehicle", "5inch.yaml", "--logs", "tii", *out)
     assert run("replay", tmp_path / "flight.csv", *arguments) == 0
     found = json.loads((tmp_path / "out/replay.json").read_text())
     assert found["lap_times"] == [] and found["prediction"]["model"] == "racing"

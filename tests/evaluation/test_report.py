@@ -206,6 +206,14 @@ def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
         assert min(image.size) > 200
     result = json.loads((tmp_path / "out" / "report.json").read_text())
     assert result["groups"]["E2E"][0]["laps"] == [3.0, 3.0] and "provenance" in result
+    again = ("report", states_file(tmp_path / "b.npz", [3.5], vehicle="racing"))
+    assert run(*again, "--output", tmp_path, "--name", "out") == 2
+    assert "holds a report already: replace it (--overwrite)" in capsys.readouterr().err
+    assert json.loads((tmp_path / "out" / "report.json").read_text()) == result
+    (tmp_path / "out" / "notes").write_text("mine")
+    assert run(*again, "--output", tmp_path, "--name", "out", "--overwrite") == 0
+    names = {file.name for file in (tmp_path / "out").iterdir()}
+    assert {"notes", "gaps.png"} <= names and "errors_1.png" not in names
 
 
 @pytest.mark.parametrize(

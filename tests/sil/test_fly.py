@@ -43,6 +43,14 @@ def test_the_last_command_is_held_while_messages_are_dropped_or_late():
     assert flown.counts["states dropped"] > 0 and flown.counts["commands dropped"] > 0
 
 
+def test_every_second_of_a_race_is_reported():
+    seconds = []
+    with connected(good) as peer:
+        world = Counting(step=4.0 / STEPS)
+        fly(world, peer, Faults(), Timing(), 0, 0, threading.Event(), seconds.append)
+    np.testing.assert_allclose(seconds, [1.0, 2.0, 3.0])
+
+
 def test_before_the_first_command_the_drone_hovers():
     flown = race(good, Faults(late=1.0, delay=0.05))
     np.testing.assert_array_equal(flown.recording.command[:5, 3], np.float32(9.81))

@@ -1,6 +1,6 @@
 """Replay a flight log: laps, a policy's commands, and a model's prediction errors."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from quadjax.studies.replay.logged import Logged, logged
 from quadjax.studies.replay.prediction import QUANTITIES, Prediction, predict
 
 FORMATS = ("pdf", "svg", "png")
+FILES = ("table.txt", "replay.json", "trajectory.*", "prediction.*", "commands.*")
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ def replay(
     own: OwnRace | None,
     policy: Policy | None,
     drive: str | None = None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> Replay:
     """Replay a flight.
 
@@ -55,6 +57,7 @@ def replay(
         own: the policy's race, on the same track.
         policy: None for the laps and the model alone.
         drive: what drives the model: commands, speeds, or None: commands if the log has them.
+        report: called with the progress.
 
     Raises:
         InputError: a log without a signal that is needed, or shorter than a window; in one line.
@@ -66,10 +69,12 @@ def replay(
     laps = np.diff(times[len(track.gates) - 1 :: len(track.gates)], prepend=0.0)
     commands = None
     if own is not None and policy is not None:
+        report("commands of the policy")
         of_policy = logged(log, own.choices.model, own.params.vehicle)
         before = passages(flight.position, track.gates, REACH, track.closed)
         targets = target_of(len(flight.time), before, track.gates)
         commands = replay_commands(of_policy, targets, own, policy)
+    report("predictions of the model")
     prediction = predict(
         flight, choices.model, params.vehicle, example_state(choices, params), drive
     )

@@ -16,6 +16,11 @@ from quadjax.studies.report.flights import RATES, RPM, Flight, fastest
 from quadjax.studies.report.tables import latex_table, text_table
 
 FORMATS = ("pdf", "svg", "png")
+FILES = (
+    *("table.txt", "table.tex", "report.json"),
+    *("boxes.*", "gaps.*", "trajectories.*", "errors_*.*"),
+    *("architectures.*", "toolchain.*"),  # of earlier versions
+)
 MODELS = {RPM: "motor", RATES: "rate"}
 Groups = Mapping[str, Sequence[Flight]]
 
