@@ -1,22 +1,29 @@
-"""Convert a network of another project to a policy file, or two networks to a residual file.
+"""Convert networks of other projects to a policy file or a residual file.
 
-One file is a policy: a model of Stable-Baselines3 (.zip; PPO or A2C with MlpPolicy), a PyTorch
-state dict (.pt, .pth) or C arrays (.c, .h: weights_fc1, biases_fc1, .., output_std). CONFIG is the
-race that it was trained in, which defines its observation and its commands. Two files are the
-thrust and the moment network of a residual (.pt, .pth); CONFIG has the range of the propeller
-speeds. Nothing in the files is executed.
+One network is a policy: a model of Stable-Baselines3 (.zip; PPO or A2C with MlpPolicy), a PyTorch
+state dict (.pt, .pth) or C source (.c, .h: weights_fc1, biases_fc1, ..). CONFIG is the race that it
+was trained in, which defines its observation and its commands. Two networks (.pt, .c) are thrust
+and moment of a residual; CONFIG has the range of the propeller speeds. Three are policy, thrust and
+moment: a policy file with the residual. One more C file can have the policy's output_std. Nothing
+in the files is executed.
 """
 
 import argparse
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from quadjax.cli.arguments import Parser, check_outputs, is_override, parse, positive
+from quadjax.core.c_arrays import is_c, read_c_std
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from quadjax.config.schema import Config
+    from quadjax.policy.file import Policy
+    from quadjax.vehicle.residual import Residual
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -32,7 +39,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "files",
         nargs="+",
         metavar="FILE",
-        help="one file, or thrust and moment; then key=value, to change keys of the config",
+        help="policy, or thrust and moment, or all three, and the file with output_std; then "
+        "key=value, to change keys of the config",
     )
     parser.add_argument("--output", required=True, metavar="FILE.npz", help="the file to write")
     parser.add_argument("--activation", help="relu or tanh, where a policy's file has none")
@@ -70,15 +78,37 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = _arguments(arguments)
     with loading():
         from quadjax.config.loading import load_config
+        from quadjax.vehicle.residual_file import write_residual
 
     config = load_config(options.config, options.overrides)
-    if len(options.files) == 1:
-        _import_policy(config, options)
-    elif len(options.files) == 2:
-        _import_residual(config, options)
+    networks, std = _networks(options)
+    if len(networks) == 2:
+        _refuse(options, ("activation", "std", "motors", "actuator_range"), "a residual")
+        residual = _residual(config, networks, options.thrust_sign)
+        write_residual(options.output, residual, {"imported": networks})
     else:
-        raise InputError(f"{len(options.files)} files, allowed: a policy, or thrust and moment")
+        residual = None
+        if len(networks) == 1:
+            _refuse(options, ("thrust_sign",), "a policy")
+        else:
+            residual = _residual(config, networks[1:], options.thrust_sign)
+        _policy(config, networks[0], std, residual, options).save(options.output)
     print(f"wrote {options.output}")
+
+
+def _networks(options: argparse.Namespace) -> tuple[list[str], "np.ndarray | None"]:
+    """The files of networks, and the standard deviations in the file that has only these."""
+    stds = {name: read_c_std(name) for name in options.files if is_c(name)}
+    names = [name for name, std in stds.items() if std is not None]
+    networks = [name for name in options.files if name not in names]
+    if len(names) > 1 or (names and len(networks) == 2) or not 1 <= len(networks) <= 3:
+        raise InputError(
+            f"{len(networks)} networks and {len(names)} files with output_std, allowed: a policy "
+            "(and output_std), thrust and moment, or policy, thrust and moment (and output_std)"
+        )
+    if names and options.std is not None:
+        raise InputError(f"--std has no effect, {names[0]} has output_std")
+    return networks, stds[names[0]] if names else options.std
 
 
 def _refuse(options: argparse.Namespace, names: Sequence[str], kind: str) -> None:
@@ -88,35 +118,40 @@ def _refuse(options: argparse.Namespace, names: Sequence[str], kind: str) -> Non
             raise InputError(f"--{name.replace('_', '-')} has no effect on {kind}")
 
 
-def _import_policy(config: "Config", options: argparse.Namespace) -> None:
+def _policy(
+    config: "Config",
+    network: str,
+    std: "float | np.ndarray | None",
+    residual: "Residual | None",
+    options: argparse.Namespace,
+) -> "Policy":
     from quadjax.policy.foreign import policy_of
 
-    _refuse(options, ("thrust_sign",), "a policy")
+    if residual is not None:  # in place of the config's
+        vehicle = config.vehicle.replace(residual=None, residual_gain=1.0)
+        config = config.replace(vehicle=vehicle)
     span = options.actuator_range
     policy = policy_of(
-        options.files[0],
+        network,
         config,
         options.activation,
-        options.std,
+        std,
         options.motors,
         None if span is None else (span[0], span[1]),
     )
-    policy.save(options.output)
     sizes = [policy.layers[0][0].shape[0], *(len(bias) for _, bias in policy.layers)]
     print(f"policy of {config.name}: {'-'.join(map(str, sizes))}, {policy.activation}")
+    return dataclasses.replace(policy, residual=residual)
 
 
-def _import_residual(config: "Config", options: argparse.Namespace) -> None:
-    from quadjax.vehicle.residual_file import import_residual, write_residual
+def _residual(config: "Config", networks: Sequence[str], sign: int | None) -> "Residual":
+    from quadjax.vehicle.residual_file import import_residual
 
-    _refuse(options, ("activation", "std", "motors", "actuator_range"), "a residual")
-    if options.thrust_sign is None:
+    if sign is None:
         raise InputError("--thrust-sign is missing, allowed: 1 (added) or -1 (subtracted)")
     constants = config.vehicle.constants
     if "rpm_min" not in constants:
         raise InputError(f"{config.name}: vehicle.model is {config.vehicle.model}, expected motor")
-    thrust, moment = options.files
     span = (constants["rpm_min"], constants["rpm_max"])
-    residual = import_residual(thrust, moment, span, options.thrust_sign)
-    write_residual(options.output, residual, {"imported": [str(thrust), str(moment)]})
-    print(f"residual over {span[0]:g} to {span[1]:g} rpm, thrust sign {options.thrust_sign:+d}")
+    print(f"residual over {span[0]:g} to {span[1]:g} rpm, thrust sign {sign:+d}")
+    return import_residual(networks[0], networks[1], span, sign)

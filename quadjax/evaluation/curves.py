@@ -112,11 +112,11 @@ class Group:
     name: str
     runs: tuple[Mapping[str, np.ndarray], ...]  # columns of each run's metrics, (rows,) each
     length: str  # of a flight: 6 laps
-    published: tuple[str, float] | None  # label and time, s, where it is the published race
+    published: tuple[str, float] | None  # label and time, s, of the published flights if equal
 
 
 def learning_figure(groups: Mapping[str, Sequence[Path]]) -> Figure:
-    """Deterministic lap times of training runs against wall time and environment steps.
+    """Lap times of training runs (see ``run.score``) against wall time and environment steps.
 
     Each group has a color: a line for the median over its seeds, a band from the lowest to the
     highest. The time of a seed is that of its latest evaluation. A seed without a time (before its
@@ -136,7 +136,8 @@ def learning_figure(groups: Mapping[str, Sequence[Path]]) -> Figure:
     check_lengths({group.name: group.length for group in drawn})
     figure = new_figure(9.8, 4.2)
     panels = figure.subplots(1, len(ACROSS), sharey=True)
-    references = list(dict.fromkeys(group.published for group in drawn if group.published))
+    published = [group.published for group in drawn if group.published]
+    references = list(dict.fromkeys(published)) if len(published) == len(drawn) else []
     times = np.concatenate([run["lap_total"] for group in drawn for run in group.runs])
     for axes, (along, (label, unit)) in zip(panels, ACROSS.items(), strict=True):
         tidy(axes)
@@ -165,7 +166,8 @@ def read_group(name: str, folders: Sequence[Path]) -> Group:
     """
     if not folders:
         raise InputError(f"{name}: no runs to draw")
-    config = load_config(Path(folders[0]) / "config.yaml")
+    configs = [load_config(Path(folder) / "config.yaml") for folder in folders]
+    published = {published_total(config) for config in configs}
     runs = []
     for folder in folders:
         path = Path(folder) / "metrics.csv"
@@ -174,7 +176,8 @@ def read_group(name: str, folders: Sequence[Path]) -> Group:
         if missing:
             raise InputError(f"{path}: no column {', '.join(missing)}")
         runs.append(columns)
-    return Group(name, tuple(runs), config.evaluate.length, published_total(config))
+    reference = published.pop() if len(published) == 1 else None
+    return Group(name, tuple(runs), configs[0].evaluate.length, reference)
 
 
 def spread(

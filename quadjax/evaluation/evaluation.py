@@ -34,7 +34,7 @@ from quadjax.evaluation.tables import counted, describe_crashes, format_table, l
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps, Trace
-from quadjax.training.paper import Row, published_rows
+from quadjax.training.paper import Row, published_flight
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.view.notebook import show
 
@@ -225,6 +225,9 @@ def evaluate(
         "name": name,
     }
     fly = functools.partial(pilot.fly_policy, choices, params, own, **race, **how)
+    published = published_flight(
+        config, race["laps"], race["gates"], deterministic=deterministic, from_hover=hover
+    )
     return Evaluation(
         laps=fly()[0],
         deterministic=deterministic,
@@ -232,9 +235,7 @@ def evaluate(
         gates=config.track.gates,
         time_step=config.rules.time_step,
         model=choices.model,
-        published=()
-        if race["gates"] or deterministic
-        else published_rows(config, race["laps"], hover),
+        published=() if published is None else (published,),
         provenance=provenance(config, name, seed),
         fly=fly,
     )
@@ -260,7 +261,8 @@ def _checked_race(
 def lap_table(evaluations: Mapping[str, Evaluation]) -> str:
     """Evaluations of one race by label as one table, then how runs ended early."""
     rows = [lap_row(label, each.laps) for label, each in evaluations.items()]
-    text = [format_table(rows, next(iter(evaluations.values())).published)]
+    published = {each.published for each in evaluations.values() if not each.deterministic}
+    text = [format_table(rows, published.pop() if len(published) == 1 else ())]
     for label, each in evaluations.items():
         text += [f"{label}: {line}" for line in describe_crashes(each.laps).splitlines()]
     return "\n".join(text)

@@ -84,11 +84,13 @@ def numbers(laps: Laps) -> dict[str, float | int | None]:
 
 
 def protocol_table(results: Sequence[Protocols]) -> str:
-    """A Markdown table, one line per policy, and the published flights that are comparable."""
-    rows = [TITLES, *(_row(each) for each in results)]
-    published = {each.published.label: each.published for each in results if each.published}
-    for row in published.values():
-        rows.append((f"published {row.label}", "", "", f"{row.total:.2f}", "", "", ""))
+    """A Markdown table, one line per policy; published flights are below those of their race."""
+    rows: list[Sequence[str]] = [TITLES]
+    for own, following in zip(results, [*results[1:], None], strict=True):
+        rows.append(_row(own))
+        row = own.published
+        if row and (following is None or following.published != row):
+            rows.append((f"published {row.label}", "", "", f"{row.total:.2f}", "", "", ""))
     return f"{table(rows)}\n\n{note(results[0].mean['hover'])}"
 
 

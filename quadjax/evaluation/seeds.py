@@ -13,7 +13,7 @@ from quadjax.core.markdown import table
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.evaluation.protocols import Protocols, fly_protocols, protocol_table
 from quadjax.policy.file import Policy
-from quadjax.training.paper import published_sampled
+from quadjax.training.paper import published_sampled, published_total
 from quadjax.training.result import read_summary
 
 
@@ -50,7 +50,10 @@ def evaluate_seed(run: Path, runs: int) -> SeedResult:
     policy = Policy.load(run / "policy.npz")
     fly = functools.partial(evaluate, policy, config, runs=runs)
     flights = fly_protocols(fly, run.name, policy.log_std, published_sampled(config))
-    first = summary["first_under"] or {"total": None, "seconds": None, "steps": None}
+    published = published_total(config)
+    first = {"total": None, "seconds": None, "steps": None}
+    if published and (summary["first_under"] or first)["total"] == published[1]:
+        first = summary["first_under"]
     return SeedResult(
         seed=summary["seed"],
         seconds=summary["seconds"],

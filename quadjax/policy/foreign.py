@@ -14,10 +14,10 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from quadjax.core.c_arrays import read_c_arrays
+from quadjax.core import c_arrays
 from quadjax.core.errors import InputError
-from quadjax.core.files import check_finite, read_layers
-from quadjax.core.torch_files import MAX_BYTES, linear_layers, read_state_dict, single
+from quadjax.core.files import check_finite
+from quadjax.core.torch_files import MAX_BYTES, linear_layers, read_state_dict
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from quadjax.vehicle.protocol import VehicleModel
 
 Arrays = Mapping[str, np.ndarray]
-TORCH, C_SOURCE, ZIP = (".pt", ".pth"), (".c", ".h", ".cpp", ".hpp"), (".zip",)
-SUFFIXES = (*ZIP, *TORCH, *C_SOURCE)
+TORCH, ZIP = (".pt", ".pth"), (".zip",)
+SUFFIXES = (*ZIP, *TORCH, *c_arrays.SUFFIXES)
 SB3_POLICY, SB3_VALUE = "mlp_extractor.policy_net.", "mlp_extractor.value_net."
 SB3_MEMBER, SB3_DATA = "policy.pth", "data"  # of a Stable-Baselines3 model
 
@@ -61,15 +61,15 @@ def read_network(path: Path | str) -> Network:
     - ``.zip``: a model of Stable-Baselines3 (PPO or A2C, ``MlpPolicy``);
     - ``.pt``, ``.pth``: a PyTorch state dict, of Stable-Baselines3's policy or of linear layers in
       the order of their application, optionally with ``log_std``;
-    - ``.c``, ``.h``, ``.cpp``, ``.hpp``: arrays ``weights_NAME`` (row by row, a row per output) and
-      ``biases_NAME`` in the order of the layers, and ``output_std``.
+    - ``.c``, ``.h``, ``.cpp``, ``.hpp``: see ``quadjax.core.c_arrays.read_c_network``.
 
     Raises:
         InputError: another suffix, or a file that cannot be read; in one line.
     """
     suffix = Path(path).suffix.lower()
-    if suffix in C_SOURCE:
-        return _of_c(path)
+    if c_arrays.is_c(path):
+        own = c_arrays.read_c_network(path)
+        return Network(own.layers, None if own.std is None else np.log(own.std), own.activation)
     if suffix in TORCH:
         return _of_tensors(path, read_state_dict(path))
     if suffix not in ZIP:
@@ -122,36 +122,11 @@ def _sb3_activation(path: Path | str) -> str | None:
     return named.group(1).lower() if named else None
 
 
-def _of_c(path: Path | str) -> Network:
-    """The network of C arrays."""
-    found, text = read_c_arrays(path)
-    arrays: dict[str, np.ndarray] = {}
-    names = [name.removeprefix("weights_") for name in found if name.startswith("weights_")]
-    for index, name in enumerate(names):
-        weights, bias = found[f"weights_{name}"], found.get(f"biases_{name}")
-        if bias is None or not bias.size or weights.size % bias.size:
-            count = "no" if bias is None else bias.size
-            raise InputError(
-                f"{path}: weights_{name} has {weights.size} numbers and {count} biases_{name}, "
-                "expected a row of weights for each"
-            )
-        arrays[f"kernel_{index}"] = weights.reshape(bias.size, -1).T
-        arrays[f"bias_{index}"] = bias
-    if not arrays:
-        raise InputError(f"{path}: no weights_.., expected weights_fc1, biases_fc1, ..")
-    layers, std = single(read_layers(path, arrays)), found.get("output_std")
-    if std is not None and not np.all((std > 0) & np.isfinite(std)):
-        raise InputError(f"{path}: output_std is {std.tolist()}, expected numbers above 0")
-    kinds = [kind for kind in ("relu", "tanh") if re.search(kind, text, re.IGNORECASE)]
-    log_std = None if std is None else np.log(std)
-    return Network(layers, log_std, kinds[0] if len(kinds) == 1 else None)
-
-
 def policy_of(
     path: Path | str,
     config: "Config | Path | str",
     activation: str | None = None,
-    std: float | None = None,
+    std: float | np.ndarray | None = None,
     motors: Sequence[int] | None = None,
     actuator_range: tuple[float, float] | None = None,
 ) -> "Policy":
@@ -161,7 +136,7 @@ def policy_of(
         path: of the file; see ``read_network``.
         config: of the race, whose observation and commands are those of the network.
         activation: of the hidden layers, "relu" or "tanh", where the file has none.
-        std: standard deviation of the noise, where the file has none.
+        std: standard deviation of the noise, one or (actions,), where the file has none.
         motors: the network's numbers (1 to 4) of the motors front-left, front-right, rear-right,
             rear-left; None: in this order.
         actuator_range: of the actuators that the network observes as -1 and 1, in the vehicle
@@ -234,10 +209,14 @@ def _reordered(
     return (*rest, (last[:, order], offset[order])), log_std[order]
 
 
-def _log_std(path: Path | str, own: Network, actions: int, std: float | None) -> np.ndarray:
+def _log_std(
+    path: Path | str, own: Network, actions: int, std: float | np.ndarray | None
+) -> np.ndarray:
     if own.log_std is not None and std is not None:
         raise InputError(f"{path}: has a standard deviation, so std {std} has no effect")
-    log_std = np.full(actions, np.log(std)) if std is not None else own.log_std
+    log_std = own.log_std
+    if std is not None:
+        log_std = np.log(std if np.ndim(std) else np.full(actions, std))
     if log_std is None:
         raise InputError(f"{path}: no log_std or output_std, give the noise's std (--std)")
     if log_std.shape != (actions,):

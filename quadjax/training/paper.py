@@ -1,16 +1,22 @@
-"""The race and the lap times of Ferede et al. (arXiv 2311.16948): six laps from hover.
+"""Table I of Ferede et al. (arXiv 2311.16948): the races and the times of six laps from hover.
 
-Published times stand next to own ones only where the race is the paper's; ``is_paper_race``
-decides.
+A published time is shown only next to flights of the same race (``is_e2e_table1``,
+``is_indi_table1``) and protocol (``published_flight``).
 """
 
 import dataclasses
 import functools
 
+import jax
 import numpy as np
 
 from quadjax.config.loading import load_config
+from quadjax.config.race import build_params, build_vehicle
 from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.race.environment import exact_rules
+from quadjax.vehicle import residual_file
+from quadjax.vehicle.registry import model
 
 LAPS = 6
 
@@ -35,78 +41,121 @@ PUBLISHED = (
     Row("INDI flown, mean of 5", (3.28, 2.80, 2.82, 2.82, 2.84, 2.83), 17.40, 17.26),
 )
 
-# Six laps of the published policies, s, by the vehicle model: measured with the authors' published
-# networks, 20 sampled flights in the paper's model with the authors' residual. Neither networks nor
-# residual are in this repository. The rows above are Table I of the paper.
-TOTALS = {
-    "motor": ("published E2E policy", 15.70),
-    "rate": ("published INDI policy", 17.04),
-}
-PRESETS = {"motor": "e2e_paper", "rate": "indi_paper"}
+E2E_ROW, INDI_ROW = PUBLISHED[:2]
+# SHA-256 of the numbers of the authors' residual: quadjax.vehicle.residual_file.digest.
+RESIDUAL = "72ee30a56a78da8d792491e80bce910f08c002f554d222bbbf349cdd1ceb1eab"
+
+
+def is_e2e_table1(config: Config) -> bool:
+    """Whether timed flights from hover are in the race of the simulated E2E row.
+
+    That is preset ``e2e_table1``: the nominal constants with the authors' residual, whose numbers
+    are compared, and no disturbances.
+    """
+    vehicle = config.vehicle
+    if vehicle.model != "motor" or vehicle.residual is None or not _same("e2e_table1", config):
+        return False
+    try:
+        residual = build_vehicle(config).residual
+    except InputError:  # a run whose residual was removed
+        return False
+    return residual is not None and residual_file.digest(residual) == RESIDUAL
+
+
+def is_indi_table1(config: Config) -> bool:
+    """Whether timed flights from hover are in the race of the simulated INDI row.
+
+    That is preset ``indi_table1``: yaw rates up to 2 rad/s and thrust up to 16 m/s^2.
+    """
+    return config.vehicle.model == "rate" and _same("indi_table1", config)
+
+
+def _same(preset: str, config: Config) -> bool:
+    """Whether the race of a config, without residual, has the numbers of a preset's."""
+    if config.randomization.tracks is not None or config.rules.extra:
+        return False
+    own, other = _race(_without_residual(config)), _reference(preset)
+    (*words, track, rest), (*other_words, other_track, other_rest) = own, other
+    return (
+        words == other_words
+        and _close(track, other_track, 1e-6)  # m; yaws differ by whole turns
+        and _close(rest, other_rest, 0.0)
+    )
 
 
 @functools.cache
-def _reference(kind: str) -> Config:
-    return load_config(PRESETS[kind])
+def _reference(preset: str) -> tuple[object, ...]:
+    return _race(load_config(preset, ["vehicle.residual=null"]))
 
 
-def is_paper_race(config: Config) -> bool:
-    """Whether a race is the paper's: vehicle, track, rules and disturbances.
+def _without_residual(config: Config) -> Config:
+    vehicle = config.vehicle.replace(residual=None, residual_gain=1.0)
+    return config.replace(vehicle=vehicle)
 
-    Disturbances may be absent, or those with which the paper trained. Training limits, rewards and
-    the learner do not matter: evaluation knows only the rules.
+
+def _race(config: Config) -> tuple[object, ...]:
+    """What determines timed flights from hover: the choices of code, the track, other numbers.
+
+    Rewards, starts and limits of the training have no effect on them. No module that a config names
+    is imported, so a config of a run's folder may be compared.
     """
-    if config.vehicle.model not in PRESETS:
-        return False
-    paper = _reference(config.vehicle.model)
-    return _race_of(config) == _race_of(paper) and _disturbance_of(config) in (
-        _disturbance_of(paper),
-        _disturbance_of(_reference("rate")),  # none
+    params = build_params(config)
+    limits = exact_rules(model(config.vehicle.model), params).limits.replace(episode_steps=None)
+    track = params.track.replace(yaw=None, next_yaw=None)  # their sine and cosine remain
+    numbers = {
+        "constants": params.vehicle.constants,
+        "limits": limits,
+        "disturbance": params.disturbance,
+        "randomization": params.randomization,
+        "mismatch": params.mismatch,
+        "battery": params.battery,
+    }
+    vehicle, population = config.vehicle, config.randomization.population
+    words = (vehicle.quaternion, vehicle.integrator, config.rules.gate_test, population)
+    return (*words, track, numbers)
+
+
+def _close(own: object, other: object, atol: float) -> bool:
+    leaves, structure = jax.tree.flatten(own)
+    others, other_structure = jax.tree.flatten(other)
+    return structure == other_structure and all(
+        np.shape(x) == np.shape(y) and np.allclose(x, y, 1e-6, atol)
+        for x, y in zip(leaves, others, strict=True)
     )
 
 
-def _race_of(config: Config) -> tuple[object, ...]:
-    """The settings that determine lap times, as comparable values."""
-    vehicle, own = config.vehicle, config.rules
-    gates = (
-        [gate.replace(yaw_deg=gate.yaw_deg % 360.0) for gate in config.track.gates],
-        config.track.start,
-    )
-    drawn = config.randomization.drawn
-    model = (vehicle.residual, vehicle.integrator, dict(vehicle.mismatch))
-    return (vehicle.constants, gates, own, drawn, model)
+def published_flight(
+    config: Config, laps: int, gates: int | None = None, *, deterministic: bool, from_hover: bool
+) -> Row | None:
+    """The published flights of the same race and protocol: sampled, six laps from hover.
 
+    Flights of a real drone are never returned.
 
-def _disturbance_of(config: Config) -> dict[str, object]:
-    return dict(config.disturbance)
-
-
-def published_rows(config: Config, laps: int, from_hover: bool = True) -> tuple[Row, ...]:
-    """The published flight of the same race, laps and start in the same model.
-
-    It is of the sampled policy: compare it with sampled flights only. There is none for E2E, whose
-    published simulation has the residual of a real drone that is not public. Flights of a real
-    drone are never included.
+    Args:
+        config: of the race.
+        laps: of a flight.
+        gates: of a flight in place of laps.
+        deterministic: whether the flights are of the mean action.
+        from_hover: whether they start at hover.
     """
-    same = from_hover and laps == LAPS and is_paper_race(config)
-    if not (same and config.vehicle.model == "rate"):
-        return ()
-    return (dataclasses.replace(PUBLISHED[1], label=f"{PUBLISHED[1].label}, sampled"),)
+    if deterministic or not from_hover or laps != LAPS or gates is not None:
+        return None
+    for row, is_race in ((E2E_ROW, is_e2e_table1), (INDI_ROW, is_indi_table1)):
+        if is_race(config):
+            return dataclasses.replace(row, label=f"{row.label}, sampled")
+    return None
 
 
 def published_sampled(config: Config) -> Row | None:
-    """The published flight of a config's race, of as many laps, sampled from hover; None if none.
-
-    See ``published_rows``.
-    """
+    """The published flights of a config's race and length, sampled from hover; None if none."""
     own = config.evaluate
-    rows = published_rows(config, own.laps) if own.gates is None else ()
-    return rows[0] if rows else None
+    return published_flight(config, own.laps, own.gates, deterministic=False, from_hover=True)
 
 
 def published_total(config: Config) -> tuple[str, float] | None:
-    """Label and time, s, of the published policy; None where the race is not the paper's."""
-    own = config.evaluate
-    if own.laps == LAPS and own.gates is None and is_paper_race(config):
-        return TOTALS[config.vehicle.model]
-    return None
+    """Label and time, s, of the published flights that a training's ``lap_total`` compares with.
+
+    None for another race, and where the training is scored by flights of the mean action.
+    """
+    row = published_sampled(config) if config.run.score == "sampled" else None
+    return None if row is None else (f"Table I, {row.label}", row.total)

@@ -134,7 +134,7 @@ def write_summary(
 
 
 def _first_under(config: Config, rows: Sequence[Row]) -> dict[str, float | None] | None:
-    """When laps were first faster than the published policy's; None for another race."""
+    """When laps were first faster than the published ones; None where they are not comparable."""
     published = published_total(config)
     if published is None:
         return None

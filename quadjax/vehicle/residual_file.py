@@ -6,6 +6,8 @@ specific force; -1: subtracted) and what it was fitted on. A policy file can hol
 and the numbers under the key ``residual`` of its ``meta``.
 """
 
+import hashlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,10 +15,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.core.c_arrays import is_c, read_c_network
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_layers, read_npz, write_npz
 from quadjax.core.resources import PRETRAINED
-from quadjax.core.torch_files import linear_layers, read_state_dict
+from quadjax.core.torch_files import Layers, linear_layers, read_state_dict
 from quadjax.vehicle.residual import Residual
 
 FORMAT, POLICY_FORMAT = FORMATS = ("quadjax-residual/1", "quadjax-policy/2")
@@ -44,6 +47,16 @@ def to_arrays(residual: Residual) -> tuple[dict[str, np.ndarray], dict[str, floa
     return arrays, numbers
 
 
+def digest(residual: Residual) -> str:
+    """SHA-256 of a residual's numbers as 32-bit floats, whatever file they come from."""
+    arrays, numbers = to_arrays(residual)
+    content = hashlib.sha256(json.dumps(numbers, sort_keys=True).encode())
+    for name in sorted(arrays):
+        content.update(f"{name}{arrays[name].shape}".encode())
+        content.update(arrays[name].astype("<f4").tobytes())
+    return content.hexdigest()
+
+
 def located(path: Path | str) -> Path:
     """The file of a path, or, of a bare name that is no file, the shipped file of that name."""
     path, shipped = Path(path), PRETRAINED / Path(path).name
@@ -63,6 +76,11 @@ def read_residual(path: Path | str) -> Residual:
         InputError: a missing, damaged or inconsistent file, in one line.
     """
     path = located(path)
+    if not path.exists():
+        raise InputError(
+            f"{path}: no such file, expected a residual: quadjax import e2e_paper THRUST MOMENT "
+            f"--thrust-sign 1 --output {path} writes one of two networks, quadjax fit one of logs"
+        )
     arrays, meta = read_npz(path, FORMATS)
     return from_arrays(path, arrays, meta if meta["format"] == FORMAT else meta.get("residual"))
 
@@ -73,7 +91,7 @@ def import_residual(
     rpm_range: tuple[float, float],
     thrust_sign: int,
 ) -> Residual:
-    """A residual from two PyTorch state dicts of linear layers with ReLU between them.
+    """A residual from two networks with ReLU: PyTorch state dicts of linear layers, or C source.
 
     Args:
         thrust: network of 7 inputs and 1 output; see ``quadjax.vehicle.residual``.
@@ -88,11 +106,18 @@ def import_residual(
     meta = {"rpm_min": rpm_range[0], "rpm_max": rpm_range[1], "thrust_sign": thrust_sign}
     found = {}
     for name, path in (("thrust", thrust), ("moment", moment)):
-        layers = linear_layers(path, read_state_dict(path))
+        layers = _c_layers(path) if is_c(path) else linear_layers(path, read_state_dict(path))
         _check_shape(path, name, layers)
         for index, (kernel, bias) in enumerate(layers):
             found |= {f"{name}_kernel_{index}": kernel, f"{name}_bias_{index}": bias}
     return from_arrays(thrust, found, meta)
+
+
+def _c_layers(path: Path | str) -> Layers:
+    own = read_c_network(path)
+    if own.activation == "tanh":
+        raise InputError(f"{path}: its activation is tanh, a residual has relu")
+    return own.layers
 
 
 def _check_shape(path: Path | str, name: str, layers: Sequence[tuple[Any, Any]]) -> None:

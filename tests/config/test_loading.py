@@ -91,7 +91,8 @@ def test_no_preset_changes_what_it_inherits(path):
 
 
 def test_presets_that_are_published_have_the_published_reward():
-    for name in ("e2e_paper", "indi_paper", "authors_code", "e2e_ppo", "indi_ppo"):
+    printed, flown = ("e2e_paper", "indi_paper", "authors_code"), ("e2e_table1", "indi_table1")
+    for name in (*printed, *flown, "e2e_ppo", "indi_ppo"):
         assert load_config(name).reward == Reward()
 
 

@@ -47,15 +47,19 @@ def test_seeds_that_are_measured_at_other_times_keep_their_latest_one():
     assert lowest.tolist() == [15, 15, 14, 14] and highest.tolist() == [15, 17, 17, 16]
 
 
-def test_groups_are_drawn_side_by_side_with_their_published_times(tmp_path):
+def test_groups_are_drawn_side_by_side_and_published_times_next_to_their_race_only(tmp_path):
+    overrides = ["run.score=sampled"]
     e2e = [make_run(tmp_path / f"a{i}", [np.inf, 16.0 + i, 15.0 + i]) for i in range(3)]
-    indi = [make_run(tmp_path / "b", [20.0, 17.5, 17.0], 25.0, "indi_ppo.yaml")]
+    indi = [make_run(tmp_path / "b", [20.0, 17.5, 17.0], 25.0, "indi_table1.yaml", overrides)]
     figure = learning_figure({"e2e": e2e, "indi": indi})
     wall, steps = figure.axes
     assert "wall time" in wall.get_xlabel() and "steps" in steps.get_xlabel()
     assert "6 laps" in wall.get_ylabel()
-    texts = {text.get_text() for text in wall.texts}
-    assert texts == {"published E2E policy", "published INDI policy"}
+    assert not wall.texts  # e2e is another race than the published ones
+    alone = learning_figure({"indi": indi}).axes[0]
+    assert [text.get_text() for text in alone.texts] == ["Table I, INDI simulated, sampled"]
+    other = make_run(tmp_path / "c", [20.0, 17.5], 25.0, "indi_ppo.yaml", overrides)
+    assert not learning_figure({"indi": [*indi, other]}).axes[0].texts
     curves = {line.get_label(): line for line in steps.lines if "seed" in line.get_label()}
     assert list(curves) == ["e2e (3 seeds)", "indi (1 seed)"]
     assert curves["e2e (3 seeds)"].get_xdata().tolist() == [0.5, 1.0, 1.5]

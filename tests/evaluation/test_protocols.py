@@ -37,11 +37,12 @@ def test_the_table_has_both_protocols_both_starts_and_the_flights_that_finish():
 @pytest.mark.parametrize(
     ("preset", "overrides", "time"),
     [
-        ("indi_shac", [], 17.14),
-        ("indi_shac", ["vehicle.constants.r_max=2"], None),
-        ("indi_shac", ["evaluate.laps=5"], None),
-        ("e2e_shac", [], None),  # the published residual is not public
-        ("e2e", [], None),
+        ("indi_table1", [], 17.14),
+        ("indi_shac", ["vehicle=bebop1_authors"], 17.14),
+        ("indi_shac", [], None),  # thrust up to 15 m/s^2
+        ("indi_table1", ["evaluate.laps=5"], None),
+        ("e2e_shac", [], None),  # no residual
+        ("e2e", [], None),  # that of the stand-in plant
     ],
 )
 def test_a_published_time_is_only_next_to_its_equal(preset, overrides, time):
@@ -49,6 +50,12 @@ def test_a_published_time_is_only_next_to_its_equal(preset, overrides, time):
     assert (row and row.total) == time
     text = protocol_table([protocols(row)])
     assert ("published INDI simulated, sampled |  |  | 17.14 |" in text) == (time is not None)
+
+
+def test_the_published_time_is_below_the_policies_of_its_race():
+    row = published_sampled(load_config("indi_table1"))
+    lines = protocol_table([protocols(row), protocols(row), protocols()]).splitlines()
+    assert ["published" in line for line in lines[2:6]] == [False, False, True, False]
 
 
 @pytest.mark.slow

@@ -235,7 +235,7 @@ NAN = NET | {"2.bias": np.array([0, np.nan, 0, 0], np.float32)}
         (lambda p: as_c(p, c_source(NET, std="{1, 1, 1, system(1)}")), {}, "expected a number"),
         (lambda p: as_c(p, c_source(NET).replace("biases_fc1[6]", "biases_fc1[7]")), {}, "says 7"),
         (lambda p: as_c(p, c_source(NET).replace("biases_fc2", "b2")), {}, "no biases_fc2"),
-        (lambda p: as_c(p, "int main() { return 0; }"), {}, "no array of floats"),
+        (lambda p: as_c(p, "int main() { return 0; }"), {}, "no array weights_"),
     ],
 )
 def test_networks_that_do_not_fit_are_refused_in_one_line(tmp_path, make, options, says):
@@ -251,7 +251,7 @@ def test_options_without_effect_are_refused(tmp_path, residual_files, capsys):
     for arguments, says in (
         ((model, "--thrust-sign", 1), "--thrust-sign has no effect on a policy"),
         ((*residual_files, "--activation", "relu"), "--activation has no effect on a residual"),
-        ((model, model, model), "3 files"),
+        ((model,) * 4, "4 networks and 0 files"),
         ((model, "--motors", 1, 2, 3, 3), "expected each of 1 to 4 once"),
     ):
         assert run(*own, *arguments) == 2

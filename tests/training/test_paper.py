@@ -1,46 +1,165 @@
-"""Published times are shown only next to the race of the paper."""
+"""Published times are shown only next to flights of the same race and protocol."""
 
+import dataclasses
+
+import jax
+import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
-from quadjax.core.resources import CONFIGS
-from quadjax.training.paper import is_paper_race, published_rows, published_total
+from quadjax.config.race import race_of
+from quadjax.core.errors import InputError
+from quadjax.core.files import write_text
+from quadjax.evaluation.evaluation import evaluate
+from quadjax.race.laps import starting_states
+from quadjax.training import paper
+from quadjax.training.result import write_summary
+from quadjax.vehicle.residual_file import digest, read_residual, write_residual
+from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
 
-FILES = [CONFIGS / f"{name}.yaml" for name in ("e2e_shac", "e2e_ppo", "e2e_paper", "indi_fastest")]
+SAMPLED = {"deterministic": False, "from_hover": True}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_presets_of_the_papers_race(path):
-    assert is_paper_race(load_config(path))
+@pytest.fixture
+def residual(tmp_path, monkeypatch):
+    """A residual that takes the place of the authors', as an override."""
+    own = read_residual("standin_residual.npz").replace(rpm_max=np.float32(11500.0))
+    write_residual(tmp_path / "theirs.npz", own, {})
+    monkeypatch.setattr(paper, "RESIDUAL", digest(own))
+    return f"vehicle.residual={tmp_path / 'theirs.npz'}"
+
+
+def e2e(*overrides, preset="e2e_table1"):
+    return load_config(preset, overrides)
+
+
+def indi(*overrides, preset="indi_table1"):
+    return load_config(preset, overrides)
+
+
+def total(config, laps=6, gates=None, **how):
+    row = paper.published_flight(config, laps, gates, **SAMPLED | how)
+    return row and row.total
+
+
+def test_each_row_has_the_race_of_its_preset(residual):
+    assert paper.is_e2e_table1(e2e(residual)) and not paper.is_indi_table1(e2e(residual))
+    assert paper.is_indi_table1(indi()) and not paper.is_e2e_table1(indi())
+    assert (total(e2e(residual)), total(indi())) == (15.75, 17.14)
+    for row in paper.PUBLISHED:
+        assert sum(row.laps) == pytest.approx(row.total, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["rules.time_step=0.005"],
+        ["rules.gate_test=world_box"],
+        ["rules.position_limit=20"],
+        ["rules.body_rate_limit=10"],
+        ["track.file=figure8.yaml"],
+        ["track.opening=1.001"],
+        ["vehicle.constants.k_w=4.4e-8"],
+        ["vehicle.constants.k_p=1.42e-9"],
+        ["vehicle.integrator=rk4"],
+        ["vehicle.quaternion=true"],
+        ["vehicle.residual_gain=0.99"],
+        ["vehicle.residual=standin_residual.npz"],
+        ["vehicle.residual=null"],
+        ["vehicle.residual=removed.npz"],
+        ["vehicle.mismatch={k_w: 0.96}"],
+        ["randomization.inertia=0.1"],
+        ["disturbance.force_z=0.1"],
+        ["disturbance.moment_bias=[0, 0.01, 0]"],
+        ["battery={}"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_any_other_race_of_e2e_has_no_published_time(residual, words):
+    assert total(e2e(residual, *words)) is None
 
 
 @pytest.mark.parametrize(
     "word",
-    [
-        "rules.time_step=0.005",
-        "rules.gate_test=world_box",
-        "rules.position_limit=20",
-        "rules.body_rate_limit=10",
-        "track.file=figure8.yaml",
-        "vehicle.constants.k_w=2e-7",
-        "vehicle.constants.tau=0.05",
-        "vehicle.integrator=rk4",
-        "vehicle.residual=standin_residual.npz",
-        "vehicle.mismatch={k_w: 0.96}",
-        "randomization.inertia=0.1",
-        "disturbance.force_z=0.1",
-    ],
+    ["vehicle.constants.thrust_max=15", "vehicle.constants.r_max=3", "rules.time_step=0.005"],
 )
-def test_any_other_race_has_no_published_time(word):
-    config = load_config(CONFIGS / "e2e_shac.yaml", [word])
-    assert published_rows(config, 6) == () and published_total(config) is None
+def test_any_other_race_of_indi_has_no_published_time(word):
+    assert total(indi(word)) is None
 
 
-def test_command_limits_of_the_rate_model_count():
-    config = load_config(BLANK, ["vehicle.model=rate"])
-    assert published_total(config)[1] == 17.04
-    assert (
-        published_total(load_config(BLANK, ["vehicle.model=rate", "vehicle.constants.r_max=2"]))
-        is None
-    )
+@pytest.mark.parametrize(
+    "preset", ["e2e", "e2e_shac", "e2e_ppo", "indi", "indi_shac", "indi_paper", "e2e_paper"]
+)
+def test_presets_of_other_races_have_no_published_time(preset):
+    config = load_config(preset)
+    assert total(config) is None and paper.published_total(config) is None
+
+
+def test_the_printed_limits_are_another_race_than_the_flown_ones():
+    assert (indi().vehicle.constants["thrust_max"], indi().vehicle.constants["r_max"]) == (16, 2)
+    printed = load_config("indi_paper").vehicle.constants
+    assert (printed["thrust_max"], printed["r_max"]) == (15, 3)
+
+
+def test_training_does_not_matter_to_timed_flights(residual):
+    """Rewards, starts and limits of training, and whole turns of a gate."""
+    own = ["reward.time=1", "start.position=1", "training_limits.pitch_deg=60", "start.gate=random"]
+    assert total(indi(*own)) == 17.14
+    assert total(e2e(residual, preset="e2e_shac")) == 15.75
+    gates = [gate.replace(yaw_deg=gate.yaw_deg - 360.0) for gate in indi().track.gates]
+    assert paper.is_indi_table1(indi().replace(track=indi().track.replace(gates=gates)))
+    plain, moved = (race_of(indi(*words)) for words in ([], own))
+    states = [
+        starting_states(*race, jax.random.key(0), 2, from_hover=True) for race in (plain, moved)
+    ]
+    jax.tree.map(np.testing.assert_array_equal, *(state.drone for state in states))
+
+
+def test_another_protocol_has_no_published_time():
+    assert total(indi(), deterministic=True) is None
+    assert total(indi(), from_hover=False) is None
+    assert total(indi(), laps=5) is None
+    assert total(indi(), gates=24) is None
+    assert paper.published_sampled(indi("evaluate.laps=5")) is None
+    assert paper.published_sampled(indi()).label == "INDI simulated, sampled"
+
+
+def test_training_compares_sampled_scores_only(tmp_path):
+    write_text(tmp_path / "metrics.csv", "steps,seconds,lap_total\n500,2,18.0\n900,3,17.0\n")
+    position = dataclasses.make_dataclass("P", ["seconds", "best_score", "best_steps"])(3, 17, 9)
+
+    def first(config):
+        return write_summary(config, tmp_path, position, {"steps": 900}, True)["first_under"]
+
+    assert indi().run.score == "mean" and first(indi()) is None
+    assert first(load_config("e2e_shac")) is None
+    found = first(indi("run.score=sampled"))
+    assert found == {"total": 17.14, "seconds": 3.0, "steps": 900}
+
+
+def test_evaluate_prints_the_row_of_sampled_flights(residual):
+    table = {}
+    for name, config in (
+        ("same", e2e(residual)),
+        ("other", e2e(residual, "disturbance.force_z=0.1")),
+    ):
+        for how in (False, True):
+            own = evaluate(random_policy(), config, runs=2, deterministic=how)
+            table[name, how] = own.table()
+    assert "15.75" in table["same", False] and "17.14" not in table["same", False]
+    for other in (("same", True), ("other", False), ("other", True)):
+        assert "15.75" not in table[other] and "published" not in table[other]
+
+
+def test_no_module_that_a_config_names_is_imported(residual):
+    terms = indi().reward.replace(terms={"no_such_module:term": 1.0})
+    assert paper.is_indi_table1(indi().replace(reward=terms))
+
+
+def test_a_residual_that_is_not_there_says_how_to_import_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"bebop1_residual.npz: no such file.*quadjax import") as e:
+        evaluate(random_policy(), load_config("e2e_table1"), runs=1)
+    assert "\n" not in str(e.value)
+    assert load_config(BLANK).vehicle.residual is None

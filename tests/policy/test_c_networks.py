@@ -1,0 +1,263 @@
+"""Networks in C as the authors of the paper publish them: read as text, equal to compiled ones.
+
+The authors' files are not in this repository: tests of them run where they are in ``../shared``.
+"""
+
+import ctypes
+import hashlib
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.policy.file import Policy
+from quadjax.policy.inference import mean_action, policy_params
+from quadjax.training import paper
+from quadjax.vehicle.residual import residual_force_moment
+from quadjax.vehicle.residual_file import digest, read_residual
+from tests.commands import run
+from tests.policy.torch_writer import linear
+
+ROOT = Path(__file__).resolve().parents[2]
+AUTHORS = ROOT.parent / "shared" / "authors"
+PAGE = ROOT / "docs" / "guide" / "other_trainers.md"
+E2E = [AUTHORS / "e2e" / name for name in ("neural_network.c", "nn_controller.c")]
+INDI = [AUTHORS / "indi" / name for name in ("neural_network.c", "nn_controller.c")]
+RESIDUAL = [AUTHORS / "residual" / name for name in ("nn_thrust.c", "nn_moment.c")]
+published = pytest.mark.skipif(not AUTHORS.is_dir(), reason="no ../shared/authors")
+compiled = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
+
+FUNCTIONS = """
+void {p}linear(const float* w, const float* b, const float* x, int n, int m, float* y) {{
+    for (int i = 0; i < m; ++i) {{
+        y[i] = b[i];
+        for (int j = 0; j < n; ++j) {{ y[i] += x[j] * w[i * n + j]; }}
+    }}
+}}
+void {p}relu(float* x, int n) {{ for (int i = 0; i < n; ++i) {{ x[i] = fmaxf(0, x[i]); }} }}
+void {p}tanh(float* x, int n) {{ for (int i = 0; i < n; ++i) {{ x[i] = tanh(x[i]); }} }}
+void {p}forward(const float* input, float* output) {{
+    float fc1_output[{hidden}];
+    {p}linear({p}weights_fc1, {p}biases_fc1, input, {inputs}, {hidden}, fc1_output);
+    {p}{activation}(fc1_output, {hidden});
+    {p}linear({p}weights_fc2, {p}biases_fc2, fc1_output, {hidden}, {outputs}, output);
+}}
+"""
+CONTROLLER = """#include "nn_controller.h"
+const float output_std[4] = {
+    0.1,
+    0.2, // of the second
+    0.3,
+    0.4,
+};
+const float gate_pos[NUM_GATES][3] = { {2.0, -1.5, -1.5}, };
+void nn_control(const float world_state[16], float rpms[4]) {
+    float pos[3] = {world_state[0], world_state[1], world_state[2]};
+}
+"""
+
+
+def write_c(path: Path, sizes: tuple[int, int, int], prefix: str = "", activation: str = "relu"):
+    """A network of two layers in the authors' form, and its arrays."""
+    arrays = linear(sizes)
+    lines = ['#include "header.h"', "#include <math.h>"]
+    for number, layer in enumerate(("0", "2"), start=1):
+        for name, kind in (("weights", "weight"), ("biases", "bias")):
+            rows = np.atleast_2d(arrays[f"{layer}.{kind}"])
+            text = ",\n".join(", ".join(f"{x:.17g}" for x in row) for row in rows)
+            lines.append(f"const float {prefix}{name}_fc{number}[] = {{\n{text}\n}};")
+    inputs, hidden, outputs = sizes
+    numbers = {"inputs": inputs, "hidden": hidden, "outputs": outputs}
+    lines.append(FUNCTIONS.format(p=prefix, activation=activation, **numbers))
+    path.write_text("\n".join(lines))
+    return arrays
+
+
+def forward(arrays, x):
+    hidden = np.maximum(x @ arrays["0.weight"].T.astype(float) + arrays["0.bias"], 0)
+    return hidden @ arrays["2.weight"].T + arrays["2.bias"]
+
+
+def flight_inputs(count: int = 50):
+    """rpm (n, 4), velocity (n, 3), rates (n, 3), and the first two as the networks take them."""
+    draw = np.random.default_rng(0)
+    rpm, velocity = draw.uniform(3000, 11000, (count, 4)), draw.normal(size=(count, 3)) * 5
+    scaled = np.concatenate([(rpm - 3000) * 2 / 8000 - 1, velocity], axis=1)
+    return rpm, velocity, draw.normal(size=(count, 3)) * 3, scaled
+
+
+def residual_outputs(residual, rpm, velocity, rates):
+    """Force along body z (n,) and moment (n, 3)."""
+    found = [
+        residual_force_moment(
+            residual, Rotors.of(jnp.float32(w)), *(Vec3.of(jnp.float32(x)) for x in own)
+        )
+        for w, *own in zip(rpm, velocity, rates, strict=True)
+    ]
+    return np.array([force for force, _ in found]), np.array([m.array() for _, m in found])
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Policy, standard deviations, thrust and moment, and the arrays of the three networks."""
+    (tmp_path / "nn_controller.c").write_text(CONTROLLER)
+    arrays = [
+        write_c(tmp_path / "neural_network.c", (24, 6, 4)),
+        write_c(tmp_path / "nn_thrust.c", (7, 5, 1), "nn_thrust_"),
+        write_c(tmp_path / "nn_moment.c", (10, 5, 3), "nn_moment_"),
+    ]
+    names = ("neural_network.c", "nn_controller.c", "nn_thrust.c", "nn_moment.c")
+    return [tmp_path / name for name in names], arrays
+
+
+def test_a_policy_with_the_standard_deviations_of_a_second_file(tmp_path, files):
+    (network, controller, *_), (arrays, *_) = files
+    out = tmp_path / "policy.npz"
+    assert run("import", "e2e_paper", network, controller, "--output", out) == 0
+    policy = Policy.load(out)
+    assert policy.activation == "relu"
+    np.testing.assert_allclose(np.exp(policy.log_std), [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
+    x = np.random.default_rng(1).normal(size=(9, 24))
+    own = mean_action(policy_params(policy), jnp.float32(x))
+    np.testing.assert_allclose(own, forward(arrays, x), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("with_policy", [False, True])
+def test_a_residual_of_two_c_files(tmp_path, files, with_policy):
+    """Also in one file with the policy, in place of a residual of the config that is not there."""
+    (network, controller, thrust, moment), (_, force_arrays, moment_arrays) = files
+    names = (network, controller, thrust, moment) if with_policy else (thrust, moment)
+    out = tmp_path / "residual.npz"
+    assert run("import", "e2e_table1", *names, "--thrust-sign", 1, "--output", out) == 0
+    residual = read_residual(out)
+    rpm, velocity, rates, scaled = flight_inputs(9)
+    force, moments = residual_outputs(residual, rpm, velocity, rates)
+    np.testing.assert_allclose(force, forward(force_arrays, scaled)[:, 0], rtol=1e-5, atol=1e-5)
+    both = np.concatenate([scaled, rates], axis=1)
+    np.testing.assert_allclose(moments, forward(moment_arrays, both), rtol=1e-5, atol=1e-5)
+    if with_policy:
+        assert Policy.load(out).config["vehicle"]["residual"] == str(out)
+
+
+def test_c_files_that_do_not_fit_are_one_line(tmp_path, files, capsys):
+    (network, controller, thrust, moment), _ = files
+    write_c(tmp_path / "tanh.c", (7, 5, 1), "nn_thrust_", "tanh")
+    write_c(tmp_path / "four.c", (10, 5, 4))
+    both = tmp_path / "both.c"
+    both.write_text(thrust.read_text() + moment.read_text())
+    three = tmp_path / "three.c"
+    three.write_text("const float output_std[3] = {0.1, 0.1, 0.1};")
+    wrong = tmp_path / "wrong.c"
+    wrong.write_text("const float output_std[4] = {0.1, 0.1, 0.1, x};")
+    nothing = tmp_path / "nothing.c"
+    nothing.write_text("float gate_pos[2] = {1, 2};")
+    whole = tmp_path / "whole.c"
+    whole.write_text(network.read_text() + CONTROLLER)
+    sign = ("--thrust-sign", 1)
+    for arguments, says in (
+        ((network,), "no log_std or output_std"),
+        ((whole, controller), "has a standard deviation"),
+        ((network, controller, "--std", 0.1), "--std has no effect"),
+        ((network, three), "3 standard deviations, expected 4"),
+        ((network, wrong), "output_std[3] is 'x', expected a number"),
+        ((network, nothing), "no array weights_.. or output_std"),
+        ((controller,), "0 networks and 1 files with output_std"),
+        ((thrust, moment, controller, *sign), "2 networks and 1 files with output_std"),
+        ((thrust, moment), "--thrust-sign is missing"),
+        ((moment, thrust, *sign), "the thrust network maps 10 inputs to 3 outputs"),
+        ((thrust, tmp_path / "four.c", *sign), "the moment network maps 10 inputs to 4 outputs"),
+        ((tmp_path / "tanh.c", moment, *sign), "its activation is tanh, a residual has relu"),
+        ((both, moment, *sign), "has nn_thrust_weights_fc1, nn_thrust_weights_fc2, nn_mom"),
+        ((thrust, tmp_path / "absent.c", *sign), "absent.c: no such file"),
+    ):
+        assert run("import", "e2e_paper", *arguments, "--output", tmp_path / "out.npz") == 2
+        error = capsys.readouterr().err
+        assert says in error and error.count("\n") == 1, error
+    assert not (tmp_path / "out.npz").exists()
+
+
+def compile_c(folder: Path, source: Path, name: str, inputs: int, outputs: int):
+    """The function of a C file, compiled: (n, inputs) -> (n, outputs)."""
+    for header in ("neural_network.h", "nn_thrust.h", "header.h"):
+        (folder / header).write_text("")
+    library = folder / f"{name}.so"
+    command = ["gcc", "-shared", "-fPIC", "-I", folder, "-o", library, source, "-lm"]
+    subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    function = getattr(ctypes.CDLL(str(library)), name)
+    pointer = ctypes.POINTER(ctypes.c_float)
+
+    def call(rows):
+        out = np.zeros((len(rows), outputs), np.float32)
+        for x, y in zip(np.ascontiguousarray(rows, np.float32), out, strict=True):
+            assert x.shape == (inputs,)
+            function(x.ctypes.data_as(pointer), y.ctypes.data_as(pointer))
+        return out
+
+    return call
+
+
+def equal(own, wanted):
+    """Equal to 1e-5 of the largest output."""
+    np.testing.assert_allclose(own, wanted, rtol=1e-5, atol=1e-5 * np.abs(wanted).max())
+
+
+@published
+@compiled
+@pytest.mark.parametrize(
+    ("files", "preset", "inputs"), [(E2E, "e2e_paper", 24), (INDI, "indi_table1", 17)]
+)
+def test_the_authors_policies_equal_their_compiled_c(tmp_path, files, preset, inputs):
+    out = tmp_path / "policy.npz"
+    assert run("import", preset, *files, "--output", out) == 0
+    x = np.random.default_rng(0).normal(size=(50, inputs))
+    wanted = compile_c(tmp_path, files[0], "nn_forward", inputs, 4)(x)
+    equal(mean_action(policy_params(Policy.load(out)), jnp.float32(x)), wanted)
+
+
+@published
+@compiled
+def test_the_authors_residual_equals_its_compiled_c(tmp_path):
+    out = tmp_path / "residual.npz"
+    assert run("import", "e2e_table1", *RESIDUAL, "--thrust-sign", 1, "--output", out) == 0
+    residual = read_residual(out)
+    assert digest(residual) == paper.RESIDUAL
+    rpm, velocity, rates, scaled = flight_inputs()
+    force, moment = residual_outputs(residual, rpm, velocity, rates)
+    equal(force[:, None], compile_c(tmp_path, RESIDUAL[0], "nn_thrust_forward", 7, 1)(scaled))
+    both = np.concatenate([scaled, rates], axis=1)
+    equal(moment, compile_c(tmp_path, RESIDUAL[1], "nn_moment_forward", 10, 3)(both))
+
+
+@published
+def test_the_guide_has_the_digests_of_the_authors_files():
+    page = PAGE.read_text()
+    for path in (*E2E, *INDI, *RESIDUAL):
+        assert hashlib.sha256(path.read_bytes()).hexdigest() in page, path
+
+
+@published
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("files", "trained", "race", "row"),
+    [
+        ([*E2E, *RESIDUAL, "--thrust-sign", 1], "authors_code", "e2e_table1", paper.E2E_ROW),
+        (INDI, "indi_table1", "indi_table1", paper.INDI_ROW),
+    ],
+    ids=["E2E", "INDI"],
+)
+def test_the_authors_policies_fly_the_times_of_table_1(tmp_path, capsys, files, trained, race, row):
+    """The two commands of the guide."""
+    out, laps = tmp_path / "policy.npz", tmp_path / "laps.json"
+    assert run("import", trained, *files, "--output", out) == 0
+    residual = [f"vehicle.residual={out}"] if "--thrust-sign" in files else []
+    arguments = (race, *residual, "--policy", out, "--runs", 20, "--json", laps)
+    assert run("evaluate", *arguments) == 0
+    result = json.loads(laps.read_text())
+    assert result["finished"] == result["runs"] == 20 and not result["deterministic"]
+    assert np.mean(result["totals"]) == pytest.approx(row.total, abs=0.1)
+    assert f"{row.label}, sampled" in capsys.readouterr().out
