@@ -68,8 +68,9 @@ def read_network(path: Path | str) -> Network:
     """
     suffix = Path(path).suffix.lower()
     if c_arrays.is_c(path):
-        own = c_arrays.read_c_network(path)
-        return Network(own.layers, None if own.std is None else np.log(own.std), own.activation)
+        source = c_arrays.read_c_network(path)
+        log_std = None if source.std is None else np.log(source.std)
+        return Network(source.layers, log_std, source.activation)
     if suffix in TORCH:
         return _of_tensors(path, read_state_dict(path))
     if suffix not in ZIP:
