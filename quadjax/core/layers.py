@@ -55,10 +55,11 @@ def from_layers(layers: list[Layer], path: str) -> Iterator[None]:
 def _source(layers: list[Layer], text: str) -> str | None:
     """The last layer that sets the first key in a text, or the section of a dotted one."""
     dotted, top = DOTTED.search(text.partition(", allowed")[0]), TOP.match(text)
-    if dotted is None and top is None:
-        return None
-    parts = re.findall(r"\w+", dotted[0]) if dotted else [top[1]]
-    for count in range(len(parts), 1, -1) if dotted else [1]:
+    if dotted is None:
+        key = top[1] if top else ""
+        return next((layer.source for layer in reversed(layers) if key in layer.tree), None)
+    parts = re.findall(r"\w+", dotted[0])
+    for count in range(len(parts), 1, -1):
         for layer in reversed(layers):
             for root in (layer.tree, layer.tree.get("schedules")):
                 if _has(root, parts[:count]):

@@ -104,8 +104,9 @@ def train(
             policy = Policy.load(folder / "policy.npz")
             return Run(config, folder, policy, True, read_summary(folder))
         shown = TrainingProgress(job.steps, config.name) if progress else None
-        for note in (*config.notes, *_sizes(config)) if shown and hosts.is_first() else ():
-            shown.note(f"{config.name}: {note}")
+        if shown is not None and hosts.is_first():
+            for note in (*config.notes, *_sizes(config)):
+                shown.note(f"{config.name}: {note}")
         with interruptions() as stop, shown or contextlib.nullcontext():
             callbacks = _Callbacks(job, folder, shown, stop, enough)
             position = _run(job, folder, resume, started, callbacks)
