@@ -8,6 +8,7 @@ import dataclasses
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.loading import load_config
@@ -100,8 +101,9 @@ def _race(config: Config) -> tuple[object, ...]:
     is imported, so a config of a run's folder may be compared.
     """
     params = build_params(config)
-    limits = exact_rules(model(config.vehicle.model), params).limits.replace(episode_steps=None)
-    track = params.track.replace(yaw=None, next_yaw=None)  # their sine and cosine remain
+    zero, limits = jnp.zeros(()), exact_rules(model(config.vehicle.model), params).limits
+    limits = dataclasses.replace(limits, episode_steps=zero)
+    track = dataclasses.replace(params.track, yaw=zero, next_yaw=zero)  # sine and cosine remain
     numbers = {
         "constants": params.vehicle.constants,
         "limits": limits,
@@ -116,12 +118,17 @@ def _race(config: Config) -> tuple[object, ...]:
 
 
 def _close(own: object, other: object, atol: float) -> bool:
-    leaves, structure = jax.tree.flatten(own)
-    others, other_structure = jax.tree.flatten(other)
-    return structure == other_structure and all(
-        np.shape(x) == np.shape(y) and np.allclose(x, y, 1e-6, atol)
-        for x, y in zip(leaves, others, strict=True)
+    mine, others = _numbers(own), _numbers(other)
+    return mine.keys() == others.keys() and all(
+        np.shape(x) == np.shape(others[name]) and np.allclose(x, others[name], 1e-6, atol)
+        for name, x in mine.items()
     )
+
+
+def _numbers(tree: object) -> dict[str, jax.Array]:
+    """The leaves of a tree by their paths."""
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
 
 
 def published_flight(
