@@ -190,10 +190,12 @@ def fly_all(
         for run in range(setting.runs):
             text = f"run {run + 1} of {setting.runs}"
             report(text)
-            options = (setting.faults, setting.timing, setting.seed, run, stop)
-            races.append(
-                fly(world, peer, *options, lambda s, text=text: report(f"{text}: {s:.0f} s flown"))
-            )
+
+            def say(seconds: float, text: str = text) -> None:
+                report(f"{text}: {seconds:.0f} s flown")
+
+            options = (setting.faults, setting.timing, setting.seed, run, stop, say)
+            races.append(fly(world, peer, *options))
             if stop.is_set() or races[-1].gone:
                 break
     return Flown(setting, config, world, name, races)
