@@ -22,10 +22,11 @@ from quadjax.config.race import build_params
 from quadjax.core.errors import InputError
 from quadjax.core.folders import MARKER
 from quadjax.evaluation.evaluation import evaluate
-from quadjax.export.race_source import find_config, own_race
+from quadjax.export.race_source import own_race
 from quadjax.learners import loop, memory
 from quadjax.learners.networks import layers_of
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 from quadjax.training import run as training
 from quadjax.training.build import build_learner, initial_policy, policy_of, start_state
 from quadjax.training.checkpoint import Checkpoints
@@ -365,7 +366,7 @@ def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     alone = (moved / "policy.npz").rename(tmp_path / "alone.npz")
     shutil.rmtree(moved)
     policy = Policy.load(alone)
-    found, origin = find_config(policy, alone)
+    found, origin = race_of_policy(policy, alone)
     race = own_race(found, policy, origin, alone.name)
     assert race.params.vehicle.residual is not None and race.track == "mine"
 

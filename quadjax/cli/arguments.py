@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import check_file
 from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
-from quadjax.core.resources import find_policy
+from quadjax.core.resources import find_policy, preset_names
 from quadjax.core.sections import FOLDER_NAME
 from quadjax.core.yaml_files import close_match, short
 
@@ -101,6 +101,20 @@ def add_config(
     parser.add_argument("config", metavar="CONFIG", help=kind)
     parser.add_argument(
         "overrides", nargs="*", default=[], metavar="key=value", help="change keys of the config"
+    )
+
+
+def names_of(folder: str) -> str:
+    """The names of the configs in a folder of ``configs/``, for a help text."""
+    return f"a name ({', '.join(preset_names(folder))}) or a YAML file"
+
+
+def add_code(parser: argparse.ArgumentParser) -> None:
+    """Add ``--allow-code``, for configs of flight logs."""
+    parser.add_argument(
+        "--allow-code",
+        action="store_true",
+        help="import the reader of logs that the fit config's file names as module:OBJECT",
     )
 
 

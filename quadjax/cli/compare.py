@@ -17,6 +17,7 @@ from quadjax.cli.arguments import (
     add_overwrite,
     laps,
     name,
+    names_of,
     parse,
     runs,
     seed,
@@ -29,7 +30,7 @@ from quadjax.core.resources import PRETRAINED
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("compare", description=__doc__)
-    add_config(parser, "a YAML file of configs/plant")
+    add_config(parser, names_of("plant"))
     parser.add_argument("--e2e", default=str(PRETRAINED / "e2e_adaptive.npz"), metavar="FILE.npz")
     parser.add_argument("--indi", default=str(PRETRAINED / "indi_shac.npz"), metavar="FILE.npz")
     parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")

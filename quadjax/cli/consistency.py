@@ -10,14 +10,23 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, check_outputs, count, parse, runs, seed
+from quadjax.cli.arguments import (
+    Parser,
+    add_config,
+    check_outputs,
+    count,
+    names_of,
+    parse,
+    runs,
+    seed,
+)
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("consistency", description=__doc__)
-    add_config(parser, "a YAML file of configs/plant, or its name")
+    add_config(parser, names_of("plant"))
     parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
     parser.add_argument(
         "--policy", action="append", metavar="FILE.npz", help="(e2e.npz and indi.npz)"

@@ -8,7 +8,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_ranges, parse
+from quadjax.cli.arguments import Parser, add_ranges, names_of, parse
 from quadjax.core.interruptions import loading
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
 
@@ -29,12 +29,14 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add_ranges(
         parser, "declare +-R for an input instead of the default, a power of two: position=16"
     )
-    parser.add_argument("--track", help="track file of configs/tracks, or a path to one")
+    parser.add_argument("--track", help=names_of("tracks"))
     parser.add_argument(
+        "--race",
         "--config",
-        type=Path,
-        help="training config of the policy's race (default: the policy file's own, or the "
-        "config.yaml next to it)",
+        dest="config",
+        metavar="CONFIG",
+        help="training config of the policy's race (default: the one in the policy file, or the "
+        "preset that it names)",
     )
     parser.add_argument("--sample-rate", type=float, help="of the estimators, Hz (default: 512)")
     parser.add_argument(
@@ -53,7 +55,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace files of the same names in a folder that no export made",
+        help="write to a folder that no export made, and replace its files of the same names",
     )
     return parse(parser, argv)
 

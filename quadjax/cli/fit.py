@@ -11,7 +11,16 @@ import argparse
 import time
 from collections.abc import Sequence
 
-from quadjax.cli.arguments import Parser, add_config, add_name, add_output, overrides_of, parse
+from quadjax.cli.arguments import (
+    Parser,
+    add_code,
+    add_config,
+    add_name,
+    add_output,
+    names_of,
+    overrides_of,
+    parse,
+)
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
@@ -19,8 +28,9 @@ from quadjax.core.resources import find_config
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("fit", description=__doc__)
-    add_config(parser, "a YAML file of configs/fit")
+    add_config(parser, names_of("fit"))
     add_name(parser)
+    add_code(parser)
     add_output(parser)
     parser.add_argument(
         "--overwrite", action="store_true", help="replace an earlier fit of the same name"
@@ -46,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.fitting.report import PATTERNS, tables, write_results
 
     path = find_config(options.config, "fit")
-    config = load_fit_config(path, overrides_of(options))
+    config = load_fit_config(path, overrides_of(options), options.allow_code)
     folder = options.output / config.name
     find_logs(config.logs, path.parent)  # before the folder is created
     columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 
-from quadjax.cli.arguments import Parser, add_config, parse
+from quadjax.cli.arguments import Parser, add_config, names_of, parse
 from quadjax.core.interruptions import loading
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Identify and print."""
     parser = Parser("identify", description=__doc__)
-    add_config(parser, "a YAML file of configs/plant")
+    add_config(parser, names_of("plant"))
     parser.add_argument(
         "--effects", action="store_true", help="with the unmodeled effects and delays of the plant"
     )

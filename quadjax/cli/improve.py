@@ -15,7 +15,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quadjax.cli.arguments import Parser, add_config, laps, parse, runs, seed, whole
+from quadjax.cli.arguments import (
+    Parser,
+    add_code,
+    add_config,
+    laps,
+    names_of,
+    parse,
+    runs,
+    seed,
+    whole,
+)
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
@@ -35,9 +45,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--flights", type=runs, help="in each round (2)")
     parser.add_argument("--laps", type=laps, help="of each flight (6)")
     parser.add_argument("--steps", type=whole(1, 10**9), help="of each fine-tuning (1000000)")
-    parser.add_argument("--fit", metavar="FILE", help="YAML file of configs/fit (improve)")
+    parser.add_argument("--fit", metavar="FILE", help=f"{names_of('fit')} (improve)")
+    add_code(parser)
     parser.add_argument("--logs", nargs="+", metavar="FILE", help="real logs, in place of flights")
-    parser.add_argument("--plant", metavar="FILE", help="YAML file of configs/plant (standin)")
+    parser.add_argument("--plant", metavar="FILE", help=f"{names_of('plant')} (standin)")
     parser.add_argument("--plant-seed", type=seed, help="of the plant's constants")
     parser.add_argument(
         "--plants", type=whole(1, 1000), metavar="N", help="plants, with seeds from --plant-seed on"
@@ -93,7 +104,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _setting(options: argparse.Namespace) -> "Setting":
     """What the command asks for."""
     from quadjax.config.loading import load_config
-    from quadjax.core.resources import find_config
     from quadjax.fitting.config import load_fit_config
     from quadjax.fitting.flight_log import find_logs
     from quadjax.plant.config import load_plant_config
@@ -104,7 +114,7 @@ def _setting(options: argparse.Namespace) -> "Setting":
             raise InputError(f"--logs and --{name.replace('_', '-')} exclude each other")
     if options.reference and options.check == 0:
         raise InputError("--reference needs flights to compare: --check of at least 1")
-    fit, plant = load_fit_config(find_config(options.fit or "improve", "fit")), None
+    fit, plant = load_fit_config(options.fit or "improve", allow_code=options.allow_code), None
     logs: tuple[Path, ...] = ()
     if options.logs:
         files = fit.logs.replace(files=tuple(options.logs))

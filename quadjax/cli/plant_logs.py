@@ -4,13 +4,13 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_config, laps, parse, runs, seed
+from quadjax.cli.arguments import Parser, add_config, laps, names_of, parse, runs, seed
 from quadjax.core.interruptions import loading
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("plant-logs", description=__doc__)
-    add_config(parser, "a YAML file of configs/plant")
+    add_config(parser, names_of("plant"))
     parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
     parser.add_argument("--race", default="e2e_shac", metavar="CONFIG", help="preset or YAML file")
     parser.add_argument("--flights", type=runs, default=4, help="of each policy (4)")

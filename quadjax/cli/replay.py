@@ -12,7 +12,15 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, add_output, add_overwrite, check_outputs, name, parse
+from quadjax.cli.arguments import (
+    Parser,
+    add_code,
+    add_output,
+    add_overwrite,
+    check_outputs,
+    name,
+    parse,
+)
 from quadjax.cli.progress import steps
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -32,6 +40,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar="FIT.yaml",
         help="fit config whose section logs describes the columns (default: plain columns)",
     )
+    add_code(parser)
     parser.add_argument("--race", metavar="CONFIG", help="race of the policy (its file's)")
     parser.add_argument("--track", metavar="FILE", help="track that was flown (the race's)")
     parser.add_argument("--vehicle", metavar="FILE", help="vehicle file of the model (the race's)")
@@ -64,16 +73,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.core.files import write_json, write_text
         from quadjax.core.folders import results
         from quadjax.core.provenance import provenance
-        from quadjax.export.race_source import find_config, own_race
+        from quadjax.export.race_source import own_race
         from quadjax.fitting.config import LogsConfig, load_fit_config
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
+        from quadjax.policy.race import race_of_policy
         from quadjax.studies.replay.run import FILES, numbers, replay, tables, write_figures
 
     policy = own = drone = None
     if options.policy is not None:
         policy = Policy.load(options.policy)
-        found = find_config(policy, Path(options.policy), options.race, options.track)
+        found = race_of_policy(
+            policy, options.policy, options.race, options.track, Console(stderr=True).print
+        )
         own, drone = own_race(found[0], policy, found[1], str(options.policy)), found[0]
     if options.vehicle is not None:
         overrides = [f"vehicle={options.vehicle}"]
@@ -81,7 +93,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         overrides += [f"track={options.track}"] if options.track else []
         drone = load_config(options.race or "e2e_fastest", overrides)
     assert drone is not None
-    logs = load_fit_config(options.logs).logs if options.logs else LogsConfig()
+    logs = LogsConfig()
+    if options.logs:
+        logs = load_fit_config(options.logs, allow_code=options.allow_code).logs
     track = drone.track if policy is None else found[0].track
     folder, console = options.output / options.name, Console(stderr=True)
     with results(folder, "replay", FILES, options.overwrite) as new, steps(console) as report:

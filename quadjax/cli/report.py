@@ -9,7 +9,7 @@ its track has the gates, its vehicle the limits and time constants.
 import argparse
 from collections.abc import Sequence
 
-from quadjax.cli.arguments import Parser, add_output, add_overwrite, name, parse
+from quadjax.cli.arguments import Parser, add_code, add_output, add_overwrite, name, parse
 from quadjax.core.interruptions import loading
 
 
@@ -27,6 +27,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--logs", metavar="FIT.yaml", help="fit config whose section logs describes the columns"
     )
+    add_code(parser)
     parser.add_argument("--name", type=name, default="report", help="of the folder (report)")
     add_output(parser)
     add_overwrite(parser, "report")
@@ -44,7 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.studies.report.run import FILES, write_report
 
     config = load_config(options.race)
-    logs = None if options.logs is None else load_fit_config(options.logs).logs
+    logs = None
+    if options.logs is not None:
+        logs = load_fit_config(options.logs, allow_code=options.allow_code).logs
     groups = find_flights(options.flights, config.track, logs)
     folder = options.output / options.name
     with results(folder, "report", FILES, options.overwrite) as new:

@@ -8,7 +8,7 @@ same race and protocol.
 
 import argparse
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,12 +56,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError(f"{overrides[0]}: overrides change the race of --race, which is missing")
     race = load_config(options.race, overrides) if options.race else None
     results, console = [], Console(stderr=True)
+
+    def note(line: str) -> None:
+        console.print(line, highlight=False)
+
     with bar(counted=True, console=console) as progress:
         chosen = paths or shipped_policies()
         task = progress.add_task("", total=len(chosen))
         for path in chosen:
             progress.update(task, description=path.name)
-            results.append(fly_one(path, race, options.runs))
+            results.append(fly_one(path, race, options.runs, note))
             progress.advance(task)
     print(protocol_table(results))
     if options.json:
@@ -76,26 +80,29 @@ def shipped_policies() -> list[Path]:
     return [PRETRAINED / f"{name}.npz" for name in policy_names()]
 
 
-def fly_one(path: Path, race: "Config | None", flights: int) -> "Protocols":
+def fly_one(
+    path: Path, race: "Config | None", flights: int, report: Callable[[str], None]
+) -> "Protocols":
     """Both protocols of one policy.
 
     Args:
         path: of a policy file, or of the folder of a training run.
         race: to fly in; None for that of the policy's training.
         flights: of each kind.
+        report: called with a line of text if the race is that of a preset.
 
     Raises:
         InputError: a file that cannot be used.
     """
     from quadjax.evaluation.evaluation import evaluate
     from quadjax.evaluation.protocols import fly_protocols
-    from quadjax.export.race_source import find_config
     from quadjax.policy.file import Policy
+    from quadjax.policy.race import policy_path, race_of_policy
     from quadjax.training.paper import published_sampled
 
-    file = path / "policy.npz" if path.is_dir() else path
+    file = policy_path(path)
     policy = Policy.load(file)
-    config, _ = find_config(policy, file, race)
+    config, _ = race_of_policy(policy, file, race, report=report)
     fly = functools.partial(evaluate, policy, config, runs=flights, name=str(file))
     label = path.name if path.is_dir() else path.stem
     return fly_protocols(fly, label, policy.log_std, published_sampled(config))

@@ -69,15 +69,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         name: [train_seed(file, overrides, seed, runs, options.overwrite) for seed in seeds]
         for name, file in configs.items()
     }
-    save_figure(learning_figure(groups), figure)
+    trained = {name: load_config(file, overrides) for name, file in configs.items()}
+    save_figure(learning_figure(groups, trained), figure)
     print(f"wrote {figure}")
     for name, folders in groups.items():
-        results = [evaluate_seed(folder, options.runs) for folder in folders]
+        results = [evaluate_seed(folder, options.runs, trained[name]) for folder in folders]
         print(f"\n{name}\n\n{format_seeds(results)}\n")
         path = runs / f"{name}_seeds.json"
         rows = [result.to_json() for result in results]
-        config = load_config(configs[name], overrides)
-        write_json(path, {"results": rows, "provenance": provenance(config)})
+        write_json(path, {"results": rows, "provenance": provenance(trained[name])})
         print(f"wrote {path}")
     return 0
 

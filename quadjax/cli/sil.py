@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from quadjax.cli.arguments import Parser, add_output, add_overwrite, laps, name, parse, runs, seed
+from quadjax.cli.arguments import (
+    Parser,
+    add_output,
+    add_overwrite,
+    laps,
+    name,
+    names_of,
+    parse,
+    runs,
+    seed,
+)
 from quadjax.cli.progress import steps
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import interruptions, loading
@@ -80,8 +90,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar="HOST:PORT",
         help="wait there for your own autopilot, at most 120 s",
     )
+    parser.add_argument("--race", metavar="CONFIG", help="config of DIR's race (DIR's)")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--plant", metavar="CONFIG", help="of configs/plant (default: standin)")
+    where.add_argument("--plant", metavar="CONFIG", help=f"{names_of('plant')} (default: standin)")
     where.add_argument("--simulator", action="store_true", help="the simulator of the training")
     parser.add_argument(
         "--speed",
@@ -176,6 +187,8 @@ def _setting(options: argparse.Namespace) -> "Setting":
     for unit in options.wrong_unit:
         if unit not in WRONG_UNITS:
             raise InputError(f"--wrong-unit {unit}, allowed: {', '.join(WRONG_UNITS)}")
+    if options.race is not None and not options.source.is_dir():
+        raise InputError(f"--race has no effect: {options.source} is a race itself")
     if options.delay is not None and not options.late:
         raise InputError("--delay has no effect without --late")
     if options.simulator and options.overrides:
@@ -201,4 +214,5 @@ def _setting(options: argparse.Namespace) -> "Setting":
         options.seed,
         timing,
         faults,
+        options.race,
     )

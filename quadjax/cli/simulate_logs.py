@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.cli.arguments import Parser, count, parse, seed
+from quadjax.cli.arguments import Parser, count, names_of, parse, seed
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
@@ -13,7 +13,7 @@ RESIDUAL = "residual.npz"
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("simulate-logs", description=__doc__)
-    parser.add_argument("--vehicle", default="bebop1.yaml", help="a file of configs/vehicles")
+    parser.add_argument("--vehicle", default="bebop1.yaml", help=names_of("vehicles"))
     parser.add_argument("--residual", type=Path, help="a residual file (.npz) of the drone")
     parser.add_argument(
         "--random-residual", type=seed, metavar="SEED", help="write and use DIR/residual.npz"

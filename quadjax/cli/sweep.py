@@ -9,7 +9,7 @@ import argparse
 import time
 from collections.abc import Sequence
 
-from quadjax.cli.arguments import Parser, add_config, add_output, count, parse
+from quadjax.cli.arguments import Parser, add_config, add_output, count, names_of, parse
 from quadjax.core.errors import INTERRUPTED
 from quadjax.core.folders import check_free, check_kind, claim, remove_files
 from quadjax.core.interruptions import loading
@@ -31,9 +31,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         "sweep",
         description=__doc__,
-        epilog="Example: quadjax sweep configs/sweeps/learning_rate.yaml budget.trials=40",
+        epilog="Example: quadjax sweep learning_rate budget.trials=40",
     )
-    add_config(parser, "a YAML file, such as configs/sweeps/learning_rate.yaml")
+    add_config(parser, names_of("sweeps"))
     parser.add_argument("--workers", type=count, help="trials at the same time (executor.workers)")
     parser.add_argument("--check", action="store_true", help="check the sweep and run nothing")
     parser.add_argument("--report", action="store_true", help="only report the finished trials")

@@ -68,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Train, then print and save the results."""
     options = _arguments(arguments)
     with loading():
+        from quadjax.config.code import named_code
         from quadjax.config.loading import load_config
         from quadjax.learners import hosts
         from quadjax.learners.devices import prepare_devices
@@ -85,7 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     folder = options.output / config.name
     if options.watch and hosts.is_first():
-        print(f"watch: {start(folder)}", file=sys.stderr, flush=True)
+        own = any(named_code(config.model_dump(by_alias=True)))
+        race = [options.config, *overrides_of(options)] if own else []
+        print(f"watch: {start(folder, race)}", file=sys.stderr, flush=True)
     try:
         run = train(
             config,

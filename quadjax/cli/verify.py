@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from quadjax.cli.arguments import Parser, check_outputs, count, parse, runs, whole
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, as_options
 from quadjax.core.interruptions import loading
 
 
@@ -41,9 +41,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         type=whole(1, 10**7),
         help="mutated .qjp files that are tried (default: 2000)",
     )
+    parser.add_argument("--race", metavar="CONFIG", help="config of the race (the folder's)")
     parser.add_argument("--json", type=Path, metavar="FILE.json", help="write the table")
     arguments = parse(parser, argv)
-    for option in ("runs", "allow_unfinished", "allow_other_race"):
+    for option in ("runs", "allow_unfinished", "allow_other_race", "race"):
         if arguments.folder.suffix == ".qjp" and getattr(arguments, option):
             raise InputError(f"--{option.replace('_', '-')} has no effect on a .qjp file")
     if arguments.vectors < 100:
@@ -72,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def report(result: Result) -> None:
         if sys.stderr.isatty():
             print("\r\033[K", end="", file=sys.stderr, flush=True)
-        print(row_text(result, max(map(len, CHECKS))), flush=True)
+        print(as_options(row_text(result, max(map(len, CHECKS)))), flush=True)
 
     if options.folder.suffix == ".qjp":
         results = verify_file(options.folder, options.vectors, mutations, announce, report)
@@ -86,6 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             allow_other_race=options.allow_other_race,
             report=report,
             mutations=mutations,
+            config=options.race,
         )
     print(f"\n{counts_text(results)}")
     if options.json:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from quadjax.cli.arguments import Parser, check_outputs, laps, parse, runs, seed
+from quadjax.cli.arguments import Parser, add_code, check_outputs, laps, parse, runs, seed
 from quadjax.cli.progress import steps
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser(
-        "view", description=__doc__, epilog="Example: quadjax view e2e indi --race e2e_nominal"
-    )
+    parser = Parser("view", description=__doc__, epilog="Example: quadjax view e2e indi")
     parser.add_argument("flights", nargs="+", metavar="FLIGHTS", help="one or more, as above")
     parser.add_argument(
         "--output",
@@ -53,6 +51,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--logs", metavar="FIT.yaml", help="columns and frames of flight logs: a fit config"
     )
+    add_code(parser)
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
     arguments = parse(parser, argv)
     if len(arguments.names) > len(arguments.flights):
@@ -74,7 +73,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     race = load_config(options.race) if options.race else None
     reading = Options(
-        race, options.laps, options.runs, options.sampled, options.seed, _logs(options.logs)
+        race,
+        options.laps,
+        options.runs,
+        options.sampled,
+        options.seed,
+        _logs(options),
+        report=lambda line: console.print(line, highlight=False),
     )
     title = options.title or (race.track.name if race else "") or "Flights"
     with steps(console) as report:
@@ -92,8 +97,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _logs(path: str | None) -> "LogsConfig":
+def _logs(options: argparse.Namespace) -> "LogsConfig":
     """The columns and frames of flight logs that a fit config names."""
     from quadjax.fitting.config import LogsConfig, load_fit_config
 
-    return load_fit_config(path).logs if path else LogsConfig()
+    if options.logs is None:
+        return LogsConfig()
+    return load_fit_config(options.logs, allow_code=options.allow_code).logs

@@ -22,6 +22,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions, loading
 
 if TYPE_CHECKING:
+    from quadjax.config.schema import Config
     from quadjax.dashboard.flyer import Flyer, Folder
     from quadjax.dashboard.server import Server
 
@@ -33,6 +34,12 @@ LINGER = 60  # s from the last request until the server of a finished training e
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("watch", description=__doc__)
     parser.add_argument("folder", type=Path, metavar="RUN", help="folder of a run or a sweep")
+    parser.add_argument(
+        "overrides", nargs="*", default=[], metavar="key=value", help="change keys of --race"
+    )
+    parser.add_argument(
+        "--race", metavar="CONFIG", help="config of the run, which may name your own code"
+    )
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
     parser.add_argument(
         "--idle",
@@ -47,19 +54,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Serve the page until Ctrl-C."""
     options = _arguments(arguments)
     with loading():
+        from quadjax.config.loading import load_config
         from quadjax.dashboard.flyer import Flyer
         from quadjax.dashboard.server import Document, Server
 
     if not options.folder.is_dir() and options.idle is None:
         raise InputError(f"{options.folder}: no such folder")
+    if options.overrides and options.race is None:
+        raise InputError(f"{options.overrides[0]}: overrides change --race, which is missing")
+    race = load_config(options.race, options.overrides) if options.race else None
     parent = os.getppid()
     with contextlib.suppress(AttributeError, OSError):
         os.nice(NICE)
     if options.idle is not None:  # Linux weighs a session of its own as a group
         with contextlib.suppress(OSError):
             Path("/proc/self/autogroup").write_text(str(NICE))
-    folder = _folder(options.folder)
-    flyer = Flyer(folder)
+    folder = _folder(options.folder, race)
+    flyer = Flyer(folder, race)
     documents: dict[str, Document] = {
         "/state.json": functools.partial(_state, folder, flyer),
         "/flights.json": lambda: flyer.record,
@@ -77,12 +88,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _folder(path: Path) -> "Folder":
+def _folder(path: Path, race: "Config | None") -> "Folder":
     """The run or the sweep of a folder."""
     from quadjax.dashboard.run_state import TrainingRun
     from quadjax.dashboard.sweep_state import JOURNAL, SweepRun
 
-    return SweepRun(path) if (path / JOURNAL).exists() else TrainingRun(path)
+    return SweepRun(path) if (path / JOURNAL).exists() else TrainingRun(path, race)
 
 
 def _state(folder: "Folder", flyer: "Flyer") -> dict[str, Any]:
@@ -106,12 +117,17 @@ def _idle(server: "Server", folder: "Folder", seconds: int | None, parent: int) 
     return folder.finished or not psutil.pid_exists(parent)
 
 
-def start(folder: Path) -> str:
+def start(folder: Path, race: Sequence[str] = ()) -> str:
     """Serve the page of a folder from a separate process; returns its address.
 
     The process ends by itself when the folder's run is over and the page sends no more requests.
+
+    Args:
+        folder: of a run.
+        race: its config and overrides, if the config names code.
     """
     command = [sys.executable, "-m", "quadjax", "watch", str(folder), "--idle", str(LINGER)]
+    command += [*race[1:], "--race", race[0]] if race else []
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
     )

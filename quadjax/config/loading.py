@@ -1,16 +1,17 @@
 """Loading a training config: presets, files, overrides, vehicle and track files."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from quadjax.config.checks import check, vehicle_model
+from quadjax.config.code import refuse_code
 from quadjax.config.renamed import check_renamed, without_retired
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Rules, Schedule, Track
 from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.imports import load_object
 from quadjax.core.layers import Layer, from_layers, layer_of
-from quadjax.core.resources import CONFIGS, find_config, preset_names
+from quadjax.core.resources import CONFIGS, find_config
 from quadjax.core.sections import build
 from quadjax.core.yaml_files import (
     Tree,
@@ -44,7 +45,9 @@ PAPER_TRACK = "square4"
 DEFAULTS: Tree = {"vehicle": {"file": "bebop1.yaml"}, "track": {"file": "square4.yaml"}}
 
 
-def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
+def load_config(
+    config: Path | str, overrides: Sequence[str] = (), *, code: Collection[str] | None = None
+) -> Config:
     """A training config, complete and checked.
 
     Args:
@@ -53,15 +56,13 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
             on tracks that are not named ``square4``; ``Config.notes`` lists them.
         overrides: ``key=value`` with dotted keys; the value is read as YAML. ``track=figure8`` is
             short for ``track.file=figure8.yaml``; likewise ``vehicle``.
+        code: names ``module:OBJECT`` that may be imported; None: all. Empty for a file that the
+            user did not name as a config, such as the ``config.yaml`` of a folder.
 
     Raises:
         InputError: one line that names the file, the key, the value and what is allowed.
     """
     path = find_config(config)
-    if path.suffix == "" and not path.exists():
-        names = preset_names()
-        hint = close_match(str(config), names)
-        raise InputError(f"{config}: no such preset or file{hint}; presets: {', '.join(names)}")
     tree, layers = _read(path, overrides, elsewhere=False)
     track, notes = tree.get("track"), []
     name = track.get("name") if isinstance(track, dict) else None
@@ -69,6 +70,8 @@ def load_config(config: Path | str, overrides: Sequence[str] = ()) -> Config:
         paper, (tree, layers) = tree, _read(path, overrides, elsewhere=True)
         if changes := _changes(paper, tree):
             notes = [f"track {short(name or 'without a name')}: {OTHER_TRACKS} sets {changes}"]
+    if code is not None:
+        refuse_code(tree, str(path), code)
     with from_layers(layers, str(path)):
         return config_of(tree, str(path)).with_notes(notes)
 

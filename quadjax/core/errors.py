@@ -17,6 +17,7 @@ MAX_WORD, MAX_LINE = 200, 1000  # characters of a word and of a line that a comm
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
 PACKAGE = str(Path(__file__).resolve().parent.parent) + os.sep
 OWN_ERRORS = (Exception, SystemExit)  # what a user's own code may raise, apart from Ctrl-C
+OPTIONS = {"config=CONFIG": "--race CONFIG"}  # of the command line, by the argument of a function
 OWN_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_object`` has imported
 
 
@@ -87,7 +88,7 @@ def run_command(main: Callable[[], int | None]) -> int:
         line = error_line(error)
         if line is None or os.environ.get(DEBUG):
             raise
-        print(f"error: {_cut(line)}", file=sys.stderr)
+        print(f"error: {_cut(as_options(line))}", file=sys.stderr)
         return BAD_INPUT
 
 
@@ -113,6 +114,15 @@ def own_lines(error: BaseException) -> list[str]:
     """File and number of the lines of a user's modules that an exception passed through."""
     frames = traceback.extract_tb(error.__traceback__)
     return [f"{frame.filename}:{frame.lineno}" for frame in frames if frame.filename in OWN_FILES]
+
+
+def as_options(text: str) -> str:
+    """A message of a function with its arguments as the options of the command line."""
+    return re.sub(
+        r"\b(config=CONFIG|(allow_\w+|overwrite|resume)=True)",
+        lambda found: OPTIONS.get(found[1]) or f"--{found[2].replace('_', '-')}",
+        text,
+    )
 
 
 def error_line(error: BaseException) -> str | None:

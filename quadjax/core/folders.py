@@ -109,7 +109,7 @@ def check_free(folder: Path | str, kind: str, files: Iterable[str]) -> None:
         names = ", ".join(path.name for path in found[:3]) + (", .." if found[3:] else "")
         raise InputError(
             f"{folder} holds no {kind}, but {names}: choose another folder, or replace these files "
-            "(--overwrite)"
+            "(overwrite=True)"
         )
 
 

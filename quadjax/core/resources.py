@@ -3,9 +3,10 @@
 In a checkout ``configs/`` is at the top of the repository; in a wheel it is inside the package.
 """
 
+import difflib
 from pathlib import Path
 
-from quadjax.core.errors import reading
+from quadjax.core.errors import InputError, reading
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _BUNDLED = _PACKAGE / "configs"
@@ -14,22 +15,38 @@ CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
 
 
-def preset_names() -> list[str]:
-    """Names of the presets: what ``quadjax.load`` and ``quadjax train`` take instead of a file."""
-    return sorted(path.stem for path in CONFIGS.glob("*.yaml"))
+def preset_names(folder: str = "") -> list[str]:
+    """Names of the configs in a folder of ``configs/``, which commands take instead of a file.
+
+    Without ``folder`` they are the presets of ``quadjax.load`` and ``quadjax train``.
+    """
+    return sorted(path.stem for path in (CONFIGS / folder).glob("*.yaml"))
 
 
 def find_config(name: Path | str, folder: str = "") -> Path:
     """The path of a config: a file, or a preset by its name without ``.yaml``.
 
+    A folder of a preset's name does not hide the preset.
+
     Args:
         name: of a YAML file, or of a preset.
         folder: the folder of ``configs/`` in which presets are looked up.
+
+    Raises:
+        InputError: neither a file nor a preset; with the names of the presets.
     """
     path = Path(name)
     preset = CONFIGS / folder / f"{name}.yaml"
     with reading(name):
-        return preset if path.suffix == "" and not path.exists() and preset.is_file() else path
+        if path.suffix == "" and (path.is_dir() or not path.exists()) and preset.is_file():
+            return preset
+        if path.exists() or path.is_symlink():
+            return path
+    names = preset_names(folder)
+    near = difflib.get_close_matches(path.stem, names, 1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    kind = "file" if path.suffix else "preset or file"
+    raise InputError(f"{name}: no such {kind}{hint}; presets: {', '.join(names)}")
 
 
 def find_policy(name: Path | str) -> Path:
@@ -38,7 +55,8 @@ def find_policy(name: Path | str) -> Path:
     shipped = PRETRAINED / path.with_suffix(".npz") if path.name else path
     bare = path.name == str(path) and path.suffix in ("", ".npz")
     with reading(name):
-        return shipped if bare and not path.exists() and shipped.is_file() else path
+        hidden = path.is_dir() or not path.exists()
+        return shipped if bare and hidden and shipped.is_file() else path
 
 
 def policy_names() -> list[str]:

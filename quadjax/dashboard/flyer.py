@@ -5,9 +5,13 @@ import threading
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
+from quadjax.core.errors import as_options
 from quadjax.view.flight import Flight
+
+if TYPE_CHECKING:
+    from quadjax.config.schema import Config
 
 RUNS = 8  # sampled flights, for the causes of crashes
 SHOWN = 3  # of them, next to the mean action's
@@ -27,7 +31,7 @@ class Folder(Protocol):
 
     @property
     def policy(self) -> Path:
-        """The newest policy's file, with its ``config.yaml`` next to it; they may not exist."""
+        """The newest policy's file, which may not exist."""
 
     @property
     def finished(self) -> bool:
@@ -46,13 +50,18 @@ class Flyer:
         count: number of simulations so far, which identifies ``record``.
     """
 
-    def __init__(self, folder: Folder) -> None:
-        """Start the thread; JAX is imported with the first flight."""
+    def __init__(self, folder: Folder, race: "Config | None" = None) -> None:
+        """Start the thread; JAX is imported with the first flight.
+
+        Args:
+            folder: whose policy flies.
+            race: in which it flies; None for that of its file.
+        """
         self.record: dict[str, Any] | None = None
         self.causes: dict[str, int] = {}
         self.count = 0
         self.error = ""
-        self._folder, self._stop = folder, threading.Event()
+        self._folder, self._race, self._stop = folder, race, threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -77,22 +86,23 @@ class Flyer:
                 except OSError:
                     continue
                 except Exception as error:  # of the policy file, of JAX, or of the user's functions
-                    self.error = str(error).partition("\n")[0] or type(error).__name__
+                    self.error = as_options(str(error)).partition("\n")[0] or type(error).__name__
                 seen = found
                 rest = 0.0 if self._folder.finished else REST * (time.monotonic() - started)
                 self._stop.wait(min(rest, 60.0))
 
     def _fly(self, path: Path) -> None:
         """Simulate a policy in its race; the folder's newest one may by now be another."""
-        from quadjax.config.loading import load_config
         from quadjax.config.race import race_of
         from quadjax.evaluation.recording import recordings
         from quadjax.evaluation.viewing import flight_of
         from quadjax.policy.file import Policy
         from quadjax.policy.pilot import fly_policy
+        from quadjax.policy.race import race_of_policy
         from quadjax.view.data import Scene
 
-        config, policy = load_config(path.with_name("config.yaml")), Policy.load(path)
+        policy = Policy.load(path)
+        config, _ = race_of_policy(policy, path, self._race)
         choices, params = race_of(config)
         gates, laps = config.track.gates, min(LAPS, config.evaluate.laps)
         flights: list[Flight] = []

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.training.metrics import read_metrics
@@ -21,9 +22,14 @@ class TrainingRun:
 
     kind = "training"
 
-    def __init__(self, folder: Path) -> None:
-        """Read nothing yet."""
-        self._folder = folder
+    def __init__(self, folder: Path, race: Config | None = None) -> None:
+        """Read nothing yet.
+
+        Args:
+            folder: of the run.
+            race: its config; None for ``config.yaml`` of the folder, which may not name code.
+        """
+        self._folder, self._race = folder, race
 
     @property
     def name(self) -> str:
@@ -49,7 +55,7 @@ class TrainingRun:
         """Curves and progress, as JSON takes them."""
         state: dict[str, Any] = {"finished": self.finished, "total_steps": None}
         with contextlib.suppress(InputError):
-            config = load_config(self._folder / "config.yaml")
+            config = self._race or load_config(self._folder / "config.yaml", code=())
             state["total_steps"] = config.run.steps
             state["subtitle"] = f"{config.learner.algorithm}, {config.track.name}"
             state["laps"] = config.evaluate.laps

@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.loading import load_config
 from quadjax.config.schema import Config, Gate
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json, read_npz
 from quadjax.core.folders import kind_of
-from quadjax.core.resources import PRETRAINED
+from quadjax.core.resources import find_policy
 from quadjax.core.sections import build
 from quadjax.evaluation.evaluation import Evaluation, evaluate
-from quadjax.evaluation.own_race import own_race
 from quadjax.evaluation.recording import SIGNALS, STATES
 from quadjax.evaluation.viewing import RATES, flights_of, marker_of, split
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import FlightLog, read_log
-from quadjax.policy.file import FORMATS
+from quadjax.policy.file import FORMATS, Policy
+from quadjax.policy.race import policy_path, race_of_policy
 from quadjax.race.recorded_starts import LIMIT
 from quadjax.studies.flight_files import (
     STATE_ARRAYS,
@@ -51,6 +50,7 @@ class Options:
         seed: of the noise and the disturbances.
         logs: columns and frames of flight logs.
         progress: called with the policy that is simulated.
+        report: called with a line of text for a policy that flies the race of a preset.
     """
 
     race: Config | None = None
@@ -60,6 +60,7 @@ class Options:
     seed: int = 0
     logs: LogsConfig = dataclasses.field(default_factory=LogsConfig)
     progress: Callable[[str], None] = lambda line: None
+    report: Callable[[str], None] = lambda line: None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,11 +88,11 @@ def read_source(source: Path | str, name: str, options: Options) -> Source:
         InputError: no such file, an unknown kind, or one that cannot be read.
     """
     path = Path(source)
+    if path.is_dir() and policy_path(path) == path:
+        path = find_policy(source)
     if path.is_dir():
         return _read_run(path, name, options)
-    if not path.exists():
-        shipped = PRETRAINED / path.with_suffix(".npz")
-        path = shipped if shipped.exists() else path
+    path = find_policy(path)
     check_file(path)
     readers = {".npz": _read_npz, ".csv": _read_log, ".json": _read_json, ".ulg": _read_log}
     if path.suffix not in readers:
@@ -102,28 +103,31 @@ def read_source(source: Path | str, name: str, options: Options) -> Source:
 
 
 def _read_run(folder: Path, name: str, options: Options) -> Source:
-    kind = kind_of(folder)
-    if kind != "training" or not (folder / "policy.npz").exists():
-        raise InputError(f"{folder}: expected the folder of a training run with a policy.npz")
-    config = options.race or load_config(folder / "config.yaml")
-    return fly(folder / "policy.npz", config, name, options)
+    policy, kind = policy_path(folder), kind_of(folder)
+    if policy == folder:
+        raise InputError(f"{folder}: no policy.npz, expected the folder of a training run")
+    if kind not in (None, "training"):
+        raise InputError(f"{folder}: holds files of {kind}, expected the folder of a training run")
+    return fly(policy, name, options)
 
 
 def _read_npz(path: Path, name: str, options: Options) -> Source:
     arrays, meta = read_npz(path, (*FORMATS, STATES, LIMIT), RECORDED)
     if meta["format"] in FORMATS:
-        return fly(path, options.race or own_race(path), name, options)
+        return fly(path, name, options)
     gates = tuple(_gates_of(path, meta)) or _gates(options)
     flights = _limit if meta["format"] == LIMIT else _states
     return Source(gates, tuple(flights(path, arrays, meta, gates, name)))
 
 
-def fly(path: Path, config: Config, name: str, options: Options) -> Source:
-    """Flights of a policy file in a race."""
+def fly(path: Path, name: str, options: Options) -> Source:
+    """Flights of a policy file in its race, or in that of the options."""
     options.progress(f"simulating {path}")
+    policy = Policy.load(path)
+    race, _ = race_of_policy(policy, path, options.race, report=options.report)
     evaluation = evaluate(
-        path,
-        config,
+        policy,
+        race,
         runs=options.runs,
         laps=options.laps,
         deterministic=not options.sampled,

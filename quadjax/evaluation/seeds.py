@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
 from quadjax.core.markdown import table
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.evaluation.protocols import Protocols, fly_protocols, protocol_table
@@ -38,14 +39,15 @@ class SeedResult:
         return vars(self) | {"flights": self.flights.to_json()}
 
 
-def evaluate_seed(run: Path, runs: int) -> SeedResult:
+def evaluate_seed(run: Path, runs: int, config: Config | None = None) -> SeedResult:
     """Evaluate the best policy of a finished training: from hover, and from random starts.
 
     Args:
         run: the folder of the training.
         runs: number of flights of each kind.
+        config: of the training; None for ``config.yaml`` of the folder, which may not name code.
     """
-    config = load_config(run / "config.yaml")
+    config = config or load_config(run / "config.yaml", code=())
     summary = read_summary(run)
     policy = Policy.load(run / "policy.npz")
     fly = functools.partial(evaluate, policy, config, runs=runs)

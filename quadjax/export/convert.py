@@ -11,7 +11,7 @@ from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError, writing
 from quadjax.core.files import whole_file, write_bytes, write_json, write_npz, write_text
-from quadjax.core.folders import claim, replacement
+from quadjax.core.folders import claim, kind_of, replacement
 from quadjax.core.provenance import provenance
 from quadjax.export.conversion import (
     Converted,
@@ -23,10 +23,11 @@ from quadjax.export.conversion import (
 from quadjax.export.estimator_tables import CUTOFF, SAMPLE_RATE, check_cutoff
 from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
-from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, find_config, own_race
+from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, own_race
 from quadjax.export.report import Json, make_report, report_text
 from quadjax.export.targets import DEFAULT_TARGET, check_model, find_target
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 from quadjax.vehicle.registry import MODELS
 
 KIND = "export"
@@ -77,8 +78,7 @@ def export_c(
         policy: a policy or the path of a policy file.
         folder: where the C goes. It may hold an earlier export of the same name.
         config: of the race that the policy was trained in: a configuration or the path of one.
-            Without it: the config in the policy file, or ``config.yaml`` next to it, or the default
-            race.
+            Without it: the config in the policy file, or the preset that the file names.
         ranges: half-widths of the inputs that differ from the defaults, powers of two, by name:
             ``{"position": 16.0}``.
         name: prefix of every C symbol; the policy file's name by default.
@@ -88,7 +88,7 @@ def export_c(
         allow_unfinished: export a policy although it does not finish its own race.
         allow_other_race: export for a race that differs from the one in the policy file.
         target: processor and autopilot, a name of ``targets.TARGETS``.
-        overwrite: replace files of the same names in a folder that no export made.
+        overwrite: write to a folder that no export made, and replace its files of the same names.
 
     Returns:
         The integers, the proof and the report.
@@ -121,6 +121,7 @@ def export_c(
         "px4",
         "crazyflie",
     )
+    _check_empty(folder, overwrite)
     with _policy_file(policy) as path, claim(folder, KIND, files, overwrite):
         numbers = (ranges or {}, *rates)
         options = Options(symbol, *numbers, allow_unfinished, allow_other_race, target)
@@ -129,7 +130,7 @@ def export_c(
         check_policy(own)
         check_model(target, own.vehicle)
         _check_rates(own.vehicle, sample_rate, cutoff)
-        found, origin = find_config(own, path, config, track)
+        found, origin = race_of_policy(own, path.name, config, track)
         race = own_race(found, own, origin, path.name)
         if not allow_other_race:
             check_race(own, race, path)
@@ -161,6 +162,16 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         policy.save(Path(folder) / POLICY_FILE)
         yield Path(folder) / POLICY_FILE
+
+
+def _check_empty(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder of other files: the names of an export would hide those of the user."""
+    others = sorted(path.name for path in folder.glob("*")) if folder.is_dir() else []
+    if others and kind_of(folder) is None and not overwrite:
+        raise InputError(
+            f"{folder} holds no export, but {others[0]}: choose another folder, or write next to "
+            "these files (overwrite=True)"
+        )
 
 
 def _check_folder(folder: Path, name: str) -> None:

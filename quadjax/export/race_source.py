@@ -7,20 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.config.loading import load_config
 from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
-from quadjax.config.stored import stored_config
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
+from quadjax.policy.race import preset_of, race_of_policy
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.layout import ESTIMATED, HIGHEST_RPM
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual_file import located
 
-DEFAULT_CONFIG, DEFAULT = CONFIGS / "e2e_shac.yaml", "the default race"
 CONFIG_FILE = "config.yaml"  # of a training run or an exported folder
 RESIDUAL_FILE = "residual.npz"  # of an exported folder
 
@@ -42,56 +39,6 @@ class OwnRace:
     def time_step(self) -> float:
         """Time step of the simulation, s."""
         return float(self.params.limits.time_step)
-
-
-def find_config(
-    policy: Policy,
-    file: Path | None = None,
-    config: Path | str | Config | None = None,
-    track: str | None = None,
-) -> tuple[Config, str]:
-    """The configuration of a policy's race.
-
-    It is the first of: ``config``; the one in the policy file; ``config.yaml`` next to the policy
-    file; the default race, with the residual that the policy file names.
-
-    Args:
-        policy: the policy.
-        file: the policy file.
-        config: a configuration, a preset's name or a YAML file.
-        track: a track file that replaces the config's, or ``None``.
-
-    Returns:
-        The configuration, and where it came from.
-
-    Raises:
-        InputError: a file that cannot be read, or a policy file whose config names code.
-    """
-    beside = file.parent / CONFIG_FILE if file else None
-    if isinstance(config, Config):
-        found, origin = config, "config"
-    elif config is not None:
-        found, origin = load_config(config), str(config)
-    elif policy.config is not None:
-        origin = "the policy file's config"
-        found = stored_config(policy.config, file.name if file else "policy")
-    elif beside is not None and beside.is_file():
-        found, origin = load_config(beside), str(beside)
-    else:
-        found, origin = _default(policy), DEFAULT
-    if track is not None:
-        overrides = [f"track={track}", "rules.position_limit=null"]
-        found = found.replace(track=load_config(DEFAULT_CONFIG, overrides).track)
-        origin = f"{origin}, track {track}"
-    return found, origin
-
-
-def _default(policy: Policy) -> Config:
-    """The default race with the policy's vehicle, and the residual that its file names."""
-    overrides, named = [f"vehicle.model={policy.vehicle}"], policy.source.get("residual")
-    if isinstance(named, str) and located(named).is_file():
-        overrides.append(f"vehicle.residual={named}")
-    return load_config(DEFAULT_CONFIG, overrides)
 
 
 def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") -> OwnRace:
@@ -118,7 +65,7 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
         if config.battery is None:
             raise InputError(
                 f"{origin}: battery is null, and {name} observes {HIGHEST_RPM}; give the config "
-                "that it was trained with by --config"
+                "that it was trained with (config=CONFIG)"
             )
         config = config.at("observation.highest_rpm", ESTIMATED)  # as on board
     choices, params = choices_of(config), build_params(config)
@@ -177,8 +124,8 @@ def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
         InputError: the first difference.
     """
     named = policy.source.get("residual")
-    if policy.config is not None:
-        config, _ = find_config(policy, file)
+    if policy.config is not None or preset_of(policy):
+        config, _ = race_of_policy(policy, file.name)
         found = _difference(own_race(config, policy, "the policy file", file.name), own)
         said = "vehicle, track, gate test and time step are those of the policy file"
     elif "residual" in policy.source and bool(named) != (own.params.vehicle.residual is not None):
@@ -189,7 +136,7 @@ def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
     if found is not None:
         raise InputError(
             f"{file.name}: trained in another race than {own.origin}: {found}; "
-            "--allow-other-race accepts it"
+            "allow_other_race=True accepts it"
         )
     return said
 

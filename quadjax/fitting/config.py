@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
+from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_SEED
 from quadjax.core.sections import (
     Field,
@@ -14,6 +15,7 @@ from quadjax.core.sections import (
     load_section,
     model_validator,
 )
+from quadjax.core.yaml_files import Tree, parse_overrides
 from quadjax.fitting.columns import WIDTHS
 
 Columns = Annotated[list[str], Field(max_length=100)]
@@ -194,10 +196,30 @@ class FitConfig(Section):
     residual: ResidualConfig = ResidualConfig()
 
 
-def load_fit_config(path: Path | str, overrides: Sequence[str] = ()) -> FitConfig:
+def load_fit_config(
+    path: Path | str, overrides: Sequence[str] = (), allow_code: bool = False
+) -> FitConfig:
     """The config of a YAML file, or of a name in ``configs/fit``, and ``key=value`` overrides.
+
+    Args:
+        path: of the file, or a name.
+        overrides: with dotted keys.
+        allow_code: accept a file whose ``logs.format`` is ``module:OBJECT``; overrides always may.
 
     Raises:
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
-    return load_section(FitConfig, path, "fit", overrides)
+    config = load_section(FitConfig, path, "fit", overrides)
+    own = config.logs.format
+    if ":" in own and not allow_code and own != _format_of(parse_overrides(overrides)):
+        raise InputError(
+            f"{path}: logs.format is {own!r:.80}; code that a config of flight logs names is "
+            "imported only with allow_code=True"
+        )
+    return config
+
+
+def _format_of(overrides: Tree) -> object:
+    """``logs.format`` of a command line's overrides; None if it is not among them."""
+    logs = overrides.get("logs")
+    return logs.get("format") if isinstance(logs, dict) else None

@@ -64,6 +64,7 @@ class Setting:
         seed: of drones and faults; a race has the seed plus its number.
         timing: lock-step, or a speed.
         faults: of the link.
+        race: config of an exported folder's race, named by the user; the folder's if not given.
     """
 
     source: Path
@@ -74,6 +75,7 @@ class Setting:
     seed: int = 0
     timing: Timing = Timing()
     faults: Faults = Faults()
+    race: Path | str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -210,7 +212,7 @@ def _compile(world: World, report: Callable[[str], None]) -> None:
 def _read(setting: Setting) -> tuple[Inputs | None, Config, Policy]:
     """The inputs of an exported folder; or the race of a config, with an untrained policy."""
     if setting.source.is_dir() or setting.listen is None:
-        inputs = read_inputs(setting.source)
+        inputs = read_inputs(setting.source, setting.race)
         return inputs, inputs.config, inputs.policy
     config = load_config(setting.source)
     config = race_config(config, untrained_policy(config)) if setting.plant else config

@@ -127,7 +127,7 @@ def _read(manager: ocp.CheckpointManager, tree: dict[str, Any]) -> dict[str, Any
     except Exception as error:  # Orbax raises many kinds
         raise InputError(
             f"{manager.directory}: checkpoint {step} cannot be read ({_reason(error)}): replace "
-            "the run (--overwrite)"
+            "the run (overwrite=True)"
         ) from error
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from quadjax.config.code import named_code
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
@@ -59,14 +60,14 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
     if saved or (folder / "policy.npz").exists():
         if not resume:
             raise InputError(
-                f"{folder} already contains a run: resume it (--resume), replace it (--overwrite) "
-                "or choose another name"
+                f"{folder} already contains a run: resume it (resume=True), replace it "
+                "(overwrite=True) or choose another name"
             )
         check_same(config, folder)
         if not saved and not is_finished(folder):
             raise InputError(
                 f"{folder} has a policy but no checkpoint to resume from: replace the run "
-                "(--overwrite) or choose another name"
+                "(overwrite=True) or choose another name"
             )
     for key, content in contents.items():
         with whole_file(folder / INPUTS[key]) as temporary:
@@ -105,7 +106,8 @@ def check_same(config: Config, folder: Path) -> None:
     if not path.exists() or kind_of(folder) not in (None, KIND):
         return
     contents = _inputs(config)
-    saved = load_config(path)
+    mine = [name for _, name in named_code(config.model_dump(by_alias=True))]
+    saved = load_config(path, code=mine)
     with_unit = {".".join(p for p in each if isinstance(p, str)) for each in saved.with_unit}
     own: Any = parse_yaml(_with_inputs(config, contents).with_units({}).to_yaml(), "config")
     complete: Any = parse_yaml(saved.with_units({}).to_yaml(), str(path))
@@ -116,12 +118,12 @@ def check_same(config: Config, folder: Path) -> None:
         if key not in FREE and before.get(key) != now.get(key):
             raise InputError(
                 f"{path} has {key}: {before.get(key)}, the new config {key}: {now.get(key)}: use "
-                "the same config, replace the run (--overwrite) or choose another name"
+                "the same config, replace the run (overwrite=True) or choose another name"
             )
     for key, content in contents.items():
         copy = folder / INPUTS[key]
         if copy.exists() and copy.read_bytes() != content:
             raise InputError(
                 f"{copy} differs from {key} of the new config, {value_at(config, key)}: use the "
-                "same file, replace the run (--overwrite) or choose another name"
+                "same file, replace the run (overwrite=True) or choose another name"
             )

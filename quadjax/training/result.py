@@ -67,14 +67,21 @@ class Run:
         return read_metrics(self.folder / "metrics.csv")
 
     @classmethod
-    def load(cls, folder: Path | str) -> "Run":
+    def load(cls, folder: Path | str, config: Config | Path | str | None = None) -> "Run":
         """The run of a folder.
+
+        Args:
+            folder: of the run.
+            config: of the run; None for ``config.yaml`` of the folder, which may not name code.
 
         Raises:
             InputError: a missing or damaged file.
         """
         folder = Path(folder)
-        config = load_config(folder / "config.yaml")
+        if not isinstance(config, Config):
+            config = load_config(
+                config or folder / "config.yaml", code=() if config is None else None
+            )
         summary = read_summary(folder)
         policy = Policy.load(folder / "policy.npz")
         return cls(config, folder, policy, summary["finished"], summary)

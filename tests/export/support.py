@@ -51,7 +51,7 @@ def made_policy(
         command_low=low,
         command_high=high,
         layout=layout_of_release_1("made up", {"vehicle": vehicle, "observation": seen}, low, high),
-        source={"made": "up"},
+        source={"config": "e2e_shac" if motor else "indi_shac"},
     )
 
 

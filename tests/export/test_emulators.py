@@ -11,10 +11,11 @@ from quadjax.config.race import race_of
 from quadjax.export import emulator
 from quadjax.export.actor import fixed_point_actor, fixed_point_fly, fixed_point_forward
 from quadjax.export.proof import prove
-from quadjax.export.race_source import find_config, own_race
+from quadjax.export.race_source import own_race
 from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 from tests.export.support import POLICIES, named_network, observations
 from tests.test_training import CONFIGS, ROOT
 
@@ -76,7 +77,7 @@ def test_actors_give_the_same_command():
     wanted = emulator.commands(network, x)
     commands = np.asarray(jax.vmap(fixed_point_actor(policy))(x))
     assert np.abs(commands - wanted).max() < 1e-3
-    config, origin = find_config(policy)
+    config, origin = race_of_policy(policy)
     own = own_race(config, policy, origin).pilot
     act = fixed_point_fly(policy)
     action = np.asarray(jax.vmap(lambda o: act(own, o, np.zeros(4)))(x))

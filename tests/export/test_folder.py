@@ -21,13 +21,14 @@ from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export import convert
 from quadjax.export.conversion import check_symbols, sha256
 from quadjax.export.convert import export_c
-from quadjax.export.race_source import find_config, own_race
+from quadjax.export.race_source import own_race
 from quadjax.export.verify import run, toolchain
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
 from quadjax.export.verify.result import FAILED, PASSED, SKIPPED, run_check
 from quadjax.export.verify.toolchain import WARNINGS
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 from quadjax.vehicle.residual_file import write_residual
 from tests.export.support import WIDE, made_policy, made_residual, need, with_highest_rpm
 from tests.export.test_layouts import converted_in, made
@@ -111,9 +112,9 @@ def justified(reason, context):
         return context.folder.estimator is None
     if reason.startswith("the policy does not observe the highest"):
         return context.folder.battery is None
-    if reason.endswith("allowed by --allow-unfinished"):
+    if reason.endswith("allowed by allow_unfinished=True"):
         return context.allow_unfinished
-    if reason.endswith("allowed by --allow-other-race"):
+    if reason.endswith("allowed by allow_other_race=True"):
         return context.allow_other_race and context.folder.estimator is not None
     host = {"cc", "gcc", "clang"}
     arm = {"arm-linux-gnueabi-gcc", "arm-linux-gnueabihf-gcc"}
@@ -426,23 +427,21 @@ def shipped(folder, name):
     return Path(shutil.copy(PRETRAINED / name, folder))
 
 
-def test_the_race_is_the_one_of_the_config_next_to_the_policy(tmp_path):
+def test_a_policy_that_does_not_finish_its_race_is_refused(tmp_path):
     policy = shipped(tmp_path, "e2e_nominal.npz")
     (tmp_path / "triangle.yaml").write_text(TRACK)
-    (tmp_path / "config.yaml").write_text(
+    config = tmp_path / "config.yaml"
+    config.write_text(
         f"base: {CONFIGS / 'e2e.yaml'}\ntrack: {{file: {tmp_path / 'triangle.yaml'}}}\n"
     )
-    config, origin = find_config(Policy.load(policy), policy)
-    assert origin == str(tmp_path / "config.yaml")
-    own = own_race(config, Policy.load(policy), origin)
-    assert own.params.track.yaw.shape == (3,)
-    with pytest.raises(InputError, match="residual is null in training, a residual here; --allow"):
-        export_c(policy, tmp_path / "c")
-    with pytest.raises(InputError, match="of 32 flights finish 6 laps of track triangle"):
-        export_c(policy, tmp_path / "c", allow_other_race=True)
+    with pytest.raises(InputError, match="trained in another race than .*; allow_other_race=True"):
+        export_c(policy, tmp_path / "c", config)
+    finish = "of 32 flights finish 6 laps of track triangle .*; allow_unfinished=True accepts it"
+    with pytest.raises(InputError, match=finish):
+        export_c(policy, tmp_path / "c", config, allow_other_race=True)
 
 
-def test_the_default_race_has_the_residual_that_the_policy_names(tmp_path):
+def test_the_race_has_the_residual_that_the_policy_names(tmp_path):
     policy = shipped(tmp_path, "e2e.npz")
     exported = export_c(policy, tmp_path / "c")
     assert exported.converted.residual_hash == sha256(PRETRAINED / "standin_residual.npz")
@@ -464,7 +463,7 @@ def test_the_race_is_the_one_in_the_policy_file(tmp_path):
         Policy.load(PRETRAINED / "e2e_nominal.npz"), config=tree_of(config)
     )
     (tmp_path / "triangle.yaml").unlink()
-    config, origin = find_config(policy)
+    config, origin = race_of_policy(policy)
     assert origin == "the policy file's config"
     own = own_race(config, policy, origin)
     assert own.params.track.yaw.shape == (3,)
@@ -492,7 +491,7 @@ def test_another_race_than_that_of_the_policy_file_is_refused(override, differen
     trained = load_config("e2e_shac")
     policy = dataclasses.replace(Policy.load(PRETRAINED / "e2e.npz"), config=tree_of(trained))
     config = load_config("e2e_shac", [override])
-    message = f"policy.npz: trained in another race than config: {difference}; --allow-other-race"
+    message = f"policy.npz: trained in another race than config: {difference}; allow_other"
     with pytest.raises(InputError, match=message):
         export_c(policy, tmp_path / "c", config)
 

@@ -15,19 +15,19 @@ from quadjax.export.convert import export_c
 from quadjax.export.emit import emit_estimator, emit_network, emit_race
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
-from quadjax.export.race_source import find_config
 from quadjax.export.race_source import own_race as race_in
 from quadjax.export.race_tables import make_tables, track_ranges
 from quadjax.export.verify import measurements
 from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.toolchain import WARNINGS, host
+from quadjax.policy.race import race_of_policy
 from quadjax.race.layout import Layout
 from quadjax.vehicle.protocol import VehicleParams
 from tests.export.support import ORIGIN, WIDE, made_policy, made_residual
 
 
 def own_race(policy, config=None, track=None):
-    found, origin = find_config(policy, None, config, track)
+    found, origin = race_of_policy(policy, config=config, track=track)
     return race_in(found, policy, origin)
 
 

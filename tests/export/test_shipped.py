@@ -15,8 +15,9 @@ import pytest
 from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.flights import Rollouts
-from quadjax.export.race_source import find_config, own_race
+from quadjax.export.race_source import own_race
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 
 HASHES = Path(__file__).parent / "shipped_c.json"
 NAMES = sorted({path.stem for path in PRETRAINED.glob("*.npz")} - {"standin_residual"})
@@ -29,7 +30,7 @@ def hashes_of(case: str) -> dict[str, str]:
     name, _, config = case.partition(" with ")
     path = PRETRAINED / f"{name}.npz"
     policy = Policy.load(path)
-    chosen, origin = find_config(policy, path, CONFIGS / f"{config}.yaml" if config else None)
+    chosen, origin = race_of_policy(policy, path, CONFIGS / f"{config}.yaml" if config else None)
     own = own_race(chosen, policy, origin)
     nothing = Rollouts(*(np.zeros((0, 1)),) * 3)
     options = Options(name)

@@ -13,11 +13,12 @@ from quadjax.core.files import read_npz
 from quadjax.core.resources import PRETRAINED
 from quadjax.evaluation.recording import STATES
 from quadjax.export.conversion import Options
-from quadjax.export.race_source import find_config, own_race
+from quadjax.export.race_source import own_race
 from quadjax.export.verify import toolchain
 from quadjax.export.verify.folder import Inputs
 from quadjax.plant.config import load_plant_config
 from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
 from quadjax.sil import run as sil
 from quadjax.sil.fly import FLOATS
 from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
@@ -43,14 +44,14 @@ def written(folder, policy, own, config, target, rate=500.0):
 def trained(folder):
     """A shipped policy on the stand-in plant, with its own estimator."""
     policy = Policy.load(PRETRAINED / "e2e_adaptive.npz")
-    config, origin = find_config(policy)
+    config, origin = race_of_policy(policy)
     return written(folder, policy, own_race(config, policy, origin), config, "cortex-a9"), PLANT
 
 
 def untrained(folder):
     """A policy of the 5-inch drone in its simulator, through INDIflight's interface."""
     policy, own = made("published racing")
-    config, _ = find_config(policy)
+    config, _ = race_of_policy(policy)
     return written(folder, policy, own, config, "indiflight"), None
 
 
@@ -86,7 +87,7 @@ def short(world):
 @pytest.mark.parametrize("make", [trained, untrained])
 def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, monkeypatch):
     inputs, plant = make(tmp_path)
-    monkeypatch.setattr(sil, "read_inputs", lambda path: inputs)
+    monkeypatch.setattr(sil, "read_inputs", lambda *_: inputs)
     monkeypatch.setattr(sil, "make_world", lambda *arguments: short(make_world(*arguments)))
     setting = Setting(tmp_path, plant, laps=1)
     flown = fly_all(setting, threading.Event())
@@ -127,10 +128,10 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, mo
 def test_bad_input_is_one_line(arguments, expected, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     policy, own = made("published racing")
-    inputs = Inputs(Options("made"), policy, find_config(policy)[0], own, "made.npz", "")
+    inputs = Inputs(Options("made"), policy, race_of_policy(policy)[0], own, "made.npz", "")
     if arguments[0] == "no_c":
         (tmp_path / "no_c").mkdir()
-        monkeypatch.setattr(sil, "read_inputs", lambda path: inputs)
+        monkeypatch.setattr(sil, "read_inputs", lambda *_: inputs)
         monkeypatch.setattr(sil, "make_world", lambda *_: Counting())
     assert run("sil", *arguments) == 2
     lines = capfd.readouterr().err.strip().splitlines()
@@ -140,8 +141,8 @@ def test_bad_input_is_one_line(arguments, expected, tmp_path, monkeypatch, capfd
 
 def test_a_last_action_of_other_steps_is_refused(tmp_path, monkeypatch):
     policy, own = made("indi and more")
-    inputs = Inputs(Options("made"), policy, find_config(policy)[0], own, "made.npz", "")
-    monkeypatch.setattr(sil, "read_inputs", lambda path: inputs)
+    inputs = Inputs(Options("made"), policy, race_of_policy(policy)[0], own, "made.npz", "")
+    monkeypatch.setattr(sil, "read_inputs", lambda *_: inputs)
     monkeypatch.setattr(sil, "make_world", lambda *_: Counting(step=0.002))
     with pytest.raises(InputError, match="earlier steps of 0.01 s, .* are 0.002 s: add control_ra"):
         fly_all(Setting(tmp_path, PLANT), threading.Event())
@@ -162,6 +163,6 @@ def test_a_machine_without_compiler_is_one_line(tmp_path, monkeypatch):
     policy, own = made("published racing")
     for name in ("made.c", "made_race.c"):
         (tmp_path / name).write_text("")
-    inputs = Inputs(Options("made"), policy, find_config(policy)[0], own, "made.npz", "")
+    inputs = Inputs(Options("made"), policy, race_of_policy(policy)[0], own, "made.npz", "")
     with pytest.raises(InputError, match="no C compiler on this machine"):
         write_sources(tmp_path, inputs, 100.0, tmp_path).build(tmp_path)

@@ -174,7 +174,7 @@ def test_code_that_a_policy_file_names_is_not_imported(tmp_path, capsys):
             ("replay", tmp_path / "log.csv", "--policy", path),
         ):
             assert run(*command) == 2
-            assert "code that a policy file names is not imported" in capsys.readouterr().err
+            assert "code that this file names is not imported" in capsys.readouterr().err
     assert "antigravity" not in sys.modules
 
 

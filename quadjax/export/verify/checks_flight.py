@@ -29,7 +29,7 @@ def check_own_race(c: Context) -> str:
     return _unless(
         allowed,
         lambda: check_race(folder.policy, folder.own, path),
-        "--allow-other-race",
+        "allow_other_race=True",
     )
 
 
@@ -38,7 +38,7 @@ def check_own_flights(c: Context) -> str:
     laps, own = flights.simulate(c.folder.own).laps, c.folder.own
     allowed = c.allow_unfinished and c.folder.options.allow_unfinished
     return _unless(
-        allowed, lambda: flights.check_finished(laps, own, c.folder.name), "--allow-unfinished"
+        allowed, lambda: flights.check_finished(laps, own, c.folder.name), "allow_unfinished=True"
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json, read_npz
@@ -18,7 +19,7 @@ from quadjax.export.convert import (
     ROLLOUTS_FORMAT,
 )
 from quadjax.export.flights import Rollouts
-from quadjax.export.race_source import CONFIG_FILE, OwnRace, find_config, own_race
+from quadjax.export.race_source import CONFIG_FILE, OwnRace, own_race
 from quadjax.export.report import report_text
 from quadjax.export.targets import find_target
 from quadjax.policy.file import Policy
@@ -54,8 +55,13 @@ class Inputs:
     text: str  # the report
 
 
-def read_inputs(path: Path) -> Inputs:
+def read_inputs(path: Path, config: Config | Path | str | None = None) -> Inputs:
     """The inputs of an exported folder, without its sources.
+
+    Args:
+        path: of the folder.
+        config: of its race, named by the user; None: ``config.yaml`` of the folder, which may not
+            name code.
 
     Raises:
         InputError: no such folder, or a file in it that is missing or damaged.
@@ -68,21 +74,28 @@ def read_inputs(path: Path) -> Inputs:
         raise InputError(f"{path}: expected one *_report.json, found {len(reports)}")
     options, file, text, config_hash = _read_report(reports[0])
     policy = Policy.load(path / POLICY_FILE)
-    config, _ = find_config(policy, None, path / CONFIG_FILE)
     if sha256(path / CONFIG_FILE) != config_hash:
         raise InputError(f"{path / CONFIG_FILE}: not the one that {reports[0].name} names")
+    if config is None:
+        config = load_config(path / CONFIG_FILE, code=())
+    elif not isinstance(config, Config):
+        config = load_config(config)
     own = own_race(config, policy, CONFIG_FILE, file)
     return Inputs(options, policy, config, own, file, text)
 
 
-def read_folder(path: Path) -> Folder:
+def read_folder(path: Path, config: Config | Path | str | None = None) -> Folder:
     """Read an exported folder, convert its policy again, and compare the files with the result.
+
+    Args:
+        path: of the folder.
+        config: as of ``read_inputs``.
 
     Raises:
         InputError: no such folder, or a file in it that is missing, damaged or not what the
             converter writes.
     """
-    inputs = read_inputs(path)
+    inputs = read_inputs(path, config)
     policy, own, options, file = inputs.policy, inputs.own, inputs.options, inputs.file
     rollouts = _rollouts(path / ROLLOUTS_FILE)
     converted = convert_policy(policy, own, options, file, path / POLICY_FILE, rollouts)

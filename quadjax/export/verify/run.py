@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
@@ -88,6 +89,7 @@ def verify(
     allow_other_race: bool = False,
     report: Callable[[Result], None] = lambda _: None,
     mutations: int = checks_qjp.MUTATIONS,
+    config: Config | Path | str | None = None,
 ) -> list[Result]:
     """Verify an exported folder: build and run it with the tools of this machine.
 
@@ -102,6 +104,7 @@ def verify(
         allow_other_race: accept an export for another race than the one in the policy file.
         report: called with every result.
         mutations: number of mutated .qjp files.
+        config: of the race, where that of the folder names code.
 
     Returns:
         A result for each check, in order.
@@ -112,7 +115,7 @@ def verify(
             compiled.
     """
     enable_compilation_cache()
-    folder = read_folder(Path(path))
+    folder = read_folder(Path(path), config)
     checks = checks_of(folder)
     unknown = [name for name in only or () if name not in checks]
     if unknown:

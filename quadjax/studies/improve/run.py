@@ -134,7 +134,7 @@ def start(setting: Setting, folder: Path) -> None:
     for key, value in now.items():
         if before.get(key) != value:
             raise InputError(
-                f"{path} has another {key}: give the same, replace the results (--overwrite) or "
+                f"{path} has another {key}: give the same, replace the results (overwrite=True) or "
                 "choose another folder"
             )
 

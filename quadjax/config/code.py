@@ -1,0 +1,48 @@
+"""Objects of the user's own modules that a config names as ``module:OBJECT``."""
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any
+
+from quadjax.core.errors import InputError
+
+CODE = (
+    ("vehicle", "model"),
+    ("learner", "algorithm"),
+    ("observation", "extra"),
+    ("reward", "terms"),
+    ("rules", "extra"),
+)  # keys whose values may be module:object
+
+
+def refuse_code(tree: Mapping[str, Any], source: str, allowed: Collection[str] = ()) -> None:
+    """Reject the tree of a config that names code.
+
+    Code is imported from the command line and from a config that the user names, never from a
+    file that the program finds: in a policy file, in the folder of a run or of an export.
+
+    Args:
+        tree: of the config.
+        source: the file, for messages.
+        allowed: names that the user has named elsewhere.
+
+    Raises:
+        InputError: with the first key that names code.
+    """
+    for key, name in named_code(tree):
+        if name in allowed:
+            continue
+        raise InputError(
+            f"{source}: {key} is {name!r:.80}; code that this file names is not imported, name "
+            "the config of its race (config=CONFIG)"
+        )
+
+
+def named_code(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Keys and values of a config's tree that are ``module:object``."""
+    for section, key in CODE:
+        found = tree.get(section)
+        value = found.get(key) if isinstance(found, dict) else None
+        names = [value] if isinstance(value, str) else value or ()
+        for name in names if isinstance(names, (list, tuple, dict)) else ():
+            if isinstance(name, str) and ":" in name:
+                yield f"{section}.{key}", name

@@ -1,0 +1,136 @@
+"""Every command flies a policy file in the same race."""
+
+import dataclasses
+import time
+from pathlib import Path
+
+import pytest
+
+from quadjax.config import race as config_race
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.resources import PRETRAINED, policy_names
+from quadjax.dashboard import flyer, sources
+from quadjax.evaluation import evaluation
+from quadjax.export import convert, race_source
+from quadjax.policy.file import Policy
+from quadjax.policy.race import race_of_policy
+from tests.commands import run
+from tests.export.support import made_policy
+
+PRESETS = {  # of the shipped policies
+    "e2e": "e2e",
+    "e2e_adaptive": "e2e_adaptive",
+    "e2e_fastest": "e2e_fastest",
+    "e2e_nominal": "e2e_shac",
+    "indi": "indi_fastest",
+    "indi_shac": "indi_shac",
+}
+
+
+class Folder:
+    """A folder whose newest policy a page shows."""
+
+    kind, name, finished = "training", "run", True
+
+    def __init__(self, policy):
+        self.policy = policy
+
+
+@pytest.fixture
+def races(monkeypatch):
+    """The configs of the races that commands are about to fly; they stop there."""
+    found = []
+
+    def stop(*arguments, **_):
+        found.extend(
+            each for each in arguments if hasattr(each, "vehicle") and hasattr(each, "run")
+        )
+        raise InputError("stopped")
+
+    for module, name in (
+        (sources, "evaluate"),
+        (evaluation, "evaluate"),
+        (convert, "own_race"),
+        (race_source, "own_race"),
+        (config_race, "race_of"),
+    ):
+        monkeypatch.setattr(module, name, stop)
+    monkeypatch.setattr(flyer, "POLL", 0.01)
+    return found
+
+
+def watched(path, race=None):
+    """The error of a page's flights."""
+    page = flyer.Flyer(Folder(path), race)
+    while not page.error:
+        time.sleep(0.01)
+    page.close()
+    return page.error
+
+
+def commands(path, folder):
+    return (
+        ("view", path, "--output", folder / "out.html"),
+        ("results", path),
+        ("export", path, "--output", folder / "c"),
+        ("replay", folder / "log.csv", "--policy", path),
+    )
+
+
+def imported(folder):
+    """A policy file as of the published C arrays, converted by an earlier version."""
+    policy = dataclasses.replace(made_policy(8), source={"config": "authors_code_seed1"})
+    policy.save(folder / "published.npz")
+    return folder / "published.npz"
+
+
+@pytest.mark.parametrize("name", [*PRESETS, "published"])
+def test_every_command_flies_the_same_race(name, races, tmp_path, capsys):
+    assert set(PRESETS) == set(policy_names())
+    path = imported(tmp_path) if name == "published" else PRETRAINED / f"{name}.npz"
+    for command in commands(path, tmp_path):
+        assert run(*command) == 2
+        assert "error: stopped" in capsys.readouterr().err
+    assert watched(path) == "stopped"
+    assert len(races) == 5 and all(race == races[0] for race in races)
+    preset = load_config(PRESETS.get(name, "authors_code"))
+    residual = Policy.load(path).source.get("residual", preset.vehicle.residual)
+    assert races[0].track.gates == preset.track.gates and races[0].rules == preset.rules
+    assert Path(races[0].vehicle.residual or "").name == (residual or "")
+
+
+def test_the_race_of_a_preset_is_said(races, tmp_path, capsys):
+    said = "e2e.npz: flies the race of the preset e2e, which the policy file names"
+    for command in commands(PRETRAINED / "e2e.npz", tmp_path):
+        run(*command)
+        words = " ".join(capsys.readouterr().err.split())
+        assert (said in words) == (command[0] != "export")  # whose report has it
+    assert race_of_policy(Policy.load("e2e"))[1] == "preset e2e, which the policy file names"
+
+
+def test_a_file_without_a_race_is_refused_by_every_command(races, tmp_path, capsys):
+    path = tmp_path / "alone.npz"
+    dataclasses.replace(made_policy(8), source={"made": "up"}).save(path)
+    (tmp_path / "config.yaml").write_text("base: e2e\n")
+    for command in commands(path, tmp_path):
+        assert run(*command) == 2
+        error = " ".join(capsys.readouterr().err.split())
+        assert "alone.npz: contains no config and names no preset, name the config" in error
+        assert "(--race CONFIG)" in error
+        assert run(*command, "--race", "e2e_shac") == 2
+        assert "error: stopped" in capsys.readouterr().err
+    assert "contains no config and names no preset" in watched(path)
+    assert watched(path, load_config("e2e_shac")) == "stopped"
+    assert len(races) == 5 and all(race == load_config("e2e_shac") for race in races)
+    with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):
+        convert.export_c(path, tmp_path / "c")
+
+
+def test_a_named_config_comes_first(tmp_path):
+    policy = Policy.load("e2e_adaptive")
+    assert race_of_policy(policy)[0].name == "e2e_adaptive"
+    assert race_of_policy(policy, config="e2e_shac")[0] == load_config("e2e_shac")
+    flown, origin = race_of_policy(policy, track="figure8")
+    assert origin == "the policy file's config, track figure8"
+    assert flown.track.gates == load_config("e2e_shac", ["track=figure8"]).track.gates

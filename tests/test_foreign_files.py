@@ -1,0 +1,168 @@
+"""Modules that files of strangers name are not imported; those that the user names are."""
+
+import dataclasses
+import sys
+
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.files import write_json
+from quadjax.core.resources import PRETRAINED
+from quadjax.dashboard.run_state import TrainingRun
+from quadjax.evaluation import curves, seeds
+from quadjax.export.conversion import Options, sha256
+from quadjax.export.verify import folder as exported
+from quadjax.fitting.config import LogsConfig, load_fit_config
+from quadjax.policy.file import Policy
+from quadjax.training.folder import check_same
+from quadjax.training.result import Run
+from tests.commands import run
+
+NAMES = "code that this file names is not imported, name the config of its race (--race CONFIG)"
+
+
+@pytest.fixture
+def foreign(tmp_path, monkeypatch):
+    """A folder of a stranger's files, entered: rf/policy.npz, rf/config.yaml and foreign.py."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "foreign.py").write_text("open('ran', 'w').close()\n")
+    folder = tmp_path / "rf"
+    folder.mkdir()
+    config = load_config("e2e_shac").model_dump(mode="json", by_alias=True)
+    config["vehicle"]["model"] = "foreign:MODEL"
+    policy = Policy.load(PRETRAINED / "e2e_nominal.npz")
+    dataclasses.replace(policy, config=config).save(folder / "policy.npz")
+    text = "base: e2e_shac\nvehicle: {model: 'foreign:MODEL'}\n"
+    (folder / "config.yaml").write_text(text)
+    (tmp_path / "mine.yaml").write_text(text)
+    yield folder
+    sys.modules.pop("foreign", None)
+
+
+def ran(folder):
+    return (folder.parent / "ran").exists()
+
+
+def export_of(folder):
+    """The folder as one of an export, whose hash its author has adapted."""
+    report = {"options": dataclasses.asdict(Options("x")), "policy": "policy.npz"}
+    report["config_sha256"] = sha256(folder / "config.yaml")
+    write_json(folder / "x_report.json", report)
+
+
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("export", "rf/policy.npz", "--output", "out"),
+        ("results", "rf"),
+        ("results", "rf/policy.npz"),
+        ("view", "rf"),
+        ("view", "rf/policy.npz"),
+        ("replay", "log.csv", "--policy", "rf/policy.npz"),
+        ("verify", "rf"),
+        ("sil", "rf", "--simulator"),
+    ],
+    ids=" ".join,
+)
+def test_code_of_a_found_file_is_imported_only_if_the_user_names_a_config(
+    foreign, command, named, monkeypatch, capsys
+):
+    if command[0] in ("verify", "sil"):
+        export_of(foreign)
+        monkeypatch.setattr(exported, "report_text", lambda *_: "")
+    assert run(*command, *(["--race", "mine.yaml"] if named else [])) == 2
+    error = capsys.readouterr().err
+    assert ("has no 'MODEL'" if named else NAMES) in " ".join(error.split())
+    assert ran(foreign) == named
+
+
+def test_a_config_next_to_a_policy_file_is_not_read(foreign, capsys):
+    path = foreign / "policy.npz"
+    dataclasses.replace(Policy.load(path), config=None, source={}).save(path)
+    assert run("export", path, "--output", "out", "--allow-unfinished") == 2
+    assert "contains no config and names no preset" in capsys.readouterr().err
+    assert not ran(foreign)
+
+
+def test_a_run_is_resumed_with_its_own_code_alone(foreign):
+    config = load_config("e2e_shac", ["name=rf", "rules.extra=[foreign:RULE]"])
+    (foreign / "config.yaml").write_text(config.to_yaml())
+    check_same(config, foreign)
+    other = load_config("e2e_shac", ["name=rf"])
+    with pytest.raises(InputError, match="rules.extra is 'foreign:RULE'; code that this file"):
+        check_same(other, foreign)
+    (foreign / "config.yaml").write_text("base: ../mine.yaml\n")
+    for each in (config, other):
+        with pytest.raises(InputError, match="vehicle.model is 'foreign:MODEL'; code that this"):
+            check_same(each, foreign)
+    assert not ran(foreign)
+
+
+def test_python_loads_the_code_of_a_run_only_for_a_named_config(foreign):
+    for load in (
+        lambda: Run.load(foreign),
+        lambda: seeds.evaluate_seed(foreign, 1),
+        lambda: curves.learning_figure({"rf": [foreign]}),
+    ):
+        with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):
+            load()
+    assert TrainingRun(foreign).state()["total_steps"] is None
+    assert not ran(foreign)
+    with pytest.raises(InputError, match="has no 'MODEL'"):
+        Run.load(foreign, foreign / "config.yaml")
+    assert ran(foreign)
+
+
+def log_config(folder):
+    path = folder / "columns.yaml"
+    path.write_text("logs: {format: 'foreign:FORMAT', files: ['*.csv']}\nbody: {inertia: base}\n")
+    (folder / "log.csv").write_text("time\n0.0\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("fit", "columns.yaml"),
+        ("view", "log.csv", "--logs", "columns.yaml"),
+        ("replay", "log.csv", "--vehicle", "bebop1", "--logs", "columns.yaml"),
+        ("report", "log.csv", "--logs", "columns.yaml"),
+    ],
+    ids=" ".join,
+)
+def test_a_reader_of_logs_in_a_file_needs_a_word_of_the_user(foreign, command, capsys):
+    log_config(foreign.parent)
+    assert run(*command) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert "columns.yaml: logs.format is 'foreign:FORMAT'" in error and "--allow-code" in error
+    assert not ran(foreign)
+    assert run(*command, "--allow-code") == 2
+    assert "has no 'FORMAT'" in capsys.readouterr().err
+    assert ran(foreign)
+
+
+def test_improve_reads_logs_only_by_a_named_reader(foreign, capsys):
+    log_config(foreign.parent)
+    command = ("improve", "e2e", "--policy", "e2e", "--fit", "columns.yaml", "--logs", "log.csv")
+    for word, says in (("--output=o", "with --allow-code"), ("--allow-code", "has no critic")):
+        assert run(*command, word) == 2
+        assert says in capsys.readouterr().err
+    assert not ran(foreign)
+
+
+def test_a_reader_of_logs_on_the_command_line_is_imported(foreign, capsys):
+    log_config(foreign.parent)
+    path = foreign.parent / "columns.yaml"
+    assert run("fit", path, "logs.format=foreign:FORMAT") == 2
+    assert "has no 'FORMAT'" in capsys.readouterr().err and ran(foreign)
+    assert load_fit_config(path, ["logs={format: foreign:FORMAT}"]).logs.format != "plain"
+    with pytest.raises(InputError, match="only with allow_code=True"):
+        load_fit_config(path, ["logs.files=[a.csv]"])
+    assert LogsConfig(format="foreign:FORMAT").format == "foreign:FORMAT"
+
+
+def test_training_configs_that_the_user_names_may_name_code(foreign, capsys):
+    assert run("train", "mine.yaml") == 2
+    assert "has no 'MODEL'" in capsys.readouterr().err and ran(foreign)
