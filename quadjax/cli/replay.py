@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.policy is not None:
         policy = Policy.load(options.policy)
         found = race_of_policy(
-            policy, options.policy, options.race, options.track, Console(stderr=True).print
+            policy, options.policy, options.race, options.track, Console(stderr=True).out
         )
         own, drone = own_race(found[0], policy, found[1], str(options.policy)), found[0]
     if options.vehicle is not None:

@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results, console = [], Console(stderr=True)
 
     def note(line: str) -> None:
-        console.print(line, highlight=False)
+        console.print(line, highlight=False, soft_wrap=True)
 
     with bar(counted=True, console=console) as progress:
         chosen = paths or shipped_policies()

@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.sampled,
         options.seed,
         _logs(options),
-        report=lambda line: console.print(line, highlight=False),
+        report=lambda line: console.print(line, highlight=False, soft_wrap=True),
     )
     title = options.title or (race.track.name if race else "") or "Flights"
     with steps(console) as report:

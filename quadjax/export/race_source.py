@@ -124,13 +124,14 @@ def check_race(policy: Policy, own: OwnRace, file: Path) -> str:
         InputError: the first difference.
     """
     named = policy.source.get("residual")
-    if policy.config is not None or preset_of(policy):
+    has_residual = own.params.vehicle.residual is not None
+    if policy.config is None and "residual" in policy.source and bool(named) != has_residual:
+        has = "no residual" if named else "a residual"
+        found, said = f"vehicle.residual is {named or 'null'} in training, {has} here", ""
+    elif policy.config is not None or preset_of(policy):
         config, _ = race_of_policy(policy, file.name)
         found = _difference(own_race(config, policy, "the policy file", file.name), own)
         said = "vehicle, track, gate test and time step are those of the policy file"
-    elif "residual" in policy.source and bool(named) != (own.params.vehicle.residual is not None):
-        has = "no residual" if named else "a residual"
-        found, said = f"vehicle.residual is {named or 'null'} in training, {has} here", ""
     else:
         found, said = None, "the policy file names no race"
     if found is not None:

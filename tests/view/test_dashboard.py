@@ -1,5 +1,6 @@
 """State of runs and sweeps, and their live pages in a real browser."""
 
+import dataclasses
 import json
 import math
 import shutil
@@ -17,6 +18,7 @@ from quadjax.core.resources import PRETRAINED
 from quadjax.dashboard.flyer import Flyer
 from quadjax.dashboard.run_state import POINTS, TrainingRun
 from quadjax.dashboard.sweep_state import JOURNAL, SweepRun
+from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from tests.commands import run
 from tests.view.browser import browser, wait_until
@@ -84,23 +86,20 @@ class Flipping:
 
 
 def test_a_policy_is_simulated_in_the_race_of_its_own_trial(tmp_path):
-    for name in ("first", "second"):
-        (tmp_path / name).mkdir()
-        shutil.copy(PRETRAINED / "e2e_nominal.npz", tmp_path / name / "policy.npz")
-        (tmp_path / name / "config.yaml").write_text(f"nothing_of_{name}: 1\n", encoding="utf-8")
-    first, second = (tmp_path / name / "policy.npz" for name in ("first", "second"))
+    first, second = (tmp_path / f"{name}.npz" for name in ("first", "second"))
+    for path in (first, second):
+        dataclasses.replace(Policy.load("e2e_nominal"), config={"nothing": 1}).save(path)
     flyer = Flyer(Flipping(first, second))
     for _ in range(6000):
         if flyer.error:
             break
         time.sleep(0.1)
     flyer.close()
-    assert "nothing_of_first" in flyer.error
+    assert "first.npz: config" in flyer.error
 
 
 def test_the_mean_action_flies_once_and_causes_are_of_the_sampled_flights(tmp_path, monkeypatch):
     shutil.copy(PRETRAINED / "e2e_nominal.npz", tmp_path / "policy.npz")
-    (tmp_path / "config.yaml").write_text("base: e2e_shac\n", encoding="utf-8")
     seen = []
 
     def fly_policy(choices, params, policy, *, runs, deterministic, laps, trace):

@@ -74,6 +74,7 @@ def read_inputs(path: Path, config: Config | Path | str | None = None) -> Inputs
         raise InputError(f"{path}: expected one *_report.json, found {len(reports)}")
     options, file, text, config_hash = _read_report(reports[0])
     policy = Policy.load(path / POLICY_FILE)
+    check_file(path / CONFIG_FILE)
     if sha256(path / CONFIG_FILE) != config_hash:
         raise InputError(f"{path / CONFIG_FILE}: not the one that {reports[0].name} names")
     if config is None:

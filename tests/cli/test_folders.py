@@ -1,0 +1,81 @@
+"""Folders of the user: they hide no name of the package, and nothing is mixed with their files."""
+
+import shutil
+
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.resources import PRETRAINED, find_config, find_policy
+from quadjax.dashboard import sources
+from quadjax.evaluation import evaluation
+from quadjax.export.convert import export_c
+from quadjax.fitting.config import load_fit_config
+from quadjax.policy.file import Policy
+from quadjax.training import folder as training
+from tests.commands import run
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_folder_does_not_hide_a_shipped_name(here, monkeypatch, capsys):
+    for name in ("paparazzi", "e2e", "e2e_nominal", "square4"):
+        (here / name).mkdir()
+    assert load_fit_config("paparazzi").logs.format == "paparazzi"
+    assert load_config("e2e", ["track=square4"]).name == "e2e"
+    assert find_policy("e2e_nominal") == PRETRAINED / "e2e_nominal.npz"
+    assert Policy.load("e2e").layers
+    stop(monkeypatch)
+    for command in (("view", "e2e_nominal"), ("results", "e2e_nominal")):
+        assert run(*command) == 2
+        assert "error: stopped" in capsys.readouterr().err
+    with pytest.raises(InputError, match="is a directory"):
+        load_config(here)
+    (here / "mine").mkdir()
+    assert find_config("mine").is_dir()
+
+
+def test_an_export_is_not_written_between_other_files(here, capsys):
+    (here / "thesis.tex").write_text("mine")
+    for output in (".", here):
+        assert run("export", "e2e", "--output", output) == 2
+        error = capsys.readouterr().err
+        assert "holds no export, but thesis.tex: choose another folder" in error
+        assert "(--overwrite)" in error
+    with pytest.raises(InputError, match=r"\(overwrite=True\)"):
+        export_c(PRETRAINED / "e2e.npz", here)
+    assert [path.name for path in here.iterdir()] == ["thesis.tex"]
+
+
+def stop(monkeypatch):
+    def stopped(*_, **__):
+        raise InputError("stopped")
+
+    monkeypatch.setattr(sources, "evaluate", stopped)
+    monkeypatch.setattr(evaluation, "evaluate", stopped)
+
+
+def test_a_copy_of_a_run_without_its_hidden_file_is_viewed(here, monkeypatch, capsys):
+    stop(monkeypatch)
+    (here / "copy").mkdir()
+    shutil.copy(PRETRAINED / "e2e_adaptive.npz", here / "copy" / "policy.npz")
+    for command in (("view", "copy"), ("results", "copy")):
+        assert run(*command) == 2
+        assert "error: stopped" in capsys.readouterr().err
+    (here / "empty").mkdir()
+    assert run("view", "empty") == 2
+    assert "empty: no policy.npz, expected the folder of a training run" in capsys.readouterr().err
+
+
+def test_messages_of_functions_name_arguments_and_those_of_commands_options(here, capsys):
+    config = load_config("e2e_shac", ["name=a"])
+    (here / "runs" / "a" / "checkpoints").mkdir(parents=True)
+    (here / "runs" / "a" / "policy.npz").write_bytes(b"")
+    with pytest.raises(InputError, match=r"\(resume=True\), replace it \(overwrite=True\)"):
+        training.prepare_folder(config, here / "runs" / "a", resume=False, overwrite=False)
+    assert run("train", "e2e_shac", "--name", "a", "run.devices=1") == 2
+    assert "resume it (--resume), replace it (--overwrite)" in capsys.readouterr().err

@@ -1,0 +1,82 @@
+"""What the help of a subcommand names exists."""
+
+import re
+import shlex
+
+import pytest
+
+from quadjax.cli import COMMANDS
+from quadjax.core.resources import policy_names, preset_names
+from tests.commands import run
+
+KINDS = {  # of the positional names of a command; presets of the others
+    "view": policy_names(),
+    "results": policy_names(),
+    "export": policy_names(),
+    "vehicle": preset_names("vehicles"),
+    "track": preset_names("tracks"),
+    "fit": preset_names("fit"),
+    "sweep": preset_names("sweeps"),
+    **dict.fromkeys(("compare", "consistency", "identify", "plant-logs"), preset_names("plant")),
+}
+OPTIONS = {
+    "--race": preset_names(),
+    "--policy": policy_names(),
+    "--logs": preset_names("fit"),
+    "--fit": preset_names("fit"),
+    "--plant": preset_names("plant"),
+}
+OVERRIDES = {"track": preset_names("tracks"), "vehicle": preset_names("vehicles")}
+
+
+def help_of(command, capsys):
+    assert run(command, "--help") == 0
+    return capsys.readouterr().out
+
+
+def unknown(example):
+    """The names in an example, ``quadjax COMMAND ..``, that do not come with the package."""
+    _, command, *words = shlex.split(example)
+    found, option = [], None
+    for word in words:
+        name, equals, value = word.partition("=")
+        if option is not None:
+            known, word = OPTIONS.get(option), word
+        elif equals:
+            known, word = OVERRIDES.get(name), value
+        else:
+            known = KINDS.get(command, preset_names())
+        option = word if word.startswith("-") else None
+        if known is not None and option is None and not re.search(r"[./]|^\d+$", word):
+            found += [] if word in known else [word]
+    return found
+
+
+def test_a_name_of_another_kind_is_unknown():
+    assert unknown("quadjax view e2e indi --race e2e_nominal") == ["e2e_nominal"]
+    assert unknown("quadjax train e2e_nominal track=nowhere --name x") == ["e2e_nominal", "nowhere"]
+    assert unknown("quadjax replay a/log.csv --policy e2e --logs px5") == ["px5"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_examples_name_presets_and_policies_that_exist(command, capsys):
+    text = " ".join(help_of(command, capsys).partition("Example")[2].split())
+    for example in re.findall(r"quadjax [\w-]+ .*", text):
+        assert example.split()[1] == command and unknown(example) == []
+
+
+def test_there_are_examples(capsys):
+    assert sum("Example" in help_of(command, capsys) for command in COMMANDS) >= 8
+
+
+@pytest.mark.parametrize("command", [name for name in KINDS if name not in ("view", "results")])
+def test_configs_that_are_shipped_are_listed_by_name(command, capsys):
+    text = help_of(command, capsys)
+    assert "configs/" not in text
+    if command in ("fit", "sweep", "plant-logs", "compare", "consistency", "identify"):
+        assert all(name in text for name in KINDS[command])
+        more = ["--policy", "e2e", "--output", "x"] if command == "plant-logs" else []
+        for wrong in ("nosuch", "configs/nosuch.yaml"):
+            assert run(command, wrong, *more) == 2
+            error = capsys.readouterr().err
+            assert f"{wrong}: no such" in error and ", ".join(KINDS[command]) in error
