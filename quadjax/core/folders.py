@@ -180,7 +180,7 @@ def results(
     with claim(folder, kind, files, overwrite):
         if present_files(folder, files) and not overwrite:
             raise InputError(
-                f"{folder} holds {_a(kind)} already: replace it (--overwrite) or choose another "
+                f"{folder} holds {_a(kind)} already: replace it (overwrite=True) or choose another "
                 "name"
             )
         with replacement(folder, files) as new:
