@@ -106,6 +106,9 @@ def lap_axis(axes: Axes, times: np.ndarray, references: Sequence[tuple[str, floa
         axes.set_yticks([] if not shown else axes.get_yticks())
 
 
+SCORES = {"mean": "mean action", "sampled": "sampled"}  # by run.score
+
+
 @dataclasses.dataclass(frozen=True)
 class Group:
     """Runs of one config over several seeds."""
@@ -113,6 +116,7 @@ class Group:
     name: str
     runs: tuple[Mapping[str, np.ndarray], ...]  # columns of each run's metrics, (rows,) each
     length: str  # of a flight: 6 laps
+    scores: str  # of the flights: sampled, of the mean action, or both
     published: tuple[str, float] | None  # label and time, s, of the published flights if equal
 
 
@@ -183,7 +187,8 @@ def read_group(name: str, folders: Sequence[Path], config: Config | None = None)
             raise InputError(f"{path}: no column {', '.join(missing)}")
         runs.append(columns)
     reference = published.pop() if len(published) == 1 else None
-    return Group(name, tuple(runs), configs[0].evaluate.length, reference)
+    scores = " and ".join(sorted({SCORES[config.run.score] for config in configs}))
+    return Group(name, tuple(runs), configs[0].evaluate.length, scores, reference)
 
 
 def spread(
@@ -219,6 +224,6 @@ def _latest(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _draw_group(axes: Axes, group: Group, along: str, unit: float, color: str) -> None:
     seeds = [(run[along] * unit, run["lap_total"]) for run in group.runs]
     points, median, lowest, highest = spread(*zip(*seeds, strict=True))
-    label = f"{group.name} ({counted(len(seeds), 'seed')})"
+    label = f"{group.name} ({counted(len(seeds), 'seed')}, {group.scores})"
     axes.fill_between(points, lowest, highest, step="post", color=color, alpha=0.18, lw=0)
     axes.plot(points, median, drawstyle="steps-post", color=color, lw=1.6, label=label)

@@ -61,9 +61,10 @@ def test_groups_are_drawn_side_by_side_and_published_times_next_to_their_race_on
     other = make_run(tmp_path / "c", [20.0, 17.5], 25.0, "indi_ppo.yaml", overrides)
     assert not learning_figure({"indi": [*indi, other]}).axes[0].texts
     curves = {line.get_label(): line for line in steps.lines if "seed" in line.get_label()}
-    assert list(curves) == ["e2e (3 seeds)", "indi (1 seed)"]
-    assert curves["e2e (3 seeds)"].get_xdata().tolist() == [0.5, 1.0, 1.5]
-    np.testing.assert_array_equal(curves["e2e (3 seeds)"].get_ydata(), [np.nan, 17, 16])
+    assert list(curves) == ["e2e (3 seeds, mean action)", "indi (1 seed, sampled)"]
+    drawn = curves["e2e (3 seeds, mean action)"]
+    assert drawn.get_xdata().tolist() == [0.5, 1.0, 1.5]
+    np.testing.assert_array_equal(drawn.get_ydata(), [np.nan, 17, 16])
     assert wall.lines[1].get_xdata().tolist() == [25, 50, 75]
     assert wall.lines[0].get_color() == steps.lines[0].get_color() != wall.lines[1].get_color()
     save_figure(figure, tmp_path / "curves.png")
