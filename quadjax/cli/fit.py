@@ -21,6 +21,7 @@ from quadjax.cli.arguments import (
     overrides_of,
     parse,
 )
+from quadjax.cli.progress import steps
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
@@ -44,7 +45,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = _arguments(arguments)
     with loading():
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         from quadjax.core.folders import claim, present_files, replacement
         from quadjax.fitting.config import load_fit_config
@@ -59,20 +59,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     config = load_fit_config(path, overrides_of(options), options.allow_code)
     folder = options.output / config.name
     find_logs(config.logs, path.parent)  # before the folder is created
-    columns = (TextColumn("{task.description:50}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    quiet = not console.is_terminal
-    bar = Progress(*columns, console=console, transient=True, disable=quiet)
-    with claim(folder, "fit", PATTERNS, options.overwrite), bar as progress:
+    with (
+        claim(folder, "fit", PATTERNS, options.overwrite),
+        steps(Console(stderr=True)) as report,
+    ):
         if present_files(folder, PATTERNS) and not options.overwrite:
             raise InputError(
                 f"{folder} holds a fit already: replace it (--overwrite) or choose another name"
             )
-        task = progress.add_task("starting", total=8 if config.residual.fit else 4)
-
-        def report(line: str) -> None:
-            progress.update(task, description=line, advance=1)
-
         racing = read_racing_vehicle(config.vehicle, path.parent)
         if racing is not None:
             quadcopter = run_racing_fit(config, path.parent, racing, report)

@@ -5,13 +5,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from quadjax.cli.arguments import Parser, add_config, laps, names_of, parse, runs, seed
+from quadjax.cli.progress import steps
 from quadjax.core.interruptions import loading
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("plant-logs", description=__doc__)
     add_config(parser, names_of("plant"))
-    parser.add_argument("--policy", action="append", required=True, metavar="FILE.npz")
+    parser.add_argument(
+        "--policy",
+        action="append",
+        required=True,
+        metavar="FILE.npz",
+        help="policy that flies: a file, or a shipped one's name; repeat it for several",
+    )
     parser.add_argument("--race", default="e2e_shac", metavar="CONFIG", help="preset or YAML file")
     parser.add_argument("--flights", type=runs, default=4, help="of each policy (4)")
     parser.add_argument("--laps", type=laps, default=6, help="of each flight (6)")
@@ -43,8 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     files = [f"{name}_*.csv" for name in plans]
     with (
         claim(options.output, "logs", files, options.overwrite),
-        Console(stderr=True).status("compiling") as status,
+        steps(Console(stderr=True)) as report,
     ):
-        written = write_logs(plans, options.output, options.seed, status.update)
+        written = write_logs(plans, options.output, options.seed, report)
     for log in written:
         print(f"wrote {log.path}, {log.rows} rows {log.crash}".rstrip())

@@ -44,7 +44,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--race", metavar="CONFIG", help="race of the policy (its file's)")
     parser.add_argument("--track", metavar="FILE", help="track that was flown (the race's)")
     parser.add_argument("--vehicle", metavar="FILE", help="vehicle file of the model (the race's)")
-    parser.add_argument("--residual", metavar="FILE.npz", help="residual file of that vehicle")
+    parser.add_argument(
+        "--residual",
+        metavar="FILE.npz",
+        help="residual file of that vehicle, or none (residual.npz next to the vehicle file)",
+    )
     parser.add_argument(
         "--drive",
         choices=("commands", "speeds"),
@@ -61,6 +65,12 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         raise InputError("--residual needs --vehicle")
     check_outputs(arguments, json=(".json",))
     return arguments
+
+
+def _residual_of(vehicle: Path) -> str | None:
+    """The residual that a fit wrote next to a vehicle file; None for none."""
+    residual = vehicle.with_name("residual.npz")
+    return str(residual) if vehicle.is_file() and residual.is_file() else None
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -89,7 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         own, drone = own_race(found[0], policy, found[1], str(options.policy)), found[0]
     if options.vehicle is not None:
         overrides = [f"vehicle={options.vehicle}"]
-        overrides += [f"vehicle.residual={options.residual}"] if options.residual else []
+        residual = options.residual or _residual_of(Path(options.vehicle))
+        overrides += [f"vehicle.residual={residual}"] if residual not in (None, "none") else []
         overrides += [f"track={options.track}"] if options.track else []
         drone = load_config(options.race or "e2e_fastest", overrides)
     assert drone is not None

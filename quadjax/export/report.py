@@ -47,7 +47,7 @@ def make_report(converted: Converted, file: str) -> Json:
     assert laps is not None
     box, tables, unit = network.box, converted.estimator, 2.0**network.fraction_bits
     samples = {
-        "the whole box": uniform_samples(network, BOX_SAMPLES, 0),
+        "random inputs": uniform_samples(network, BOX_SAMPLES, 0),
         "simulated": rollouts.observations,
     }
     return {

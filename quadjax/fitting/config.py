@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
+from pydantic import BeforeValidator
+
 from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_SEED
 from quadjax.core.sections import (
@@ -20,6 +22,11 @@ from quadjax.fitting.columns import WIDTHS
 
 Columns = Annotated[list[str], Field(max_length=100)]
 MotorCommand = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+def _as_list(value: object) -> object:
+    """A single text as a list of one."""
+    return (value,) if isinstance(value, str) else value
 
 
 class UnitsConfig(Section):
@@ -41,8 +48,8 @@ class UnitsConfig(Section):
 class LogsConfig(Section):
     """Flight logs and their columns."""
 
-    files: tuple[str, ...] = Field(
-        (), max_length=1000, description="paths or glob patterns, one flight each"
+    files: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(
+        (), max_length=1000, description="paths or glob patterns, one flight each; one or a list"
     )
     format: str = Field(
         "plain",

@@ -1,6 +1,6 @@
 """Flight logs: reading, checking, and conversion to one set of units and frames."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -28,6 +28,11 @@ from quadjax.fitting.log_frames import WORLD, to_standard_frames
 from quadjax.fitting.motor_checks import check_commands, check_motors, typical_speeds
 
 Quantities = dict[str, np.ndarray]
+STANDIN_LOGS = "standin_logs"
+STANDIN_HINT = (
+    "; simulate them: quadjax plant-logs standin --policy e2e_nominal --policy indi_shac "
+    f"--output runs/{STANDIN_LOGS}"
+)
 SIGNALS = (
     *("time", "rpm", "rpm_command", "rate_command", "thrust_command", "motor_command", "flying"),
     *("body_velocity", "rates", "specific_force", "position", "attitude"),
@@ -86,7 +91,8 @@ def find_logs(config: LogsConfig, folder: Path) -> list[Path]:
     for pattern in config.files:
         found = _expand(Path(), pattern) or _expand(folder, pattern)
         if not found:
-            raise InputError(f"{pattern}: no such file (logs.files)")
+            hint = STANDIN_HINT if STANDIN_LOGS in Path(pattern).parts else ""
+            raise InputError(f"{pattern}: no such file (logs.files){hint}")
         paths += [path for path in found if path not in paths]
     if not paths:
         raise InputError("logs.files is empty, expected at least one flight log")
@@ -109,9 +115,18 @@ def _expand(folder: Path, pattern: str) -> list[Path]:
         return []
 
 
-def read_logs(config: LogsConfig, folder: Path) -> list[FlightLog]:
-    """Read every flight of a config; arguments and errors as ``find_logs`` and ``read_log``."""
-    return [read_log(path, config) for path in find_logs(config, folder)]
+def read_logs(
+    config: LogsConfig, folder: Path, report: Callable[[str], None] = lambda line: None
+) -> list[FlightLog]:
+    """Read every flight of a config; ``report`` is called with the progress.
+
+    Arguments and errors as ``find_logs`` and ``read_log``.
+    """
+    logs = []
+    for path in find_logs(config, folder):
+        report(f"reading {path}")
+        logs.append(read_log(path, config))
+    return logs
 
 
 def read_log(path: Path | str, config: LogsConfig) -> FlightLog:

@@ -129,8 +129,7 @@ def _read(
 ) -> tuple[BaseVehicle, list[FlightLog], Samples]:
     """The base vehicle with the body's numbers, the logs, and their samples."""
     base = with_body(read_vehicle(config.vehicle, folder), config.body)
-    report("reading the logs")
-    logs = read_logs(config.logs, folder)
+    logs = read_logs(config.logs, folder, report)
     for log in logs:
         if not log.speeds_measured:
             raise InputError(

@@ -84,8 +84,7 @@ def run_racing_fit(
     if config.body.rpm_range is not None:
         low, high = (value / RPM for value in config.body.rpm_range)
         base = base.replace(w_min=low, w_max=high)
-    report("reading the logs")
-    logs = read_logs(config.logs, folder)
+    logs = read_logs(config.logs, folder, report)
     by, groups = flight_groups([log.name for log in logs], config.split)
     learned = [log for log in logs if log.name not in config.split.test_flights]
     report("fitting motors, forces and moments")

@@ -7,13 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import quadjax
+from quadjax.core.resources import CONFIGS
 from quadjax.fitting.columns import PLAIN
 from quadjax.fitting.flight_log import write_log
+from quadjax.fitting.simulate import random_residual
 from quadjax.policy.file import Policy
 from quadjax.studies.replay.logged import Logged, disturbances_of
 from quadjax.vehicle import motor
 from quadjax.vehicle.constants import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.residual_file import write_residual
 from tests.commands import run
 from tests.fitting import racing_logs
 
@@ -86,6 +89,31 @@ def test_a_log_that_ends_before_its_last_gate_has_its_last_lap(flown, tmp_path):
     assert run("replay", tmp_path / "cut.csv", *drone) == 0
     found = json.loads((tmp_path / "r.json").read_text())
     np.testing.assert_allclose(found["lap_times"], evaluation.lap_times[0], atol=0.04)
+
+
+@pytest.mark.slow
+def test_a_fitted_vehicle_is_flown_with_its_residual(flown, tmp_path, capsys):
+    """That of the fit's folder, unless another one or none is asked for; the table names it."""
+    drone = tmp_path / "fit/vehicle.yaml"
+    drone.parent.mkdir()
+    drone.write_text((CONFIGS / "vehicles" / "bebop1.yaml").read_text())
+    write_residual(
+        tmp_path / "fit/residual.npz", random_residual(3, 1.0, (0.004, 0.004, 0.002)), {}
+    )
+    errors = []
+    for options, residual in (((), "fit/residual.npz"), (("--residual", "none"), "none")):
+        place = (
+            "--output",
+            tmp_path,
+            "--name",
+            f"out_{residual[0]}",
+            "--json",
+            tmp_path / "r.json",
+        )
+        assert run("replay", flown[0], "--vehicle", drone, *options, *place) == 0
+        assert f"{residual})" in capsys.readouterr().out
+        errors.append(json.loads((tmp_path / "r.json").read_text())["prediction"]["rms_error"])
+    assert errors[0]["rates"][1] > 1.5 * errors[1]["rates"][1]
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.fitting import pipeline
 from quadjax.fitting.config import load_fit_config
-from quadjax.fitting.flight_log import write_log
+from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.pipeline import run_fit
 from quadjax.fitting.report import tables
 from quadjax.fitting.simulate import random_residual, simulate_flight
@@ -172,6 +172,30 @@ def test_missing_logs_are_one_line_and_no_folder_is_made(tmp_path, capsys):
     assert output.out == "" and output.err.startswith("error: nowhere.csv")
     assert output.err.count("\n") == 1
     assert not (tmp_path / "runs").exists()
+
+
+def test_missing_logs_of_the_simulated_drone_say_how_they_are_made(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("fit", "standin") == 2
+    assert "no such file (logs.files); simulate them: quadjax plant-logs standin --policy" in (
+        capsys.readouterr().err
+    )
+
+
+def test_one_file_needs_no_list(folder):
+    config = load_fit_config(CONFIG, [f"logs.files={folder}/*.csv"])
+    assert config.logs.files == (f"{folder}/*.csv",)
+
+
+def test_progress_is_printed_without_a_terminal(folder, tmp_path, monkeypatch, capsys):
+    def stop(config, folder, report):
+        read_logs(config.logs.replace(files=config.logs.files[:1]), folder, report)
+        raise InputError("stopped")
+
+    monkeypatch.setattr(pipeline, "run_fit", stop)
+    logs = f"logs.files={folder}/flight_0.csv"
+    assert run("fit", CONFIG, logs, "--output", tmp_path) == 2
+    assert capsys.readouterr().err == f"reading {folder}/flight_0.csv\nerror: stopped\n"
 
 
 def test_every_config_of_the_folder_is_sound():

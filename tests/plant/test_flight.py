@@ -16,6 +16,7 @@ from quadjax.plant.logs import log_quantities, write_logs
 from quadjax.policy.file import Policy
 from quadjax.studies.plant_races import gate_centers, plan_logs, plan_race, race_config
 from quadjax.training.build import untrained_policy
+from tests.commands import run
 from tests.evaluation.support import random_policy
 
 PLANT = load_plant_config(CONFIGS / "plant" / "standin.yaml")
@@ -126,3 +127,13 @@ def test_a_history_is_of_the_known_states_and_actions():
         np.testing.assert_array_equal(kept, known)
     before = np.stack(past.action, 1)[3, :, 1]
     np.testing.assert_array_equal(before, np.stack(action, 1)[1])
+
+
+def test_plant_logs_prints_its_progress_before_the_first_log(tmp_path, monkeypatch, capsys):
+    def stop(*_):
+        raise InputError("stopped")
+
+    monkeypatch.setattr("quadjax.plant.logs.fly_plan", stop)
+    place = ("--policy", "e2e_nominal", "--output", tmp_path / "logs")
+    assert run("plant-logs", "standin", *place) == 2
+    assert capsys.readouterr().err == "e2e_nominal: compiling\nerror: stopped\n"

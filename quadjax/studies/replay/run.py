@@ -37,6 +37,7 @@ class Replay:
     commands: Replayed | None  # None without a policy
     model: str
     prediction: Prediction
+    residual: str | None = None  # file of the model's residual
 
 
 def replay(
@@ -78,7 +79,8 @@ def replay(
     prediction = predict(
         flight, choices.model, params.vehicle, example_state(choices, params), drive
     )
-    return Replay(flight, track, times, laps, commands, choices.model.name, prediction)
+    name, residual = choices.model.name, drone.vehicle.residual
+    return Replay(flight, track, times, laps, commands, name, prediction, residual)
 
 
 def tables(result: Replay) -> str:
@@ -110,6 +112,7 @@ def numbers(result: Replay) -> dict[str, object]:
         },
         "prediction": {
             "model": result.model,
+            "residual": result.residual,
             "drive": found.drive,
             "windows": len(found.errors["position"]),
             "horizons": [float(x) for x in found.horizons],
@@ -205,6 +208,7 @@ def _prediction(result: Replay) -> list[str]:
     lines = [
         f"RMS prediction error of the model {result.model}, driven by the logged {found.drive}, "
         f"{count} windows",
+        f"(residual: {result.residual or 'none'})",
         "(unchanged: of a drone with constant velocity and body rates)",
         f"  {'':27}{head}",
     ]
