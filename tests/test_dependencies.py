@@ -68,7 +68,8 @@ WITHOUT_CONFIG = (
     *("core", "vehicle", "race", "learners", "policy", "evaluation", "integrations"),
     *("fitting", "plant"),
 )
-EDGES = {"evaluate", "_make", "_make_vector"}  # public functions that also take a preset's name
+# Public functions that also take a preset's name.
+EDGES = {"evaluate", "race_of_policy", "_make", "_make_vector"}
 
 
 def test_only_the_outer_packages_take_a_whole_config():

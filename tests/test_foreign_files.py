@@ -166,3 +166,13 @@ def test_a_reader_of_logs_on_the_command_line_is_imported(foreign, capsys):
 def test_training_configs_that_the_user_names_may_name_code(foreign, capsys):
     assert run("train", "mine.yaml") == 2
     assert "has no 'MODEL'" in capsys.readouterr().err and ran(foreign)
+
+
+def test_runs_of_a_command_are_read_with_the_code_of_its_config(foreign):
+    with pytest.raises(InputError, match="has no 'MODEL'"):
+        seeds.evaluate_seed(foreign, 1, ["foreign:MODEL"])
+    sys.modules.pop("foreign")
+    with pytest.raises(InputError, match="has no 'MODEL'"):
+        curves.learning_figure({"rf": [foreign]}, ["foreign:MODEL"])
+    with pytest.raises(InputError, match="code that this file names is not imported"):
+        curves.learning_figure({"rf": [foreign]}, ["foreign:OTHER"])

@@ -54,6 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _arguments(arguments)
     with loading():
         from quadjax.config.loading import load_config
+        from quadjax.config.stored import names_of_code
         from quadjax.core.files import write_json
         from quadjax.core.plotting import save_figure
         from quadjax.core.provenance import provenance
@@ -70,10 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name, file in configs.items()
     }
     trained = {name: load_config(file, overrides) for name, file in configs.items()}
-    save_figure(learning_figure(groups, trained), figure)
+    code = [each for config in trained.values() for each in names_of_code(config)]
+    save_figure(learning_figure(groups, code), figure)
     print(f"wrote {figure}")
     for name, folders in groups.items():
-        results = [evaluate_seed(folder, options.runs, trained[name]) for folder in folders]
+        results = [evaluate_seed(folder, options.runs, code) for folder in folders]
         print(f"\n{name}\n\n{format_seeds(results)}\n")
         path = runs / f"{name}_seeds.json"
         rows = [result.to_json() for result in results]

@@ -68,8 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Train, then print and save the results."""
     options = _arguments(arguments)
     with loading():
-        from quadjax.config.code import named_code
         from quadjax.config.loading import load_config
+        from quadjax.config.stored import names_of_code
         from quadjax.learners import hosts
         from quadjax.learners.devices import prepare_devices
         from quadjax.training.fine_tuning import fine_tuning
@@ -86,8 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     folder = options.output / config.name
     if options.watch and hosts.is_first():
-        own = any(named_code(config.model_dump(by_alias=True)))
-        race = [options.config, *overrides_of(options)] if own else []
+        race = [options.config, *overrides_of(options)] if names_of_code(config) else []
         print(f"watch: {start(folder, race)}", file=sys.stderr, flush=True)
     try:
         run = train(

@@ -1,10 +1,15 @@
-"""Configs that are stored in policy files."""
+"""Configs that are stored in files, and the code that configs name."""
 
 from typing import Any
 
-from quadjax.config.code import refuse_code
+from quadjax.config.code import named_code, refuse_code
 from quadjax.config.loading import config_of
 from quadjax.config.schema import Config
+
+
+def names_of_code(config: Config) -> list[str]:
+    """The objects ``module:OBJECT`` of the user's own modules that a config names."""
+    return [name for _, name in named_code(config.model_dump(by_alias=True))]
 
 
 def stored_config(tree: dict[str, Any], file: str) -> Config:

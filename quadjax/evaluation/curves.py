@@ -1,7 +1,7 @@
 """Training curves: the metrics of single runs, and lap times over several seeds."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quadjax.config.loading import load_config
-from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
 from quadjax.evaluation.tables import counted
@@ -120,9 +119,7 @@ class Group:
     published: tuple[str, float] | None  # label and time, s, of the published flights if equal
 
 
-def learning_figure(
-    groups: Mapping[str, Sequence[Path]], configs: Mapping[str, Config] | None = None
-) -> Figure:
+def learning_figure(groups: Mapping[str, Sequence[Path]], code: Collection[str] = ()) -> Figure:
     """Lap times of training runs (see ``run.score``) against wall time and environment steps.
 
     Each group has a color: a line for the median over its seeds, a band from the lowest to the
@@ -132,7 +129,7 @@ def learning_figure(
 
     Args:
         groups: run folders, with ``config.yaml`` and ``metrics.csv``, by the name of their group.
-        configs: of groups, in place of the ``config.yaml``, which may not name code.
+        code: names ``module:OBJECT`` that may be imported from the runs' configs.
 
     Raises:
         InputError: a folder without them, runs of different numbers of laps, no group, or more
@@ -140,8 +137,7 @@ def learning_figure(
     """
     if not 0 < len(groups) <= len(COLORS):
         raise InputError(f"{len(groups)} groups of runs to draw, allowed: 1 to {len(COLORS)}")
-    named = configs or {}
-    drawn = [read_group(name, folders, named.get(name)) for name, folders in groups.items()]
+    drawn = [read_group(name, folders, code) for name, folders in groups.items()]
     check_lengths({group.name: group.length for group in drawn})
     figure = new_figure(9.8, 4.2)
     panels = figure.subplots(1, len(ACROSS), sharey=True)
@@ -167,7 +163,7 @@ def check_lengths(lengths: Mapping[str, str]) -> None:
         raise InputError(f"times of different numbers of laps cannot be compared: {each}")
 
 
-def read_group(name: str, folders: Sequence[Path], config: Config | None = None) -> Group:
+def read_group(name: str, folders: Sequence[Path], code: Collection[str] = ()) -> Group:
     """Read the runs of a group.
 
     Raises:
@@ -176,7 +172,7 @@ def read_group(name: str, folders: Sequence[Path], config: Config | None = None)
     if not folders:
         raise InputError(f"{name}: no runs to draw")
     files = [Path(folder) / "config.yaml" for folder in folders]
-    configs = [config] if config else [load_config(file, code=()) for file in files]
+    configs = [load_config(file, code=code) for file in files]
     published = {published_total(config) for config in configs}
     runs = []
     for folder in folders:

@@ -2,14 +2,13 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadjax.config.loading import load_config
-from quadjax.config.schema import Config
 from quadjax.core.markdown import table
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.evaluation.protocols import Protocols, fly_protocols, protocol_table
@@ -39,15 +38,15 @@ class SeedResult:
         return vars(self) | {"flights": self.flights.to_json()}
 
 
-def evaluate_seed(run: Path, runs: int, config: Config | None = None) -> SeedResult:
+def evaluate_seed(run: Path, runs: int, code: Collection[str] = ()) -> SeedResult:
     """Evaluate the best policy of a finished training: from hover, and from random starts.
 
     Args:
         run: the folder of the training.
         runs: number of flights of each kind.
-        config: of the training; None for ``config.yaml`` of the folder, which may not name code.
+        code: names ``module:OBJECT`` that may be imported from the run's config.
     """
-    config = config or load_config(run / "config.yaml", code=())
+    config = load_config(run / "config.yaml", code=code)
     summary = read_summary(run)
     policy = Policy.load(run / "policy.npz")
     fly = functools.partial(evaluate, policy, config, runs=runs)

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from quadjax.config.code import named_code
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
+from quadjax.config.stored import names_of_code
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, whole_file, write_text
 from quadjax.core.folders import check_kind, kind_of, remove_files
@@ -106,8 +106,7 @@ def check_same(config: Config, folder: Path) -> None:
     if not path.exists() or kind_of(folder) not in (None, KIND):
         return
     contents = _inputs(config)
-    mine = [name for _, name in named_code(config.model_dump(by_alias=True))]
-    saved = load_config(path, code=mine)
+    saved = load_config(path, code=names_of_code(config))
     with_unit = {".".join(p for p in each if isinstance(p, str)) for each in saved.with_unit}
     own: Any = parse_yaml(_with_inputs(config, contents).with_units({}).to_yaml(), "config")
     complete: Any = parse_yaml(saved.with_units({}).to_yaml(), str(path))

@@ -78,10 +78,10 @@ class Run:
             InputError: a missing or damaged file.
         """
         folder = Path(folder)
-        if not isinstance(config, Config):
-            config = load_config(
-                config or folder / "config.yaml", code=() if config is None else None
-            )
+        if config is None:
+            config = load_config(folder / "config.yaml", code=())
+        elif not isinstance(config, Config):
+            config = load_config(config)
         summary = read_summary(folder)
         policy = Policy.load(folder / "policy.npz")
         return cls(config, folder, policy, summary["finished"], summary)
