@@ -55,8 +55,9 @@ class Rollouts:
         count = len(self.states)
         rows = np.linspace(0, count - 1, min(KEPT_ROWS, count)).astype(int)
         rows = rows if self.longest is None else self.longest[:KEPT_ROWS]
-        parts = (self.observations, self.states, self.targets)
-        return Rollouts(*(part[rows] for part in parts), self.laps, self.steps)
+        return Rollouts(
+            self.observations[rows], self.states[rows], self.targets[rows], self.laps, self.steps
+        )
 
 
 def simulate(own: OwnRace, runs: int = RUNS, laps: int = LAPS, seed: int = SEED) -> Rollouts:

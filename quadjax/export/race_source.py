@@ -79,8 +79,8 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
         start=params.start.replace(heading=None),
     )
     pilot = make_pilot(choices, params, policy, deterministic=True)
-    names = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
-    return OwnRace(choices, params, pilot, *names, origin, text, residual or None)
+    track, vehicle = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
+    return OwnRace(choices, params, pilot, track, vehicle, origin, text, residual or None)
 
 
 def _with_limits(model: VehicleModel, constants: Constants, policy: Policy) -> Constants:

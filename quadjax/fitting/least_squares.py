@@ -9,6 +9,7 @@ zero; its contribution, estimated in ``prepare``, is subtracted (bias-compensate
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ BLOCK = 0.5  # s
 UNCERTAIN = 0.05  # relative standard error above which a lag has a warning
 LOW_R2 = 0.1  # below which an axis has a warning
 SIGNIFICANT = 3.0  # standard errors
+Fitted = TypeVar("Fitted", bound=Constants)
 CONDITION = 1e6  # condition number (of regressors of unit size) above which they are collinear
 
 
@@ -51,7 +53,7 @@ def fit_nominal(samples: Samples, base: Constants, any_sign: bool = False) -> li
     return [fit_axis(axis, samples, blocks, base, any_sign) for axis in AXES]
 
 
-def with_fit(base: Constants, fits: list[AxisFit]) -> Constants:
+def with_fit(base: Fitted, fits: list[AxisFit]) -> Fitted:
     """The base vehicle's constants with the fitted ones replaced."""
     found = {
         name: float(value)

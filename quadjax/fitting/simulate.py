@@ -122,7 +122,8 @@ def _fly(
         return state, record
 
     rpm = Rotors.same(motor.hover_rpm(vehicle.constants))
-    start = MotorState(*(Vec3.zero() for _ in range(4)), rpm, Vec3.zero(), Vec3.zero())
+    zero = Vec3.zero()
+    start = MotorState(zero, zero, zero, zero, rpm, zero, zero)
     return jax.lax.scan(step, start, targets)[1]
 
 

@@ -201,7 +201,7 @@ def with_schedules(
         level = None if hyper.climb is None else jnp.zeros(())
         own, params = apply_schedules((hyper.hyper, params), hyper.schedules, start, level)
         state = learner.init(own, params, key)
-        return state if level is None else state.replace(level=level)
+        return state if level is None else dataclasses.replace(state, level=level)
 
     def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
         numbers, level = (hyper.hyper, params), None if hyper.climb is None else state.level
@@ -210,7 +210,7 @@ def with_schedules(
         if hyper.climb is None:
             return following, metrics
         level = next_level(hyper.climb, state.level, metrics)
-        return following.replace(level=level), metrics | {"level": level}
+        return dataclasses.replace(following, level=level), metrics | {"level": level}
 
     leveled = any(schedule.by_level for schedule in schedules.values())
     hyper = Scheduled(learner.hyper, tuple(schedules.values()), climb if leveled else None)

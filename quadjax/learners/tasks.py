@@ -91,7 +91,7 @@ def with_learning_progress(learner: Learner, environment: Environment, updates: 
     def init(hyper: object, params: object, key: jax.Array) -> TrainState:
         none = jnp.zeros((2, variants.count))
         state = learner.init(hyper, params, key)
-        return state.replace(record=Record(none, jnp.copy(none)))
+        return dataclasses.replace(state, record=Record(none, jnp.copy(none)))
 
     def update(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
         own = variants.weighted(params, chances(state.record))
@@ -105,6 +105,8 @@ def with_learning_progress(learner: Learner, environment: Environment, updates: 
         before = state.record
         record = Record(kept[0] * before.short + counts, kept[1] * before.long + counts)
         progress = jnp.mean(learning_progress(record))
-        return following.replace(record=record), metrics | {"learning_progress": progress}
+        return dataclasses.replace(following, record=record), metrics | {
+            "learning_progress": progress
+        }
 
     return dataclasses.replace(learner, init=init, update=update)

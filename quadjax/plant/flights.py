@@ -198,14 +198,18 @@ def recordings(flights: Flights) -> list[Recording]:
     frames, result = flights.frames, []
     for run in range(frames.over.shape[-1]):
         true, times = frames.true, flights.laps.lap_times[run]
-        vectors = (true.position, true.velocity, true.euler, true.rates, true.rpm, frames.command)
         result.append(
             Recording(
-                flights.step * np.arange(int((~frames.over[:, run]).sum())),
-                *(rows(flights, vector, run) for vector in vectors),
-                np.asarray(frames.target)[~frames.over[:, run], run],
-                np.cumsum(times[np.isfinite(times)]),
-                flights.laps.crashes[run],
+                time=flights.step * np.arange(int((~frames.over[:, run]).sum())),
+                position=rows(flights, true.position, run),
+                velocity=rows(flights, true.velocity, run),
+                euler=rows(flights, true.euler, run),
+                rates=rows(flights, true.rates, run),
+                actuators=rows(flights, true.rpm, run),
+                command=rows(flights, frames.command, run),
+                target=np.asarray(frames.target)[~frames.over[:, run], run],
+                lap_ends=np.cumsum(times[np.isfinite(times)]),
+                crash=flights.laps.crashes[run],
             )
         )
     return result

@@ -24,6 +24,9 @@ yaw and thrust are orthogonal, so the solution is explicit. When a motor saturat
 have priority over thrust, and thrust over yaw.
 """
 
+import functools
+import operator
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -85,7 +88,7 @@ def indi_params(constants: MotorConstants, config: IndiConfig, sample_rate: floa
 def total(signs: Rotors, values: Rotors) -> jax.Array:
     """Sum () over the rotors of signs times values."""
     parts = zip(signs.components(), values.components(), strict=True)
-    return sum(sign * value for sign, value in parts)
+    return functools.reduce(operator.add, (sign * value for sign, value in parts))
 
 
 def modeled(c: MotorConstants, rpm: Rotors) -> tuple[Vec3, jax.Array]:

@@ -123,8 +123,8 @@ def _fly(count: int, params: PlantParams, loop: IndiParams, commands: jax.Array)
         wanted = RateCommand(Vec3.of(command[:3]), command[3])
         up = Vec3(jnp.zeros(()), jnp.zeros(()), jnp.full((), -100.0))  # far from the ground
         rpm = Rotors.same(hover_rpm(c))
-        zeros = [Vec3.zero() for _ in range(5)]
-        body = MotorState(up, *zeros[:3], rpm, *zeros[3:])
+        zero = Vec3.zero()
+        body = MotorState(up, zero, zero, zero, rpm, zero, zero)
         none = jnp.zeros(gusts.START_DRAWS)
         state = plant.begin(params, body, jnp.ones(()), none)
         inner = indi.init(loop, _measure(params, state))

@@ -128,8 +128,8 @@ def _fly(
     flown = times[np.isfinite(times)]
     crashed = np.asarray(race.crash) != 0
     lapless = ~crashed & ~(ends > 0).any(axis=0)
-    counts = (int(np.count_nonzero(which)) for which in (crashed, lapless))
-    return Flights(label, runs, *counts, float(np.median(flown)) if flown.size else math.nan)
+    lap = float(np.median(flown)) if flown.size else math.nan
+    return Flights(label, runs, int(crashed.sum()), int(lapless.sum()), lap)
 
 
 def _starts(choices: Choices, params: RaceParams, key: jax.Array, runs: int) -> RaceState:

@@ -94,7 +94,7 @@ def draw(study: optuna.Study, directory: Path) -> None:
     shown = optuna.create_study(study_name=study.study_name)
     shown.add_trials(every or complete)
     plot = optuna.visualization.matplotlib.plot_parallel_coordinate
-    axes = plot(shown, target=lambda t: t.value, target_name="median (s)")
+    axes = plot(shown, target=lambda t: t.values[0], target_name="median (s)")
     for each in axes.figure.axes:
         with contextlib.suppress(AttributeError):  # of a logarithmic axis
             each.ticklabel_format(useOffset=False)

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ class Dimension:
         return sorted({round(value) for value in values}) if whole else values
 
 
-def plain(value: object) -> Plain:
+def plain(value: Any) -> Plain:
     """A config's value as Optuna stores it."""
     return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
 

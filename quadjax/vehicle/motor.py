@@ -162,13 +162,17 @@ def start(
 ) -> MotorState:
     """A start with propeller speeds drawn over their range, of numbers (4..,) in [-1, 1]."""
     rpm = Rotors.of(between(c.rpm_min, c.rpm_max, drawn[:4]))
-    return MotorState(*vars(motion).values(), rpm, Vec3.zero(), Vec3.zero())
+    return _undisturbed(motion, rpm)
 
 
 def hover(c: MotorConstants, motion: Motion) -> MotorState:
     """A start with the propeller speeds of a hover, clipped to the range of the motors."""
     rpm = Rotors.same(jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max))
-    return MotorState(*vars(motion).values(), rpm, Vec3.zero(), Vec3.zero())
+    return _undisturbed(motion, rpm)
+
+
+def _undisturbed(motion: Motion, rpm: Rotors) -> MotorState:
+    return MotorState(**vars(motion), rpm=rpm, moment_ext=Vec3.zero(), force_ext=Vec3.zero())
 
 
 def _with_disturbance(state: MotorState, moment: Vec3, force: Vec3) -> MotorState:

@@ -76,12 +76,12 @@ def start(
 ) -> RateState:
     """A start with the thrust drawn over the range ``thrust``, m/s^2, of numbers in [-1, 1]."""
     value = between(*thrust, drawn[0])
-    return RateState(*vars(motion).values(), jnp.clip(value, c.thrust_min, c.thrust_max))
+    return RateState(**vars(motion), thrust=jnp.clip(value, c.thrust_min, c.thrust_max))
 
 
 def hover(c: RateConstants, motion: Motion) -> RateState:
     """A start with the thrust of a hover, clipped to the thrust range."""
-    return RateState(*vars(motion).values(), jnp.clip(c.g, c.thrust_min, c.thrust_max))
+    return RateState(**vars(motion), thrust=jnp.clip(c.g, c.thrust_min, c.thrust_max))
 
 
 MODEL = VehicleModel(

@@ -102,8 +102,8 @@ def rigid_body_model(
         c: Constants, motion: Motion, drawn: jax.Array, _: tuple[jax.Array, jax.Array]
     ) -> RigidBodyState:
         pairs = zip(*rotor_range(c), strict=True)
-        rotors = (between(*pair, drawn[i]) for i, pair in enumerate(pairs))
-        return RigidBodyState(*vars(motion).values(), Rotors(*rotors))
+        rotors = (between(low, high, drawn[i]) for i, (low, high) in enumerate(pairs))
+        return RigidBodyState(**vars(motion), rotors=Rotors(*rotors))
 
     with_euler_angles = VehicleModel(
         name=name,
@@ -114,7 +114,7 @@ def rigid_body_model(
         actuator_range=rotor_range,
         actuator_state=lambda state: state.rotors,
         start=start,
-        hover=lambda c, motion: RigidBodyState(*vars(motion).values(), hover(c)),
+        hover=lambda c, motion: RigidBodyState(**vars(motion), rotors=hover(c)),
         specific_force=functools.partial(_specific_force, forces),
         **others,
     )

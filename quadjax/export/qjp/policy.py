@@ -159,7 +159,8 @@ def certify(network: FixedNetwork) -> list[Certificate]:
         high = np.array([max(0, row.high >> WORD) for row in rows], object)
         padding = 2 ** (WORD - 1) if hidden and len(rows) % TURN else 0
         largest = max(padding, *(row.magnitude for row in rows))
-        found.append(Certificate(*layer.weights.shape, largest, int(high.max()) if hidden else 0))
+        count, columns = layer.weights.shape
+        found.append(Certificate(count, columns, largest, int(high.max()) if hidden else 0))
     return found
 
 

@@ -93,7 +93,8 @@ def _update(
     )
     log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))
     params = ActorCritic(policy=policy, log_std=log_std, value=value)
-    following = state.replace(
+    following = dataclasses.replace(
+        state,
         params=params,
         optimizer=(policy_optimizer, value_optimizer),
         target=_move(state.target, params, hyper.target_update_rate),

@@ -77,7 +77,9 @@ class Model:
 
     def limits(self, config: Config) -> BatteryConfig | None:
         """The battery in a race; None where the flights show none."""
-        return self.battery and self.battery.section(config.battery or BatteryConfig())
+        if self.battery is None:
+            return None
+        return self.battery.section(config.battery or BatteryConfig())
 
     def to_json(self) -> dict[str, Any]:
         """The model for a JSON file."""

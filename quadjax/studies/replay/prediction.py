@@ -124,7 +124,7 @@ def _rotation(euler: np.ndarray) -> Rotation:
 
 
 def _float32(values: np.ndarray | None) -> np.ndarray | None:
-    return None if values is None else np.float32(values)
+    return None if values is None else np.asarray(values, np.float32)
 
 
 @functools.partial(jax.jit, static_argnames="model")
@@ -135,7 +135,7 @@ def _roll_out(
     commands: np.ndarray,
     speeds: np.ndarray | None,
     dt: float,
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+) -> tuple[jax.Array, ...]:
     """Position, velocity, Euler angles and rates (windows, steps, 3) after each step.
 
     Args:
