@@ -236,7 +236,7 @@ def _message(schema: type[Section], error: Mapping, prefix: str) -> str:
     text = allowed(field) if field is not None else error["msg"]
     if error["type"] == "missing":
         return f"{dotted} is missing, allowed: {text}"
-    if error["type"] == "too_long":
+    if error["type"] == "too_long" and short(error["input"]).endswith("..."):
         return f"{dotted} has {len(error['input'])} items, allowed: {text}"
     if not dotted:
         return f"{short(error['input'])} is not a mapping of keys to values"
