@@ -21,7 +21,7 @@ IMPOSSIBLE_SPACES = {
     "no choices": ({EPOCHS: {"choices": []}}, [f"space.{EPOCHS}", "choices"]),
     "a choice twice": ({EPOCHS: {"choices": [3, 3]}}, ["3", "twice"]),
     "text for a bound": ({CLIP: {"range": ["a", 1]}}, [f"space.{CLIP}", "range"]),
-    "three bounds": ({CLIP: {"range": [0, 1, 2]}}, [f"space.{CLIP}", "range has 3 items"]),
+    "three bounds": ({CLIP: {"range": [0, 1, 2]}}, [f"space.{CLIP}", "[0, 1, 2]"]),
     "infinite": ({CLIP: {"range": [0.1, 1e99]}}, [f"space.{CLIP}", "finite"]),
     "half an epoch": ({EPOCHS: {"range": [1, 2.5]}}, ["2.5", "whole number"]),
     "half a step": ({EPOCHS: {"range": [1, 4], "step": 0.5}}, ["0.5", "whole number"]),
