@@ -1,14 +1,18 @@
 """The battery's limit of the propeller speeds, from commands and measured speeds."""
 
 import dataclasses
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors
+from quadjax.fitting import battery
 from quadjax.fitting.battery import BatteryFit, drain_of, fit_battery
 from quadjax.fitting.flight_log import FlightLog
+from quadjax.studies.improve.model import Model, constant_lines
 from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
 
 HOVER, HIGHEST, TAU, RATE = 7500.0, 11000.0, 0.05, 200.0
@@ -60,6 +64,22 @@ def test_lag_and_limit_are_found_and_predict_a_flight_of_another_charge():
     assert found.rmse == pytest.approx(20.0, rel=0.1)
     assert found.error(logs[2], HOVER, HIGHEST) < 25.0
     assert BatteryFit(TAU, 0.0, 0.0).error(logs[2], HOVER, HIGHEST) > 50.0
+
+
+def test_a_solver_that_stops_before_it_converges_is_reported(monkeypatch):
+    logs = [flight(0.9, 1), flight(0.7, 2)]
+    assert fit_battery(logs, HOVER, BATTERY).converged
+    monkeypatch.setattr(battery, "least_squares", partial(battery.least_squares, max_nfev=2))
+    found = fit_battery(logs, HOVER, BATTERY)
+    assert not found.converged
+    model = Model({}, None, found)
+    assert any("stopped before it converged" in line for line in constant_lines(model, model))
+
+
+def test_a_log_without_commanded_speeds_is_named():
+    log = dataclasses.replace(flight(0.9, 1), rpm_command=None)
+    with pytest.raises(InputError, match="no commanded speeds .logs.columns.rpm_command"):
+        BatteryFit(TAU, 0.0, 0.0).error(log, HOVER, HIGHEST)
 
 
 def test_the_battery_of_the_race_has_the_limits_of_the_flights():

@@ -370,6 +370,15 @@ def test_by_time_the_fit_ends_before_the_held_out_part(pieces, monkeypatch):
     assert 0.5 * length - 0.15 < first[1] - first[0] <= 0.6 * length - 0.1
 
 
+def test_a_solver_that_stops_before_it_converges_is_reported(pieces, monkeypatch):
+    monkeypatch.setattr(motor_map, "MOST_STEPS", 2)
+    fit = _fit(pieces, "blackbox", "ab", split={"leave_one_out": False})
+    assert "motors: the solver stopped after 2 steps, before it converged" in fit.warnings
+    monkeypatch.undo()
+    fit = _fit(pieces, "blackbox", "ab", split={"leave_one_out": False})
+    assert not any("stopped" in line for line in fit.warnings)
+
+
 @pytest.mark.parametrize(
     ("key", "changes"),
     [

@@ -70,3 +70,13 @@ def test_commands_that_never_change_keep_the_base_value(log):
     still = dataclasses.replace(log, rate_command=np.zeros_like(log.rate_command))
     fit = fitted([still])
     assert fit.values["tau_rate"] == 0.03 and "never change" in fit.warnings[0]
+
+
+def test_the_order_of_the_flights_has_no_influence(log):
+    """Blocks of half a second, from which standard errors are computed, end with a flight."""
+    parts = [log[:3333], log[3333:]]
+    first, second = fitted(parts), fitted(parts[::-1])
+    for name in TRUE:
+        assert first.values[name] == pytest.approx(second.values[name], rel=1e-9)
+        errors = first.standard_errors[name], second.standard_errors[name]
+        assert errors[0] == pytest.approx(errors[1], rel=1e-9)
