@@ -46,6 +46,13 @@ def test_links_lead_somewhere(page):
             assert anchor in anchors_of(file.read_text(encoding="utf-8")), target
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_files_of_the_repository_exist(page):
+    text = page.read_text(encoding="utf-8")
+    for path in re.findall(r"(?<![\w/.])(?:examples|quadjax|scripts|tests)/[\w/]+\.py", text):
+        assert (ROOT / path).is_file(), f"{name_of(page)}: {path}"
+
+
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= MAX_README
 
