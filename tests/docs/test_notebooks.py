@@ -8,7 +8,15 @@ import pytest
 nbformat = pytest.importorskip("nbformat")
 pytest.importorskip("nbclient")
 
-from tests.docs.notebooks import NOTEBOOKS, execute, parameters_of, read  # noqa: E402
+from tests.docs.notebooks import (  # noqa: E402
+    NOTEBOOKS,
+    execute,
+    inputs_of,
+    parameters_of,
+    read,
+    stamp,
+    stamped,
+)
 
 MAX_BYTES = 2_000_000
 SMALL = {
@@ -77,3 +85,33 @@ def test_it_explains_and_calls(path):
     assert parameters_of(notebook).cell_type == "code"
     code = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
     assert not re.search(r"^\s*(def|class) ", code, re.MULTILINE)
+
+
+@by_name
+def test_the_stored_outputs_are_of_the_present_inputs(path):
+    notebook = read(path)
+    assert stamped(notebook) == stamp(notebook), (
+        f"{path.name} is stale: its code, or a config or policy that it uses, has changed since it "
+        "was executed; run make notebooks"
+    )
+
+
+def test_what_makes_a_notebook_stale(tmp_path):
+    (tmp_path / "configs").mkdir()
+    preset, part = tmp_path / "configs" / "race.yaml", tmp_path / "configs" / "part.yaml"
+    preset.write_text("base: part\n")
+    part.write_text("steps: 1\n")
+    (tmp_path / "configs" / "unused.yaml").write_text("steps: 1\n")
+
+    def notebook(code):
+        return nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)])
+
+    own = notebook('load("race")')
+    assert set(inputs_of(own, tmp_path)) == {"configs/race.yaml", "configs/part.yaml"}
+    first = stamp(own, tmp_path)
+    part.write_text("# a comment\nsteps: 1\n")
+    assert stamp(own, tmp_path) == first
+    part.write_text("steps: 2\n")
+    assert stamp(own, tmp_path) != first
+    part.write_text("steps: 1\n")
+    assert stamp(notebook('load("race", 2)'), tmp_path) != first
