@@ -8,7 +8,7 @@ import os
 import pytest
 
 ALLOWED = (  # the beginning of a test's id, and a part of the reason
-    # PyTorch is not among the packages of the tests: it is 200 MB, and needs an index of its own.
+    # PyTorch and the extra sb3, which depends on it, are not in the extras of the tests.
     ("tests/policy/test_foreign.py", "could not import 'torch'"),
     ("tests/test_gym.py", "the extra sb3 is not installed"),
     ("tests/export/test_folder.py", "root may write anywhere"),
