@@ -22,6 +22,7 @@ from quadjax.cli.arguments import (
     parse,
     positive,
 )
+from quadjax.cli.progress import steps
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
@@ -140,7 +141,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _robustness(config, policy, options, console)
     if options.random_tracks:
         return _random_tracks(config, policy, options, console)
-    with console.status("compiling and simulating"):
+    with steps(console) as report:
+        report("compiling and simulating")
         evaluations = _evaluate_all(config, policy, options)
     print(lap_table(evaluations))
     _write(next(iter(evaluations.values())), options, console)
@@ -159,7 +161,8 @@ def _robustness(
     runs, seed, name = options.runs or 1000, options.seed, options.policy
     result: dict[str, object] = {}
     found: Sequence[Flights | RaceFlights]
-    with console.status("compiling and simulating"):
+    with steps(console) as report:
+        report("compiling and simulating")
         if options.from_start:
             found = fly_races(policy, config, runs, options.laps, options.gates, seed, name)
             text = race_table(found)
@@ -186,7 +189,8 @@ def _random_tracks(
 
     trained = config.randomization.tracks or RandomTracks()
     tracks = trained.replace(seed=trained.seed + trained.count, count=options.random_tracks)
-    with console.status("compiling and simulating"):
+    with steps(console) as report:
+        report("compiling and simulating")
         found = fly_random_tracks(policy, config, tracks, options.laps or 3, options.policy)
     print(found.table())
     if options.json:

@@ -123,10 +123,12 @@ def test_the_targets_of_a_file_count_rather_than_the_openings(tmp_path):
     assert len(record["flights"][0]["passages"]) >= 7
 
 
-@pytest.mark.parametrize("race", ["e2e_race", "e2e_fastest"])
-def test_a_racing_quadcopter_has_a_report_without_errors_of_its_commands(race, tmp_path):
-    path = states_file(tmp_path / "a.npz", [3.0], vehicle="racing")
-    where = ("--race", race, "--output", tmp_path, "--name", "out")
+@pytest.mark.parametrize("flown", ["racing", "motor"])
+def test_a_race_of_a_racing_quadcopter_has_a_report_without_errors_of_commands(flown, tmp_path):
+    """Its vehicle file has no constants of motor, so there is no figure of such flights."""
+    path = states_file(tmp_path / "a.npz", [3.0], vehicle=flown)
+    (tmp_path / "race.yaml").write_text("base: e2e_race\nvehicle: a2rl\n")
+    where = ("--race", tmp_path / "race.yaml", "--output", tmp_path, "--name", "out")
     assert run("report", f"E2E={path}", *where) == 0
     names = {file.stem for file in (tmp_path / "out").iterdir()}
     assert {"boxes", "gaps", "trajectories", "table", "report"} <= names
