@@ -42,6 +42,7 @@ from quadjax.export.targets import (
     PX4,
     TARGETS,
     Target,
+    has_estimator,
 )
 from quadjax.policy.file import Policy
 from quadjax.race.battery import middle_limit
@@ -88,6 +89,8 @@ class Converted:
 
     def sources(self) -> dict[str, str]:
         """Every emitted C file and header, by its path in the folder."""
+        if self.target.autopilot in AS_FILE:
+            return self._loaded()
         network, origin, rollouts = self.network, self.origin, self.rollouts
         files = emit_network(network, origin, rollouts.observations)
         files |= emit_race(self.race, network, origin, rollouts.states, rollouts.targets)
@@ -99,12 +102,12 @@ class Converted:
             files |= emit_paparazzi(network, origin, self.race, self.estimator, self.battery)
         if self.target.autopilot == INDIFLIGHT:
             files |= emit_indiflight(files, network, origin, self.race, self.own, self.policy)
-        return files | self._loaded()
+        return files
 
     def _loaded(self) -> dict[str, str]:
         """The C that loads the policy as a file, and its autopilot's."""
         autopilot, own = self.target.autopilot, (self.network, self.race)
-        files = emit_loader() if autopilot in AS_FILE else {}
+        files = emit_loader()
         if autopilot == PX4:
             files |= emit_px4(*own)
         if autopilot == CRAZYFLIE:
@@ -157,7 +160,7 @@ def convert_policy(
         network.box.check(rollouts.observations)
         rollouts = rollouts.thinned()
     vehicle, estimator = own.params.vehicle, None
-    if network.model.balance is not None:
+    if network.model.balance is not None and has_estimator(options.target):
         numbers = (options.sample_rate, options.cutoff)
         estimator = make_estimator(vehicle.constants, vehicle.residual, *numbers)
     return Converted(

@@ -25,7 +25,7 @@ from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, own_race
 from quadjax.export.report import Json, make_report, report_text
-from quadjax.export.targets import DEFAULT_TARGET, check_model, find_target
+from quadjax.export.targets import DEFAULT_TARGET, check_model, find_target, has_estimator
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from quadjax.vehicle.registry import MODELS
@@ -129,7 +129,7 @@ def export_c(
         own = Policy.load(path)
         check_policy(own)
         check_model(target, own.vehicle)
-        _check_rates(own.vehicle, sample_rate, cutoff)
+        _check_rates(own.vehicle, target, sample_rate, cutoff)
         found, origin = race_of_policy(own, path.name, config, track)
         race = own_race(found, own, origin, path.name)
         if not allow_other_race:
@@ -143,10 +143,17 @@ def export_c(
     return Export(folder, converted, report)
 
 
-def _check_rates(vehicle: str, sample_rate: float | None, cutoff: float | None) -> None:
-    """Refuse numbers of the estimator for a vehicle that has none."""
+def _check_rates(
+    vehicle: str, target: str, sample_rate: float | None, cutoff: float | None
+) -> None:
+    """Refuse numbers of the estimator for a vehicle or a target that has none."""
     given = {"sample rate": sample_rate, "cut-off": cutoff}
     unused = [f"{name} {value:g} Hz" for name, value in given.items() if value is not None]
+    if unused and not has_estimator(target):
+        raise InputError(
+            f"estimator {unused[0]} has no effect: --target {target} has no estimator, allowed: "
+            "cortex-a9, cortex-m7, cortex-m4, indiflight"
+        )
     if unused and MODELS[vehicle].balance is None:
         raise InputError(
             f"estimator {unused[0]} has no effect: the vehicle model {vehicle!r} has no estimator"
@@ -187,7 +194,9 @@ def _check_folder(folder: Path, name: str) -> None:
 def _optional(name: str) -> tuple[str, ...]:
     """Files that not every export writes; those of an earlier export are removed."""
     autopilots = ("paparazzi", "indiflight", "indiflight_2026", "qjp", "px4", "crazyflie")
-    parts = [f"{name}_{part}.{end}" for part in ("estimator", "battery") for end in "ch"]
+    parts = [
+        f"{name}{part}.{end}" for part in ("", "_race", "_estimator", "_battery") for end in "ch"
+    ]
     return (*parts, f"{name}.qjp", RESIDUAL_FILE, *autopilots)
 
 

@@ -53,6 +53,11 @@ def check_model(target: str, model: str) -> None:
         )
 
 
+def has_estimator(target: str) -> bool:
+    """Whether an export for a target has the disturbance estimator's C: a file has none."""
+    return TARGETS[target].autopilot not in AS_FILE
+
+
 def find_target(name: str) -> Target:
     """The target of a name.
 

@@ -86,6 +86,7 @@ class Flown:
     config: Config
     world: World
     autopilot: str
+    sources: str  # the C that flies; empty for an autopilot of the user
     races: list[Race]
 
     @property
@@ -112,6 +113,7 @@ class Flown:
         lines = [
             format_table([lap_row(label, self.laps)]),
             describe_crashes(self.laps),
+            f"C that flies: {self.sources}" if self.sources else "",
             f"drone: {self.world.name}, {1.0 / self.world.step:g} Hz, {how}",
             *(f"{name}: {number:,}" for name, number in self.counts.items()),
         ]
@@ -122,6 +124,7 @@ class Flown:
         setting = self.setting
         return self.laps.to_json() | {
             "autopilot": self.autopilot,
+            "sources": self.sources or None,
             "drone": self.world.name,
             "speed": setting.timing.speed,
             "counts": self.counts,
@@ -188,7 +191,7 @@ def fly_all(
     if inputs is not None:
         check_steps(inputs.policy.layout, inputs.own.time_step, world.step)
     races: list[Race] = []
-    with _autopilot(setting, inputs, world, stop, report) as (peer, name):
+    with _autopilot(setting, inputs, world, stop, report) as (peer, names):
         for run in range(setting.runs):
             text = f"run {run + 1} of {setting.runs}"
             report(text)
@@ -200,7 +203,7 @@ def fly_all(
             races.append(fly(world, peer, *options))
             if stop.is_set() or races[-1].gone:
                 break
-    return Flown(setting, config, world, name, races)
+    return Flown(setting, config, world, *names, races)
 
 
 def _compile(world: World, report: Callable[[str], None]) -> None:
@@ -226,8 +229,8 @@ def _autopilot(
     world: World,
     stop: threading.Event,
     report: Callable[[str], None],
-) -> Iterator[tuple[Peer, str]]:
-    """The autopilot of a setting, connected, and its name."""
+) -> Iterator[tuple[Peer, tuple[str, str]]]:
+    """The autopilot of a setting, connected; its name, and the C files that fly."""
     kind = command_kind(world.model)
     if setting.listen is not None:
         with listening(*setting.listen) as own:
@@ -235,7 +238,7 @@ def _autopilot(
             host, port = own.getsockname()
             report(f"waiting for an autopilot at {host}:{port}")
             with greeted(own, kind, CONNECT_SECONDS, stop) as peer:
-                yield peer, "your autopilot"
+                yield peer, ("your autopilot", "")
         return
     assert inputs is not None
     with tempfile.TemporaryDirectory() as work, listening(ADDRESS, 0) as own:
@@ -243,7 +246,6 @@ def _autopilot(
         report("building the C")
         program = sources.build(Path(work))
         _compile(world, report)
-        estimator = ", its own estimator" if sources.own_estimator else ""
         with running(program, own.getsockname()[1]):
             with greeted(own, kind, START_SECONDS, stop) as peer:
-                yield peer, f"exported C{estimator}"
+                yield peer, (sources.label, sources.text)

@@ -7,9 +7,10 @@ from pathlib import Path
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file
 from quadjax.export.indiflight import FOLDER, MOTORS
+from quadjax.export.qjp.autopilots import RUNTIMES, Runtime, words_header
 from quadjax.export.race_tables import state_sizes
 from quadjax.export.render import render
-from quadjax.export.targets import INDIFLIGHT, find_target
+from quadjax.export.targets import AS_FILE, INDIFLIGHT, find_target
 from quadjax.export.verify.folder import Inputs
 from quadjax.export.verify.result import Failed, Skipped
 from quadjax.export.verify.toolchain import Compiler, host
@@ -35,6 +36,8 @@ class Sources:
 
     files: tuple[Path, ...]
     include: Path
+    label: str  # for the table
+    text: str  # the files that fly, and the autopilot's glue that does not
     own_estimator: bool  # the export's disturbance estimator runs, not the drone's
     options: tuple[str, ...]  # of the compiler
 
@@ -67,6 +70,7 @@ def _unchanged_arithmetic(compiler: Compiler) -> Compiler:
 def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sources:
     """Write the C around an exported folder.
 
+    A policy as a file flies by its loader, and by its pilot where the export has one.
     The disturbance estimator of the export runs if it was exported for the rate of the messages.
     The estimator of the highest propeller speed must have been exported for that rate.
 
@@ -79,13 +83,56 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
     Raises:
         InputError: a C file is missing; an estimator of the highest speed for another rate.
     """
-    name, model = inputs.options.name, inputs.own.choices.model
+    autopilot = find_target(inputs.options.target).autopilot
+    if autopilot in AS_FILE:
+        sources = _of_file(folder, inputs, RUNTIMES[autopilot], work)
+    else:
+        sources = _generated(folder, inputs, rate, work)
+    for path in sources.files:
+        check_file(path)
+    (work / "process.c").write_text(render("sil/process.c", _values(inputs)))
+    (work / "message.h").write_text(header_text(functions=True))
+    return sources
+
+
+def _values(inputs: Inputs) -> dict[str, object]:
+    """Values of all templates."""
+    name, model, policy = inputs.options.name, inputs.own.choices.model, inputs.policy
+    rpm = model.commands[0].unit == "rpm"
+    return {
+        "name": name,
+        "NAME": name.upper(),
+        "rpm": rpm,
+        "rpm_per_rad_s": RPM_PER_RAD_S,
+        "command_type": "uint16_t" if rpm else "float",
+        "halfway": 0.5 * (policy.command_low + policy.command_high),
+        "command_kind": int(command_kind(model)),
+    }
+
+
+def _of_file(folder: Path, inputs: Inputs, runtime: Runtime, work: Path) -> Sources:
+    """The loader, or the pilot, with the words of the file."""
+    values, words = _values(inputs), folder / f"{inputs.options.name}.qjp"
+    check_file(words)
+    values |= {"pilot": runtime.has_pilot, "rotor_speeds": int(runtime.rotor_speeds)}
+    (work / "autopilot.c").write_text(render("sil/qjp_autopilot.c", values))
+    (work / "qjp_data.h").write_text(words_header(inputs.options.name, words.read_bytes()))
+    files = tuple(folder / file for file in runtime.files)
+    text = f"{words.name}, {runtime.folder}/{{{','.join(runtime.names)}}}"
+    text += f"; without {runtime.glue}" if runtime.glue else ""
+    label = "pilot of the .qjp" if runtime.has_pilot else "loader of the .qjp"
+    return Sources(files, folder / runtime.folder, label, text, False, runtime.options)
+
+
+def _generated(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sources:
+    """The generated C, or INDIflight's."""
+    name = inputs.options.name
     indiflight = find_target(inputs.options.target).autopilot == INDIFLIGHT
     if indiflight:
         names = [f"{FOLDER}/neural_network.c", f"{FOLDER}/nn_controller.c"]
     else:
         names = [f"{name}.c", f"{name}_race.c"]
-    fields = state_sizes(inputs.own.choices.layout, model)
+    fields = state_sizes(inputs.own.choices.layout, inputs.own.choices.model)
     same_rate = abs(inputs.options.sample_rate / rate - 1.0) < SAME_RATE
     own = "moment_ext" in fields and same_rate and (folder / f"{name}_estimator.c").is_file()
     names += [f"{name}_estimator.c"] if own else []
@@ -93,29 +140,21 @@ def write_sources(folder: Path, inputs: Inputs, rate: float, work: Path) -> Sour
     if battery and not same_rate:
         raise InputError(_other_rate(inputs.options.sample_rate, rate))
     names += [f"{name}_battery.c"] if battery else []
-    for file in names:
-        check_file(folder / file)
-    policy = inputs.policy
     values = {
-        "name": name,
-        "NAME": name.upper(),
         "fields": list(fields),
         "indiflight": indiflight,
         "own_estimator": own,
         "battery": battery,
         "motors": MOTORS,
-        "rpm": model.commands[0].unit == "rpm",
-        "rpm_per_rad_s": RPM_PER_RAD_S,
-        "command_type": "uint16_t" if model.commands[0].unit == "rpm" else "float",
-        "halfway": 0.5 * (policy.command_low + policy.command_high),
-        "command_kind": int(command_kind(model)),
     }
-    for file in ("autopilot.c", "process.c"):
-        (work / file).write_text(render(f"sil/{file}", values))
-    (work / "message.h").write_text(header_text(functions=True))
+    (work / "autopilot.c").write_text(render("sil/autopilot.c", _values(inputs) | values))
+    module = f"paparazzi/{name}_module.c"
+    text = ", ".join(names) + (f"; without {module}" if (folder / module).is_file() else "")
+    label = "INDIflight's nn_control" if indiflight else "exported C"
+    label += ", its own estimator" if own else ""
     include = folder / FOLDER if indiflight else folder
     options = (f"-DNN_CONTROL_HZ={round(rate)}",) if indiflight else ()
-    return Sources(tuple(folder / file for file in names), include, own, options)
+    return Sources(tuple(folder / file for file in names), include, label, text, own, options)
 
 
 def _other_rate(exported: float, rate: float) -> str:

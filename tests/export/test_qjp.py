@@ -15,8 +15,8 @@ from quadjax.export.qjp.policy import HASH_BYTES, make_qjp, qjp_bytes
 from quadjax.export.qjp.read import parse_qjp, read_qjp
 from quadjax.export.race_tables import make_tables, track_ranges
 from quadjax.export.verify import checks_qjp
-from quadjax.export.verify.checks_qjp import QjpContext
 from quadjax.export.verify.harness import load_library
+from quadjax.export.verify.loader import QjpContext
 from quadjax.export.verify.toolchain import host
 from tests.export.support import need
 from tests.export.test_layouts import made, random_states
@@ -50,7 +50,7 @@ def context(data, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def library(context):
-    return checks_qjp.qjp_library(context)
+    return context.library.library
 
 
 def edited(data, changes):

@@ -27,6 +27,7 @@ from quadjax.sil.plant_world import PlantWorld
 from quadjax.sil.run import Setting, fly_all, make_world
 from quadjax.sil.source import write_sources
 from tests.commands import run
+from tests.export.test_autopilots import without_rotors
 from tests.export.test_layouts import converted_in, made
 from tests.sil.support import Counting
 
@@ -108,6 +109,60 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, mo
     record = tmp_path / "page.json"
     assert run("view", tmp_path / "out" / "states.npz", "--output", record) == 0
     assert len(json.loads(record.read_text())["flights"]) == 1
+
+
+def in_this_process(folder, target, policy, own):
+    """The C of a target behind the messages as a library, and its sources."""
+    config, _ = race_of_policy(policy)
+    inputs = written(folder, policy, own, config, target)
+    sources = write_sources(folder, inputs, 1.0 / own.time_step, folder)
+    return ctypes.CDLL(str(sources.build(folder, shared=True))), sources
+
+
+def commands_of(library, states):
+    """Commands (n, 4) of states that follow each other in a race."""
+    assert library.sil_self_test() == 0
+    library.sil_begin()
+    rows = []
+    for values in states:
+        state, command = new(Kind.STATE), new(Kind.COMMAND)
+        for name, value in values.items():
+            state[name] = value
+        library.sil_step(*(x.ctypes.data_as(ctypes.c_void_p) for x in (state, command)))
+        rows.append(command["command"].copy())
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    ("target", "race"),
+    [("qjp", "published racing"), ("qjp", "indi and more"), ("px4", "published racing")]
+    + [("crazyflie", "without rotors")],
+)
+def test_a_policy_as_a_file_flies_by_its_loader(target, race, tmp_path):
+    policy, own = without_rotors() if race == "without rotors" else made(race)
+    library, sources = in_this_process(tmp_path / target, target, policy, own)
+    names = {path.name for path in sources.files}
+    assert {"qjp_run.c", "qjp_load.c"} <= names and not any("made" in name for name in names)
+    assert ("qjp_pilot.c" in names) == (target != "qjp")
+    assert "made.qjp" in sources.text and ("without" in sources.text) == (target != "qjp")
+    generated, others = in_this_process(tmp_path / "c", "cortex-m7", policy, own)
+    assert others.text == "made.c, made_race.c"
+    rng = np.random.default_rng(3)
+    fields = {"position_ned_m": 3, "velocity_ned_m_s": 3, "attitude_rpy_rad": 3}
+    fields |= {"rates_frd_rad_s": 3, "rotor_speed_rad_s": 4, "thrust_m_s2": None}
+    states = [{name: rng.uniform(-1, 1, size) for name, size in fields.items()} for _ in range(20)]
+    found, wanted = commands_of(library, states), commands_of(generated, states)
+    np.testing.assert_array_equal(found, wanted)
+    assert len(np.unique(found, axis=0)) == len(found)
+
+
+def test_words_that_the_loader_rejects_do_not_fly(tmp_path):
+    policy, own = made("published racing")
+    inputs = written(tmp_path, policy, own, race_of_policy(policy)[0], "px4")
+    (tmp_path / "made.qjp").write_bytes((tmp_path / "made.qjp").read_bytes()[:-4] + bytes(4))
+    sources = write_sources(tmp_path, inputs, 100.0, tmp_path)
+    library = ctypes.CDLL(str(sources.build(tmp_path, shared=True)))
+    assert library.sil_self_test() == 1
 
 
 @pytest.mark.parametrize(

@@ -1,19 +1,61 @@
 """Files of autopilots around a ``.qjp`` policy: a module of PX4, a controller of the Crazyflie."""
 
+import dataclasses
+
 import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.export.fixed import FixedNetwork
-from quadjax.export.qjp.emit import LOADER, qjp_source
+from quadjax.export.qjp.emit import FOLDER, LOADER, qjp_source
 from quadjax.export.race_tables import RaceTables
 from quadjax.export.render import render
-from quadjax.export.targets import check_model
+from quadjax.export.targets import CRAZYFLIE, PX4, QJP, check_model
 from quadjax.race.layout import DISTURBANCES
 
 PX4_FOLDER, CRAZYFLIE_FOLDER = "px4", "crazyflie"
 PX4_MODULE = f"{PX4_FOLDER}/src/modules/quadjax_policy"  # in EXTERNAL_MODULES_LOCATION
 PX4_FILES = ("CMakeLists.txt", "Kconfig", "QuadjaxPolicy.hpp", "QuadjaxPolicy.cpp")
 PILOT = ("qjp_pilot.h", "qjp_pilot.c")
+
+
+@dataclasses.dataclass(frozen=True)
+class Runtime:
+    """The C of an export that flies a ``.qjp`` file."""
+
+    folder: str  # of the export
+    names: tuple[str, ...]  # its C sources
+    options: tuple[str, ...]  # that the autopilot compiles it with
+    words: str  # where they are on board
+    glue: str = ""  # the file that needs the autopilot's headers
+    rotor_speeds: bool = True  # the autopilot measures them
+
+    @property
+    def has_pilot(self) -> bool:
+        """Whether the loader is called by ``qjp_pilot.c``, or by the user's firmware."""
+        return PILOT[1] in self.names
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Paths of the C sources in the export."""
+        return tuple(f"{self.folder}/{name}" for name in self.names)
+
+
+_LOADED = tuple(name for name in LOADER if name.endswith(".c"))
+_PILOTED = (*_LOADED, PILOT[1])
+PX4_WORDS = "in RAM, of 196,608 B that are reserved"
+_STATIC = ("-DQJP_STATIC=1",)
+RUNTIMES = {
+    QJP: Runtime(FOLDER, _LOADED, (), "where the firmware puts them"),
+    PX4: Runtime(PX4_MODULE, _PILOTED, _STATIC, PX4_WORDS, "QuadjaxPolicy.cpp"),
+    CRAZYFLIE: Runtime(
+        f"{CRAZYFLIE_FOLDER}/src",
+        _PILOTED,
+        _STATIC,
+        "in flash",
+        "controller_quadjax.c",
+        rotor_speeds=False,
+    ),
+}
 TICK = 1e-3  # s, of the Crazyflie's stabilizer
 ROTOR_SPEED = "rotor_speed"
 
@@ -62,18 +104,22 @@ def emit_px4(network: FixedNetwork, race: RaceTables) -> dict[str, str]:
     return files | {f"{PX4_MODULE}/{file}": qjp_source(file) for file in (*LOADER, *PILOT)}
 
 
+def words_header(name: str, data: bytes) -> str:
+    """The words of a ``.qjp`` file as a C table, ``qjp_data``."""
+    words = np.frombuffer(data, "<i4")
+    return render("crazyflie/qjp_data.h", {"name": name, "words": words})
+
+
 def emit_crazyflie(
     name: str, data: bytes, network: FixedNetwork, race: RaceTables, time_step: float
 ) -> dict[str, str]:
     """The Crazyflie's out-of-tree app, by path, with the policy's file as a table."""
     check_crazyflie(network, race, time_step)
     folder = CRAZYFLIE_FOLDER
-    words = np.frombuffer(data, "<i4")
     files = {f"{folder}/{file}": render(f"crazyflie/{file}", {}) for file in ("Kbuild", "Makefile")}
     files[f"{folder}/app-config"] = render("crazyflie/app-config", {})
     files[f"{folder}/src/Kbuild"] = render("crazyflie/src_Kbuild", {})
     own = "controller_quadjax.c"
     files[f"{folder}/src/{own}"] = render(f"crazyflie/{own}", {})
-    table = render("crazyflie/qjp_data.h", {"name": name, "words": words})
-    files[f"{folder}/src/qjp_data.h"] = table
+    files[f"{folder}/src/qjp_data.h"] = words_header(name, data)
     return files | {f"{folder}/src/{file}": qjp_source(file) for file in (*LOADER, *PILOT)}

@@ -35,6 +35,7 @@ from quadjax.export.selftest import (
 
 MAGIC, VERSION, OUTPUTS = 0x00504A51, 1, 4
 HASH_BYTES, NAME_BYTES, VEHICLE_BYTES, FIELD_BYTES = 32, 32, 16, 24
+HEADER_WORDS = 50
 SIZE_AT = 2  # the word of the header that is the size of the file
 KINDS = (POSITION, VELOCITY, ATTITUDE, ROTATION, COPY, SCALED, GATE)  # numbered from 1 on
 STATE_FIELDS = (  # numbered from 1 on
@@ -142,6 +143,13 @@ def qjp_bytes(policy: QjpPolicy) -> bytes:
         words.put(*case)
     body = words.data(SIZE_AT, HASH_BYTES)
     return body + hashlib.sha256(body).digest()
+
+
+def table_start(words: np.ndarray) -> int:
+    """The place of the first weight in the words of a file, int32."""
+    inputs, layers, state, fields, parts, gates, constants = words[[3, 5, 6, 7, 8, 9, 10]].tolist()
+    sizes = (5 * layers, 3 * fields, state, 10 * parts, 4 * inputs, (19 + constants) * gates)
+    return HEADER_WORDS + sum(sizes)
 
 
 def certify(network: FixedNetwork) -> list[Certificate]:

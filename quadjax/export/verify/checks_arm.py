@@ -81,7 +81,7 @@ def need_emulator() -> None:
             raise Skipped(f"no {module}; pip install 'quadjax[verify]'")
 
 
-def _flags(compiler: Compiler, entry: str) -> list[str]:
+def flags_of(compiler: Compiler, entry: str) -> list[str]:
     """Of an executable without a C library; ``entry`` is a function of it."""
     return [f"-Wl,-e,{entry}", *(FREESTANDING if compiler.name != "zig cc" else [])]
 
@@ -93,12 +93,13 @@ def _executable(c: Context, build: Build, compiler: Compiler) -> Path:
         return output
     folder = c.folder
     neon = [f"-D{folder.name.upper()}_WITH_NEON=1"] if build.processor == "Cortex-A9" else []
-    extra = [*neon, f"-I{folder.path}", *_flags(compiler, f"{folder.name}_forward")]
+    extra = [*neon, f"-I{folder.path}", *flags_of(compiler, f"{folder.name}_forward")]
     sources = [*folder.files, write_harness(folder, c.work), write_memory(c.work)]
     return compiler.build(sources, output, extra)
 
 
-def _machine(elf: Path, build: Build) -> "Machine":
+def machine_of(elf: Path, build: Build) -> "Machine":
+    """The emulated processor of a build, with its executable."""
     from quadjax.export.verify.machine import Machine  # needs packages of an extra
 
     return Machine(elf, build.processor)
@@ -110,7 +111,7 @@ def _count(c: Context, elf: Path, build: Build) -> tuple[int, int, int]:
     The C has no branch on data. A compiler may make a few, so they may differ by a thousandth, or
     by ``CLAMPED`` for each command of a small network: GCC clamps them by branches on the M7.
     """
-    machine, kernel = _machine(elf, build), build.kernel
+    machine, kernel = machine_of(elf, build), build.kernel
     picked = [c.vectors[i] for i in np.linspace(0, c.count - 1, COUNTED).astype(int)]
     picked += [c.hostile[i] for i in np.linspace(0, len(c.hostile) - 1, COUNTED).astype(int)]
     counts, stack = set(), 0
@@ -125,16 +126,17 @@ def _count(c: Context, elf: Path, build: Build) -> tuple[int, int, int]:
     most, least = max(counts), min(counts)
     allowed = max(most // 1000, CLAMPED * c.folder.network.outputs)
     require(most - least <= allowed, f"{least} to {most} instructions, depending on the data")
-    _check_stack(c, stack)
+    check_stack(c, stack)
     return most, least, stack
 
 
-def _check_stack(c: Context, stack: int) -> None:
+def check_stack(c: Context, stack: int) -> None:
+    """Raise ``Failed`` for more stack than networks of ordinary widths may take."""
     widest = max(len(layer.bias) for layer in c.folder.network.layers)
     require(stack < LARGEST_STACK or widest > WIDE, f"{stack} bytes of stack")
 
 
-def _sizes(elf: Path) -> tuple[int, int]:
+def sizes_of(elf: Path) -> tuple[int, int]:
     """Bytes of read-only code and data, and of writable data."""
     from elftools.elf.elffile import ELFFile
 
@@ -147,7 +149,7 @@ def _sizes(elf: Path) -> tuple[int, int]:
 def _arm_check(c: Context, build: Build) -> str:
     need_emulator()
     elf = _executable(c, build, build.make())
-    machine = _machine(elf, build)
+    machine = machine_of(elf, build)
     mismatches = machine.call(f"{c.folder.name}_self_test_with", build.kernel)
     require(mismatches == 0, f"{mismatches} self-test mismatches")
     for name in ("race", "estimator", "battery"):
@@ -156,7 +158,7 @@ def _arm_check(c: Context, build: Build) -> str:
             require(mismatches == 0, f"{mismatches} {name} self-test mismatches")
     c.same(build.tag, machine_infer(machine, build.kernel, c.vectors), c.expected)
     c.same(build.tag, machine_infer(machine, build.kernel, c.hostile), c.expected_hostile)
-    _, writable = _sizes(elf)
+    _, writable = sizes_of(elf)
     require(writable == 0, f"{writable} bytes of writable data")
     most, least, stack = _count(c, elf, build)
     spread = f", at least {least:,}" if least < most else " whatever the data"
@@ -175,13 +177,13 @@ def float_instructions(c: Context, build: Build, compiler: Compiler) -> int:
     """Instructions of one inference of the float version."""
     sources = [write_float(c.folder, c.work), write_memory(c.work)]
     output = c.work / f"{build.tag}_{build.kernel}_float.elf"
-    elf = compiler.build(sources, output, _flags(compiler, "float_forward"))
-    machine = _machine(elf, build)
+    elf = compiler.build(sources, output, flags_of(compiler, "float_forward"))
+    machine = machine_of(elf, build)
     x = machine.place(c.folder.rollouts.observations[0])
     return machine.count("float_forward", x, machine.reserve(16))[0]
 
 
-def _compilers(c: Context) -> list[tuple[Build, Compiler]]:
+def compilers_of(c: Context) -> list[tuple[Build, Compiler]]:
     """The builds for the target's processor whose compiler is found."""
     found = []
     for build in (b for b in BUILDS if b.processor == c.folder.target.processor):
@@ -196,7 +198,7 @@ def check_against_float(c: Context) -> str:
     """Instructions, and those of float C with the same compiler and flags."""
     need_emulator()
     parts = []
-    for build, compiler in _compilers(c):
+    for build, compiler in compilers_of(c):
         single = float_instructions(c, build, compiler)
         fixed, _, _ = _count(c, _executable(c, build, compiler), build)
         parts.append(f"{build.label} {fixed:,} (float {single:,})")
@@ -207,9 +209,9 @@ def check_step(c: Context) -> str:
     """Instructions and stack of all that runs on board at each step, at most."""
     need_emulator()
     parts = []
-    for build, compiler in _compilers(c):
+    for build, compiler in compilers_of(c):
         race, more, stack = _count_step(c, _executable(c, build, compiler), build)
-        _check_stack(c, stack)
+        check_stack(c, stack)
         added = "".join(f" + {name} {count:,}" for name, count in more.items())
         parts.append(f"{build.label} {race:,}{added}, {stack} B stack")
     return "; ".join(parts)
@@ -219,17 +221,17 @@ def check_memory(c: Context) -> str:
     """Flash of the exported files: tables, code and the vectors of the self-tests."""
     need_emulator()
     parts = {}
-    for build, compiler in _compilers(c):
-        extra = [f"-I{c.folder.path}", *_flags(compiler, f"{c.folder.name}_forward")]
+    for build, compiler in compilers_of(c):
+        extra = [f"-I{c.folder.path}", *flags_of(compiler, f"{c.folder.name}_forward")]
         sources = [*c.folder.files, write_memory(c.work)]
         elf = compiler.build(sources, c.work / f"{build.tag}_sizes.elf", extra)
-        parts[compiler.name] = "{:,} B flash, {} B writable data".format(*_sizes(elf))
+        parts[compiler.name] = "{:,} B flash, {} B writable data".format(*sizes_of(elf))
     return "; ".join(f"{name} {text}" for name, text in parts.items())
 
 
 def _count_step(c: Context, elf: Path, build: Build) -> tuple[int, dict[str, int], int]:
     """Largest instructions of ``race_step`` and of the updates, and stack, of any data."""
-    machine, prefix = _machine(elf, build), c.folder.name
+    machine, prefix = machine_of(elf, build), c.folder.name
     rows = np.linspace(0, len(c.folder.rollouts.states) - 1, COUNTED).astype(int)
     hostile = np.linspace(0, len(c.hostile) - 1, COUNTED).astype(int)
     size = c.folder.race.state_size

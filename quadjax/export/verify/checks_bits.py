@@ -85,14 +85,14 @@ def check_hostile(c: Context) -> str:
 
 
 def check_accuracy(c: Context) -> str:
-    """Largest error of the host's C against float64, next to that of float32 C."""
+    """Largest error of the C that flies against float64, next to that of float32 C."""
     folder = c.folder
     box = uniform_samples(folder.network, ACCURACY_SAMPLES, 3)
     library, parts = float_library(folder, host(), c.work), []
     span = folder.policy.command_high - folder.policy.command_low
     for name, x in (("box", box), ("simulated", folder.rollouts.observations)):
         exact = float64_commands(folder.policy, x)
-        commands = c.library.infer(x)[:, :4] / 2.0**folder.network.fraction_bits
+        commands = c.flying.infer(x)[:, :4] / 2.0**folder.network.fraction_bits
         fixed, single = (
             float(np.max(np.abs(found - exact) / span))
             for found in (commands, float_commands(library, x))

@@ -55,7 +55,7 @@ def _unless(allowed: bool, check: Callable[[], str], option: str) -> str:
 def check_observation(c: Context) -> str:
     """The C's observation of simulated states, and its commands, against the environment's."""
     folder, network, seen = c.folder, c.folder.network, c.folder.rollouts
-    rows = c.library.observe(seen.states, seen.targets)
+    rows = c.flying.observe(seen.states, seen.targets)
     require(not np.any(rows[:, network.inputs :]), "a simulated state was clipped")
     same = race_emulator.observe(folder.race, seen.states, seen.targets)
     require(bool(np.all(rows[:, : network.inputs] == same.q)), "C and NumPy differ")
@@ -85,7 +85,7 @@ def check_gates(c: Context) -> str:
     followed.append(flights.wander(folder.own, steps=5000))
     counts = {race_emulator.PASSED: 0, race_emulator.MISSED: 0}
     for positions, targets in followed:
-        rows = c.library.events(positions, int(targets[0]))
+        rows = c.flying.events(positions, int(targets[0]))
         # The simulator's target at a step is the one after the step's own crossing.
         wrong = np.flatnonzero(rows[:, 1] != targets)
         require(not wrong.size, f"another target at step {wrong[0] if wrong.size else 0}")

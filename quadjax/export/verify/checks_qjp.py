@@ -1,112 +1,25 @@
 """Checks of a ``.qjp`` file and of the C that loads it: the same bits, and mutated files."""
 
-import ctypes
-import dataclasses
 import functools
 import subprocess
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 
-from quadjax.core.files import write_bytes, write_text
 from quadjax.export import emulator, race_emulator
 from quadjax.export.integers import ONE, quantize
-from quadjax.export.qjp.emit import FOLDER, emit_loader, qjp_source
 from quadjax.export.qjp.policy import OUTPUTS, QjpPolicy
-from quadjax.export.qjp.read import parse_qjp
-from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.export.verify.checks_arm import need_emulator
 from quadjax.export.verify.checks_static import SANITIZERS
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.emitted import write_memory
-from quadjax.export.verify.harness import load_library
+from quadjax.export.verify.loader import LoaderLibrary, QjpContext
 from quadjax.export.verify.result import Failed, Skipped, require
 from quadjax.export.verify.toolchain import WARNINGS, Compiler, arm_none_eabi, host, zig_thumb
 
 MUTATIONS = 2_000  # of a file, unless more are asked for
 COUNTED = 8  # inferences whose instructions are counted
 PATHS, STEPS = 200, 8  # positions on which gates are counted
-MOST_STATES = 20_000
-
-
-@dataclasses.dataclass
-class QjpContext:
-    """One file, and where its loader is built."""
-
-    data: bytes
-    policy: QjpPolicy
-    work: Path
-    count: int  # states and inputs on which all must agree
-    mutations: int
-    processors: tuple[str, ...]
-
-    @classmethod
-    def make(
-        cls, data: bytes, work: Path, count: int, mutations: int, processors: Sequence[str]
-    ) -> "QjpContext":
-        """Read the file and write the loader's sources."""
-        for path, text in emit_loader().items():
-            write_text(work / path, text)
-        for file in ("harness.c", "fuzz.c"):
-            write_text(work / FOLDER / f"{file}", qjp_source(file))
-        write_bytes(work / "policy.qjp", data)
-        return cls(data, parse_qjp(data), work, count, mutations, tuple(processors))
-
-    @property
-    def sources(self) -> list[Path]:
-        """The loader's C files."""
-        return [self.work / path for path in emit_loader() if path.endswith(".c")]
-
-    @property
-    def harness(self) -> list[Path]:
-        """The loader and its harness."""
-        return [*self.sources, self.work / FOLDER / "harness.c"]
-
-    @functools.cached_property
-    def words(self) -> np.ndarray:
-        """The file as the loader takes it."""
-        return np.frombuffer(self.data, np.int32).copy()
-
-    @functools.cached_property
-    def inputs(self) -> np.ndarray:
-        """Inputs of the network, (n, inputs) int32: ordinary ones, hostile ones, any integers."""
-        network = self.policy.network
-        x = np.concatenate([check_vectors(network, self.count, None), hostile_vectors(network)])
-        q = quantize(x, network.box.exponents).astype(np.int32)
-        any_bits = np.random.default_rng(5).integers(-(2**31), 2**31, (100, network.inputs))
-        return np.concatenate([q, any_bits.astype(np.int32)])
-
-    @functools.cached_property
-    def states(self) -> tuple[np.ndarray, np.ndarray]:
-        """States (n, state_size) float32, half of them of any bits, and target gates (n,)."""
-        rng, race = np.random.default_rng(6), self.policy.race
-        count = min(self.count, MOST_STATES)
-        ranges = np.ldexp(1.0, np.asarray(race.exponents))
-        states = rng.uniform(-1.2, 1.2, (count, race.state_size)) * ranges
-        states = states.astype(np.float32)
-        bits = rng.integers(0, 2**32, (count // 2, race.state_size), dtype=np.uint32)
-        states[: count // 2] = bits.view(np.float32)
-        return states, rng.integers(0, race.gates, count)
-
-
-def of_folder(c: Context) -> QjpContext:
-    """The file of an exported folder."""
-    data = c.folder.binaries()[f"{c.folder.name}.qjp"]
-    processor = c.folder.target.processor
-    return QjpContext.make(data, c.work / "qjp", c.count, c.mutations, (processor,))
-
-
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:
-    return array.ctypes.data_as(ctypes.c_void_p)
-
-
-def qjp_library(c: QjpContext) -> ctypes.CDLL:
-    """The loader on this machine, with the file loaded."""
-    library = load_library(host(), c.harness, c.work / "loader.so")
-    error = library.harness_load(_pointer(c.words), len(c.data))
-    require(error == 0, f"the loader rejects the file: error {error}")
-    return library
 
 
 def expected_forward(policy: QjpPolicy, q: np.ndarray) -> np.ndarray:
@@ -141,7 +54,8 @@ def check_warnings(c: QjpContext) -> str:
         except Skipped:
             continue
         for source in c.sources:
-            compiler.build([source], c.work / "warnings.o", [*WARNINGS, "-c"])
+            extra = [*WARNINGS, *c.runtime.options, "-c"]
+            compiler.build([source], c.work / "warnings.o", extra)
         names.append(compiler.name)
     require(bool(names), "no compiler")
     return ", ".join(dict.fromkeys(names))
@@ -149,14 +63,11 @@ def check_warnings(c: QjpContext) -> str:
 
 def check_host(c: QjpContext) -> str:
     """The loader on this machine gives the emulators' commands, traces, inputs and gates."""
-    library, policy = qjp_library(c), c.policy
-    rows = np.zeros((len(c.inputs), OUTPUTS + 1), np.int32)
-    library.harness_forward(_pointer(c.inputs), _pointer(rows), len(rows))
+    library, policy = c.library, c.policy
+    rows = library.forward(c.inputs)
     require(np.array_equal(rows, expected_forward(policy, c.inputs)), "other commands")
     states, targets = c.states
-    goals = targets.astype(np.uint32)
-    seen = np.zeros((len(states), policy.network.inputs + 3), np.int32)
-    library.harness_observe(_pointer(states), _pointer(goals), _pointer(seen), len(seen))
+    seen = library.observe(states, targets)
     require(np.array_equal(seen, expected_inputs(policy, states, targets)), "other inputs")
     passed, missed = _check_events(library, policy)
     return (
@@ -165,7 +76,7 @@ def check_host(c: QjpContext) -> str:
     )
 
 
-def _check_events(library: ctypes.CDLL, policy: QjpPolicy) -> tuple[int, int]:
+def _check_events(library: LoaderLibrary, policy: QjpPolicy) -> tuple[int, int]:
     """Gates passed and missed on short paths to and fro through every gate."""
     race, rng, counts = policy.race, np.random.default_rng(7), np.zeros(3, int)
     unit = np.ldexp(1.0, race.exponent("position")) / ONE
@@ -175,8 +86,7 @@ def _check_events(library: ctypes.CDLL, policy: QjpPolicy) -> tuple[int, int]:
         steps = rng.uniform(-1.2, 1.2, (STEPS, 3)) * np.append(1.0, race.half_size[gate] * unit)
         places = race.gate_position[gate] * unit + steps @ (race.axes[gate] / ONE)
         places = np.ascontiguousarray(places, np.float32)
-        rows = np.zeros((STEPS, 2), np.uint32)
-        library.harness_events(_pointer(places), gate, _pointer(rows), STEPS)
+        rows = library.events(places, gate)
         target, before = gate, quantize(places[:1], exponents)
         for now, row in zip(quantize(places, exponents), rows.tolist(), strict=True):
             event = int(race_emulator.gate_event(race, before, now[None], np.array([target]))[0])
@@ -198,7 +108,7 @@ def _machine(c: QjpContext, processor: str) -> str:
 
     compiler = zig_thumb(processor)
     sources = [*c.harness, write_memory(c.work)]
-    flags = ["-Wl,-e,harness_load", f"-I{c.work / FOLDER}"]
+    flags = ["-Wl,-e,harness_load", f"-I{c.folder}", *c.runtime.options]
     elf = compiler.build(sources, c.work / f"{processor}.elf", flags)
     machine = Machine(elf, processor)
     words = machine.place(c.words)
@@ -232,7 +142,8 @@ def check_mutations(c: QjpContext) -> str:
     if compiler.name == "zig cc":
         raise Skipped("needs gcc or clang on this machine, with sanitizers")
     strict = Compiler(compiler.name, compiler.command, ("-std=c99", *SANITIZERS, "-O2"))
-    program = strict.build([*c.sources, c.work / FOLDER / "fuzz.c"], c.work / "fuzz")
+    sources = [*c.sources, c.folder / "fuzz.c"]
+    program = strict.build(sources, c.work / "fuzz", c.runtime.options)
     command = [str(program), str(c.work / "policy.qjp"), str(c.mutations), "0"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
@@ -262,6 +173,6 @@ def folder_checks() -> dict[str, Callable[[Context], str]]:
     """The checks of a file, for the one of an exported folder."""
 
     def run(check: Check, c: Context) -> str:
-        return check(of_folder(c))
+        return check(c.loader)
 
     return {name: functools.partial(run, check) for name, check in QJP_CHECKS.items()}

@@ -102,6 +102,11 @@ def _corrupted_alarms(c: Context) -> int:
 
 def check_cppcheck(c: Context) -> str:
     """Cppcheck without a finding."""
+    return cppcheck(c.folder.files, c.folder.path)
+
+
+def cppcheck(files: list[Path], include: Path) -> str:
+    """The result for C sources, with the folder of their headers."""
     program = need_program("cppcheck")
     command = [
         program,
@@ -109,8 +114,8 @@ def check_cppcheck(c: Context) -> str:
         "--error-exitcode=1",
         "--std=c99",
     ]
-    command += ["--inline-suppr", "--quiet", f"-I{c.folder.path}", *map(str, c.folder.files)]
+    command += ["--inline-suppr", "--quiet", f"-I{include}", *map(str, files)]
     done = subprocess.run(command, capture_output=True, text=True)
     lines = [line for line in done.stderr.splitlines() if line.strip()]
     require(done.returncode == 0 and not lines, lines[0] if lines else "failed")
-    return f"{len(c.folder.files)} files, no finding"
+    return f"{len(files)} files, no finding"

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.export import emulator, flights
+from quadjax.export.qjp.autopilots import RUNTIMES
+from quadjax.export.targets import AS_FILE
 from quadjax.export.vectors import check_vectors, hostile_vectors
 from quadjax.export.verify.folder import Folder
 from quadjax.export.verify.harness import HostLibrary, host_library
+from quadjax.export.verify.loader import LoaderLibrary, QjpContext
 from quadjax.export.verify.result import Failed
 from quadjax.export.verify.toolchain import host
 from quadjax.race.laps import Trace
@@ -67,8 +70,22 @@ class Context:
 
     @functools.cached_property
     def library(self) -> HostLibrary:
-        """The C on this machine."""
+        """The generated C on this machine."""
         return host_library(self.folder, host(), self.work)
+
+    @functools.cached_property
+    def loader(self) -> QjpContext:
+        """The ``.qjp`` file, and the C that flies it in the target's autopilot."""
+        folder, runtime = self.folder, RUNTIMES[self.folder.target.autopilot or ""]
+        files = {k: v for k, v in folder.expected.items() if k.startswith(f"{runtime.folder}/")}
+        counts = (self.count, self.mutations, (folder.target.processor,))
+        data = folder.binaries()[f"{folder.name}.qjp"]
+        return QjpContext.make(data, self.work / "qjp", *counts, runtime, files)
+
+    @property
+    def flying(self) -> HostLibrary | LoaderLibrary:
+        """On this machine, the C that flies."""
+        return self.loader.library if self.folder.target.autopilot in AS_FILE else self.library
 
     @functools.cached_property
     def trace(self) -> Trace:

@@ -8,7 +8,8 @@ from pathlib import Path
 from quadjax.core.errors import prefixed, reading
 from quadjax.core.files import check_file
 from quadjax.export.qjp.read import MOST_BYTES
-from quadjax.export.verify.checks_qjp import MUTATIONS, QJP_CHECKS, QjpContext
+from quadjax.export.verify.checks_qjp import MUTATIONS, QJP_CHECKS
+from quadjax.export.verify.loader import QjpContext
 from quadjax.export.verify.result import Result, run_check
 
 PROCESSORS = ("Cortex-M7", "Cortex-M4")

@@ -16,6 +16,7 @@ from quadjax.export.verify import (
     checks_bits,
     checks_flight,
     checks_indiflight,
+    checks_loader,
     checks_qjp,
     checks_static,
 )
@@ -53,6 +54,19 @@ CHECKS: dict[str, Check] = {
     "cppcheck": checks_static.check_cppcheck,
     "closed loop": checks_flight.check_closed_loop,
 }
+# All checks of a policy as a file: none builds the generated C, which its targets do not have.
+OF_FILES: dict[str, Check] = {
+    name: CHECKS[name]
+    for name in ("range proof", "NumPy = JAX", "accuracy", "own race", "own flights")
+    + ("observation", "gate logic", "closed loop")
+}
+OF_FILES |= checks_qjp.folder_checks() | {
+    "against float C": checks_loader.check_against_float,
+    "a step on board": checks_loader.check_step,
+    "memory": checks_loader.check_memory,
+    "Frama-C EVA": checks_loader.check_eva,
+    "cppcheck": checks_loader.check_cppcheck,
+}
 # Checks of one autopilot only.
 AUTOPILOTS: dict[str, dict[str, Check]] = {
     INDIFLIGHT: {
@@ -62,7 +76,6 @@ AUTOPILOTS: dict[str, dict[str, Check]] = {
         "INDIflight, Frama-C": checks_indiflight.check_eva,
         "INDIflight, races": checks_indiflight.check_races,
     },
-    **dict.fromkeys(AS_FILE, checks_qjp.folder_checks()),
 }
 # Checks of one processor only.
 PROCESSORS = {build.name: build.processor for build in checks_arm.BUILDS} | dict.fromkeys(
@@ -74,6 +87,8 @@ PROCESSORS |= {f"QEMU {processor}": processor for processor in checks_arm.BOARDS
 def checks_of(folder: Folder) -> dict[str, Check]:
     """The checks for the processor and the autopilot that a folder was exported for."""
     target = folder.target
+    if target.autopilot in AS_FILE:
+        return OF_FILES
     others = {name for name, processor in PROCESSORS.items() if processor != target.processor}
     common = {name: check for name, check in CHECKS.items() if name not in others}
     return common | AUTOPILOTS.get(target.autopilot or "", {})

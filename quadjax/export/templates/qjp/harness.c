@@ -6,10 +6,22 @@ void harness_forward(const int32_t *q, int32_t *out, uint32_t count);
 void harness_observe(const float *states, const uint32_t *targets, int32_t *out, uint32_t count);
 void harness_events(const float *positions, uint32_t target, uint32_t *out, uint32_t count);
 
-static qjp_policy policy;
+void harness_step(qjp_race *race, const float *state, float *command);
+
+qjp_policy policy;
 
 uint32_t harness_load(const int32_t *words, uint32_t bytes) {
   return (uint32_t)qjp_load(&policy, words, bytes);
+}
+
+/* A step as firmware takes it; the position is first in the state. */
+void harness_step(qjp_race *race, const float *state, float *command) {
+  QJP_BUFFER int32_t q[QJP_MAX_WIDTH];
+  int32_t integers[QJP_COMMANDS];
+  (void)qjp_race_update(&policy, race, state);
+  (void)qjp_observe(&policy, state, race->target, q);
+  qjp_forward(&policy, q, integers, 0);
+  qjp_commands(&policy, integers, command);
 }
 
 /* Row: commands, trace. */

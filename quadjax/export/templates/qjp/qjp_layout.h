@@ -69,7 +69,7 @@ enum {
 
 /* A number of two words, the low one first. */
 static inline int64_t qjp_long(const int32_t *words) {
-  return (int64_t)(((uint64_t)(uint32_t)words[1] << 32) | (uint32_t)words[0]);
+  return words[1] * (INT64_C(1) << 32) + (uint32_t)words[0];
 }
 
 static inline uint32_t qjp_within(int32_t value, int32_t low, int32_t high) {

@@ -184,6 +184,14 @@ static int64_t see_number(const int32_t *part, const int32_t *input, const int32
   return round_shift(((int64_t)s[input[0]] - input[1]) * input[2], input[3]);
 }
 
+/* Into the network's range, and whether it was outside. */
+static int32_t hold(int64_t value, uint32_t *outside, uint32_t input) {
+  const int64_t high = (value > QJP_INPUT_ONE) ? QJP_INPUT_ONE : value;
+  const int64_t held = (high < -QJP_INPUT_ONE) ? -QJP_INPUT_ONE : high;
+  flag(outside, input, (held != value) ? 1U : 0U);
+  return (int32_t)held;
+}
+
 static qjp_status quantize_state(const qjp_policy *policy, const float *state, int32_t *s) {
   qjp_status status = {0U, 0U, 0U};
   for (uint32_t i = 0U; i < policy->state_size; ++i) {
@@ -210,9 +218,7 @@ qjp_status qjp_observe(const qjp_policy *policy, const float *state, uint32_t ta
       const uint32_t at = (uint32_t)part[1] + i;
       const int32_t *const input = policy->input + QJP_INPUT_WORDS * at;
       const int64_t value = (part[0] < QJP_SEE_COPY) ? seen[i] : see_number(part, input, s, gate);
-      const int64_t high = (value > QJP_INPUT_ONE) ? QJP_INPUT_ONE : value;
-      q[at] = (int32_t)((high < -QJP_INPUT_ONE) ? -QJP_INPUT_ONE : high);
-      flag(&status.outside, at, (q[at] != value) ? 1U : 0U);
+      q[at] = hold(value, &status.outside, at);
     }
   }
   return status;
