@@ -31,10 +31,20 @@ from quadjax.core.resources import PRETRAINED
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser("compare", description=__doc__)
     add_config(parser, names_of("plant"))
-    parser.add_argument("--e2e", default=str(PRETRAINED / "e2e_adaptive.npz"), metavar="FILE.npz")
+    parser.add_argument(
+        "--e2e",
+        default=str(PRETRAINED / "e2e_nominal.npz"),
+        metavar="FILE.npz",
+        help="default: e2e_nominal, which like indi_shac is not fitted to the plant",
+    )
     parser.add_argument("--indi", default=str(PRETRAINED / "indi_shac.npz"), metavar="FILE.npz")
     parser.add_argument("--ablation", type=Path, default=PRETRAINED / "ablation", metavar="FOLDER")
-    parser.add_argument("--race", default="e2e", metavar="CONFIG", help="preset or YAML file")
+    parser.add_argument(
+        "--race",
+        default="e2e_shac",
+        metavar="CONFIG",
+        help="preset or YAML file, whose vehicle is the model on board (e2e_shac)",
+    )
     parser.add_argument(
         "--plants",
         type=whole(1, 1000),
