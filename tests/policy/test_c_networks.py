@@ -29,7 +29,7 @@ PAGE = ROOT / "docs" / "guide" / "other_trainers.md"
 E2E = [AUTHORS / "e2e" / name for name in ("neural_network.c", "nn_controller.c")]
 INDI = [AUTHORS / "indi" / name for name in ("neural_network.c", "nn_controller.c")]
 RESIDUAL = [AUTHORS / "residual" / name for name in ("nn_thrust.c", "nn_moment.c")]
-published = pytest.mark.skipif(not AUTHORS.is_dir(), reason="no ../shared/authors")
+published = pytest.mark.skipif(not AUTHORS.is_dir(), reason="no files of the authors")
 compiled = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
 
 FUNCTIONS = """
