@@ -1,4 +1,4 @@
-"""Modules that files of strangers name are not imported; those that the user names are."""
+"""Modules that untrusted files name are not imported; those that the user names are."""
 
 import dataclasses
 import sys
@@ -24,7 +24,7 @@ NAMES = "code that this file names is not imported, name the config of its race 
 
 @pytest.fixture
 def foreign(tmp_path, monkeypatch):
-    """A folder of a stranger's files, entered: rf/policy.npz, rf/config.yaml and foreign.py."""
+    """The current folder has untrusted files: rf/policy.npz, rf/config.yaml and foreign.py."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "foreign.py").write_text("open('ran', 'w').close()\n")
     folder = tmp_path / "rf"
