@@ -66,9 +66,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="1: the thrust network is added to the force along body z; -1: subtracted (the paper)",
     )
     arguments = parse(parser, argv)
-    given = arguments.files
-    arguments.overrides = [text for text in given if is_override(text)]
-    arguments.files = [text for text in given if not is_override(text)]
+    texts = arguments.files
+    arguments.overrides = [text for text in texts if is_override(text)]
+    arguments.files = [text for text in texts if not is_override(text)]
     check_outputs(arguments, output=(".npz",))
     return arguments
 
@@ -99,16 +99,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _networks(options: argparse.Namespace) -> tuple[list[str], "np.ndarray | None"]:
     """The files of networks, and the standard deviations in the file that has only these."""
     stds = {name: read_c_std(name) for name in options.files if is_c(name)}
-    names = [name for name, std in stds.items() if std is not None]
-    networks = [name for name in options.files if name not in names]
-    if len(names) > 1 or (names and len(networks) == 2) or not 1 <= len(networks) <= 3:
+    of_std = [name for name, std in stds.items() if std is not None]
+    networks = [name for name in options.files if name not in of_std]
+    if len(of_std) > 1 or (of_std and len(networks) == 2) or not 1 <= len(networks) <= 3:
         raise InputError(
-            f"{len(networks)} networks and {len(names)} files with output_std, allowed: a policy "
+            f"{len(networks)} networks and {len(of_std)} files with output_std, allowed: a policy "
             "(and output_std), thrust and moment, or policy, thrust and moment (and output_std)"
         )
-    if names and options.std is not None:
-        raise InputError(f"--std has no effect, {names[0]} has output_std")
-    return networks, stds[names[0]] if names else options.std
+    if of_std and options.std is not None:
+        raise InputError(f"--std has no effect, {of_std[0]} has output_std")
+    return networks, stds[of_std[0]] if of_std else options.std
 
 
 def _refuse(options: argparse.Namespace, names: Sequence[str], kind: str) -> None:

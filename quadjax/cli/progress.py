@@ -11,9 +11,9 @@ SECONDS = 5.0  # between lines where there is no terminal
 
 @contextmanager
 def steps(console: Console) -> Iterator[Callable[[str], None]]:
-    """A function that shows what a command does at present, while the block lasts.
+    """Yield a function that shows the present step of a command until the block ends.
 
-    It shows a line that changes; without a terminal it prints lines, at most one in ``SECONDS``.
+    A terminal has one line that changes. Elsewhere it prints lines, at most one in ``SECONDS``.
     """
     if console.is_terminal:
         with console.status("starting") as status:

@@ -23,7 +23,7 @@ def refuse_code(tree: Mapping[str, Any], source: str, allowed: Collection[str] =
     Args:
         tree: of the config.
         source: the file, for messages.
-        allowed: names that the user has named elsewhere.
+        allowed: names ``module:object`` that the user has given elsewhere.
 
     Raises:
         InputError: with the first key that names code.

@@ -377,7 +377,7 @@ def config_of(tree: Tree, source: str) -> Config:
     config = build(Config, tree, source)
     with prefixed(source):
         check(config)
-    return config.with_units(written)
+    return config.with_race_units(written)
 
 
 def _with_constants(vehicle: Tree, source: str) -> Tree:

@@ -14,7 +14,7 @@ def commented_yaml(config: Config) -> str:
     """A config as YAML with its notes and the description of each key on the line above it."""
     keys = describe(Config) + describe(type(config.learner), "learner.")
     comments = {info.key: f"{info.description} [{info.allowed}]" for info in keys}
-    for location, (text, number) in config.with_unit.items():
+    for location, (text, number) in config.race_units.items():
         key = ".".join(part for part in location if isinstance(part, str))
         comments[key] = f"{comments.get(key, '')} {text}: {number:g}".lstrip()
     notes = "".join(f"# {note}\n" for note in config.notes)

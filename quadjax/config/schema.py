@@ -655,7 +655,7 @@ class Config(Section):
     )
     run: Run = Run()
     evaluate: Evaluate = Evaluate()
-    _with_unit: WithUnit = PrivateAttr({})
+    _race_units: WithUnit = PrivateAttr({})
     _notes: tuple[str, ...] = PrivateAttr(())
 
     def __eq__(self, other: object) -> bool:
@@ -673,23 +673,23 @@ class Config(Section):
     def replace(self, **changes: Any) -> Self:
         """A changed copy, as ``Section.replace``; it keeps its units if the race has the same."""
         copy = super().replace(**changes).with_notes(self._notes)
-        return copy.with_units(self._with_unit) if copy._scale == self._scale else copy
+        return copy.with_race_units(self._race_units) if copy._scale == self._scale else copy
 
     @property
     def _scale(self) -> tuple[Any, ...]:
         """What the units of the race depend on."""
         return self.track, self.vehicle.model, self.vehicle.constants, self.rules.time_step
 
-    def with_units(self, numbers: WithUnit) -> Self:
+    def with_race_units(self, numbers: WithUnit) -> Self:
         """The config, whose file has these numbers in units of the race."""
         copy = self.model_copy()
-        copy._with_unit = numbers
+        copy._race_units = numbers
         return copy
 
     @property
-    def with_unit(self) -> WithUnit:
+    def race_units(self) -> WithUnit:
         """The numbers that the config's file has in units of the race."""
-        return self._with_unit
+        return self._race_units
 
     def with_notes(self, notes: Sequence[str]) -> Self:
         """The config with lines that ``quadjax train`` and ``quadjax config`` print."""
@@ -704,7 +704,7 @@ class Config(Section):
 
     def to_tree(self) -> dict[str, Any]:
         """The whole config as plain values, numbers in units of the race as text."""
-        return _written(self.model_dump(by_alias=True), (), self._with_unit)
+        return _written(self.model_dump(by_alias=True), (), self._race_units)
 
     def to_yaml(self) -> str:
         """The whole config as YAML, which ``load`` reads back without any other file."""

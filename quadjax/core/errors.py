@@ -141,7 +141,7 @@ def error_line(error: BaseException) -> str | None:
 
 
 def _is_own(error: BaseException) -> bool:
-    """Whether an exception is raised in a user's module or below it, and not again in quadjax."""
+    """Whether an exception is raised in a user's module, or in a library that it calls."""
     files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     files = [file for file in files if file in OWN_FILES or file.startswith(PACKAGE)]
     return bool(files) and not files[-1].startswith(PACKAGE)

@@ -166,7 +166,7 @@ def _remove(path: Path) -> None:
 def results(
     folder: Path | str, kind: str, files: Sequence[str], overwrite: bool = False
 ) -> Iterator[Path]:
-    """Claim a folder; gives a temporary one for its results, which replace earlier ones at the end.
+    """Claim a folder, and yield a temporary one, whose files replace earlier results at the end.
 
     Args:
         folder: see ``claim``.

@@ -25,7 +25,13 @@ from quadjax.export.fixed import check_policy
 from quadjax.export.flights import SEED
 from quadjax.export.race_source import CONFIG_FILE, RESIDUAL_FILE, check_race, own_race
 from quadjax.export.report import Json, make_report, report_text
-from quadjax.export.targets import DEFAULT_TARGET, check_model, find_target, has_estimator
+from quadjax.export.targets import (
+    DEFAULT_TARGET,
+    TARGETS,
+    check_model,
+    find_target,
+    has_estimator,
+)
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from quadjax.vehicle.registry import MODELS
@@ -150,9 +156,10 @@ def _check_rates(
     given = {"sample rate": sample_rate, "cut-off": cutoff}
     unused = [f"{name} {value:g} Hz" for name, value in given.items() if value is not None]
     if unused and not has_estimator(target):
+        allowed = ", ".join(filter(has_estimator, TARGETS))
         raise InputError(
-            f"estimator {unused[0]} has no effect: --target {target} has no estimator, allowed: "
-            "cortex-a9, cortex-m7, cortex-m4, indiflight"
+            f"estimator {unused[0]} has no effect: --target {target} has no estimator, "
+            f"allowed: {allowed}"
         )
     if unused and MODELS[vehicle].balance is None:
         raise InputError(
@@ -172,7 +179,7 @@ def _policy_file(policy: Policy | Path | str) -> Iterator[Path]:
 
 
 def _check_empty(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder of other files: the names of an export would hide those of the user."""
+    """Reject a folder that holds other files, which an export would be mixed with."""
     others = sorted(path.name for path in folder.glob("*")) if folder.is_dir() else []
     if others and kind_of(folder) is None and not overwrite:
         raise InputError(

@@ -89,16 +89,14 @@ def make_report(converted: Converted, file: str) -> Json:
 
 def _battery(tables: BatteryTables | None) -> Json | None:
     """Range and error of the estimate of the highest propeller speed."""
-    return (
-        None
-        if tables is None
-        else {
-            "lowest_rpm": tables.lowest * tables.unit,
-            "highest_rpm": tables.highest * tables.unit,
-            "first_rpm": tables.first * tables.unit,
-            "update_error_rpm": update_error(tables),
-        }
-    )
+    if tables is None:
+        return None
+    return {
+        "lowest_rpm": tables.lowest * tables.unit,
+        "highest_rpm": tables.highest * tables.unit,
+        "first_rpm": tables.first * tables.unit,
+        "update_error_rpm": update_error(tables),
+    }
 
 
 def _layer(converted: Converted, index: int) -> Json:

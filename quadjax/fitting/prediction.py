@@ -87,7 +87,7 @@ def harmless_gains(held_out: list[Prediction], max_harm: float, min_gain: float)
 def limited_by_others(
     held_out: list[Prediction], max_harm: float, min_gain: float
 ) -> list[Prediction]:
-    """Each prediction with the factors of the other ones; see ``harmless_gains``."""
+    """Each prediction, scaled by the factors that the other ones allow; see ``harmless_gains``."""
     found = []
     for part in held_out:
         others = [other for other in held_out if other is not part]

@@ -12,7 +12,7 @@ from quadjax.core.resources import CONFIGS, preset_names
 from quadjax.core.yaml_files import override
 from quadjax.policy.file import Policy
 
-DEFAULT_CONFIG = CONFIGS / "e2e_shac.yaml"  # whose rules a track gets that replaces the race's
+DEFAULT_CONFIG = CONFIGS / "e2e_shac.yaml"  # with which the file of another track is read
 
 
 def race_of_policy(

@@ -171,7 +171,7 @@ def fly(
         seed: of the world and of the faults.
         run: number of the race, in the messages.
         stop: ends the race, whose record so far is kept.
-        report: called every second of flight, with the seconds so far.
+        report: called every second of flight with the elapsed seconds.
     """
     now = world.begin(seed + run)
     there, back = (Channel(faults, seed + run, stream) for stream in (0, 1))

@@ -29,7 +29,13 @@ from quadjax.studies.comparison import (
     limit_fractions,
     rows,
 )
-from quadjax.studies.drawn_plants import OnPlants, compared, conditions, interval, plants_table
+from quadjax.studies.drawn_plants import (
+    OnPlants,
+    common_flights,
+    conditions,
+    interval,
+    plants_table,
+)
 from quadjax.studies.report.flights import KINDS, Flight, make_flight
 from quadjax.studies.report.run import fastest_signals, write_report
 from quadjax.training.paper import Row
@@ -164,7 +170,7 @@ def _plants(
     report: Report,
 ) -> str:
     e2e, indi = (fly_conditions(setting, own, report, only) for own in contenders)
-    pairs = {label: compared(own, indi[label]) for label, own in e2e.items()}
+    pairs = {label: common_flights(own, indi[label]) for label, own in e2e.items()}
     result["plants"] = {
         own.name: {label: _of_plants(found[label], pairs[label][place]) for label in pairs}
         for place, (own, found) in enumerate(zip(contenders, (e2e, indi), strict=True))

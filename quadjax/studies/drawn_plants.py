@@ -57,7 +57,7 @@ class OnPlants:
         return self.lap_means.sum(axis=1)
 
 
-def compared(first: OnPlants, second: OnPlants) -> tuple[OnPlants, OnPlants]:
+def common_flights(first: OnPlants, second: OnPlants) -> tuple[OnPlants, OnPlants]:
     """Two contenders with the lap times of the flights that both finish, NaN of the others."""
 
     def masked(own: Laps, other: Laps) -> Laps:
@@ -130,7 +130,7 @@ def plants_table(e2e: dict[str, OnPlants], indi: dict[str, OnPlants], count: int
     notes = []
     for label, own in e2e.items():
         other = indi[label]
-        pair = compared(own, other)
+        pair = common_flights(own, other)
         lines.append(
             f"{label:22}{show_interval(pair[0].totals):>15} {own.finished:>4}/{own.runs:<4}"
             f"{show_interval(pair[1].totals):>16} {other.finished:>4}/{other.runs:<4}"
@@ -146,7 +146,7 @@ def plants_table(e2e: dict[str, OnPlants], indi: dict[str, OnPlants], count: int
             counts = ", ".join(f"{reason} {number}" for reason, number in own.crashes.items())
             notes += [f"{name}, {label}, early ends: {counts}"] if counts else []
     label = next(iter(e2e))
-    first, second = compared(e2e[label], indi[label])
+    first, second = common_flights(e2e[label], indi[label])
     ahead = second.lap_means - first.lap_means
     later = ahead[:, 1:].mean(axis=1) if ahead.shape[1] > 1 else ahead[:, 0] * np.nan
     lead = [

@@ -41,14 +41,14 @@ class Flights:
             randomization of the config.
         runs: number of flights.
         crashed: number of flights that crashed.
-        lapless: number of flights that neither crash nor complete a lap.
+        without_lap: number of flights that neither crash nor complete a lap.
         lap: median of all laps but the first of each flight, s; NaN if there is none.
     """
 
     label: str
     runs: int
     crashed: int
-    lapless: int
+    without_lap: int
     lap: float
 
     def to_json(self) -> dict[str, Any]:
@@ -127,9 +127,9 @@ def _fly(
     times = np.diff(np.where(ends > 0, ends, np.nan), axis=0)
     flown = times[np.isfinite(times)]
     crashed = np.asarray(race.crash) != 0
-    lapless = ~crashed & ~(ends > 0).any(axis=0)
+    without_lap = ~crashed & ~(ends > 0).any(axis=0)
     lap = float(np.median(flown)) if flown.size else math.nan
-    return Flights(label, runs, int(crashed.sum()), int(lapless.sum()), lap)
+    return Flights(label, runs, int(crashed.sum()), int(without_lap.sum()), lap)
 
 
 def _starts(choices: Choices, params: RaceParams, key: jax.Array, runs: int) -> RaceState:
@@ -163,7 +163,7 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
 def spread_table(flights: Sequence[Flights], name: str) -> str:
     """A Markdown table with a column for each randomization: crashes and median lap.
 
-    Flights that neither crash nor complete a lap are counted, too.
+    A cell also has the flights that neither crash nor complete a lap, if there are any.
     """
     titles = ["policy", *(each.label for each in flights)]
     return table([titles, [name, *(_cell(each) for each in flights)]])
@@ -171,6 +171,6 @@ def spread_table(flights: Sequence[Flights], name: str) -> str:
 
 def _cell(own: Flights) -> str:
     share = f"{100 * own.crashed / own.runs:.3g}%"
-    if own.lapless:
-        share += f" and {100 * own.lapless / own.runs:.3g}% without a lap"
+    if own.without_lap:
+        share += f" and {100 * own.without_lap / own.runs:.3g}% without a lap"
     return f"{share} / {own.lap:.3f} s" if math.isfinite(own.lap) else f"{share} / -"

@@ -107,11 +107,11 @@ def check_same(config: Config, folder: Path) -> None:
         return
     contents = _inputs(config)
     saved = load_config(path, code=names_of_code(config))
-    with_unit = {".".join(p for p in each if isinstance(p, str)) for each in saved.with_unit}
-    own: Any = parse_yaml(_with_inputs(config, contents).with_units({}).to_yaml(), "config")
-    complete: Any = parse_yaml(saved.with_units({}).to_yaml(), str(path))
+    in_race_units = {".".join(p for p in each if isinstance(p, str)) for each in saved.race_units}
+    own: Any = parse_yaml(_with_inputs(config, contents).with_race_units({}).to_yaml(), "config")
+    complete: Any = parse_yaml(saved.with_race_units({}).to_yaml(), str(path))
     now = flatten(own)
-    written = {k: v for k, v in flatten(read_yaml(path)).items() if k not in with_unit}
+    written = {k: v for k, v in flatten(read_yaml(path)).items() if k not in in_race_units}
     before = {**flatten(complete), **written}  # flatten(complete): keys that were added later
     for key in [*now, *before]:
         if key not in FREE and before.get(key) != now.get(key):

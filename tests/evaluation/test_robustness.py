@@ -61,9 +61,9 @@ def test_a_drone_that_hovers_is_neither_crashed_nor_has_it_a_lap(monkeypatch):
     monkeypatch.setattr(robustness, "VELOCITY", 0.0)
     monkeypatch.setattr(robustness, "RATES", 0.0)
     (still,) = fly_spreads(random_policy("rate"), config, 4, 0.5, spreads=(0.0,))
-    assert (still.crashed, still.lapless, still.runs) == (0, 4, 4)
+    assert (still.crashed, still.without_lap, still.runs) == (0, 4, 4)
     assert "| 0% and 100% without a lap / - |" in spread_table([still], "still")
-    assert still.to_json()["lapless"] == 4
+    assert still.to_json()["without_lap"] == 4
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,14 @@ from quadjax.studies.comparison import (
     limit_fractions,
 )
 from quadjax.studies.comparison_run import table_text
-from quadjax.studies.drawn_plants import OnPlants, conditions, drawn, interval, plants_table
-from quadjax.studies.drawn_plants import compared as common
+from quadjax.studies.drawn_plants import (
+    OnPlants,
+    common_flights,
+    conditions,
+    drawn,
+    interval,
+    plants_table,
+)
 from quadjax.studies.plant_races import race_config
 from tests.commands import run
 
@@ -143,9 +149,8 @@ def test_contenders_are_compared_on_the_flights_that_both_finish():
     assert "all effects 15.00 1/4 14.40 4/4" in " ".join(text.split())
     assert "all effects: both finish 1 of 4 flights, on 1 of 2 plants" in text
     assert "E2E's lead, all effects: -0.60 s; first lap\n-0.10 s" in text
-    for own, total in zip(
-        common(e2e["all effects"], indi["all effects"]), (15.0, 14.4), strict=True
-    ):
+    pair = common_flights(e2e["all effects"], indi["all effects"])
+    for own, total in zip(pair, (15.0, 14.4), strict=True):
         np.testing.assert_allclose(own.totals, [total, np.nan])
 
 

@@ -191,7 +191,7 @@ def test_a_run_with_units_of_the_race_is_the_same_run(tmp_path):
     config = load_config("e2e_race")
     prepare_folder(config, tmp_path, resume=False, overwrite=False)
     check_same(config, tmp_path)
-    plain = config.with_units({})  # as files were written before they had units
+    plain = config.with_race_units({})  # as files were written before they had units
     check_same(plain, tmp_path)
     (tmp_path / "config.yaml").write_text(plain.to_yaml())
     check_same(config, tmp_path)

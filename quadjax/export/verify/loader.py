@@ -26,7 +26,7 @@ MOST_STATES = 20_000
 
 @dataclasses.dataclass
 class QjpContext:
-    """One file, and where the C that flies it is built."""
+    """A ``.qjp`` file, the C that flies it, and the folder in which the C is built."""
 
     data: bytes
     policy: QjpPolicy
@@ -68,7 +68,7 @@ class QjpContext:
 
     @property
     def folder(self) -> Path:
-        """Of the C."""
+        """The folder of the C."""
         return self.work / self.runtime.folder
 
     @property
@@ -78,7 +78,7 @@ class QjpContext:
 
     @property
     def harness(self) -> list[Path]:
-        """These and their harness."""
+        """The C files that fly, and their harness."""
         return [*self.sources, self.folder / "harness.c"]
 
     @functools.cached_property

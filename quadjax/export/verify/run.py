@@ -54,7 +54,7 @@ CHECKS: dict[str, Check] = {
     "cppcheck": checks_static.check_cppcheck,
     "closed loop": checks_flight.check_closed_loop,
 }
-# All checks of a policy as a file: none builds the generated C, which its targets do not have.
+# All checks of a policy as a file. None builds the generated C, which such an export lacks.
 OF_FILES: dict[str, Check] = {
     name: CHECKS[name]
     for name in ("range proof", "NumPy = JAX", "accuracy", "own race", "own flights")

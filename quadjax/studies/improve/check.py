@@ -177,7 +177,12 @@ def plants_table(results: Sequence[Result]) -> str:
 
 
 def _cell(flown: Sequence[Flown | None], timed: Sequence[Flown | None] | None = None) -> str:
-    """Mean over plants of the mean time of all laps, and the flights that finished of all."""
+    """Mean over plants of the mean time of all laps, and how many flights of all finished.
+
+    Args:
+        flown: of all plants, whose flights are counted.
+        timed: of the plants whose times are averaged; all if not given.
+    """
     known = [part for part in flown if part is not None]
     if not known:
         return "-"

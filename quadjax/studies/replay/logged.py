@@ -16,7 +16,7 @@ from quadjax.vehicle.estimator import EstimatorState, estimator_params, init, up
 from quadjax.vehicle.protocol import Constants, Measurement, VehicleModel, VehicleParams
 
 Signals = dict[str, np.ndarray]
-DISTURBANCES = ("moment_ext", "force_ext")  # of the state; no column of a log
+DISTURBANCES = ("moment_ext", "force_ext")  # fields of the state that no log has
 
 
 @dataclasses.dataclass(frozen=True)
