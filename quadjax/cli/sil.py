@@ -90,7 +90,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar="HOST:PORT",
         help="wait there for your own autopilot, at most 120 s",
     )
-    parser.add_argument("--race", metavar="CONFIG", help="config of DIR's race (DIR's)")
+    parser.add_argument(
+        "--race",
+        metavar="CONFIG",
+        help="config of the race, if that of DIR names your own code (config.yaml of DIR)",
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--plant", metavar="CONFIG", help=f"{names_of('plant')} (default: standin)")
     where.add_argument("--simulator", action="store_true", help="the simulator of the training")

@@ -41,7 +41,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         type=whole(1, 10**7),
         help="mutated .qjp files that are tried (default: 2000)",
     )
-    parser.add_argument("--race", metavar="CONFIG", help="config of the race (the folder's)")
+    parser.add_argument(
+        "--race",
+        metavar="CONFIG",
+        help="config of the race, if that of DIR names your own code (config.yaml of DIR)",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE.json", help="write the table")
     arguments = parse(parser, argv)
     for option in ("runs", "allow_unfinished", "allow_other_race", "race"):

@@ -38,7 +38,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "overrides", nargs="*", default=[], metavar="key=value", help="change keys of --race"
     )
     parser.add_argument(
-        "--race", metavar="CONFIG", help="config of the run, which may name your own code"
+        "--race", metavar="CONFIG", help="config of the run, if it names your own code"
     )
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
     parser.add_argument(

@@ -40,8 +40,8 @@ def refuse_code(tree: Mapping[str, Any], source: str, allowed: Collection[str] =
 def named_code(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Keys and values of a config's tree that are ``module:object``."""
     for section, key in CODE:
-        found = tree.get(section)
-        value = found.get(key) if isinstance(found, dict) else None
+        values = tree.get(section)
+        value = values.get(key) if isinstance(values, dict) else None
         names = [value] if isinstance(value, str) else value or ()
         for name in names if isinstance(names, (list, tuple, dict)) else ():
             if isinstance(name, str) and ":" in name:

@@ -53,12 +53,12 @@ def read_c_network(path: Path | str) -> CNetwork:
         InputError: no such arrays, arrays that do not fit to each other, or an entry that is no
             number; in one line.
     """
-    found, text = _read_arrays(path)
+    defined, text = _read_arrays(path)
     arrays: dict[str, np.ndarray] = {}
-    names = [match for match in map(WEIGHTS.fullmatch, found) if match]
+    names = [match for match in map(WEIGHTS.fullmatch, defined) if match]
     for index, match in enumerate(names):
-        weights, name = found[match[0]], f"{match[1]}biases_{match[2]}"
-        bias = found.get(name)
+        weights, name = defined[match[0]], f"{match[1]}biases_{match[2]}"
+        bias = defined.get(name)
         if bias is None or not bias.size or weights.size % bias.size:
             count = "no" if bias is None else bias.size
             raise InputError(
@@ -74,7 +74,7 @@ def read_c_network(path: Path | str) -> CNetwork:
     code = forward[1] if forward else text
     kinds = [kind for kind in ("relu", "tanh") if re.search(kind, code, re.IGNORECASE)]
     layers = single(read_layers(path, arrays))
-    return CNetwork(layers, kinds[0] if len(kinds) == 1 else None, _std(path, found))
+    return CNetwork(layers, kinds[0] if len(kinds) == 1 else None, _std(path, defined))
 
 
 def read_c_std(path: Path | str) -> np.ndarray | None:
@@ -83,12 +83,12 @@ def read_c_std(path: Path | str) -> np.ndarray | None:
     Raises:
         InputError: a file that cannot be read, or numbers that are not above 0; in one line.
     """
-    found, _ = _read_arrays(path)
-    return None if any(map(WEIGHTS.fullmatch, found)) else _std(path, found)
+    defined, _ = _read_arrays(path)
+    return None if any(map(WEIGHTS.fullmatch, defined)) else _std(path, defined)
 
 
-def _std(path: Path | str, found: dict[str, np.ndarray]) -> np.ndarray | None:
-    std = found.get(STD)
+def _std(path: Path | str, arrays: dict[str, np.ndarray]) -> np.ndarray | None:
+    std = arrays.get(STD)
     if std is not None and not np.all((std > 0) & np.isfinite(std)):
         raise InputError(f"{path}: {STD} is {std.tolist()}, expected numbers above 0")
     return std

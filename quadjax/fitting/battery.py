@@ -171,5 +171,5 @@ def _least(error: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> tupl
     """Least squares over the logarithm of tau and numbers of at least zero; if it converged."""
     low = np.array([np.log(SHORTEST), *np.zeros(len(start) - 1)])
     high = np.array([np.log(LONGEST), *np.full(len(start) - 1, np.inf)])
-    found = least_squares(lambda x: error(x).ravel() / UNIT, start, bounds=(low, high))
-    return found.x, bool(found.success)
+    solution = least_squares(lambda x: error(x).ravel() / UNIT, start, bounds=(low, high))
+    return solution.x, bool(solution.success)

@@ -217,10 +217,10 @@ def load_fit_config(
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
     config = load_section(FitConfig, path, "fit", overrides)
-    own = config.logs.format
-    if ":" in own and not allow_code and own != _format_of(parse_overrides(overrides)):
+    reader = config.logs.format
+    if ":" in reader and not allow_code and reader != _format_of(parse_overrides(overrides)):
         raise InputError(
-            f"{path}: logs.format is {own!r:.80}; code that a config of flight logs names is "
+            f"{path}: logs.format is {reader!r:.80}; code that a config of flight logs names is "
             "imported only with allow_code=True"
         )
     return config

@@ -88,11 +88,11 @@ def limited_by_others(
     held_out: list[Prediction], max_harm: float, min_gain: float
 ) -> list[Prediction]:
     """Each prediction, scaled by the factors that the other ones allow; see ``harmless_gains``."""
-    found = []
+    limited = []
     for part in held_out:
         others = [other for other in held_out if other is not part]
-        found.append(part.scaled(harmless_gains(others, max_harm, min_gain)))
-    return found
+        limited.append(part.scaled(harmless_gains(others, max_harm, min_gain)))
+    return limited
 
 
 def harmful_constants(

@@ -165,14 +165,14 @@ def _predicted(
     logs: Sequence[FlightLog], motors: MotorFit, constants: RacingConstants, config: FitConfig
 ) -> list[HeldOut]:
     """What a fit without some flights predicts of them."""
-    found = []
+    parts = []
     for log in logs:
         simulated = with_simulated_speeds(log, motors.values)
         samples = prepare([simulated], constants, config.prepare, 0.0)
         error = nominal_error(samples, constants)
         rmse = np.sqrt((error**2).mean(axis=0))
-        found.append(HeldOut(log.name, rmse, r_squared(samples.measured, samples.measured - error)))
-    return found
+        parts.append(HeldOut(log.name, rmse, r_squared(samples.measured, samples.measured - error)))
+    return parts
 
 
 def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:

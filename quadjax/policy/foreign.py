@@ -219,8 +219,8 @@ def _log_std(
     if std is not None:
         log_std = np.log(std if np.ndim(std) else np.full(actions, std))
     if log_std is None:
-        given = "give the noise's std (--std) or the file that has it"
-        raise InputError(f"{path}: no log_std or output_std, {given}")
+        hint = "give the noise's std (--std) or the file that has it"
+        raise InputError(f"{path}: no log_std or output_std, {hint}")
     if log_std.shape != (actions,):
         raise InputError(f"{path}: {log_std.size} standard deviations, expected {actions}")
     check_finite(path, "log_std", log_std)

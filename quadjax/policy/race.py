@@ -40,13 +40,13 @@ def race_of_policy(
             cannot be read.
     """
     if isinstance(config, Config):
-        found, origin = config, "config"
+        race, origin = config, "config"
     elif config is not None:
-        found, origin = load_config(config), str(config)
+        race, origin = load_config(config), str(config)
     elif policy.config is not None:
-        found, origin = stored_config(policy.config, str(name)), "the policy file's config"
+        race, origin = stored_config(policy.config, str(name)), "the policy file's config"
     elif preset := preset_of(policy):
-        found = load_config(preset, _residual(policy))
+        race = load_config(preset, _residual(policy))
         origin = f"preset {preset}, which the policy file names"
         report(f"{name}: flies the race of the {origin}")
     else:
@@ -56,9 +56,9 @@ def race_of_policy(
         )
     if track is not None:
         overrides = [f"track={track}", "rules.position_limit=null"]
-        found = found.replace(track=load_config(DEFAULT_CONFIG, overrides).track)
+        race = race.replace(track=load_config(DEFAULT_CONFIG, overrides).track)
         origin = f"{origin}, track {track}"
-    return found, origin
+    return race, origin
 
 
 def preset_of(policy: Policy) -> str | None:

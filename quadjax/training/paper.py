@@ -117,11 +117,11 @@ def _race(config: Config) -> tuple[object, ...]:
     return (*words, track, numbers)
 
 
-def _close(own: object, other: object, atol: float) -> bool:
-    mine, others = _numbers(own), _numbers(other)
-    return mine.keys() == others.keys() and all(
+def _close(first: object, second: object, atol: float) -> bool:
+    numbers, others = _numbers(first), _numbers(second)
+    return numbers.keys() == others.keys() and all(
         np.shape(x) == np.shape(others[name]) and np.allclose(x, others[name], 1e-6, atol)
-        for name, x in mine.items()
+        for name, x in numbers.items()
     )
 
 

@@ -114,10 +114,10 @@ def import_residual(
 
 
 def _c_layers(path: Path | str) -> Layers:
-    own = read_c_network(path)
-    if own.activation == "tanh":
+    network = read_c_network(path)
+    if network.activation == "tanh":
         raise InputError(f"{path}: its activation is tanh, a residual has relu")
-    return own.layers
+    return network.layers
 
 
 def _check_shape(path: Path | str, name: str, layers: Sequence[tuple[Any, Any]]) -> None:

@@ -203,7 +203,8 @@ def test_a_racing_quadcopter_without_rotor_speeds(tmp_path, capsys):
 )
 def test_bad_input_is_one_line_and_status_2(arguments, says, tmp_path, capsys):
     (tmp_path / "log.csv").write_text("t,p,q,r\n0,1,2,3\n")
-    given = [tmp_path / "log.csv" if word == "LOG" else word for word in arguments]
-    assert run("replay", *given, "--output", tmp_path, "--name", "out") == 2
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1 and not (tmp_path / "out").exists()
+    words = [tmp_path / "log.csv" if word == "LOG" else word for word in arguments]
+    assert run("replay", *words, "--output", tmp_path, "--name", "out") == 2
+    *notes, error = capsys.readouterr().err.splitlines()
+    assert says in error and not (tmp_path / "out").exists()
+    assert all("flies the race of the preset e2e" in note for note in notes)

@@ -50,24 +50,26 @@ def _counted_states(c: Context) -> np.ndarray:
 
 def _count(c: Context, build: Build, compiler: Compiler) -> dict[str, tuple[int, int]]:
     """Instructions, at most, and stack: of loading, of a step, and of the network alone."""
-    own = c.loader
-    extra = [f"-I{own.folder}", *own.runtime.options, *flags_of(compiler, "harness_load")]
-    sources = [*own.harness, write_memory(c.work)]
+    loader = c.loader
+    extra = [f"-I{loader.folder}", *loader.runtime.options, *flags_of(compiler, "harness_load")]
+    sources = [*loader.harness, write_memory(c.work)]
     machine = machine_of(compiler.build(sources, c.work / f"{build.tag}_qjp.elf", extra), build)
-    words, struct = machine.place(own.words), machine.reserve(LARGEST_STRUCT)
+    words, struct = machine.place(loader.words), machine.reserve(LARGEST_STRUCT)
     race, out = machine.reserve(64), machine.reserve(64)
-    require(machine.call("harness_load", words, len(own.data)) == 0, "the loader rejects the file")
-    states, pilot = _counted_states(c), own.runtime.has_pilot
+    require(
+        machine.call("harness_load", words, len(loader.data)) == 0, "the loader rejects the file"
+    )
+    states, pilot = _counted_states(c), loader.runtime.has_pilot
     if pilot:
-        arguments = (struct, words, len(own.data), int(own.runtime.rotor_speeds))
+        arguments = (struct, words, len(loader.data), int(loader.runtime.rotor_speeds))
         require(machine.call("qjp_pilot_load", *arguments) == 0, "the pilot rejects the file")
         used = {"loading": machine.count("qjp_pilot_load", *arguments)}
         name, memory, rows = "qjp_pilot_step", struct, _vehicles(c, states)
     else:
-        used = {"loading": machine.count("qjp_load", struct, words, len(own.data))}
+        used = {"loading": machine.count("qjp_load", struct, words, len(loader.data))}
         name, memory, rows = "harness_step", race, states
     steps = np.array([machine.count(name, memory, machine.place(row), out) for row in rows])
-    q = own.inputs[np.linspace(0, len(own.inputs) - 1, COUNTED).astype(int)]
+    q = loader.inputs[np.linspace(0, len(loader.inputs) - 1, COUNTED).astype(int)]
     policy = machine.symbols["policy"]
     network = [machine.count("qjp_forward", policy, machine.place(row), out, 0) for row in q]
     for key, counts in (("step", steps), ("network", np.array(network))):
@@ -91,16 +93,16 @@ def check_step(c: Context) -> str:
 def check_memory(c: Context) -> str:
     """Memory of the C that flies and of the words of the file."""
     need_emulator()
-    own, parts = c.loader, []
+    loader, parts = c.loader, []
     for build, compiler in compilers_of(c):
-        extra = [f"-I{own.folder}", *own.runtime.options, *flags_of(compiler, "qjp_load")]
-        sources = [*own.sources, write_memory(c.work)]
+        extra = [f"-I{loader.folder}", *loader.runtime.options, *flags_of(compiler, "qjp_load")]
+        sources = [*loader.sources, write_memory(c.work)]
         read_only, writable = sizes_of(
             compiler.build(sources, c.work / f"{build.tag}_qjp_sizes.elf", extra)
         )
         parts.append(f"{compiler.name} {read_only:,} B flash, {writable} B writable data")
-    glue = f"; without {own.runtime.glue}" if own.runtime.glue else ""
-    return f"{', '.join(parts)}; words {len(own.data):,} B {own.runtime.words}{glue}"
+    glue = f"; without {loader.runtime.glue}" if loader.runtime.glue else ""
+    return f"{', '.join(parts)}; words {len(loader.data):,} B {loader.runtime.words}{glue}"
 
 
 def check_against_float(c: Context) -> str:
@@ -123,13 +125,15 @@ def check_eva(c: Context) -> str:
     Words that the loader would reject, with weights at their largest, raise alarms.
     """
     need_program("frama-c")
-    own = c.loader
-    main = _eva_main(c, c.work / "qjp_eva", own.data)
-    sources = [path for path in own.sources if path.name != "qjp_load.c"]
-    count = proven(c, main, sources, own.folder)
-    words, start = own.words.copy(), table_start(own.words)
+    loader = c.loader
+    main = _eva_main(c, c.work / "qjp_eva", loader.data)
+    sources = [path for path in loader.sources if path.name != "qjp_load.c"]
+    count = proven(c, main, sources, loader.folder)
+    words, start = loader.words.copy(), table_start(loader.words)
     words[start : start + 4 * c.folder.network.inputs : 4] = 2**31 - 1
-    alarms, _ = eva(c, _eva_main(c, c.work / "qjp_corrupted", words.tobytes()), sources, own.folder)
+    alarms, _ = eva(
+        c, _eva_main(c, c.work / "qjp_corrupted", words.tobytes()), sources, loader.folder
+    )
     require(alarms > 0, "weights that may overflow raised no alarm")
     return (
         f"0 alarms for any state and memory after loading; {count} assertions proven; "

@@ -106,9 +106,9 @@ def _observations(
     if LAST_COMMAND in sizes and commands is not None:
         low, high = command_ranges(own.choices, own.params)
         last = np.concatenate([[0.5 * (low + high)], commands[:-1]])
-    found, said = _disturbances(flight, own)
-    states = states_of(flight, own.choices.model, sizes, last, found)
-    return observe(own, states, targets.astype(np.int32)), said
+    disturbances, source = _disturbances(flight, own)
+    states = states_of(flight, own.choices.model, sizes, last, disturbances)
+    return observe(own, states, targets.astype(np.int32)), source
 
 
 def _disturbances(flight: Logged, own: OwnRace) -> tuple[Signals, str]:
@@ -119,11 +119,11 @@ def _disturbances(flight: Logged, own: OwnRace) -> tuple[Signals, str]:
         return {}, ""
     if layout[observed[0]].source == "none":
         return {}, "zero, as in the training of the policy"
-    found = disturbances_of(flight, own.choices.model, own.params.vehicle)
-    if not found:
+    signals = disturbances_of(flight, own.choices.model, own.params.vehicle)
+    if not signals:
         return {}, "taken as zero, as the model has no estimator"
     speeds = "" if flight.speeds_measured else " with simulated rotor speeds"
-    return found, f"estimated from the log{speeds}"
+    return signals, f"estimated from the log{speeds}"
 
 
 def _check_rate(flight: Logged, own: OwnRace) -> None:

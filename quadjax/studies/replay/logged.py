@@ -111,7 +111,7 @@ def disturbances_of(flight: Logged, model: VehicleModel, params: VehicleParams) 
     speeds = flight.actuators.get(model.actuators.name)
     if model.balance is None or speeds is None:
         return {}
-    own = estimator_params(model, params, 1.0 / flight.step)
+    estimator = estimator_params(model, params, 1.0 / flight.step)
     velocity = flight.attitude.inv().apply(flight.velocity)
     vectors = (flight.rates, flight.specific_force, velocity)
     rates, force, velocity = (Vec3(*jnp.asarray(x.T, jnp.float32)) for x in vectors)
@@ -121,13 +121,14 @@ def disturbances_of(flight: Logged, model: VehicleModel, params: VehicleParams) 
         def step(
             state: EstimatorState, sample: Measurement
         ) -> tuple[EstimatorState, list[jax.Array]]:
-            state, *found = update(own, state, sample)
-            return state, [each.array() for each in found]
+            state, *estimates = update(estimator, state, sample)
+            return state, [each.array() for each in estimates]
 
-        return jax.lax.scan(step, init(own, jax.tree.map(lambda x: x[0], samples)), samples)[1]
+        start = init(estimator, jax.tree.map(lambda x: x[0], samples))
+        return jax.lax.scan(step, start, samples)[1]
 
-    found = jax.jit(run)(samples)
-    return {name: np.asarray(x) for name, x in zip(DISTURBANCES, found, strict=True)}
+    estimates = jax.jit(run)(samples)
+    return {name: np.asarray(x) for name, x in zip(DISTURBANCES, estimates, strict=True)}
 
 
 def states_of(

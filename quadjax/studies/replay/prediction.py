@@ -26,7 +26,6 @@ HORIZONS = (0.1, 0.2, 0.5, 1.0)  # s
 STRIDE = 0.1  # s, between the starts of windows
 SMOOTH = 16.0  # Hz, of the speeds' derivative
 QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "deg", "rates": "rad/s"}
-DRIVES = ("commands", "speeds")
 
 
 @dataclass(frozen=True)

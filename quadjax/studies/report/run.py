@@ -67,13 +67,13 @@ def fastest_signals(groups: Groups, config: Config) -> dict[str, tuple[Flight, S
 
     Without the groups whose vehicle model the config's vehicle has no constants of.
     """
-    found, known = {}, (config.vehicle.model, *config.vehicle.models)
+    signals, models = {}, (config.vehicle.model, *config.vehicle.models)
     for label, flights in groups.items():
         best = fastest(flights)
-        if MODELS.get(best.commands) in known:
+        if MODELS.get(best.commands) in models:
             model = config.vehicle.with_model(MODELS[best.commands])
-            found[label] = best, signals_of(best, model.constants)
-    return found
+            signals[label] = best, signals_of(best, model.constants)
+    return signals
 
 
 def _numbers(groups: Groups) -> dict[str, object]:
