@@ -1,4 +1,4 @@
-"""Settings of JAX under which a silent broadcast or change of dtype is an error."""
+"""Settings of JAX: a silent broadcast or change of dtype is an error; quick compilation."""
 
 import contextlib
 from collections.abc import Iterator
@@ -7,6 +7,7 @@ import jax
 
 RANKS = {"jax_numpy_rank_promotion": "raise"}
 TYPES = {"jax_numpy_dtype_promotion": "strict"}
+QUICK = {"xla_backend_optimization_level": 0}  # compiled soon rather than well
 
 
 @contextlib.contextmanager

@@ -1,11 +1,14 @@
-"""A race made of defaults and overrides, and one compiled step of it for rows of drones."""
+"""A race made of defaults and overrides, and one compiled step of it for rows of drones.
+
+What is compiled takes any number of rows: they are padded to a multiple of ``ROWS``, so that tests
+share programs. Results are NumPy arrays, on which further arithmetic compiles nothing.
+"""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.loading import load_config
@@ -13,11 +16,16 @@ from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.laps import LapState, begin, score
+from quadjax.race.rules import Outcome
 from quadjax.race.track import make_track
 from tests import reference as ref
 from tests.convert import state_of
+from tests.promotion import QUICK
 
 BLANK = Path(__file__).parent.parent / "blank.yaml"
+ROWS = 64
+COURSE = ("track.closed=false", "track.start={position: [-3, -1.5, -1.5]}", "evaluate.laps=1")
 
 
 def make_config(*overrides: str) -> Config:
@@ -26,13 +34,17 @@ def make_config(*overrides: str) -> Config:
 
 def make_race(*overrides: str) -> tuple[Choices, RaceParams]:
     config = make_config(*overrides)
-    return choices_of(config), build_params(config)
+    with jax.enable_x64(False):  # the same programs whatever the test's precision
+        return choices_of(config), build_params(config)
 
 
-def track_of(gates: np.ndarray, yaw: np.ndarray, size: Sequence = (1.0, 1.0)):
+_make_track = jax.jit(make_track, static_argnames="closed", compiler_options=QUICK)
+
+
+def track_of(gates: np.ndarray, yaw: np.ndarray, size: Sequence = (1.0, 1.0), **more: object):
     sizes = np.broadcast_to(np.asarray(size, np.float32), (len(gates), 2))
-    columns = (jnp.asarray(x, jnp.float32) for x in (gates, yaw, sizes))
-    return make_track(*columns)
+    columns = (np.asarray(x, np.float32) for x in (gates, yaw, sizes))
+    return _make_track(*columns, **more)
 
 
 def race_state(kind: str, rows: np.ndarray, target: object = 0, step: object = 0) -> RaceState:
@@ -40,28 +52,73 @@ def race_state(kind: str, rows: np.ndarray, target: object = 0, step: object = 0
     count = len(rows)
     return RaceState(
         drone=state_of(kind, np.asarray(rows, np.float32)),
-        target=jnp.asarray(np.broadcast_to(target, count), jnp.int32),
-        step=jnp.asarray(np.broadcast_to(step, count), jnp.int32),
-        gates_passed=jnp.zeros(count, jnp.int32),
+        target=np.broadcast_to(target, count).astype(np.int32),
+        step=np.broadcast_to(step, count).astype(np.int32),
+        gates_passed=np.zeros(count, np.int32),
         constants=None,
     )
 
 
+def by_rows(function: Callable, shared: int = 1, **options: object) -> Callable:
+    """``function`` compiled for rows of its arguments after the first ``shared``, padded."""
+
+    @functools.partial(jax.jit, compiler_options=QUICK, **options)
+    def compiled(*arguments: object, **named: object) -> object:
+        axes = [None] * shared + [0] * (len(arguments) - shared)
+        return jax.vmap(functools.partial(function, **named), in_axes=axes)(*arguments)
+
+    def call(*arguments: object, **named: object) -> object:
+        count = len(jax.tree.leaves(arguments[shared:])[0])
+
+        def padded(leaf: object) -> np.ndarray:
+            leaf = np.asarray(leaf)
+            return np.pad(leaf, [(0, -count % ROWS)] + [(0, 0)] * (leaf.ndim - 1), mode="edge")
+
+        rows = jax.tree.map(padded, arguments[shared:])
+        results = compiled(*arguments[:shared], *rows, **named)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], results)
+
+    call.compiled = compiled
+    return call
+
+
 @functools.cache
-def compiled_transition(choices: Choices):
-    return jax.jit(
-        jax.vmap(functools.partial(environment.transition, choices), in_axes=(None, 0, 0))
+def compiled_transition(choices: Choices) -> Callable:
+    return by_rows(functools.partial(environment.transition, choices))
+
+
+@functools.cache
+def compiled_observe(choices: Choices) -> Callable:
+    return by_rows(functools.partial(environment.observe, choices))
+
+
+@functools.cache
+def compiled_reset(choices: Choices) -> Callable:
+    """States of the keys of one key, ``count`` of them."""
+    reset = jax.vmap(functools.partial(environment.reset, choices), in_axes=(None, 0))
+
+    @functools.partial(jax.jit, static_argnames="count", compiler_options=QUICK)
+    def compiled(params: RaceParams, key: jax.Array, count: int) -> RaceState:
+        return reset(params, jax.random.split(key, count))
+
+    return lambda *arguments: jax.tree.map(np.asarray, compiled(*arguments))
+
+
+def first_score(
+    rows: np.ndarray, target: object, following: RaceState, outcome: Outcome
+) -> LapState:
+    """The race of one lap of four gates, of rows of motor-level drones, after its first step."""
+    one = jax.jit(
+        lambda before, *after: score(begin(before, 1), *after, np.float32(0.01), 4),
+        compiler_options=QUICK,
     )
+    return jax.tree.map(np.asarray, one(race_state("motor", rows, target), following, outcome))
 
 
-@functools.cache
-def compiled_observe(choices: Choices):
-    return jax.jit(jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, 0)))
-
-
-@functools.cache
-def compiled_reset(choices: Choices):
-    return jax.jit(jax.vmap(functools.partial(environment.reset, choices), in_axes=(None, 0)))
+def hover_state(race: tuple[Choices, RaceParams]) -> RaceState:
+    """The start of timed laps."""
+    start = functools.partial(environment.hover_start, race[0])
+    return jax.tree.map(np.asarray, jax.jit(start, compiler_options=QUICK)(race[1]))
 
 
 def level(positions: np.ndarray, velocities: np.ndarray) -> np.ndarray:
@@ -80,7 +137,7 @@ def step(race, rows, target=0, clock=0, action=HOVER, kind="motor"):
     choices, params = race
     actions = np.broadcast_to(np.asarray(action, np.float32), (len(rows), 4))
     state = race_state(kind, rows, target, clock)
-    return compiled_transition(choices)(params, state, jnp.asarray(actions))
+    return compiled_transition(choices)(params, state, actions)
 
 
 def through(gate: int, forward: float, right: float = 0.0, down: float = 0.0) -> np.ndarray:

@@ -1,7 +1,5 @@
 """The race of drones whose attitude is a quaternion: any attitude, its observation and gradient."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,8 +10,14 @@ from quadjax.core.vectors import Vec3
 from quadjax.race import environment
 from quadjax.vehicle.protocol import Motion
 from tests import reference as ref
-from tests.race.support import compiled_observe, compiled_reset, make_race, race_state
-from tests.race.test_gradient import QUICK
+from tests.promotion import QUICK
+from tests.race.support import (
+    compiled_observe,
+    compiled_reset,
+    compiled_transition,
+    make_race,
+    race_state,
+)
 
 TRACK = "track=figure8_tudelft"
 # Roll, pitch, yaw: level, nose up, nose down, inverted, and inverted by pitching through 90 deg.
@@ -25,16 +29,19 @@ ATTITUDES = np.array(
 def states(race, attitudes):
     """Drones in hover 1 m before the first gate, but for their attitudes and a forward speed."""
     choices, params = race
-    gate = np.array([leaf[0] for leaf in jax.tree.leaves(params.track.position)])
+    gate = np.array([float(x[0]) for x in params.track.position])
+    still = [np.zeros(3, np.float32)] * 4
+    still[0], still[1] = np.float32(gate - [0, 1, 0]), np.float32([0, 3, 0])
 
-    def one(euler):
-        zero, zero_steps = jnp.zeros(()), jnp.zeros((), jnp.int32)
-        position = Vec3(*(jnp.asarray(x, jnp.float32) for x in gate - [0, 1, 0]))
-        motion = Motion(position, Vec3(zero, zero + 3.0, zero), Vec3.of(euler), Vec3.zero())
-        drone = choices.model.hover(params.vehicle.constants, motion)
-        return environment.RaceState(drone, zero_steps, zero_steps, zero_steps, None)
+    def one(constants, euler):
+        motion = Motion(*(Vec3.of(x) for x in (still[0], still[1], euler, still[3])))
+        drone = choices.model.hover(constants, motion)
+        zero = jnp.zeros((), jnp.int32)
+        return environment.RaceState(drone, zero, zero, zero, None)
 
-    return jax.vmap(one)(jnp.asarray(attitudes, jnp.float32))
+    hover = jax.jit(jax.vmap(one, in_axes=(None, 0)), compiler_options=QUICK)
+    found = hover(params.vehicle.constants, np.asarray(attitudes, np.float32))
+    return jax.tree.map(np.asarray, found)
 
 
 @pytest.mark.parametrize("vehicle", ["motor", "5inch"])
@@ -50,7 +57,7 @@ def test_rotation_in_the_observation(vehicle):
         race = make_race("observation.attitude=rotation", TRACK, f"vehicle={vehicle}")
         state = states(race, euler)
     layout = race[0].layout
-    found = np.asarray(compiled_observe(race[0])(race[1], state))[:, layout.slice("rotation")]
+    found = compiled_observe(race[0])(race[1], state)[:, layout.slice("rotation")]
     gate = ref.elementary(2, np.full(1, np.pi / 2))
     matrix = np.swapaxes(gate, 1, 2) @ ref.rotation(euler)
     np.testing.assert_allclose(
@@ -73,23 +80,21 @@ def test_gradient_through_the_race_at_any_attitude(overrides):
     race = make_race(TRACK, "reward.pitch_up=1", *overrides)
     choices, params = race
 
-    def value(state, actions):
-        total = jnp.zeros(())
-        for action in actions:
-            total = total + jnp.sum(environment.observe(choices, params, state))
-            state, reward, outcome = environment.transition(choices, params, state, action)
-            total = total + reward
-        return total + jnp.sum(environment.observe(choices, params, state)), outcome.terminated
+    def value(state, action):
+        after, reward, outcome = environment.transition(choices, params, state, action)
+        both = jax.tree.map(lambda *each: jnp.stack(each), state, after)
+        seen = jax.vmap(lambda each: environment.observe(choices, params, each))(both)
+        return reward + jnp.sum(seen), outcome.terminated
 
-    def one(drone, state, actions):
-        return value(state.replace(drone=drone), actions)
+    def one(drone, state, action):
+        return value(state.replace(drone=drone), action)
 
     slope = jax.jit(
         jax.vmap(jax.value_and_grad(one, (0, 2), has_aux=True), in_axes=(0, 0, None)),
         compiler_options=QUICK,
     )
     begin = states(race, ATTITUDES)
-    (_, ended), found = slope(begin.drone, begin, jnp.full((1, 4), -0.2))
+    (_, ended), found = slope(begin.drone, begin, np.full(4, -0.2, np.float32))
     assert not np.any(ended)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found))
     assert np.abs(found[1]).min() > 0
@@ -104,10 +109,11 @@ def test_pitch_limit_of_the_training():
 
 def test_thrusts_without_a_lag_are_those_of_the_command():
     choices, params = make_race("vehicle=cpc", TRACK)
-    state = jax.tree.map(lambda x: x[0], states((choices, params), ATTITUDES))
-    step = jax.jit(functools.partial(environment.transition, choices), compiler_options=QUICK)
-    after = step(params, state, jnp.asarray([-1.0, 0.0, 1.0, 3.0]))[0].drone
-    np.testing.assert_allclose(after.rotors.array(), [0, 0.5 * 6.879, 6.879, 6.879], rtol=1e-6)
+    state = states((choices, params), ATTITUDES[:1])
+    action = np.float32([[-1.0, 0.0, 1.0, 3.0]])
+    after = compiled_transition(choices)(params, state, action)[0].drone
+    thrusts = [x[0] for x in after.rotors]
+    np.testing.assert_allclose(thrusts, [0, 0.5 * 6.879, 6.879, 6.879], rtol=1e-6)
 
 
 def test_every_rotor_has_its_own_draw():
@@ -117,8 +123,7 @@ def test_every_rotor_has_its_own_draw():
         "randomization.all=0.3",
         "randomization.constants={k_w: 0.1, tau: 0}",
     )
-    keys = jax.random.split(jax.random.key(0), 4000)
-    drawn = compiled_reset(choices)(params, keys).constants
+    drawn = compiled_reset(choices)(params, jax.random.key(0), 4000).constants
     nominal = params.vehicle.constants
     spread = {"k_w": 0.1, "tau": 0.0, "g": 0.0}
     factors = {}
@@ -139,7 +144,7 @@ def test_population_of_all_racing_drones():
     choices, params = make_race(
         "vehicle=5inch", TRACK, "randomization.population=all_racing_drones"
     )
-    drawn = compiled_reset(choices)(params, jax.random.split(jax.random.key(1), 4000)).constants
+    drawn = compiled_reset(choices)(params, jax.random.key(1), 4000).constants
     c = {name: np.asarray(value, float) for name, value in vars(drawn).items()}
     w = c["w_max"]
     for values, low, high in (

@@ -1,17 +1,14 @@
 """A battery in the race: charges, limited speeds, and what the policy observes."""
 
-import functools
-
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
-from quadjax.race import environment
 from quadjax.race.layout import HIGHEST_RPM
+from tests.race.support import compiled_observe, compiled_reset, compiled_transition, hover_state
 
 LOW, HIGH = 0.2, 0.6
 
@@ -27,29 +24,28 @@ def _limit(rpm: np.ndarray, charge: float) -> float:
     return 12000.0 * volts / 12.6
 
 
-@pytest.mark.parametrize("source", ["estimated", "ground_truth"])
-def test_full_power_reaches_the_limit_and_the_policy_observes_it(source):
-    choices, params = _race(f"observation.highest_rpm={source}")
-    step = jax.jit(functools.partial(environment.transition, choices))
-    state = environment.hover_start(choices, params)
-    before = float(state.battery.charge)
+def test_full_power_reaches_the_limit_and_the_policy_observes_it():
+    """The estimate and the true limit, which agree after a flight at full power."""
+    races = [_race(f"observation.highest_rpm={source}") for source in ("estimated", "ground_truth")]
+    choices, params = races[0]
+    state = jax.tree.map(lambda leaf: leaf[None], hover_state(races[0]))
+    before = state.battery.charge[0]
     assert before == pytest.approx(HIGH)
     for _ in range(70):
-        state, *_ = step(params, state, jnp.ones(4))
-    rpm = np.array(jax.tree.leaves(choices.model.actuator_state(state.drone)), np.float64)
-    limit = _limit(rpm, float(state.battery.charge))
+        state, *_ = compiled_transition(choices)(params, state, np.ones((1, 4), np.float32))
+    rpm = np.array(jax.tree.leaves(choices.model.actuator_state(state.drone)), np.float64)[:, 0]
+    limit = _limit(rpm, float(state.battery.charge[0]))
     np.testing.assert_allclose(rpm, limit, rtol=1e-3)
-    assert before - 0.01 < float(state.battery.charge) < before
-    column = choices.layout.slice(HIGHEST_RPM)
-    (seen,) = np.asarray(environment.observe(choices, params, state)[column])
+    assert before - 0.01 < state.battery.charge[0] < before
     lowest, highest = 0.75 * 11000.0, 11000.0
-    assert lowest + 0.5 * (highest - lowest) * (seen + 1.0) == pytest.approx(limit, rel=5e-3)
+    for choices, params in races:
+        (seen,) = compiled_observe(choices)(params, state)[0, choices.layout.slice(HIGHEST_RPM)]
+        assert lowest + 0.5 * (highest - lowest) * (seen + 1.0) == pytest.approx(limit, rel=5e-3)
 
 
 def test_charges_are_drawn_from_the_range():
     choices, params = _race()
-    reset = jax.vmap(functools.partial(environment.reset, choices), (None, 0))
-    charge = np.asarray(reset(params, jax.random.split(jax.random.key(0), 500)).battery.charge)
+    charge = compiled_reset(choices)(params, jax.random.key(0), 500).battery.charge
     assert charge.min() == pytest.approx(LOW, abs=0.01)
     assert charge.max() == pytest.approx(HIGH, abs=0.01)
     assert charge.mean() == pytest.approx(0.5 * (LOW + HIGH), abs=0.02)

@@ -1,6 +1,7 @@
 """Reward terms, rules and observation fields of one's own."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -9,14 +10,25 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import safe_norm
-from quadjax.race.laps import fly_laps, fly_race, lap_length, starting_states, time_limit
+from quadjax.race import environment
+from quadjax.race.laps import fly_race, lap_length, starting_states, time_limit
 from quadjax.race.layout import Field, Layout, make_layout
-from quadjax.race.result import Laps
+from quadjax.race.result import CRASHES, Laps
 from quadjax.vehicle import rate
 from quadjax.vehicle.motor import MODEL
 from quadjax.vehicle.protocol import Signal
 from tests import reference as ref
-from tests.race.support import compiled_observe, level, make_race, race_state, step, track_of
+from tests.race.support import (
+    HOVER,
+    by_rows,
+    compiled_observe,
+    first_score,
+    level,
+    make_race,
+    race_state,
+    step,
+    track_of,
+)
 
 
 def speed(context):
@@ -31,37 +43,32 @@ def ceiling(context):
     return context.position.z < -2.0
 
 
-def test_terms_are_added_in_their_weights():
+@pytest.fixture(scope="module")
+def races():
+    """The published race, and one with two terms of the reward and a rule."""
     choices, params = make_race()
-    rows = level(ref.GATES[3], [1.0, 2.0, -2.0])
-    _, plain, _ = step((choices, params), rows, action=0.5)
-    own = dataclasses.replace(choices, terms=(speed, squared_action))
+    own = dataclasses.replace(choices, terms=(speed, squared_action), rules=(ceiling,))
     weights = params.replace(term_weights=(jnp.float32(0.5), jnp.float32(-2.0)))
-    state, value, _ = step((own, weights), rows, action=0.5)
+    return (choices, params), (own, weights)
+
+
+def test_terms_are_added_in_their_weights(races):
+    rows = level(ref.GATES[3], [1.0, 2.0, -2.0])
+    (_, plain, _), (state, value, _) = (step(race, rows, action=0.5) for race in races)
     after = np.linalg.norm([float(x[0]) for x in state.drone.velocity.components()])
     assert float(value[0] - plain[0]) == pytest.approx(0.5 * after - 2.0 * 0.01, rel=1e-4)
 
 
-def test_a_rule_ends_the_episode_as_a_collision_does():
-    choices, params = make_race()
-    own = dataclasses.replace(choices, rules=(ceiling,))
+def test_a_rule_ends_the_episode_as_a_collision_does(races):
     rows = level([ref.GATES[3] + [0, 0, -0.4], ref.GATES[3] + [0, 0, -0.6]], np.zeros(3))
-    _, value, outcome = step((own, params), rows)
+    following, value, outcome = step(races[1], rows)
     np.testing.assert_array_equal(outcome.extra_rule, [False, True])
     np.testing.assert_array_equal(outcome.terminated, [False, True])
-    assert float(value[1]) == -10.0
-    assert not np.any(step((choices, params), rows)[2].terminated)
-
-
-def test_a_rule_applies_to_timed_laps():
-    choices, params = make_race()
-    own = dataclasses.replace(choices, rules=(ceiling,))
-
-    def climb(policy, observation, noise):
-        return jnp.ones(4)
-
-    laps, _ = fly_laps(own, params, climb, None, jax.random.key(0), 1, 1)
-    assert laps.crashes == ("ended by an extra rule",)
+    terms = -2.0 * 0.01 * 4 * HOVER**2 + 0.5 * np.linalg.norm([*following.drone.velocity], axis=0)
+    np.testing.assert_allclose(value[1], -10.0 + terms[1], atol=1e-5)
+    assert not np.any(step(races[0], rows)[2].terminated)
+    crashes = first_score(rows, 0, following, outcome).crash
+    assert [CRASHES[code] for code in crashes] == ["", "ended by an extra rule"]
 
 
 def five_commands(constants):
@@ -81,15 +88,23 @@ FIVE_COMMANDS = dataclasses.replace(
 
 def test_timed_laps_of_a_model_with_five_commands():
     choices, params = make_race("vehicle.model=tests.race.test_extensions:FIVE_COMMANDS")
-    states = starting_states(choices, params, jax.random.key(0), 2, from_hover=True)
+    states = jax.eval_shape(
+        lambda race, key: starting_states(choices, race, key, 2, from_hover=True),
+        *(params, jax.random.key(0)),
+    )
 
     def actor(policy, observation, noise):
         return jnp.clip(noise, -1.0, 1.0)
 
-    _, kept = fly_race(choices, actor, 1, 3, True, params, None, states, jax.random.key(1))
+    _, kept = jax.eval_shape(
+        functools.partial(fly_race, choices, actor, 1, 3, True),
+        *(params, None, states, jax.random.key(1)),
+    )
     assert kept.command.shape == (3, 5, 2)
-    assert np.all((kept.command[:, 4] >= 0.0) & (kept.command[:, 4] <= 1.0))
-    assert np.unique(kept.command[:, 4]).size > 1
+    command = by_rows(lambda race, action: environment.command(choices, race, action))
+    actions = np.random.default_rng(0).uniform(-1, 1, (20, 5)).astype(np.float32)
+    (_, flap) = command(params, actions)
+    np.testing.assert_allclose(flap, 0.5 * (actions[:, 4] + 1.0), atol=1e-6)
 
 
 def height(view):
@@ -99,14 +114,18 @@ def height(view):
 HEIGHT = Field("height", 1, "m", "", value=height)
 
 
-def test_an_own_field_is_appended_to_the_observation():
+def test_own_fields_are_appended_to_the_observation():
+    """A field whose range has no width gives zero."""
     choices, params = make_race()
-    own = dataclasses.replace(choices, layout=make_layout(MODEL, extra=(HEIGHT,)))
+    fields = [HEIGHT]
+    for name, span in (("empty", (None, 0.0)), ("equal", (2.0, 2.0))):
+        fields.append(dataclasses.replace(HEIGHT, name=name, scale=lambda *_, own=span: own))
+    own = dataclasses.replace(choices, layout=make_layout(MODEL, extra=tuple(fields)))
     state = race_state("motor", level(ref.GATES[:2], np.ones(3)), [0, 1])
-    plain, more = (np.asarray(compiled_observe(c)(params, state)) for c in (choices, own))
-    np.testing.assert_array_equal(more[:, :24], plain)
-    np.testing.assert_array_equal(more[:, own.layout.slice("height")], [[1.5], [1.5]])
-    assert own.layout.size == 25 and own.layout.labels[-1] == "height"
+    plain, more = (compiled_observe(c)(params, state) for c in (choices, own))
+    np.testing.assert_array_equal(more, np.hstack([plain, [[1.5, 0.0, 0.0]] * 2]))
+    assert own.layout.slice("height") == slice(24, 25)
+    assert own.layout.size == 27 and own.layout.labels[24:] == ("height", "empty", "equal")
 
 
 def test_an_own_field_of_another_size_is_refused():
@@ -136,16 +155,6 @@ def test_own_objects_are_named_in_the_config():
         make_race(f"observation.extra=[{own}:height]")
     with pytest.raises(InputError, match=r"rules.extra: .*:HEIGHT is .*expected a function"):
         make_race(f"rules.extra=[{own}:HEIGHT]")
-
-
-@pytest.mark.parametrize("span", [(None, 0.0), (2.0, 2.0)])
-def test_a_field_whose_range_has_no_width_gives_zero(span):
-    choices, params = make_race()
-    field = dataclasses.replace(HEIGHT, scale=lambda model, params: span)
-    own = dataclasses.replace(choices, layout=make_layout(MODEL, extra=(field,)))
-    state = race_state("motor", level(ref.GATES[:2], np.ones(3)), [0, 1])
-    shown = np.asarray(compiled_observe(own)(params, state))
-    np.testing.assert_array_equal(shown[:, own.layout.slice("height")], 0.0)
 
 
 def test_a_layout_survives_its_file():

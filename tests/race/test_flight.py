@@ -1,7 +1,6 @@
 """Whole flights of the environment against the reference, command by command."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -9,24 +8,24 @@ from quadjax.race import environment
 from quadjax.race.environment import RaceState, make_environment
 from tests import reference as ref
 from tests.convert import residual_of, rows_of, state_of
-from tests.race.support import compiled_transition, make_race, race_state
+from tests.race.support import COURSE, by_rows, compiled_transition, make_race, race_state
 
 COUNT, STEPS = 50, 30
 
 
 def double(tree):
     return jax.tree.map(
-        lambda x: x.astype(jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree
+        lambda x: np.asarray(x, np.float64) if np.issubdtype(x.dtype, np.floating) else x, tree
     )
 
 
 def flight(choices, params, kind, rows, actions, constants=None):
     """Rows after every step of ``actions`` (steps, n, 4), in double precision."""
-    count = jnp.zeros(len(rows), jnp.int32)
+    count = np.zeros(len(rows), np.int32)
     state = RaceState(state_of(kind, rows), count, count, count, constants)
     kept = []
     for action in actions:
-        state, _, _ = compiled_transition(choices)(double(params), state, jnp.asarray(action))
+        state, _, _ = compiled_transition(choices)(double(params), state, action)
         kept.append(rows_of(state.drone))
     return np.stack(kept)
 
@@ -85,17 +84,22 @@ def close(found, wanted):
     assert np.max(np.abs(found - wanted) / scale) < 1e-7
 
 
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
-@pytest.mark.parametrize("kind", ["motor", "rate"])
+@pytest.mark.parametrize(
+    ("kind", "integrator"),
+    [
+        *(("motor", "euler"), ("rate", "euler"), ("motor", "rk4")),
+        pytest.param("rate", "rk4", marks=pytest.mark.slow),
+    ],
+)
 def test_flight_follows_the_reference(kind, integrator):
     choices, params = make_race(f"vehicle.model={kind}", f"vehicle.integrator={integrator}")
     c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
     rows, actions = gentle(kind)
     residual = None
     with jax.enable_x64(True):
-        exact = type(params.vehicle.constants)(**{k: jnp.asarray(v, float) for k, v in c.items()})
+        exact = type(params.vehicle.constants)(**{k: np.float64(v) for k, v in c.items()})
         params = params.replace(vehicle=params.vehicle.replace(constants=exact))
-        params = params.replace(limits=double(params.limits).replace(time_step=jnp.asarray(0.01)))
+        params = params.replace(limits=double(params.limits).replace(time_step=np.float64(0.01)))
         if kind == "motor":
             residual = ref.random_residual(-1.0)
             vehicle = params.vehicle.replace(residual=residual_of(residual))
@@ -110,7 +114,8 @@ def test_actions_are_clipped_and_scaled_to_the_nominal_range(kind):
     choices, params = make_race(f"vehicle.model={kind}")
     c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
     actions = np.random.default_rng(1).uniform(-2, 2, (200, 4)).astype(np.float32)
-    found = jax.vmap(lambda a: environment.command(choices, params, a))(actions)
+    command = by_rows(lambda race, action: environment.command(choices, race, action))
+    found = command(params, actions)
     found = np.stack(jax.tree.leaves(found), axis=-1)
     np.testing.assert_allclose(found, command_rows(kind, c, actions), rtol=1e-6, atol=1e-5)
     inside = np.abs(actions) <= 1
@@ -125,32 +130,45 @@ def test_drawn_constants_are_flown_and_limit_the_command(kind):
     rows, actions = gentle(kind)
     actions = np.sign(actions[:3]) * 1.5
     with jax.enable_x64(True):
-        exact = type(params.vehicle.constants)(**{k: jnp.asarray(v, float) for k, v in c.items()})
+        exact = type(params.vehicle.constants)(**{k: np.float64(v) for k, v in c.items()})
         params = params.replace(
             vehicle=params.vehicle.replace(constants=exact),
-            limits=double(params.limits).replace(time_step=jnp.asarray(0.01)),
+            limits=double(params.limits).replace(time_step=np.float64(0.01)),
         )
-        drawn = type(exact)(**{k: jnp.full(COUNT, v) for k, v in own.items()})
+        drawn = type(exact)(**{k: np.full(COUNT, v) for k, v in own.items()})
         found = flight(choices, params, kind, rows, actions, drawn)
     commands = command_rows(kind, c, actions, own)
     close(found, reference_flight(kind, own, rows, commands, "euler"))
 
 
 @pytest.mark.parametrize(("kind", "size"), [("motor", 24), ("rate", 17)])
-def test_the_seam(kind, size):
-    """Three functions of one drone; the outcome's two ends stay apart."""
+def test_shapes_of_the_seam(kind, size):
+    """Three functions of one drone."""
     choices, params = make_race(f"vehicle.model={kind}")
-    params = params.replace(limits=params.limits.replace(episode_steps=jnp.int32(2)))
     env = make_environment(choices)
     assert (env.observation_size, env.action_size) == (size, 4)
-    state = env.reset(params, jax.random.key(0))
-    assert env.observe(params, state).shape == (size,)
-    ends = []
-    for _ in range(2):
-        state, reward, terminated, truncated = env.step(params, state, jnp.zeros(4))
-        assert reward.shape == () and reward.dtype == jnp.float32
-        ends.append((bool(terminated), bool(truncated)))
-    assert ends == [(False, False), (False, True)]
+    state = jax.eval_shape(env.reset, params, jax.random.key(0))
+    assert jax.eval_shape(env.observe, params, state).shape == (size,)
+    following, reward, *ends = jax.eval_shape(env.step, params, state, np.zeros(4, np.float32))
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), (following, reward)) == jax.tree.map(
+        lambda x: (x.shape, x.dtype), (state, jax.ShapeDtypeStruct((), np.float32))
+    )
+    assert [(end.shape, end.dtype) for end in ends] == [((), bool)] * 2
+
+
+def test_the_ends_of_a_step_stay_apart():
+    """The last step of an episode, the last gate of a course, and both at once."""
+    choices, params = make_race(*COURSE)
+    forward = np.array([np.cos(ref.GATE_YAW[3]), np.sin(ref.GATE_YAW[3]), 0])
+    rows = np.zeros((4, 22))
+    rows[:, ref.P], rows[:, ref.V] = ref.GATES[3] - 2 * forward, 5 * forward
+    rows[2:, ref.P] = ref.GATES[3] - 0.01 * forward
+    rows[:, ref.RPM] = 7497
+    step = by_rows(make_environment(choices).step)
+    state = race_state("motor", rows, 3, [1198, 1199, 0, 1199])
+    _, _, ended, truncated = step(params, state, np.zeros((4, 4), np.float32))
+    np.testing.assert_array_equal(ended, [False, False, True, True])
+    np.testing.assert_array_equal(truncated, [False, True, False, False])
 
 
 def test_one_pass_of_the_square_with_gates_counted():
@@ -161,7 +179,7 @@ def test_one_pass_of_the_square_with_gates_counted():
     rows[:, ref.V] = 3 * np.array([np.sqrt(0.5), np.sqrt(0.5), 0])
     rows[:, ref.RPM] = 7497
     state = race_state("motor", rows)
-    action = jnp.full((1, 4), (7497 - 7000) / 4000, jnp.float32)
+    action = np.full((1, 4), (7497 - 7000) / 4000, np.float32)
     passes, rewards = [], []
     for _ in range(15):
         state, reward, outcome = compiled_transition(choices)(params, state, action)

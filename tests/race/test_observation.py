@@ -1,11 +1,9 @@
 """What the policy sees, against an independent version and under symmetries."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from quadjax.config.race import build_params, choices_of
-from quadjax.race.track import make_track
 from tests import reference as ref
 from tests.race.support import compiled_observe, make_config, make_race, race_state, track_of
 
@@ -27,14 +25,13 @@ def disturbed(kind):
 def circuit(gates):
     """Gates anywhere, turned anyhow."""
     draw = np.random.default_rng(gates)
-    if gates == 4:
-        return ref.GATES, ref.GATE_YAW
     return draw.uniform(-5, 5, (gates, 3)), draw.uniform(-4, 8, gates)
 
 
-@pytest.mark.parametrize("kind", ["motor", "rate"])
-@pytest.mark.parametrize("gates", [1, 4, 6, 20])
-@pytest.mark.parametrize("wrap", [True, False])
+@pytest.mark.parametrize(
+    ("kind", "gates", "wrap"),
+    [("motor", 1, True), ("motor", 6, True), ("motor", 4, False), ("rate", 6, True)],
+)
 def test_against_an_independent_version(kind, gates, wrap):
     wrapped = f"observation.wrap_next_yaw={str(wrap).lower()}"
     choices, params = make_race(f"vehicle.model={kind}", wrapped, *disturbed(kind))
@@ -42,7 +39,7 @@ def test_against_an_independent_version(kind, gates, wrap):
     params = params.replace(track=track_of(centers, yaw))
     rows = ref.random_states(kind, COUNT)
     target = np.arange(COUNT) % gates
-    found = np.asarray(compiled_observe(choices)(params, race_state(kind, rows, target)))
+    found = compiled_observe(choices)(params, race_state(kind, rows, target))
     assert found.shape == (COUNT, 24 if kind == "motor" else 17) and found.dtype == np.float32
     wanted = ref.observation(kind, CONSTANTS[kind], rows, target, centers, yaw, wrap_next_yaw=wrap)
     away = np.abs(np.abs(wanted[:, 8]) - np.pi) > 1e-3  # where the wrap may fall on either side
@@ -86,11 +83,11 @@ def test_unchanged_when_all_is_turned_and_moved(kind):
     turned[:, 8] = ref.wrap(rows[:, 8] + turn)
     moved = track_of(ref.GATES @ matrix.T + move, ref.GATE_YAW + turn)
     observe = compiled_observe(choices)
-    before = np.asarray(observe(params, race_state(kind, rows, target)))
-    after = np.asarray(observe(params.replace(track=moved), race_state(kind, turned, target)))
+    before = observe(params, race_state(kind, rows, target))
+    after = observe(params.replace(track=moved), race_state(kind, turned, target))
     away = np.abs(np.abs(before[:, 8]) - np.pi) > 1e-3
     np.testing.assert_allclose(after[away], before[away], atol=3e-5)
-    other = np.asarray(observe(params, race_state(kind, turned, target)))
+    other = observe(params, race_state(kind, turned, target))
     assert np.abs(other[:, :2] - before[:, :2]).max() > 1
 
 
@@ -116,11 +113,11 @@ def test_actuators_are_scaled_by_the_nominal_range(kind):
     state = race_state(kind, rows)
     own = params.vehicle.constants.replace(
         **{
-            name: 0.8 * getattr(params.vehicle.constants, name) * jnp.ones(())
+            name: np.float32(0.8) * getattr(params.vehicle.constants, name)
             for name in (("rpm_max",) if kind == "motor" else ("thrust_max",))
         }
     )
-    own = type(own)(**{name: jnp.broadcast_to(value, (3,)) for name, value in vars(own).items()})
+    own = type(own)(**{name: np.broadcast_to(value, 3) for name, value in vars(own).items()})
     found = compiled_observe(choices)(params, state.replace(constants=own))
     wanted = ref.observation(kind, CONSTANTS[kind], rows, np.zeros(3, int), ref.GATES, ref.GATE_YAW)
     columns = slice(12, 16) if kind == "motor" else slice(12, 13)
@@ -144,5 +141,5 @@ def test_shipped_tracks():
 
 
 def test_width_and_height_are_not_swapped():
-    track = make_track(jnp.zeros((1, 3)), jnp.zeros(1), jnp.array([[3.0, 1.0]]))
+    track = track_of(np.zeros((1, 3)), np.zeros(1), [[3.0, 1.0]])
     assert track.half_width[0] == 1.5 and track.half_height[0] == 0.5

@@ -13,6 +13,7 @@ from quadjax.config.race import build_tracks
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.race.random_track import RandomTracks
+from tests.promotion import QUICK
 
 KEYS = [
     "randomization.tracks.count=5",
@@ -25,14 +26,25 @@ def race(*keys):
     return make_race(load_config("e2e_fastest", [*KEYS, *keys, "start.heading=north"]))
 
 
-def test_every_episode_is_on_one_of_the_tracks():
-    environment, params = race()
-    reset = jax.jit(jax.vmap(environment.reset, in_axes=(None, 0)))
-    states = reset(params, jax.random.split(jax.random.key(0), 200))
+def drawn(environment, params, count):
+    reset = jax.vmap(environment.reset, in_axes=(None, 0))
+    keys = jax.random.split(jax.random.key(0), count)
+    return jax.tree.map(np.asarray, jax.jit(reset, compiler_options=QUICK)(params, keys))
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A race on random tracks, and starts of it."""
+    environment, params = race("observation.gates_ahead=2")
+    return environment, params, drawn(environment, params, 200)
+
+
+def test_every_episode_is_on_one_of_the_tracks(flown):
+    _, params, states = flown
     firsts = np.asarray(params.tracks.position.x)[:, 0]
-    drawn = [int(np.flatnonzero(firsts == x)[0]) for x in np.asarray(states.track.position.x)[:, 0]]
-    assert set(drawn) == set(range(5))
-    assert np.bincount(drawn).min() > 20
+    index = [int(np.flatnonzero(firsts == x)[0]) for x in states.track.position.x[:, 0]]
+    assert set(index) == set(range(5))
+    assert np.bincount(index).min() > 20
 
 
 def test_tracks_are_drawn_by_their_chances():
@@ -40,24 +52,24 @@ def test_tracks_are_drawn_by_their_chances():
     variants = environment.variants
     assert variants.count == 5 and race()[0].variants is None
     params = variants.weighted(params, np.array([0.0, 0.75, 0.0, 0.25, 0.0], np.float32))
-    states = jax.vmap(environment.reset, in_axes=(None, 0))(
-        params, jax.random.split(jax.random.key(0), 400)
-    )
-    index = np.asarray(jax.vmap(variants.index)(states))
+    states = drawn(environment, params, 400)
+    index = variants.index(states)
     assert np.bincount(index, minlength=5) == pytest.approx([0, 300, 0, 100, 0], abs=30)
     firsts = np.asarray(params.tracks.position.x)[:, 0]
-    np.testing.assert_array_equal(np.asarray(states.track.position.x)[:, 0], firsts[index])
+    np.testing.assert_array_equal(states.track.position.x[:, 0], firsts[index])
 
 
-def test_a_drawn_track_is_raced_as_a_track_of_its_own():
-    environment, params = race("observation.gates_ahead=2")
-    state = environment.reset(params, jax.random.key(4))
+def test_a_drawn_track_is_raced_as_a_track_of_its_own(flown):
+    environment, params, states = flown
+    other = np.flatnonzero(states.track_index > 0)[0]
+    state = jax.tree.map(lambda leaf: leaf[other], states)
     alone = params.replace(track=state.track, tracks=None)
     action = np.full(4, 0.2, np.float32)
-    step = jax.jit(environment.step)
+    step = jax.jit(environment.step, compiler_options=QUICK)
+    observe = jax.jit(environment.observe, compiler_options=QUICK)
     for _ in range(3):
-        here = environment.observe(params, state)
-        there = environment.observe(alone, state.replace(track=None))
+        here = observe(params, state)
+        there = observe(alone, state.replace(track=None))
         np.testing.assert_array_equal(here, there)
         following, *rest = step(params, state, action)
         single, *others = step(alone, state.replace(track=None), action)

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.flatten_util import ravel_pytree
 
 from quadjax.config.loading import load_config
 from quadjax.core import quaternion
@@ -22,6 +21,8 @@ from quadjax.vehicle.rigid_body import RigidBodyState
 from tests import reference as bebop
 from tests.convert import command_of, constants
 from tests.convert import state_of as bebop_state
+from tests.promotion import QUICK
+from tests.race.support import by_rows
 from tests.vehicle import rigid_reference as ref
 
 COUNT = 300
@@ -43,7 +44,7 @@ def vehicle_of(name):
 
 def params_of(name, **changed):
     model, values = vehicle_of(name)
-    values = {key: jnp.asarray(value, float) for key, value in (values | changed).items()}
+    values = {key: np.float64(value) for key, value in (values | changed).items()}
     return VehicleParams(model.constants(**values))
 
 
@@ -56,7 +57,7 @@ def state_of(rows):
         (Rotors, ref.ROTORS),
     )
     return RigidBodyState(
-        *(kind(*jnp.moveaxis(jnp.asarray(rows[..., part]), -1, 0)) for kind, part in parts)
+        *(kind(*(rows[..., i] for i in range(part.start, part.stop))) for kind, part in parts)
     )
 
 
@@ -67,12 +68,12 @@ def rows_of(state):
 
 @functools.cache
 def _slope(model):
-    return jax.jit(jax.vmap(model.derivative, in_axes=(None, 0, 0)))
+    return by_rows(model.derivative)
 
 
 def slope_of(name, rows, command, **changed):
     params = params_of(name, **changed)
-    commands = Rotors.of(jnp.asarray(command, float))
+    commands = Rotors.of(np.asarray(command, float))
     return rows_of(_slope(vehicle_of(name)[0])(params, state_of(rows), commands))
 
 
@@ -127,7 +128,7 @@ STILL = np.zeros((1, 4))
 def test_signs_by_hand(name, columns, column, expected):
     """The change from level flight with all rotors at 1000 rad/s."""
     params = params_of(name).constants
-    steady = racing.command_of(params, Rotors.same(jnp.asarray(1000.0)))
+    steady = racing.command_of(params, Rotors.same(np.float64(1000.0)))
     command = rows_of(steady)[None]
     change = slope_of(name, level(name, 1000.0, **columns), command) - slope_of(
         name, level(name, 1000.0), command
@@ -151,16 +152,15 @@ def test_hover_is_an_equilibrium(name):
     model, _ = vehicle_of(name)
     params = params_of(name)
     zero = Vec3.zero()
-    state = model.hover(
-        params.constants, Motion(zero, zero, zero.replace(z=jnp.asarray(0.7)), zero)
-    )
+    motion = Motion(zero, zero, zero.replace(z=np.float64(0.7)), zero)
+    state = jax.jit(model.hover, compiler_options=QUICK)(params.constants, motion)
     command = state.rotors
     if name != "cpc":
         command = racing.command_of(params.constants, state.rotors)
         speeds = rows_of(racing.motor_map(params.constants, command))
         np.testing.assert_allclose(speeds, rows_of(state.rotors), rtol=1e-12)
-    slope = rows_of(model.derivative(params, state, command))
-    np.testing.assert_allclose(slope, 0.0, atol=1e-8)
+    rows = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], each) for each in (state, command))
+    np.testing.assert_allclose(rows_of(_slope(model)(params, *rows)), 0.0, atol=1e-8)
     assert np.ptp(rows_of(state.rotors)) > (0 if name == "cpc" else 10) - 1e-9
 
 
@@ -198,64 +198,53 @@ ATTITUDES = {
 }
 
 
-@functools.cache
-def _flight(name):
-    """The end of a flight of ten steps from ``flat + size moves``, one number."""
-    model, params = vehicle_of(name)[0], params_of(name)
-    actions = jnp.asarray(np.random.default_rng(3).uniform(0.3, 0.7, (10, 4)))
-    weights = jnp.asarray(np.random.default_rng(4).normal(size=17)) * jnp.asarray(
-        [1.0] * 13 + [1e-3] * 4
-    )
+@pytest.mark.parametrize("name", ["5inch", "a2rl", "cpc"])
+def test_gradient_of_a_flight(name):
+    """Automatic derivatives of a flight of ten steps against central differences.
 
-    def value(flat, actions, unravel):
+    At attitudes with and without angles; one number of each flight's end, in one program for all.
+    """
+    model, params = vehicle_of(name)[0], params_of(name)
+    actions = np.random.default_rng(3).uniform(0.3, 0.7, (10, 4))
+    weights = np.random.default_rng(4).normal(size=17) * ([1.0] * 13 + [1e-3] * 4)
+
+    def end(params, row, actions):
         def one(state, action):
             command = Rotors.of(action)
             slope = functools.partial(model.derivative, params, command=command)
             after = euler_step(slope, state, 0.01)
             return model.wrap(model.hold(after, command)), None
 
-        state, _ = jax.lax.scan(one, unravel(flat), actions)
+        state, _ = jax.lax.scan(one, state_of(row), actions)
         return jnp.dot(jnp.stack(jax.tree.leaves(state)), weights)
 
-    return value, actions
-
-
-@pytest.mark.parametrize("name", ["5inch", "a2rl", "cpc"])
-def test_gradient_of_a_flight(name):
-    """Automatic derivatives against central differences, at attitudes with and without angles."""
-    model = vehicle_of(name)[0]
-    value, actions = _flight(name)
-    hover = model.hover(params_of(name).constants, Motion(*([Vec3.zero()] * 4)))
-    _, unravel = ravel_pytree(hover)
-    both = jax.jit(jax.value_and_grad(lambda x, a: value(x, a, unravel), (0, 1)))
-    many = jax.jit(jax.vmap(lambda x, a: value(x, a, unravel), in_axes=(0, None)))
-    for euler in ATTITUDES.values():
-        moving = Motion(
-            Vec3.zero(),
-            Vec3.of(jnp.asarray([8.0, -3.0, 2.0])),
-            Vec3.of(jnp.asarray(euler)),
-            Vec3.of(jnp.asarray([3.0, -5.0, 2.0])),
-        )
-        flat, _ = ravel_pytree(model.hover(params_of(name).constants, moving))
-        _, (slope, by_action) = both(flat, actions)
-        size = jnp.where(jnp.arange(17) < 13, 1e-5, 1e-2)
-        ahead, back = (
-            many(flat[None] + jnp.diag(size), actions),
-            many(flat[None] - jnp.diag(size), actions),
-        )
-        measured = (ahead - back) / (2 * size)
-        np.testing.assert_allclose(slope, measured, atol=1e-6 * np.abs(measured).max())
-        assert np.all(np.isfinite(by_action)) and np.abs(by_action).min() > 0
+    hover = by_rows(lambda c, euler: model.hover(c, Motion(*moving, euler, Vec3(3.0, -5.0, 2.0))))
+    moving = Vec3.zero(), Vec3(8.0, -3.0, 2.0)
+    euler = Vec3(*np.array(list(ATTITUDES.values())).T)
+    rows = rows_of(hover(params.constants, euler))
+    size = np.where(np.arange(17) < 13, 1e-5, 1e-2)
+    moves = np.concatenate([np.zeros((1, 17)), np.diag(size), -np.diag(size)])
+    moved = (rows[:, None] + moves).reshape(-1, 17)
+    both = by_rows(lambda params, row, a: jax.value_and_grad(end, (1, 2))(params, row, a))
+    value, slopes = both(params, moved, np.broadcast_to(actions, (len(moved), 10, 4)))
+    value, slope, by_action = (x.reshape(3, 35, *x.shape[1:]) for x in (value, *slopes))
+    measured = (value[:, 1:18] - value[:, 18:]) / (2 * size)
+    for index in range(3):
+        tolerance = 1e-6 * np.abs(measured[index]).max()
+        np.testing.assert_allclose(slope[index, 0], measured[index], atol=tolerance)
+    assert np.all(np.isfinite(by_action)) and np.abs(by_action[:, 0]).min() > 0
 
 
 def test_command_at_the_lowest_speed_has_a_finite_gradient():
-    c = params_of("a2rl").constants
-    slope = jax.grad(lambda u: racing.motor_map(c, Rotors.same(u)).w1)
-    assert 1e3 < float(slope(jnp.asarray(0.0))) < 1e5
-    inner = float(slope(jnp.asarray(0.3)))
+    both = by_rows(lambda c, u: jax.value_and_grad(lambda u: motor_speed(c, u))(u))
     h = 1e-6
-    ends = [float(racing.motor_map(c, Rotors.same(jnp.asarray(0.3 + s))).w1) for s in (h, -h)]
-    assert inner == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-6)
+    speed, slope = both(params_of("a2rl").constants, np.array([0.0, 0.3, 0.3 + h, 0.3 - h]))
+    assert 1e3 < slope[0] < 1e5
+    assert slope[1] == pytest.approx((speed[2] - speed[3]) / (2 * h), rel=1e-6)
+
+
+def motor_speed(constants, command):
+    return racing.motor_map(constants, Rotors.same(command)).w1
 
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
@@ -265,27 +254,32 @@ def test_models_of_euler_angles_with_a_quaternion(kind):
     plain, model = MODELS[kind], with_quaternions(MODELS[kind])
     params = VehicleParams(constants(kind, {"motor": bebop.MOTOR, "rate": bebop.RATE}[kind]))
     state, command = bebop_state(kind, rows), command_of(kind, commands)
-    turned = state.replace(euler=quaternion.of_euler(state.euler))
-    expected = jax.vmap(plain.derivative, (None, 0, 0))(params, state, command)
-    found = jax.vmap(model.derivative, (None, 0, 0))(params, turned, command)
-    _, slope = jax.jvp(lambda q: quaternion.to_euler(q, arctan2), (turned.euler,), (found.euler,))
-    found = found.replace(euler=slope)
+    turned = state.replace(euler=jax.jit(quaternion.of_euler)(state.euler))
+
+    def slopes(params, state, turned, command):
+        found = model.derivative(params, turned, command)
+        angles = functools.partial(quaternion.to_euler, arctan2=arctan2)
+        _, slope = jax.jvp(angles, (turned.euler,), (found.euler,))
+        expected = plain.derivative(params, state, command)
+        return expected, found.replace(euler=slope), model.euler(turned)
+
+    expected, found, angles = by_rows(slopes)(params, state, turned, command)
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-9 * max(1.0, np.abs(theirs).max()))
-    angles = model.euler(turned)
     np.testing.assert_allclose(rows_of(angles), rows_of(state.euler), atol=1e-9)
     assert plain.pitch_limit < np.pi / 2 and model.pitch_limit == np.inf
 
 
-def test_accelerometer_measures_the_forces_without_gravity():
-    for name in VEHICLES:
-        model, _ = vehicle_of(name)
-        params = params_of(name)
-        rows = ref.random_states(*RANGES[name], 1, seed=7)
-        state = jax.tree.map(lambda x: x[0], state_of(rows))
-        command = state.rotors
-        slope = model.derivative(params, state, command)
+@pytest.mark.parametrize("name", VEHICLES)
+def test_accelerometer_measures_the_forces_without_gravity(name):
+    model, _ = vehicle_of(name)
+    state = state_of(ref.random_states(*RANGES[name], 8, seed=7))
+
+    def forces(params, state):
+        slope = model.derivative(params, state, state.rotors)
         gravity = Vec3.zero().replace(z=params.constants.g)
         expected = model.to_body(state, slope.velocity - gravity)
-        found = model.specific_force(params, state)
-        np.testing.assert_allclose(rows_of(found), rows_of(expected), atol=1e-9)
+        return model.specific_force(params, state), expected
+
+    found, expected = by_rows(forces)(params_of(name), state)
+    np.testing.assert_allclose(rows_of(found), rows_of(expected), atol=1e-9)
