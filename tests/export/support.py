@@ -1,19 +1,29 @@
 """Made-up policies, and what the tests of the export package share."""
 
+import ctypes
 import dataclasses
 import shutil
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.export.emit import Provenance, emit_network
+from quadjax.config.loading import load_config
+from quadjax.core.resources import CONFIGS
+from quadjax.export import flights
+from quadjax.export.convert import export_c
+from quadjax.export.emit import Provenance, emit_network, emit_race
 from quadjax.export.fixed import FixedNetwork, convert
+from quadjax.export.race_source import OwnRace
+from quadjax.export.race_tables import RaceTables, state_sizes
+from quadjax.export.verify.harness import load_library
+from quadjax.export.verify.toolchain import WARNINGS, host
 from quadjax.policy.file import Policy
 from quadjax.policy.release1 import layout_of_release_1
+from quadjax.race.laps import Laps
 from quadjax.race.layout import ESTIMATED, highest_command
 from quadjax.vehicle.residual import Residual
+from quadjax.vehicle.residual_file import write_residual
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
 WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 8.0}
@@ -72,14 +82,85 @@ def made_residual(rng: np.random.Generator, gain: float = 1.0) -> Residual:
         sizes = [(inputs, 32, 0.3), (32, outputs, gain * last)]
         return tuple(
             (
-                jnp.asarray(g * rng.standard_normal((a, b)), jnp.float32),
-                jnp.asarray(g * 0.1 * rng.standard_normal(b), jnp.float32),
+                np.float32(g * rng.standard_normal((a, b))),
+                np.float32(g * 0.1 * rng.standard_normal(b)),
             )
             for a, b, g in sizes
         )
 
-    ends = [jnp.float32(x) for x in (3000.0, 11000.0, -1.0)]
+    ends = [np.float32(x) for x in (3000.0, 11000.0, -1.0)]
     return Residual(network(7, 1, 0.1), network(10, 3, 0.002), *ends)
+
+
+TRACK = """\
+gates:
+  - {position: [2.0, -1.5, -1.5], yaw_deg: 45, size: [1.2, 0.8]}
+  - {position: [2.0, 1.5, -1.5], yaw_deg: 135}
+  - {position: [-2.0, -1.5, -1.5], yaw_deg: 315}
+"""
+
+
+def tree_of(config):
+    """A config as policy files contain it."""
+    return config.model_dump(mode="json", by_alias=True)
+
+
+def export_of(folder: Path, vehicle: str) -> Path:
+    """A made-up policy exported; it does not finish its race, and its ranges are wide.
+
+    The motor-level one was trained in another race than the one of the export, which has a
+    residual, a track of its own, the authors' gate test and a vehicle without some effects. It
+    observes the highest propeller speed of a battery.
+    """
+    policy, out = folder / "policy.npz", folder / "c"
+    preset, battery = ("e2e", ["battery.charge=[0.1, 1]"]) if vehicle == "motor" else ("indi", [])
+    own = made_policy(24, vehicle, gain=0.5)
+    own = with_highest_rpm(own) if vehicle == "motor" else own
+    dataclasses.replace(own, config=tree_of(load_config(preset, battery))).save(policy)
+    if vehicle == "rate":
+        ranges = WIDE | {"rates": 8.0, "velocity": 32.0}
+        export_c(policy, out, ranges=ranges, name="made", allow_unfinished=True)
+        return out
+    write_residual(folder / "made_up.npz", made_residual(np.random.default_rng(0), 0.1), {})
+    config, track = folder / "config.yaml", folder / "triangle.yaml"
+    track.write_text(TRACK)
+    config.write_text(
+        f"base: {CONFIGS / 'e2e.yaml'}\nrules: {{gate_test: world_box}}\n"
+        "battery: {charge: [0.1, 1]}\nvehicle:\n"
+        f"  residual: {folder / 'made_up.npz'}\n  constants: {{k_h: 0.0, k_r2: 0.0}}\n"
+    )
+    allowed = {"allow_unfinished": True, "allow_other_race": True}
+    export_c(policy, out, config, WIDE, "made", track=str(track), **allowed)
+    for path in (config, track, folder / "made_up.npz", policy):
+        path.unlink()  # the folder needs nothing from outside
+    return out
+
+
+def random_rollouts(own: OwnRace, velocity: float = 1.0) -> flights.Rollouts:
+    """Rows in place of those of 32 flights, of which none finished a lap."""
+    rng, count = np.random.default_rng(0), 50
+    size = sum(state_sizes(own.choices.layout, own.choices.model).values())
+    rows = rng.uniform(-0.2, 0.2, (count, own.choices.layout.size)).astype(np.float32)
+    rows[0, own.choices.layout.slice("velocity")] = velocity
+    states = rng.uniform(-0.2, 0.2, (count, size)).astype(np.float32)
+    none = Laps(np.full((32, 6), np.nan), ("out of time",) * 32, np.full(32, 10.0), 10.0)
+    targets = rng.integers(0, len(own.params.track.yaw), count).astype(np.int32)
+    return flights.Rollouts(rows, states, targets, none, count)
+
+
+def race_library(
+    network: FixedNetwork, tables: RaceTables, folder: Path, states, targets, replace=("", "")
+) -> ctypes.CDLL:
+    """The C of a network and its race as a library; the text of the race may be changed."""
+    folder.mkdir(exist_ok=True)
+    files = emit_network(network, ORIGIN, None)
+    files |= emit_race(tables, network, ORIGIN, states, targets)
+    assert replace[0] in files["made_race.c"]
+    files["made_race.c"] = files["made_race.c"].replace(*replace)
+    for file, text in files.items():
+        (folder / file).write_text(text)
+    sources = [folder / "made.c", folder / "made_race.c"]
+    return load_library(host(), sources, folder / "made.so", [] if replace[0] else WARNINGS)
 
 
 def observations(network: FixedNetwork, count: int, seed: int = 0) -> np.ndarray:

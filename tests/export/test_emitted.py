@@ -46,7 +46,11 @@ def infer(library, network, x):
     return np.array(rows, np.int64)
 
 
-@pytest.mark.parametrize("name", POLICIES)
+FEW = ["odd", "linear"]  # sizes that no block divides, and no hidden layer
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in POLICIES if name not in FEW]
+
+
+@pytest.mark.parametrize("name", [*FEW, *SLOW])
 def test_the_same_bits_without_a_warning(name, compiler, tmp_path):
     policy, network = named_network(name)
     prove(network, policy)
@@ -59,6 +63,7 @@ def test_the_same_bits_without_a_warning(name, compiler, tmp_path):
     assert np.array_equal(infer(library, network, x), np.stack(columns, axis=1).astype(np.int64))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POLICIES)
 def test_both_kernels_on_a_cortex_a9(name, tmp_path):
     for module in ("unicorn", "elftools", "ziglang"):
@@ -71,6 +76,7 @@ def test_both_kernels_on_a_cortex_a9(name, tmp_path):
     assert [machine.call("made_self_test_with", kernel) for kernel in (0, 1)] == [0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("processor", ["Cortex-M7", "Cortex-M4"])
 def test_the_network_on_a_microcontroller(processor, tmp_path):
     for module in ("unicorn", "elftools", "ziglang"):

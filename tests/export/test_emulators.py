@@ -53,7 +53,11 @@ def test_numpy_is_the_format_by_hand(name):
     assert found.tolist() == [by_hand(network, row) for row in x]
 
 
-@pytest.mark.parametrize("name", POLICIES)
+FEW = ["odd", "rate"]
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in POLICIES if name not in FEW]
+
+
+@pytest.mark.parametrize("name", [*FEW, *SLOW])
 def test_jax_is_numpy_bit_for_bit(name):
     policy, network = named_network(name)
     prove(network, policy)

@@ -11,18 +11,15 @@ from quadjax.core.errors import InputError
 from quadjax.export import flights, race_emulator
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
-from quadjax.export.emit import emit_network, emit_race
 from quadjax.export.fixed import convert
 from quadjax.export.race_source import own_race
 from quadjax.export.race_tables import make_tables, state_sizes, track_ranges
 from quadjax.export.verify import run
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
-from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.result import FAILED, PASSED, run_check
-from quadjax.export.verify.toolchain import WARNINGS, host
 from quadjax.training.build import untrained_policy
-from tests.export.support import ORIGIN
+from tests.export.support import race_library
 
 MORE = ("observation.gates_ahead=2", "observation.last_action=true")
 AXES = "observation.attitude=rotation"
@@ -34,21 +31,20 @@ RACES = {  # preset, overrides, size of the observation
     "e2e with a history": ("e2e_disturbed", (HISTORY % ("velocity, attitude", "rpm", 9),), 64),
     "racing, axes and more": ("e2e_shac", (*FIVE_INCH, AXES, *MORE), 31),
     "e2e, axes and more": ("e2e_disturbed", (AXES, *MORE, "battery.charge=[0.1, 1.0]"), 36),
-    "published racing": ("e2e_shac", FIVE_INCH, 20),
-    "published e2e": ("e2e_disturbed", (), 24),
-    "published indi": ("indi_shac", (), 17),
     "e2e with quaternions": ("e2e_disturbed", ("vehicle.quaternion=true",), 24),
+    "indi and more": ("indi_shac", ("observation.gates_ahead=3", MORE[1]), 29),
     "racing with a history": (
         "e2e_shac",
         (*FIVE_INCH, AXES, MORE[1], HISTORY % ("rotation", "rotor_speed", 2)),
         27 + 40,
     ),
-    "indi with a history": ("indi_shac", (HISTORY % ("velocity", "thrust", 3),), 17 + 28),
-    "indi and more": ("indi_shac", ("observation.gates_ahead=3", MORE[1]), 29),
+    "published racing": ("e2e_shac", FIVE_INCH, 20),
 }
-FEW = [pytest.param(name, marks=pytest.mark.slow) for name in list(RACES)[4:]]
+EVERY_FIELD = list(RACES)[:5]  # each kind of field once
+FEW = [pytest.param(name, marks=pytest.mark.slow) for name in EVERY_FIELD[2:]]
 
 
+@functools.cache
 def made(name):
     """An untrained policy of a race, and the race."""
     preset, overrides, size = RACES[name]
@@ -98,53 +94,44 @@ def converted_in(folder, policy, own, target, rate=500.0):
     return converted
 
 
-@pytest.mark.parametrize("name", [*list(RACES)[:4], *FEW])
-def test_the_inputs_of_the_c_are_those_of_the_environment(name, tmp_path):
+def tables_of(name):
+    """Policy, race, network, its race's tables, and 200 states and targets."""
     policy, own = made(name)
     network = convert(policy, track_ranges(policy.layout, own.params.track) | {"position": 32.0})
     tables = make_tables(network.box, policy, own.choices, own.params)
     rng = np.random.default_rng(0)
     states = random_states(rng, 200, own, policy.command_low, policy.command_high)
-    targets = rng.integers(0, tables.gates, 200)
+    return own, network, tables, states, rng.integers(0, tables.gates, 200)
+
+
+@pytest.mark.parametrize("name", [*EVERY_FIELD[:2], *FEW])
+def test_the_inputs_of_the_c_are_those_of_the_environment(name, tmp_path):
+    own, network, tables, states, targets = tables_of(name)
     observed = race_emulator.observe(tables, states, targets)
     assert not (observed.clipped | observed.nan | observed.outside).any()
     found = observed.q / 2.0**30 * network.box.ranges
     error = np.abs(found - flights.observe(own, states, targets))
     assert error.max() < 2e-5 and np.abs(found).max(axis=0).min() > 0
-    files = emit_network(network, ORIGIN, None)
-    files |= emit_race(tables, network, ORIGIN, states, targets)
-    for file, text in files.items():
-        (tmp_path / file).write_text(text)
-    sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
-    library = load_library(host(), sources, tmp_path / "made.so", WARNINGS)
+    library = race_library(network, tables, tmp_path, states, targets)
     assert library.made_self_test() == 0 and library.made_race_self_test() == 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("right", "wrong"),
-    [("HISTORY - steps", "HISTORY - 1U"), ("filled == 0U", "filled == 2U"), ("= s[i]", "= s[0]")],
-)
-def test_the_self_test_catches_a_wrong_history(right, wrong, tmp_path):
-    policy, own = made("e2e with a history")
-    network = convert(policy, {"position": 32.0})
-    tables = make_tables(network.box, policy, own.choices, own.params)
-    states = random_states(np.random.default_rng(0), 20, own, 3000.0, 11000.0)
-    files = emit_network(network, ORIGIN, None)
-    files |= emit_race(tables, network, ORIGIN, states, np.zeros(20, int))
-    assert right in files["made_race.c"]
-    for file, text in files.items():
-        (tmp_path / file).write_text(text.replace(right, wrong) if "race.c" in file else text)
-    sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
-    library = load_library(host(), sources, tmp_path / "made.so")
-    assert library.made_self_test() == 0 and library.made_race_self_test() > 0
+def test_the_self_test_catches_a_wrong_history(tmp_path):
+    _, network, tables, states, targets = tables_of("e2e with a history")
+    changes = [("HISTORY - steps", "HISTORY - 1U"), ("filled == 0U", "filled == 2U")]
+    changes.append(("= s[i]", "= s[0]"))
+    for number, change in enumerate(changes):
+        rows = (states[:20], targets[:20], change)
+        library = race_library(network, tables, tmp_path / str(number), *rows)
+        assert library.made_self_test() == 0 and library.made_race_self_test() > 0
 
 
 CHECKS = ("range proof", "NumPy = JAX", "NumPy = C, host", "hostile inputs", "observation")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RACES)
+@pytest.mark.parametrize("name", EVERY_FIELD)
 def test_an_exported_folder_passes_its_verification(name, tmp_path):
     policy, _ = made(name)
     policy.save(tmp_path / "policy.npz")

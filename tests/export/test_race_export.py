@@ -12,18 +12,16 @@ from quadjax.core.resources import CONFIGS, PRETRAINED
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
-from quadjax.export.emit import emit_estimator, emit_network, emit_race
+from quadjax.export.emit import emit_estimator
 from quadjax.export.estimator_tables import make_estimator
 from quadjax.export.fixed import convert
 from quadjax.export.race_source import own_race as race_in
 from quadjax.export.race_tables import make_tables, track_ranges
 from quadjax.export.verify import measurements
-from quadjax.export.verify.harness import load_library
-from quadjax.export.verify.toolchain import WARNINGS, host
 from quadjax.policy.race import race_of_policy
 from quadjax.race.layout import Layout
 from quadjax.vehicle.protocol import VehicleParams
-from tests.export.support import ORIGIN, WIDE, made_policy, made_residual
+from tests.export.support import ORIGIN, WIDE, made_policy, made_residual, race_library
 
 
 def own_race(policy, config=None, track=None):
@@ -45,8 +43,9 @@ def random_states(rng, count, vehicle):
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-@pytest.mark.parametrize("vehicle", ["motor", "rate"])
-@pytest.mark.parametrize("track", ["square4.yaml", "figure8.yaml"])
+@pytest.mark.parametrize(
+    "vehicle, track", [("motor", "square4.yaml"), ("rate", "figure8.yaml")], ids=["motor", "rate"]
+)
 def test_observation_is_the_environments(vehicle, track):
     policy = made_policy(8, vehicle)
     own = own_race(policy, track=track)
@@ -131,7 +130,10 @@ TILTED = {
 }
 
 
-@pytest.mark.parametrize("kind", TILTED)
+@pytest.mark.parametrize(
+    "kind",
+    [*(pytest.param(k, marks=pytest.mark.slow) for k in list(TILTED)[:2]), "tilted and round"],
+)
 def test_tilted_and_round_gates_are_the_simulators(kind, tmp_path):
     (tmp_path / "track.yaml").write_text(
         f"gates:\n  - {{position: [0, 2, -2], yaw_deg: 30, {TILTED[kind]}}}\n"
@@ -148,12 +150,7 @@ def test_tilted_and_round_gates_are_the_simulators(kind, tmp_path):
     assert np.array_equal(events == race_emulator.PASSED, targets[1:] != targets[:-1])
     assert np.sum(events == race_emulator.PASSED) > 5 and np.sum(events == race_emulator.MISSED) > 5
     states = random_states(np.random.default_rng(0), 8, "motor")
-    files = emit_network(network, ORIGIN, None)
-    files |= emit_race(tables, network, ORIGIN, states, np.arange(8) % tables.gates)
-    for file, text in files.items():
-        (tmp_path / file).write_text(text)
-    sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
-    library = load_library(host(), sources, tmp_path / "made.so", WARNINGS)
+    library = race_library(network, tables, tmp_path, states, np.arange(8) % tables.gates)
     race = (ctypes.c_uint32 * 16)()
     points = np.ascontiguousarray(positions, np.float32)
     at = [points[i : i + 1].ctypes.data_as(ctypes.c_void_p) for i in range(len(points))]
@@ -172,12 +169,7 @@ def test_a_track_of_many_gates_has_its_own_self_tests(tmp_path):
         tables, **{name: np.resize(x, (301, *x.shape[1:])) for name, x in arrays.items()}
     )
     states, targets = random_states(np.random.default_rng(0), 40, "rate"), np.arange(40) * 7
-    files = emit_network(network, ORIGIN, None)
-    files |= emit_race(tables, network, ORIGIN, states, targets)
-    for file, text in files.items():
-        (tmp_path / file).write_text(text)
-    sources = [tmp_path / "made.c", tmp_path / "made_race.c"]
-    library = load_library(host(), sources, tmp_path / "made.so", WARNINGS)
+    library = race_library(network, tables, tmp_path, states, targets)
     assert library.made_race_self_test() == 0
 
 
@@ -201,8 +193,7 @@ def test_refuses_limits_that_no_vehicle_has():
         own_race(skewed)
 
 
-@pytest.mark.parametrize("with_residual", [False, True])
-@pytest.mark.parametrize("rate, cutoff", [(512.0, 8.0), (400.0, 16.0)])
+@pytest.mark.parametrize("with_residual, rate, cutoff", [(True, 512.0, 8.0), (False, 400.0, 16.0)])
 def test_estimator_is_the_reference(with_residual, rate, cutoff):
     rng = np.random.default_rng(0)
     constants = own_race(made_policy(8)).params.vehicle.constants
@@ -235,13 +226,13 @@ def test_estimator_refuses_a_cutoff_without_room():
         make_estimator(constants, None, 512.0, 200.0)
 
 
-@pytest.mark.parametrize("rate", [0.0, -1.0, math.inf, math.nan, 1e300, 1e-300])
-def test_impossible_sample_rates_are_refused_before_anything_is_read(rate, tmp_path):
-    with pytest.raises(InputError, match="sample rate .* allowed: 1 to 100000 Hz"):
-        export_c(tmp_path / "none.npz", tmp_path / "out", sample_rate=rate, cutoff=rate)
-    with pytest.raises(InputError, match="cut-off .* allowed: 0.512 to 128 Hz"):
-        export_c(tmp_path / "none.npz", tmp_path / "out", cutoff=rate)
-    assert not (tmp_path / "out").exists()
+def test_impossible_sample_rates_are_refused_before_anything_is_read(tmp_path):
+    for rate in (0.0, -1.0, math.inf, math.nan, 1e300, 1e-300):
+        with pytest.raises(InputError, match="sample rate .* allowed: 1 to 100000 Hz"):
+            export_c(tmp_path / "none.npz", tmp_path / "out", sample_rate=rate, cutoff=rate)
+        with pytest.raises(InputError, match="cut-off .* allowed: 0.512 to 128 Hz"):
+            export_c(tmp_path / "none.npz", tmp_path / "out", cutoff=rate)
+        assert not (tmp_path / "out").exists()
 
 
 def test_numbers_of_the_estimator_need_one(tmp_path):
@@ -262,14 +253,15 @@ def rearranged(policy, names, source="ground_truth"):
 EVERY = ("next_yaw", "rates", "force_ext", "velocity", "next_position", "rpm", "attitude")
 LAYOUTS = {
     "another order": (*EVERY, "moment_ext", "position"),
-    "one field": ("attitude",),
-    "no pose": ("rates", "rpm"),
     "the gate": ("next_yaw", "next_position"),
     "without a gate": ("force_ext", "rpm"),
 }
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+@pytest.mark.parametrize(
+    "name",
+    ["another order", *(pytest.param(n, marks=pytest.mark.slow) for n in list(LAYOUTS)[1:])],
+)
 def test_any_order_and_subset_of_the_fields_has_c(name, tmp_path):
     policy = rearranged(made_policy(8), LAYOUTS[name])
     own = own_race(policy)
@@ -278,13 +270,7 @@ def test_any_order_and_subset_of_the_fields_has_c(name, tmp_path):
     rng = np.random.default_rng(0)
     states, targets = random_states(rng, 50, "motor"), rng.integers(0, tables.gates, 50)
     states[:, 3:6] /= 4.0
-    files = emit_network(network, ORIGIN, None)
-    files |= emit_race(tables, network, ORIGIN, states, targets)
-    for file, text in files.items():
-        (tmp_path / file).write_text(text)
-    library = load_library(
-        host(), [tmp_path / "made.c", tmp_path / "made_race.c"], tmp_path / "made.so", WARNINGS
-    )
+    library = race_library(network, tables, tmp_path, states, targets)
     assert library.made_self_test() == 0 and library.made_race_self_test() == 0
     observed = race_emulator.observe(tables, states, targets)
     error = observed.q / 2.0**30 * network.box.ranges - flights.observe(own, states, targets)

@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import random
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from quadjax.policy.foreign import policy_of
 from quadjax.vehicle.residual_file import import_residual, read_residual
 from tests.commands import run
 from tests.policy.torch_writer import archive, linear, sb3_model, sb3_tensors, state_dict
-from tests.test_damaged_files import damaged
 
 RELU = {"policy_kwargs": {":type:": "<class 'dict'>", ":serialized:": "gASVAAAAAAAAAAAu"}}
 RELU["policy_kwargs"]["activation_fn"] = "<class 'torch.nn.modules.activation.ReLU'>"
@@ -153,22 +151,26 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_harmful_and_damaged_files_are_refused_in_one_line(tmp_path, monkeypatch, what):
+def test_harmful_and_damaged_files_are_refused_in_one_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    path, (data, says) = tmp_path / "network.pt", REFUSED[what]
-    path.write_bytes(data)
-    with pytest.raises(InputError) as error:
-        Policy.load(path, "e2e_paper", activation="relu", std=0.1)
-    assert says in str(error.value) and "\n" not in str(error.value)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["network.pt"]  # nothing was executed
+    path = tmp_path / "network.pt"
+    for what, (data, expected) in REFUSED.items():
+        path.write_bytes(data)
+        with pytest.raises(InputError) as error:
+            Policy.load(path, "e2e_paper", activation="relu", std=0.1)
+        assert expected in str(error.value) and "\n" not in str(error.value), what
+        assert [each.name for each in tmp_path.iterdir()] == ["network.pt"]  # nothing was executed
 
 
 def test_files_damaged_at_random_are_read_or_refused(tmp_path):
-    draw, refused, path = random.Random(0), 0, tmp_path / "a.pt"
-    whole = state_dict(linear((24, 4)))
+    rng, refused, path = np.random.default_rng(0), 0, tmp_path / "a.pt"
+    whole = np.frombuffer(state_dict(linear((24, 4))), np.uint8)
     for _ in range(150):
-        path.write_bytes(damaged(whole, draw))
+        changed = whole.copy()
+        changed[rng.integers(len(whole), size=rng.choice([1, 5, 50]))] = rng.integers(256)
+        begin = rng.integers(len(whole))
+        end = rng.choice([begin, begin + 4, len(whole)])
+        path.write_bytes(np.delete(changed, slice(begin, end)).tobytes())
         try:
             read_state_dict(path)
         except InputError as error:
@@ -200,49 +202,37 @@ SHARED = sb3_tensors() | {"mlp_extractor.shared_net.0.weight": np.zeros((3, 3), 
 SAC = linear((24, 6, 4), prefix="actor.latent_pi.")
 GSDE = sb3_tensors() | {"log_std": np.zeros((8, 4), np.float32)}
 CONV = {"0.weight": np.zeros((2, 2, 3, 3), np.float32), "0.bias": np.zeros(2, np.float32)}
+ELU = {"policy_kwargs": {"activation_fn": "<class 'x.ELU'>"}}
 NAN = NET | {"2.bias": np.array([0, np.nan, 0, 0], np.float32)}
 
 
-@pytest.mark.parametrize(
-    ("make", "options", "says"),
-    [
-        (lambda p: as_model(p), {"config": None}, "expected a config too"),
-        (lambda p: as_model(p), {"config": "indi_paper"}, "takes 24 numbers, .* observe 17: posi"),
-        (
-            lambda p: as_model(p, sb3_tensors(actions=3)),
-            {},
-            "3 standard deviations",
-        ),
-        (lambda p: as_model(p), {"activation": "tanh"}, "its activation is relu, not tanh"),
-        (lambda p: as_model(p, data={"use_sde": True}), {}, "use_sde"),
-        (
-            lambda p: as_model(p, data={"policy_kwargs": {"activation_fn": "<class 'x.ELU'>"}}),
-            {},
-            "the activation is elu, allowed: relu, tanh",
-        ),
-        (lambda p: as_model(p, SHARED), {}, "shared_net"),
-        (lambda p: as_model(p, SAC), {}, "PPO or A2C"),
-        (lambda p: as_model(p, GSDE), {}, "no gSDE"),
-        (lambda p: as_model(p), {"std": 0.1}, "has a standard deviation"),
-        (lambda p: as_dict(p, NET), {"activation": "relu"}, "give the noise's std"),
-        (lambda p: as_dict(p, NET), {"std": 0.1}, "not in the file, give it"),
-        (lambda p: as_dict(p, without(NET, "2.bias")), {}, "2.weight has no 2.bias"),
-        (lambda p: as_dict(p, NET | {"norm": np.zeros(3, np.float32)}), {}, "norm is not of a lin"),
-        (lambda p: as_dict(p, CONV), {}, "kernel_0 has shape"),
-        (lambda p: as_dict(p, NAN), {}, r"bias_1\[1\] is nan"),
-        (lambda p: as_c(p, c_source(NET, body="")), {}, "not in the file, give it"),
-        (lambda p: as_c(p, c_source(NET, std="{0, 1, 1, 1}")), {}, "expected numbers above 0"),
-        (lambda p: as_c(p, c_source(NET, std="{1, 1, 1, system(1)}")), {}, "expected a number"),
-        (lambda p: as_c(p, c_source(NET).replace("biases_fc1[6]", "biases_fc1[7]")), {}, "says 7"),
-        (lambda p: as_c(p, c_source(NET).replace("biases_fc2", "b2")), {}, "no biases_fc2"),
-        (lambda p: as_c(p, "int main() { return 0; }"), {}, "no array weights_"),
-    ],
-)
-def test_networks_that_do_not_fit_are_refused_in_one_line(tmp_path, make, options, says):
-    path = make(tmp_path / "network")
-    with pytest.raises(InputError, match=says) as error:
-        Policy.load(path, **{"config": "e2e_paper"} | options)
-    assert "\n" not in str(error.value) and path.name in str(error.value)
+MISFITS = [  # file, options, what the message says
+    (as_model, {}, {"config": "indi_paper"}, "takes 24 numbers, .* observe 17: posi"),
+    (as_model, {}, {"activation": "tanh"}, "its activation is relu, not tanh"),
+    (as_model, {}, {"std": 0.1}, "has a standard deviation"),
+    (as_model, {"arrays": sb3_tensors(actions=3)}, {}, "3 standard deviations"),
+    (as_model, {"arrays": SAC}, {}, "PPO or A2C"),
+    (as_model, {"arrays": GSDE}, {}, "no gSDE"),
+    (as_model, {"arrays": SHARED}, {}, "shared_net"),
+    (as_model, {"data": ELU}, {}, "the activation is elu, allowed: relu, tanh"),
+    (as_dict, {"arrays": NET}, {"activation": "relu"}, "give the noise's std"),
+    (as_dict, {"arrays": NET}, {"std": 0.1}, "not in the file, give it"),
+    (as_dict, {"arrays": without(NET, "2.bias")}, {}, "2.weight has no 2.bias"),
+    (as_dict, {"arrays": CONV}, {}, "kernel_0 has shape"),
+    (as_dict, {"arrays": NAN}, {}, r"bias_1\[1\] is nan"),
+    (as_c, {"text": c_source(NET, std="{0, 1, 1, 1}")}, {}, "expected numbers above 0"),
+    (as_c, {"text": c_source(NET, std="{1, 1, 1, system(1)}")}, {}, "expected a number"),
+    (as_c, {"text": c_source(NET).replace("biases_fc1[6]", "biases_fc1[7]")}, {}, "says 7"),
+    (as_c, {"text": "int main() { return 0; }"}, {}, "no array weights_"),
+]
+
+
+def test_networks_that_do_not_fit_are_refused_in_one_line(tmp_path):
+    for make, content, options, expected in MISFITS:
+        path = make(tmp_path / "network", **content)
+        with pytest.raises(InputError, match=expected) as error:
+            Policy.load(path, **{"config": "e2e_paper"} | options)
+        assert "\n" not in str(error.value) and path.name in str(error.value)
 
 
 def test_options_without_effect_are_refused(tmp_path, residual_files, capsys):

@@ -133,10 +133,12 @@ def commands_of(library, states):
     return np.array(rows)
 
 
+OTHERS = [("qjp", "indi and more"), ("qjp", "published racing"), ("crazyflie", "without rotors")]
+
+
 @pytest.mark.parametrize(
     ("target", "race"),
-    [("qjp", "published racing"), ("qjp", "indi and more"), ("px4", "published racing")]
-    + [("crazyflie", "without rotors")],
+    [("px4", "published racing"), *(pytest.param(*x, marks=pytest.mark.slow) for x in OTHERS)],
 )
 def test_a_policy_as_a_file_flies_by_its_loader(target, race, tmp_path):
     policy, own = without_rotors() if race == "without rotors" else made(race)
@@ -165,33 +167,34 @@ def test_words_that_the_loader_rejects_do_not_fly(tmp_path):
     assert library.sil_self_test() == 1
 
 
-@pytest.mark.parametrize(
-    "arguments, expected",
-    [
-        (["missing"], "no such folder"),
-        (["."], "expected one *_report.json"),
-        (["no_c"], "made.c: no such file"),
-        (["no_c", "--listen", "5005"], "expected HOST:PORT"),
-        (["no_c", "--delay", "5"], "--delay has no effect without --late"),
-        (["no_c", "--simulator", "effects.gusts=0"], "no effect with --simulator"),
-        (["no_c", "--wrong-unit", "rates=turns"], "--wrong-unit rates=turns, allowed:"),
-        (["no_c", "--drop", "2"], "expected a probability"),
-        (["no_c", "--speed", "0"], "expected max, or 0.01"),
-        (["no_c", "wings=2"], "wings"),
-    ],
-)
-def test_bad_input_is_one_line(arguments, expected, tmp_path, monkeypatch, capfd):
+BAD = {
+    "missing": "no such folder",
+    ".": "expected one *_report.json",
+    "no_c": "made.c: no such file",
+    "no_c --listen 5005": "expected HOST:PORT",
+    "no_c --delay 5": "--delay has no effect without --late",
+    "no_c --simulator effects.gusts=0": "no effect with --simulator",
+    "no_c --wrong-unit rates=turns": "--wrong-unit rates=turns, allowed:",
+    "no_c --drop 2": "expected a probability",
+    "no_c --speed 0": "expected max, or 0.01",
+    "no_c wings=2": "wings",
+}
+
+
+def test_bad_input_is_one_line(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     policy, own = made("published racing")
     inputs = Inputs(Options("made"), policy, race_of_policy(policy)[0], own, "made.npz", "")
-    if arguments[0] == "no_c":
-        (tmp_path / "no_c").mkdir()
-        monkeypatch.setattr(sil, "read_inputs", lambda *_: inputs)
-        monkeypatch.setattr(sil, "make_world", lambda *_: Counting())
-    assert run("sil", *arguments) == 2
-    lines = capfd.readouterr().err.strip().splitlines()
-    assert expected in lines[-1] and lines[-1].startswith("error: ")
-    assert not (tmp_path / "runs").exists()
+    (tmp_path / "no_c").mkdir()
+    for words, expected in BAD.items():
+        with monkeypatch.context() as patch:
+            if words.startswith("no_c"):
+                patch.setattr(sil, "read_inputs", lambda *_: inputs)
+                patch.setattr(sil, "make_world", lambda *_: Counting())
+            assert run("sil", *words.split()) == 2
+        lines = capfd.readouterr().err.strip().splitlines()
+        assert expected in lines[-1] and lines[-1].startswith("error: ")
+        assert not (tmp_path / "runs").exists()
 
 
 def test_a_last_action_of_other_steps_is_refused(tmp_path, monkeypatch):
