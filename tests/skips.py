@@ -14,11 +14,6 @@ ALLOWED = (  # the beginning of a test's id, and a part of the reason
     # Files of other authors, which the repository must not contain.
     ("tests/policy/test_c_networks.py", "no files of the authors"),
     ("tests/export/test_folder.py", "root may write anywhere"),
-    # Checks of an exported folder that its vehicle or its race does not have.
-    ("tests/export/test_folder.py", "the vehicle has no external disturbances"),
-    ("tests/export/test_folder.py", "the policy does not observe the highest rpm"),
-    ("tests/export/test_folder.py", "allowed by allow_unfinished=True"),
-    ("tests/export/test_folder.py", "allowed by allow_other_race=True"),
 )
 FLIGHTS = ("real flights", "simulated flights")  # ids of the fixture ``plain_flights``
 

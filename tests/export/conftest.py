@@ -3,19 +3,21 @@
 import pytest
 
 from quadjax.export import flights
-from tests.export.support import export_of, random_rollouts
+from tests.export.support import export_of, observed_rollouts, random_rollouts
 
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory):
-    """The folder of a motor-level policy."""
-    return export_of(tmp_path_factory.mktemp("motor"), "motor")
+    """The folder of a motor-level policy, with random states in place of those of flights."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flights, "simulate", observed_rollouts)
+        return export_of(tmp_path_factory.mktemp("motor"), "motor")
 
 
-@pytest.fixture(scope="session")
-def exported_rate(tmp_path_factory):
-    """The folder of a rate-level policy."""
-    return export_of(tmp_path_factory.mktemp("rate"), "rate")
+@pytest.fixture(scope="session", params=["motor", "rate"])
+def flown(request, tmp_path_factory):
+    """The folders of a motor-level and a rate-level policy; for slow tests."""
+    return export_of(tmp_path_factory.mktemp(request.param), request.param)
 
 
 @pytest.fixture

@@ -5,10 +5,12 @@ import dataclasses
 import shutil
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
 from quadjax.core.resources import CONFIGS
 from quadjax.export import flights
 from quadjax.export.convert import export_c
@@ -19,9 +21,11 @@ from quadjax.export.race_tables import RaceTables, state_sizes
 from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.toolchain import WARNINGS, host
 from quadjax.policy.file import Policy
+from quadjax.policy.pilot import command_ranges
 from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.laps import Laps
 from quadjax.race.layout import ESTIMATED, highest_command
+from quadjax.training.build import build_networks, policy_of
 from quadjax.vehicle.residual import Residual
 from quadjax.vehicle.residual_file import write_residual
 
@@ -134,6 +138,48 @@ def export_of(folder: Path, vehicle: str) -> Path:
     for path in (config, track, folder / "made_up.npz", policy):
         path.unlink()  # the folder needs nothing from outside
     return out
+
+
+def random_states(rng, count, own, low, high):
+    """States that a race may meet, (n, state_size) float32; quaternions of length one."""
+    parts = []
+    for name, size in state_sizes(own.choices.layout, own.choices.model).items():
+        spread = {"position": 6.0, "velocity": 3.0, "rates": 4.0}.get(name, 0.01)
+        part = rng.uniform(-spread, spread, (count, size))
+        if name == "quaternion":
+            part = rng.normal(0, 1, (count, 4))
+            part /= np.linalg.norm(part, axis=1, keepdims=True)
+        if name == "euler":
+            part = rng.uniform(-1, 1, (count, 3)) * [1.4, 1.4, 9.0]
+        if name == "last_command":
+            part = rng.uniform(low, high, (count, size))
+        if name == "highest_rpm":
+            part = rng.uniform(0.75, 1.0, (count, size)) * high.max()
+        if name in ("rpm", "rotor_speed", "thrust"):
+            part = rng.uniform(1.0, {"rpm": 11000, "rotor_speed": 3000}.get(name, 15), part.shape)
+        parts.append(part)
+    return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+def untrained(config: Config) -> Policy:
+    """A policy with random weights for the race of a config, by NumPy alone."""
+    rng = np.random.default_rng(config.seed)
+    shapes = jax.eval_shape(build_networks(config).init, jax.random.key(0))
+
+    def weights(x):
+        scale = 1.0 / np.sqrt(x.shape[0]) if len(x.shape) == 2 else 0.0
+        return np.float32(scale * rng.standard_normal(x.shape))
+
+    return policy_of(config, jax.tree.map(weights, shapes), {})
+
+
+def observed_rollouts(own: OwnRace) -> flights.Rollouts:
+    """States that a race may meet, and their observations, in place of those of flights."""
+    rows = random_rollouts(own)
+    low, high = (np.array(jax.tree.leaves(end)) for end in command_ranges(own.choices, own.params))
+    states = random_states(np.random.default_rng(0), 50, own, low, high)
+    observations = flights.observe(own, states, rows.targets)
+    return dataclasses.replace(rows, observations=observations, states=states)
 
 
 def random_rollouts(own: OwnRace, velocity: float = 1.0) -> flights.Rollouts:

@@ -31,9 +31,8 @@ from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.result import Skipped
 from quadjax.export.verify.toolchain import WARNINGS, arm_none_eabi, host
 from quadjax.race import laps
-from quadjax.training.build import untrained_policy
-from tests.export.support import named_network, need
-from tests.export.test_layouts import made, random_states
+from tests.export.support import named_network, need, random_states, untrained
+from tests.export.test_layouts import made
 
 STUBS = Path(__file__).parent
 PX4_FLAGS = (
@@ -61,7 +60,7 @@ def without_rotors():
     """An untrained policy that observes its last action in place of rotor speeds."""
     overrides = ["vehicle=5inch", "observation.actuators=false", "observation.last_action=true"]
     config = load_config("e2e_shac", [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
-    policy = untrained_policy(config)
+    policy = untrained(config)
     layers = tuple((np.asarray(k) * 0.3, np.asarray(b) + 0.01) for k, b in policy.layers)
     return dataclasses.replace(policy, layers=layers), own_race(config, policy, "test")
 

@@ -29,9 +29,8 @@ from quadjax.race.battery import middle_limit
 from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
 from quadjax.sil.run import make_world
 from quadjax.sil.source import write_sources
-from quadjax.training.build import untrained_policy
 from quadjax.vehicle.battery import limit_estimator
-from tests.export.support import ORIGIN, made_policy
+from tests.export.support import ORIGIN, made_policy, untrained
 from tests.sil.test_exported import FLOATS, written
 
 BATTERY, UNDISTURBED = "battery.charge=[0.1, 1.0]", "observation.disturbance=none"
@@ -47,7 +46,7 @@ def constants():
 def made():
     """An untrained policy that reacts to the highest rpm, its race and its config."""
     config = load_config("e2e_shac", [BATTERY, UNDISTURBED, "network.hidden=[8]"])
-    policy = untrained_policy(config)
+    policy = untrained(config)
     layers = [(np.asarray(k) * 0.3, np.asarray(b) + 0.5) for k, b in policy.layers]
     layers[0][0][-1] = np.linspace(-2.0, 2.0, 8)
     layers[-1] = (layers[-1][0], np.float32([1.1, 1.0, 0.9, 1.0]))
@@ -104,7 +103,7 @@ def exact_update(memory, q, numbers, tables, row):
     return min(max(limit + gain * total, tables.lowest), tables.highest)
 
 
-@pytest.mark.parametrize("rate", [1.0, 512.0, 1e5])
+@pytest.mark.parametrize("rate", [512.0, 1.0, 1e5])
 def test_one_sample_is_within_its_bound_from_any_memory(rate):
     rng, tables = np.random.default_rng(1), make_battery(constants(), 10000.0, rate)
     with enable_x64(True):
@@ -182,10 +181,11 @@ def test_the_c_has_the_bits_of_the_emulator(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", CHANGES)
-def test_the_self_test_sees_a_change(change, tmp_path):
+def test_the_self_test_sees_a_change(tmp_path):
     tables = make_battery(constants(), 10300.0)
-    assert emitted(tables, tmp_path, change).made_battery_self_test() > 0
+    for number, change in enumerate(CHANGES):
+        library = emitted(tables, tmp_path / str(number), change)
+        assert library.made_battery_self_test() > 0, change
 
 
 def test_motors_without_room_for_the_proof_are_refused():
@@ -256,6 +256,7 @@ def test_the_c_on_board_observes_what_the_simulator_does(tmp_path):
     assert max(apart) < 0.6  # the C rounds to whole rpm
 
 
+@pytest.mark.slow
 def test_sil_refuses_an_estimator_of_another_rate(tmp_path):
     inputs = on_board(tmp_path, 512.0)
     with pytest.raises(InputError, match="for 512 Hz; the drone's.* 100 Hz: export it with --sam"):

@@ -42,9 +42,8 @@ def context(exported, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def context_rate(exported_rate, tmp_path_factory):
-    work = tmp_path_factory.mktemp("work")
-    return Context(read_folder(exported_rate), work, COUNT, 8, True, True)
+def context_flown(flown, tmp_path_factory):
+    return Context(read_folder(flown), tmp_path_factory.mktemp("work"), COUNT, 8, True, True)
 
 
 FAST = ("NumPy = JAX", "NumPy = C, host", "hostile inputs", "accuracy", "observation")
@@ -103,16 +102,14 @@ def test_a_check_of_an_exported_folder(name, context):
     check(name, context)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in run.CHECKS if name not in FAST])
-def test_a_slow_check_of_an_exported_folder(name, context):
-    check(name, context)
+SLOW = [("motor", name) for name in run.CHECKS if name not in FAST]
+SLOW += [("motor", "observation"), *(("rate", name) for name in OF_THE_VEHICLE)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", OF_THE_VEHICLE)
-def test_a_check_of_a_rate_level_policy(name, context_rate):
-    check(name, context_rate)
+@pytest.mark.parametrize("flown, name", SLOW, indirect=["flown"])
+def test_a_slow_check_of_an_exported_folder(name, context_flown):
+    check(name, context_flown)
 
 
 def test_the_target_decides_what_is_written_and_checked(exported, tmp_path):
@@ -259,8 +256,9 @@ def test_the_paparazzi_module_flies(exported, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_paparazzi_module_of_a_rate_level_policy_flies(exported_rate, tmp_path):
-    sent, command = flies(exported_rate, tmp_path)
+@pytest.mark.parametrize("flown", ["rate"], indirect=True)
+def test_the_paparazzi_module_of_a_rate_level_policy_flies(flown, tmp_path):
+    sent, command = flies(flown, tmp_path)
     assert sent == 13 and abs(command) <= 3
 
 

@@ -18,8 +18,11 @@ from quadjax.race.layout import Field, Layout, make_layout
 from quadjax.vehicle.motor import MODEL
 from tests.export.support import POLICIES, made_policy, named_network
 
+FEW = ["motor 64", "rate", "linear"]
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in POLICIES if name not in FEW]
 
-@pytest.mark.parametrize("name", POLICIES)
+
+@pytest.mark.parametrize("name", [*FEW, *SLOW])
 def test_error_is_within_the_proven_bound(name):
     policy, network = named_network(name)
     bound = prove(network, policy).error_bound
@@ -41,7 +44,7 @@ def test_the_bound_of_a_wide_policy_is_below_one_motor_step(gain, limit):
     assert prove(convert(policy), policy).error_bound.max() < limit
 
 
-@pytest.mark.parametrize("name", ["narrow", "odd"])
+@pytest.mark.parametrize("name", ["narrow", pytest.param("odd", marks=pytest.mark.slow)])
 def test_the_bound_holds_for_the_largest_error_that_a_search_finds(name):
     policy, network = named_network(name)
     rng = np.random.default_rng(0)
@@ -83,12 +86,12 @@ def test_linear_bounds_contain_every_sample_and_are_narrower_than_intervals():
         x, high = np.maximum(sums, 0.0), np.maximum(widest + bias, 0.0)
 
 
-@pytest.mark.parametrize("shape", [(64, 24), (24, 64), (3, 3)])
-def test_spectral_norm_is_an_upper_bound(shape):
-    matrix = np.random.default_rng(0).standard_normal(shape)
-    exact = np.linalg.norm(matrix, 2)
-    assert exact <= spectral_norm(matrix) <= 1.05 * exact
-    assert spectral_norm(0.0 * matrix) == 0.0
+def test_spectral_norm_is_an_upper_bound():
+    for shape in ((64, 24), (24, 64), (3, 3)):
+        matrix = np.random.default_rng(0).standard_normal(shape)
+        exact = np.linalg.norm(matrix, 2)
+        assert exact <= spectral_norm(matrix) <= 1.05 * exact
+        assert spectral_norm(0.0 * matrix) == 0.0
 
 
 def test_proof_bounds_hold_at_the_worst_corner_of_every_first_row():
@@ -117,26 +120,24 @@ def test_a_neuron_that_is_never_active_costs_nothing():
     assert not network.hidden[0].weights[3].any()
 
 
-@pytest.mark.parametrize("layer, row", [(0, 2), (1, 5), (3, 1)])
-def test_a_corrupted_row_fails_the_proof_by_name(layer, row):
+def test_a_corrupted_row_fails_the_proof_by_name():
     policy, network = named_network("rate")
-    layers = list(network.layers)
-    weights = layers[layer].weights.copy()
-    weights[row] = 2**31 - 1
-    bias = layers[layer].bias.copy()
-    bias[row] = 2**62 + 2**61
-    layers[layer] = dataclasses.replace(layers[layer], weights=weights, bias=bias)
-    broken = dataclasses.replace(network, hidden=tuple(layers[:-1]), output=layers[-1])
-    with pytest.raises(InputError, match=f"layer {layer}, row {row}"):
-        prove(broken, policy)
+    for layer, row in ((0, 2), (1, 5), (3, 1)):
+        layers = list(network.layers)
+        weights, bias = layers[layer].weights.copy(), layers[layer].bias.copy()
+        weights[row], bias[row] = 2**31 - 1, 2**62 + 2**61
+        layers[layer] = dataclasses.replace(layers[layer], weights=weights, bias=bias)
+        broken = dataclasses.replace(network, hidden=tuple(layers[:-1]), output=layers[-1])
+        with pytest.raises(InputError, match=f"layer {layer}, row {row}"):
+            prove(broken, policy)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_refuses_weights_that_are_not_finite_by_name(value):
-    policy = made_policy(8)
-    policy.layers[1][0][2, 6] = value
-    with pytest.raises(InputError, match="layer 1, row 6"):
-        convert(policy)
+def test_refuses_weights_that_are_not_finite_by_name():
+    for value in (np.nan, np.inf):
+        policy = made_policy(8)
+        policy.layers[1][0][2, 6] = value
+        with pytest.raises(InputError, match="layer 1, row 6"):
+            convert(policy)
 
 
 def test_refuses_other_activations():

@@ -19,8 +19,8 @@ from quadjax.export.verify.folder import read_folder
 from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.result import PASSED, SKIPPED, Failed, run_check
 from quadjax.export.verify.toolchain import host
-from tests.export.support import ORIGIN, named_network, need
-from tests.export.test_layouts import made, random_states
+from tests.export.support import ORIGIN, named_network, need, random_states
+from tests.export.test_layouts import made
 
 
 def emit(name):
@@ -101,7 +101,9 @@ def test_commands_are_those_of_the_exported_race_and_in_range(emitted, tmp_path)
     assert counters.steps == 501 and 0 < counters.nan < 501 and 0 < counters.clipped < 501
 
 
-@pytest.mark.parametrize("name", ["racing, axes and more", "racing with a history"])
+@pytest.mark.parametrize(
+    "name", ["racing, axes and more", pytest.param("racing with a history", marks=pytest.mark.slow)]
+)
 def test_a_policy_of_earlier_steps_runs_at_the_rate_of_its_training(name, tmp_path):
     files, own = emit(name)
     write(files, tmp_path)

@@ -13,13 +13,12 @@ from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
 from quadjax.export.fixed import convert
 from quadjax.export.race_source import own_race
-from quadjax.export.race_tables import make_tables, state_sizes, track_ranges
+from quadjax.export.race_tables import make_tables, track_ranges
 from quadjax.export.verify import run
 from quadjax.export.verify.context import Context
 from quadjax.export.verify.folder import read_folder
 from quadjax.export.verify.result import FAILED, PASSED, run_check
-from quadjax.training.build import untrained_policy
-from tests.export.support import race_library
+from tests.export.support import race_library, random_states, untrained
 
 MORE = ("observation.gates_ahead=2", "observation.last_action=true")
 AXES = "observation.attitude=rotation"
@@ -49,31 +48,10 @@ def made(name):
     """An untrained policy of a race, and the race."""
     preset, overrides, size = RACES[name]
     config = load_config(preset, [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
-    policy = untrained_policy(config)
+    policy = untrained(config)
     assert policy.layout.size == size
     layers = [(np.asarray(k) * 0.3, np.asarray(b) + 0.01) for k, b in policy.layers]
     return dataclasses.replace(policy, layers=tuple(layers)), own_race(config, policy, "test")
-
-
-def random_states(rng, count, own, low, high):
-    """States that a race may meet, (n, state_size) float32; quaternions of length one."""
-    parts = []
-    for name, size in state_sizes(own.choices.layout, own.choices.model).items():
-        spread = {"position": 6.0, "velocity": 3.0, "rates": 4.0}.get(name, 0.01)
-        part = rng.uniform(-spread, spread, (count, size))
-        if name == "quaternion":
-            part = rng.normal(0, 1, (count, 4))
-            part /= np.linalg.norm(part, axis=1, keepdims=True)
-        if name == "euler":
-            part = rng.uniform(-1, 1, (count, 3)) * [1.4, 1.4, 9.0]
-        if name == "last_command":
-            part = rng.uniform(low, high, (count, size))
-        if name == "highest_rpm":
-            part = rng.uniform(0.75, 1.0, (count, size)) * high.max()
-        if name in ("rpm", "rotor_speed", "thrust"):
-            part = rng.uniform(1.0, {"rpm": 11000, "rotor_speed": 3000}.get(name, 15), part.shape)
-        parts.append(part)
-    return np.concatenate(parts, axis=1).astype(np.float32)
 
 
 def converted_in(folder, policy, own, target, rate=500.0):

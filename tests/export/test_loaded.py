@@ -42,6 +42,7 @@ def test_a_policy_as_a_file_has_no_generated_c(px4):
     }
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_the_loader_and_the_words(px4, monkeypatch):
     built, build = set(), toolchain.Compiler.build
 

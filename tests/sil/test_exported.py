@@ -22,7 +22,6 @@ from quadjax.policy.race import race_of_policy
 from quadjax.sil import run as sil
 from quadjax.sil.fly import FLOATS
 from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
-from quadjax.sil.peer import ADDRESS, listening
 from quadjax.sil.plant_world import PlantWorld
 from quadjax.sil.run import Setting, fly_all, make_world
 from quadjax.sil.source import write_sources
@@ -204,15 +203,6 @@ def test_a_last_action_of_other_steps_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(sil, "make_world", lambda *_: Counting(step=0.002))
     with pytest.raises(InputError, match="earlier steps of 0.01 s, .* are 0.002 s: add control_ra"):
         fly_all(Setting(tmp_path, PLANT), threading.Event())
-
-
-def test_a_port_that_is_taken_is_one_line(monkeypatch, capfd, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sil, "make_world", lambda *_: Counting())
-    with listening(ADDRESS, 0) as own:
-        address = f"{ADDRESS}:{own.getsockname()[1]}"
-        assert run("sil", "indi_shac", "--listen", address) == 2
-    assert f"error: --listen {address}: cannot listen there" in capfd.readouterr().err
 
 
 def test_a_machine_without_compiler_is_one_line(tmp_path, monkeypatch):
