@@ -13,7 +13,7 @@ from quadjax.race.environment import RaceState
 from tests import reference as ref
 from tests.convert import residual_of, state_of
 from tests.promotion import QUICK
-from tests.race.support import make_race
+from tests.race.support import make_race, track_of
 from tests.race.test_flight import double
 
 STEPS = 12
@@ -48,7 +48,7 @@ def approach(kind):
 def flights(kind, integrator, residual):
     """Returns of flights with their gradients, by one program."""
     choices, params = make_race(f"vehicle.model={kind}", f"vehicle.integrator={integrator}")
-    params = double(params)
+    params = double(params.replace(track=track_of(ref.GATES[:2], ref.GATE_YAW[:2])))
     if residual:
         net = residual_of(ref.random_residual(1.0))
         params = params.replace(vehicle=params.vehicle.replace(residual=net))

@@ -198,7 +198,7 @@ ATTITUDES = {
 }
 
 
-@pytest.mark.parametrize("name", ["5inch", "a2rl", "cpc"])
+@pytest.mark.parametrize("name", [pytest.param("5inch", marks=pytest.mark.slow), "a2rl", "cpc"])
 def test_gradient_of_a_flight(name):
     """Automatic derivatives of a flight of ten steps against central differences.
 
