@@ -5,6 +5,7 @@ Each is a choice of numbers, so that one compiled learner serves them all.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from quadjax.core.environment import Environment
@@ -40,7 +41,7 @@ class State:
 def probe(**numbers: float) -> Probe:
     """A probe with all weights zero but those given; episodes of one step that terminate."""
     values = dict.fromkeys(Probe.__dataclass_fields__, 0.0) | {"length": 1.0} | numbers
-    return Probe(**{name: jnp.asarray(value, float) for name, value in values.items()})
+    return Probe(**{name: np.float32(value) for name, value in values.items()})
 
 
 def _reset(params: Probe, key: jax.Array) -> State:
@@ -75,6 +76,6 @@ ENVIRONMENT = Environment(_reset, _observe, _step, SIZE, 1)
 NETWORKS = Networks(SIZE, 1, (16, 16), activation="tanh")
 
 
-def observations(sign: float = 1.0, clock: float = 0.0, place: float = 0.0) -> jax.Array:
+def observations(sign: float = 1.0, clock: float = 0.0, place: float = 0.0) -> np.ndarray:
     """One observation (3,)."""
-    return jnp.array([sign, clock, place])
+    return np.array([sign, clock, place], np.float32)

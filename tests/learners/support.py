@@ -15,6 +15,7 @@ from quadjax.learners.state import Learner
 from tests.learners.probes import ENVIRONMENT, NETWORKS, probe
 
 UPDATES = 5  # of a chunk
+_mean, _value = jax.jit(NETWORKS.mean), jax.jit(NETWORKS.value)
 DEFAULTS = {
     "ppo": PPO(
         num_envs=64,
@@ -25,6 +26,7 @@ DEFAULTS = {
         discount=0.5,
         gae_lambda=0.9,
         max_kl=1.0,
+        critic_warmup=UPDATES,
         initial_log_std=-1.0,
     ),
     "shac": SHAC(
@@ -41,6 +43,7 @@ DEFAULTS = {
         cotangent_clip=100.0,
         std=0.2,
         reward_scale=0.5,
+        critic_warmup=UPDATES,
     ),
 }
 
@@ -88,24 +91,25 @@ class Run:
         params: object,
         seed: int = 0,
         devices: int = 1,
+        update: int = UPDATES,  # after the warm-up of the critic
         **numbers,
     ) -> None:
         self.learner, mesh, self.program = _program(name, devices)
         self.hyper = as_leaves(DEFAULTS[name].replace(**numbers))
         self.params = params
         state = jax.jit(self.learner.init)(self.hyper, params, jax.random.key(seed))
-        self.state = parallel.place(state, mesh)
+        self.state = parallel.place(state.replace(update=np.int32(update)), mesh)
 
     def train(self, chunks: int) -> dict[str, np.ndarray]:
         for _ in range(chunks):
             self.state, metrics = self.program(self.hyper, self.params, self.state)
         return {name: np.asarray(value) for name, value in metrics.items()}
 
-    def mean(self, observation: jax.Array) -> float:
-        return float(NETWORKS.mean(self.state.params, observation)[0])
+    def mean(self, observation: np.ndarray) -> float:
+        return float(_mean(self.state.params, observation)[0])
 
-    def value(self, observation: jax.Array) -> float:
-        return float(NETWORKS.value(self.state.params, observation))
+    def value(self, observation: np.ndarray) -> float:
+        return float(_value(self.state.params, observation))
 
 
 def plain(tree: object) -> list[np.ndarray]:

@@ -1,7 +1,5 @@
 """PPO and SHAC on probes whose answer is known, and what a run promises."""
 
-import logging
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -116,67 +114,23 @@ def test_the_same_on_any_number_of_devices(name):
         np.testing.assert_array_equal(state.environment.sign, alone.environment.sign)
 
 
-class Compilations(logging.Handler):
-    """Counts the programs that XLA compiles under ``jax.log_compiles``."""
-
-    def __init__(self):
-        super().__init__()
-        self.count = 0
-
-    def emit(self, record):
-        self.count += "Finished XLA compilation of jit(many)" in record.getMessage()
-
-
-@pytest.fixture(scope="module", params=["ppo", "shac"])
-def built(request):
-    """A learner, its mesh, its compiled chunk, its first state and the compilations so far."""
-    compilations = Compilations()
-    logger = logging.getLogger("jax")
-    logger.addHandler(compilations)
-    learner, mesh = make(request.param), parallel.make_mesh(2)
-    params = probe(place=1.0, move=0.5, length=3.0)
-    begin = jax.jit(learner.init)(learner.hyper, params, jax.random.key(3))
-    with jax.log_compiles():
-        chunk = parallel.compile_chunk(learner, mesh, 3, params, parallel.place(begin, mesh))
-    yield mesh, chunk, begin, compilations
-    logger.removeHandler(compilations)
-
-
-def test_resumed_is_the_same_bit_for_bit(built):
-    mesh, chunk, begin, _ = built
-    params = probe(place=1.0, move=0.5, length=3.0)
-    kept = plain(begin)
-
-    def restored(leaves):
-        """A state made of NumPy arrays, as from a file."""
-        like, shape = jax.tree.flatten(begin)
+@BOTH
+def test_resumed_is_the_same_bit_for_bit(name):
+    """A state made of NumPy arrays, as from a file, trains on as the one in memory."""
+    straight, stopped = (Run(name, probe(place=1.0, move=0.5, length=3.0)) for _ in range(2))
+    begin = plain(straight.state)
+    for _ in range(3):
+        first, second = straight.train(1), stopped.train(1)
+        leaves, shape = jax.tree.flatten(stopped.state)
         made = [
-            jax.random.wrap_key_data(jnp.asarray(x))
-            if jnp.issubdtype(y.dtype, jax.dtypes.prng_key)
-            else jnp.asarray(x)
-            for x, y in zip(leaves, like, strict=True)
+            jax.random.wrap_key_data(x) if jnp.issubdtype(y.dtype, jax.dtypes.prng_key) else x
+            for x, y in zip(plain(stopped.state), leaves, strict=True)
         ]
-        return parallel.place(jax.tree.unflatten(shape, made), mesh)
-
-    straight, stopped = restored(kept), restored(kept)
-    for _ in range(4):
-        straight, first = chunk(params, straight)
-        stopped, second = chunk(params, stopped)
-        stopped = restored(plain(stopped))
-    for found, wanted in zip(plain(stopped), plain(straight), strict=True):
+        stopped.state = parallel.place(jax.tree.unflatten(shape, made), parallel.make_mesh(1))
+    for found, wanted in zip(plain(stopped.state), plain(straight.state), strict=True):
         np.testing.assert_array_equal(found, wanted)
     jax.tree.map(np.testing.assert_array_equal, first, second)
-    assert any(np.any(x != y) for x, y in zip(kept, plain(straight), strict=True))
-
-
-def test_a_chunk_is_compiled_once(built):
-    mesh, chunk, begin, compilations = built
-    state = parallel.place(jax.tree.map(jnp.copy, begin), mesh)
-    with jax.log_compiles():
-        for weight in (1.0, 2.0, 3.0):
-            state, metrics = chunk(probe(best=weight), state)
-    assert compilations.count == 1
-    assert int(state.update) == 9 and all(x.shape == (3,) for x in metrics.values())
+    assert any(np.any(x != y) for x, y in zip(begin, plain(straight.state), strict=True))
 
 
 def changed(before, after):
@@ -202,26 +156,26 @@ def test_the_kl_limit_skips_some_batches_and_not_all():
 
 
 @BOTH
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_not_finite_changes_no_parameter(name, bad):
+def test_what_is_not_finite_changes_no_parameter(name):
     run = Run(name, probe(best=1.0))
     run.train(1)
     before = run.state
-    run.params = probe(best=bad)
-    metrics = run.train(1)
-    assert not changed(
-        (before.params.policy, before.params.value),
-        (run.state.params.policy, run.state.params.value),
-    )
-    assert not changed(before.optimizer, run.state.optimizer)
-    assert np.all(metrics["skipped"] == 1)
-    with pytest.raises(NonFiniteError, match="update 6"):
-        check_finite(metrics, UPDATES)
+    for bad in (np.nan, np.inf):
+        run.params = probe(best=bad)
+        metrics = run.train(1)
+        assert not changed(
+            (before.params.policy, before.params.value),
+            (run.state.params.policy, run.state.params.value),
+        )
+        assert not changed(before.optimizer, run.state.optimizer)
+        assert np.all(metrics["skipped"] == 1)
+        with pytest.raises(NonFiniteError, match="update 6"):
+            check_finite(metrics, UPDATES)
 
 
 @BOTH
 def test_a_policy_stands_still_while_the_value_warms_up(name):
-    run = Run(name, probe(best=1.0), critic_warmup=UPDATES)
+    run = Run(name, probe(best=1.0), update=0)
     begin = run.state.params
 
     def momentum():
@@ -239,7 +193,7 @@ def test_a_policy_stands_still_while_the_value_warms_up(name):
 
 @pytest.mark.slow
 def test_the_moving_average_follows_the_parameters():
-    run = Run("shac", probe(best=1.0))
+    run = Run("shac", probe(best=1.0), critic_warmup=0)
     one = {"axis_name": AXIS, "axis_size": 1, "in_axes": None, "out_axes": None}
     quick = {"xla_backend_optimization_level": 0}
     update = jax.jit(jax.vmap(run.learner.update, **one), compiler_options=quick)

@@ -4,7 +4,6 @@ import types
 
 import chex
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
@@ -52,7 +51,7 @@ def gae(reward, value, next_value, terminated, truncated, discount, lam):
 
 @pytest.mark.parametrize(("discount", "lam"), [(0.99, 0.95), (0.9, 0.0), (1.0, 1.0)])
 def test_advantages(steps, discount, lam):
-    found = jax.jit(advantages)(*steps, jnp.float32(discount), jnp.float32(lam))
+    found = jax.jit(advantages)(*steps, np.float32(discount), np.float32(lam))
     np.testing.assert_allclose(found, gae(*steps, discount, lam), atol=2e-5)
 
 
@@ -79,10 +78,8 @@ def returns(reward, next_value, terminated, truncated, discount, lam):
 @pytest.mark.parametrize(("discount", "lam"), [(0.99, 0.95), (0.9, 0.0), (0.95, 1.0)])
 def test_td_lambda_targets(steps, discount, lam):
     reward, _, next_value, terminated, truncated = steps
-    trajectory = Trajectory(
-        jnp.zeros((TIME, COUNT, 1)), *map(jnp.asarray, (reward, next_value)), *steps[3:]
-    )
-    found = jax.jit(td_lambda_targets)(trajectory, jnp.float32(discount), jnp.float32(lam))
+    trajectory = Trajectory(np.zeros((TIME, COUNT, 1), np.float32), reward, next_value, *steps[3:])
+    found = jax.jit(td_lambda_targets)(trajectory, np.float32(discount), np.float32(lam))
     wanted = returns(reward, next_value, terminated, truncated, discount, lam)
     np.testing.assert_allclose(found, wanted, atol=2e-5)
 
@@ -92,24 +89,24 @@ def test_log_probability():
     action, mean = draw.normal(size=(2, 5, 6, 4)).astype(np.float32)
     log_std = np.array([-1.0, 0.0, 0.5, -0.3], np.float32)
     wanted = scipy.stats.norm(mean, np.exp(log_std)).logpdf(action).sum(axis=-1)
-    np.testing.assert_allclose(
-        log_probability(action, mean, jnp.asarray(log_std)), wanted, rtol=1e-4
-    )
+    found = jax.jit(log_probability)(action, mean, log_std)
+    np.testing.assert_allclose(found, wanted, rtol=1e-4)
 
 
 def test_advantages_are_normalized_over_all_devices():
     values = np.random.default_rng(2).normal(3.0, 5.0, (4, 100)).astype(np.float32)
-    found = jax.vmap(normalize, axis_name=AXIS)(values)
+    found = jax.jit(jax.vmap(normalize, axis_name=AXIS))(values)
     np.testing.assert_allclose(found, (values - values.mean()) / values.std(), atol=1e-4)
 
 
 def test_clip_by_norm():
-    tree = {"a": jnp.array([3.0]), "b": jnp.array([[0.0, 4.0]])}
-    same, norm = clip_by_norm(tree, jnp.float32(6.0))
+    clip = jax.jit(clip_by_norm)
+    tree = {"a": np.array([3.0], np.float32), "b": np.array([[0.0, 4.0]], np.float32)}
+    same, norm = clip(tree, np.float32(6.0))
     assert norm == 5 and same["a"] == 3
-    half, norm = clip_by_norm(tree, jnp.float32(2.5))
+    half, norm = clip(tree, np.float32(2.5))
     assert norm == 5 and half["a"] == 1.5 and half["b"][0, 1] == 2
-    still, _ = clip_by_norm(jax.tree.map(jnp.zeros_like, tree), jnp.float32(1.0))
+    still, _ = clip(jax.tree.map(np.zeros_like, tree), np.float32(1.0))
     np.testing.assert_array_equal(still["b"], 0.0)
 
 
@@ -130,33 +127,33 @@ def test_reset_interval():
 
 
 def test_where_done_of_states_of_any_shape():
-    done = jnp.array([True, False])
-    fresh, old = (
-        {"a": jnp.ones(2), "b": jnp.ones((3, 2))},
-        {"a": jnp.zeros(2), "b": jnp.zeros((3, 2))},
-    )
-    found = shards.where_done(done, fresh, old)
+    done = np.array([True, False])
+    fresh, old = ({"a": each(2), "b": each((3, 2))} for each in (np.ones, np.zeros))
+    found = jax.jit(shards.where_done)(done, fresh, old)
     np.testing.assert_array_equal(found["a"], [1, 0])
     np.testing.assert_array_equal(found["b"], [[1, 0]] * 3)
 
 
 def test_noise_of_a_shard_does_not_depend_on_the_others():
     keys = jax.random.split(jax.random.key(0), 4)
-    every = shards.normal_all(keys, (5,), 3, 2)
+    draw = jax.jit(lambda keys: shards.normal_all(keys, (5,), 3, 2))
+    every = np.asarray(draw(keys))
     assert every.shape == (5, 12, 2)
-    np.testing.assert_array_equal(shards.normal_all(keys[1:2], (5,), 3, 2), every[:, 3:6])
-    assert abs(float(every.mean())) < 0.3 and abs(float(every.std()) - 1) < 0.2
+    np.testing.assert_array_equal(draw(keys[1:2]), every[:, 3:6])
+    assert abs(every.mean()) < 0.3 and abs(every.std() - 1) < 0.2
 
 
 def test_minibatches_take_every_block_of_every_shard_once():
     count, minibatches, length = 2, 3, 4
-    steps = jnp.arange(3 * length * 4.0 * 5).reshape(3 * length, 4, 5)  # time, environments
-    blocks = to_blocks(steps, count, length)
+    steps = np.arange(3 * length * 4.0 * 5, dtype=np.float32).reshape(3 * length, 4, 5)
+    blocks = np.asarray(jax.jit(to_blocks, static_argnums=(1, 2))(steps, count, length))
     chex.assert_shape(blocks, (count, 6, length, 5))
     np.testing.assert_array_equal(blocks[1, 4], steps[length : 2 * length, 3])
-    chosen = shuffled(jax.random.split(jax.random.key(0), count), 6, minibatches)
+    keys = jax.random.split(jax.random.key(0), count)
+    chosen = np.asarray(jax.jit(shuffled, static_argnums=(1, 2))(keys, 6, minibatches))
     chex.assert_shape(chosen, (minibatches, count, 2))
-    rows = jnp.stack([take_rows(blocks, batch) for batch in chosen])
+    take = jax.jit(take_rows)
+    rows = np.stack([take(blocks, batch) for batch in chosen])
     chex.assert_shape(rows, (minibatches, count * 2 * length, 5))
     assert sorted(rows[..., 0].ravel().tolist()) == sorted(steps[..., 0].ravel().tolist())
     first = rows[0, :length]  # a block stays together, in order
