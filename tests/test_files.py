@@ -115,13 +115,14 @@ def test_inference_from_a_file(tmp_path):
     for index, (kernel, bias) in enumerate(policy.layers):
         hidden = hidden @ kernel.astype(float) + bias
         hidden = np.maximum(hidden, 0.0) if index < 2 else hidden
-    mean = np.asarray(policy.mean(seen.astype(np.float32)))
+    mean = np.asarray(jax.jit(policy.mean)(seen.astype(np.float32)))
     np.testing.assert_allclose(mean, np.clip(hidden, -1, 1), atol=1e-5)
     np.testing.assert_allclose(policy(seen[0].astype(np.float32)), mean[0], atol=1e-6)
     quiet = dataclasses.replace(policy, log_std=np.full(4, -20.0))
-    drawn = quiet.sample(seen.astype(np.float32), jax.random.key(0))
+    drawn = jax.jit(quiet.sample)(seen.astype(np.float32), jax.random.key(0))
     np.testing.assert_allclose(drawn, mean, atol=1e-6)
-    noisy = np.asarray(policy.sample(np.zeros((4000, 17), np.float32), jax.random.key(0)))
+    zeros = np.zeros((4000, 17), np.float32)
+    noisy = np.asarray(jax.jit(policy.sample)(zeros, jax.random.key(0)))
     assert noisy.min() >= -1 and noisy.max() <= 1 and noisy.std(axis=0).min() > 0.1
 
 
@@ -178,86 +179,48 @@ def with_value(inputs, outputs):
 
 POLICY_DAMAGE = {
     "no bias": (lambda a: without(a, "bias_1"), {}, "bias_1 is missing"),
-    "no first layer": (lambda a: without(a, "kernel_0"), {}, "kernel_0 is missing"),
-    "no last layer": (lambda a: without(a, "kernel_2", "bias_2"), {}, "outputs"),
     "a gap": (lambda a: without(a, "kernel_1", "bias_1"), {}, "outputs"),
     "no log_std": (lambda a: without(a, "log_std"), {}, "log_std"),
-    "long log_std": (lambda a: a | {"log_std": np.zeros(5)}, {}, "log_std"),
     "nan": (lambda a: poked(a, "kernel_1", np.nan), {}, "kernel_1[0, 3] is nan"),
-    "infinite": (lambda a: poked(a, "bias_0", np.inf), {}, "bias_0[3] is inf"),
-    "nan log_std": (lambda a: poked(a, "log_std", np.nan), {}, "log_std"),
     "large": (
         lambda a: poked(a, "kernel_1", -1e30),
         {},
         "kernel_1 has 1e+30, allowed: up to",
     ),
-    "too large": (lambda a: a | {"bias_0": np.full(8, 1e300)}, {}, "bias_0"),
     "turned": (lambda a: a | {"kernel_1": a["kernel_1"].T}, {}, "kernel_1"),
-    "flat": (lambda a: a | {"kernel_0": a["kernel_0"].ravel()}, {}, "kernel_0"),
-    "empty": (lambda a: a | {"kernel_0": np.zeros((0, 8))}, {}, "kernel_0"),
-    "short bias": (lambda a: a | {"bias_0": a["bias_0"][:-1]}, {}, "bias_0"),
     "text": (lambda a: a | {"bias_0": np.array(["x"] * 8)}, {}, "bias_0"),
-    "complex": (lambda a: a | {"bias_0": a["bias_0"] + 1j}, {}, "bias_0"),
     "other inputs": (lambda a: a, {"vehicle": "motor"}, "17"),
-    "format": (lambda a: a, {"format": "quadjax-policy/9"}, "quadjax-policy/9"),
     "a residual": (lambda a: a, {"format": "quadjax-residual/1"}, "quadjax-residual/1"),
     "vehicle": (lambda a: a, {"vehicle": "boat"}, "boat"),
-    "list of vehicles": (lambda a: a, {"vehicle": ["rate"]}, "vehicle"),
     "activation": (lambda a: a, {"activation": "gelu"}, "gelu"),
     "output": (lambda a: a, {"output": "tanh"}, "tanh"),
-    "three limits": (lambda a: a, {"command_low": [0, 0, 0]}, "command_low"),
-    "word limits": (lambda a: a, {"command_low": "low"}, "command_low"),
-    "nan limits": (lambda a: a, {"command_high": [1, 2, 3, float("nan")]}, "command_high"),
     "huge limits": (lambda a: a, {"command_high": [3, 3, 3, 10**400]}, "command_high"),
-    "no limits": (lambda a: a, {"command_high": None}, "command_high"),
     "crossed limits": (lambda a: a, {"command_high": [-3, 3, 3, 15]}, "command_low"),
     "observation": (lambda a: a, {"observation": [1, 2]}, "observation"),
-    "wrap": (lambda a: a, {"observation": {"wrap_next_yaw": "yes"}}, "wrap_next_yaw"),
-    "source": (lambda a: a, {"observation": {"disturbance_input": "some"}}, "disturbance_input"),
     "width": (lambda a: a, {"observation": {"disturbance": {"moment_x": -1.0}}}, "disturbance"),
-    "wind": (lambda a: a, {"observation": {"disturbance": {"wind": 1.0}}}, "disturbance"),
     "no layout": (lambda a: a, {"format": "quadjax-policy/2"}, "layout"),
-    "empty layout": (lambda a: a, {"format": "quadjax-policy/2", "layout": []}, "layout"),
     "a value's bias": (lambda a: a | {"value_kernel_0": np.zeros((17, 1))}, {}, "value_bias_0"),
-    "a value's inputs": (lambda a: a | with_value(24, 1), {}, "17 and 1"),
     "a value's outputs": (lambda a: a | with_value(17, 4), {}, "17 and 1"),
 }
-
-
-@pytest.mark.parametrize("damage", POLICY_DAMAGE)
-def test_damaged_policy(tmp_path, damage):
-    change, meta, says = POLICY_DAMAGE[damage]
-    path = save(tmp_path / "p.npz", change(policy_arrays()), POLICY_META | meta)
-    assert says in refusal(Policy.load, path)
-
-
 RESIDUAL_DAMAGE = {
     "no moment": (lambda a: without(a, "moment_kernel_0"), {}, "moment_kernel_0 is missing"),
-    "no thrust bias": (lambda a: without(a, "thrust_bias_1"), {}, "thrust_bias_1 is missing"),
     "inputs": (lambda a: a | {"thrust_kernel_0": np.zeros((8, 32))}, {}, "thrust network"),
-    "outputs": (
-        lambda a: a | {"moment_kernel_1": np.zeros((32, 2)), "moment_bias_1": np.zeros(2)},
-        {},
-        "moment network",
-    ),
     "nan": (lambda a: poked(a, "thrust_bias_0", np.nan), {}, "thrust_bias_0[3] is nan"),
     "sign": (lambda a: a, {"thrust_sign": 0}, "thrust_sign"),
-    "no sign": (lambda a: a, {"thrust_sign": None}, "thrust_sign"),
-    "truth for a sign": (lambda a: a, {"thrust_sign": True}, "thrust_sign"),
-    "word for rpm": (lambda a: a, {"rpm_min": "3000"}, "rpm_min"),
-    "nan rpm": (lambda a: a, {"rpm_max": float("nan")}, "rpm_max"),
     "huge rpm": (lambda a: a, {"rpm_max": 10**4000}, "rpm_max"),
-    "large rpm": (lambda a: a, {"rpm_min": 10**20, "rpm_max": 10**19}, "rpm_min"),
     "crossed rpm": (lambda a: a, {"rpm_max": 2000}, "rpm_min"),
     "a policy": (lambda a: a, {"format": "quadjax-policy/1"}, "quadjax-policy/1"),
 }
 
 
-@pytest.mark.parametrize("damage", RESIDUAL_DAMAGE)
-def test_damaged_residual(tmp_path, damage):
-    change, meta, says = RESIDUAL_DAMAGE[damage]
-    path = save(tmp_path / "r.npz", change(residual_arrays()), RESIDUAL_META | meta)
-    assert says in refusal(read_residual, path)
+def test_damaged_arrays_and_meta_are_one_line_that_names_them(tmp_path):
+    for read, arrays, whole, table in (
+        (Policy.load, policy_arrays(), POLICY_META, POLICY_DAMAGE),
+        (read_residual, residual_arrays(), RESIDUAL_META, RESIDUAL_DAMAGE),
+    ):
+        for damage, (change, meta, words) in table.items():
+            path = save(tmp_path / "f.npz", change(arrays), whole | meta)
+            assert words in refusal(read, path), damage
 
 
 READERS = pytest.mark.parametrize("read", [Policy.load, read_residual])
@@ -302,34 +265,16 @@ def test_pickles_are_never_loaded(tmp_path, read):
     refusal(read, path)
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.98])
-def test_truncated_files(tmp_path, share):
+def test_truncated_files(tmp_path):
     for read, arrays, meta in (
         (Policy.load, policy_arrays(), POLICY_META),
         (read_residual, residual_arrays(), RESIDUAL_META),
     ):
         path = save(tmp_path / "f.npz", arrays, meta)
         whole = path.read_bytes()
-        path.write_bytes(whole[: int(share * len(whole))])
-        refusal(read, path)
-
-
-def test_flipped_bits(tmp_path):
-    """Whatever byte is damaged: a file as it was, or one line."""
-    path = save(tmp_path / "p.npz", policy_arrays(), POLICY_META)
-    whole = path.read_bytes()
-    draw = np.random.default_rng(0)
-    refused = 0
-    for place in draw.integers(0, len(whole), 150):
-        damaged = bytearray(whole)
-        damaged[place] ^= 1 << int(draw.integers(8))
-        path.write_bytes(damaged)
-        try:
-            Policy.load(path)
-        except InputError as error:
-            refused += 1
-            assert "\n" not in str(error)
-    assert refused > 50
+        for share in (0.02, 0.3, 0.7, 0.98):
+            path.write_bytes(whole[: int(share * len(whole))])
+            refusal(read, path)
 
 
 def test_residual_comes_back_as_it_went(tmp_path):
