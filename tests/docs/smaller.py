@@ -1,0 +1,33 @@
+"""Code of the pages and the examples with short trainings, all of the shape of ``short.py``."""
+
+import re
+
+import quadjax
+from tests.surface.short import OF_EACH, OF_LEARNER
+
+# Untrained policies fly anywhere.
+WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 16.0}
+CODE = [  # in Python
+    (r"\bsteps=[\d_]+", "steps=512"),
+    (r"\bruns=\d+", "runs=2"),
+    (r"\bnum_envs=\d+", "num_envs=16"),
+    (r"\bhorizon=\d+", "horizon=4"),
+]
+load = quadjax.load
+
+
+def smaller(text: str, changes: list[tuple[str, str]]) -> str:
+    """A text with less to do."""
+    for pattern, value in changes:
+        text = re.sub(pattern, value, text, flags=re.MULTILINE)
+    return text
+
+
+def short_overrides(name: str, overrides: list[str] | tuple[str, ...] = ()) -> list[str]:
+    """The overrides that make a training short; an own learner keeps its hyperparameters."""
+    return [*OF_EACH, *OF_LEARNER.get(load(name, overrides).learner.algorithm, ())]
+
+
+def load_short(name: str, overrides: list[str] | tuple[str, ...] = ()) -> quadjax.Config:
+    """``quadjax.load`` with the settings of a short training."""
+    return load(name, [*overrides, *short_overrides(name, overrides)])
