@@ -11,22 +11,20 @@ import pytest
 from quadjax.policy.file import Policy
 from quadjax.training.metrics import saved_rows
 from tests.commands import run
-from tests.sweeps.support import TINY
+from tests.surface.short import short
 
 resource = pytest.importorskip("resource", reason="limits of a process need POSIX")
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES = [0, 400, 4000, 20_000]  # largest files, bytes
-OVERRIDES = [f"learner.{key}={value}" for key, value in TINY["learner"].items()]
-OVERRIDES += ["network.hidden=[8]", "run.steps=512", "run.evaluate_every=128", "evaluate.laps=1"]
-OVERRIDES += ["run.checkpoint_seconds=0", "run.compilation_cache=false", "run.devices=1"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_a_full_disk_is_one_line_and_the_run_resumes(tmp_path, size):
     folder = tmp_path / "runs" / "one"
-    command = ["train", "e2e_ppo", *OVERRIDES, "name=one", "--output", folder.parent, "--resume"]
+    own = ("run.compilation_cache=false", "name=one")
+    command = ["train", *short("e2e_ppo", *own), "--output", folder.parent, "--resume"]
     done = subprocess.run(
         [sys.executable, "-m", "quadjax", *map(str, command)],
         capture_output=True,

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.surface.short import short
+
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parent.parent
-SHORT = ["run.steps=20000", "run.evaluate_every=10000", "evaluate.laps=1", "network.hidden=[8]"]
-SHORT += ["learner.num_envs=64", "learner.horizon=8", "run.devices=1"]
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,7 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
     where = run(installed, tmp_path, "-c", "import quadjax; print(quadjax.__file__)")
     assert str(installed) in where.stdout
     for arguments in (
-        ["train", "e2e_shac", *SHORT, "--name", "first"],
+        ["train", *short("e2e_shac"), "--name", "first"],
         ["evaluate", "e2e_shac", "--policy", "runs/first/policy.npz", "--laps", "1", "--runs", "2"]
         + ["--json", "laps.json", "--figure", "lap.png"],
     ):
@@ -78,7 +79,6 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
     assert (tmp_path / "lap.png").stat().st_size > 1000
 
 
-@pytest.mark.slow
 def test_it_exports_and_verifies_in_an_empty_folder(installed, tmp_path):
     script = (
         "import quadjax\n"
