@@ -116,6 +116,7 @@ def test_workers_are_pinned_and_end_with_the_sweep(tmp_path):
     assert len(gone) == most and not alive
 
 
+@pytest.mark.slow
 def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
     search = {"method": "random", "pruner": "halving"}
     sweep, directory, study = open_small(tmp_path, search=search, budget={"trials": 6})

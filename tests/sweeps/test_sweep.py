@@ -13,31 +13,20 @@ EPOCHS, ACTIVATION, HIDDEN = "learner.num_epochs", "network.activation", "networ
 
 IMPOSSIBLE_SPACES = {
     "unknown key": ({"learner.rate": {"range": [0, 1]}}, ["space.learner.rate", "learning_rate"]),
-    "unknown section": ({"pppo.clip": {"range": [0, 1]}}, ["space.pppo.clip", "unknown key"]),
-    "below a value": ({f"{CLIP}.low": {"range": [0, 1]}}, [f"space.{CLIP}.low", "unknown"]),
     "a section": ({"learner": {"range": [0, 1]}}, ["space.learner", "section", "clip"]),
     "an empty range": ({CLIP: {"range": [0.3, 0.3]}}, [f"space.{CLIP}", "[0.3, 0.3]"]),
-    "a reversed range": ({CLIP: {"range": [0.3, 0.1]}}, ["[0.3, 0.1]", "lowest < highest"]),
     "no choices": ({EPOCHS: {"choices": []}}, [f"space.{EPOCHS}", "choices"]),
     "a choice twice": ({EPOCHS: {"choices": [3, 3]}}, ["3", "twice"]),
     "text for a bound": ({CLIP: {"range": ["a", 1]}}, [f"space.{CLIP}", "range"]),
-    "three bounds": ({CLIP: {"range": [0, 1, 2]}}, [f"space.{CLIP}", "[0, 1, 2]"]),
     "infinite": ({CLIP: {"range": [0.1, 1e99]}}, [f"space.{CLIP}", "finite"]),
     "half an epoch": ({EPOCHS: {"range": [1, 2.5]}}, ["2.5", "whole number"]),
-    "half a step": ({EPOCHS: {"range": [1, 4], "step": 0.5}}, ["0.5", "whole number"]),
     "a log from zero": ({CLIP: {"log": [0, 1]}}, [f"space.{CLIP}", "low > 0"]),
     "a range of texts": ({ACTIVATION: {"range": [0, 1]}}, [ACTIVATION, "choices"]),
-    "a range of lists": ({HIDDEN: {"range": [1, 2]}}, [HIDDEN, "choices"]),
     "a plain value": ({CLIP: 0.2}, [f"space.{CLIP}", "0.2", "choices"]),
     "two ways": ({CLIP: {"range": [0.1, 1], "log": [0.1, 1]}}, ["one of", "2"]),
-    "an unknown way": ({CLIP: {"range": [0.1, 1], "mean": 3}}, ["mean", "points"]),
     "a step of a log": ({CLIP: {"log": [0.1, 1], "step": 0.1}}, ["step"]),
-    "a step too long": ({CLIP: {"range": [0.1, 1], "step": 2}}, ["step", "2"]),
-    "one point": ({CLIP: {"range": [0.1, 1], "points": 1}}, ["points", "1"]),
     "the seed": ({"seed": {"range": [0, 9]}}, ["space.seed", "set by the sweep"]),
-    "the name": ({"name": {"choices": ["a"]}}, ["space.name", "set by the sweep"]),
     "nothing": ({}, ["space"]),
-    "a list": ([1], ["space"]),
 }
 
 
@@ -47,8 +36,6 @@ def space(entries):
 
 IMPOSSIBLE_FILES = {
     "beyond the schema": (space({"learner.discount": {"range": [0.9, 1.2]}}), ["discount", "1.2"]),
-    "a wrong choice": (space({ACTIVATION: {"choices": ["gelu"]}}), ["gelu", "relu"]),
-    "a choice of a wrong type": (space({EPOCHS: {"choices": [2, "many"]}}), ["many"]),
     "a truth for a number": (space({CLIP: {"choices": [True]}}), [CLIP, "true"]),
     "what does not go together": (
         space(
@@ -61,22 +48,15 @@ IMPOSSIBLE_FILES = {
     ),
     "an unknown entry": ({"serach": {}}, ["serach", "search"]),
     "an unknown method": ({"search": {"method": "magic"}}, ["search.method", "magic", "tpe"]),
-    "no trials": ({"budget": {"trials": 0}}, ["budget.trials", "0", "at least 1"]),
-    "half a trial": ({"budget": {"trials": 1.5}}, ["budget.trials"]),
-    "too many trials": ({"budget": {"trials": 10**9}}, ["budget.trials", "10000"]),
-    "no seeds": ({"objective": {"seeds": 0}}, ["objective.seeds", "0"]),
     "too many flights": ({"objective": {"runs": 10**9}}, ["objective.runs"]),
     "flights that plants cannot share": (
         {"objective": {"runs": 10, "plant": "standin", "plants": 3}},
         ["objective.runs is 10", "multiples of objective.plants (3)"],
     ),
-    "no flights": ({"objective": {"runs": -1}}, ["objective.runs", "-1"]),
     "no such config": ({"config": "none.yaml"}, ["config", "none.yaml", "no such file"]),
-    "an empty config": ({"config": ""}, ["no such file"]),
     "another store": ({"storage": "mysql://u:secret@host/d"}, ["storage", "postgresql://"]),
     "a name with a slash": ({"name": "a/b"}, ["name", "a/b"]),
     "an unknown override": ({"overrides": {"ppo.klip": 1}}, ["klip"]),
-    "unknown conditions": ({"conditions": {"randomization.mass": 1}}, ["mass"]),
     "a grid of a line": (
         {"search": {"method": "grid"}},
         [RATE, "choices, step or points"],
@@ -97,29 +77,23 @@ IMPOSSIBLE_FILES = {
         {"search": {"base_first": True}, **space({CLIP: {"range": [0.3, 0.4]}})},
         [f"space.{CLIP}", "0.2", "base_first"],
     ),
-    "a base's choice outside of the space": (
-        {"search": {"base_first": True}, **space({HIDDEN: {"choices": [[9]]}})},
-        [f"space.{HIDDEN}", "[8]", "base_first"],
-    ),
     "a grid with the base first": (
         {"search": {"method": "grid", "base_first": True}, **space({EPOCHS: {"range": [1, 4]}})},
         ["search.base_first", "grid"],
     ),
     "GPUs without Ray": ({"executor": {"gpus": 0.5}}, ["executor.gpus", "ray"]),
-    "an unknown executor": ({"executor": {"kind": "slurm"}}, ["executor.kind", "local, ray"]),
 }
 IMPOSSIBLE = {name: (space(entries), says) for name, (entries, says) in IMPOSSIBLE_SPACES.items()}
 IMPOSSIBLE |= IMPOSSIBLE_FILES
 
 
-@pytest.mark.parametrize("case", IMPOSSIBLE)
-def test_impossible_sweeps(tmp_path, case):
-    entries, says = IMPOSSIBLE[case]
-    with pytest.raises(InputError) as caught:
-        load_sweep(sweep_file(tmp_path, **entries))
-    text = str(caught.value)
-    assert all(part in text for part in [*says, "small.yaml"]) and "\n" not in text, text
-    assert "secret" not in text
+def test_impossible_sweeps(tmp_path):
+    for case, (entries, words) in IMPOSSIBLE.items():
+        with pytest.raises(InputError) as caught:
+            load_sweep(sweep_file(tmp_path, **entries))
+        text = str(caught.value)
+        assert all(word in text for word in [*words, "small.yaml"]) and "\n" not in text, case
+        assert "secret" not in text
 
 
 def test_the_command_refuses_in_one_line_and_leaves_nothing(tmp_path, capsys):
@@ -193,8 +167,8 @@ def test_the_base_config_is_found_by_the_name_of_a_preset(tmp_path):
     assert load_sweep(path).config_of({CLIP: 0.2, RATE: 1e-3}).learner.num_epochs == 7
 
 
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / "configs/sweeps").glob("*.yaml")), ids=lambda p: p.stem
-)
-def test_every_shipped_sweep_can_run(path):
-    assert load_sweep(path).trials >= 1
+def test_every_shipped_sweep_can_run():
+    paths = sorted((ROOT / "configs/sweeps").glob("*.yaml"))
+    assert len(paths) > 3
+    for path in paths:
+        assert load_sweep(path).trials >= 1

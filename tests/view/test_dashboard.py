@@ -21,6 +21,7 @@ from quadjax.dashboard.sweep_state import JOURNAL, SweepRun
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from tests.commands import run
+from tests.surface.short import short
 from tests.view.browser import browser, wait_until
 
 fixtures = (browser,)
@@ -150,8 +151,7 @@ def watched(tmp_path):
 @pytest.mark.slow
 def test_a_run_is_shown_while_it_trains(browser, watched, tmp_path):
     folder = tmp_path / "mine"
-    small = ["run.steps=50000", "learner.num_envs=32", "evaluate.laps=1"]
-    assert run("train", "e2e_shac", *small, "--name", "mine", "--output", tmp_path) == 0
+    assert run("train", *short("e2e_shac"), "--name", "mine", "--output", tmp_path) == 0
     page, errors = browser.new_page(), []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(watched(folder))
@@ -169,8 +169,8 @@ def test_a_run_is_shown_while_it_trains(browser, watched, tmp_path):
 
 @pytest.mark.slow
 def test_train_watch_prints_an_address_that_answers(tmp_path):
-    command = [sys.executable, "-m", "quadjax", "train", "e2e_shac", "run.steps=20000"]
-    more = ["learner.num_envs=32", "evaluate.laps=1", "--watch", "--output", str(tmp_path)]
+    command = [sys.executable, "-m", "quadjax", "train", *short("e2e_shac")]
+    more = ["--watch", "--output", str(tmp_path)]
     done = subprocess.run([*command, *more], capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     assert "watch: http://127.0.0.1:" in done.stderr

@@ -118,24 +118,18 @@ def test_a_log_that_ends_just_before_its_last_gate_has_its_last_lap():
     np.testing.assert_allclose(shown.passages[-1, 2], flight.passages[-1, 2], atol=0.05)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "says"),
-    [
+def test_bad_files_are_one_line(tmp_path, capsys):
+    for name, content, says in (
         ("a.json", {"format": "other"}, "format is 'other', expected quadjax-flights/1"),
         ("a.json", {"laps": [[None]]}, "expected format quadjax-flights/1, or laps"),
         ("a.txt", {}, "suffix is '.txt', allowed: a run's folder, .npz, .csv, .json"),
         ("a.json", {"laps": [[3.0]]}, "no flight to show, only lap times"),
-    ],
-)
-def test_bad_files_are_one_line(tmp_path, capsys, name, content, says):
-    (tmp_path / name).write_text(json.dumps(content), encoding="utf-8")
-    assert run("view", tmp_path / name, "--output", tmp_path / "out.html") == 2
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1
-    assert not (tmp_path / "out.html").exists()
-
-
-def test_an_unknown_folder_and_too_many_names_are_refused(tmp_path, capsys):
+    ):
+        (tmp_path / name).write_text(json.dumps(content), encoding="utf-8")
+        assert run("view", tmp_path / name, "--output", tmp_path / "out.html") == 2
+        error = capsys.readouterr().err
+        assert says in error and error.count("\n") == 1
+        assert not (tmp_path / "out.html").exists()
     assert run("view", tmp_path) == 2
     assert "expected the folder of a training run" in capsys.readouterr().err
     assert run("view", "e2e", "--name", "a", "--name", "b") == 2
