@@ -28,31 +28,25 @@ from quadjax.learners.networks import layers_of
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from quadjax.training import run as training
-from quadjax.training.build import build_learner, initial_policy, policy_of, start_state
+from quadjax.training.build import (
+    build_learner,
+    initial_policy,
+    policy_of,
+    start_state,
+    untrained_policy,
+)
 from quadjax.training.checkpoint import Checkpoints
 from quadjax.training.result import Run
+from tests.surface.short import OF_EACH, OF_LEARNER, short_config
 from tests.training.test_folder import NAMED, write_files
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = ROOT / "configs"
-TINY = [
-    "learner.num_envs=16",
-    "network.hidden=[8]",
-    "evaluate.laps=1",
-    "run.steps=512",
-    "run.evaluate_every=128",
-    "run.devices=2",
-]
-TINY_LEARNER = {
-    "ppo": ["learner.rollout_length=8", "learner.num_minibatches=2", "learner.num_epochs=1"],
-    "shac": ["learner.horizon=4"],
-}
 TIMES = ("seconds", "steps_per_second")
 
 
 def config_of(name, *arguments):
-    algorithm = load_config(CONFIGS / name).learner.algorithm
-    return load_config(CONFIGS / name, [*TINY, *TINY_LEARNER[algorithm], *arguments])
+    return short_config(name, "run.checkpoint_seconds=60", *arguments)
 
 
 def arrays(path):
@@ -83,10 +77,9 @@ def interrupted():
 @pytest.mark.parametrize(
     ("name", "keys"),
     [
-        ("e2e_ppo.yaml", ()),
-        ("e2e_shac.yaml", ()),
-        ("e2e_fastest.yaml", ("schedules.reward.gate_edge.by=pass_rate",)),
-        ("e2e_any_track.yaml", ("randomization.tracks={count: 3, drawn_by: learning_progress}",)),
+        ("e2e_ppo", ("run.devices=2",)),
+        ("e2e_fastest", ("schedules.reward.gate_edge.by=pass_rate",)),
+        ("e2e_any_track", ("randomization.tracks={count: 3, drawn_by: learning_progress}",)),
     ],
 )
 def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name, keys):
@@ -106,8 +99,9 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name,
     assert again.finished and again.summary["steps"] == whole.summary["steps"]
 
 
+@pytest.mark.slow
 def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
-    config = config_of("e2e_ppo.yaml", "run.steps=128")
+    config = config_of("e2e_ppo", "run.steps=128")
     training.train(config, tmp_path / "run")
     with pytest.raises(InputError, match="--resume"):
         training.train(config, tmp_path / "run")
@@ -123,20 +117,19 @@ def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
     assert loaded.finished and loaded.metrics["steps"].tolist() == [128]
 
 
-@pytest.mark.slow
 def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
     for word in ("run.initial_policy=none.npz", "vehicle.residual=none.npz"):
         with pytest.raises(InputError, match="none.npz"):
-            training.train(config_of("e2e_ppo.yaml", word), tmp_path / "run")
-    narrow = training.train(config_of("e2e_ppo.yaml", "network.hidden=[4]"), tmp_path / "narrow")
-    policy = f"run.initial_policy={narrow.folder / 'policy.npz'}"
+            training.train(config_of("e2e_ppo", word), tmp_path / "run")
+    untrained_policy(config_of("e2e_ppo", "network.hidden=[4]")).save(tmp_path / "narrow.npz")
+    policy = f"run.initial_policy={tmp_path / 'narrow.npz'}"
     with pytest.raises(InputError, match=r"hidden widths \[4\], the config has \[8\]"):
-        training.train(config_of("e2e_ppo.yaml", policy), tmp_path / "run", overwrite=True)
+        training.train(config_of("e2e_ppo", policy), tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run").exists()
 
 
 def test_a_policy_without_its_checkpoints_is_a_run(tmp_path):
-    config = config_of("e2e_ppo.yaml")
+    config = config_of("e2e_ppo")
     (tmp_path / MARKER).write_text('{"kind": "training"}')
     (tmp_path / "policy.npz").write_bytes(b"of another training")
     for resume, says in ((False, "already contains a run"), (True, "no checkpoint")):
@@ -147,11 +140,11 @@ def test_a_policy_without_its_checkpoints_is_a_run(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["e2e_ppo.yaml", "e2e_shac.yaml"])
+@pytest.mark.parametrize("name", ["e2e_ppo", "e2e_shac"])
 def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
     first = training.train(config_of(name, "run.steps=128"), tmp_path / "first")
     word = f"run.initial_policy={first.folder / 'policy_last.npz'}"
-    held = [f"learner.critic_warmup={4 if name == 'e2e_ppo.yaml' else 8}"]  # every update
+    held = [f"learner.critic_warmup={4 if name == 'e2e_ppo' else 8}"]  # every update
     second = training.train(config_of(name, word, *held, "seed=1"), tmp_path / "second")
     before, after = (arrays(run.folder / "policy_last.npz") for run in (first, second))
     for key in set(before) - {"log_std"}:
@@ -160,10 +153,10 @@ def test_a_run_begins_with_the_policy_of_a_file(tmp_path, name):
 
 
 @pytest.mark.slow
-def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
-    first = training.train(config_of("e2e_ppo.yaml", "run.steps=128"), tmp_path / "first")
-    path = first.folder / "policy_last.npz"
-    config = config_of("e2e_shac.yaml", f"run.initial_policy={path}", "learner.reward_scale=0.25")
+def test_the_critic_of_a_file_is_scaled_to_the_unit_of_the_reward(tmp_path):
+    path = tmp_path / "first.npz"
+    untrained_policy(config_of("e2e_ppo")).save(path)
+    config = config_of("e2e_shac", f"run.initial_policy={path}", "learner.reward_scale=0.25")
     learner, params = build_learner(config), build_params(config)
     state = start_state(config, learner, params, initial_policy(config))
     file = Policy.load(path)
@@ -183,10 +176,10 @@ def test_a_critic_comes_along_in_the_unit_of_the_reward(tmp_path):
 def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "interruptions", interrupted)
     monkeypatch.setattr(training, "PATIENCE", 600.0)
-    result = training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
+    result = training.train(config_of("e2e_ppo"), tmp_path / "run")
     assert not result.finished and result.summary["steps"] == 0
     monkeypatch.undo()
-    assert training.train(config_of("e2e_ppo.yaml"), tmp_path / "run", resume=True).finished
+    assert training.train(config_of("e2e_ppo"), tmp_path / "run", resume=True).finished
 
 
 def test_a_run_that_needs_more_memory_than_there_is_is_refused_with_the_estimate(
@@ -194,7 +187,7 @@ def test_a_run_that_needs_more_memory_than_there_is_is_refused_with_the_estimate
 ):
     monkeypatch.setattr(memory, "memory_bytes", lambda devices: 1000.0)
     with pytest.raises(InputError, match=r"about \S+e-06 GiB .* has 9.31e-07 GiB: fewer environ"):
-        training.train(config_of("e2e_ppo.yaml"), tmp_path / "run", overwrite=True)
+        training.train(config_of("e2e_ppo"), tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run").exists()
 
 
@@ -204,7 +197,7 @@ def test_interrupted_in_a_long_compilation_it_ends_at_once(tmp_path, monkeypatch
     monkeypatch.setattr(training, "PATIENCE", 0.0)
     monkeypatch.setattr(training.parallel, "compile_chunk", lambda *_: finish.wait(600))
     with pytest.raises(KeyboardInterrupt):
-        training.train(config_of("e2e_ppo.yaml"), tmp_path / "run")
+        training.train(config_of("e2e_ppo"), tmp_path / "run")
     finish.set()
 
 
@@ -224,7 +217,7 @@ def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
         show(progress, row)
 
     monkeypatch.setattr(training.TrainingProgress, "show", watch)
-    training.train(config_of("e2e_shac.yaml"), tmp_path / "run")
+    training.train(config_of("e2e_shac"), tmp_path / "run")
     assert len(after_chunk) == 4 and after_chunk[0] > 0
     assert after_chunk[1:] == after_chunk[:1] * 3
 
@@ -232,7 +225,7 @@ def test_nothing_is_compiled_after_the_first_chunk(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_short_run_is_one_short_chunk_without_advice(tmp_path, capsys):
     arguments = ("run.steps=64", "run.evaluate_every=1000000", "learner.rollout_length=4")
-    config = config_of("e2e_ppo.yaml", *arguments).with_notes(["track 'mine': ..."])
+    config = config_of("e2e_ppo", *arguments).with_notes(["track 'mine': ..."])
     run = training.train(config, tmp_path / "run")
     assert run.summary["steps"] == pytest.approx(64)
     told = capsys.readouterr().err
@@ -243,7 +236,7 @@ def test_a_short_run_is_one_short_chunk_without_advice(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
-    config = config_of("e2e_ppo.yaml")
+    config = config_of("e2e_ppo")
     compiled, kept = training.parallel.compile_chunk, []
 
     def broken(*arguments):
@@ -273,11 +266,25 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
         np.testing.assert_array_equal(bias, found[1])
 
 
+PRESETS = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
+STANDIN = {"e2e_table1": ["vehicle.residual=standin_residual.npz"]}  # the published one is not here
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
-def test_every_shipped_config_trains(tmp_path, path):
-    theirs = ["vehicle.residual=standin_residual.npz"] if path.stem == "e2e_table1" else []
-    config = config_of(path.name, "run.steps=256", *theirs)
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_shipped_config_has_a_program(name):
+    """Two updates at the sizes of the preset are traced; nothing is compiled."""
+    config = load_config(name, STANDIN.get(name, []))
+    learner, params = build_learner(config), build_params(config)
+    state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
+    training.parallel.check_update(learner, training.parallel.make_mesh(1), params, state)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["e2e", "e2e_race_adaptive", "indi_race", "authors_code"])
+def test_a_shipped_config_trains(tmp_path, name):
+    """Of other kinds than those that tests/surface trains."""
+    config = config_of(name, "run.steps=256")
     result = training.train(config, tmp_path / "run")
     assert result.finished
     assert result.policy.vehicle == config.vehicle.model
@@ -309,8 +316,7 @@ def start(runs, *arguments):
     )
 
 
-LONG = [w for w in [*TINY, *TINY_LEARNER["ppo"]] if "run.steps" not in w]
-LONG += ["run.steps=3840", "run.checkpoint_seconds=0", "name=killed"]
+LONG = [*OF_EACH, *OF_LEARNER["ppo"], "run.steps=3840", "name=killed"]
 
 
 @pytest.mark.slow
@@ -336,7 +342,8 @@ def test_killed_at_any_moment_it_resumes(tmp_path):
     assert summary["finished"]
     steps = [int(row["steps"]) for row in rows(tmp_path / "killed/metrics.csv")]
     assert steps == list(range(128, 3841, 128))
-    unbroken = training.train(config_of("e2e_ppo.yaml", *LONG, "name=unbroken"), tmp_path / "whole")
+    config = short_config("e2e_ppo", "run.steps=3840", "name=unbroken")
+    unbroken = training.train(config, tmp_path / "whole")
     first, second = (
         arrays(run / "policy_last.npz") for run in (unbroken.folder, tmp_path / "killed")
     )
@@ -351,7 +358,7 @@ def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     """Without the files that it was started with; its policy even without its folder."""
     write_files(tmp_path / "files")
     overrides = [f"{key}={tmp_path / 'files' / name}" for key, name in NAMED.items()]
-    config = config_of("e2e.yaml", *overrides, "network.activation=relu")
+    config = config_of("e2e", *overrides, "network.activation=relu")
     whole = training.train(config, tmp_path / "whole")
     assert not training.train(config, tmp_path / "part", enough=at(256)).finished
     shutil.rmtree(tmp_path / "files")
@@ -369,18 +376,3 @@ def test_a_moved_run_is_resumed_evaluated_and_exported(tmp_path):
     found, origin = race_of_policy(policy, alone)
     race = own_race(found, policy, origin, alone.name)
     assert race.params.vehicle.residual is not None and race.track == "mine"
-
-
-@pytest.mark.slow
-def test_interrupted_it_saves_and_says_how_to_go_on(tmp_path):
-    arguments = [w for w in LONG if "run.steps" not in w] + ["run.steps=3840000"]
-    process = start(tmp_path, *arguments)
-    metrics = tmp_path / "killed/metrics.csv"
-    deadline = time.monotonic() + 600
-    while not metrics.exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=600)
-    assert process.returncode == 130, output
-    assert "--resume" in output
-    assert not json.loads((tmp_path / "killed/summary.json").read_text())["finished"]

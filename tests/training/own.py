@@ -16,18 +16,12 @@ def attribute(step):
     return step.nosuch
 
 
-def nothing(step):
-    return None
-
-
 def nan(step):
     return jnp.log(-1.0 - 0.0 * step.time_step)
 
 
 THREE = Field("three", 1, "m", "world", value=lambda view: [0.0] * 3)
-ARRAYS = Field("arrays", 1, "m", "world", value=lambda view: [jnp.zeros(2)])
 NAN = Field("nan", 1, "m", "world", value=lambda view: [jnp.float32(jnp.nan)])
-BROKEN = Field("broken", 1, "m", "world", value=attribute)
 
 
 def learner(init, update):

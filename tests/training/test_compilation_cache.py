@@ -6,53 +6,63 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 
+from quadjax.core.compilation_cache import enable_compilation_cache
+
 ROOT = Path(__file__).resolve().parents[2]
-CODE = (
-    "import jax; from quadjax.core.compilation_cache import enable_compilation_cache;"
-    "before = jax.config.values['jax_compilation_cache_dir']; enable_compilation_cache();"
-    "print(before, jax.config.values['jax_compilation_cache_dir'])"
+SETTINGS = (
+    "jax_compilation_cache_dir",
+    "jax_enable_compilation_cache",
+    "jax_compilation_cache_max_size",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="the place of the cache folder is the system's"
 )
 
 
-def python(home, *arguments, **variables):
-    """The output of Python with ``home`` as the user's cache folder."""
+@pytest.fixture
+def enabled(monkeypatch):
+    """A function of the user's cache folder and JAX's settings: the cache that is then used."""
+    before = {name: jax.config.values[name] for name in SETTINGS}
+
+    def enable(home, folder=None, on=True):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(home))
+        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_enable_compilation_cache", on)
+        enable_compilation_cache()
+        return jax.config.values["jax_compilation_cache_dir"]
+
+    yield enable
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def python(home, *arguments):
+    """Run Python with ``home`` as the user's cache folder."""
     own = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
-    own |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(home)} | variables
-    done = subprocess.run(
-        [sys.executable, *arguments], capture_output=True, text=True, env=own, check=True
-    )
-    return done.stdout.split()
+    own |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(home)}
+    subprocess.run([sys.executable, *arguments], capture_output=True, env=own, check=True)
 
 
-def folders(home, **variables):
-    return python(home, "-c", CODE, **variables)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the place of the cache folder is the system's")
-def test_it_is_private_and_in_the_users_cache_folder(tmp_path):
-    before, after = folders(tmp_path)
-    assert before == "None" and Path(after).is_relative_to(tmp_path / "quadjax")
-    assert stat.S_IMODE(Path(after).stat().st_mode) == 0o700
-
-
-def test_a_configured_folder_stays(tmp_path):
-    own = str(tmp_path / "own")
-    assert folders(tmp_path, JAX_COMPILATION_CACHE_DIR=own) == [own, own]
-    assert folders(tmp_path, JAX_ENABLE_COMPILATION_CACHE="false") == ["None", "None"]
-
-
-def test_a_folder_that_cannot_be_made_means_no_cache(tmp_path):
-    (tmp_path / "file").write_text("")
-    assert folders(tmp_path / "file") == ["None", "None"]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the place of the cache folder is the system's")
-def test_a_folder_that_others_can_write_to_is_not_used(tmp_path):
-    _, folder = folders(tmp_path)
+def test_it_is_private_and_in_the_users_cache_folder(enabled, tmp_path):
+    folder = enabled(tmp_path)
+    assert Path(folder).is_relative_to(tmp_path / "quadjax")
+    assert stat.S_IMODE(Path(folder).stat().st_mode) == 0o700
     Path(folder).chmod(0o777)
-    assert folders(tmp_path) == ["None", "None"]
+    assert enabled(tmp_path) is None  # others could write to it
+
+
+def test_a_configured_folder_stays(enabled, tmp_path):
+    assert enabled(tmp_path, folder=str(tmp_path / "own")) == str(tmp_path / "own")
+    assert enabled(tmp_path, on=False) is None
+
+
+def test_a_folder_that_cannot_be_made_means_no_cache(enabled, tmp_path):
+    (tmp_path / "file").write_text("")
+    assert enabled(tmp_path / "file") is None
 
 
 MANY = """
@@ -65,7 +75,6 @@ for size in range(2, 12):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="the place of the cache folder is the system's")
 def test_its_size_is_bounded(tmp_path):
     python(tmp_path, "-c", MANY)
     sizes = [path.stat().st_size for path in tmp_path.rglob("*-cache")]
@@ -73,7 +82,6 @@ def test_its_size_is_bounded(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="the place of the cache folder is the system's")
 def test_commands_use_it_unless_it_is_off(tmp_path):
     policy = ROOT / "quadjax/pretrained/e2e_nominal.npz"
     command = ["-m", "quadjax", "evaluate", "e2e_shac", "--policy", policy, "--laps", "1"]

@@ -26,23 +26,20 @@ def test_schedules_are_at_their_ends_and_learning_rates_fall(tmp_path):
     assert own.reward == config.reward and own.training_limits == config.training_limits
 
 
-def test_the_network_is_that_of_the_file(tmp_path):
-    file = tmp_path / "small.npz"
+def test_the_network_is_that_of_the_file_which_has_a_critic(tmp_path, capsys):
+    file, bare = tmp_path / "small.npz", tmp_path / "bare.npz"
     small = make_config("network.hidden=[8]")
-    untrained_policy(small).save(file)
+    policy = untrained_policy(small)
+    policy.save(file)
     found = initial_policy(fine_tuning(small, file))
     np.testing.assert_array_equal(found.layers[0][0], Policy.load(file).layers[0][0])
     with pytest.raises(InputError, match=r"small.npz has hidden widths \[8\], the config has \[6"):
         initial_policy(fine_tuning(make_config("network.hidden=[6, 6]"), file))
-
-
-def test_bad_input_is_one_line(tmp_path, capsys):
-    file = tmp_path / "bare.npz"
-    dataclasses.replace(untrained_policy(make_config()), value=None).save(file)
+    dataclasses.replace(policy, value=None).save(bare)
     for name, more, says in (
         ("none.npz", (), "none.npz: no such file"),
-        (file, (), "bare.npz has no critic, allowed: a policy with one; run.initial_policy="),
-        (file, (f"run.initial_policy={file}",), "and run.initial_policy exclude each other"),
+        (bare, (), "bare.npz has no critic, allowed: a policy with one; run.initial_policy="),
+        (bare, (f"run.initial_policy={file}",), "and run.initial_policy exclude each other"),
     ):
         taken = ["train", str(BLANK), *more, "--fine-tune", str(name), "--output", str(tmp_path)]
         assert run(taken) == 2

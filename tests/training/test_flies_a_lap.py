@@ -1,9 +1,11 @@
 """A short training ends with a policy that flies laps."""
 
 import numpy as np
+import pytest
 
 import quadjax
 
+pytestmark = pytest.mark.slow
 TRACK = """
 name: wide
 gates:

@@ -1,10 +1,10 @@
 """The folder of a run: locked, of one kind, and never cleared of other people's files."""
 
 import json
-import multiprocessing
 import platform
 import shutil
-import time
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -47,53 +47,45 @@ def write_files(folder):
     return residual
 
 
-def hold(folder, ready):
-    with claim(folder, "training"):
-        ready.set()
-        time.sleep(60)
+HOLD = """
+import sys, time
+from quadjax.core.folders import claim
+with claim(sys.argv[1], "training"):
+    print("ready", flush=True)
+    time.sleep(60)
+"""
 
 
 def test_a_folder_in_use_is_refused_until_the_process_is_gone(tmp_path):
-    context = multiprocessing.get_context("spawn")
-    ready = context.Event()
-    process = context.Process(target=hold, args=(tmp_path / "run", ready))
-    process.start()
-    assert ready.wait(60)
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "run")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "ready\n"
     with pytest.raises(InputError, match="in use by another process"):
         with claim(tmp_path / "run", "training"):
             pass
     process.kill()
-    process.join()
+    process.communicate()
     with claim(tmp_path / "run", "training"):
         assert kind_of(tmp_path / "run") == "training"
 
 
-@pytest.mark.parametrize("kind", ["fit", "sweep", "export", "comparison"])
-def test_a_folder_of_another_kind_is_refused(tmp_path, kind):
-    with claim(tmp_path, kind):
-        pass
-    with pytest.raises(InputError, match=f"holds an? {kind}, not a training"):
-        with claim(tmp_path, "training"):
+def test_a_folder_of_another_kind_is_refused(tmp_path):
+    """Also one that an earlier version wrote, by a file in it."""
+    for name, kind in {
+        "checkpoints": "training",
+        "study.journal": "sweep",
+        "vehicle.yaml": "fit",
+        "e2e_report.json": "export",
+        "compare.json": "comparison",
+    }.items():
+        folder = tmp_path / kind
+        write_text(folder / name, "")
+        for other in ("folder", "notes"):
+            with pytest.raises(InputError, match=f"holds an? {kind}, not an? {other}"):
+                with claim(folder, other):
+                    pass
+        with claim(folder, kind):
             pass
-
-
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("checkpoints", "training"),
-        ("study.journal", "sweep"),
-        ("vehicle.yaml", "fit"),
-        ("e2e_report.json", "export"),
-        ("compare.json", "comparison"),
-    ],
-)
-def test_folders_of_earlier_versions_have_their_kind(tmp_path, name, kind):
-    (tmp_path / name).write_text("")
-    with pytest.raises(InputError, match=f"holds an? {kind}, not a folder"):
-        with claim(tmp_path, "folder"):
-            pass
-    with claim(tmp_path, kind):
-        pass
 
 
 COMMANDS = {
@@ -228,13 +220,25 @@ def test_a_checkpoint_without_its_config_is_a_run(tmp_path):
     check_same(load_config(tmp_path / "config.yaml"), tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "\x00", "{", "- 1", "seed: 7"])
-def test_a_damaged_config_is_one_line(tmp_path, text):
+def test_a_damaged_file_of_a_run_is_one_line(tmp_path):
     (tmp_path / "checkpoints/latest/3").mkdir(parents=True)
-    (tmp_path / "config.yaml").write_text(text)
-    with pytest.raises(InputError, match="config.yaml") as caught:
-        prepare_folder(load_config(BLANK), tmp_path, resume=True, overwrite=False)
-    assert "\n" not in str(caught.value)
+
+    def prepare(folder):
+        prepare_folder(load_config(BLANK), folder, resume=True, overwrite=False)
+
+    def rows(folder):
+        saved_rows(folder / "metrics.csv")
+
+    for name, read, texts in (
+        ("config.yaml", prepare, ("", "\x00", "{", "- 1", "seed: 7")),
+        ("summary.json", is_finished, ("", "{", "[1]", '{"finished": "yes"}', "[" * 99999)),
+        ("metrics.csv", rows, ("steps,seconds\n1,x\n", "seconds\n1\n", "steps,seconds\n1,2,3\n")),
+    ):
+        for text in texts:
+            (tmp_path / name).write_text(text)
+            with pytest.raises(InputError, match=name) as caught:
+                read(tmp_path)
+            assert "\n" not in str(caught.value)
 
 
 def test_a_run_of_another_file_names_the_key(tmp_path):
@@ -244,14 +248,6 @@ def test_a_run_of_another_file_names_the_key(tmp_path):
     (tmp_path / "files/r.npz").write_bytes((PRETRAINED / "e2e.npz").read_bytes())
     with pytest.raises(InputError, match="residual.npz differs from vehicle.residual"):
         check_same(config, tmp_path / "run")
-
-
-@pytest.mark.parametrize("text", ["", "{", "[1]", '{"finished": "yes"}', "\x00\xff", "[" * 99999])
-def test_a_damaged_summary_is_one_line(tmp_path, text):
-    (tmp_path / "summary.json").write_text(text)
-    with pytest.raises(InputError, match="summary.json") as caught:
-        is_finished(tmp_path)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_summary_says_whether_the_run_has_finished(tmp_path):
@@ -270,13 +266,13 @@ def test_a_summary_says_whether_the_run_has_finished(tmp_path):
             read_summary(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "\n", "steps,seconds\n", "steps,seconds\r\n12"])
-def test_metrics_without_rows_do_not_block_a_resume(tmp_path, text):
-    (tmp_path / "metrics.csv").write_text(text)
-    metrics = MetricsFile(tmp_path, 100, False)
-    metrics.write({"steps": 200, "seconds": 1.0})
-    metrics.close()
-    np.testing.assert_array_equal(read_metrics(tmp_path / "metrics.csv")["steps"], [200])
+def test_metrics_without_rows_do_not_block_a_resume(tmp_path):
+    for text in ("", "\n", "steps,seconds\n", "steps,seconds\r\n12"):
+        (tmp_path / "metrics.csv").write_text(text)
+        metrics = MetricsFile(tmp_path, 100, False)
+        metrics.write({"steps": 200, "seconds": 1.0})
+        metrics.close()
+        np.testing.assert_array_equal(read_metrics(tmp_path / "metrics.csv")["steps"], [200])
 
 
 def test_a_resumed_run_drops_the_rows_after_its_checkpoint(tmp_path):
@@ -285,11 +281,3 @@ def test_a_resumed_run_drops_the_rows_after_its_checkpoint(tmp_path):
     metrics.write({"steps": 300, "seconds": 9.0})
     metrics.close()
     assert [row["seconds"] for row in saved_rows(tmp_path / "metrics.csv")] == [1, 2, 9]
-
-
-@pytest.mark.parametrize("text", ["steps,seconds\n1,x\n", "seconds\n1\n", "steps,seconds\n1,2,3\n"])
-def test_damaged_metrics_are_one_line(tmp_path, text):
-    (tmp_path / "metrics.csv").write_text(text)
-    with pytest.raises(InputError, match="metrics.csv") as caught:
-        saved_rows(tmp_path / "metrics.csv")
-    assert "\n" not in str(caught.value)

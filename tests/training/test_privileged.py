@@ -1,7 +1,6 @@
 """A critic that observes the drawn constants, which the policy does not."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -18,6 +17,7 @@ from quadjax.training.build import (
     with_policy,
 )
 from tests.race.support import BLANK, make_config
+from tests.surface.short import OF_EACH, OF_LEARNER
 
 SMALL = "network.hidden=[8]"
 OWN = ("randomization={thrust: 0.2, lag: 0.1}", "observation.critic_constants=true")
@@ -47,16 +47,18 @@ def test_a_population_shows_every_constant():
 def test_only_the_value_takes_them():
     config = make_config(*OWN, SMALL, "network.normalize=true")
     networks = build_networks(config)
-    params = networks.init(jax.random.key(0))
-    seen = jax.random.normal(jax.random.key(1), (networks.observation_size,))
-    other = seen.at[-2:].add(1.0)
-    np.testing.assert_array_equal(networks.mean(params, seen), networks.mean(params, other))
-    assert abs(networks.value(params, seen) - networks.value(params, other)) > 1e-3
+    params = jax.jit(networks.init)(jax.random.key(0))
+    seen = np.random.default_rng(1).normal(size=networks.observation_size).astype(np.float32)
+    other = seen.copy()
+    other[-2:] += 1.0
+    mean, value = jax.jit(networks.mean), jax.jit(networks.value)
+    np.testing.assert_array_equal(mean(params, seen), mean(params, other))
+    assert abs(value(params, seen) - value(params, other)) > 1e-3
     policy = policy_of(config, params, {})
     assert policy.layers[0][0].shape[0] == policy.layout.size == networks.observation_size - 2
     assert policy.value is None
     action = policy.mean(seen[:-2])
-    np.testing.assert_allclose(action, jnp.clip(networks.mean(params, seen), -1, 1), atol=1e-5)
+    np.testing.assert_allclose(action, np.clip(mean(params, seen), -1, 1), atol=1e-5)
 
 
 def test_a_policy_with_a_critic_of_another_size_gives_its_policy_only():
@@ -79,12 +81,7 @@ def test_it_is_refused_where_nothing_is_drawn():
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["ppo", "shac"])
 def test_both_learners_train_with_it(tmp_path, algorithm):
-    sizes = {
-        "ppo": ["learner.num_envs=8", "learner.rollout_length=16", "learner.num_minibatches=2"],
-        "shac": ["learner.num_envs=8", "learner.horizon=8"],
-    }
-    short = ["run.steps=1000", "run.devices=1"]
-    own = [*OWN, *short, f"learner.algorithm={algorithm}", *sizes[algorithm], SMALL]
+    own = [*OWN, *OF_EACH, f"learner.algorithm={algorithm}", *OF_LEARNER[algorithm]]
     assert run(["train", str(BLANK), *own, "--output", str(tmp_path), "--name", "x"]) == 0
     policy = Policy.load(tmp_path / "x" / "policy.npz")
     assert policy.value is None and policy.config["observation"]["critic_constants"]

@@ -19,13 +19,20 @@ DRAWN = "randomization={thrust: 0.2, lag: 0.1}"
 SMALL = "network.hidden=[8]"
 
 
+def observed(environment, params, keys):
+    """First states and their observations, in one program."""
+
+    def first(key):
+        state = environment.reset(params, key)
+        return state, environment.observe(params, state)
+
+    return jax.device_get(jax.jit(jax.vmap(first))(keys))
+
+
 def test_drawn_constants_are_observed_from_minus_one_to_one():
     config = make_config(DRAWN, SEES)
     environment, params = make_race(config)
-    states = jax.vmap(environment.reset, in_axes=(None, 0))(
-        params, jax.random.split(jax.random.key(0), 100)
-    )
-    seen = np.asarray(jax.vmap(environment.observe, in_axes=(None, 0))(params, states))
+    states, seen = observed(environment, params, jax.random.split(jax.random.key(0), 100))
     names = race_of(config)[0].model.constant_names
     seen = dict(zip(names, seen[:, -len(names) :].T, strict=True))
     for name, part in (("k_w", 0.2), ("tau", 0.1)):
@@ -39,9 +46,9 @@ def test_drawn_constants_are_observed_from_minus_one_to_one():
 def test_an_error_of_the_model_is_not_observed():
     config = make_config(DRAWN, SEES, "vehicle.mismatch={k_w: 0.9}")
     environment, params = make_race(config)
-    state = environment.reset(params, jax.random.key(0))
+    _, seen = observed(environment, params, jax.random.split(jax.random.key(0), 1))
     size = len(race_of(config)[0].model.constant_names)
-    np.testing.assert_allclose(environment.observe(params, state)[-size:], 0.0, atol=1e-6)
+    np.testing.assert_allclose(seen[0, -size:], 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("drawn", [DRAWN, "randomization.population=all_racing_drones"])
@@ -55,10 +62,15 @@ def test_the_policy_of_a_drone_acts_as_the_one_that_sees_its_constants(drawn):
     assert "constants" not in own.layout and own.layers[0][0].shape[0] == own.layout.size
     assert own.value[0][0].shape[0] == own.layout.size
     environment, plain = make_race(config)
-    state = environment.reset(plain, jax.random.key(3))
     flown = pilot.make_pilot(choices, params, policy, deterministic=True)
-    seen = pilot.see(flown, make_environment(choices).observe(params, state))
-    kept = np.delete(np.asarray(seen), policy.layout.slice("constants"))
+
+    @jax.jit
+    def see(key):
+        state = environment.reset(plain, key)
+        return pilot.see(flown, make_environment(choices).observe(params, state))
+
+    seen = np.asarray(see(jax.random.key(3)))
+    kept = np.delete(seen, policy.layout.slice("constants"))
     np.testing.assert_allclose(own.mean(kept), policy.mean(seen), atol=2e-5)
     assert own.config["observation"]["constants"] is False
 
