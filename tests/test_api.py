@@ -76,6 +76,7 @@ def test_shipped_policies_are_found_by_name():
         quadjax.Policy.load("e2e_nominl.npz")
 
 
+@pytest.mark.slow
 def test_a_shipped_policy_is_evaluated(tmp_path):
     config = quadjax.load("e2e_shac", ["evaluate.laps=1"])
     laps = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3)

@@ -37,6 +37,7 @@ from quadjax.training.build import (
 )
 from quadjax.training.checkpoint import Checkpoints
 from quadjax.training.result import Run
+from tests.evaluation.support import random_policy
 from tests.surface.short import OF_EACH, OF_LEARNER, short_config
 from tests.training.test_folder import NAMED, write_files
 
@@ -121,10 +122,10 @@ def test_what_cannot_be_used_is_refused_before_anything_is_written(tmp_path):
     for word in ("run.initial_policy=none.npz", "vehicle.residual=none.npz"):
         with pytest.raises(InputError, match="none.npz"):
             training.train(config_of("e2e_ppo", word), tmp_path / "run")
-    untrained_policy(config_of("e2e_ppo", "network.hidden=[4]")).save(tmp_path / "narrow.npz")
-    policy = f"run.initial_policy={tmp_path / 'narrow.npz'}"
-    with pytest.raises(InputError, match=r"hidden widths \[4\], the config has \[8\]"):
-        training.train(config_of("e2e_ppo", policy), tmp_path / "run", overwrite=True)
+    random_policy().save(tmp_path / "wide.npz")
+    words = (f"run.initial_policy={tmp_path / 'wide.npz'}", "network.hidden=[4]")
+    with pytest.raises(InputError, match=r"hidden widths \[8\], the config has \[4\]"):
+        training.train(config_of("e2e_ppo", *words), tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run").exists()
 
 

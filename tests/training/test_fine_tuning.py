@@ -9,8 +9,9 @@ from quadjax.cli import run
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
-from quadjax.training.build import initial_policy, untrained_policy
+from quadjax.training.build import initial_policy
 from quadjax.training.fine_tuning import fine_tuning
+from tests.evaluation.support import random_policy
 from tests.race.support import BLANK, make_config
 
 
@@ -29,7 +30,8 @@ def test_schedules_are_at_their_ends_and_learning_rates_fall(tmp_path):
 def test_the_network_is_that_of_the_file_which_has_a_critic(tmp_path, capsys):
     file, bare = tmp_path / "small.npz", tmp_path / "bare.npz"
     small = make_config("network.hidden=[8]")
-    policy = untrained_policy(small)
+    value = ((np.ones((24, 8)), np.zeros(8)), (np.ones((8, 1)), np.zeros(1)))
+    policy = random_policy(value=value)
     policy.save(file)
     found = initial_policy(fine_tuning(small, file))
     np.testing.assert_array_equal(found.layers[0][0], Policy.load(file).layers[0][0])

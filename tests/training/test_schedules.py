@@ -1,7 +1,6 @@
 """Schedules of a config: which numbers of a run they change, and when."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -21,12 +20,13 @@ TINY = [
 ]
 
 
-def at(config, update):
-    """Hyperparameters and race after a number of updates, of 64 steps each."""
+def at(config, *updates):
+    """Hyperparameters and race after each number of updates, of 64 steps each."""
     learner = build_learner(config)
     assert learner.steps_per_update == 64
     tree = (learner.hyper.hyper, build_params(config))
-    return apply_schedules(tree, learner.hyper.schedules, jnp.int32(update))
+    program = jax.jit(lambda update: apply_schedules(tree, learner.hyper.schedules, update))
+    return [jax.device_get(program(np.int32(update))) for update in updates]
 
 
 def tiny(name, *overrides):
@@ -39,8 +39,9 @@ def test_the_default_preset_from_start_to_end():
     whole = build_params(config)
     kernel = np.asarray(whole.vehicle.residual.moment[-1][0])
     shares = {0: (0, 0), 1: (0, 0), 2: (0.4, 0), 4: (1, 0.35), 5: (1, 0.75), 6: (1, 1), 10: (1, 1)}
-    for update, (turned, residual) in shares.items():
-        hyper, params = at(config, update)
+    for (update, (turned, residual)), (hyper, params) in zip(
+        shares.items(), at(config, *shares), strict=True
+    ):
         assert float(params.start.yaw) == pytest.approx(turned * np.pi, abs=1e-6)
         assert float(params.reward.pitch_up) == pytest.approx(2 * (1 - turned), abs=1e-6)
         for vehicle in (params.vehicle, params.estimator.vehicle):
@@ -55,8 +56,8 @@ def test_the_default_preset_from_start_to_end():
 
 def test_the_word_value_is_the_keys_own_value():
     config = tiny("e2e_fastest", "reward.gate_edge=40", "learner.std=0.4")
-    for update, edge, std in ((0, 0.0, 0.4), (2, 16.0, 0.33), (5, 40.0, 0.225), (10, 40.0, 0.05)):
-        hyper, params = at(config, update)
+    expected = {0: (0.0, 0.4), 2: (16.0, 0.33), 5: (40.0, 0.225), 10: (40.0, 0.05)}
+    for (edge, std), (hyper, params) in zip(expected.values(), at(config, *expected), strict=True):
         assert float(params.reward.gate_edge) == pytest.approx(edge, abs=1e-5)
         assert float(hyper.std) == pytest.approx(std, rel=1e-5)
     assert float(build_params(config).reward.gate_edge) == 40.0
@@ -65,16 +66,18 @@ def test_the_word_value_is_the_keys_own_value():
 def test_steps_and_several_values():
     schedule = "schedules.reward.gate={linear: [1, 3, 2], from: 64, until: 320}"
     config = tiny("e2e_shac", schedule)
-    found = [float(at(config, update)[1].reward.gate) for update in range(7)]
+    found = [params.reward.gate for _, params in at(config, *range(7))]
     np.testing.assert_allclose(found, [1, 1, 2, 3, 2.5, 2, 2], rtol=1e-6)
 
 
 def test_constants_and_randomization_can_be_scheduled():
     config = tiny("e2e_shac", "schedules.vehicle.constants.tau={linear: [0.1, value]}")
-    assert float(at(config, 5)[1].vehicle.constants.tau) == pytest.approx(0.08)
+    ((_, params),) = at(config, 5)
+    assert float(params.vehicle.constants.tau) == pytest.approx(0.08)
     config = tiny("e2e_shac", "schedules.randomization.drag={linear: [0, 0.2]}")
     assert choices_of(config).randomize
-    assert float(at(config, 5)[1].randomization.k_x) == pytest.approx(0.1)
+    ((_, params),) = at(config, 5)
+    assert float(params.randomization.k_x) == pytest.approx(0.1)
 
 
 def test_another_schedule_compiles_nothing():
