@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.c_arrays import is_c, read_c_network
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, reading
 from quadjax.core.files import read_layers, read_npz, write_npz
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.torch_files import Layers, linear_layers, read_state_dict
@@ -75,8 +75,10 @@ def read_residual(path: Path | str) -> Residual:
     Raises:
         InputError: a missing, damaged or inconsistent file, in one line.
     """
-    path = located(path)
-    if not path.exists():
+    with reading(path):
+        path = located(path)
+        exists = path.exists()
+    if not exists:
         raise InputError(
             f"{path}: no such file, expected a residual: quadjax import e2e_paper THRUST MOMENT "
             f"--thrust-sign 1 --output {path} writes one of two networks, quadjax fit one of logs"
