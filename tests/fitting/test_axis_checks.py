@@ -14,10 +14,10 @@ from quadjax.fitting.columns import PAPARAZZI, PLAIN
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import log_of_columns
 from quadjax.fitting.log_formats import FORMATS
-from quadjax.fitting.simulate import SensorNoise, random_residual, simulate_flight
-from quadjax.vehicle.protocol import VehicleParams
+from quadjax.fitting.simulate import SensorNoise
 
 from .conftest import FLIGHTS
+from .flights import first_seconds, simulated
 
 VECTORS = ("gyro", "acceleration", "body_velocity", "world_velocity", "position", "euler")
 
@@ -95,9 +95,8 @@ def accepted(columns, form, title):
 
 
 @pytest.fixture(scope="module")
-def flown(bebop):
-    drone = VehicleParams(bebop, random_residual(5, 0.7, (0.008, 0.008, 0.003)))
-    return simulate_flight(drone, seed=1, seconds=4.0, sample_rate=250.0)
+def flown():
+    return first_seconds(simulated(1, (5, 0.7, (0.008, 0.008, 0.003)), SensorNoise()), 4.0)
 
 
 def test_every_fault_of_a_short_flight_is_refused(flown):
@@ -157,7 +156,7 @@ def minus(*names):
             lambda columns: {name: delayed(columns[name], 50) for name in PAPARAZZI["rpm"]},
         ),
         (
-            "columns 'rpm_ref_1', .* are 1.5. times the speeds 'rpm_obs_1', .*logs.units.rpm",
+            "columns 'rpm_ref_1', .* are 1.5.? times the speeds 'rpm_obs_1', .*logs.units.rpm",
             lambda columns: {name: 1.5 * columns[name] for name in PAPARAZZI["rpm_command"]},
         ),
         (
@@ -171,17 +170,17 @@ def test_the_line_names_the_columns_and_the_evidence(flown, message, wrong):
         log_of_columns(flown | wrong(flown), LogsConfig(format="paparazzi"), "flight")
 
 
-def test_what_has_no_evidence_is_reported(bebop, monkeypatch):
+def test_what_has_no_evidence_is_reported(monkeypatch):
     monkeypatch.setattr(simulate, "_wandering", lambda random, count, rate: np.zeros((count, 4)))
-    hover = simulate_flight(VehicleParams(bebop), seed=1, seconds=4.0, sample_rate=250.0)
+    hover = first_seconds(simulated.__wrapped__(1, noise=SensorNoise()), 4.0)
     lines = log_of_columns(hover, LogsConfig(format="paparazzi"), "flight").unchecked
     assert "'rate_r'" in lines
     assert any("'rpm_obs_1'" in line for line in lines)
 
 
-def test_noise_is_not_a_contradiction(bebop):
+def test_noise_is_not_a_contradiction():
     noise = SensorNoise(rpm=100.0, gyro=0.05, acceleration=1.0, velocity=0.1, angle=0.01)
-    noisy = simulate_flight(VehicleParams(bebop), 3, 4.0, 250.0, noise)
+    noisy = first_seconds(simulated(3, noise=noise), 4.0)
     log_of_columns(noisy, LogsConfig(format="paparazzi"), "flight")
 
 

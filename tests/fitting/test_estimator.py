@@ -1,3 +1,5 @@
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,8 +37,8 @@ BEBOP = MotorConstants(
     rpm_min=3000.0,
     rpm_max=11000.0,
 )
-MOMENT = np.array([0.02, -0.03, 0.008])
-FORCE = np.array([0.3, -0.2, -0.5])
+MOMENT = np.array([0.02, -0.03, 0.008], np.float32)
+FORCE = np.array([0.3, -0.2, -0.5], np.float32)
 
 
 def _controlled(state, time):
@@ -50,20 +52,23 @@ def _controlled(state, time):
     return Rotors(*(jnp.clip(lift + part, 3000.0, 11000.0) for part in mix))
 
 
-def _fly(vehicle, rate, integrator, substeps, seconds=6.0, onset=2.0):
-    """A simulated flight: the disturbances step from zero to their values at ``onset``."""
-    dt = 1.0 / (rate * substeps)
+COUNT, SECONDS, ONSET = 3072, 6.0, 2.0  # of 6 s at 512 Hz; slower ones are cut
+DRONE = VehicleParams(BEBOP, random_residual(1, 0.5, 0.005))
+
+
+@functools.partial(jax.jit, static_argnames="euler")
+def _fly(rate, substeps, euler):
+    """A flight whose disturbances step from zero to their values at ``ONSET``, and estimates."""
+    dt, integrator = 1.0 / (rate * substeps), euler_step if euler else rk4_step
+    params = estimator.estimator_params(motor.MODEL, DRONE, rate, explicit_euler=euler)
 
     def step(state, index):
         time = index / rate
-        on = jnp.where(time >= onset - 1e-6, 1.0, 0.0)
-        state = state.replace(
-            moment_ext=Vec3.of(jnp.asarray(MOMENT, jnp.float32)) * on,
-            force_ext=Vec3.of(jnp.asarray(FORCE, jnp.float32)) * on,
-        )
+        on = jnp.where(time >= ONSET - 1e-6, 1.0, 0.0)
+        state = state.replace(moment_ext=Vec3.of(MOMENT) * on, force_ext=Vec3.of(FORCE) * on)
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
         steady = Rotors.same(jnp.zeros(()))
-        force, _ = motor.force_moment(vehicle, state.rpm, steady, body_velocity, state.rates)
+        force, _ = motor.force_moment(DRONE, state.rpm, steady, body_velocity, state.rates)
         measured = Measurement(
             gyro=state.rates,
             specific_force=force + state.force_ext,
@@ -74,67 +79,54 @@ def _fly(vehicle, rate, integrator, substeps, seconds=6.0, onset=2.0):
         state = jax.lax.fori_loop(
             0,
             substeps,
-            lambda _, s: integrator(lambda x: motor.derivative(vehicle, x, command), s, dt),
+            lambda _, s: integrator(lambda x: motor.derivative(DRONE, x, command), s, dt),
             state,
         )
         return state, (measured, on)
 
+    def follow(state, measurement):
+        state, moment, force = estimator.update(params, state, measurement)
+        return state, (moment.array(), force.array())
+
+    zero = Vec3.zero()
     start = motor.MotorState(
-        position=Vec3.zero(),
+        position=zero,
         velocity=Vec3.of(jnp.array([1.0, -0.5, 0.2])),
         euler=Vec3.of(jnp.array([0.1, -0.2, 0.3])),
         rates=Vec3.of(jnp.array([0.5, -0.4, 0.3])),
         rpm=Rotors.same(jnp.asarray(7000.0)),
-        moment_ext=Vec3.zero(),
-        force_ext=Vec3.zero(),
+        moment_ext=zero,
+        force_ext=zero,
     )
-    _, (measured, on) = jax.jit(
-        lambda: jax.lax.scan(step, start, jnp.arange(int(seconds * rate)))
-    )()
-    return measured, np.asarray(on)
-
-
-def _run(params, measured):
-    first = jax.tree.map(lambda x: x[0], measured)
-
-    def step(state, measurement):
-        state, moment, force = estimator.update(params, state, measurement)
-        return state, (moment, force)
-
-    _, (moment, force) = jax.lax.scan(step, estimator.init(params, first), measured)
-    return np.asarray(moment.array()), np.asarray(force.array())
-
-
-def _as_signals(measured):
-    return {name: getattr(measured, name).array() for name in measured.__dataclass_fields__}
+    _, (measured, on) = jax.lax.scan(step, start, jnp.arange(COUNT))
+    first = estimator.init(params, jax.tree.map(lambda x: x[0], measured))
+    estimated = jax.lax.scan(follow, first, measured)[1]
+    signals = {name: getattr(measured, name).array() for name in measured.__dataclass_fields__}
+    return signals, on, *estimated
 
 
 CASES = {
-    "simulation 100 Hz": (100.0, euler_step, 1, True),
-    "on board 512 Hz": (512.0, rk4_step, 2, False),
-    "continuous 100 Hz": (100.0, rk4_step, 8, False),
+    "simulation 100 Hz": (100.0, 1, True),
+    "on board 512 Hz": (512.0, 2, False),
+    "continuous 100 Hz": (100.0, 8, False),
 }
 
 
 @pytest.fixture(scope="module", params=CASES, ids=list(CASES))
 def flight(request):
-    rate, integrator, substeps, euler = CASES[request.param]
-    vehicle = VehicleParams(BEBOP, random_residual(1, 0.5, 0.005))
-    measured, on = _fly(vehicle, rate, integrator, substeps)
-    params = estimator.estimator_params(motor.MODEL, vehicle, rate, explicit_euler=euler)
-    return request.param, vehicle, measured, on, params
+    rate, substeps, euler = CASES[request.param]
+    count = round(SECONDS * rate)
+    signals, *rest = jax.tree.map(lambda x: np.asarray(x)[:count], _fly(rate, substeps, euler))
+    return rate, euler, signals, *rest
 
 
 def test_follows_a_step_as_the_filter_does_and_without_bias(flight):
-    name, vehicle, measured, on, params = flight
-    rate, _, _, euler = CASES[name]
-    moment, force = _run(params, measured)
+    rate, euler, _, on, moment, force = flight
     b, a = butter(2, 8.0, fs=rate)
     step = lfilter(b, a, on)
     shifted = lfilter([0.0, 2 * b[0], 2 * b[0]] if euler else b, a, on)
     error_m = np.abs(moment - shifted[:, None] * MOMENT) / np.array([0.03, 0.03, 0.01])
     error_f = np.abs(force - step[:, None] * FORCE) / 0.5
-    print(name, "largest error / range", error_m.max(0), error_f.max(0))
     settled = slice(int(2.5 * rate), None)
     assert np.abs((moment[settled].mean(0) - MOMENT) / [0.03, 0.03, 0.01]).max() < 0.02
     assert np.abs((force[settled].mean(0) - FORCE) / 0.5).max() < 0.02
@@ -148,42 +140,45 @@ def test_follows_a_step_as_the_filter_does_and_without_bias(flight):
 
 
 def test_jax_and_float64_reference_agree(flight):
-    name, vehicle, measured, _, params = flight
-    rate, _, _, euler = CASES[name]
-    moment, force = _run(params, measured)
-    reference = estimate(vehicle, _as_signals(measured), rate, explicit_euler=euler)
-    print(name, *(np.abs(a - b).max() for a, b in zip((moment, force), reference, strict=True)))
-    assert np.abs(moment - reference[0]).max() < 1e-5
-    assert np.abs(force - reference[1]).max() < 1e-5
+    rate, euler, signals, _, moment, force = flight
+    expected = estimate(DRONE, signals, rate, explicit_euler=euler)
+    assert np.abs(moment - expected[0]).max() < 1e-5
+    assert np.abs(force - expected[1]).max() < 1e-5
 
 
 def test_batches_and_differentiates():
-    vehicle = VehicleParams(BEBOP)
-    params = estimator.estimator_params(motor.MODEL, vehicle, 100.0)
-    ones = jnp.ones(5)
+    vehicle, ones = VehicleParams(BEBOP), np.ones(5, np.float32)
     three = Vec3(ones, ones, ones)
     batch = Measurement(three, three, Rotors.same(7000.0 * ones), three)
-    states = jax.vmap(estimator.init, in_axes=(None, 0))(params, batch)
-    states, moment, force = jax.vmap(estimator.update, in_axes=(None, 0, 0))(params, states, batch)
-    assert moment.array().shape == force.array().shape == (5, 3)
 
-    def total(cutoff):
+    @jax.jit
+    def update(cutoff):
         params = estimator.estimator_params(motor.MODEL, vehicle, 100.0, cutoff)
-        one = jax.tree.map(lambda x: x[0], batch)
-        return estimator.update(params, estimator.init(params, one), one)[2].z
 
-    assert np.isfinite(jax.grad(total)(8.0))
+        def total(measured):
+            return estimator.update(params, estimator.init(params, measured), measured)[1:]
+
+        return tuple(x.array() for x in jax.vmap(total)(batch))
+
+    moment, force = update(8.0)
+    assert moment.shape == force.shape == (5, 3)
+    slope = jax.jit(jax.grad(lambda cutoff: update(cutoff)[1][0, 2]))(8.0)
+    assert np.isfinite(slope)
 
 
 def test_a_steady_start_is_no_disturbance():
-    vehicle = VehicleParams(BEBOP)
-    params = estimator.estimator_params(motor.MODEL, vehicle, 100.0)
-    rpm = Rotors.same(motor.hover_rpm(BEBOP))
-    still = Vec3.zero()
-    at_rest = Measurement(still, still.replace(z=jnp.asarray(-9.81)), rpm, still)
-    _, moment, force = estimator.update(params, estimator.init(params, at_rest), at_rest)
-    np.testing.assert_allclose(moment.array(), 0.0, atol=1e-7)
-    np.testing.assert_allclose(force.array(), 0.0, atol=1e-5)
+    @jax.jit
+    def estimated():
+        params = estimator.estimator_params(motor.MODEL, VehicleParams(BEBOP), 100.0)
+        still = Vec3.zero()
+        rpm = Rotors.same(motor.hover_rpm(BEBOP))
+        at_rest = Measurement(still, still.replace(z=jnp.asarray(-9.81)), rpm, still)
+        found = estimator.update(params, estimator.init(params, at_rest), at_rest)
+        return tuple(x.array() for x in found[1:])
+
+    moment, force = estimated()
+    np.testing.assert_allclose(moment, 0.0, atol=1e-7)
+    np.testing.assert_allclose(force, 0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("cutoff", [0.0, -1.0, 50.0, 300.0])

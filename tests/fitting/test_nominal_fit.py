@@ -18,11 +18,10 @@ from quadjax.fitting.nominal import (
 )
 from quadjax.fitting.prepare import airborne, prepare
 from quadjax.fitting.signals import derivative, low_pass, noise_level
-from quadjax.fitting.simulate import simulate_flight
-from quadjax.vehicle.protocol import VehicleParams
 from tests import reference as ref
 
 from .conftest import RACING_INERTIA
+from .flights import simulated, write_flights
 
 
 def test_the_model_is_that_of_the_independent_reference(bebop):
@@ -76,10 +75,9 @@ def test_noise_level_sees_noise_and_not_motion():
 
 
 @pytest.fixture(scope="module")
-def flights(bebop, tmp_path_factory):
+def flights(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
-    for seed in range(4):
-        write_log(folder / f"flight_{seed}.csv", simulate_flight(VehicleParams(bebop), seed))
+    write_flights(folder, 8)
     return read_logs(LogsConfig(files=["*.csv"], format="paparazzi"), folder)
 
 
@@ -107,7 +105,7 @@ def test_motor_lag_comes_back(flights):
 
 
 def test_hover_excites_little_and_says_so(bebop, tmp_path):
-    columns = simulate_flight(VehicleParams(bebop), seed=3, seconds=10.0)
+    columns = dict(simulated(3))
     random = np.random.default_rng(0)
     for name, values in columns.items():
         if name not in ("time", "autopilot_mode"):
@@ -156,10 +154,10 @@ def test_constants_of_an_impossible_sign_are_refused_unless_asked_for(bebop, fli
 def test_ground_time_is_trimmed(bebop, flights):
     log = flights[0]
     idle = np.array(log.rpm)
-    idle[:1000], idle[-500:] = 2500.0, 2500.0
-    idle[5000:5050] = 2500.0  # a dive, not a landing
+    idle[:500], idle[-250:] = 2500.0, 2500.0
+    idle[1000:1025] = 2500.0  # a dive, not a landing
     rows = airborne(log.__class__(**log.__dict__ | {"rpm": idle}), PrepareConfig())
-    assert not rows[:1000].any() and not rows[-500:].any() and rows[1000:-500].all()
+    assert not rows[:500].any() and not rows[-250:].any() and rows[500:-250].all()
 
 
 def test_the_nominal_model_explains_flights_of_a_real_drone(bebop, plain_flights):

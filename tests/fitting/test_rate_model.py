@@ -11,9 +11,9 @@ from quadjax.fitting.flight_log import read_log, write_log
 from quadjax.fitting.prepare import airborne, prepare
 from quadjax.fitting.rate_model import fit_rate_model
 from quadjax.fitting.signals import first_order
-from quadjax.fitting.simulate import simulate_flight
 from quadjax.fitting.vehicle_file import read_vehicle
-from quadjax.vehicle.protocol import VehicleParams
+
+from .flights import RATE, simulated
 
 TRUE = {"tau_rate": 0.045, "tau_thrust": 0.035, "d_x": 0.3, "d_y": 0.4}
 BASE = {"tau_rate": 0.03, "tau_thrust": 0.03, "d_x": 1.0, "d_y": 1.0}
@@ -21,14 +21,17 @@ BASE = {"tau_rate": 0.03, "tau_thrust": 0.03, "d_x": 1.0, "d_y": 1.0}
 
 def steps(random, count, width, size):
     """Random levels that change every 0.2 s (n, width)."""
-    return size * np.repeat(random.uniform(-1.0, 1.0, (count // 100 + 1, width)), 100, 0)[:count]
+    return size * np.repeat(random.uniform(-1.0, 1.0, (count // 50 + 1, width)), 50, 0)[:count]
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    """A flight whose rates and thrust follow their commands exactly, with sensor noise."""
-    random, path = np.random.default_rng(0), tmp_path_factory.mktemp("rate") / "flight.csv"
-    columns = simulate_flight(VehicleParams(read_vehicle("bebop1.yaml").motor), 1, seconds=20.0)
+def logs(tmp_path_factory):
+    """Flights whose rates and thrust follow their commands exactly, with sensor noise."""
+    return [following(seed, tmp_path_factory.mktemp("rate") / "flight.csv") for seed in (1, 2, 3)]
+
+
+def following(seed, path):
+    random, columns = np.random.default_rng(seed), simulated(seed)
     count = len(columns["time"])
     rates, thrust = steps(random, count, 3, 2.0), 10.0 + steps(random, count, 1, 4.0)
     commands = {"rate_command": rates, "thrust_command": thrust}
@@ -37,14 +40,19 @@ def log(tmp_path_factory):
     np.testing.assert_allclose(flight.rate_command, rates, rtol=1e-6)
     np.testing.assert_allclose(flight.thrust_command, thrust[:, 0], rtol=1e-6)
     v = flight.body_velocity
-    lift = first_order(thrust, thrust[0], TRUE["tau_thrust"], 0.002)
+    lift = first_order(thrust, thrust[0], TRUE["tau_thrust"], 1.0 / RATE)
     force = np.stack([-TRUE["d_x"] * v[:, 0], -TRUE["d_y"] * v[:, 1], -lift[:, 0]], axis=1)
-    followed = first_order(rates, rates[0], TRUE["tau_rate"], 0.002)
+    followed = first_order(rates, rates[0], TRUE["tau_rate"], 1.0 / RATE)
     return dataclasses.replace(
         flight,
         rates=followed + random.normal(0.0, 0.01, (count, 3)),
         specific_force=force + random.normal(0.0, 0.3, (count, 3)),
     )
+
+
+@pytest.fixture(scope="module")
+def log(logs):
+    return logs[0]
 
 
 def fitted(logs):
@@ -53,8 +61,8 @@ def fitted(logs):
     return fit_rate_model(logs, flying, list(range(len(logs))), samples, BASE)
 
 
-def test_known_constants_come_back(log):
-    fit = fitted([log])
+def test_known_constants_come_back(logs):
+    fit = fitted(logs)
     for name, true in TRUE.items():
         assert abs(fit.values[name] / true - 1.0) < 0.03, name
         assert abs(fit.values[name] - true) < 4.0 * fit.standard_errors[name], name
@@ -74,7 +82,7 @@ def test_commands_that_never_change_keep_the_base_value(log):
 
 def test_the_order_of_the_flights_has_no_influence(log):
     """Blocks of half a second, from which standard errors are computed, end with a flight."""
-    parts = [log[:3333], log[3333:]]
+    parts = [log[:833], log[833:]]
     first, second = fitted(parts), fitted(parts[::-1])
     for name in TRUE:
         assert first.values[name] == pytest.approx(second.values[name], rel=1e-9)
