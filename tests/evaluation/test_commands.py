@@ -1,10 +1,6 @@
 """The subcommands evaluate and benchmark."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -12,9 +8,6 @@ from PIL import Image
 from quadjax.studies.ppo_against_sb3 import Clock, Side, curves_figure, format_sides
 from tests.commands import run
 from tests.evaluation.support import random_policy
-
-ROOT = Path(__file__).resolve().parents[2]
-EVALUATE = ROOT / "scripts" / "evaluate.py"
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +46,8 @@ def test_bad_input_is_one_line_and_status_2(capsys, policy_file, arguments, name
     assert len(lines) == 1 and lines[0].startswith("error: ") and names in lines[0]
 
 
-def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
+@pytest.mark.slow
+def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file, capsys):
     """A policy that crashes is a result, not an error."""
     outputs = {name: tmp_path / f"a.{name}" for name in ("json", "png", "gif")}
     arguments = [
@@ -66,14 +60,9 @@ def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
         "vehicle.constants.k_w=4.5e-8",
     ]
     files = ["--json", outputs["json"], "--figure", outputs["png"], "--animation", outputs["gif"]]
-    done = subprocess.run(
-        [sys.executable, EVALUATE, ROOT / "configs" / "e2e.yaml", *arguments, *files],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
-    assert done.returncode == 0, done.stderr
-    assert "sampled, 2 runs" in done.stdout and "0/2" in done.stdout
+    assert run("evaluate", "e2e", *arguments, *files) == 0
+    text = capsys.readouterr().out
+    assert "sampled, 2 runs" in text and "0/2" in text
     result = json.loads(outputs["json"].read_text())
     assert result["runs"] == 2 and result["finished"] == 0 and len(result["crashes"]) == 2
     for name in ("png", "gif"):
@@ -81,6 +70,7 @@ def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file):
             assert image.size[0] > 300
 
 
+@pytest.mark.slow
 def test_the_benchmark_measures_in_a_process(monkeypatch, capsys):
     job = {"kind": "residual", "config": "e2e", "num_envs": 2}
     text = json.dumps(job | {"repeats": 1})

@@ -39,6 +39,7 @@ def test_the_table_names_the_published_time():
     assert np.isfinite(result.best)
 
 
+@pytest.mark.slow
 def test_a_training_that_fails_is_one_line(tmp_path):
     with pytest.raises(InputError, match="seed 0 failed with status 2"):
         train_seed(CONFIG, [*TINY, "run.initial_policy=none.npz"], 0, tmp_path)

@@ -75,6 +75,7 @@ def test_pitch_of_90_deg_is_no_singularity():
     assert (tally_ratio(numbers)[:, V] < 3.0).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_covariance_stays_symmetric_and_positive_through_long_gaps():
     gaps = SensorsConfig(mocap=MocapConfig(dropout=0.6, dropout_frames=60.0))
     numbers, filters = filtered(gaps, FAST, loop(801, DRONES), 4)

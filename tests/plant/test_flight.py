@@ -41,10 +41,8 @@ def indi():
     return flown("indi_shac.npz", EXACT)
 
 
-E2E = pytest.param("e2e", marks=pytest.mark.slow)  # compiles the Kalman filter
-
-
-@pytest.mark.parametrize("name", [E2E, "indi"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["e2e", "indi"])
 def test_a_policy_flies_a_lap(name, request):
     _, flights = request.getfixturevalue(name)
     assert flights.laps.lap_times.shape == (2, 1)
@@ -56,7 +54,8 @@ def test_a_policy_flies_a_lap(name, request):
         assert np.linalg.norm(flight.position[-1] - last_gate) < 1.0
 
 
-@pytest.mark.parametrize("name", [E2E, "indi"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["e2e", "indi"])
 def test_policies_observe_estimates(name, request):
     """Close to the true position and not equal: of the ground truth, one sample late."""
     _, flights = request.getfixturevalue(name)
@@ -65,6 +64,7 @@ def test_policies_observe_estimates(name, request):
     assert 1e-5 < error.mean() < 0.05 and error.max() < 0.1
 
 
+@pytest.mark.slow
 def test_logs_are_written_by_policy_and_the_fit_reads_them(indi, tmp_path):
     race, _ = indi
     plans = plan_logs(race, EXACT, [PRETRAINED / "indi_shac.npz"], flights=2, laps=1)
@@ -79,6 +79,7 @@ def test_logs_are_written_by_policy_and_the_fit_reads_them(indi, tmp_path):
     assert np.abs(log.specific_force[:, 2].mean()) > 5.0
 
 
+@pytest.mark.slow
 def test_logged_positions_are_the_estimated_ones(indi):
     race, flights = indi
     log = log_quantities(flights, 0, gate_centers(race))

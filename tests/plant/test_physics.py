@@ -25,7 +25,7 @@ COUNT = 200
 
 def physics_of(rows: np.ndarray, charge: float = 1.0) -> plant.Physics:
     body = state_of("motor", rows.astype(np.float32))
-    zero = jnp.zeros(len(rows), jnp.float32)
+    zero = np.zeros(len(rows), np.float32)
     still, straight = Rotors.same(zero), Vec3(zero, zero, zero)
     return plant.Physics(body, still, straight, straight, zero + charge)
 
@@ -36,10 +36,17 @@ def compiled_slope():
 
 
 def slope(config: PlantConfig, rows: np.ndarray, commands: np.ndarray, **physics: object):
+    """Derivatives (200,) of a plant; one row stands for all."""
+    rows, commands = (np.broadcast_to(x, (COUNT, x.shape[1])) for x in (rows, commands))
     params = build_plant(config)
     state = physics_of(rows).replace(**physics)
     u = command_of("motor", commands.astype(np.float32))
-    return compiled_slope()(params, state, u, Vec3(*jnp.zeros((3,), jnp.float32)))
+    return compiled_slope()(params, state, u, Vec3(*np.zeros(3, np.float32)))
+
+
+compiled_update = functools.cache(lambda: jax.jit(plant.update))
+LATE = OFF.delay.replace(command=0.006)  # three samples: one program for all that flies
+CALM = np.zeros(gusts.START_DRAWS, np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -112,15 +119,15 @@ def parts(params: object) -> dict:
 def test_air_from_above_takes_thrust(rows, commands):
     params = build_plant(only(inflow=1.0))
     climb = np.linspace(-6.0, 10.0, 50)
-    zero = jnp.zeros(50, jnp.float32)
-    air = Vec3(zero, zero, jnp.asarray(-climb, jnp.float32))
-    found = effects.advance_loss(params.rotors, params.vehicle.constants, air)
+    zero = np.zeros(50, np.float32)
+    air = Vec3(zero, zero, np.float32(-climb))
+    found = jax.jit(effects.advance_loss)(params.rotors, params.vehicle.constants, air)
     agree(found, source.advance_loss(ref.MOTOR, parts(params.rotors), climb))
     assert np.all(np.asarray(found)[climb <= 0] == 0.0) and np.all(
         np.diff(found)[climb[1:] > 0] > 0
     )
     # At 5 m/s of climb it is about a tenth of the weight, and it points down.
-    level = rows[:1] * 0.0
+    level = np.zeros((1, 22))
     level[:, ref.RPM], level[0, 5] = 7497.0, -5.0
     hover = np.full((1, 4), 7497.0)
     lost = slope(only(inflow=1.0), level, hover).body.velocity.z
@@ -132,11 +139,11 @@ def test_ground_effect_is_cheeseman_and_bennetts():
     params = build_plant(only(ground=1.0))
     altitude = np.linspace(0.05, 1.0, 40)
     speed = np.linspace(0.0, 8.0, 40)
-    zero = jnp.zeros(40, jnp.float32)
-    rpm = Rotors.same(zero + 7497.0)
-    air = Vec3(jnp.asarray(0.6 * speed, jnp.float32), jnp.asarray(0.8 * speed, jnp.float32), zero)
+    zero = np.zeros(40, np.float32)
+    rpm = Rotors.same(zero + np.float32(7497.0))
+    air = Vec3(np.float32(0.6 * speed), np.float32(0.8 * speed), zero)
     c = params.vehicle.constants
-    found = effects.ground_gain(params.rotors, c, rpm, air, jnp.asarray(altitude, jnp.float32))
+    found = jax.jit(effects.ground_gain)(params.rotors, c, rpm, air, np.float32(altitude))
     thrust = 4.0 * ref.MOTOR["k_w"] * 7497.0**2
     ratio = source.ground_ratio(parts(params.rotors), altitude, speed)
     agree(found, -thrust * (ratio - 1.0), 1e-5)
@@ -146,7 +153,7 @@ def test_ground_effect_is_cheeseman_and_bennetts():
 def test_discs_tilt_back_and_lag_behind(rows, commands):
     params = build_plant(only(flapping=1.0))
     v, rates = rows[:, ref.V], rows[:, ref.RATES]
-    found = effects.flapping_moment(
+    found = jax.jit(effects.flapping_moment)(
         params.rotors,
         params.vehicle.constants,
         rotors(rows[:, ref.RPM].astype(np.float32)),
@@ -176,8 +183,8 @@ def test_a_unit_off_the_center_feels_the_rotation():
     params = build_plant(only(offset=1.0))
     r = np.array(PlantConfig().imu.offset)
     rates, turning = np.random.default_rng(3).normal(0.0, 5.0, (2, COUNT, 3))
-    found = jax.vmap(effects.lever_acceleration, (None, 0, 0))(
-        params.imu, vec3(rates), vec3(turning)
+    found = jax.jit(jax.vmap(effects.lever_acceleration, (None, 0, 0)))(
+        params.imu, vec3(np.float32(rates)), vec3(np.float32(turning))
     )
     agree(found.array(), np.cross(turning, r) + np.cross(rates, np.cross(rates, r)), 1e-5)
 
@@ -189,7 +196,7 @@ def test_a_turning_drone_measures_it_at_its_unit():
     row = np.zeros((1, 22), np.float32)
     row[0, 2], row[0, ref.RPM], row[0, ref.RATES] = -5.0, 7497.0, (0.0, 0.0, 4.0)
     body = jax.tree.map(lambda x: x[0], state_of("motor", row))
-    state = plant.begin(params, body, jnp.ones(()), jnp.zeros(gusts.START_DRAWS))
+    state = plant.begin(params, body, jnp.ones(()), CALM)
     exact = plant.truth_of(build_plant(OFF), state).specific_force
     found = (plant.truth_of(params, state).specific_force - exact).array()
     x, y, _ = config.imu.offset
@@ -197,39 +204,37 @@ def test_a_turning_drone_measures_it_at_its_unit():
 
 
 def test_vibration_has_the_frequency_and_size_of_the_rotors():
-    config = only(vibration=1.0)
+    config = only(vibration=1.0).replace(delay=LATE)
     params = build_plant(config)
     row = np.zeros((1, 22), np.float32)
     row[0, 2], row[0, ref.RPM] = -5.0, 6000.0
     body = jax.tree.map(lambda x: x[0], state_of("motor", row))
-    state = plant.begin(params, body, jnp.ones(()), jnp.zeros(gusts.START_DRAWS))
+    state = plant.begin(params, body, jnp.ones(()), CALM)
     hover = float(params.imu.hover)
     shaking = []
-    update = jax.jit(plant.update)
+    update, shake, rpm = compiled_update(), jax.jit(effects.vibration), np.float32(6000.0)
     for _ in range(50):  # 100 turns a second: a period is five samples
-        state = update(params, state, Rotors.same(jnp.float32(6000.0)), jnp.zeros(gusts.DRAWS))
-        force, rates = effects.vibration(params.imu, state.physics.body.rpm, state.phase)
-        shaking.append([*force.array(), *rates.array()])
+        state = update(params, state, Rotors.same(rpm), CALM[: gusts.DRAWS])
+        force, rates = shake(params.imu, state.physics.body.rpm, state.phase)
+        shaking.append([float(x) for x in (*force.components(), *rates.components())])
     measured = np.array(shaking)
     size = 4.0 * (6000.0 / hover) ** 2 * np.array([config.imu.vibration, config.imu.turning])
     spectrum = np.abs(np.fft.rfft(measured, axis=0)) / 25.0
     assert np.all(spectrum.argmax(axis=0) == 10)  # 10 periods in 50 samples
     np.testing.assert_allclose(spectrum[10], np.repeat(size, 3), rtol=1e-3)
-    assert not np.any(effects.vibration(build_plant(OFF).imu, body.rpm, state.phase)[0].array())
+    assert not np.any(shake(build_plant(OFF).imu, body.rpm, state.phase)[0].array())
 
 
 def test_commands_arrive_late():
-    config = OFF.replace(delay=OFF.delay.replace(command=0.006))
-    params = build_plant(config)
+    params = build_plant(OFF.replace(delay=LATE))
     assert params.command_delay == 3
-    body = state_of("motor", np.zeros(22, np.float32) + np.eye(22, dtype=np.float32)[12] * 0)
-    body = body.replace(rpm=Rotors.same(jnp.float32(7000.0)))
-    none = jnp.zeros(gusts.START_DRAWS)
-    state = plant.begin(params, body, jnp.ones(()), none)
-    update = jax.jit(plant.update)
+    row = np.zeros(22, np.float32)
+    row[ref.RPM] = 7000.0
+    state = plant.begin(params, state_of("motor", row), jnp.ones(()), CALM)
+    update, rpm = compiled_update(), np.float32(9000.0)
     speeds = []
     for _ in range(5):
-        state = update(params, state, Rotors.same(jnp.float32(9000.0)), none[: gusts.DRAWS])
+        state = update(params, state, Rotors.same(rpm), CALM[: gusts.DRAWS])
         speeds.append(float(state.physics.body.rpm.w1))
     assert speeds[:3] == [7000.0] * 3 and speeds[3] > 7000.0
 

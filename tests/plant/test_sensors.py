@@ -47,7 +47,7 @@ def _moving(samples, drones):
     time = np.arange(samples) / RATE
 
     def wide(signal):
-        return jnp.asarray(np.broadcast_to(signal[:, None], (samples, drones)), jnp.float32)
+        return np.broadcast_to(signal[:, None], (samples, drones)).astype(np.float32)
 
     zero, fast = wide(0.0 * time), wide(np.sin(2 * np.pi * 98.0 * time))
     rpm = Rotors(*(wide(7000.0 + 100.0 * i + 0.0 * time) for i in range(4)))
@@ -62,7 +62,8 @@ def _moving(samples, drones):
 
 
 def _draw(seed, scale=1.0):
-    return scale * jax.random.normal(jax.random.key(seed), (SAMPLES, sensors.DRAWS, DRONES))
+    random = np.random.default_rng(seed)
+    return scale * random.standard_normal((SAMPLES, sensors.DRAWS, DRONES), np.float32)
 
 
 @pytest.fixture(scope="module")
