@@ -1,16 +1,13 @@
 """A tiny race, an untrained policy for it, and logs of a simulated drone."""
 
-import functools
-
 import numpy as np
 
 from quadjax.config.loading import load_config
 from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.flight_log import write_log
-from quadjax.fitting.simulate import simulate_flight
-from quadjax.fitting.vehicle_file import read_vehicle
+from quadjax.fitting.simulate import SensorNoise
 from quadjax.training.build import untrained_policy
-from quadjax.vehicle.protocol import VehicleParams
+from tests.fitting.flights import simulated
 from tests.race.support import BLANK
 
 TINY = (
@@ -37,16 +34,9 @@ def policy_file(folder, config=None):
     return path
 
 
-@functools.cache
-def _flight(seed: int, seconds: float):
-    motor = read_vehicle("bebop1.yaml").motor
-    heavier = motor.replace(k_w=0.9 * motor.k_w, k_p=0.9 * motor.k_p, k_x=1.1 * motor.k_x)
-    return simulate_flight(VehicleParams(heavier), seed, seconds, 250.0)
-
-
-def drone_log(path, seed: int, seconds: float = 8.0):
+def drone_log(path, seed: int):
     """A log of a drone with 10% less thrust and roll moment, and 10% more drag, than the Bebop."""
-    write_log(path, _flight(seed, seconds))
+    write_log(path, simulated(seed, noise=SensorNoise(), k_w=0.9, k_p=0.9, k_x=1.1))
     return path
 
 

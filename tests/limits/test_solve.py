@@ -208,11 +208,11 @@ def test_the_nose_of_a_guess_for_a_quaternion_closes_the_lap():
 
     choices, params = race_of(load_config("e2e_fastest", ["vehicle=5inch"]))
     problem = make_problem(choices.model, params)
-    angle = np.linspace(0.0, 2.0 * np.pi, 41)
-    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(41)], axis=1)
+    angle = np.linspace(0.0, 2.0 * np.pi, 17)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(17)], axis=1)
     force = 20.0 * circle - [0.0, 0.0, 9.81]
-    rest = np.zeros((41, 3))
-    guess = from_path(problem, np.ones(4), circle, rest, force, np.zeros(41), True)
+    rest = np.zeros((17, 3))
+    guess = from_path(problem, np.ones(4), circle, rest, force, np.zeros(17), True)
     quaternion = guess.states[:, problem.normalized]
     assert abs(quaternion[0] @ quaternion[-1]) == pytest.approx(1.0, abs=1e-6)
     assert np.sum(quaternion[1:] * quaternion[:-1], axis=1).min() > 0.9
