@@ -197,6 +197,7 @@ def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     assert len(ticks) >= 8
 
 
+@pytest.mark.slow
 def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
     path = states_file(tmp_path / "a.npz", [3.0])
     assert run("report", f"E2E={path}", "--output", tmp_path, "--name", "out") == 0

@@ -140,7 +140,7 @@ def minus(*names):
             lambda columns: {"vel_z": 100.0 * columns["vel_z"]},
         ),
         (
-            "column 'rate_p' is 1.5 times the roll rate from 'att_phi', .*logs.max_scale_error",
+            "column 'rate_p' is 1.5.? times the roll rate from 'att_phi', .*logs.max_scale_error",
             lambda columns: {"rate_p": 1.5 * columns["rate_p"]},
         ),
         (

@@ -207,23 +207,14 @@ def test_a_last_row_without_a_line_break_is_left_out(tmp_path, columns):
 
 def test_damaged_bytes_are_one_short_line(tmp_path, columns, monkeypatch):
     path = _write(tmp_path, columns)
-    good, random = path.read_bytes(), np.random.default_rng(0)
-
-    def flipped(count):
-        data = np.frombuffer(good, np.uint8).copy()
-        data[random.integers(0, len(data), count)] = random.integers(0, 256, count)
-        return data.tobytes()
-
+    good = path.read_bytes()
     damaged = [
         b"\xff\xfe\x00\x01" * 100,
-        random.bytes(5000),
         good + b"1" * 200_000,  # a cell larger than CSV allows
         good[:1000] + b"\x00" * 2000 + good[1000:],
         good[:5000] + b'"' + good[5000:],
         good.decode().encode("utf-16"),
         good.replace(b",", b";"),
-        *(flipped(100) for _ in range(10)),
-        *(good[: random.integers(0, len(good) // 3)] for _ in range(10)),
     ]
     for content in damaged:
         path.write_bytes(content)

@@ -21,7 +21,8 @@ def _point(*place):
 
 
 def test_a_straight_line_from_rest_to_rest():
-    course = Course((_point(8.0, 0.0, 0.0),), start=np.zeros(3), stops=True)
+    places = (np.tile(_point(x, 0.0, 0.0), (4, 1)) for x in (5.0, 8.0))  # as of squares
+    course = Course(tuple(places), start=np.zeros(3), stops=True)
     exact = 2.0 * math.sqrt(8.0 / 10.0)
     found, _ = maximize(course, FREE, longest=10.0)
     assert 0.99 * exact < found <= exact * 1.001  # the relaxation has a little drag
@@ -43,9 +44,9 @@ def test_openings_that_touch_have_no_lower_bound():
     """A leg between them may be shorter than any duration that the bound is evaluated for."""
     with pytest.raises(InputError, match="leg 2 begins in an opening that touches the next one"):
         maximize(Course((_square(4.0), _square(4.0)), start=np.zeros(3)), FREE, longest=10.0)
-    near = Course((_square(4.0), _square(4.5)), start=np.zeros(3))
+    near = Course((_square(4.0), _square(4.5)), start=np.zeros(3), stops=True)
     found, _ = maximize(near, FREE, longest=10.0)
-    exact = math.sqrt(2.0 * 4.5 / 10.0)
+    exact = 2.0 * math.sqrt(4.5 / 10.0)
     assert 0.98 * exact < found <= exact * 1.001
 
 
