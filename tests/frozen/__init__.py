@@ -1,0 +1,1 @@
+"""Numbers that a change of structure must reproduce: ``python -m tests.frozen --help``."""

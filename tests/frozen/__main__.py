@@ -1,0 +1,104 @@
+"""Write the frozen numbers, or compare the present ones with them.
+
+On the kind of machine that wrote them, every bit has to be the same. On another one, rounding
+differs, and the values are compared within the tolerance of their part.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from tests.frozen.parts import PARTS, TOLERANCES, Record
+
+FILE = Path(__file__).parent / "numbers.json"
+
+
+def machine() -> dict[str, str]:
+    """What decides the last bits: the processor and the compiler."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    model = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return {"processor": model, "jax": jax.__version__}
+
+
+def compute(part: str) -> dict[str, Record]:
+    """The records of a part, by name."""
+    records = {}
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        begin = time.monotonic()
+        for name, record in PARTS[part]():
+            records[name] = record
+            print(f"{part}: {name} ({time.monotonic() - begin:.0f} s)", file=sys.stderr)
+    return records
+
+
+def difference(part: str, old: Record, new: Record, same_machine: bool) -> str | None:
+    """How two records differ; None if as little as allowed."""
+    if old.sha256 == new.sha256:
+        return None
+    tolerance = 0.0 if same_machine else TOLERANCES[part]
+    if tolerance is None:
+        return None
+    if not same_machine and len(old.values) == len(new.values):
+        if np.allclose(old.values, new.values, rtol=tolerance, atol=0.0, equal_nan=True):
+            return None
+    return f"was {old.values}, is {new.values}"
+
+
+def compare(parts: list[str]) -> int:
+    """Print every difference; the number of them."""
+    document = json.loads(FILE.read_text())
+    same_machine = document["machine"] == machine()
+    if not same_machine:
+        print(f"written on {document['machine']}: values are compared within tolerances")
+    count = 0
+    for part in parts:
+        old = {name: Record(**row) for name, row in document["parts"].get(part, {}).items()}
+        new = compute(part)
+        for name in sorted(old.keys() | new.keys()):
+            if name in old and name in new:
+                text = difference(part, old[name], new[name], same_machine)
+            else:
+                text = "missing now" if name in old else "not in the file"
+            if text:
+                count += 1
+                print(f"{part}, {name}: {text}")
+    print(f"{count} differences")
+    return count
+
+
+def write(parts: list[str]) -> None:
+    """Compute parts and replace them in the file."""
+    document = json.loads(FILE.read_text()) if FILE.exists() else {"parts": {}}
+    document["machine"] = machine()
+    for part in parts:
+        rows = {name: dataclasses.asdict(record) for name, record in compute(part).items()}
+        document["parts"][part] = rows
+        FILE.write_text(json.dumps(document, indent=1) + "\n")
+
+
+def main() -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.frozen", description=__doc__)
+    parser.add_argument("action", choices=("write", "compare"))
+    parser.add_argument("part", nargs="*", help=f"{', '.join(PARTS)} (all)")
+    options = parser.parse_args()
+    unknown = set(options.part) - set(PARTS)
+    if unknown:
+        parser.error(f"unknown part {sorted(unknown)[0]!r}, allowed: {', '.join(PARTS)}")
+    parts = options.part or list(PARTS)
+    if options.action == "write":
+        write(parts)
+        return 0
+    return 1 if compare(parts) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
