@@ -1,0 +1,58 @@
+"""Exported C: the commands of the policy, verification, and a race flown by the C of a target."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import quadjax
+from tests.commands import run
+from tests.surface.short import short
+
+BEBOP = ("cortex-a9", "cortex-m7", "cortex-m4", "qjp")
+RACING = ("indiflight", "px4", "crazyflie", "qjp")
+
+
+@pytest.fixture(scope="module")
+def racing(tmp_path_factory):
+    """A policy of the 5-inch racer: a short training, for what does not depend on its laps."""
+    folder = tmp_path_factory.mktemp("racing")
+    words = short("e2e_shac", "vehicle=5inch", "observation.actuator_range=[0, 3000]")
+    assert run("train", *words, "--output", folder, "--name", "racing") == 0
+    return folder / "racing/policy.npz"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", BEBOP)
+def test_a_shipped_policy_is_exported_verified_and_flies(target, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("export", "e2e_nominal", "--output", "out", "--target", target) == 0
+    words = ("--vectors", 500, "--mutations", 50, "--json", "verify.json")
+    assert run("verify", "out", *words) == 0
+    assert "failed" not in {row["verdict"] for row in json.loads(Path("verify.json").read_text())}
+    assert run("sil", "out", "--simulator", "--laps", 2) == 0
+    result = json.loads(Path("runs/sil/sil.json").read_text())
+    assert len(result["laps"][0]) == 2
+    np.testing.assert_allclose(result["laps"][0], 2.35, atol=0.4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", RACING)
+def test_a_racing_policy_is_exported_and_verified(target, racing, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ("--allow-unfinished", "--range", "velocity=64", "--range", "rates=64")
+    assert run("export", racing, "--output", "out", "--target", target, *words) == 0
+    words = ("--vectors", 500, "--mutations", 50, "--allow-unfinished")
+    assert run("verify", "out", *words) == 0
+
+
+@pytest.mark.slow
+def test_python_exports_the_same_files_as_the_command(tmp_path):
+    assert run("export", "e2e_nominal", "--output", tmp_path / "one", "--name", "policy") == 0
+    quadjax.export_c(quadjax.Policy.load("e2e_nominal"), tmp_path / "two", name="policy")
+    assert {p.name for p in (tmp_path / "one").iterdir() if p.suffix in (".c", ".h")} == {
+        p.name for p in (tmp_path / "two").iterdir() if p.suffix in (".c", ".h")
+    }
+    network = (tmp_path / "one/policy.c").read_text().split("*/", 1)[1]
+    assert network == (tmp_path / "two/policy.c").read_text().split("*/", 1)[1]

@@ -1,0 +1,135 @@
+"""Bad input is one line that names it, with exit status 2, and writes nothing.
+
+The rows cover each kind of check once; the bounds of the schema are one loop in tests/config.
+"""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.commands import run
+
+FILES = {
+    "not.yaml": "a: [1",
+    "list.yaml": "- 1\n- 2\n",
+    "key.yaml": "base: e2e_shac\nlerner: {}\n",
+    "gates.yaml": "name: one\ngates:\n- {position: [0, 0], yaw_deg: 0}\n",
+    "bytes.npz": "PK not an archive",
+    "notes.txt": "a text",
+    "empty.csv": "",
+    "short.csv": "time,rate_p\n0.0,0.1\n",
+    "code.py": "def term(step):\n    return 0.0\n",
+}
+ROWS = """
+train | CONFIG
+train nosuch | nosuch e2e_shac
+train not.yaml | not.yaml
+train list.yaml | list.yaml
+train key.yaml | lerner learner
+train notes.txt | notes.txt
+train e2e_shac nosuch=1 | nosuch
+train e2e_shac learner.nosuch=1 | learner.nosuch
+train e2e_shac seed=-1 | seed -1
+train e2e_shac seed=one | seed one
+train e2e_shac learner.num_envs=0 | learner.num_envs 0
+train e2e_shac learner.discount=1.5 | learner.discount 1.5
+train e2e_shac learner.learning_rate=nan | learner.learning_rate
+train e2e_shac 'network.hidden=[0]' | network.hidden
+train e2e_shac network.activation=gelu | network.activation gelu relu
+train e2e_shac learner.std=0.05legs | learner.std
+train e2e_shac 'learner.std=0.05 legs' | learner.std legs
+train e2e_shac 'reward.body_rates=3 furlongs' | reward.body_rates furlongs
+train e2e_shac track=nosuch | nosuch square4
+train e2e_shac track=gates.yaml | gates.yaml position
+train e2e_shac vehicle=nosuch | nosuch
+train e2e_shac vehicle.constants.nosuch=1 | vehicle.constants.nosuch
+train e2e_shac vehicle.constants.mass=-1 | mass
+train e2e_shac vehicle.residual=nosuch.npz | nosuch.npz
+train e2e_shac rules.extra=[code:nosuch] | code nosuch
+train e2e_shac rules.extra=[nosuch:term] | nosuch
+train e2e_shac reward.extra=[code] | reward.extra
+train e2e_shac 'schedules.nosuch.key={linear: [0, 1]}' | schedules nosuch
+train e2e_shac 'schedules.learner.std={linear: [0, a]}' | schedules learner.std
+train e2e_ppo learner.num_envs=10 learner.num_minibatches=7 | num_minibatches
+train e2e_shac --fine-tune bytes.npz | bytes.npz
+train e2e_shac --fine-tune nosuch.npz | nosuch.npz
+evaluate e2e_shac | --policy
+evaluate e2e_shac --policy nosuch | nosuch e2e_nominal
+evaluate e2e_shac --policy bytes.npz | bytes.npz
+evaluate e2e_shac --policy indi | rate motor
+evaluate e2e_shac --policy e2e --runs 0 | --runs 0
+evaluate e2e_shac --policy e2e --laps 2 --gates 3 | --gates --laps
+evaluate e2e_shac --policy e2e --seed -1 | --seed -1
+evaluate e2e_shac --policy e2e --json notes.txt/a.json | notes.txt
+evaluate e2e_shac --policy e2e --start floor | floor hover
+view nosuch.npz | nosuch.npz
+view notes.txt | notes.txt
+limit e2e_shac track=nosuch | nosuch
+limit e2e_shac --clearance -1 | --clearance
+limit e2e_shac --laps 0 | --laps
+limit e2e_shac --centers --waypoint 1 | --waypoint --centers
+sweep nosuch | nosuch
+sweep key.yaml | key.yaml
+fit nosuch | nosuch
+fit standin logs.files=[empty.csv] | empty.csv
+fit standin logs.files=[short.csv] | short.csv
+fit standin logs.files=[nosuch.csv] | nosuch.csv
+replay empty.csv --policy e2e | empty.csv
+replay short.csv --policy e2e --logs paparazzi | short.csv
+export nosuch --output out | nosuch
+export e2e --output notes.txt | notes.txt
+export e2e --output out --target avr | avr cortex-a9
+export e2e --output out --range nosuch=4 | nosuch
+export e2e --output out --range position=-1 | position
+verify nosuch | nosuch
+verify notes.txt | notes.txt
+sil nosuch | nosuch
+import e2e_shac notes.txt --output new.npz | notes.txt
+import e2e_shac bytes.npz --output new.npz | bytes.npz
+config nosuch | nosuch
+config e2e_shac run.steps=-5 | run.steps -5
+nosuch | nosuch train
+""".strip().splitlines()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Files of a user."""
+    path = tmp_path_factory.mktemp("refusals")
+    for name, text in FILES.items():
+        (path / name).write_text(text)
+    return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, by its path; compiled Python is left out."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {
+        str(f.relative_to(folder)): f.read_bytes() for f in files if "__pycache__" not in f.parts
+    }
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_refused_in_one_line(row, folder, capfd, monkeypatch):
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(str(folder))
+    command, _, words = row.rpartition(" | ")
+    before = contents(folder)
+    assert run(*shlex.split(command)) == 2
+    printed = capfd.readouterr()
+    lines = printed.err.strip().splitlines()
+    message = lines[-1]
+    assert "Traceback" not in printed.err
+    assert all(re.search(re.escape(word), message) for word in words.split()), message
+    if not lines[0].startswith("usage:"):  # argparse prints the usage first
+        assert len(lines) == 1
+    assert contents(folder) == before
+
+
+def test_a_damaged_policy_names_what_is_wrong(tmp_path, capfd):
+    np.savez(tmp_path / "p.npz", kernel_0=np.zeros((3, 4)), meta="{}")
+    assert run("evaluate", "e2e_shac", "--policy", tmp_path / "p.npz") == 2
+    assert "p.npz" in capfd.readouterr().err

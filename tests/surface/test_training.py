@@ -1,0 +1,150 @@
+"""Trainings by commands and by functions: their files, a stop, a kill, and a resume to the bit."""
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import quadjax
+from tests.commands import run
+from tests.surface.short import short, short_config
+
+ROOT = Path(__file__).resolve().parents[2]
+CLOCK = re.compile("second|memory")  # columns of metrics.csv that differ between equal runs
+
+
+def weights(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a policy file."""
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files if name != "meta"}
+
+
+def metrics(folder: Path) -> list[dict[str, str]]:
+    """The rows of a run's metrics without the columns of the clock."""
+    with (folder / "metrics.csv").open(newline="") as file:
+        return [
+            {k: v for k, v in row.items() if not CLOCK.search(k)} for row in csv.DictReader(file)
+        ]
+
+
+def same(one: Path, other: Path) -> bool:
+    """Whether two runs have the same policies and metrics, bit for bit."""
+    for name in ("policy.npz", "policy_last.npz"):
+        first, second = weights(one / name), weights(other / name)
+        if first.keys() != second.keys():
+            return False
+        if not all(np.array_equal(first[key], second[key]) for key in first):
+            return False
+    return metrics(one) == metrics(other)
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    """``quadjax ARGUMENTS`` as a process in a folder."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "quadjax", *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for(condition, process: subprocess.Popen, seconds: float = 300.0) -> None:
+    """Wait until a condition holds while a process runs."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None and time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_run_writes_its_files_and_runs_again_to_the_same_bits(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    arguments = short("e2e_shac")
+    assert run("train", *arguments, "--name", "first") == 0
+    assert run("train", *arguments, "--name", "second") == 0
+    for name in ("config.yaml", "metrics.csv", "policy.npz", "policy_last.npz", "summary.json"):
+        assert (tmp_path / "runs/first" / name).stat().st_size > 0
+    assert same(tmp_path / "runs/first", tmp_path / "runs/second")
+    rows = metrics(tmp_path / "runs/first")
+    assert [int(float(row["steps"])) for row in rows] == [128, 256, 384, 512]
+    assert run("train", *arguments, "--name", "first") == 2
+    assert "--resume" in capfd.readouterr().err
+    assert run("train", *arguments, "seed=1", "--name", "first", "--resume") == 2
+    assert "seed" in capfd.readouterr().err
+    assert run("train", *arguments, "seed=1", "--name", "first", "--overwrite") == 0
+    assert not same(tmp_path / "runs/first", tmp_path / "runs/second")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["e2e_shac", "e2e_ppo", "indi_shac", "indi_ppo"])
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_a_run_that_was_stopped_resumes_to_the_same_bits(tmp_path, preset, end):
+    arguments = short(preset, "run.steps=4096")
+    whole = quadjax.train(short_config(preset, "run.steps=4096"), tmp_path / "runs/whole")
+    process = start(tmp_path, "train", *arguments, "--name", "part")
+    folder = tmp_path / "runs/part"
+    wait_for(lambda: (folder / "policy_last.npz").exists(), process)
+    process.send_signal(end)
+    process.wait(60)
+    assert process.returncode == (130 if end == signal.SIGINT else -signal.SIGKILL)
+    process = start(tmp_path, "train", *arguments, "--name", "part", "--resume")
+    assert process.wait(300) == 0, process.stderr.read()
+    assert same(whole.folder, folder)
+
+
+def test_a_run_in_python_has_policy_metrics_and_summary(tmp_path):
+    result = quadjax.train(short_config("e2e_ppo"), tmp_path / "run", progress=False)
+    assert result.finished and result.folder == tmp_path / "run"
+    assert result.metrics["steps"].tolist() == [128, 256, 384, 512]
+    summary = json.loads((result.folder / "summary.json").read_text())
+    assert summary["steps"] == 512 and summary["seed"] == 0
+    saved = quadjax.Policy.load(result.folder / "policy.npz")
+    observation = np.linspace(-1.0, 1.0, saved.layout.size, dtype=np.float32)
+    action = np.asarray(saved.mean(observation))
+    np.testing.assert_array_equal(action, np.asarray(result.policy.mean(observation)))
+    assert action.shape == (4,) and np.abs(action).max() <= 1.0
+
+
+def test_the_race_is_three_pure_functions_and_numbers_compile_nothing_again():
+    config = short_config("e2e_shac")
+    environment, params = quadjax.make_race(config)
+    count = 0
+
+    @jax.jit
+    def transition(params, state, action):
+        nonlocal count
+        count += 1
+        return environment.step(params, state, action)
+
+    state = environment.reset(params, jax.random.key(0))
+    observation = environment.observe(params, state)
+    action = np.zeros(4, np.float32)
+    first = transition(params, state, action)
+    again = transition(params, state, action)
+    jax.tree.map(np.testing.assert_array_equal, first[1:], again[1:])
+    other = quadjax.make_race(
+        short_config("e2e_shac", "reward.body_rates=0.01", "vehicle.constants.k_w=3e-8")
+    )[1]
+    changed = transition(other, state, action)
+    assert count == 1
+    assert not np.array_equal(first[1], changed[1])
+    assert observation.ndim == 1 and observation.dtype == np.float32
+    assert first[1].shape == () and first[2].dtype == bool and first[3].dtype == bool
+
+
+def test_schedules_and_learners_are_values(tmp_path):
+    environment, params = quadjax.make_race(short_config("e2e_shac"))
+    learner = quadjax.SHAC(num_envs=16, horizon=4, critic_minibatches=2, critic_epochs=1)
+    result = learner.train(environment, params, steps=128, seed=0)
+    repeated = learner.train(environment, params, steps=128, seed=0)
+    jax.tree.map(np.testing.assert_array_equal, result.parameters, repeated.parameters)
+    assert result.steps == 128 and result.metrics["reward"].shape == (2,)
