@@ -14,7 +14,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.files import read_text
-from quadjax.core.resources import CONFIGS
+from quadjax.core.resources import CONFIGS, preset_names
 
 WIDTH = 79  # of comments, characters
 Tree = dict[str, Any]
@@ -142,7 +142,8 @@ def find_file(name: str, folder: Path, kind: str = ".") -> Path:
                     return place / each
     known = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
     hint = close_match(Path(name).stem, known)
-    raise InputError(f"{short(name)}: no such file in {folder} or {CONFIGS / kind}{hint}")
+    shipped = f"; {kind} of quadjax: {', '.join(preset_names(kind))}" if kind != "." else ""
+    raise InputError(f"{short(name)}: no such file in {folder} or {CONFIGS / kind}{hint}{shipped}")
 
 
 def merge_trees(under: Tree, over: Tree) -> Tree:
