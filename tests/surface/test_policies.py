@@ -20,6 +20,7 @@ TOTALS = {  # shipped policy: preset of its race, mean of ten deterministic flig
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TOTALS)
 def test_a_shipped_policy_flies_its_laps(name, tmp_path):
     preset, total = TOTALS[name]
@@ -32,6 +33,7 @@ def test_a_shipped_policy_flies_its_laps(name, tmp_path):
     np.testing.assert_allclose(np.mean(laps["totals"]), total, atol=0.05)
 
 
+@pytest.mark.slow
 def test_an_evaluation_has_rows_tables_and_states(tmp_path):
     config = quadjax.load("e2e_shac")
     evaluation = quadjax.evaluate("e2e_nominal", config, runs=3)

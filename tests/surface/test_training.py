@@ -66,6 +66,7 @@ def wait_for(condition, process: subprocess.Popen, seconds: float = 300.0) -> No
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_a_run_writes_its_files_and_runs_again_to_the_same_bits(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     arguments = short("e2e_shac")
@@ -101,6 +102,7 @@ def test_a_run_that_was_stopped_resumes_to_the_same_bits(tmp_path, preset, end):
     assert same(whole.folder, folder)
 
 
+@pytest.mark.slow
 def test_a_run_in_python_has_policy_metrics_and_summary(tmp_path):
     result = quadjax.train(short_config("e2e_ppo"), tmp_path / "run", progress=False)
     assert result.finished and result.folder == tmp_path / "run"
@@ -141,7 +143,8 @@ def test_the_race_is_three_pure_functions_and_numbers_compile_nothing_again():
     assert first[1].shape == () and first[2].dtype == bool and first[3].dtype == bool
 
 
-def test_schedules_and_learners_are_values(tmp_path):
+@pytest.mark.slow
+def test_a_learner_repeats_itself_to_the_bit():
     environment, params = quadjax.make_race(short_config("e2e_shac"))
     learner = quadjax.SHAC(num_envs=16, horizon=4, critic_minibatches=2, critic_epochs=1)
     result = learner.train(environment, params, steps=128, seed=0)
