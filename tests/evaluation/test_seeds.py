@@ -7,10 +7,10 @@ from quadjax.cli.seeds import configs_of, train_seed
 from quadjax.core.errors import InputError
 from quadjax.evaluation import seeds
 from tests.evaluation.test_protocols import protocols
-from tests.test_training import CONFIGS, TINY_LEARNER
-from tests.test_training import TINY as SMALL
+from tests.surface.short import OF_EACH, OF_LEARNER
+from tests.test_training import CONFIGS
 
-TINY = [*SMALL, *TINY_LEARNER["ppo"]]
+TINY = [*OF_EACH, *OF_LEARNER["ppo"]]
 CONFIG = str(CONFIGS / "e2e_ppo.yaml")
 
 
