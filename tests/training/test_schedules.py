@@ -80,6 +80,7 @@ def test_constants_and_randomization_can_be_scheduled():
     assert float(params.randomization.k_x) == pytest.approx(0.1)
 
 
+@pytest.mark.slow
 def test_another_schedule_compiles_nothing():
     first = build_learner(tiny("e2e_shac"))
     overrides = [

@@ -51,7 +51,10 @@ def test_an_error_of_the_model_is_not_observed():
     np.testing.assert_allclose(seen[0, -size:], 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("drawn", [DRAWN, "randomization.population=all_racing_drones"])
+POPULATION = pytest.param("randomization.population=all_racing_drones", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("drawn", [DRAWN, POPULATION])
 def test_the_policy_of_a_drone_acts_as_the_one_that_sees_its_constants(drawn):
     model = "vehicle=5inch" if "population" in drawn else "vehicle.constants.k_w=4.2e-8"
     other = "vehicle=3inch" if "population" in drawn else "vehicle.constants.k_w=4.5e-8"
