@@ -13,7 +13,7 @@ def test_the_best_known_lap_of_square4(tmp_path):
     files = ("--json", tmp_path / "lap.json", "--npz", tmp_path / "lap.npz")
     assert run("limit", "e2e_fastest", "--starts", 1, *files) == 0
     lap = json.loads((tmp_path / "lap.json").read_text())
-    assert abs(lap["seconds"] - 2.0385) < 0.004
-    assert 1.7 < lap["bound"] < lap["seconds"]
+    assert abs(lap["best_known"] - 2.0385) < 0.004
+    assert 1.7 < lap["lower_bound"] < lap["best_known"]
     with np.load(tmp_path / "lap.npz") as file:
         assert all(np.isfinite(file[key]).all() for key in file if file[key].dtype.kind == "f")
