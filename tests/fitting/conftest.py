@@ -7,9 +7,9 @@ import pytest
 from quadjax.fitting.columns import PLAIN
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log, write_log
-from quadjax.fitting.simulate import random_residual, simulate_flight
 from quadjax.fitting.vehicle_file import read_vehicle
-from quadjax.vehicle.protocol import VehicleParams
+
+from .flights import write_flights
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FLIGHTS = REPOSITORY.parent / "shared" / "flight_data"
@@ -23,12 +23,12 @@ def bebop():
 
 def _simulated(folder):
     """Four flights of a heavier drone with a residual, in the plain columns of the real ones."""
-    vehicle = VehicleParams(read_vehicle("bebop1.yaml").motor.replace(**RACING_INERTIA))
-    vehicle = vehicle.replace(residual=random_residual(5, 0.7, (0.02, 0.02, 0.006)))
-    for seed in range(4):
-        source = folder / "paparazzi.log"
-        write_log(source, simulate_flight(vehicle, seed, seconds=20.0, sample_rate=400.0))
-        log = read_log(source, LogsConfig(format="paparazzi"))
+    motor = read_vehicle("bebop1.yaml").motor
+    factors = {name: value / getattr(motor, name) for name, value in RACING_INERTIA.items()}
+    source = folder / "paparazzi"
+    source.mkdir()
+    for path in write_flights(source, 4, residual=(5, 0.7, (0.02, 0.02, 0.006)), **factors):
+        log = read_log(path, LogsConfig(format="paparazzi"))
         values = (log.time, log.rpm, log.rates, log.specific_force, log.body_velocity)
         quantities = ("time", "rpm", "gyro", "acceleration", "body_velocity")
         columns = {
@@ -36,7 +36,7 @@ def _simulated(folder):
             for quantity, value in zip(quantities, values, strict=True)
             for name, column in zip(PLAIN[quantity], np.atleast_2d(value.T), strict=True)
         }
-        write_log(folder / f"flight_{seed}.csv", columns)
+        write_log(folder / path.name, columns)
     return sorted(folder.glob("*.csv"))
 
 

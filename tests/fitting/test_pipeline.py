@@ -11,24 +11,20 @@ from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.pipeline import run_fit
 from quadjax.fitting.report import tables
-from quadjax.fitting.simulate import random_residual, simulate_flight
 from quadjax.fitting.vehicle_file import read_vehicle
-from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual_file import read_residual
 from tests.commands import run
 
 from .conftest import REPOSITORY
+from .flights import simulated, write_flights
 
 CONFIG = REPOSITORY / "configs/fit/paparazzi.yaml"
 
 
 @pytest.fixture(scope="module")
-def folder(bebop, tmp_path_factory):
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit")
-    vehicle = VehicleParams(bebop, random_residual(5, 1.0, (0.008, 0.008, 0.003)))
-    for seed in range(3):
-        columns = simulate_flight(vehicle, seed, seconds=12.0)
-        write_log(folder / f"flight_{seed}.csv", columns)
+    write_flights(folder, 3, residual=(5, 1.0, (0.008, 0.008, 0.003)))
     return folder
 
 
@@ -112,8 +108,7 @@ def test_the_choice_of_constants_for_a_held_out_flight_is_made_without_it(bebop,
     """The third flight is of a drone with half the drag, which the fits to it and another show."""
     for name in ("flight_0", "flight_1"):
         (tmp_path / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
-    other = VehicleParams(bebop.replace(k_x=0.5 * bebop.k_x))
-    write_log(tmp_path / "flight_2.csv", simulate_flight(other, 2, seconds=12.0))
+    write_log(tmp_path / "flight_2.csv", simulated(2, k_x=0.5))
     arguments = [f"logs.files=[{tmp_path}/*.csv]", "residual.fit=false"]
     result = run_fit(load_fit_config(CONFIG, arguments), folder)
     assert "ax" in result.harmful and result.vehicle.motor.k_x == bebop.k_x

@@ -23,6 +23,7 @@ from quadjax.fitting.simulate import random_residual, simulate_flight
 from quadjax.vehicle.protocol import VehicleParams
 
 from .conftest import REPOSITORY
+from .flights import NOISE, RATE, SECONDS
 
 AZ, MZ = 2, 5
 
@@ -91,7 +92,9 @@ def test_an_unlike_flight_is_not_harmed(bebop, tmp_path):
     opposite = with_gains(residual, np.full(4, -1.0))
     for seed in range(4):
         drone = VehicleParams(bebop, opposite if seed == 3 else residual)
-        write_log(tmp_path / f"flight_{seed}.csv", simulate_flight(drone, seed, seconds=12.0))
+        write_log(
+            tmp_path / f"flight_{seed}.csv", simulate_flight(drone, seed, SECONDS, RATE, NOISE)
+        )
     training = "residual={seeds: 2, epochs: 10, distill_epochs: 20, batch: 256}"
     arguments = [f"logs.files=[{tmp_path}/*.csv]", training]
     config = load_fit_config(REPOSITORY / "configs/fit/paparazzi.yaml", arguments)
