@@ -8,19 +8,8 @@ import pytest
 
 import quadjax
 from tests.commands import run
-from tests.surface.short import short
 
 BEBOP = ("cortex-a9", "cortex-m7", "cortex-m4", "qjp")
-RACING = ("indiflight", "px4", "crazyflie")
-
-
-@pytest.fixture(scope="module")
-def racing(tmp_path_factory):
-    """A policy of the 5-inch racer: a short training, for what does not depend on its laps."""
-    folder = tmp_path_factory.mktemp("racing")
-    words = short("e2e_shac", "vehicle=5inch", "observation.actuator_range=[0, 3000]")
-    assert run("train", *words, "--output", folder, "--name", "racing") == 0
-    return folder / "racing/policy.npz"
 
 
 @pytest.mark.slow
@@ -42,16 +31,6 @@ def test_a_shipped_policy_is_exported_and_verified(target, tmp_path, monkeypatch
     assert run("verify", "out", *words) == 0
     results = json.loads(Path("verify.json").read_text())["results"]
     assert len(results) > 10 and "fail" not in {row["verdict"] for row in results}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("target", RACING)
-def test_a_racing_policy_is_exported_and_verified(target, racing, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = ("--allow-unfinished", "--range", "velocity=64", "--range", "rates=64")
-    assert run("export", racing, "--output", "out", "--target", target, *words) == 0
-    words = ("--vectors", 500, "--mutations", 50, "--allow-unfinished")
-    assert run("verify", "out", *words) == 0
 
 
 @pytest.mark.slow
