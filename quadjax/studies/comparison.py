@@ -103,7 +103,8 @@ def rows(compared: Compared) -> list[Row]:
     """
     name = compared.contender.name
     on_plant = compared.on_plant.laps
-    five = lap_row(f"{name} stand-in plant, mean of {FLIGHTS}", first(on_plant))
+    count = min(FLIGHTS, len(on_plant.crashes))
+    five = lap_row(f"{name} stand-in plant, mean of {count}", first(on_plant))
     five = dataclasses.replace(five, finished=on_plant.finished, runs=len(on_plant.crashes))
     return [lap_row(f"{name} simulated", compared.simulated), five]
 

@@ -107,8 +107,9 @@ def table_text(setting: Setting, e2e: Compared, indi: Compared) -> str:
     """
     table = format_table([*rows(e2e), *rows(indi)])
     on_plant, held = limit_fractions(setting, e2e)
+    count = min(FLIGHTS, setting.runs)
     notes = [
-        f"mean and best of {FLIGHTS} flights on the stand-in plant; finished: of all runs",
+        f"mean and best of {count} flights on the stand-in plant; finished: of all runs",
         lead(e2e, indi),
         f"E2E's rpm commands at a limit: {100.0 * held:.0f}% simulated, "
         f"{100.0 * on_plant:.0f}% on the stand-in plant",
