@@ -19,4 +19,6 @@ import jax  # noqa: E402
 
 from tests.skips import pytest_sessionfinish, pytest_terminal_summary  # noqa: E402, F401
 
-jax.config.update("jax_num_cpu_devices", 8)  # before anything starts the backend
+# Started at once: a training in this process would ask for a device for each core.
+jax.config.update("jax_num_cpu_devices", 8)
+jax.devices()

@@ -104,7 +104,7 @@ def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name,
 def test_a_run_is_not_overwritten_nor_resumed_as_another(tmp_path):
     config = config_of("e2e_ppo", "run.steps=128")
     training.train(config, tmp_path / "run")
-    with pytest.raises(InputError, match="--resume"):
+    with pytest.raises(InputError, match="already contains a run"):
         training.train(config, tmp_path / "run")
     other = config.replace(seed=7)
     with pytest.raises(InputError, match="seed: 0.*seed: 7"):
