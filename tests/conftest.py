@@ -15,6 +15,16 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = CACHE.name
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
 
+# Devices of the host wait for one another in a collective operation, by default 40 s at most; with
+# fewer cores than devices and other tests beside them it can be longer.
+os.environ["XLA_FLAGS"] = " ".join(
+    [
+        os.environ.get("XLA_FLAGS", ""),
+        "--xla_cpu_collective_call_terminate_timeout_seconds=600",
+        "--xla_cpu_collective_timeout_seconds=600",
+    ]
+)
+
 import jax  # noqa: E402
 
 from tests.skips import pytest_sessionfinish, pytest_terminal_summary  # noqa: E402, F401

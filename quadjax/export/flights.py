@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -177,6 +178,19 @@ def observe(
         return pilot.see(own.pilot, environment.observe(own.choices, own.params, race))
 
     return np.asarray(shown(states, targets, earlier, states))
+
+
+def observe_float64(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """As ``observe``, with states and parameters in float64: the rounding of float32 differs."""
+
+    def exact(leaf: Any) -> Any:
+        array = np.asarray(leaf)
+        return array.astype(np.float64) if array.dtype == np.float32 else leaf
+
+    with jax.enable_x64(True):
+        params, of_pilot = jax.tree.map(exact, (own.params, own.pilot))
+        same = dataclasses.replace(own, params=params, pilot=of_pilot)
+        return observe(same, states.astype(np.float64), targets)
 
 
 def _battery(params: RaceBattery, highest: jax.Array) -> BatteryState:

@@ -59,7 +59,7 @@ def check_observation(c: Context) -> str:
     require(not np.any(rows[:, network.inputs :]), "a simulated state was clipped")
     same = race_emulator.observe(folder.race, seen.states, seen.targets)
     require(bool(np.all(rows[:, : network.inputs] == same.q)), "C and NumPy differ")
-    shown = flights.observe(folder.own, seen.states, seen.targets).astype(np.float64)
+    shown = flights.observe_float64(folder.own, seen.states, seen.targets)
     found = rows[:, : network.inputs] / 2.0**30 * network.box.ranges
     error = np.abs(found - shown) / network.box.ranges
     # A yaw within rounding of half a turn is the same angle on either side.
