@@ -12,7 +12,7 @@ import pytest
 import quadjax
 from tests.docs.smaller import CODE, load_short, smaller
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 

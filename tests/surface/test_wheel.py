@@ -13,7 +13,7 @@ import pytest
 from tests.surface.short import short
 
 pytestmark = pytest.mark.slow
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +81,7 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
 
 def test_it_exports_and_verifies_in_an_empty_folder(installed, tmp_path):
     script = (
-        "import quadjax\n"
-        "from quadjax.core.resources import PRETRAINED\n"
-        "quadjax.export_c(quadjax.Policy.load(PRETRAINED / 'e2e_nominal.npz'), 'c', 'e2e_shac')\n"
+        "import quadjax\nquadjax.export_c(quadjax.Policy.load('e2e_nominal'), 'c', 'e2e_shac')\n"
     )
     done = run(installed, tmp_path, "-c", script)
     assert done.returncode == 0, done.stdout + done.stderr

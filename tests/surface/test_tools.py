@@ -1,0 +1,122 @@
+"""Sweeps, imported networks, pages in a browser, and racing policies on their autopilots."""
+
+import csv
+import json
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import quadjax
+from tests.commands import run
+from tests.surface.short import OF_EACH, OF_LEARNER, short
+from tests.surface.test_training import start, wait_for
+from tests.view.browser import browser, opened, wait_until
+
+fixtures = (browser,)
+SWEEP = """
+name: rates
+config: e2e_ppo
+overrides:
+{overrides}
+space:
+  learner.learning_rate: {{log: [1.0e-4, 1.0e-2]}}
+search: {{method: random}}
+objective: {{seeds: 1, runs: 1}}
+budget: {{trials: 4}}
+executor: {{workers: 1}}
+"""
+
+
+def summaries(folder: Path) -> dict[Path, float]:
+    """The summaries of the finished trainings of a sweep, with the times of their writing."""
+    return {path: path.stat().st_mtime for path in (folder / "trials").rglob("summary.json")}
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on_and_runs_every_trial_once(tmp_path):
+    words = (word.split("=", 1) for word in (*OF_EACH, *OF_LEARNER["ppo"]))
+    overrides = "\n".join(f"  {key}: {value}" for key, value in words)
+    (tmp_path / "rates.yaml").write_text(SWEEP.format(overrides=overrides))
+    folder = tmp_path / "runs/rates"
+    process = start(tmp_path, "sweep", "rates.yaml")
+    wait_for(lambda: len(summaries(folder)) > 1, process)  # the first trial is complete
+    process.send_signal(signal.SIGKILL)
+    process.communicate(timeout=60)
+    first = min(summaries(folder).items(), key=lambda item: item[1])
+    assert len(summaries(folder)) < 4 and not (folder / "trials.csv").exists()
+    process = start(tmp_path, "sweep", "rates.yaml")
+    _, errors = process.communicate(timeout=600)
+    assert process.returncode == 0, errors
+    with (folder / "trials.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len({row["learner.learning_rate"] for row in rows}) == 4
+    assert first in summaries(folder).items()  # it was not trained again
+
+
+def arrays_as_c(sizes: tuple[int, ...]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
+    """A network as C source, row by row per output, and its layers (kernel, bias)."""
+    rng, lines, layers = np.random.default_rng(0), [], []
+    for number, shape in enumerate(zip(sizes[:-1], sizes[1:], strict=True), start=1):
+        kernel = rng.standard_normal(shape).astype(np.float32)
+        bias = rng.standard_normal(shape[1]).astype(np.float32)
+        layers.append((kernel, bias))
+        for name, array in (("weights", kernel.T), ("biases", bias)):
+            numbers = ", ".join(f"{x:.9g}f" for x in array.ravel())
+            lines.append(f"static const float {name}_fc{number}[] = {{{numbers}}};")
+    return "\n".join(lines), layers
+
+
+def test_a_network_in_c_is_imported_and_evaluated(tmp_path):
+    text, layers = arrays_as_c((24, 8, 4))
+    (tmp_path / "network.c").write_text(text)
+    file = tmp_path / "policy.npz"
+    words = ("--activation", "relu", "--std", 0.1, "--output", file)
+    assert run("import", "e2e_shac", tmp_path / "network.c", *words) == 0
+    policy = quadjax.Policy.load(file)
+    x = np.random.default_rng(1).standard_normal((5, 24)).astype(np.float32)
+    (first, first_bias), (second, second_bias) = layers
+    wanted = np.maximum(x @ first + first_bias, 0.0) @ second + second_bias
+    np.testing.assert_allclose(policy.mean(x), np.clip(wanted, -1.0, 1.0), atol=1e-5)
+
+
+@pytest.mark.slow
+def test_the_flights_of_policies_and_a_run_are_shown_in_a_browser(tmp_path, monkeypatch, browser):
+    monkeypatch.chdir(tmp_path)
+    assert run("train", *short("e2e_shac"), "--name", "first") == 0
+    assert run("view", "e2e_nominal", "runs/first", "--race", "e2e_shac", "--laps", 1) == 0
+    with opened(browser, (tmp_path / "flights.html").as_uri(), offline=True) as page:
+        wait_until(page.page, "quadjax.viewer.clock.time > 0.2")
+        assert len(page.state(0.1)["drones"]) == 2
+        assert page.page.locator("tbody tr").first.inner_text().startswith("e2e_nominal")
+
+
+RACING = (
+    "vehicle=5inch",
+    "observation.actuators=false",
+    "observation.last_action=true",
+)
+WIDE = {"position": 64, "velocity": 128, "rates": 1024, "attitude": 4}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["indiflight", "px4", "crazyflie", "qjp"])
+def test_a_racing_policy_is_exported_verified_and_flown(target, tmp_path, monkeypatch):
+    """It is trained for seconds: it need not finish its race."""
+    monkeypatch.chdir(tmp_path)
+    run_of = quadjax.train(quadjax.load(*split(short("e2e_shac", *RACING))), tmp_path / "run")
+    ranges = [f"--range={name}={size}" for name, size in WIDE.items()]
+    words = ("--output", "out", "--target", target, "--allow-unfinished", *ranges)
+    assert run("export", run_of.folder / "policy.npz", *words) == 0
+    words = ("--vectors", 100, "--allow-unfinished", "--json", "verify.json")
+    assert run("verify", "out", *words) == 0
+    results = json.loads(Path("verify.json").read_text())["results"]
+    assert len(results) > 10 and "fail" not in {row["verdict"] for row in results}
+    assert run("sil", "out", "--simulator", "--laps", 1) == 0
+    assert json.loads(Path("runs/sil/sil.json").read_text())["crashes"]
+
+
+def split(words: list[str]) -> tuple[str, list[str]]:
+    """The preset and the overrides of a command line."""
+    return words[0], words[1:]
