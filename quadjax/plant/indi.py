@@ -182,10 +182,10 @@ def _turn_scale(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:
     for i in range(4):
         for j in range(4):
             apart = turn[j] - turn[i]
-            room = high[j] - low[i]
+            room = jnp.maximum(high[j] - low[i], 0.0)
             fits = room / jnp.where(apart > room, apart, 1.0)
             fraction = jnp.where(apart > room, jnp.minimum(fraction, fits), fraction)
-    return jnp.maximum(fraction, 0.0)
+    return fraction
 
 
 def _added_scale(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.Array:
@@ -194,12 +194,13 @@ def _added_scale(base: Rotors, added: Rotors, low: Rotors, high: Rotors) -> jax.
     for b, d, least, most in zip(
         base.components(), added.components(), low.components(), high.components(), strict=True
     ):
-        room = jnp.where(d > 0.0, most - b, b - least)
+        # Rounding may leave ``base`` just beyond a limit.
+        room = jnp.maximum(jnp.where(d > 0.0, most - b, b - least), 0.0)
         size = jnp.abs(d)
         tight = size > room
         fraction = jnp.where(
             tight,
-            jnp.minimum(fraction, jnp.maximum(room, 0.0) / jnp.where(tight, size, 1.0)),
+            jnp.minimum(fraction, room / jnp.where(tight, size, 1.0)),
             fraction,
         )
     return fraction

@@ -75,6 +75,19 @@ def test_a_turn_too_large_keeps_its_direction(params):
     assert found[0] / found[1] == pytest.approx(2.0, rel=1e-2)
 
 
+def test_limits_of_equal_speeds_are_finite(params):
+    """Without a change of yaw, and with rounding beyond the limits."""
+    rng = np.random.default_rng(0)
+    rpm, roll = rng.uniform(3000, 11000, 20_000), rng.uniform(-2000, 2000, 20_000)
+    zero = jnp.zeros(())
+
+    def commands(rpm, roll):
+        return indi.allocate(params, Rotors.same(rpm), Vec3(roll, zero, zero), zero)
+
+    found = jax.jit(jax.vmap(commands))(np.float32(rpm), np.float32(roll)).array()
+    assert np.isfinite(found).all()
+
+
 def test_a_lag_is_found_again():
     time = np.arange(0.0, 0.2, 0.002)
     step = fit_step("p", 2.0, time, 2.0 - 1.5 * np.exp(-time / 0.041))
