@@ -42,7 +42,7 @@ def enabled(monkeypatch):
 
 def python(home, *arguments):
     """Run Python with ``home`` as the user's cache folder."""
-    own = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
+    own = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_"))}
     own |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(home)}
     subprocess.run([sys.executable, *arguments], capture_output=True, env=own, check=True)
 

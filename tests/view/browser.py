@@ -2,13 +2,10 @@
 
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
-
-from quadjax.view.page import write_page
 
 DESK, PHONE = (1280, 720), (390, 844)
 OPTIONS = (
@@ -90,17 +87,3 @@ def opened(browser, address: str, size=DESK, scheme: str = "dark", **more) -> It
         assert not page.errors
     finally:
         context.close()
-
-
-@pytest.fixture
-def open_scene(browser, tmp_path: Path) -> Callable:
-    """Write a scene as a page and open it from disk."""
-
-    @contextmanager
-    def opening(scene, **options):
-        path = tmp_path / "flights.html"
-        write_page(path, scene.record())
-        with opened(browser, path.as_uri(), offline=True, **options) as page:
-            yield page
-
-    return opening

@@ -1,6 +1,9 @@
 """Pages of flights in a real browser."""
 
 import io
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,12 +11,12 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from quadjax.view.flight import Marker
-from quadjax.view.page import frame
-from tests.view.browser import DESK, PHONE, browser, open_scene, wait_until
+from quadjax.view.page import frame, write_page
+from tests.view.browser import DESK, PHONE, browser, opened, wait_until
 from tests.view.scenes import AHEAD, RADIUS, circle, scene
 
 pytestmark = pytest.mark.slow
-fixtures = (browser, open_scene)
+fixtures = (browser,)
 RACE = scene(
     circle("fast", lap=2.5),
     circle("slow", lap=3.0, offset=0.2),
@@ -22,6 +25,20 @@ RACE = scene(
 )
 # NED to the axes of three.js: north to x, down to -y, east to z.
 AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+@pytest.fixture
+def open_scene(browser, tmp_path: Path) -> Callable:
+    """Write a scene as a page and open it from disk."""
+
+    @contextmanager
+    def opening(scene, **options):
+        path = tmp_path / "flights.html"
+        write_page(path, scene.record())
+        with opened(browser, path.as_uri(), offline=True, **options) as page:
+            yield page
+
+    return opening
 
 
 def picture(page) -> np.ndarray:
