@@ -212,7 +212,8 @@ def _attitude(values: dict[str, list[jax.Array]], as_quaternion: bool) -> list[j
     if as_quaternion and "quaternion" not in values:
         return jax.tree.leaves(quaternion.of_euler(Vec3(*values["euler"])))
     if not as_quaternion and "euler" not in values:
-        own = Quaternion(*values["quaternion"])
+        # Close to a pitch of 90 deg the arcsine magnifies a rounding error of the length.
+        own = quaternion.normalized(Quaternion(*values["quaternion"]))
         return jax.tree.leaves(quaternion.to_euler(own, jnp.arctan2))
     return values["quaternion" if as_quaternion else "euler"]
 

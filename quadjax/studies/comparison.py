@@ -181,8 +181,6 @@ def lead(e2e: Compared, indi: Compared) -> str:
         ahead = np.subtract(*(lap_row("", laps).laps for laps in reversed(both)))
         totals.append(f"{ahead.sum():+.2f} s {world}")
         firsts.append(f"{ahead[0]:+.2f}")
-        later.append(f"{ahead[1:].mean() if len(ahead) > 1 else np.nan:+.2f}")
-    return (
-        f"E2E's lead over INDI: {', '.join(totals)}; first lap {' -> '.join(firsts)} s, each later "
-        f"lap {' -> '.join(later)} s"
-    )
+        later += [f"{ahead[1:].mean():+.2f}"] if len(ahead) > 1 else []
+    text = f"E2E's lead over INDI: {', '.join(totals)}; first lap {' -> '.join(firsts)} s"
+    return f"{text}, each later lap {' -> '.join(later)} s" if later else text
