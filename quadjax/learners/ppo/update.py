@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optax
 
 from quadjax.core.environment import Environment
-from quadjax.learners.hyper import as_leaves, register
+from quadjax.core.traced import as_leaves, register
 from quadjax.learners.metrics import episode_metrics, explained_variance, global_mean
 from quadjax.learners.minibatches import shuffled, take_rows, to_blocks
 from quadjax.learners.networks import ActorCritic, Networks

@@ -10,7 +10,7 @@ import optax
 
 from quadjax.core.environment import Environment
 from quadjax.core.gradients import Scalar
-from quadjax.learners.hyper import as_leaves, register
+from quadjax.core.traced import as_leaves, register
 from quadjax.learners.metrics import episode_metrics
 from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.shac.actor import collect_gradient, policy_step

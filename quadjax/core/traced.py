@@ -1,4 +1,4 @@
-"""Hyperparameter sections as pytrees: floats are leaves, everything else is static."""
+"""Sections as pytrees: floats are leaves, which a program takes as numbers; the rest is static."""
 
 from typing import TypeVar, cast
 
