@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from quadjax.config.loading import load_config as load
     from quadjax.config.race import make_race
     from quadjax.config.schema import Config
-    from quadjax.core.environment import Environment, Variants
+    from quadjax.core.environment import Environment
     from quadjax.core.errors import InputError
     from quadjax.core.resources import preset_names as presets
     from quadjax.core.sections import Section
@@ -51,7 +51,6 @@ _PUBLIC = {  # name: "module:object"
     "Learner": "quadjax.learners.state:Learner",
     "TrainState": "quadjax.learners.state:TrainState",
     "Environment": "quadjax.core.environment:Environment",
-    "Variants": "quadjax.core.environment:Variants",
     "VehicleModel": "quadjax.vehicle.protocol:VehicleModel",
     "VehicleParams": "quadjax.vehicle.protocol:VehicleParams",
     "Signal": "quadjax.vehicle.protocol:Signal",
@@ -87,7 +86,6 @@ __all__ = [
     "StepContext",
     "TrainResult",
     "TrainState",
-    "Variants",
     "VehicleModel",
     "VehicleParams",
     "View",

@@ -72,7 +72,7 @@ def interrupted():
     [
         ("e2e_ppo", ("run.devices=2",)),
         ("e2e_fastest", ("schedules.reward.gate_edge.by=pass_rate",)),
-        ("e2e_any_track", ("randomization.tracks={count: 3, drawn_by: learning_progress}",)),
+        ("e2e_any_track", ("randomization.tracks={count: 3}",)),
     ],
 )
 def test_stopped_and_resumed_is_the_same_to_the_bit(tmp_path, monkeypatch, name, keys):

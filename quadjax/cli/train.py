@@ -17,7 +17,6 @@ from quadjax.cli.arguments import (
     add_config,
     add_name,
     add_output,
-    count,
     overrides_of,
     parse,
 )
@@ -51,13 +50,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--watch", action="store_true", help="show the training in the browser; see quadjax watch"
     )
-    parser.add_argument(
-        "--coordinator",
-        metavar="HOST:PORT",
-        help="train over several processes: the address of the first one, or auto on a cluster",
-    )
-    parser.add_argument("--processes", type=count, help="number of processes")
-    parser.add_argument("--process", type=int, help="index of this process, from 0")
     arguments = parse(parser, argv)
     if arguments.overwrite and arguments.resume:
         raise InputError("--overwrite and --resume exclude each other")
@@ -70,7 +62,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.config.stored import names_of_code
-        from quadjax.learners import hosts
         from quadjax.learners.devices import prepare_devices
         from quadjax.training.fine_tuning import fine_tuning
 
@@ -79,13 +70,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _check_fine_tuning(config, options.fine_tune)
         config = fine_tuning(config, options.fine_tune)
     prepare_devices(config.run.devices)
-    hosts.connect(options.coordinator, options.processes, options.process)
     with loading():
         from quadjax.learners.loop import NonFiniteError
         from quadjax.training.run import train
 
     folder = options.output / config.name
-    if options.watch and hosts.is_first():
+    if options.watch:
         race = [options.config, *overrides_of(options)] if names_of_code(config) else []
         print(f"watch: {start(folder, race)}", file=sys.stderr, flush=True)
     try:
@@ -100,11 +90,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     if not run.finished:
-        if hosts.is_first():
-            print(f"Stopped and saved. Continue with: {_again(options)}")
+        print(f"Stopped and saved. Continue with: {_again(options)}")
         return INTERRUPTED
-    if hosts.is_first():
-        _present(run)
+    _present(run)
     return 0
 
 

@@ -51,8 +51,6 @@ def choices_of(config: Config) -> Choices:
     observed, start = config.observation, config.start
     extra, past = _own("observation.extra", observed.extra, Field), observed.history
     unobserved = observed.highest_rpm == "none"
-    tracks = config.randomization.tracks
-    by_progress = tracks.count if tracks and tracks.drawn_by == "learning_progress" else 0
     return Choices(
         model=vehicle,
         layout=make_layout(
@@ -79,9 +77,7 @@ def choices_of(config: Config) -> Choices:
         mismatch=bool(config.vehicle.mismatch),
         terms=_own("reward.terms", config.reward.terms),
         rules=_own("rules.extra", config.rules.extra),
-        report_passes=by_progress > 0
-        or any(schedule.by == "pass_rate" for schedule in config.schedules.values()),
-        drawn_by_progress=by_progress,
+        report_passes=any(each.by == "pass_rate" for each in config.schedules.values()),
     )
 
 

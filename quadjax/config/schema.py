@@ -529,8 +529,7 @@ class Randomization(Section):
     tracks: RandomTracks | None = Field(
         None,
         description="random tracks, one of which is drawn for every training episode in place of "
-        "track: {count, drawn_by} and the keys of track.generate; flights of evaluations are on "
-        "track",
+        "track: count and the keys of track.generate; flights of evaluations are on track",
     )
 
     @property
@@ -554,7 +553,7 @@ class Run(Section):
         40_000_000, ge=1, le=10**12, description="environment steps, of all environments together"
     )
     devices: Literal["auto", "all"] | Devices = Field(
-        "auto", description="number of devices in each process, or auto, or all"
+        "auto", description="number of devices, or auto, or all"
     )
     shards: int = Field(
         8,

@@ -20,20 +20,6 @@ State = TypeVar("State")
 
 
 @dataclasses.dataclass(frozen=True)
-class Variants(Generic[Params, State]):
-    """Variants of a task, one of which ``reset`` draws: tracks, for example.
-
-    Learners draw half of the episodes by the learning progress of each variant. They need
-    ``Environment.completed``.
-    """
-
-    count: int
-    index: Callable[[State], jax.Array]  # -> () int32 of the variant
-    # -> params with the chance (count,) of each variant
-    weighted: Callable[[Params, jax.Array], Params]
-
-
-@dataclasses.dataclass(frozen=True)
 class Environment(Generic[Params, State]):
     """Three pure functions of one agent, and the sizes that a network needs.
 
@@ -51,4 +37,3 @@ class Environment(Generic[Params, State]):
     # (before, after) -> () float, parts of the task that a step completed: gates passed. None: not
     # reported.
     completed: Callable[[State, State], jax.Array] | None = None
-    variants: Variants[Params, State] | None = None  # needs ``completed``; None: a single task

@@ -31,7 +31,7 @@ def prepare_devices(wanted: str | int) -> None:
 
 
 def choose_devices(wanted: str | int, shards: int) -> int:
-    """The number of devices of each process to train on.
+    """The number of devices to train on.
 
     Two devices of one core each train faster than one of two cores: XLA's own threads slow down
     matrix products this small.
@@ -43,13 +43,7 @@ def choose_devices(wanted: str | int, shards: int) -> int:
     Raises:
         InputError: more devices than there are, or a number that does not divide the shards.
     """
-    available, processes = jax.local_device_count(), jax.process_count()
-    if shards % processes:
-        raise InputError(
-            f"--processes is {processes}, allowed: a divisor of the {shards} shards of "
-            "learner.num_envs (at most run.shards)"
-        )
-    shards //= processes
+    available = jax.local_device_count()
     if wanted == "auto":
         return device_count(shards, available)
     count = available if wanted == "all" else int(wanted)

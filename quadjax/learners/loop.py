@@ -53,7 +53,6 @@ class Hooks:
     report: Callable[[Row], None]
     save: Callable[[Position], None]
     stop: Callable[[], bool]
-    agree: Callable[[bool], bool] = bool  # whether the flag is true in any process
 
 
 def run(
@@ -82,7 +81,7 @@ def run(
         NonFiniteError: a metric is not finite. No checkpoint is written after that.
     """
     saved = time.monotonic()
-    while position.chunks < chunks and not hooks.agree(hooks.stop()):
+    while position.chunks < chunks and not hooks.stop():
         chunk_started = time.monotonic()
         state, metrics = chunk(params, position.state)
         values = {name: np.asarray(value) for name, value in metrics.items()}
@@ -91,7 +90,7 @@ def run(
         score = hooks.score(state.evaluated)
         position = advance(position, state, score, steps_per_chunk, time.monotonic() - started)
         hooks.report(row_of(position, values, score, steps_per_chunk, took))
-        due = hooks.agree(time.monotonic() - saved > save_seconds)
+        due = time.monotonic() - saved > save_seconds
         if due and position.chunks < chunks:
             hooks.save(position)
             saved = time.monotonic()

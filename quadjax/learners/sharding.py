@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from quadjax.learners.hosts import spread
 from quadjax.learners.memory import check_memory, program_bytes, tree_bytes
 from quadjax.learners.state import AXIS, Learner, Metrics, TrainState
 
@@ -15,12 +14,8 @@ Chunk = Callable[[object, TrainState], tuple[TrainState, Metrics]]
 
 
 def make_mesh(count: int) -> Mesh:
-    """A mesh of the first ``count`` devices of every process."""
-    each: dict[int, list[jax.Device]] = {}
-    for device in jax.devices():
-        each.setdefault(device.process_index, []).append(device)
-    chosen = [device for process in sorted(each) for device in each[process][:count]]
-    return Mesh(np.array(chosen), (AXIS,))
+    """A mesh of the first ``count`` devices."""
+    return Mesh(np.array(jax.devices()[:count]), (AXIS,))
 
 
 def device_count(shards: int, wanted: int) -> int:
@@ -61,7 +56,7 @@ def place(state: TrainState, mesh: Mesh) -> TrainState:
 
     Weakly typed leaves become strongly typed, as those that the compiled chunk returns.
     """
-    return spread(jax.tree.map(_strong, state), _shardings(state, mesh))
+    return jax.device_put(jax.tree.map(_strong, state), _shardings(state, mesh))
 
 
 def abstract(state: TrainState, mesh: Mesh) -> TrainState:
@@ -104,14 +99,14 @@ def compile_chunk(
     """
     check_memory(tree_bytes(state) / mesh.size, mesh)
     everywhere = NamedSharding(mesh, PartitionSpec())
-    hyper, params = spread((learner.hyper, params), everywhere)
+    hyper, params = jax.device_put((learner.hyper, params), everywhere)
     split = _split_updates(learner, mesh, updates, state)
     jitted = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
     program = jitted.lower(hyper, params, state).compile()
     check_memory(program_bytes(program), mesh)
 
     def chunk(params: object, state: TrainState) -> tuple[TrainState, Metrics]:
-        return program(hyper, spread(params, everywhere), state)
+        return program(hyper, jax.device_put(params, everywhere), state)
 
     return chunk
 

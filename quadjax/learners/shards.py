@@ -58,13 +58,6 @@ def completed_parts(environment: Environment, before: Any, after: Any) -> jax.Ar
     return jax.vmap(environment.completed, in_axes=-1)(before, after)
 
 
-def variant_index(environment: Environment, state: Any) -> jax.Array | None:
-    """The variant of the task of each environment (n,), of batched states; None if it has none."""
-    if environment.variants is None:
-        return None
-    return jax.vmap(environment.variants.index, in_axes=-1)(state)
-
-
 def where_done(done: jax.Array, fresh: Any, state: Any) -> Any:
     """``fresh`` where an episode is done, else ``state``; both batched along the last axis."""
     return jax.tree.map(lambda new, old: jnp.where(done, new, old), fresh, state)

@@ -29,7 +29,6 @@ class TrainState:
         None  # ActorCritic or None: exponential moving average of ``params``, if there is one
     )
     level: Any = None  # () in [0, 1]: position of the schedules by ``pass_rate``, if there are any
-    record: Any = None  # tasks.Record or None: what was completed in each variant of the task
 
     @property
     def evaluated(self) -> ActorCritic:

@@ -22,7 +22,6 @@ from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.section import Network, Schedule, Schedules
 from quadjax.learners.sharding import compile_chunk, make_mesh, place
 from quadjax.learners.state import Learner
-from quadjax.learners.tasks import with_learning_progress
 
 CHUNKS = 20  # of a run, at most: how often progress is reported
 
@@ -131,7 +130,7 @@ def _make(
     steps: int,
     schedules: Schedules,
 ) -> Learner:
-    """The learner with its schedules and its variants of the task, over the whole run."""
+    """The learner with its schedules, over the whole run."""
 
     def make(algorithm: MakesLearner, updates: int) -> Learner:
         return algorithm.make(environment, networks, updates, 8)
@@ -145,7 +144,7 @@ def _make(
 
     per_update = make(algorithm, 1).steps_per_update
     updates = math.prod(_plan(steps, per_update))
-    learner = with_learning_progress(make(algorithm, updates), environment, updates)
+    learner = make(algorithm, updates)
     sections = {
         key: each if isinstance(each, Schedule) else build(Schedule, {"linear": [*each]}, key)
         for key, each in schedules.items()

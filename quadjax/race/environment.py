@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.environment import Environment, Variants
+from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.gradients import clip_inward
 from quadjax.core.imports import name_of, own_numbers
@@ -56,7 +56,6 @@ class Choices:
     terms: tuple[Term, ...] = ()  # reward terms besides those of RewardWeights
     rules: tuple[Rule, ...] = ()  # rules besides those of Limits
     report_passes: bool = False  # to the learner: gates passed, for curricula
-    drawn_by_progress: int = 0  # tracks that are drawn by learning progress; 0: none
 
 
 @struct.dataclass
@@ -71,7 +70,6 @@ class RaceParams:
     disturbance: start.DisturbanceRange
     randomization: Constants  # largest relative error of each constant
     tracks: Track | None = None  # (tracks, gates) of each number: drawn for every episode
-    track_chances: jax.Array | None = None  # (tracks,) of each; None: equal
     population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
@@ -129,15 +127,9 @@ def on_track(params: RaceParams, track: Track | None) -> RaceParams:
     return params if track is None else params.replace(track=track)
 
 
-def _draw_track(
-    tracks: Track, chances: jax.Array | None, key: jax.Array
-) -> tuple[Track, jax.Array]:
+def _draw_track(tracks: Track, key: jax.Array) -> tuple[Track, jax.Array]:
     """One of several tracks, and its index."""
-    count = tracks.yaw.shape[0]
-    if chances is None:
-        index = jax.random.randint(key, (), 0, count)
-    else:
-        index = jax.random.choice(key, count, p=chances)
+    index = jax.random.randint(key, (), 0, tracks.yaw.shape[0])
     return jax.tree.map(lambda numbers: numbers[index], tracks), index
 
 
@@ -153,7 +145,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         if params.start.heading is not None:
             raise InputError("params.start.heading is set, allowed: None with params.tracks")
         track_key = jax.random.fold_in(key, 3)
-        track, index = _draw_track(params.tracks, params.track_chances, track_key)
+        track, index = _draw_track(params.tracks, track_key)
         params = on_track(params, track)
     constants = params.vehicle.constants
     extra = len(dataclasses.fields(constants)) if choices.randomize else 0
@@ -499,20 +491,7 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
         roll=jnp.asarray(jnp.inf, jnp.float32),
         yaw_rate=jnp.asarray(jnp.inf, jnp.float32),
     )
-    return params.replace(limits=limits, tracks=None, track_chances=None)
-
-
-def _variants(count: int) -> Variants[RaceParams, RaceState] | None:
-    """The tracks of training as variants of the task."""
-
-    def index(state: RaceState) -> jax.Array:
-        assert state.track_index is not None
-        return state.track_index
-
-    def weighted(params: RaceParams, chances: jax.Array) -> RaceParams:
-        return params.replace(track_chances=chances)
-
-    return Variants(count, index, weighted) if count else None
+    return params.replace(limits=limits, tracks=None)
 
 
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
@@ -529,7 +508,6 @@ def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
 
     return Environment(
         completed=completed if choices.report_passes else None,
-        variants=_variants(choices.drawn_by_progress),
         reset=lambda params, key: reset(choices, params, key),
         observe=lambda params, state: observe(choices, params, state),
         step=step,

@@ -7,7 +7,7 @@ distance is allowed (position-based dynamics, Mueller et al. 2007). World NED, m
 """
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import model_validator
@@ -112,22 +112,11 @@ class RandomTracks(RandomTrack):
 
     seed: int = Field(0, ge=0, le=2**30, description="seed of the first track; then one higher")
     count: int = Field(256, ge=1, le=4096, description="number of tracks")
-    drawn_by: Literal["uniform", "learning_progress"] = Field(
-        "uniform",
-        description="how the track of an episode is drawn; uniform: all with the same chance; "
-        "learning_progress: half of the episodes by the change of each track's pass rate",
-    )
-
-    @model_validator(mode="after")
-    def _check_drawn(self) -> "RandomTracks":
-        if self.count == 1 and self.drawn_by != "uniform":
-            raise ValueError(f"drawn_by is {self.drawn_by}, allowed with one track: uniform")
-        return self
 
     @property
     def each(self) -> list[RandomTrack]:
         """The settings of each track."""
-        own = self.model_dump(exclude={"count", "drawn_by"})
+        own = self.model_dump(exclude={"count"})
         return [RandomTrack(**own | {"seed": self.seed + i}) for i in range(self.count)]
 
 

@@ -17,7 +17,6 @@ from quadjax.learners.loop import plan_chunks
 from quadjax.learners.networks import ActorCritic, Networks, layers_of, tree_of
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import Learner, TrainState
-from quadjax.learners.tasks import with_learning_progress
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
 from quadjax.race.environment import RaceParams, RaceState, make_environment
@@ -119,9 +118,8 @@ def build_learner(config: Config) -> Learner[RaceParams]:
         return make(own).hyper, training_params(own)
 
     total = updates * per_update
-    learner = with_learning_progress(make(config), environment, updates)
     return schedule_learner(
-        learner, config.schedules, numbers_at, config.run.steps, total, config.curriculum
+        make(config), config.schedules, numbers_at, config.run.steps, total, config.curriculum
     )
 
 

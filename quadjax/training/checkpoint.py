@@ -14,7 +14,6 @@ import orbax.checkpoint as ocp
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_space
-from quadjax.learners import hosts
 from quadjax.learners.loop import Position
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.state import TrainState
@@ -27,20 +26,22 @@ class Checkpoints:
     """The latest checkpoint of a run: its position, in ``folder/latest``."""
 
     def __init__(self, folder: Path | str) -> None:
-        """Open the folder, which is created if needed; only the first process reads and writes."""
+        """Open the folder, which is created if needed."""
         path = Path(folder).resolve() / "latest"
-        self._manager = _make_manager(path) if hosts.is_first() else None
+        path.mkdir(parents=True, exist_ok=True)
+        options = ocp.CheckpointManagerOptions(
+            max_to_keep=1, create=False, enable_async_checkpointing=False
+        )
+        self._manager = ocp.CheckpointManager(path, options=options)
 
     def save(self, position: Position) -> None:
         """Save the position: the state, and the best parameters so far.
-
-        All processes of a run gather the state; the first one writes.
 
         Raises:
             InputError: it cannot be written; the last checkpoint stays.
         """
         tree, manager = _tree(position), self._manager
-        if manager is None or manager.latest_step() == position.chunks:
+        if manager.latest_step() == position.chunks:
             return
         try:
             check_space(manager.directory, _most_bytes(tree))
@@ -55,7 +56,7 @@ class Checkpoints:
     @property
     def any(self) -> bool:
         """Whether there is a checkpoint to resume from."""
-        return hosts.agree(self._manager is not None and self._manager.latest_step() is not None)
+        return self._manager.latest_step() is not None
 
     def restore(self, like: Position) -> Position:
         """The position of the checkpoint.
@@ -66,56 +67,36 @@ class Checkpoints:
         Raises:
             InputError: the checkpoint is damaged.
         """
-        tree = _tree(like)
-        if self._manager is not None:
-            tree = _read(self._manager, tree)
-        restored: Any = hosts.broadcast(tree)
-        best_score, seconds, *whole = np.asarray(restored["numbers"]).view(np.float64).tolist()
-        best_steps, chunks = map(int, whole)
+        restored: Any = _read(self._manager, _tree(like))
+        best_score, seconds, best_steps, chunks = restored["numbers"].tolist()
         return dataclasses.replace(
             like,
             state=_with_keys(restored["state"], like.state),
             best=ActorCritic(**vars(restored["best"])),
             best_score=best_score,
-            best_steps=best_steps,
-            chunks=chunks,
+            best_steps=int(best_steps),
+            chunks=int(chunks),
             seconds=seconds,
         )
 
     def close(self) -> None:
         """Release Orbax's resources."""
-        if self._manager is not None:
-            self._manager.close()
+        self._manager.close()
 
 
 def _tree(position: Position) -> dict[str, Any]:
-    """What a checkpoint holds, as NumPy arrays; all processes of a run gather the state."""
+    """What a checkpoint holds, as NumPy arrays."""
     numbers = [position.best_score, position.seconds, position.best_steps, position.chunks]
     return {
-        "state": hosts.gather(position.state),
+        "state": jax.device_get(jax.tree.map(_numbers, position.state)),
         "best": jax.device_get(position.best),
-        # As integers: processes exchange floats in single precision.
-        "numbers": np.array(numbers, np.float64).view(np.uint32),
+        "numbers": np.array(numbers, np.float64),
     }
 
 
 def _most_bytes(tree: dict[str, Any]) -> int:
     """More bytes than a checkpoint takes: twice its arrays, and the files that describe them."""
     return 2 * sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(tree)) + 2**17
-
-
-def _make_manager(path: Path) -> ocp.CheckpointManager:
-    """A manager of one checkpoint, in this process only."""
-    path.mkdir(parents=True, exist_ok=True)
-    several: dict[str, Any] = {}
-    if not hosts.alone():
-        several["multiprocessing_options"] = ocp.options.MultiprocessingOptions(
-            primary_host=0, active_processes={0}, barrier_sync_key_prefix=path.name
-        )
-    options = ocp.CheckpointManagerOptions(
-        max_to_keep=1, create=False, enable_async_checkpointing=False, **several
-    )
-    return ocp.CheckpointManager(path, options=options)
 
 
 def _read(manager: ocp.CheckpointManager, tree: dict[str, Any]) -> dict[str, Any]:
@@ -136,6 +117,11 @@ def _reason(error: Exception) -> str:
     text = str(getattr(error, "strerror", None) or error).strip() or type(error).__name__
     full = os.strerror(errno.ENOSPC)
     return full if full in text else text.splitlines()[0][:200]
+
+
+def _numbers(leaf: jax.Array) -> jax.Array:
+    """The integers of a PRNG key; any other array as it is."""
+    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
 
 
 def _is_key(leaf: object) -> bool:

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
-from quadjax.learners import hosts
 from quadjax.learners import sharding as parallel
 from quadjax.learners.devices import choose_devices, prepare_devices
 from quadjax.learners.loop import Hooks, Position, Row, run
@@ -96,21 +94,20 @@ def train(
         enable_compilation_cache()
     prepare_devices(config.run.devices)
     job = _prepare(config)
-    with _claimed(folder, overwrite):
-        if hosts.is_first():
-            config = prepare_folder(config, folder, resume, overwrite)
-            job = dataclasses.replace(job, config=config)
-        if hosts.alone() and is_finished(folder) and (folder / "policy.npz").exists():
+    with claim(folder, KIND, FILES, overwrite):
+        config = prepare_folder(config, folder, resume, overwrite)
+        job = dataclasses.replace(job, config=config)
+        if is_finished(folder) and (folder / "policy.npz").exists():
             policy = Policy.load(folder / "policy.npz")
             return Run(config, folder, policy, True, read_summary(folder))
         shown = TrainingProgress(job.steps, config.name) if progress else None
-        if shown is not None and hosts.is_first():
+        if shown is not None:
             for note in (*config.notes, *_sizes(config)):
                 shown.note(f"{config.name}: {note}")
         with interruptions() as stop, shown or contextlib.nullcontext():
             callbacks = _Callbacks(job, folder, shown, stop, enough)
             position = _run(job, folder, resume, started, callbacks)
-        summary = read_summary(folder) if hosts.is_first() else {}
+        summary = read_summary(folder)
         finished = position.chunks >= job.chunks
         return Run(job.config, folder, job.best(position), finished, summary)
 
@@ -119,13 +116,6 @@ def _sizes(config: Config) -> list[str]:
     """The number of environments of a learner that has one, as a line."""
     count = getattr(config.learner, "num_envs", None)
     return [] if count is None else [f"{count} environments (learner.num_envs)"]
-
-
-def _claimed(folder: Path, overwrite: bool) -> AbstractContextManager[None]:
-    """The lock of a run's folder, which the first process of several holds."""
-    if not hosts.is_first():
-        return contextlib.nullcontext()
-    return claim(folder, KIND, FILES, overwrite)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,26 +183,24 @@ class _Callbacks:
 
         def report(row: Row) -> None:
             row = timed(row) | score.metrics
-            if hosts.is_first():
-                metrics.write(row)
-                if self.shown is not None:
-                    self.shown.show(row)
-                    late = row["steps"] >= max(ADVISE_AFTER * self.job.steps, FEW_STEPS)
-                    if late and not advised and not math.isfinite(row["best_lap_total"]):
-                        self.shown.note(no_lap(score.crashes, row["steps"]))
-                        advised.append(row)
+            metrics.write(row)
+            if self.shown is not None:
+                self.shown.show(row)
+                late = row["steps"] >= max(ADVISE_AFTER * self.job.steps, FEW_STEPS)
+                if late and not advised and not math.isfinite(row["best_lap_total"]):
+                    self.shown.note(no_lap(score.crashes, row["steps"]))
+                    advised.append(row)
             if self.enough is not None and self.enough(row):
                 ended.append(row)
 
         def save(position: Position) -> None:
             checkpoints.save(position)
-            if hosts.is_first():
-                self.job.write(self.folder, position)
+            self.job.write(self.folder, position)
 
         def stop() -> bool:
             return self.stop.is_set() or bool(ended)
 
-        return Hooks(score, report, save, stop, hosts.agree)
+        return Hooks(score, report, save, stop)
 
 
 def _prepare(config: Config) -> _Job:
@@ -222,7 +210,6 @@ def _prepare(config: Config) -> _Job:
     learner = build_learner(config)
     shapes = check_learner(config, learner, params)
     mesh = parallel.make_mesh(choose_devices(config.run.devices, learner.num_shards))
-    hosts.meet(mesh)
     check_memory(tree_bytes(shapes) / mesh.size, mesh)
     updates, chunks = plan(config, learner.steps_per_update)
     initial = initial_policy(config)

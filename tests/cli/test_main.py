@@ -49,7 +49,6 @@ def test_the_version_is_that_of_the_package(capsys):
         (["train", "e2e", "--resume", "--overwrite"], "exclude"),
         (["train", "e2e", "--name", "../out"], "--name"),
         (["train", "e2e", "--name", "x" * 300], "--name"),
-        (["train", "e2e", "--process", "1"], "--coordinator"),
         (["seeds", "e2e", "--seeds", "-1"], "--seeds"),
         (["seeds", "e2e", "--seeds", "0", "x"], "--seeds"),
         (["compare", "standin", "--name", "../../zz"], "--name"),

@@ -42,7 +42,7 @@ def test_an_update_keeps_every_field_of_the_state(name):
 
     def update(key):
         state = learner.init(learner.hyper, probe(), key)
-        state = state.replace(level=jnp.float32(0.5), record=jnp.float32(0.25))
+        state = state.replace(level=jnp.float32(0.5))
         return state, learner.update(learner.hyper, probe(), state)[0]
 
     before, after = jax.eval_shape(

@@ -1,7 +1,6 @@
 """Training on any environment in memory: by PPO, by SHAC and by own learners."""
 
 import contextlib
-import dataclasses
 import io
 import logging
 import runpy
@@ -12,9 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.core.environment import Variants
 from quadjax.core.errors import InputError
-from quadjax.learners import tasks
 from quadjax.learners.section import LearnerSection, Network, Schedule
 from quadjax.learners.state import Learner, TrainState
 from quadjax.learners.train import train
@@ -136,28 +133,6 @@ def test_numbers_of_the_environment_follow_schedules_as_in_a_config():
     reward = result.metrics["reward"]
     np.testing.assert_allclose(reward[:30], 0.0, atol=1e-6)
     np.testing.assert_allclose(reward[30:], np.arange(30) * 4.0 / 30.0, atol=1e-5)
-
-
-class Counted(Ascent):
-    """An own learner that reports what is completed in each of two variants."""
-
-    def make(self, environment, networks, num_updates, max_shards=8):
-        learner = super().make(environment, networks, num_updates, max_shards)
-        counts = {tasks.COMPLETED: jnp.array([3.0, 1.0]), tasks.CRASHED: jnp.ones(2)}
-
-        def update(hyper, params, state):
-            state, metrics = learner.update(hyper, params, state)
-            return state, metrics | counts
-
-        return dataclasses.replace(learner, update=update)
-
-
-def test_variants_of_a_task_are_drawn_by_learning_progress():
-    variants = Variants(2, lambda state: state.clock.astype(int), lambda params, chances: params)
-    environment = dataclasses.replace(ENVIRONMENT, variants=variants)
-    found = Counted(num_envs=4).train(environment, probe(best=1.0), 8, network=NETWORK).metrics
-    assert set(found) == {"reward", "learning_progress"}
-    assert found["learning_progress"].shape == (2,) and found["learning_progress"][-1] > 0.0
 
 
 @pytest.mark.slow

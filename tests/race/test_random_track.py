@@ -132,10 +132,6 @@ IMPOSSIBLE = (
     (["track.generate.leg=[5, 3]"], "leg is [5.0, 3.0], allowed: [lowest, highest]"),
     (["track.generate.leg=[1, 2]"], "leg is [1.0, 2.0], allowed: a longest of at least 2.3"),
     (["track.generate.leg_ratio=3"], "leg_ratio is 3, allowed with leg [3.0, 8.0]: less than"),
-    (
-        ["randomization.tracks={count: 1, drawn_by: learning_progress}"],
-        "drawn_by is learning_progress, allowed with one track: uniform",
-    ),
     (["track.generate.height=[1, 2]"], "height is [1.0, 2.0], allowed: at least 1.05"),
     (["track.generate.split_s=0.2"], "allowed with split_s: a range of at least 2.4 m"),
     (

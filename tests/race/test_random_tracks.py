@@ -47,18 +47,6 @@ def test_every_episode_is_on_one_of_the_tracks(flown):
     assert np.bincount(index).min() > 20
 
 
-def test_tracks_are_drawn_by_their_chances():
-    environment, params = race("randomization.tracks.drawn_by=learning_progress")
-    variants = environment.variants
-    assert variants.count == 5 and race()[0].variants is None
-    params = variants.weighted(params, np.array([0.0, 0.75, 0.0, 0.25, 0.0], np.float32))
-    states = drawn(environment, params, 400)
-    index = variants.index(states)
-    assert np.bincount(index, minlength=5) == pytest.approx([0, 300, 0, 100, 0], abs=30)
-    firsts = np.asarray(params.tracks.position.x)[:, 0]
-    np.testing.assert_array_equal(states.track.position.x[:, 0], firsts[index])
-
-
 def test_a_drawn_track_is_raced_as_a_track_of_its_own(flown):
     environment, params, states = flown
     other = np.flatnonzero(states.track_index > 0)[0]

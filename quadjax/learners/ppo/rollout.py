@@ -14,7 +14,6 @@ from quadjax.learners.shards import (
     normal_all,
     reset_all,
     split_keys,
-    variant_index,
     where_done,
 )
 
@@ -34,7 +33,6 @@ class Rollout:
     terminated: jax.Array  # (time, n) bool
     truncated: jax.Array  # (time, n) bool
     completed: jax.Array | None = None  # (time, n), where the environment reports it
-    variant: jax.Array | None = None  # (time, n) int32, where the task has variants
 
 
 def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
@@ -121,6 +119,5 @@ def _step(
         terminated=terminated,
         truncated=truncated,
         completed=completed_parts(environment, state, following),
-        variant=variant_index(environment, state),
     )
     return where_done(terminated | truncated, fresh, following), rollout

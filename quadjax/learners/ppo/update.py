@@ -20,7 +20,6 @@ from quadjax.learners.ppo.loss import Batch, loss
 from quadjax.learners.ppo.rollout import Rollout, collect
 from quadjax.learners.shards import count_shards, reset_all, split_keys
 from quadjax.learners.state import AXIS, Learner, Metrics, TrainState
-from quadjax.learners.tasks import variant_metrics
 
 Carry = tuple[ActorCritic, optax.OptState]
 
@@ -91,9 +90,6 @@ def _update(
     batch = _make_batch(rollout, hyper)
     params, optimizer, metrics = _optimize(networks, hyper, state, batch, shuffle_keys)
     metrics |= _rollout_metrics(rollout, batch, state.params)
-    metrics |= variant_metrics(
-        environment.variants, rollout.variant, rollout.completed, rollout.terminated
-    )
     following = dataclasses.replace(
         state,
         params=params,

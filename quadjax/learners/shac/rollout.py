@@ -12,7 +12,7 @@ from quadjax.core.environment import Environment
 from quadjax.core.gradients import scale_and_clip_cotangent
 from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.shac.hyperparameters import SHAC
-from quadjax.learners.shards import completed_parts, variant_index, where_done
+from quadjax.learners.shards import completed_parts, where_done
 
 Carry = tuple[Any, jax.Array, jax.Array]  # environment states, discount so far, return so far
 
@@ -27,7 +27,6 @@ class Trajectory:
     terminated: jax.Array  # (time, n) bool
     truncated: jax.Array  # (time, n) bool
     completed: jax.Array | None = None  # (time, n), where the environment reports it
-    variant: jax.Array | None = None  # (time, n) int32, where the task has variants
 
 
 def rollout_return(
@@ -104,7 +103,6 @@ def _step(
         terminated,
         truncated,
         completed_parts(environment, state, following),
-        variant_index(environment, state),
     )
     gamma = jnp.where(done, 1.0, gamma * hyper.discount)
     open_end = jnp.where(done, 0.0, gamma * next_value)

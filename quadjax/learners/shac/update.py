@@ -26,7 +26,6 @@ from quadjax.learners.shards import (
     split_keys,
 )
 from quadjax.learners.state import Learner, Metrics, TrainState
-from quadjax.learners.tasks import variant_metrics
 
 EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far
 
@@ -104,9 +103,6 @@ def _update(
         ema=_moving_average(hyper, state, params),
     )
     metrics = {"policy_loss": loss} | policy_metrics | critic_metrics
-    metrics |= variant_metrics(
-        environment.variants, trajectory.variant, trajectory.completed, trajectory.terminated
-    )
     return following, metrics | _rollout_metrics(trajectory, hyper)
 
 
