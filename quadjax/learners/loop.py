@@ -1,15 +1,12 @@
-"""The loop over compiled chunks of updates: score, report, save, stop. All learners use it."""
+"""The training loop: compiled chunks of updates, one after another. All learners use it."""
 
 import dataclasses
-import math
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any
 
-import jax
 import numpy as np
 
-from quadjax.learners.networks import ActorCritic
 from quadjax.learners.sharding import Chunk
 from quadjax.learners.state import TrainState
 
@@ -20,20 +17,32 @@ class NonFiniteError(RuntimeError):
     """A metric of training is not finite; the message says which, and at which update."""
 
 
-@dataclasses.dataclass
-class Position:
-    """The progress of a run: what a checkpoint holds."""
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """How the updates of a run are divided into compiled chunks."""
 
-    state: TrainState
-    best: ActorCritic  # the parameters of the best score so far; the latest before the first
-    best_score: float = math.inf
-    best_steps: int = 0
-    chunks: int = 0
-    seconds: float = 0.0  # of training, summed over all times that the run was resumed
+    updates_per_chunk: int
+    chunks: int  # of the run
+    steps_per_update: int  # environment steps
+
+    @property
+    def updates(self) -> int:
+        """Updates of the run."""
+        return self.chunks * self.updates_per_chunk
+
+    @property
+    def steps_per_chunk(self) -> int:
+        """Environment steps of a chunk."""
+        return self.updates_per_chunk * self.steps_per_update
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of the run."""
+        return self.chunks * self.steps_per_chunk
 
 
-def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> tuple[int, int]:
-    """Updates of one chunk, and chunks of a run: whole numbers, each at least one.
+def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> Plan:
+    """Whole updates of a chunk, and whole chunks of a run, at least one of each.
 
     Args:
         steps: environment steps of the run; the plan differs by at most half an update per chunk.
@@ -42,77 +51,50 @@ def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> tupl
     """
     wanted = max(1, round(steps / steps_per_update))
     chunks = max(1, round(wanted / max(1, round(steps_per_chunk / steps_per_update))))
-    return round(wanted / chunks), chunks
+    return Plan(round(wanted / chunks), chunks, steps_per_update)
 
 
 @dataclasses.dataclass(frozen=True)
-class Hooks:
-    """The functions that are called between chunks."""
+class Progress:
+    """A run after a chunk of updates."""
 
-    score: Callable[[ActorCritic], float]  # lower is better; infinite where it does not finish
-    report: Callable[[Row], None]
-    save: Callable[[Position], None]
-    stop: Callable[[], bool]
+    state: TrainState
+    chunks: int  # of the run that are done
+    steps: int  # environment steps of the run that are done
+    metrics: dict[str, np.ndarray]  # (updates,) each, of this chunk
+    steps_per_second: float  # of this chunk
+
+    @property
+    def row(self) -> Row:
+        """The chunk as one row: environment steps so far, speed, and the means of its metrics."""
+        means = {name: float(value.mean()) for name, value in self.metrics.items()}
+        return {"steps": self.steps, "steps_per_second": self.steps_per_second, **means}
 
 
-def run(
-    chunk: Chunk,
-    params: Any,
-    position: Position,
-    hooks: Hooks,
-    chunks: int,
-    steps_per_chunk: int,
-    save_seconds: float,
-    started: float,
-) -> Position:
-    """Train until ``chunks`` chunks are done or ``hooks.stop`` says so, then save.
+def train_chunks(
+    chunk: Chunk, params: Any, state: TrainState, plan: Plan, done: int = 0
+) -> Iterator[Progress]:
+    """Train to the end of the plan, and yield the run after each chunk.
+
+    The memory of an earlier state is reused: only the latest one may be read.
 
     Args:
         chunk: a compiled chunk of updates.
         params: traced parameters of the environment.
-        position: where to start.
-        hooks: called between chunks.
-        chunks: in the whole run.
-        steps_per_chunk: environment steps of one.
-        save_seconds: minimum time between two checkpoints, s.
-        started: ``time.monotonic()`` at which ``position.seconds`` counts as zero.
+        state: where to start.
+        plan: of the whole run.
+        done: chunks of the run that led to ``state``.
 
     Raises:
-        NonFiniteError: a metric is not finite. No checkpoint is written after that.
+        NonFiniteError: a metric is not finite; that chunk is not yielded.
     """
-    saved = time.monotonic()
-    while position.chunks < chunks and not hooks.stop():
-        chunk_started = time.monotonic()
-        state, metrics = chunk(params, position.state)
+    for index in range(done, plan.chunks):
+        started = time.monotonic()
+        state, metrics = chunk(params, state)
         values = {name: np.asarray(value) for name, value in metrics.items()}
-        check_finite(values, position.chunks * len(next(iter(values.values()))))
-        took = time.monotonic() - chunk_started
-        score = hooks.score(state.evaluated)
-        position = advance(position, state, score, steps_per_chunk, time.monotonic() - started)
-        hooks.report(row_of(position, values, score, steps_per_chunk, took))
-        due = time.monotonic() - saved > save_seconds
-        if due and position.chunks < chunks:
-            hooks.save(position)
-            saved = time.monotonic()
-    hooks.save(position)
-    return position
-
-
-def advance(
-    position: Position, state: TrainState, score: float, steps: int, seconds: float
-) -> Position:
-    """The position one chunk later, with the best parameters kept on the host.
-
-    Of equal scores the later one counts as better.
-    """
-    following = dataclasses.replace(
-        position, state=state, chunks=position.chunks + 1, seconds=seconds
-    )
-    if score <= position.best_score or not math.isfinite(position.best_score):
-        following.best = jax.device_get(state.evaluated)
-        following.best_score = score
-        following.best_steps = following.chunks * steps
-    return following
+        check_finite(values, index * plan.updates_per_chunk)
+        speed = plan.steps_per_chunk / (time.monotonic() - started)
+        yield Progress(state, index + 1, (index + 1) * plan.steps_per_chunk, values, speed)
 
 
 def check_finite(metrics: dict[str, np.ndarray], first_update: int) -> None:
@@ -126,25 +108,3 @@ def check_finite(metrics: dict[str, np.ndarray], first_update: int) -> None:
             f"not finite at update {first_update + where + 1}: {names}; training stopped, and any "
             "checkpoint is from an earlier update"
         )
-
-
-def row_of(
-    position: Position, values: dict[str, np.ndarray], score: float, steps: int, took: float
-) -> Row:
-    """One chunk's row of metrics.
-
-    Args:
-        position: after the chunk.
-        values: metrics of the chunk's updates, (updates,) each.
-        score: of the current policy.
-        steps: of the chunk.
-        took: duration of the chunk, s.
-    """
-    return {
-        "steps": position.chunks * steps,
-        "seconds": position.seconds,
-        "steps_per_second": steps / took,
-        "score": score,
-        "best_score": position.best_score,
-        **{name: float(value.mean()) for name, value in values.items()},
-    }

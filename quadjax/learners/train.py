@@ -1,7 +1,6 @@
 """Training on any environment, in memory: without a config, a folder or checkpoints."""
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -16,7 +15,7 @@ from quadjax.core.limits import MAX_SEED, check_integer
 from quadjax.core.sections import Section, build
 from quadjax.core.yaml_files import close_match
 from quadjax.learners.devices import choose_devices
-from quadjax.learners.loop import Row, check_finite, plan_chunks
+from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
 from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.section import Network, Schedule, Schedules
@@ -84,27 +83,24 @@ def train(
     check_integer("seed", seed, 0, MAX_SEED)
     networks = _networks(algorithm, environment, network or Network())
     learner = _make(algorithm, environment, networks, params, steps, schedules or {})
-    updates, chunks = _plan(steps, learner.steps_per_update)
+    plan = _plan(steps, learner.steps_per_update)
     mesh = make_mesh(choose_devices("auto", learner.num_shards))
     first = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
     state = place(first, mesh)
-    chunk = compile_chunk(learner, mesh, updates, params, state)
+    chunk = compile_chunk(learner, mesh, plan.updates_per_chunk, params, state)
     history: list[dict[str, np.ndarray]] = []
     started = time.monotonic()
-    for index in range(chunks):
-        state, metrics = chunk(params, state)
-        history.append({name: np.asarray(value) for name, value in metrics.items()})
-        check_finite(history[-1], index * updates)
+    for each in train_chunks(chunk, params, state, plan):
+        state = each.state
+        history.append(each.metrics)
         if progress is not None:
-            done = (index + 1) * updates * learner.steps_per_update
-            means = {name: float(value.mean()) for name, value in history[-1].items()}
-            progress({"steps": done, "seconds": time.monotonic() - started} | means)
+            progress({"seconds": time.monotonic() - started} | each.row)
     parameters = jax.device_get(state.evaluated)
     return TrainResult(
         policy=jax.jit(lambda observation: networks.mean(parameters, observation)),
         parameters=parameters,
         metrics={name: np.concatenate([h[name] for h in history]) for name in history[0]},
-        steps=chunks * updates * learner.steps_per_update,
+        steps=plan.steps,
     )
 
 
@@ -118,7 +114,7 @@ def _networks(algorithm: MakesLearner, environment: Environment, network: Networ
     )
 
 
-def _plan(steps: int, steps_per_update: int) -> tuple[int, int]:
+def _plan(steps: int, steps_per_update: int) -> Plan:
     return plan_chunks(steps, max(1, steps // CHUNKS), steps_per_update)
 
 
@@ -143,13 +139,13 @@ def _make(
         return learner.hyper, _with_leaf(params, key, value)
 
     per_update = make(algorithm, 1).steps_per_update
-    updates = math.prod(_plan(steps, per_update))
-    learner = make(algorithm, updates)
+    plan = _plan(steps, per_update)
+    learner = make(algorithm, plan.updates)
     sections = {
         key: each if isinstance(each, Schedule) else build(Schedule, {"linear": [*each]}, key)
         for key, each in schedules.items()
     }
-    return schedule_learner(learner, sections, numbers_at, steps, updates * per_update)
+    return schedule_learner(learner, sections, numbers_at, steps, plan.steps)
 
 
 def _with_leaf(params: Any, key: str, value: float | None) -> Any:

@@ -1,6 +1,5 @@
 """From a config to a learner on the racing environment."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
-from quadjax.learners.loop import plan_chunks
+from quadjax.learners.loop import Plan, plan_chunks
 from quadjax.learners.networks import ActorCritic, Networks, layers_of, tree_of
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import Learner, TrainState
@@ -107,19 +106,18 @@ def build_learner(config: Config) -> Learner[RaceParams]:
             f"learner.algorithm {config.learner.algorithm}: make() gives a {type(own).__name__}, "
             "expected a quadjax.Learner"
         )
-    per_update = own.steps_per_update
-    updates = math.prod(plan(config, per_update))
+    chunks = plan(config, own.steps_per_update)
 
     def make(config: Config) -> Learner[RaceParams]:
-        return config.learner.make(environment, networks, updates, config.run.shards)
+        return config.learner.make(environment, networks, chunks.updates, config.run.shards)
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
         own = config if value is None else config.at(key, value)
         return make(own).hyper, training_params(own)
 
-    total = updates * per_update
+    steps, schedules = config.run.steps, config.schedules
     return schedule_learner(
-        make(config), config.schedules, numbers_at, config.run.steps, total, config.curriculum
+        make(config), schedules, numbers_at, steps, chunks.steps, config.curriculum
     )
 
 
@@ -148,8 +146,8 @@ def training_params(config: Config) -> RaceParams:
     return params.replace(start=params.start.replace(recorded=recorded))
 
 
-def plan(config: Config, steps_per_update: int) -> tuple[int, int]:
-    """Updates of one chunk, and chunks of the whole run: whole numbers, each at least one.
+def plan(config: Config, steps_per_update: int) -> Plan:
+    """The chunks of the run.
 
     A run of fewer steps than ``run.evaluate_every`` is one short chunk.
     """

@@ -13,13 +13,6 @@ from quadjax.core.files import read_text, write_csv
 from quadjax.core.yaml_files import short
 from quadjax.learners.loop import Row
 
-TIMED = {"score": "lap_total", "best_score": "best_lap_total"}  # the score of a race is a time, s
-
-
-def timed(row: Row) -> Row:
-    """The loop's row of one chunk, with the columns of scores named as lap times, s."""
-    return {TIMED.get(name, name): value for name, value in row.items()}
-
 
 class MetricsFile:
     """``metrics.csv``: a row per chunk, cut back to the checkpoint when a run is resumed."""

@@ -59,6 +59,7 @@ class TrainingProgress:
             expand=True,
         )
         self._logged = -math.inf
+        self._advised = False
 
     def __enter__(self) -> Self:
         """Start showing."""
@@ -95,6 +96,12 @@ class TrainingProgress:
                 f"{self._name}: {done:3.0f}%  {row['seconds']:.0f} s, {left:.0f} s left  {status}"
             )
             print(line, file=sys.stderr, flush=True)
+
+    def advise(self, text: str) -> None:
+        """Print lines of advice, the first time that there are any."""
+        if not self._advised:
+            self._advised = True
+            self.note(text)
 
     def note(self, text: str) -> None:
         """Print lines above the progress bar."""

@@ -15,8 +15,9 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
 from quadjax.core.provenance import provenance
-from quadjax.learners.loop import Position, Row
+from quadjax.learners.loop import Row
 from quadjax.policy.file import Policy
+from quadjax.training.checkpoint import Position
 from quadjax.training.metrics import read_metrics, saved_rows
 from quadjax.training.paper import published_total
 

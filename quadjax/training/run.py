@@ -2,14 +2,12 @@
 
 import contextlib
 import dataclasses
-import functools
 import math
 import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from pathlib import Path
-from typing import Any
 
 import jax
 from jax.sharding import Mesh
@@ -23,7 +21,7 @@ from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
 from quadjax.learners import sharding as parallel
 from quadjax.learners.devices import choose_devices, prepare_devices
-from quadjax.learners.loop import Hooks, Position, Row, run
+from quadjax.learners.loop import Plan, Row, train_chunks
 from quadjax.learners.memory import check_memory, tree_bytes
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.sharding import Chunk
@@ -39,9 +37,9 @@ from quadjax.training.build import (
     start_state,
     training_params,
 )
-from quadjax.training.checkpoint import Checkpoints
+from quadjax.training.checkpoint import Checkpoints, Position
 from quadjax.training.folder import FILES, KIND, prepare_folder
-from quadjax.training.metrics import MetricsFile, check_tensorboard, timed
+from quadjax.training.metrics import MetricsFile, check_tensorboard
 from quadjax.training.own_functions import check_functions, check_learner
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, read_summary, write_summary
@@ -98,18 +96,15 @@ def train(
         config = prepare_folder(config, folder, resume, overwrite)
         job = dataclasses.replace(job, config=config)
         if is_finished(folder) and (folder / "policy.npz").exists():
-            policy = Policy.load(folder / "policy.npz")
-            return Run(config, folder, policy, True, read_summary(folder))
-        shown = TrainingProgress(job.steps, config.name) if progress else None
-        if shown is not None:
+            return Run.load(folder, config)
+        display = TrainingProgress(job.plan.steps, config.name) if progress else None
+        if display is not None:
             for note in (*config.notes, *_sizes(config)):
-                shown.note(f"{config.name}: {note}")
-        with interruptions() as stop, shown or contextlib.nullcontext():
-            callbacks = _Callbacks(job, folder, shown, stop, enough)
-            position = _run(job, folder, resume, started, callbacks)
-        summary = read_summary(folder)
-        finished = position.chunks >= job.chunks
-        return Run(job.config, folder, job.best(position), finished, summary)
+                display.note(f"{config.name}: {note}")
+        with interruptions() as stop, display or contextlib.nullcontext():
+            position = _run(job, folder, resume, started, display, stop, enough)
+        finished = position.chunks >= job.plan.chunks
+        return Run(config, folder, _best_policy(job, position), finished, read_summary(folder))
 
 
 def _sizes(config: Config) -> list[str]:
@@ -124,83 +119,11 @@ class _Job:
 
     config: Config
     params: RaceParams
-    learner: Learner
+    learner: Learner[RaceParams]
     shapes: TrainState  # of the learner's state
     mesh: Mesh
-    updates: int  # of a chunk
-    chunks: int  # of the whole run
+    plan: Plan
     initial: Policy | None
-    source: dict[str, Any]  # of the policies
-
-    @property
-    def steps_per_chunk(self) -> int:
-        """Environment steps of one chunk."""
-        return self.updates * self.learner.steps_per_update
-
-    @property
-    def steps(self) -> int:
-        """Environment steps of the whole run."""
-        return self.chunks * self.steps_per_chunk
-
-    def policy(self, params: ActorCritic, steps: int) -> Policy:
-        """Parameters as a policy file's content.
-
-        Args:
-            params: of the networks.
-            steps: environment steps after which they were reached.
-        """
-        return policy_of(self.config, params, {**self.source, "steps": steps})
-
-    def best(self, position: Position) -> Policy:
-        """The best policy so far, or the latest before any completes its laps."""
-        steps = position.best_steps or position.chunks * self.steps_per_chunk
-        return self.policy(position.best, steps)
-
-    def write(self, folder: Path, position: Position) -> None:
-        """Write the best and the last policy, and the summary."""
-        self.best(position).save(folder / "policy.npz")
-        steps = position.chunks * self.steps_per_chunk
-        last = self.policy(jax.device_get(position.state.evaluated), steps)
-        last.save(folder / "policy_last.npz")
-        counts = {"steps": steps, "devices": self.mesh.size}
-        write_summary(self.config, folder, position, counts, position.chunks >= self.chunks)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Callbacks:
-    """The functions that a run calls between its chunks."""
-
-    job: _Job
-    folder: Path
-    shown: TrainingProgress | None
-    stop: threading.Event
-    enough: Callable[[Row], bool] | None
-
-    def hooks(self, score: Score, metrics: MetricsFile, checkpoints: Checkpoints) -> Hooks:
-        """The functions that the training loop calls between chunks."""
-        ended: list[Row] = []
-        advised: list[Row] = []
-
-        def report(row: Row) -> None:
-            row = timed(row) | score.metrics
-            metrics.write(row)
-            if self.shown is not None:
-                self.shown.show(row)
-                late = row["steps"] >= max(ADVISE_AFTER * self.job.steps, FEW_STEPS)
-                if late and not advised and not math.isfinite(row["best_lap_total"]):
-                    self.shown.note(no_lap(score.crashes, row["steps"]))
-                    advised.append(row)
-            if self.enough is not None and self.enough(row):
-                ended.append(row)
-
-        def save(position: Position) -> None:
-            checkpoints.save(position)
-            self.job.write(self.folder, position)
-
-        def stop() -> bool:
-            return self.stop.is_set() or bool(ended)
-
-        return Hooks(score, report, save, stop)
 
 
 def _prepare(config: Config) -> _Job:
@@ -211,52 +134,119 @@ def _prepare(config: Config) -> _Job:
     shapes = check_learner(config, learner, params)
     mesh = parallel.make_mesh(choose_devices(config.run.devices, learner.num_shards))
     check_memory(tree_bytes(shapes) / mesh.size, mesh)
-    updates, chunks = plan(config, learner.steps_per_update)
-    initial = initial_policy(config)
     if config.run.tensorboard:
         check_tensorboard()
+    chunks = plan(config, learner.steps_per_update)
+    return _Job(config, params, learner, shapes, mesh, chunks, initial_policy(config))
+
+
+def _run(
+    job: _Job,
+    folder: Path,
+    resume: bool,
+    started: float,
+    display: TrainingProgress | None,
+    stop: threading.Event,
+    enough: Callable[[Row], bool] | None,
+) -> Position:
+    """Compile, start or resume, train, and save; returns the final position."""
+    checkpoints, score = Checkpoints(folder / "checkpoints"), Score(job.config, job.params)
+    chunk, first = _compile(job, score, stop)
+    position = Position(state=first, best=jax.device_get(first.evaluated))
+    if resume and checkpoints.any:
+        position = checkpoints.restore(position)
+        placed = parallel.place(position.state, job.mesh)
+        position = dataclasses.replace(position, state=placed)
+        started = time.monotonic() - position.seconds
+    done = position.chunks * job.plan.steps_per_chunk
+    metrics = MetricsFile(folder, done, job.config.run.tensorboard)
+
+    def report(row: Row) -> bool:
+        metrics.write(row)
+        if display is not None:
+            display.show(row)
+            if _needs_advice(row, job.plan.steps):
+                display.advise(no_lap(score.crashes, row["steps"]))
+        return stop.is_set() or (enough is not None and enough(row))
+
+    def save(position: Position) -> None:
+        _save(job, folder, checkpoints, position)
+
+    if not stop.is_set():
+        position = _train(job, chunk, position, started, score, report, save)
+    save(position)
+    checkpoints.close()
+    metrics.close()
+    return position
+
+
+def _train(
+    job: _Job,
+    chunk: Chunk,
+    position: Position,
+    started: float,
+    score: Score,
+    report: Callable[[Row], bool],
+    save: Callable[[Position], None],
+) -> Position:
+    """Train until the plan is done or ``report`` returns True; checkpoints in between."""
+    saved = time.monotonic()
+    for progress in train_chunks(chunk, job.params, position.state, job.plan, position.chunks):
+        lap_total = score(progress.state.evaluated)
+        position = position.after(progress, lap_total, time.monotonic() - started)
+        row = {
+            "steps": progress.steps,
+            "seconds": position.seconds,
+            "steps_per_second": progress.steps_per_second,
+            "lap_total": lap_total,
+            "best_lap_total": position.best_score,
+        }
+        if report(row | progress.row | score.metrics):
+            break
+        due = time.monotonic() - saved > job.config.run.checkpoint_seconds
+        if due and position.chunks < job.plan.chunks:
+            save(position)
+            saved = time.monotonic()
+    return position
+
+
+def _needs_advice(row: Row, steps: int) -> bool:
+    """Whether no lap was completed for so long that the config should be changed."""
+    late = row["steps"] >= max(ADVISE_AFTER * steps, FEW_STEPS)
+    return late and not math.isfinite(row["best_lap_total"])
+
+
+def _policy(job: _Job, params: ActorCritic, steps: int) -> Policy:
+    """Networks after a number of environment steps as a policy file's content."""
+    config = job.config
     source = {
         "project": "quadjax",
         "config": config.name,
         "algorithm": config.learner.algorithm,
         "seed": config.seed,
         "residual": config.vehicle.residual,
+        "steps": steps,
     }
-    return _Job(config, params, learner, shapes, mesh, updates, chunks, initial, source)
+    return policy_of(config, params, source)
 
 
-def _run(job: _Job, folder: Path, resume: bool, started: float, callbacks: _Callbacks) -> Position:
-    """Compile, start or resume, and train; returns the final position, which is saved."""
-    config, params = job.config, job.params
-    checkpoints = Checkpoints(folder / "checkpoints")
-    score = Score(config, params)
-    begin = functools.partial(start_state, config, job.learner, params, job.initial)
-    chunk, first = _compile(job, score, begin, callbacks.stop)
-    position = Position(state=first, best=jax.device_get(first.evaluated))
-    if resume and checkpoints.any:
-        position = checkpoints.restore(position)
-        position.state = parallel.place(position.state, job.mesh)
-        started = time.monotonic() - position.seconds
-    done = position.chunks * job.steps_per_chunk
-    metrics = MetricsFile(folder, done, config.run.tensorboard)
-    position = run(
-        chunk,
-        params,
-        position,
-        callbacks.hooks(score, metrics, checkpoints),
-        job.chunks,
-        job.steps_per_chunk,
-        config.run.checkpoint_seconds,
-        started,
-    )
-    checkpoints.close()
-    metrics.close()
-    return position
+def _best_policy(job: _Job, position: Position) -> Policy:
+    """The best policy so far, or the latest before any completes its laps."""
+    steps = position.best_steps or position.chunks * job.plan.steps_per_chunk
+    return _policy(job, position.best, steps)
 
 
-def _compile(
-    job: _Job, score: Score, begin: Callable[[], TrainState], stop: threading.Event
-) -> tuple[Chunk, TrainState]:
+def _save(job: _Job, folder: Path, checkpoints: Checkpoints, position: Position) -> None:
+    """Write the checkpoint, the best and the last policy, and the summary."""
+    checkpoints.save(position)
+    _best_policy(job, position).save(folder / "policy.npz")
+    steps = position.chunks * job.plan.steps_per_chunk
+    _policy(job, jax.device_get(position.state.evaluated), steps).save(folder / "policy_last.npz")
+    counts = {"steps": steps, "devices": job.mesh.size}
+    write_summary(job.config, folder, position, counts, position.chunks >= job.plan.chunks)
+
+
+def _compile(job: _Job, score: Score, stop: threading.Event) -> tuple[Chunk, TrainState]:
     """The compiled chunk and the first state; the evaluation is compiled at the same time.
 
     Compilation runs in threads, so that this one receives signals.
@@ -265,12 +255,17 @@ def _compile(
         KeyboardInterrupt: interrupted, and not compiled ``PATIENCE`` s later.
     """
     learner, params, mesh = job.learner, job.params, job.mesh
+
+    def begin() -> TrainState:
+        return parallel.place(start_state(job.config, learner, params, job.initial), mesh)
+
     pool = ThreadPoolExecutor(3)
     try:
-        first = pool.submit(lambda: parallel.place(begin(), mesh))
+        first = pool.submit(begin)
         warm_up = pool.submit(lambda: score(first.result().evaluated))
         abstract = parallel.abstract(job.shapes, mesh)
-        chunk = pool.submit(parallel.compile_chunk, learner, mesh, job.updates, params, abstract)
+        updates = job.plan.updates_per_chunk
+        chunk = pool.submit(parallel.compile_chunk, learner, mesh, updates, params, abstract)
         _wait_for((chunk, warm_up), stop)
         return chunk.result(), first.result()
     finally:

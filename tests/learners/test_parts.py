@@ -1,7 +1,5 @@
 """The pieces of the learners against loops written out by hand."""
 
-import types
-
 import chex
 import jax
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 import scipy.stats
 
 from quadjax.learners import shards
-from quadjax.learners.loop import Position, advance, plan_chunks
+from quadjax.learners.loop import plan_chunks
 from quadjax.learners.minibatches import shuffled, take_rows, to_blocks
 from quadjax.learners.optimization import clip_by_norm
 from quadjax.learners.ppo.advantage import advantages
@@ -175,25 +173,13 @@ def test_minibatches_take_every_block_of_every_shard_once():
     ],
 )
 def test_plan_chunks(steps, chunk, update, expected):
-    assert plan_chunks(steps, chunk, update) == expected
+    plan = plan_chunks(steps, chunk, update)
+    assert (plan.updates_per_chunk, plan.chunks) == expected
+    assert plan.steps == expected[0] * expected[1] * update
 
 
 def test_a_run_has_the_steps_that_are_asked_for():
     for wanted in range(1, 400):
         for chunk in range(1, 60):
-            updates, chunks = plan_chunks(10 * wanted, 10 * chunk, 10)
-            assert abs(updates * chunks - wanted) <= chunks / 2
-
-
-def test_the_best_policy_is_the_latest_of_equal_scores():
-    def state(name):
-        return types.SimpleNamespace(evaluated=name)
-
-    position = Position(state=None, best="none")
-    scores = [np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]
-    kept = []
-    for chunk, score in enumerate(scores):
-        position = advance(position, state(str(chunk)), score, 100, 1.0)
-        kept.append((position.best, position.best_score, position.best_steps))
-    assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
-    assert kept[3:] == [("3", 14.0, 400)] * 3
+            plan = plan_chunks(10 * wanted, 10 * chunk, 10)
+            assert abs(plan.updates - wanted) <= plan.chunks / 2

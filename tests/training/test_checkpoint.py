@@ -1,19 +1,33 @@
 """Checkpoints that cannot be written or read are one line."""
 
+import types
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.learners.loop import Position
+from quadjax.learners.loop import Progress
 from quadjax.learners.networks import ActorCritic
-from quadjax.training.checkpoint import Checkpoints
+from quadjax.training.checkpoint import Checkpoints, Position
 
 
 def position(chunks):
     parameters = ActorCritic(jnp.ones(3), jnp.ones(3), jnp.zeros(4))
     state = {"params": jnp.arange(3.0), "key": jax.random.key(7)}
     return Position(state=state, best=parameters, chunks=chunks, best_score=15.0, best_steps=100)
+
+
+def test_the_best_policy_is_the_latest_of_equal_scores():
+    found, kept = Position(state=None, best="none"), []
+    for chunk, score in enumerate([np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]):
+        state = types.SimpleNamespace(evaluated=str(chunk))
+        progress = Progress(state, chunk + 1, 100 * (chunk + 1), {}, 1.0)
+        found = found.after(progress, score, 1.0)
+        kept.append((found.best, found.best_score, found.best_steps))
+    assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
+    assert kept[3:] == [("3", 14.0, 400)] * 3
 
 
 def test_a_position_is_restored(tmp_path):
