@@ -36,7 +36,7 @@ test: $(VENV)/.test ## lint and run the tests that take seconds
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -m 'not slow' -n $(WORKERS) --dist worksteal
 
-test-all: $(VENV)/.test-all ## type checker, documentation, and the tests that take minutes
+test-all: $(VENV)/.test-all test ## all tests, the type checker, and the documentation
 	$(BIN)/python -m mypy
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 	$(BIN)/python -m pytest -m slow -n $(WORKERS) --dist worksteal

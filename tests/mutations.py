@@ -77,7 +77,9 @@ def trial(fault: Fault, tier: str, workers: str) -> dict[str, object]:
     with tempfile.TemporaryDirectory(prefix="mutation-") as name:
         folder = copy_of(Path(name))
         fault.plant(folder / "quadjax")
-        environment = os.environ | {"PYTHONPATH": name}
+        # Programs that the fault does not change are compiled once for all trials.
+        cache = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_cache/jax"))
+        environment = os.environ | {"PYTHONPATH": name, "JAX_COMPILATION_CACHE_DIR": cache}
         for arguments in tests_of(fault):
             command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", workers, "--no-header"]
             command += ["-p", "no:cacheprovider", *arguments]

@@ -1,6 +1,6 @@
 """Write the frozen numbers, or compare the present ones with them.
 
-On the kind of machine that wrote them, every bit has to be the same. On another one, rounding
+On a kind of machine that has written them, every bit has to be the same. On another one, rounding
 differs, and the values are compared within the tolerance of their part.
 """
 
@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -52,11 +53,17 @@ def difference(part: str, old: Record, new: Record, same_machine: bool) -> str |
     return f"was {old.values}, is {new.values}"
 
 
+def read() -> list[dict[str, Any]]:
+    """For each kind of machine, ``machine`` and its ``parts``."""
+    return json.loads(FILE.read_text()) if FILE.exists() else []
+
+
 def compare(parts: list[str]) -> int:
     """Print every difference; the number of them."""
-    document = json.loads(FILE.read_text())
-    same_machine = document["machine"] == machine()
-    if not same_machine:
+    documents = read()
+    present = [document for document in documents if document["machine"] == machine()]
+    document = (present or documents)[0]
+    if not present:
         print(f"written on {document['machine']}: values are compared within tolerances")
     count = 0
     for part in parts:
@@ -64,7 +71,7 @@ def compare(parts: list[str]) -> int:
         new = compute(part)
         for name in sorted(old.keys() | new.keys()):
             if name in old and name in new:
-                text = difference(part, old[name], new[name], same_machine)
+                text = difference(part, old[name], new[name], bool(present))
             else:
                 text = "missing now" if name in old else "not in the file"
             if text:
@@ -75,13 +82,16 @@ def compare(parts: list[str]) -> int:
 
 
 def write(parts: list[str]) -> None:
-    """Compute parts and replace them in the file."""
-    document = json.loads(FILE.read_text()) if FILE.exists() else {"parts": {}}
-    document["machine"] = machine()
+    """Compute parts and replace them in the file, among those of this kind of machine."""
     for part in parts:
         rows = {name: dataclasses.asdict(record) for name, record in compute(part).items()}
-        document["parts"][part] = rows
-        FILE.write_text(json.dumps(document, indent=1) + "\n")
+        documents = read()
+        if not any(document["machine"] == machine() for document in documents):
+            documents.append({"machine": machine(), "parts": {}})
+        for document in documents:
+            if document["machine"] == machine():
+                document["parts"][part] = rows
+        FILE.write_text(json.dumps(documents, indent=1) + "\n")
 
 
 def main() -> int:
