@@ -57,7 +57,7 @@ format: $(VENV)/.test ## format the code and apply the fixes of ruff
 	$(BIN)/ruff format .
 
 benchmark: $(VENV)/.run ## steps per second and memory on this machine
-	$(BIN)/quadjax benchmark
+	$(BIN)/python -m benchmarks.speed
 
 notebooks: $(VENV)/.test-all ## execute the notebooks in place
 	$(BIN)/python -m tests.docs.notebooks

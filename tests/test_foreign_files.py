@@ -9,7 +9,6 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json
 from quadjax.core.resources import PRETRAINED
-from quadjax.dashboard.run_state import TrainingRun
 from quadjax.evaluation import curves, seeds
 from quadjax.export.conversion import Options, sha256
 from quadjax.export.verify import folder as exported
@@ -19,7 +18,7 @@ from quadjax.training.folder import check_same
 from quadjax.training.result import Run
 from tests.commands import run
 
-NAMES = "code that this file names is not imported, name the config of its race (--race CONFIG)"
+NAMES = "code that this file names is not imported, name the config of its race ("
 
 
 @pytest.fixture
@@ -56,8 +55,8 @@ def export_of(folder):
     "command",
     [
         ("export", "rf/policy.npz", "--output", "out"),
-        ("results", "rf"),
-        ("results", "rf/policy.npz"),
+        ("evaluate", "--policy", "rf"),
+        ("evaluate", "--policy", "rf/policy.npz"),
         ("view", "rf"),
         ("view", "rf/policy.npz"),
         ("replay", "log.csv", "--policy", "rf/policy.npz"),
@@ -72,9 +71,11 @@ def test_code_of_a_found_file_is_imported_only_if_the_user_names_a_config(
     if command[0] in ("verify", "sil"):
         export_of(foreign)
         monkeypatch.setattr(exported, "report_text", lambda *_: "")
-    assert run(*command, *(["--race", "mine.yaml"] if named else [])) == 2
+    config = ["mine.yaml"] if command[0] == "evaluate" else ["--race", "mine.yaml"]
+    assert run(*command, *(config if named else [])) == 2
     error = capsys.readouterr().err
-    assert ("has no 'MODEL'" if named else NAMES) in " ".join(error.split())
+    option = "quadjax evaluate CONFIG" if command[0] == "evaluate" else "--race CONFIG"
+    assert ("has no 'MODEL'" if named else f"{NAMES}{option})") in " ".join(error.split())
     assert ran(foreign) == named
 
 
@@ -108,7 +109,6 @@ def test_python_loads_the_code_of_a_run_only_for_a_named_config(foreign):
     ):
         with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):
             load()
-    assert TrainingRun(foreign).state()["total_steps"] is None
     assert not ran(foreign)
     with pytest.raises(InputError, match="has no 'MODEL'"):
         Run.load(foreign, foreign / "config.yaml")
@@ -128,7 +128,7 @@ def log_config(folder):
         ("fit", "columns.yaml"),
         ("view", "log.csv", "--logs", "columns.yaml"),
         ("replay", "log.csv", "--vehicle", "bebop1", "--logs", "columns.yaml"),
-        ("report", "log.csv", "--logs", "columns.yaml"),
+        ("evaluate", "--flights", "log.csv", "--logs", "columns.yaml"),
     ],
     ids=" ".join,
 )

@@ -1,57 +1,66 @@
 """The command ``quadjax``: one module of this package for each subcommand.
 
-A subcommand is a module with a function ``main(arguments)``, which takes the arguments after
-the subcommand's name and returns the exit status (None is 0). A module whose name is a keyword of
-Python ends with an underscore. Modules are imported when they are needed. Exit status: 0 for
-success, 1 for a failed check or training, 2 for bad input or a system error, 130 for Ctrl-C.
+A subcommand is a function of its module's name. Its signature declares the arguments and options,
+which cyclopts reads; its docstring is their help. It returns the exit status (None is 0). Modules
+are imported when they are needed. Exit status: 0 for success, 1 for a failed check or training, 2
+for bad input or a system error, 130 for Ctrl-C.
 """
 
 import importlib
 import keyword
 import os
+import re
 import sys
 import time
-from collections.abc import Sequence
-from typing import NoReturn
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from quadjax.core.errors import INTERRUPTED, InputError, run_command
 from quadjax.core.interruptions import loading
 
+if TYPE_CHECKING:
+    from cyclopts import App
+
 STARTED = time.monotonic()  # training time counts from here: imports and compilation included
 
 COMMANDS = {  # by name, which is that of the module: one line of help
-    "train": "train a racing policy",
-    "evaluate": "time the laps of a policy and draw them",
-    "results": "tabulate mean and sampled flights of policies",
+    "train": "train a racing policy, with one seed or several",
+    "evaluate": "time the laps of policies and draw them",
     "view": "write flights as an interactive 3D page",
-    "watch": "show a run or a sweep in the browser while it trains",
     "limit": "compute the best known lap of a track and a lower bound",
-    "limit-table": "compute best known laps and lower bounds of several drones",
-    "seeds": "train over several seeds and compare them",
     "sweep": "search hyperparameters",
     "fit": "fit the model of a drone to its flight logs",
     "replay": "replay a flight log through a policy and a model",
+    "improve": "improve a policy by its own flights",
+    "compare": "compare E2E with INDI, in simulation and on the plant",
     "export": "convert a policy to fixed-point C",
-    "import": "convert a network of another project to a policy or residual file",
     "verify": "build, run and check exported C",
     "sil": "fly exported C, or your own autopilot, on a simulated drone",
-    "compare": "compare E2E with INDI, in simulation and on the plant",
-    "report": "write the tables and figures of flights",
-    "adaptation": "evaluate a policy on drones that differ from their model",
-    "probe": "measure what a policy's layers tell about the drone",
-    "specialize": "write the policy of one drone, from one that observes constants",
-    "drones": "write vehicle files of drawn drones",
-    "simulate-logs": "write flight logs of a known model",
-    "recovery": "compare a fit with that known model",
-    "plant-logs": "write flight logs of the stand-in plant",
-    "improve": "improve a policy by its own flights",
-    "identify": "identify the inner loop's time constants",
-    "consistency": "check the navigation filter's covariance",
-    "benchmark": "measure the speed of this machine",
-    "vehicle": "describe a vehicle file or write one",
-    "track": "describe a track or write a random one",
-    "config": "print a resolved config",
-    "presets": "list the presets",
+    "import": "convert a network of another project to a policy or residual file",
+    "logs": "write flight logs of the stand-in plant or of a known model",
+    "show": "list presets, policies, tracks and vehicles, or print one of them",
+}
+
+REMOVED = {  # earlier names of subcommands: what does the same
+    "seeds": "quadjax train CONFIG --seeds 0 1 2",
+    "results": "quadjax evaluate --policy FILE",
+    "report": "quadjax evaluate CONFIG --flights FILE",
+    "watch": "quadjax view RUN",
+    "plant-logs": "quadjax logs PLANT --policy FILE",
+    "simulate-logs": "quadjax logs",
+    "config": "quadjax show CONFIG",
+    "presets": "quadjax show",
+    "vehicle": "quadjax show FILE.yaml",
+    "track": "quadjax show FILE.yaml",
+    "specialize": "quadjax.policy.specialize.specialize in Python",
+    "drones": "python -m benchmarks.drones",
+    "adaptation": "python -m benchmarks.adaptation",
+    "probe": "python -m benchmarks.probe",
+    "recovery": "python -m benchmarks.recovery",
+    "consistency": "python -m benchmarks.consistency",
+    "identify": "python -m benchmarks.identify",
+    "limit-table": "python -m benchmarks.limits",
+    "benchmark": "python -m benchmarks.speed",
 }
 
 
@@ -85,23 +94,82 @@ def _run(argv: list[str]) -> int | None:
 
         print(f"quadjax {__version__}")
         return 0
+    if argv[0] in REMOVED:
+        raise InputError(f"{argv[0]!r} is not a subcommand any more; use: {REMOVED[argv[0]]}")
     if argv[0] not in COMMANDS:
         from quadjax.core.yaml_files import close_match
 
         hint = close_match(argv[0], list(COMMANDS))
         raise InputError(f"{argv[0]!r} is not a subcommand{hint}; allowed: {', '.join(COMMANDS)}")
     with loading():
-        name = argv[0].replace("-", "_") + "_" * keyword.iskeyword(argv[0])
-        module = importlib.import_module(f"quadjax.cli.{name}")
-    return module.main(argv[1:])
+        name = argv[0] + "_" * keyword.iskeyword(argv[0])
+        command = getattr(importlib.import_module(f"quadjax.cli.{name}"), name)
+    return call(command, f"quadjax {argv[0]}", argv[1:])
+
+
+def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> int | None:
+    """Call a function with the arguments of a command line; returns its result.
+
+    Args:
+        command: its signature declares the arguments and options.
+        name: of the command, for its help.
+        argv: the arguments.
+
+    Raises:
+        InputError: an unknown option, a missing argument, or a value that is not allowed.
+    """
+    with loading():
+        from cyclopts import CycloptsError
+
+        from quadjax.cli.options import check_outputs
+        from quadjax.cli.output import ARGUMENTS
+
+    app = application(command, name)
+    if {"-h", "--help"} & set(argv):
+        app.help_print([])
+        return 0
+    for text in argv:
+        if re.fullmatch(r"-{1,2}[A-Za-z][^=]*=--?", text):
+            raise InputError(f"{text}: expected a value after the = (try --help)")
+    try:
+        _, bound, _ = app.parse_args(list(argv), exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        text = str(error).removesuffix(".")
+        if error.argument is not None and error.argument.name not in text:
+            text = f"Invalid value for {error.argument.name}: {text}"
+        raise InputError(f"{text} (try --help)") from error
+    check_outputs(command, bound.arguments)
+    ARGUMENTS.set([*name.split()[1:], *argv])
+    return command(*bound.args, **bound.kwargs)
+
+
+def script(command: Callable[..., int | None]) -> NoReturn:
+    """Run a function as a script with the arguments of the command line, and exit."""
+    name = f"python {sys.argv[0]}"
+    sys.exit(run_command(lambda: call(command, name, sys.argv[1:])))
+
+
+def application(command: Callable[..., Any], name: str) -> "App":
+    """The parser of a command and the writer of its help."""
+    from cyclopts import App, Group, Parameter
+
+    return App(
+        name=name,
+        default_command=command,
+        default_parameter=Parameter(negative=()),
+        help_format="markdown",
+        help_flags=[],
+        version_flags=[],
+        group_parameters=Group("Options", sort_key=1),
+    )
 
 
 def usage() -> str:
     """The text of ``quadjax --help``."""
-    lines = [f"  {name:<14} {text}" for name, text in COMMANDS.items()]
+    lines = [f"  {name:<10} {text}" for name, text in COMMANDS.items()]
     return "\n".join(
         [
-            "usage: quadjax SUBCOMMAND ...",
+            "Usage: quadjax SUBCOMMAND ...",
             "",
             "Train racing policies for quadcopters and convert them to fixed-point C.",
             "",

@@ -1,263 +1,369 @@
-"""Time the laps of a policy, next to the published ones of the same race and protocol, if any.
+"""``quadjax evaluate``."""
 
-Evaluates sampled actions, as the paper does, and the mean action. The JSON file, the figures and
-the animation show the sampled runs, or the deterministic ones with --deterministic. key=value
-overrides change the race: another residual, other constants, another track.
-"""
-
-import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from rich.console import Console
+from cyclopts import Group, Parameter
 
-from quadjax.cli.arguments import (
-    Parser,
-    add_config,
-    add_races,
-    add_ranges,
-    check_outputs,
-    count,
-    parse,
-    positive,
+from quadjax.cli.options import (
+    FILES,
+    Config,
+    Count,
+    FitConfig,
+    Flag,
+    Gates,
+    Laps,
+    Output,
+    Overrides,
+    Picture,
+    PolicyFile,
+    Positive,
+    Runs,
+    Seed,
 )
-from quadjax.cli.progress import steps
+from quadjax.cli.output import note, steps, write_record, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
+from quadjax.core.resources import PRETRAINED, policy_names
 
 if TYPE_CHECKING:
-    from quadjax.config.schema import Config
+    from quadjax.config.schema import Config as TrainingConfig
     from quadjax.evaluation.evaluation import Evaluation
     from quadjax.policy.file import Policy
-    from quadjax.studies.race_flights import RaceFlights
-    from quadjax.studies.robustness import Flights
 
-PICTURES = (".png", ".svg", ".pdf")
+RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
+Study = Literal["laps", "protocols", "spread", "races", "random-tracks"]
+USED: Mapping[str, set[str]] = {  # options that have an effect on each study, apart from laps
+    "protocols": {"runs", "json"},
+    "spread": {"runs", "seconds", "seed", "json"},
+    "races": {"runs", "laps", "gates", "seed", "json"},
+    "random-tracks": {"runs", "laps", "json"},
+    "flights": {"flights", "logs", "allow_code", "report", "overwrite"},
+}
 FIGURES = {  # methods of an evaluation by the options that write their figures
     "figure": "plot",
     "figure_3d": "plot_3d",
     "signals": "plot_signals",
     "attitude": "plot_attitude",
 }
-NOT_STUDIES = (  # options that have no effect on the flights of --robustness and --random-tracks
-    *("start", "deterministic", "fixed_point", "offsets", "states", "figure"),
-    *("figure_3d", "signals", "attitude", "animation", "body"),
-)
-NOT_RANDOM_TRACKS = ("robustness", "runs", "seed", "gates")
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser("evaluate", description=__doc__)
-    add_config(parser)
-    parser.add_argument("--policy", required=True, metavar="FILE.npz", help="policy file")
-    add_races(parser)
-    parser.add_argument("--deterministic", action="store_true", help="mean actions only")
-    parser.add_argument(
-        "--fixed-point", action="store_true", help="use the arithmetic of the exported C"
-    )
-    parser.add_argument(
-        "--body",
-        type=positive,
-        metavar="RADIUS",
-        help="radius of the drone, m: gates, bounds and ground are closer by it, and gates are "
-        "tested where the flight crosses their planes",
-    )
-    add_ranges(
-        parser, "with --fixed-point: the ranges that the C was exported with, if not the default"
-    )
-    parser.add_argument(
-        "--robustness",
-        action="store_true",
-        help="print crashes and median lap of 1000 flights of 12 s (or --runs, --seconds) from "
-        "1 m before a gate, with all constants drawn from ±0, 10, 20 and 30%%",
-    )
-    parser.add_argument(
-        "--from-start",
-        action="store_true",
-        help="with --robustness: whole races (--laps or --gates) from around the track's start, "
-        "with their times and highest speed, also for the populations of the vehicle model",
-    )
-    parser.add_argument("--seconds", type=count, help="with --robustness: of a flight")
-    parser.add_argument(
-        "--random-tracks",
-        type=count,
-        metavar="N",
-        help="print finished flights and laps of one flight from hover on each of N random tracks: "
-        "those of randomization.tracks, with the seeds that follow",
-    )
-    parser.add_argument("--json", metavar="FILE.json", help="write the laps")
-    parser.add_argument(
-        "--offsets", action="store_true", help="print the distances from the gates' centers"
-    )
-    parser.add_argument("--states", metavar="FILE.npz|.csv", help="write all trajectories")
-    parser.add_argument("--figure", metavar="FILE.png", help="draw the flight from two sides")
-    parser.add_argument("--signals", metavar="FILE.png", help="draw actuators and rates over time")
-    parser.add_argument("--figure-3d", metavar="FILE.png", help="draw the flight in perspective")
-    parser.add_argument("--attitude", metavar="FILE.png", help="draw height and attitude over time")
-    parser.add_argument("--animation", metavar="FILE.gif", help="animate the flight")
-    arguments = parse(parser, argv)
-    if arguments.seconds and not arguments.robustness:
-        raise InputError("--seconds is allowed only with --robustness")
-    if arguments.from_start and not arguments.robustness:
-        raise InputError("--from-start is allowed only with --robustness")
-    for option in ("robustness", "random_tracks"):
-        if getattr(arguments, option):
-            _refuse_others(arguments, option)
-    if arguments.ranges and not arguments.fixed_point:
+def evaluate(
+    config: Annotated[Config | None, Parameter(name="CONFIG")] = None,
+    /,
+    *overrides: Overrides,
+    policy: list[PolicyFile] | None = None,
+    study: Study | None = None,
+    laps: Laps | None = None,
+    gates: Gates | None = None,
+    runs: Runs | None = None,
+    start: Literal["hover", "random"] = "hover",
+    seed: Seed = 0,
+    deterministic: Flag = False,
+    fixed_point: Flag = False,
+    range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
+    body: Annotated[Positive | None, Parameter(metavar="RADIUS")] = None,
+    seconds: Count | None = None,
+    offsets: Flag = False,
+    flights: Annotated[list[str] | None, Parameter(metavar="[LABEL=]FILE", group=RECORDED)] = None,
+    logs: Annotated[FitConfig | None, Parameter(group=RECORDED)] = None,
+    allow_code: Annotated[Flag, Parameter(group=RECORDED)] = False,
+    report: Annotated[Path, Parameter(metavar="DIR", group=RECORDED)] = Path("runs/report"),
+    overwrite: Annotated[Flag, Parameter(group=RECORDED)] = False,
+    json: Annotated[Path | None, Output(), Parameter(metavar="FILE.json", group=FILES)] = None,
+    states: Annotated[
+        Path | None, Output((".npz", ".csv")), Parameter(metavar="FILE.npz|.csv", group=FILES)
+    ] = None,
+    figure: Picture = None,
+    figure_3d: Picture = None,
+    signals: Picture = None,
+    attitude: Picture = None,
+    animation: Annotated[
+        Path | None, Output((".gif",)), Parameter(metavar="FILE.gif", group=FILES)
+    ] = None,
+) -> int | None:
+    """Time the laps of policies, next to the published ones of the same race, if any.
+
+    One policy is evaluated with sampled actions, as the paper does, and with the
+    mean action. The files show the sampled runs, or the deterministic ones with
+    --deterministic. Without CONFIG a policy flies the race that it was trained in.
+    Several policies, each with its own --policy, are compared in one table; without
+    --policy, those that come with the package.
+
+    The option --study selects other flights:
+
+    - protocols: mean and sampled, from hover and from random starts (the table of
+      several policies);
+    - spread: crashes and median lap of 1000 flights of 12 s from 1 m before a gate,
+      with all constants drawn from ±0, 10, 20 and 30%;
+    - races: whole races from around the track's start, with drawn constants;
+    - random-tracks: one flight from hover on each of --runs random tracks, those of
+      randomization.tracks with the seeds that follow.
+
+    With --flights, recorded flights are evaluated: states of an earlier --states
+    FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
+    figures as text, LaTeX, PDF, SVG and PNG. CONFIG is the race that was flown.
+
+    Example: quadjax evaluate e2e_shac --policy e2e_nominal --laps 6 --figure lap.png
+
+    Args:
+        policy: Policy file, folder of a run, or name of a shipped policy.
+        study: Which flights are simulated (default: laps, of several policies protocols).
+        laps: Laps of a run (default: evaluate.laps).
+        gates: Gates of a run, in place of laps.
+        runs: Number of runs (default: evaluate.runs, of a study 100 or 1000).
+        start: Start from hover, or from the random states of training.
+        seed: Of noise, disturbances and starts.
+        deterministic: Mean actions only.
+        fixed_point: Use the arithmetic of the exported C.
+        range_: With --fixed-point: a range that the C was exported with.
+        body: Radius of the drone, m: gates, bounds and ground are closer by it.
+        seconds: Of a flight of the study spread.
+        offsets: Print the distances from the gates' centers.
+        flights: A group of flights, with its label; may be repeated.
+        logs: Fit config whose section logs describes the columns of flight logs.
+        allow_code: Import the reader of logs that the fit config names as module:OBJECT.
+        report: Folder of the tables and figures.
+        overwrite: Replace an earlier report.
+        json: Write the laps, or the numbers of a study.
+        states: Write all trajectories.
+        figure: Draw the flight from two sides.
+        figure_3d: Draw the flight in perspective.
+        signals: Draw actuators and rates over time.
+        attitude: Draw height and attitude over time.
+        animation: Animate the flight.
+    """
+    options = {key: value for key, value in locals().items() if key not in ("config", "overrides")}
+    if flights is not None:
+        _refuse_others("flights", options)
+        return _report(
+            config or "e2e_shac", overrides, flights, logs, allow_code, report, overwrite
+        )
+    if laps is not None and gates is not None:
+        raise InputError("--laps and --gates exclude each other")
+    if range_ and not fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
-    pictures = dict.fromkeys(FIGURES, PICTURES) | {"animation": (".gif",)}
-    check_outputs(arguments, json=(), states=(".npz", ".csv"), **pictures)
-    return arguments
+    if policy is None and config is not None:
+        raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
+    files = policy or [PRETRAINED / f"{name}.npz" for name in policy_names()]
+    study = study or ("laps" if len(files) == 1 else "protocols")
+    if study == "laps":
+        _refuse_others("laps", options)
+    else:
+        _refuse_others(study, {**options, "policy": None, "study": None})
+    if study == "protocols":
+        return _protocols(files, config, overrides, runs or 100, json)
+    if len(files) > 1:
+        raise InputError(f"--policy: {len(files)} policies, allowed: 1 with --study {study}")
+    return _evaluate(files[0], config, overrides, study, options)
 
 
-def _refuse_others(arguments: argparse.Namespace, option: str) -> None:
-    """Refuse options that have no effect with --robustness or --random-tracks."""
-    if option == "random_tracks" and arguments.laps == 1:
-        raise InputError("--laps is 1, allowed: at least 2 with --random-tracks")
-    unused = NOT_STUDIES + (NOT_RANDOM_TRACKS if option == "random_tracks" else ("laps", "gates"))
-    if arguments.from_start:
-        unused, option = (*NOT_STUDIES, "seconds"), "from_start"
-    for name in unused:
-        if getattr(arguments, name) not in (None, False, "hover"):
-            given, other = (each.replace("_", "-") for each in (name, option))
-            raise InputError(f"--{given} is not allowed with --{other}")
+def _refuse_others(study: str, options: Mapping[str, Any]) -> None:
+    """Refuse options that have no effect on the flights of a study."""
+    used = USED.get(study) or set(options) - USED["flights"] - {"seconds"}
+    defaults = {"hover", 0, Path("runs/report")}
+    for name, value in options.items():
+        if name in used or value is None or value is False or value in defaults:
+            continue
+        kind = "--flights" if study == "flights" else f"--study {study}"
+        raise InputError(f"--{name.strip('_').replace('_', '-')} is not allowed with {kind}")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Evaluate a policy."""
-    options, console = _arguments(arguments), Console(stderr=True)
+def _evaluate(
+    file: Path,
+    config: str | None,
+    overrides: Sequence[str],
+    study: str,
+    options: Mapping[str, Any],
+) -> None:
+    """The laps, or another study of one policy."""
     with loading():
-        from quadjax.config.loading import load_config
         from quadjax.config.race import race_of
         from quadjax.evaluation.evaluation import lap_table
         from quadjax.policy import pilot
-        from quadjax.policy.file import Policy
+        from quadjax.policy.race import policy_path
 
-    config = load_config(options.config, options.overrides)
-    policy = Policy.load(options.policy, config)
-    pilot.fit_race(*race_of(config), policy, options.policy)
-    if options.robustness:
-        return _robustness(config, policy, options, console)
-    if options.random_tracks:
-        return _random_tracks(config, policy, options, console)
-    with steps(console) as report:
+    file = policy_path(file)
+    race, policy = _race(file, config, overrides)
+    pilot.fit_race(*race_of(race), policy, str(file))
+    with steps() as report:
         report("compiling and simulating")
-        evaluations = _evaluate_all(config, policy, options)
-    print(lap_table(evaluations))
-    _write(next(iter(evaluations.values())), options, console)
-    return 0
+        if study == "laps":
+            evaluations = _laps(race, policy, file, options)
+            text = lap_table(evaluations)
+        else:
+            text, record = _study(study, race, policy, file, options)
+    print(text)
+    if study == "laps":
+        _write(next(iter(evaluations.values())), options)
+    else:
+        from quadjax.core.provenance import provenance
+
+        write_record(options["json"], record, provenance(race, str(file), options["seed"]))
 
 
-def _robustness(
-    config: "Config", policy: "Policy", options: argparse.Namespace, console: Console
-) -> int:
-    """Fly with randomized constants, print the table and write the numbers."""
-    from quadjax.core.files import write_json
-    from quadjax.core.provenance import provenance
+def _race(
+    file: Path, config: str | None, overrides: Sequence[str]
+) -> tuple["TrainingConfig", "Policy"]:
+    """A policy and the race that it flies: that of the config, or its own."""
+    from quadjax.config.loading import load_config
+    from quadjax.policy.file import Policy
+
+    if config is None:
+        policy = Policy.load(file)
+        return _own_race(policy, file), policy
+    race = load_config(config, overrides)
+    return race, Policy.load(file, race)
+
+
+def _own_race(policy: "Policy", file: Path) -> "TrainingConfig":
+    """The race in which a policy was trained."""
+    from quadjax.policy.race import race_of_policy
+
+    try:
+        return race_of_policy(policy, file, report=note)[0]
+    except InputError as error:
+        raise InputError(str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")) from None
+
+
+def _study(
+    study: str, race: "TrainingConfig", policy: "Policy", file: Path, options: Mapping[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """The table and the numbers of a study."""
+    from quadjax.race.random_track import RandomTracks
     from quadjax.studies.race_flights import fly_races, race_table
+    from quadjax.studies.random_tracks import fly_random_tracks
     from quadjax.studies.robustness import fly_spreads, spread_table
 
-    runs, seed, name = options.runs or 1000, options.seed, options.policy
-    result: dict[str, object] = {}
-    found: Sequence[Flights | RaceFlights]
-    with steps(console) as report:
-        report("compiling and simulating")
-        if options.from_start:
-            found = fly_races(policy, config, runs, options.laps, options.gates, seed, name)
-            text = race_table(found)
-        else:
-            result["seconds"] = options.seconds or 12
-            found = fly_spreads(policy, config, runs, options.seconds or 12, seed, name)
-            text = spread_table(found, Path(name).stem)
-    print(text)
-    if options.json:
-        result |= {"flights": [each.to_json() for each in found]}
-        write_json(options.json, result | {"provenance": provenance(config, name, seed)})
-        console.print(f"wrote {options.json}", highlight=False)
-    return 0
+    name, seed, laps = str(file), options["seed"], options["laps"]
+    if study == "spread":
+        seconds = options["seconds"] or 12
+        spreads = fly_spreads(policy, race, options["runs"] or 1000, seconds, seed, name)
+        rows = [each.to_json() for each in spreads]
+        return spread_table(spreads, file.stem), {"seconds": seconds, "flights": rows}
+    if study == "races":
+        races = fly_races(policy, race, options["runs"] or 1000, laps, options["gates"], seed, name)
+        return race_table(races), {"flights": [each.to_json() for each in races]}
+    if laps == 1:
+        raise InputError("--laps is 1, allowed: at least 2 with --study random-tracks")
+    trained = race.randomization.tracks or RandomTracks()
+    tracks = trained.replace(seed=trained.seed + trained.count, count=options["runs"] or 100)
+    flown = fly_random_tracks(policy, race, tracks, laps or 3, name)
+    return flown.table(), flown.to_json()
 
 
-def _random_tracks(
-    config: "Config", policy: "Policy", options: argparse.Namespace, console: Console
-) -> int:
-    """Fly on random tracks, print the table and write the numbers."""
-    from quadjax.core.files import write_json
-    from quadjax.core.provenance import provenance
-    from quadjax.race.random_track import RandomTracks
-    from quadjax.studies.random_tracks import fly_random_tracks
-
-    trained = config.randomization.tracks or RandomTracks()
-    tracks = trained.replace(seed=trained.seed + trained.count, count=options.random_tracks)
-    with steps(console) as report:
-        report("compiling and simulating")
-        found = fly_random_tracks(policy, config, tracks, options.laps or 3, options.policy)
-    print(found.table())
-    if options.json:
-        origin = provenance(config, options.policy, options.seed)
-        write_json(options.json, found.to_json() | {"provenance": origin})
-        console.print(f"wrote {options.json}", highlight=False)
-    return 0
-
-
-def _evaluate_all(
-    config: "Config", policy: "Policy", options: argparse.Namespace
+def _laps(
+    race: "TrainingConfig", policy: "Policy", file: Path, options: Mapping[str, Any]
 ) -> "dict[str, Evaluation]":
     """Every line of the table by its label; the first is the one to save."""
     from quadjax.config.race import race_of
     from quadjax.evaluation.evaluation import evaluate
 
-    common = {
-        "runs": options.runs,
-        "laps": options.laps,
-        "gates": options.gates,
-        "start": options.start,
-        "seed": options.seed,
-        "name": options.policy,
-        "body_radius": options.body,
-    }
-    if options.fixed_point:
+    common = {key: options[key] for key in ("runs", "laps", "gates", "start", "seed")}
+    common |= {"name": str(file), "body_radius": options["body"]}
+    if options["fixed_point"]:
         from quadjax.export.actor import fixed_point_fly
         from quadjax.export.race_tables import track_ranges
         from quadjax.export.ranges import parse_overrides
 
-        _, params = race_of(config)
-        ranges = track_ranges(policy.layout, params.track) | parse_overrides(options.ranges)
-        actor = fixed_point_fly(policy, ranges)
-        fixed = evaluate(policy, config, deterministic=True, actor=actor, **common)
+        _, params = race_of(race)
+        ranges = track_ranges(policy.layout, params.track)
+        actor = fixed_point_fly(policy, ranges | parse_overrides(options["range_"] or []))
+        fixed = evaluate(policy, race, deterministic=True, actor=actor, **common)
         return {"fixed point, mean": fixed}
     evaluations = {}
-    for deterministic in (True,) if options.deterministic else (False, True):
-        each = evaluate(policy, config, deterministic=deterministic, **common)
+    for deterministic in (True,) if options["deterministic"] else (False, True):
+        each = evaluate(policy, race, deterministic=deterministic, **common)
         evaluations[each.label()] = each
     return evaluations
 
 
-def _write(evaluation: "Evaluation", options: argparse.Namespace, console: Console) -> None:
+def _write(evaluation: "Evaluation", options: Mapping[str, Any]) -> None:
     """Write the JSON file, the figures and the animation that were asked for."""
     import numpy as np
 
     from quadjax.core.files import write_json
     from quadjax.core.plotting import save_figure
 
-    if options.offsets and evaluation.gate_offsets.size:
+    if options["offsets"] and evaluation.gate_offsets.size:
         mean, wide = evaluation.gate_offsets.mean(), np.percentile(evaluation.gate_offsets, 95.0)
         print(f"distance from the gates' centers: mean {mean:.3f} m, 95% within {wide:.3f} m")
-    if options.json:
-        write_json(options.json, evaluation.to_json())
-    if options.states:
-        evaluation.save_states(options.states)
-    figures = {method: getattr(options, option) for option, method in FIGURES.items()}
-    for method, path in figures.items():
-        if path:
-            save_figure(getattr(evaluation, method)(), path)
-    if options.animation:
+    if options["json"]:
+        write_json(options["json"], evaluation.to_json())
+    if options["states"]:
+        evaluation.save_states(options["states"])
+    for option, method in FIGURES.items():
+        if options[option]:
+            save_figure(getattr(evaluation, method)(), options[option])
+    if options["animation"]:
         from quadjax.evaluation.animation import frame_count
         from quadjax.training.progress import bar
 
-        with bar(console=console) as progress:
+        with bar() as progress:
             task = progress.add_task("animation", total=frame_count(evaluation.flights))
-            evaluation.animate(options.animation, lambda: progress.advance(task))
-    for path in (options.json, options.states, *figures.values(), options.animation):
-        if path:
-            console.print(f"wrote {path}", highlight=False)
+            evaluation.animate(options["animation"], lambda: progress.advance(task))
+    wrote(*(options[option] for option in ("json", "states", *FIGURES, "animation")))
+
+
+def _protocols(
+    files: Sequence[Path],
+    config: str | None,
+    overrides: Sequence[str],
+    runs: int,
+    json: Path | None,
+) -> None:
+    """One table of several policies: mean and sampled, from hover and from random starts."""
+    with loading():
+        import functools
+
+        from quadjax.config.loading import load_config
+        from quadjax.core.provenance import provenance
+        from quadjax.evaluation.evaluation import evaluate
+        from quadjax.evaluation.protocols import fly_protocols, protocol_table
+        from quadjax.policy.file import Policy
+        from quadjax.policy.race import policy_path
+        from quadjax.training.paper import published_sampled
+        from quadjax.training.progress import bar
+
+    race = load_config(config, overrides) if config is not None else None
+    results = []
+    with bar(counted=True) as progress:
+        task = progress.add_task("", total=len(files))
+        for path in files:
+            progress.update(task, description=path.name)
+            policy = Policy.load(file := policy_path(path))
+            flown = race or _own_race(policy, file)
+            fly = functools.partial(evaluate, policy, flown, runs=runs, name=str(file))
+            label = path.name if path.is_dir() else path.stem
+            results.append(fly_protocols(fly, label, policy.log_std, published_sampled(flown)))
+            progress.advance(task)
+    print(protocol_table(results))
+    write_record(json, {"results": [each.to_json() for each in results]}, provenance(race))
+
+
+def _report(
+    config: str,
+    overrides: Sequence[str],
+    flights: Sequence[str],
+    logs: str | None,
+    allow_code: bool,
+    folder: Path,
+    overwrite: bool,
+) -> None:
+    """Tables and figures of recorded flights."""
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.core.folders import results
+        from quadjax.fitting.config import load_fit_config
+        from quadjax.studies.report.flights import find_flights
+        from quadjax.studies.report.run import FILES as REPORT_FILES
+        from quadjax.studies.report.run import write_report
+
+    race = load_config(config, overrides)
+    columns = None if logs is None else load_fit_config(logs, allow_code=allow_code).logs
+    groups = find_flights(flights, race.track, columns)
+    with results(folder, "report", REPORT_FILES, overwrite) as new:
+        text = write_report(groups, race, new)
+    print(text)
+    wrote(f"{folder}/")

@@ -1,94 +1,83 @@
-"""Convert a policy file to fixed-point C.
+"""``quadjax export``."""
 
-DIR gets the network, the observation, the estimators and a Paparazzi module as C, with self-tests,
-and a report of proofs and measurements. ``quadjax verify DIR`` builds and runs it.
-"""
-
-import argparse
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Literal
 
-from quadjax.cli.arguments import Parser, add_ranges, names_of, parse
+from cyclopts import Parameter
+
+from quadjax.cli.options import Flag, Folder, config_of
 from quadjax.core.interruptions import loading
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser("export", description=__doc__)
-    parser.add_argument("policy", type=Path, metavar="POLICY.npz", help="policy file")
-    parser.add_argument(
-        "--output", type=Path, required=True, metavar="DIR", help="folder for the C"
-    )
-    parser.add_argument(
-        "--target",
-        choices=TARGETS,
-        default=DEFAULT_TARGET,
-        help="processor and autopilot (default: cortex-a9, with a Paparazzi module)",
-    )
-    parser.add_argument("--name", help="prefix of every C symbol (default: the file's name)")
-    add_ranges(
-        parser, "declare +-R for an input instead of the default, a power of two: position=16"
-    )
-    parser.add_argument("--track", help=names_of("tracks"))
-    parser.add_argument(
-        "--race",
-        "--config",
-        dest="config",
-        metavar="CONFIG",
-        help="training config of the policy's race (default: the one in the policy file, or the "
-        "preset that it names)",
-    )
-    parser.add_argument("--sample-rate", type=float, help="of the estimators, Hz (default: 512)")
-    parser.add_argument(
-        "--cutoff", type=float, help="of the disturbance estimator's low-pass, Hz (default: 8)"
-    )
-    parser.add_argument(
-        "--allow-unfinished",
-        action="store_true",
-        help="export a policy of which less than 90%% of the simulated flights finish",
-    )
-    parser.add_argument(
-        "--allow-other-race",
-        action="store_true",
-        help="export for a race that differs from the one in the policy file",
-    )
-    parser.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="write to a folder that no export made, and replace its files of the same names",
-    )
-    return parse(parser, argv)
+def export(
+    policy: Annotated[Path, Parameter(name="POLICY")],
+    /,
+    *,
+    output: Folder,
+    target: Literal[tuple(TARGETS)] = DEFAULT_TARGET,  # type: ignore[valid-type]
+    name: str | None = None,
+    range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
+    track: Annotated[str | None, config_of("tracks")] = None,
+    race: Annotated[str | None, Parameter(name=["--race", "--config"], metavar="CONFIG")] = None,
+    sample_rate: float | None = None,
+    cutoff: float | None = None,
+    allow_unfinished: Flag = False,
+    allow_other_race: Flag = False,
+    overwrite: Flag = False,
+) -> None:
+    """Convert a policy file to fixed-point C.
 
+    DIR gets the network, the observation, the estimators and a Paparazzi module as
+    C, with self-tests, and a report of proofs and measurements. The command
+    quadjax verify DIR builds and runs it.
 
-ALLOWANCES = ("--allow-unfinished", "--allow-other-race")  # options that quadjax verify needs too
+    Example: quadjax export e2e --output out --target cortex-a9
 
-
-def verification(options: argparse.Namespace) -> str:
-    """The command that verifies the export of these options."""
-    used = [x for x in ALLOWANCES if getattr(options, x.removeprefix("--").replace("-", "_"))]
-    return " ".join(["quadjax verify", str(options.output), *used])
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Convert, write, and print the report."""
-    options = _arguments(arguments)
+    Args:
+        policy: Policy file, or a shipped one's name.
+        output: Folder for the C.
+        target: Processor and autopilot.
+        name: Prefix of every C symbol (default: the file's name).
+        range_: Declare +-R for an input instead of the default, a power of two:
+            position=16; may be repeated.
+        race: Training config of the policy's race (default: the one in the policy file, or
+            the preset that it names).
+        sample_rate: Of the estimators, Hz (default: 512).
+        cutoff: Of the disturbance estimator's low-pass, Hz (default: 8).
+        allow_unfinished: Export a policy of which less than 90% of the simulated flights
+            finish.
+        allow_other_race: Export for a race that differs from the one in the policy file.
+        overwrite: Write to a folder that no export made, and replace its files of the same
+            names.
+    """
     with loading():
         from quadjax.export.convert import export_c
         from quadjax.export.ranges import parse_overrides
 
-    export = export_c(
-        options.policy,
-        options.output,
-        options.config,
-        parse_overrides(options.ranges),
-        options.name,
-        track=options.track,
-        sample_rate=options.sample_rate,
-        cutoff=options.cutoff,
-        allow_unfinished=options.allow_unfinished,
-        allow_other_race=options.allow_other_race,
-        target=options.target,
-        overwrite=options.overwrite,
+    result = export_c(
+        policy,
+        output,
+        race,
+        parse_overrides(range_ or []),
+        name,
+        track=track,
+        sample_rate=sample_rate,
+        cutoff=cutoff,
+        allow_unfinished=allow_unfinished,
+        allow_other_race=allow_other_race,
+        target=target,
+        overwrite=overwrite,
     )
-    print(export.text)
-    print(f"Written to {options.output}. Next: {verification(options)}")
+    print(result.text)
+    print(f"Written to {output}. Next: {verification(output, allow_unfinished, allow_other_race)}")
+
+
+def verification(output: Path, allow_unfinished: bool, allow_other_race: bool) -> str:
+    """The command that verifies an export, with the allowances that it needs too."""
+    allowances = {
+        "--allow-unfinished": allow_unfinished,
+        "--allow-other-race": allow_other_race,
+    }
+    used = [option for option, value in allowances.items() if value]
+    return " ".join(["quadjax verify", str(output), *used])

@@ -1,84 +1,76 @@
-"""Replay a flight log through a policy and a model.
+"""``quadjax replay``."""
 
-Three parts: the laps of the log, by its positions and the gates of the track; the commands of a
-policy in the logged states, in floats and in the fixed point of the exported C, next to the
-logged ones; the error of a model that is integrated from the logged states over 0.1 to 1 s. The
-model is that of --vehicle, or of the race that the policy was trained in. The policy's commands do
-not act on the flight. DIR/NAME gets table.txt, replay.json and the figures trajectory, commands and
-prediction as PDF, SVG and PNG.
-"""
-
-import argparse
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Literal
 
-from quadjax.cli.arguments import (
-    Parser,
-    add_code,
-    add_output,
-    add_overwrite,
-    check_outputs,
-    name,
-    parse,
+from cyclopts import Parameter
+
+from quadjax.cli.options import (
+    FitConfig,
+    Flag,
+    Folder,
+    InputFile,
+    JsonFile,
+    PolicyFile,
+    Race,
+    RunName,
 )
-from quadjax.cli.progress import steps
+from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser(
-        "replay",
-        description=__doc__,
-        epilog="Example: quadjax replay logs/flight.csv --policy e2e --logs paparazzi "
-        "--vehicle runs/my_drone/vehicle.yaml",
-    )
-    parser.add_argument("log", metavar="LOG", type=Path, help="a flight log")
-    parser.add_argument("--policy", metavar="FILE.npz", help="policy file, or a shipped one's name")
-    parser.add_argument(
-        "--logs",
-        metavar="FIT.yaml",
-        help="fit config whose section logs describes the columns (default: plain columns)",
-    )
-    add_code(parser)
-    parser.add_argument("--race", metavar="CONFIG", help="race of the policy (its file's)")
-    parser.add_argument("--track", metavar="FILE", help="track that was flown (the race's)")
-    parser.add_argument("--vehicle", metavar="FILE", help="vehicle file of the model (the race's)")
-    parser.add_argument(
-        "--residual",
-        metavar="FILE.npz",
-        help="residual file of that vehicle, or none (residual.npz next to the vehicle file)",
-    )
-    parser.add_argument(
-        "--drive",
-        choices=("commands", "speeds"),
-        help="drive the model by logged commands or rotor speeds (commands if there are any)",
-    )
-    parser.add_argument("--json", metavar="FILE.json", help="write the numbers there as well")
-    parser.add_argument("--name", type=name, default="replay", help="of the folder (replay)")
-    add_output(parser)
-    add_overwrite(parser, "replay")
-    arguments = parse(parser, argv)
-    if arguments.policy is None and arguments.vehicle is None:
+def replay(
+    log: Annotated[Path, Parameter(name="LOG")],
+    /,
+    *,
+    policy: PolicyFile | None = None,
+    logs: FitConfig | None = None,
+    allow_code: Flag = False,
+    race: Race = None,
+    track: str | None = None,
+    vehicle: InputFile | None = None,
+    residual: Annotated[str | None, Parameter(metavar="FILE.npz")] = None,
+    drive: Literal["commands", "speeds"] | None = None,
+    json: JsonFile = None,
+    name: RunName = "replay",
+    output: Folder = Path("runs"),
+    overwrite: Flag = False,
+) -> None:
+    """Replay a flight log through a policy and a model.
+
+    Three parts: the laps of the log, by its positions and the gates of the track;
+    the commands of a policy in the logged states, in floats and in the fixed point
+    of the exported C, next to the logged ones; the error of a model that is
+    integrated from the logged states over 0.1 to 1 s. The model is that of
+    --vehicle, or of the race that the policy was trained in. The policy's commands
+    do not act on the flight. DIR/NAME gets table.txt, replay.json and the figures
+    trajectory, commands and prediction as PDF, SVG and PNG.
+
+    Example: quadjax replay logs/flight.csv --policy e2e --logs paparazzi
+    --vehicle runs/my_drone/vehicle.yaml
+
+    Args:
+        log: A flight log.
+        policy: Policy file, or a shipped one's name.
+        logs: Columns of the log, of a fit config (default: plain columns).
+        allow_code: Import the reader of logs that the fit config names as module:OBJECT.
+        race: Race of the policy (default: its file's).
+        track: Track that was flown (default: the race's).
+        vehicle: Vehicle file of the model (default: the race's).
+        residual: Residual file of that vehicle, or none (default: residual.npz next to the
+            vehicle file).
+        drive: Drive the model by logged commands or rotor speeds (commands if there are any).
+        json: Write the numbers there as well.
+        name: Of the folder.
+        output: Write to DIR/NAME.
+        overwrite: Replace an earlier replay of the same name.
+    """
+    if policy is None and vehicle is None:
         raise InputError("--policy or --vehicle is required (try --help)")
-    if arguments.residual is not None and arguments.vehicle is None:
+    if residual is not None and vehicle is None:
         raise InputError("--residual needs --vehicle")
-    check_outputs(arguments, json=(".json",))
-    return arguments
-
-
-def _residual_of(vehicle: Path) -> str | None:
-    """The residual that a fit wrote next to a vehicle file; None for none."""
-    residual = vehicle.with_name("residual.npz")
-    return str(residual) if vehicle.is_file() and residual.is_file() else None
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Read, replay, print, write."""
-    options = _arguments(arguments)
     with loading():
-        from rich.console import Console
-
         from quadjax.config.loading import load_config
         from quadjax.core.files import write_json, write_text
         from quadjax.core.folders import results
@@ -88,36 +80,39 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
         from quadjax.policy.race import race_of_policy
-        from quadjax.studies.replay.run import FILES, numbers, replay, tables, write_figures
+        from quadjax.studies.replay import run
 
-    policy = own = drone = None
-    if options.policy is not None:
-        policy = Policy.load(options.policy)
-        found = race_of_policy(
-            policy, options.policy, options.race, options.track, Console(stderr=True).out
-        )
-        own, drone = own_race(found[0], policy, found[1], str(options.policy)), found[0]
-    if options.vehicle is not None:
-        overrides = [f"vehicle={options.vehicle}"]
-        residual = options.residual or _residual_of(Path(options.vehicle))
-        overrides += [f"vehicle.residual={residual}"] if residual not in (None, "none") else []
-        overrides += [f"track={options.track}"] if options.track else []
-        drone = load_config(options.race or "e2e_fastest", overrides)
+    network = flown = drone = None
+    if policy is not None:
+        network = Policy.load(policy)
+        drone, origin = race_of_policy(network, policy, race, track, note)
+        flown = own_race(drone, network, origin, str(policy))
+    gates = None if drone is None else drone.track
+    if vehicle is not None:
+        residual = residual or _residual_of(vehicle)
+        changes = [f"vehicle={vehicle}", *([f"track={track}"] if track else [])]
+        changes += [f"vehicle.residual={residual}"] if residual not in (None, "none") else []
+        drone = load_config(race or "e2e_fastest", changes)
     assert drone is not None
-    logs = LogsConfig()
-    if options.logs:
-        logs = load_fit_config(options.logs, allow_code=options.allow_code).logs
-    track = drone.track if policy is None else found[0].track
-    folder, console = options.output / options.name, Console(stderr=True)
-    with results(folder, "replay", FILES, options.overwrite) as new, steps(console) as report:
-        log = read_log(options.log, logs)
-        result = replay(log, track, drone, own, policy, options.drive, report)
+    columns = LogsConfig() if logs is None else load_fit_config(logs, allow_code=allow_code).logs
+    folder = output / name
+    with results(folder, "replay", run.FILES, overwrite) as new, steps() as report:
+        flight = read_log(log, columns)
+        report("compiling and replaying")
+        result = run.replay(flight, gates or drone.track, drone, flown, network, drive, report)
         report("figures")
-        text, record = tables(result), numbers(result) | {"provenance": provenance(drone)}
+        text = run.tables(result)
+        record = run.numbers(result) | {"provenance": provenance(drone)}
         write_text(new / "table.txt", text + "\n")
         write_json(new / "replay.json", record)
-        write_figures(result, new)
-    if options.json:
-        write_json(options.json, record)
+        run.write_figures(result, new)
+    if json is not None:
+        write_json(json, record)
     print(text)
-    print(f"wrote {folder}/")
+    wrote(f"{folder}/", json)
+
+
+def _residual_of(vehicle: Path) -> str | None:
+    """The residual that a fit wrote next to a vehicle file; None for none."""
+    residual = vehicle.with_name("residual.npz")
+    return str(residual) if vehicle.is_file() and residual.is_file() else None

@@ -1,17 +1,13 @@
-"""Search a space of training configs.
+"""``quadjax sweep``."""
 
-The same command resumes a sweep that was stopped or killed. With a database as storage, the same
-command on another machine runs trials of the same sweep. DIR/NAME gets the trials, their table,
-figures and the best config.
-"""
-
-import argparse
 import time
-from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
-from quadjax.cli.arguments import Parser, add_config, add_output, count, names_of, parse
+from cyclopts import Parameter
+
+from quadjax.cli.options import Count, Flag, Folder, Overrides, config_of
 from quadjax.core.errors import INTERRUPTED
-from quadjax.core.folders import check_free, check_kind, claim, remove_files
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
@@ -27,58 +23,64 @@ FILES = (  # written by a sweep
 )
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser(
-        "sweep",
-        description=__doc__,
-        epilog="Example: quadjax sweep learning_rate budget.trials=40",
-    )
-    add_config(parser, names_of("sweeps"))
-    parser.add_argument("--workers", type=count, help="trials at the same time (executor.workers)")
-    parser.add_argument("--check", action="store_true", help="check the sweep and run nothing")
-    parser.add_argument("--report", action="store_true", help="only report the finished trials")
-    parser.add_argument("--overwrite", action="store_true", help="remove the trials first")
-    add_output(parser)
-    return parse(parser, argv)
+def sweep(
+    config: Annotated[str, Parameter(name="CONFIG"), config_of("sweeps")],
+    /,
+    *overrides: Overrides,
+    workers: Count | None = None,
+    check: Flag = False,
+    report: Flag = False,
+    overwrite: Flag = False,
+    output: Folder = Path("runs"),
+) -> int:
+    """Search a space of training configs.
 
+    The same command resumes a sweep that was stopped or killed. With a database
+    as storage, the same command on another machine runs trials of the same sweep.
+    DIR/NAME gets the trials, their table, figures and the best config.
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the remaining trials of a sweep, then report."""
-    options = _arguments(arguments)
+    Example: quadjax sweep learning_rate budget.trials=40
+
+    Args:
+        workers: Trials at the same time (executor.workers).
+        check: Check the sweep and run nothing.
+        report: Only report the finished trials.
+        overwrite: Remove the trials first.
+        output: Write to DIR/NAME.
+    """
     with loading():
+        from quadjax.core.folders import check_free, check_kind, claim, remove_files
         from quadjax.sweeps import study as studies
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.sweep import load_sweep
 
-    workers = [f"executor.workers={options.workers}"] if options.workers else []
-    sweep = load_sweep(find_config(options.config, "sweeps"), [*options.overrides, *workers])
-    directory = options.output / sweep.file.name
-    if options.check:
-        seeds = sweep.file.objective.seeds
-        print(f"{options.config}: {sweep.trials} trials of {seeds} seeds can run")
+    changes = [*overrides, *([f"executor.workers={workers}"] if workers else [])]
+    plan = load_sweep(find_config(config, "sweeps"), changes)
+    folder = output / plan.file.name
+    if check:
+        print(f"{config}: {plan.trials} trials of {plan.file.objective.seeds} seeds can run")
         return 0
-    if options.report:
-        check_kind(directory, "sweep")
-        if not options.overwrite:
-            check_free(directory, "sweep", FILES)
-        study = studies.open_study(sweep, directory, run=False)
-        print(write_report(study, sweep, directory))
+    if report:
+        check_kind(folder, "sweep")
+        if not overwrite:
+            check_free(folder, "sweep", FILES)
+        print(write_report(studies.open_study(plan, folder, run=False), plan, folder))
         return 0
     from quadjax.sweeps.run import make_executor, run_sweep
 
-    with claim(directory, "sweep", FILES, options.overwrite):
-        if options.overwrite:
-            studies.delete_study(sweep, directory)
-            remove_files(directory, FILES)
-        with make_executor(sweep, directory) as executor:
-            study = studies.open_study(sweep, directory)
-            kind = sweep.file.executor.kind
-            print(f"{sweep.file.name}: {sweep.trials} trials, {executor.workers} workers ({kind})")
+    with claim(folder, "sweep", FILES, overwrite):
+        if overwrite:
+            studies.delete_study(plan, folder)
+            remove_files(folder, FILES)
+        with make_executor(plan, folder) as executor:
+            study = studies.open_study(plan, folder)
+            kind = plan.file.executor.kind
+            print(f"{plan.file.name}: {plan.trials} trials, {executor.workers} workers ({kind})")
             started = time.monotonic()
-            ended = run_sweep(study, sweep, directory, executor)
-        print(write_report(study, sweep, directory))
+            ended = run_sweep(study, plan, folder, executor)
+        print(write_report(study, plan, folder))
     counts = studies.count(study)
-    to_do = sweep.trials - counts.done - counts.failed
+    to_do = plan.trials - counts.done - counts.failed
     seconds = time.monotonic() - started
     print(f"{counts.done} trials done, {to_do} to do, {seconds:.0f} s of wall time")
     if to_do:

@@ -1,102 +1,109 @@
-"""Train a racing policy.
+"""``quadjax train``."""
 
-DIR/NAME gets the config, the metrics, the checkpoints, the policy file, the
-lap table and the figures. The same command with --resume continues a run that
-was stopped.
-"""
-
-import argparse
-import shlex
+import subprocess
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
 
 from quadjax.cli import STARTED
-from quadjax.cli.arguments import (
-    Parser,
-    add_config,
-    add_name,
-    add_output,
-    overrides_of,
-    parse,
+from quadjax.cli.options import (
+    Config,
+    Flag,
+    Folder,
+    Overrides,
+    Picture,
+    PolicyFile,
+    RunName,
+    Runs,
+    Seeds,
+    is_override,
 )
-from quadjax.cli.watch import start
+from quadjax.cli.output import command_again, write_record, wrote
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
 if TYPE_CHECKING:
-    from quadjax.config.schema import Config
+    from quadjax.config.schema import Config as TrainingConfig
     from quadjax.training.result import Run
 
+SEEDS = Group("Several seeds", sort_key=2)
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser(
-        "train",
-        description=__doc__,
-        epilog="Example: quadjax train e2e_shac seed=3 run.steps=5000000 --name third",
-    )
-    add_config(parser)
-    add_name(parser)
-    add_output(parser)
-    parser.add_argument("--resume", action="store_true", help="continue from the last checkpoint")
-    parser.add_argument(
-        "--overwrite", action="store_true", help="remove an earlier run of the same name first"
-    )
-    parser.add_argument(
-        "--fine-tune",
-        metavar="FILE.npz",
-        help="continue from a policy and its critic, with all schedules at their ends",
-    )
-    parser.add_argument(
-        "--watch", action="store_true", help="show the training in the browser; see quadjax watch"
-    )
-    arguments = parse(parser, argv)
-    if arguments.overwrite and arguments.resume:
+
+def train(
+    config: Config,
+    /,
+    *overrides: Overrides,
+    name: RunName | None = None,
+    output: Folder = Path("runs"),
+    resume: Flag = False,
+    overwrite: Flag = False,
+    fine_tune: PolicyFile | None = None,
+    seeds: Annotated[Seeds | None, Parameter(group=SEEDS)] = None,
+    runs: Annotated[Runs, Parameter(group=SEEDS)] = 100,
+    figure: Picture = None,
+) -> int:
+    """Train a racing policy.
+
+    DIR/NAME gets the config, the metrics, the checkpoints, the policy file, the
+    lap table and the figures. The same command with --resume continues a run that
+    was stopped.
+
+    With --seeds the config, or each of several, is trained once for each seed, one after
+    the other. A finished run is not trained again. The first table has the training runs;
+    'last' and 'best' are lap times of the flights that run.score selects. The second one has
+    mean and sampled flights of the best policies, from hover and from random starts. The
+    figure shows the learning curves of all configs.
+
+    Example: quadjax train e2e_shac seed=3 run.steps=5000000 --name third
+
+    Args:
+        name: Name of the run's folder, as name=NAME.
+        output: Write to DIR/NAME.
+        resume: Continue from the last checkpoint.
+        overwrite: Remove an earlier run of the same name first.
+        fine_tune: Continue from a policy and its critic, with all schedules at their ends.
+        seeds: Train with each of these seeds and compare the runs.
+        runs: Flights of each kind in the table of seeds.
+        figure: Learning curves of the seeds (default: DIR/NAMES_seeds.png).
+    """
+    if overwrite and resume:
         raise InputError("--overwrite and --resume exclude each other")
-    return arguments
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Train, then print and save the results."""
-    options = _arguments(arguments)
+    named = [*overrides, *([f"name={name}"] if name else [])]
+    if seeds is not None:
+        return _seeds([config, *named], list(dict.fromkeys(seeds)), runs, output, figure, overwrite)
+    if figure is not None:
+        raise InputError("--figure has no effect without --seeds")
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.config.stored import names_of_code
         from quadjax.learners.devices import prepare_devices
         from quadjax.training.fine_tuning import fine_tuning
 
-    config = load_config(options.config, overrides_of(options))
-    if options.fine_tune:
-        _check_fine_tuning(config, options.fine_tune)
-        config = fine_tuning(config, options.fine_tune)
-    prepare_devices(config.run.devices)
+    settings = load_config(config, named)
+    if fine_tune is not None:
+        _check_fine_tuning(settings, fine_tune)
+        settings = fine_tuning(settings, fine_tune)
+    prepare_devices(settings.run.devices)
     with loading():
         from quadjax.learners.loop import NonFiniteError
-        from quadjax.training.run import train
+        from quadjax.training import run
 
-    folder = options.output / config.name
-    if options.watch:
-        race = [options.config, *overrides_of(options)] if names_of_code(config) else []
-        print(f"watch: {start(folder, race)}", file=sys.stderr, flush=True)
+    folder = output / settings.name
     try:
-        run = train(
-            config,
-            folder,
-            resume=options.resume,
-            overwrite=options.overwrite,
-            started=STARTED,
-        )
+        done = run.train(settings, folder, resume=resume, overwrite=overwrite, started=STARTED)
     except NonFiniteError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    if not run.finished:
-        print(f"Stopped and saved. Continue with: {_again(options)}")
+    if not done.finished:
+        print(f"Stopped and saved. Continue with: {command_again(more='--resume')}")
         return INTERRUPTED
-    _present(run)
+    _present(done)
     return 0
 
 
-def _check_fine_tuning(config: "Config", file: str) -> None:
+def _check_fine_tuning(config: "TrainingConfig", file: Path) -> None:
     from quadjax.policy.file import Policy
 
     if config.run.initial_policy is not None:
@@ -108,21 +115,10 @@ def _check_fine_tuning(config: "Config", file: str) -> None:
         )
 
 
-def _again(options: argparse.Namespace) -> str:
-    """The command that resumes a stopped run."""
-    command = ["quadjax", "train", options.config, *overrides_of(options), "--resume"]
-    if options.fine_tune:
-        command += ["--fine-tune", options.fine_tune]
-    if str(options.output) != "runs":
-        command += ["--output", str(options.output)]
-    return shlex.join(command)
-
-
 def _present(run: "Run") -> None:
     """Evaluate the best policy, print its lap table and write table and figures to the folder."""
     with loading():
-        from rich.console import Console
-
+        from quadjax.cli.output import steps
         from quadjax.core.files import write_json
         from quadjax.core.plotting import save_figure
         from quadjax.evaluation.curves import training_figure
@@ -131,7 +127,8 @@ def _present(run: "Run") -> None:
         from quadjax.training.paper import published_total
 
     config, folder, name = run.config, run.folder, str(run.folder / "policy.npz")
-    with Console(stderr=True).status("timing laps and drawing"):
+    with steps() as report:
+        report("timing laps and drawing")
         sampled = evaluate(run.policy, config, name=name)
         steady = evaluate(run.policy, config, deterministic=True, name=name)
         write_json(folder / "laps.json", sampled.to_json())
@@ -144,7 +141,7 @@ def _present(run: "Run") -> None:
     if not len(metrics["steps"]):
         print(f"{folder / 'metrics.csv'}: no rows, so there are no curves of the training")
     print(lap_table({each.label(): each for each in (sampled, steady)}))
-    print(_report(run))
+    print(_summary(run))
     if run.summary["best_lap_total"] is None:
         print(no_lap((*sampled.laps.crashes, *steady.laps.crashes), run.summary["steps"]))
 
@@ -153,7 +150,7 @@ def _amount(number: int) -> str:
     return f"{number / 1e6:.1f} million" if number >= 1e5 else f"{number:,}"
 
 
-def _report(run: "Run") -> str:
+def _summary(run: "Run") -> str:
     """Steps, time, memory and the folder of a run, as text."""
     summary, devices = run.summary, run.summary["devices"]
     first, memory = summary.get("first_under"), summary.get("peak_memory_mib")
@@ -168,3 +165,97 @@ def _report(run: "Run") -> str:
             f"{_amount(first['steps'])} steps"
         )
     return "\n".join([*lines, f"policy, figures and metrics are in {run.folder}"])
+
+
+def _seeds(
+    words: Sequence[str],
+    seeds: Sequence[int],
+    runs: int,
+    output: Path,
+    figure: Path | None,
+    overwrite: bool,
+) -> int:
+    """Train each config with each seed, draw the learning curves, and tabulate."""
+    with loading():
+        from quadjax.config.loading import load_config
+        from quadjax.config.stored import names_of_code
+        from quadjax.core.plotting import save_figure
+        from quadjax.core.provenance import provenance
+        from quadjax.evaluation.curves import learning_figure
+        from quadjax.evaluation.seeds import evaluate_seed, format_seeds
+
+    configs, overrides = configs_of(words)
+    trained = {name: load_config(file, overrides) for name, file in configs.items()}
+    figure = figure or output / f"{'_and_'.join(configs)}_seeds.png"
+    groups = {
+        name: [
+            train_once(
+                file, [*overrides, f"seed={seed}", f"name={name}_seed{seed}"], output, overwrite
+            )
+            for seed in seeds
+        ]
+        for name, file in configs.items()
+    }
+    code = [each for config in trained.values() for each in names_of_code(config)]
+    save_figure(learning_figure(groups, code), figure)
+    wrote(figure)
+    for name, folders in groups.items():
+        results = [evaluate_seed(folder, runs, code) for folder in folders]
+        print(f"\n{name}\n\n{format_seeds(results)}\n")
+        rows = [result.to_json() for result in results]
+        write_record(output / f"{name}_seeds.json", {"results": rows}, provenance(trained[name]))
+    return 0
+
+
+def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Config files by the name of their config, and the overrides among the arguments.
+
+    Raises:
+        InputError: a config that cannot be used, two of one name, or lap times that cannot
+            be compared.
+    """
+    from quadjax.config.loading import load_config
+    from quadjax.core.resources import find_config
+    from quadjax.evaluation.curves import check_lengths
+
+    overrides = [each for each in words if is_override(each)]
+    files = [str(find_config(each)) for each in words if each not in overrides]
+    configs = [load_config(path, overrides) for path in files]
+    names = [config.name for config in configs]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"two of the configs are named {name}, expected names that differ")
+    check_lengths({config.name: config.evaluate.length for config in configs})
+    return dict(zip(names, files, strict=True)), overrides
+
+
+def train_once(
+    config: str, overrides: Sequence[str], output: Path, overwrite: bool = False
+) -> Path:
+    """Train in a separate process; returns the folder of the run.
+
+    Resumes a run that was stopped, and leaves a finished one of the same config as it is.
+
+    Raises:
+        InputError: there is a run of that name with another config, or the training failed (its
+            message has been printed).
+        KeyboardInterrupt: the training was interrupted; it has saved.
+    """
+    from quadjax.config.loading import load_config
+    from quadjax.training.folder import check_same
+    from quadjax.training.result import is_finished
+
+    settings = load_config(config, overrides)
+    folder = output / settings.name
+    if not overwrite:
+        check_same(settings, folder)
+        if is_finished(folder):
+            return folder
+    how = "--overwrite" if overwrite else "--resume"
+    command = [sys.executable, "-m", "quadjax", "train", config, *overrides, how]
+    status = subprocess.run([*command, "--output", str(output)], check=False).returncode
+    if status == INTERRUPTED:
+        raise KeyboardInterrupt
+    if status:
+        raise InputError(f"training {settings.name} failed with status {status}")
+    return folder

@@ -30,7 +30,7 @@ def test_a_folder_does_not_hide_a_shipped_name(here, monkeypatch, capsys):
     assert find_policy("e2e_nominal") == PRETRAINED / "e2e_nominal.npz"
     assert Policy.load("e2e").layers
     stop(monkeypatch)
-    for command in (("view", "e2e_nominal"), ("results", "e2e_nominal")):
+    for command in (("view", "e2e_nominal"), ("evaluate", "--policy", "e2e_nominal")):
         assert run(*command) == 2
         assert "error: stopped" in capsys.readouterr().err
     with pytest.raises(InputError, match="is a directory"):
@@ -63,7 +63,7 @@ def test_a_copy_of_a_run_without_its_hidden_file_is_viewed(here, monkeypatch, ca
     stop(monkeypatch)
     (here / "copy").mkdir()
     shutil.copy(PRETRAINED / "e2e_adaptive.npz", here / "copy" / "policy.npz")
-    for command in (("view", "copy"), ("results", "copy")):
+    for command in (("view", "copy"), ("evaluate", "--policy", "copy")):
         assert run(*command) == 2
         assert "error: stopped" in capsys.readouterr().err
     (here / "empty").mkdir()

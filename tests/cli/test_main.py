@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,10 +11,11 @@ from pathlib import Path
 import pytest
 
 import quadjax
-from quadjax.cli import COMMANDS
+from quadjax.cli import COMMANDS, REMOVED
 from quadjax.core.errors import InputError, error_line, run_command
 from quadjax.core.imports import load_object
-from tests.commands import run
+from quadjax.core.resources import policy_names, preset_names
+from tests.commands import run, run_script
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_every_subcommand_has_help(name, capsys):
     assert run(name, "--help") == 0
     text = capsys.readouterr().out
-    assert f"usage: quadjax {name}" in text
+    assert f"Usage: quadjax {name} " in text
 
 
 def test_help_lists_every_subcommand(capsys):
@@ -40,20 +42,20 @@ def test_the_version_is_that_of_the_package(capsys):
     ("arguments", "names"),
     [
         (["fly"], "'fly' is not a subcommand; allowed: train"),
-        (["train"], "error: the following arguments are required: CONFIG (try --help)"),
-        (["train", "--overwite"], "unknown option --overwite; did you mean --overwrite?"),
-        (["train", "e2e", "--resum"], "unknown option --resum; did you mean --resume?"),
-        (["seeds", "--typo", "--seeds", "1"], "unknown option --typo"),
+        (["train"], "error: Parameter CONFIG requires an argument (try --help)"),
+        (["train", "--overwite"], "Unknown option: --overwite. Did you mean --overwrite?"),
+        (["train", "e2e", "--resum"], "Unknown option: --resum. Did you mean --resume?"),
+        (["train", "--typo", "--seeds", "1"], "Unknown option: --typo"),
         (["train", "nothing.yaml"], "nothing.yaml"),
         (["train", "e2e", "nonsense=1"], "nonsense"),
         (["train", "e2e", "--resume", "--overwrite"], "exclude"),
         (["train", "e2e", "--name", "../out"], "--name"),
         (["train", "e2e", "--name", "x" * 300], "--name"),
-        (["seeds", "e2e", "--seeds", "-1"], "--seeds"),
-        (["seeds", "e2e", "--seeds", "0", "x"], "--seeds"),
+        (["train", "e2e", "--seeds", "-1"], "--seeds: '-1', allowed: an integer, 0 to"),
+        (["train", "e2e", "--seeds", "0", "x"], "--seeds: 'x'"),
         (["compare", "standin", "--name", "../../zz"], "--name"),
-        (["config", "nothing"], "nothing"),
-        (["presets", "extra"], "extra"),
+        (["show", "nothing"], "nothing"),
+        (["show", "square4", "extra"], "extra"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(arguments, names, capsys):
@@ -63,19 +65,81 @@ def test_bad_input_is_one_line_and_status_2(arguments, names, capsys):
 
 
 def test_a_config_is_printed_and_can_be_read_again(capsys, tmp_path):
-    assert run("config", "e2e_shac", "seed=3") == 0
+    assert run("show", "e2e_shac", "seed=3") == 0
     text = capsys.readouterr().out
     (tmp_path / "mine.yaml").write_text(text)
-    assert run("config", tmp_path / "mine.yaml") == 0
+    assert run("show", tmp_path / "mine.yaml") == 0
     assert capsys.readouterr().out == text and "seed: 3" in text
 
 
-def test_presets_are_listed(capsys):
-    assert run("presets") == 0
-    lines = capsys.readouterr().out.splitlines()
-    names = [line for line in lines if not line.startswith(" ")]
+def test_what_is_shipped_is_listed(capsys):
+    assert run("show") == 0
+    text = capsys.readouterr().out
+    first = text.partition("tracks:")[0].splitlines()[1:]
+    names = [line for line in first if re.match(r"  \w", line)]
     assert [line.split()[0] for line in names] == quadjax.presets()
     assert all(len(line.split()) > 2 for line in names)
+    for each in (*preset_names("tracks"), *preset_names("vehicles"), *policy_names()):
+        assert each in text
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["e2e_nominal.npz"], "network 24-64-64-64-4, relu"),
+        (["figure8"], "figure8: 6 gates, a lap of"),
+        (["a2rl"], "A2RL drone, model a2rl"),
+        (
+            ["MINE", "mass=0.6", "wheelbase=0.226", "propeller=0.127", "rpm_max=20000"],
+            "model motor",
+        ),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_name_or_a_file_is_shown_by_its_kind(words, says, tmp_path, capsys):
+    file = tmp_path / "mine.yaml"
+    if words[0] == "MINE":
+        assert run("show", file, *words[1:], "--write", "vehicle") == 0
+        words = [file]
+    assert run("show", *words) == 0
+    assert says in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["track", "vehicle"])
+def test_the_keys_of_a_file_to_write_are_listed(kind, capsys):
+    assert run("show", "--write", kind) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 4
+
+
+@pytest.mark.parametrize("name", REMOVED)
+def test_an_earlier_name_is_answered_with_the_present_one(name, capsys):
+    assert run(name, "--help") == 2
+    error = capsys.readouterr().err
+    assert REMOVED[name] in error and error.count("\n") == 1
+    if REMOVED[name].startswith("quadjax "):
+        assert REMOVED[name].split()[1] in COMMANDS
+    elif REMOVED[name].startswith("python"):
+        assert (ROOT / f"{REMOVED[name].split()[-1].replace('.', '/')}.py").is_file()
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)
+def test_a_script_of_the_benchmarks_is_short_and_has_help(script, capsys):
+    text = script.read_text()
+    assert len(text.splitlines()) <= 110
+    if "quadjax.cli" in text:
+        assert run_script(script.stem, "--help") == 0
+        assert "Usage:" in capsys.readouterr().out
+
+
+def test_the_help_of_quadjax_imports_no_jax():
+    code = "import sys, quadjax.cli; quadjax.cli.run(['--help']); print('jax' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert done.stdout.endswith("False\n")
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "scripts").glob("*.py")), ids=lambda p: p.stem)
@@ -86,7 +150,7 @@ def test_a_script_is_its_subcommand(script):
         text=True,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
-    assert done.returncode == 0 and f"usage: quadjax {script.stem}" in done.stdout
+    assert done.returncode == 0 and f"Usage: quadjax {script.stem}" in done.stdout
 
 
 def raising(error):
@@ -124,7 +188,7 @@ def test_the_usage_has_a_line_for_each_subcommand(capsys):
     assert run() == 2
     lines = capsys.readouterr().out.splitlines()
     for name, text in COMMANDS.items():
-        assert f"  {name:<14} {text}" in lines and text[0].islower()
+        assert f"  {name:<10} {text}" in lines and text[0].islower()
 
 
 def test_a_closed_output_is_no_fault(monkeypatch):

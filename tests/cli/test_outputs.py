@@ -1,6 +1,5 @@
 """What commands refuse before any work: outputs that would replace other files, and bad options."""
 
-import argparse
 import io
 import os
 import warnings
@@ -9,9 +8,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from quadjax.cli import progress
-from quadjax.cli.arguments import check_outputs
-from quadjax.cli.seeds import configs_of
+from quadjax.cli import output
+from quadjax.cli.options import JsonFile, check_outputs
+from quadjax.cli.train import configs_of
 from quadjax.core.errors import InputError, run_command
 from quadjax.core.folders import claim
 from quadjax.core.resources import CONFIGS, PRETRAINED
@@ -30,7 +29,7 @@ def refusal(capsys, *arguments):
     "arguments",
     [
         ("train", "e2e_shac", "--output=--"),
-        ("seeds", "e2e_shac", "--seeds=--"),
+        ("train", "e2e_shac", "--seeds=--"),
         ("evaluate", "e2e", "--policy=--"),
         ("export", "p.npz", "--output", "o", "--range=--"),
     ],
@@ -38,19 +37,6 @@ def refusal(capsys, *arguments):
 )
 def test_an_option_of_two_dashes_is_refused(arguments, capsys):
     assert f"{arguments[-1]}: expected a value" in refusal(capsys, *arguments)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("x", "not a job"),
-        ("[]", "not a job"),
-        ('{"kind": "nap", "config": "e2e", "num_envs": 1, "repeats": 1}', "kind"),
-        ('{"kind": "training", "config": "e2e", "num_envs": -1, "repeats": 1}', "num_envs"),
-    ],
-)
-def test_a_bad_job_of_the_benchmark_is_refused(text, says, capsys):
-    assert f"--job: {says}" in refusal(capsys, "benchmark", "--job", text)
 
 
 @pytest.mark.parametrize(
@@ -93,19 +79,21 @@ def test_an_output_does_not_replace_another_file_of_the_command(tmp_path, capsys
 
 
 def test_the_text_of_an_override_is_a_file_only_for_keys_of_files():
-    options = argparse.Namespace(json="a.json", overrides=["seed=1", "name=a.json"])
-    check_outputs(options, json=(".json",))
+    def command(*overrides: str, json: JsonFile = None) -> None:
+        """A command with an output."""
+
+    check_outputs(command, {"json": Path("a.json"), "overrides": ("seed=1", "name=a.json")})
     for key in ("vehicle.residual", "track", "overrides.vehicle.file"):
-        options.overrides[1] = f"{key}=./a.json"
+        words = ("seed=1", f"{key}=./a.json")
         with pytest.raises(InputError, match="--json a.json: is also overrides"):
-            check_outputs(options, json=(".json",))
+            check_outputs(command, {"json": Path("a.json"), "overrides": words})
 
 
 def test_a_picture_replaces_no_file_and_no_target_of_a_link(tmp_path, capsys):
     (tmp_path / "thesis.txt").write_text("mine")
     (tmp_path / "link.png").symlink_to(tmp_path / "thesis.txt")
     (tmp_path / "old.png").write_text("mine")
-    command = ("track", "square4", "--figure")
+    command = ("show", "square4", "--figure")
     assert "is a link" in refusal(capsys, *command, tmp_path / "link.png", "--overwrite")
     assert "--overwrite" in refusal(capsys, *command, tmp_path / "old.png")
     assert (tmp_path / "thesis.txt").read_text() == (tmp_path / "old.png").read_text() == "mine"
@@ -118,7 +106,7 @@ def test_the_folder_of_an_output_has_to_exist(tmp_path, capsys, monkeypatch, fol
     (tmp_path / "file").write_text("")
     seen = []
     monkeypatch.setattr(os, "mkdir", lambda *arguments, **_: seen.append(arguments))
-    error = refusal(capsys, "track", "square4", "--figure", tmp_path / folder / "x.png")
+    error = refusal(capsys, "show", "square4", "--figure", tmp_path / folder / "x.png")
     assert f"there is no folder {tmp_path / folder}" in error
     assert not seen and [path.name for path in tmp_path.iterdir()] == ["file"]
 
@@ -129,8 +117,8 @@ def test_a_path_with_an_equals_sign_is_a_file(tmp_path, monkeypatch, capsys):
         folder.mkdir(exist_ok=True)
         (folder / "a=b.npz").write_text("no policy")
     for file in ("a=b.npz", "lr=0.1/a=b.npz"):
-        assert run("results", file) == 2
-        assert f"\nerror: {file}: not an .npz file\n" in capsys.readouterr().err
+        assert run("evaluate", "--policy", file) == 2
+        assert f"error: {file}: not an .npz file\n" in capsys.readouterr().err
         assert file in refusal(capsys, "import", "e2e", file, "--output", "out.npz")
     Path("a=b.yaml").write_text("base: e2e_shac\nname: mine\n")
     overrides = ["seed=3", f"vehicle={CONFIGS / 'vehicles/bebop1.yaml'}"]
@@ -149,8 +137,8 @@ def test_an_output_does_not_replace_a_pipe(tmp_path, capsys):
     [
         (("export", PRETRAINED / "e2e.npz", "--output"), "policy.npz"),
         (("export", PRETRAINED / "e2e.npz", "--name", "mine", "--output"), "mine.c"),
-        (("simulate-logs", "--output"), "flight_0.csv"),
-        (("simulate-logs", "--random-residual", "1", "--output"), "residual.npz"),
+        (("logs", "--output"), "flight_0.csv"),
+        (("logs", "--random-residual", "1", "--output"), "residual.npz"),
         (("sweep", "learning_rate", "name=one", "--report", "--output"), "report.md"),
         (("sweep", "learning_rate", "name=one", "--output"), "trials"),
     ],
@@ -188,9 +176,9 @@ def test_earlier_results_are_replaced_only_with_overwrite(tmp_path, capsys, argu
 
 def test_the_steps_of_a_command_are_lines_where_there_is_no_terminal(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(output.time, "monotonic", lambda: now[0])
     text = io.StringIO()
-    with progress.steps(Console(file=text)) as report:
+    with output.steps(Console(file=text)) as report:
         for wait, line in ((0.0, "compiling"), (1.0, "too soon"), (4.5, "3 s flown")):
             now[0] += wait
             report(line)
@@ -211,7 +199,7 @@ def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):
     "arguments",
     [
         ("export", "nosuch.npz", "--output", "one"),
-        ("simulate-logs", "--vehicle", "abc", "--output", "one"),
+        ("logs", "--vehicle", "abc", "--output", "one"),
         ("evaluate", "e2e", "--policy", "nosuch.npz", "--json", "one/a.json"),
         ("compare", "standin", "--ablation", "n" * 300, "--output", "one"),
         ("compare", "standin", "--parts", "nap", "--output", "one"),

@@ -1,10 +1,11 @@
-"""The subcommands evaluate and benchmark."""
+"""The subcommand evaluate, and the benchmark of speed."""
 
 import json
 
 import pytest
 from PIL import Image
 
+from benchmarks.speed import Job, measure
 from quadjax.studies.ppo_against_sb3 import Clock, Side, curves_figure, format_sides
 from tests.commands import run
 from tests.evaluation.support import random_policy
@@ -61,12 +62,9 @@ def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file, capsys):
 
 
 @pytest.mark.slow
-def test_the_benchmark_measures_in_a_process(monkeypatch, capsys):
-    job = {"kind": "residual", "config": "e2e", "num_envs": 2}
-    text = json.dumps(job | {"repeats": 1})
+def test_the_benchmark_measures_in_a_process(monkeypatch):
     monkeypatch.setattr("quadjax.studies.benchmark.STEPS_PER_CALL", 100)
-    assert run("benchmark", "--job", text) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = measure(Job("residual", "e2e", 2, 1))
     assert result["steps_per_second"] > 0 and result["devices"] == 2
     assert result["machine"]["cores"] >= 1
 
@@ -92,4 +90,3 @@ def test_both_sides_of_the_benchmark_end_at_the_same_steps_and_are_drawn(monkeyp
     assert "20.00 s" in format_sides(sides, "") and "6 of 6" in format_sides(sides, "")
     drawn = [line.get_ydata() for axes in curves_figure(sides, "").axes for line in axes.lines]
     assert [20.0] in [data.tolist() for data in drawn if len(data) == 1]
-    assert run("benchmark", "--steps", "9") == 2

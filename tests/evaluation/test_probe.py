@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.cli import run
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.studies.drawn_drones import draw_drones, quantities, reachable
 from quadjax.studies.probe import Samples, fit_probes, probe_table
 from quadjax.training.build import untrained_policy
 from quadjax.vehicle.registry import model
+from tests.commands import run_script
 from tests.race.support import BLANK
 
 DRONES, EACH = 1200, 3
@@ -68,9 +68,12 @@ def test_limits_of_the_commands_are_within_the_nominal_range():
 def test_drawn_drones_are_vehicle_files(tmp_path, capsys):
     draw = ["--count", "2", "--seed", "3", "--output", str(tmp_path)]
     (tmp_path / "file").touch()
-    taken = ["drones", str(BLANK), "randomization.all=0.2", "--output", str(tmp_path / "file")]
-    assert run(taken) == 2 and "file/drone_0_0.yaml: cannot be written" in capsys.readouterr().err
-    assert run(["drones", str(BLANK), "randomization.all=0.2", *draw]) == 0
+    taken = [BLANK, "randomization.all=0.2", "--output", tmp_path / "file"]
+    assert (
+        run_script("drones", *taken) == 2
+        and "file/drone_0_0.yaml: cannot be written" in capsys.readouterr().err
+    )
+    assert run_script("drones", BLANK, "randomization.all=0.2", *draw) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2
     config = load_config(BLANK, ["randomization.all=0.2"])
     drawn = draw_drones(config, 8, 3)  # the first two are possible bodies
@@ -81,7 +84,7 @@ def test_drawn_drones_are_vehicle_files(tmp_path, capsys):
         for name, value in own.items():
             assert value == pytest.approx(float(getattr(drawn, name)[index]), rel=1e-5)
     assert 0.01 < abs(own["k_w"] / float(nominal.k_w) - 1.0) < 0.2
-    assert run(["drones", str(BLANK), *draw]) == 2
+    assert run_script("drones", BLANK, *draw) == 2
     assert "randomization draws no constants" in capsys.readouterr().err
 
 
@@ -99,9 +102,9 @@ def test_a_policy_that_observes_the_thrust_knows_it(tmp_path, monkeypatch, capsy
         untrained_policy(load_config(race[0], [race[1], f"observation.extra={extra}"])).save(file)
     written = tmp_path / "probe.json"
     options = ["--drones", "200", "--seconds", "2", "--json", str(written)]
-    command = ["probe", *race, "observation.extra=[shown:THRUST]", *options]
+    command = [*race, "observation.extra=[shown:THRUST]", *options]
     figure = ["--figure", str(tmp_path / "probe.png")]
-    assert run([*command, "--policy", str(files[0]), "--policy", str(files[1]), *figure]) == 0
+    assert run_script("probe", *command, "--policy", files[0], "--policy", files[1], *figure) == 0
     shown, plain = json.loads(written.read_text())["probes"]
     assert shown["policy"] == "shown" and shown["held_out"] == 100
     assert list(shown["r_squared"]["observation"]) == ["thrust to weight", "tau"]

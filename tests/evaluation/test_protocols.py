@@ -62,8 +62,11 @@ def test_the_published_time_is_below_the_policies_of_its_race():
 def test_the_command_flies_a_policy_in_its_own_race_and_in_another(tmp_path, capsys):
     random_policy().save(tmp_path / "one.npz")
     file = tmp_path / "a.json"
-    arguments = ("--race", "e2e_shac", "evaluate.laps=1", "--runs", "2", "--json", file)
-    assert run("results", tmp_path / "one.npz", *arguments) == 0
+    arguments = ("--study", "protocols", "--runs", "2", "--json", file)
+    assert (
+        run("evaluate", "e2e_shac", "evaluate.laps=1", "--policy", tmp_path / "one.npz", *arguments)
+        == 0
+    )
     assert "| one | " in capsys.readouterr().out
     found = json.loads(file.read_text())
     assert found["results"][0]["sampled"]["random"]["runs"] == 2
@@ -71,5 +74,5 @@ def test_the_command_flies_a_policy_in_its_own_race_and_in_another(tmp_path, cap
 
 
 def test_overrides_need_a_race(capsys):
-    assert run("results", "track=figure8") == 2
-    assert "--race" in capsys.readouterr().err
+    assert run("evaluate", "track=figure8", "--policy", "e2e") == 2
+    assert "track=figure8: no such preset or file" in capsys.readouterr().err

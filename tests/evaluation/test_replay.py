@@ -121,7 +121,7 @@ def test_a_policy_replayed_on_its_own_log_observes_the_estimated_disturbance(tmp
     """On the plant, whose effects the policy's model lacks; with zeros the RMS is up to 500 rpm."""
     own = ("standin", "--race", "e2e_adaptive", "--policy", "e2e_adaptive")
     logs, out = tmp_path / "logs", ("--output", tmp_path, "--name", "out")
-    assert run("plant-logs", *own, "--flights", 1, "--laps", 1, "--output", logs) == 0
+    assert run("logs", *own, "--flights", 1, "--laps", 1, "--output", logs) == 0
     (log,) = logs.glob("*.csv")
     assert run("replay", log, "--policy", "e2e_adaptive", "--logs", "paparazzi", *out) == 0
     assert "external moment and force: estimated from the log" in capsys.readouterr().out

@@ -128,8 +128,8 @@ def test_a_race_of_a_racing_quadcopter_has_a_report_without_errors_of_commands(f
     """Its vehicle file has no constants of motor, so there is no figure of such flights."""
     path = states_file(tmp_path / "a.npz", [3.0], vehicle=flown)
     (tmp_path / "race.yaml").write_text("base: e2e_race\nvehicle: a2rl\n")
-    where = ("--race", tmp_path / "race.yaml", "--output", tmp_path, "--name", "out")
-    assert run("report", f"E2E={path}", *where) == 0
+    where = ("--report", tmp_path / "out")
+    assert run("evaluate", tmp_path / "race.yaml", "--flights", f"E2E={path}", *where) == 0
     names = {file.stem for file in (tmp_path / "out").iterdir()}
     assert {"boxes", "gaps", "trajectories", "table", "report"} <= names
     assert not any(name.startswith("errors") for name in names)
@@ -200,7 +200,7 @@ def test_errors_are_to_the_first_order_response_of_the_commands(groups):
 @pytest.mark.slow
 def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
     path = states_file(tmp_path / "a.npz", [3.0])
-    assert run("report", f"E2E={path}", "--output", tmp_path, "--name", "out") == 0
+    assert run("evaluate", "--flights", f"E2E={path}", "--report", tmp_path / "out") == 0
     assert "3.00" in capsys.readouterr().out
     names = {file.name for file in (tmp_path / "out").iterdir()}
     for name in ("boxes", "gaps", "trajectories", "errors_1"):
@@ -209,12 +209,13 @@ def test_the_command_writes_pdf_svg_and_png(tmp_path, capsys):
         assert min(image.size) > 200
     result = json.loads((tmp_path / "out" / "report.json").read_text())
     assert result["groups"]["E2E"][0]["laps"] == [3.0, 3.0] and "provenance" in result
-    again = ("report", states_file(tmp_path / "b.npz", [3.5], vehicle="racing"))
-    assert run(*again, "--output", tmp_path, "--name", "out") == 2
+    slower = states_file(tmp_path / "b.npz", [3.5], vehicle="racing")
+    again = ("evaluate", "--flights", slower, "--report", tmp_path / "out")
+    assert run(*again) == 2
     assert "holds a report already: replace it (--overwrite)" in capsys.readouterr().err
     assert json.loads((tmp_path / "out" / "report.json").read_text()) == result
     (tmp_path / "out" / "notes").write_text("mine")
-    assert run(*again, "--output", tmp_path, "--name", "out", "--overwrite") == 0
+    assert run(*again, "--overwrite") == 0
     names = {file.name for file in (tmp_path / "out").iterdir()}
     assert {"notes", "gaps.png"} <= names and "errors_1.png" not in names
 
@@ -238,7 +239,8 @@ def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, words, says):
     given = {"POLICY": PRETRAINED / "e2e.npz", "TEXT": tmp_path / "a.txt"}
     given |= {"CSV": tmp_path / "a.csv", "NOTHING": tmp_path / "b.npz"}
     files = [given.get(word, word) for word in words]
-    assert run("report", *files, "--output", tmp_path, "--name", "out") == 2
+    flights = [word for file in files for word in ("--flights", file)]
+    assert run("evaluate", *flights, "--report", tmp_path / "out") == 2
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1 and not (tmp_path / "out").exists()
 
@@ -246,10 +248,10 @@ def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, words, says):
 @pytest.mark.slow
 def test_logs_of_the_plant_have_the_laps_of_their_flights(tmp_path, capsys):
     policy, logs = PRETRAINED / "e2e.npz", tmp_path / "logs"
-    plant = ("plant-logs", CONFIGS / "plant" / "standin.yaml", "--race", "e2e")
+    plant = ("logs", CONFIGS / "plant" / "standin.yaml", "--race", "e2e")
     assert run(*plant, "--policy", policy, "--flights", 1, "--laps", 1, "--output", logs) == 0
-    own = ("--race", "e2e", "--output", tmp_path, "--name", "out")
-    assert run("report", f"plant={logs}/*.csv", *own) == 0
+    flights = ("--flights", f"plant={logs}/*.csv", "--report", tmp_path / "out")
+    assert run("evaluate", "e2e", *flights) == 0
     (flight,) = json.loads((tmp_path / "out" / "report.json").read_text())["groups"]["plant"]
     assert len(flight["gates"]) == 4 and flight["gates"] == sorted(flight["gates"])
     assert flight["laps"][0] == pytest.approx(2.75, abs=0.15)

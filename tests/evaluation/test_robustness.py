@@ -69,14 +69,14 @@ def test_a_drone_that_hovers_is_neither_crashed_nor_has_it_a_lap(monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--robustness", "--laps", "3"], "--laps is not allowed with --robustness"),
-        (["--robustness", "--figure", "x.png"], "--figure is not allowed with --robustness"),
-        (["--seconds", "3"], "--seconds is allowed only with --robustness"),
-        (["--from-start"], "--from-start is allowed only with --robustness"),
-        (["--robustness", "--gates", "3"], "--gates is not allowed with --robustness"),
+        (["--study", "spread", "--laps", "3"], "--laps is not allowed with --study spread"),
+        (["--study", "spread", "--figure", "x.png"], "--figure is not allowed with --study spread"),
+        (["--seconds", "3"], "--seconds is not allowed with --study laps"),
+        (["--study", "nap"], '"spread", "races"'),
+        (["--study", "spread", "--gates", "3"], "--gates is not allowed with --study spread"),
         (
-            ["--robustness", "--from-start", "--seconds", "3"],
-            "--seconds is not allowed with --from-start",
+            ["--study", "races", "--seconds", "3"],
+            "--seconds is not allowed with --study races",
         ),
     ],
 )
@@ -88,7 +88,7 @@ def test_options_without_effect_are_refused(options, message, capsys):
 @pytest.mark.slow
 def test_more_drones_crash_with_larger_errors(tmp_path, capsys):
     file, policy = tmp_path / "found.json", PRETRAINED / "e2e_fastest.npz"
-    options = ["--robustness", "--runs", "60", "--seconds", "7", "--json", str(file)]
+    options = ["--study", "spread", "--runs", "60", "--seconds", "7", "--json", str(file)]
     command = ["evaluate", "e2e_fastest", "--policy", str(policy), *options]
     assert run(command) == 0
     assert "| e2e_fastest | " in capsys.readouterr().out
@@ -126,7 +126,7 @@ def test_the_table_of_races_has_a_row_for_each_randomization():
 @pytest.mark.slow
 def test_whole_races_of_a_policy(tmp_path):
     file, policy = tmp_path / "found.json", PRETRAINED / "e2e_fastest.npz"
-    options = ["--robustness", "--from-start", "--gates", "6", "--runs", "60", "--json", str(file)]
+    options = ["--study", "races", "--gates", "6", "--runs", "60", "--json", str(file)]
     assert run(["evaluate", "e2e_fastest", "--policy", str(policy), *options]) == 0
     found = json.loads(file.read_text())["flights"]
     assert [each["label"] for each in found] == ["±0%", "±10%", "±20%", "±30%"]

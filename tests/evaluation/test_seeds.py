@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadjax.cli.seeds import configs_of, train_seed
+from quadjax.cli.train import configs_of, train_once
 from quadjax.core.errors import InputError
 from quadjax.evaluation import seeds
 from tests.evaluation.test_protocols import protocols
@@ -16,12 +16,13 @@ CONFIG = str(CONFIGS / "e2e_ppo.yaml")
 
 @pytest.mark.slow
 def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
-    folder = train_seed(CONFIG, TINY, 3, tmp_path)
+    words = [*TINY, "seed=3", "name=mine"]
+    folder = train_once(CONFIG, words, tmp_path)
     before = (folder / "summary.json").stat().st_mtime_ns
-    assert train_seed(CONFIG, TINY, 3, tmp_path) == folder
+    assert train_once(CONFIG, words, tmp_path) == folder
     assert (folder / "summary.json").stat().st_mtime_ns == before
     with pytest.raises(InputError, match="discount"):
-        train_seed(CONFIG, [*TINY, "learner.discount=0.9"], 3, tmp_path)
+        train_once(CONFIG, [*words, "learner.discount=0.9"], tmp_path)
     result = seeds.evaluate_seed(folder, 2)
     assert result.seed == 3 and result.steps == 512
     assert result.to_json()["flights"]["sampled"]["random"]["runs"] == 2
@@ -41,8 +42,8 @@ def test_the_table_names_the_published_time():
 
 @pytest.mark.slow
 def test_a_training_that_fails_is_one_line(tmp_path):
-    with pytest.raises(InputError, match="seed 0 failed with status 2"):
-        train_seed(CONFIG, [*TINY, "run.initial_policy=none.npz"], 0, tmp_path)
+    with pytest.raises(InputError, match="e2e_ppo failed with status 2"):
+        train_once(CONFIG, [*TINY, "run.initial_policy=none.npz"], tmp_path)
 
 
 def test_configs_and_overrides_are_separated():
@@ -52,5 +53,3 @@ def test_configs_and_overrides_are_separated():
     assert overrides == ["learner.num_epochs=2"]
     with pytest.raises(InputError, match="named mine"):
         configs_of([*files, "name=mine"])
-    with pytest.raises(InputError, match="no config"):
-        configs_of(["seed=1"])

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from quadjax.cli import run
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.studies.track_table import BestLap, Case, Row, lap_rows, read_best, speed_rows
+from tests.commands import run_script
 
 
 def row(**changes):
@@ -55,14 +55,14 @@ def test_best_known_laps_are_read_from_a_file(tmp_path):
 @pytest.mark.slow
 def test_the_command_resumes_and_writes_table_and_pictures(tmp_path, capsys):
     policy = str(PRETRAINED / "e2e_fastest.npz")
-    own = ["--tracks", "square4", "random_1", "--drones", "bebop1", "--runs", "4", "--no-speed"]
-    command = ["benchmark", "tracks", "e2e_fastest", "--policy", policy, *own]
-    assert run([*command, "--output", str(tmp_path)]) == 0
+    own = ["--tracks", "square4", "random_1", "--drones", "bebop1", "--runs", "4"]
+    command = ["tracks", "e2e_fastest", "--policy", policy, *own]
+    assert run_script(*command, "--output", tmp_path) == 0
     text = capsys.readouterr().out
     assert "| square4 | bebop1 | 2.0" in text and (tmp_path / "tracks.md").read_text() == text
     result = tmp_path / "random_1_bebop1" / "result.json"
     assert (tmp_path / "square4_bebop1" / "lap.png").stat().st_size > 1000
     changed = json.loads(result.read_text()) | {"speed": 99.0}
     result.write_text(json.dumps(changed))
-    assert run([*command, "--output", str(tmp_path)]) == 0
+    assert run_script(*command, "--output", tmp_path) == 0
     assert "99.0 m/s" in capsys.readouterr().out  # read from the folder, not flown again

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from quadjax import __version__
-from quadjax.cli import export as export_command
+from quadjax.cli import call
+from quadjax.cli.export import export, verification
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_npz
@@ -323,7 +324,7 @@ def test_one_line_on_the_command_line(tmp_path, monkeypatch, no_flights):
         broken.save(tmp_path / f"{name}.npz")
     for words, expected in ONE_LINE.items():
         with pytest.raises(InputError, match=expected):
-            export_command.main([*words.split(), "--output", "c"])
+            call(export, "quadjax export", [*words.split(), "--output", "c"])
         assert not (tmp_path / "c").exists()
 
 
@@ -477,9 +478,7 @@ def test_the_report_says_what_was_exported(exported):
 
 
 def test_the_next_command_names_the_folder_and_its_allowances():
-    from argparse import Namespace
-
-    from quadjax.cli.export import verification
-
-    options = Namespace(output=Path("out/my_policy"), allow_unfinished=True, allow_other_race=False)
-    assert verification(options) == "quadjax verify out/my_policy --allow-unfinished"
+    assert (
+        verification(Path("out/my_policy"), True, False)
+        == "quadjax verify out/my_policy --allow-unfinished"
+    )

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from quadjax.cli.verify import main
+from quadjax.cli.verify import verify as verify_command
 from quadjax.core.errors import InputError
 from quadjax.export.fixed import convert
 from quadjax.export.qjp.policy import HASH_BYTES, make_qjp, qjp_bytes
@@ -189,7 +189,7 @@ def test_a_damaged_file_is_named(data, tmp_path):
     with pytest.raises(InputError, match="racer.qjp: changed since it was written"):
         read_qjp(path)
     with pytest.raises(InputError, match="--runs has no effect on a .qjp file"):
-        main([str(path), "--runs", "1"])
+        verify_command(path, runs=1)
 
 
 @pytest.mark.slow

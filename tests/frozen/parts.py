@@ -128,9 +128,9 @@ def flights() -> Iterator[tuple[str, Record]]:
             yield f"{policy}, {protocol}", record(arrays, values)
             Path(f"{policy}.json").unlink()
             Path(f"{policy}.npz").unlink()
-        table = numbers_of(command(*base, "--robustness", "--runs", 100, "--seconds", 6))
+        table = numbers_of(command(*base, "--study", "spread", "--runs", 100, "--seconds", 6))
         yield f"{policy}, robustness", record([table], list(table))
-        table = numbers_of(command(*base, "--random-tracks", 20))
+        table = numbers_of(command(*base, "--study", "random-tracks", "--runs", 20))
         yield f"{policy}, random tracks", record([table], list(table))
 
 
@@ -170,7 +170,7 @@ def limits() -> Iterator[tuple[str, Record]]:
 
 def estimates() -> Iterator[tuple[str, Record]]:
     """States of the navigation filter in one flight on the plant, as its log has them."""
-    command("plant-logs", "standin", "--policy", "e2e", "--flights", 1, "--laps", 2,
+    command("logs", "standin", "--policy", "e2e", "--flights", 1, "--laps", 2,
             "--output", "logs")  # fmt: skip
     columns = columns_of(Path("logs/e2e_0.csv"), re.compile("mode"))
     yield "EKF", record(list(columns.values()), [column.mean() for column in columns.values()])

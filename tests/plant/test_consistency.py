@@ -16,7 +16,7 @@ from quadjax.plant.config import (
 )
 from quadjax.plant.covariance import Covariance
 from quadjax.studies.consistency import COMPONENTS, POLICIES, evaluate_filter, tally_ratio
-from tests.commands import run
+from tests.commands import run_script
 from tests.plant.support import EXACT, NO_ERRORS, ONLY_LATE, at, correlation, filtered, loop
 
 DRONES, SECONDS = 48, 3.0
@@ -108,7 +108,7 @@ def test_command_prints_writes_and_returns_its_verdict(tmp_path, capsys):
     path = tmp_path / "numbers.json"
     policy = PRETRAINED / "e2e.npz"
     arguments = ["--runs", DRONES, "--seconds", 1, "--policy", policy, "--json", path]
-    status = run("consistency", STANDIN, "sensors.mocap.dropout=0.1", *arguments)
+    status = run_script("consistency", STANDIN, "sensors.mocap.dropout=0.1", *arguments)
     written = json.loads(path.read_text())
     assert written["config"]["sensors"]["mocap"]["dropout"] == 0.1
     result = written["results"]["e2e.npz"]
@@ -130,6 +130,6 @@ def test_command_prints_writes_and_returns_its_verdict(tmp_path, capsys):
     ],
 )
 def test_command_refuses_bad_input_in_one_line(arguments, complaint, capsys):
-    assert run("consistency", STANDIN, "--seconds", 1, *arguments) == 2
+    assert run_script("consistency", STANDIN, "--seconds", 1, *arguments) == 2
     error = capsys.readouterr().err.strip()
     assert complaint in error and "\n" not in error

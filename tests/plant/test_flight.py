@@ -136,5 +136,5 @@ def test_plant_logs_prints_its_progress_before_the_first_log(tmp_path, monkeypat
 
     monkeypatch.setattr("quadjax.plant.logs.fly_plan", stop)
     place = ("--policy", "e2e_nominal", "--output", tmp_path / "logs")
-    assert run("plant-logs", "standin", *place) == 2
+    assert run("logs", "standin", *place) == 2
     assert capsys.readouterr().err == "e2e_nominal: compiling\nerror: stopped\n"

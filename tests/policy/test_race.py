@@ -1,7 +1,6 @@
 """Every command flies a policy file in the same race."""
 
 import dataclasses
-import time
 from pathlib import Path
 
 import pytest
@@ -10,7 +9,7 @@ from quadjax.config import race as config_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
-from quadjax.dashboard import flyer, sources
+from quadjax.dashboard import sources
 from quadjax.evaluation import evaluation
 from quadjax.export import convert, race_source
 from quadjax.policy.file import Policy
@@ -26,15 +25,6 @@ PRESETS = {  # of the shipped policies
     "indi": "indi_fastest",
     "indi_shac": "indi_shac",
 }
-
-
-class Folder:
-    """A folder whose newest policy a page shows."""
-
-    kind, name, finished = "training", "run", True
-
-    def __init__(self, policy):
-        self.policy = policy
 
 
 @pytest.fixture
@@ -56,23 +46,13 @@ def races(monkeypatch):
         (config_race, "race_of"),
     ):
         monkeypatch.setattr(module, name, stop)
-    monkeypatch.setattr(flyer, "POLL", 0.01)
     return found
-
-
-def watched(path, race=None):
-    """The error of a page's flights."""
-    page = flyer.Flyer(Folder(path), race)
-    while not page.error:
-        time.sleep(0.01)
-    page.close()
-    return page.error
 
 
 def commands(path, folder):
     return (
         ("view", path, "--output", folder / "out.html"),
-        ("results", path),
+        ("evaluate", "--policy", path),
         ("export", path, "--output", folder / "c"),
         ("replay", folder / "log.csv", "--policy", path),
     )
@@ -92,8 +72,7 @@ def test_every_command_flies_the_same_race(name, races, tmp_path, capsys):
     for command in commands(path, tmp_path):
         assert run(*command) == 2
         assert "error: stopped" in capsys.readouterr().err
-    assert watched(path) == "stopped"
-    assert len(races) == 5 and all(race == races[0] for race in races)
+    assert len(races) == 4 and all(race == races[0] for race in races)
     preset = load_config(PRESETS.get(name, "authors_code"))
     residual = Policy.load(path).source.get("residual", preset.vehicle.residual)
     assert races[0].track.gates == preset.track.gates and races[0].rules == preset.rules
@@ -117,12 +96,12 @@ def test_a_file_without_a_race_is_refused_by_every_command(races, tmp_path, caps
         assert run(*command) == 2
         error = " ".join(capsys.readouterr().err.split())
         assert "alone.npz: contains no config and names no preset, name the config" in error
-        assert "(--race CONFIG)" in error
-        assert run(*command, "--race", "e2e_shac") == 2
+        option = "quadjax evaluate CONFIG" if command[0] == "evaluate" else "--race CONFIG"
+        assert f"({option})" in error
+        config = ["e2e_shac"] if command[0] == "evaluate" else ["--race", "e2e_shac"]
+        assert run(*command, *config) == 2
         assert "error: stopped" in capsys.readouterr().err
-    assert "contains no config and names no preset" in watched(path)
-    assert watched(path, load_config("e2e_shac")) == "stopped"
-    assert len(races) == 5 and all(race == load_config("e2e_shac") for race in races)
+    assert len(races) == 4 and all(race == load_config("e2e_shac") for race in races)
     with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):
         convert.export_c(path, tmp_path / "c")
 

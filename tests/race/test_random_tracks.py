@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from quadjax import make_race
-from quadjax.cli.evaluate import main
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_tracks
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.race.random_track import RandomTracks
+from tests.commands import run
 from tests.promotion import QUICK
 
 KEYS = [
@@ -99,9 +99,10 @@ def test_headings_of_one_track_are_refused_on_random_tracks():
 
 
 def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
-    arguments = ["e2e_fastest", "--policy", str(PRETRAINED / "e2e_fastest.npz")]
-    arguments += ["--random-tracks", "4", "--laps", "2", "--json", str(tmp_path / "found.json")]
-    assert main(arguments) == 0
+    arguments = ["evaluate", "e2e_fastest", "--policy", str(PRETRAINED / "e2e_fastest.npz")]
+    arguments += ["--study", "random-tracks"]
+    options = ("--runs", 4, "--laps", 2, "--json", tmp_path / "found.json")
+    assert run(*arguments, *options) == 0
     found = json.loads((tmp_path / "found.json").read_text())
     done = [lap for lap in found["lap"] if lap is not None]
     assert len(found["lap"]) == 4 and found["tracks"]["seed"] == 256
@@ -110,7 +111,6 @@ def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
         for crash, lap in zip(found["crashes"], found["lap"], strict=True)
     )
     assert f"{len(done)} of 4" in capsys.readouterr().out
-    with pytest.raises(InputError, match="--runs is not allowed with --random-tracks"):
-        main([*arguments, "--runs", "3"])
-    with pytest.raises(InputError, match="--laps is 1, allowed: at least 2 with --random"):
-        main([*arguments, "--laps", "1"])
+    for option, says in (("--gates", "--gates is not allowed"), ("--laps", "--laps is 1, allowed")):
+        assert run(*arguments[:6], option, "1") == 2
+        assert says in capsys.readouterr().err

@@ -27,7 +27,7 @@ def logs(tmp_path_factory):
     """Three logs of a drone with the constants of ``TRUTH``."""
     folder = tmp_path_factory.mktemp("logs")
     words = ("--vehicle", "bebop1.yaml", "--flights", 3, "--seconds", 20, "--output", folder)
-    assert run("simulate-logs", *words) == 0
+    assert run("logs", *words) == 0
     return folder
 
 
@@ -120,7 +120,7 @@ def test_every_fault_of_the_columns_is_refused(logs, tmp_path, monkeypatch, capf
 def test_a_log_of_the_plant_has_the_laps_that_were_flown(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ("--policy", "e2e_nominal", "--flights", 1, "--laps", 2, "--output", "logs")
-    assert run("plant-logs", "standin", *words) == 0
+    assert run("logs", "standin", *words) == 0
     words = ("--policy", "e2e_nominal", "--logs", "paparazzi", "--json", "replay.json")
     assert run("replay", "logs/e2e_nominal_0.csv", *words) == 0
     laps = json.loads(Path("replay.json").read_text())["lap_times"]

@@ -89,8 +89,8 @@ verify notes.txt | notes.txt
 sil nosuch | nosuch
 import e2e_shac notes.txt --output new.npz | notes.txt
 import e2e_shac bytes.npz --output new.npz | bytes.npz
-config nosuch | nosuch
-config e2e_shac run.steps=-5 | run.steps -5
+show nosuch | nosuch
+show e2e_shac run.steps=-5 | run.steps -5
 nosuch | nosuch train
 """.strip().splitlines()
 

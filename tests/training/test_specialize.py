@@ -4,13 +4,13 @@ import jax
 import numpy as np
 import pytest
 
-from quadjax.cli import run
+import quadjax
 from quadjax.config.race import make_race, race_of
 from quadjax.core.errors import InputError
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
+from quadjax.policy.specialize import outside, specialize
 from quadjax.race.environment import make_environment
-from quadjax.studies.specialize import specialize
 from quadjax.training.build import untrained_policy
 from tests.race.support import BLANK, make_config
 
@@ -78,22 +78,17 @@ def test_the_policy_of_a_drone_acts_as_the_one_that_sees_its_constants(drawn):
     assert own.config["observation"]["constants"] is False
 
 
-def test_what_cannot_be_specialized_is_refused(tmp_path, capsys):
-    plain = tmp_path / "plain.npz"
-    untrained_policy(make_config(SMALL)).save(plain)
-    file = tmp_path / "one.npz"
-    assert run(["specialize", str(BLANK), "--policy", str(plain), "--output", str(file)]) == 2
-    assert "does not observe constants, allowed: a policy that was" in capsys.readouterr().err
+def test_what_cannot_be_specialized_is_refused(tmp_path):
+    with pytest.raises(InputError, match="does not observe constants, allowed: a policy that was"):
+        specialize(untrained_policy(make_config(SMALL)), quadjax.load(BLANK))
     seeing = untrained_policy(make_config(DRAWN, SEES, SMALL))
     with pytest.raises(InputError, match="a policy for the motor vehicle; vehicle.model of the"):
         specialize(seeing, make_config("vehicle=5inch"))
-    seeing.save(plain)
-    taken = ["specialize", str(BLANK), "--policy", str(plain), "--output", str(file)]
-    assert run(taken) == 0 and capsys.readouterr().err == ""
-    assert "constants" not in Policy.load(file).layout
-    far = ("vehicle.constants.k_w=9e-8", "vehicle.constants.k_x=1e-4")
-    assert run([*taken, *far]) == 0
-    assert "outside the range of the policy's training: k_x, k_w" in capsys.readouterr().err
+    specialize(seeing, quadjax.load(BLANK)).save(tmp_path / "one.npz")
+    assert "constants" not in Policy.load(tmp_path / "one.npz").layout
+    assert outside(seeing, quadjax.load(BLANK)) == []
+    far = ["vehicle.constants.k_w=9e-8", "vehicle.constants.k_x=1e-4"]
+    assert outside(seeing, quadjax.load(BLANK, far)) == ["k_x", "k_w"]
     with pytest.raises(InputError, match="observation.constants is True, allowed: false where ra"):
         make_config(SEES)
     with pytest.raises(InputError, match="critic_constants is True, allowed: false with observ"):

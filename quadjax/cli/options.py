@@ -1,0 +1,190 @@
+"""Types of the arguments and options that several commands share, and checks of output files.
+
+A command is a function whose signature cyclopts reads. A type of this module says how the text of
+an argument becomes a value, which values are allowed, and what the help prints.
+"""
+
+import dataclasses
+import math
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+from cyclopts import Group, Parameter, Token
+
+from quadjax.core.errors import InputError, writing
+from quadjax.core.files import check_file
+from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.resources import find_policy, preset_names
+from quadjax.core.sections import FOLDER_NAME
+
+PICTURES = (".png", ".svg", ".pdf")
+FILE_OVERRIDE = re.compile(  # the key of an override whose value is a file
+    r"^([\w.]+\.)?(vehicle|track|file|residual|initial_policy|start_states|config)="
+)
+Converter = Callable[[object, Sequence[Token]], Any]
+
+
+def whole(low: int, high: int) -> Converter:
+    """A converter of text to an integer from ``low`` to ``high``."""
+
+    def convert(_: object, tokens: Sequence[Token]) -> int:
+        text = tokens[0].value
+        digits = text.isascii() and text.isdigit() and len(text) < 19
+        if not digits or not low <= int(text) <= high:
+            raise ValueError(f"{text!r}, allowed: an integer, {low} to {high}")
+        return int(text)
+
+    return convert
+
+
+def number(low: float, high: float, other: Mapping[str, Any] | None = None) -> Converter:
+    """A converter of text to a number from ``low`` to ``high``, or one of other texts."""
+    others = other or {}
+    words = "".join(f"{word}, or " for word in others)
+
+    def convert(_: object, tokens: Sequence[Token]) -> float:
+        text = tokens[0].value
+        if text in others:
+            return others[text]
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise ValueError(f"{text!r}, allowed: {words}a number, {low:g} to {high:g}")
+        return value
+
+    return convert
+
+
+def _run_name(_: object, tokens: Sequence[Token]) -> str:
+    if not re.fullmatch(FOLDER_NAME, text := tokens[0].value):
+        raise ValueError(
+            f"{text!r}, allowed: letters, digits, '_', '.' and '-', the last two not first"
+        )
+    return text
+
+
+def _policy_file(_: object, tokens: Sequence[Token]) -> Path:
+    return find_policy(tokens[0].value)
+
+
+def config_of(folder: str) -> Parameter:
+    """The parameter of a config in a folder of ``configs/``, whose help lists the names."""
+    names = ", ".join(preset_names(folder))
+    return Parameter(help=f"A name ({names}) or a YAML file.")
+
+
+def several(convert: Converter) -> Parameter:
+    """The parameter of an option that takes several values, each read by a converter."""
+
+    def convert_all(kind: object, tokens: Sequence[Token]) -> tuple[Any, ...]:
+        return tuple(convert(kind, [token]) for token in tokens)
+
+    return Parameter(converter=convert_all, consume_multiple=True)
+
+
+Flag = Annotated[bool, Parameter(show_default=False)]
+Config = Annotated[str, Parameter(name="CONFIG", help="A preset's name or a YAML file.")]
+Overrides = Annotated[
+    str, Parameter(name="KEY=VALUE", help="Changes of keys of the config, and +PART for parts.")
+]
+RunName = Annotated[str, Parameter(converter=_run_name, metavar="NAME")]
+PolicyFile = Annotated[Path, Parameter(converter=_policy_file, metavar="FILE.npz")]
+PlantConfig = Annotated[str, config_of("plant"), Parameter(metavar="CONFIG")]
+FitConfig = Annotated[str, config_of("fit"), Parameter(metavar="FIT.yaml")]
+Race = Annotated[str | None, Parameter(metavar="CONFIG")]
+Folder = Annotated[Path, Parameter(metavar="DIR")]
+InputFile = Annotated[Path, Parameter(metavar="FILE")]
+Seed = Annotated[int, Parameter(converter=whole(0, MAX_SEED))]
+Seeds = Annotated[tuple[int, ...], several(whole(0, MAX_SEED)), Parameter(metavar="N ...")]
+Laps = Annotated[int, Parameter(converter=whole(1, MAX_LAPS))]
+Gates = Annotated[int, Parameter(converter=whole(1, MAX_GATES))]
+Runs = Annotated[int, Parameter(converter=whole(1, MAX_RUNS))]
+Count = Annotated[int, Parameter(converter=whole(1, 10**6))]
+Positive = Annotated[float, Parameter(converter=number(1e-6, 50.0))]
+FILES = Group("Output files", sort_key=3)
+
+
+@dataclasses.dataclass(frozen=True)
+class Output:
+    """Marks an option that names a file to write; it is checked before any work is done.
+
+    Attributes:
+        suffixes: the allowed ones; any if empty.
+    """
+
+    suffixes: tuple[str, ...] = ()
+
+
+JsonFile = Annotated[Path | None, Output((".json",)), Parameter(metavar="FILE.json", group=FILES)]
+NpzFile = Annotated[Path | None, Output((".npz",)), Parameter(metavar="FILE.npz", group=FILES)]
+Picture = Annotated[Path | None, Output(PICTURES), Parameter(metavar="FILE.png", group=FILES)]
+
+
+def is_override(text: str) -> bool:
+    """Whether an argument is ``key=value`` or ``+part``, not a file, whose path may have ``=``."""
+    key, equals, _ = text.partition("=")
+    return text.startswith("+") or bool(equals) and "/" not in key and not os.path.exists(text)
+
+
+def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
+    """Refuse output files before any work is done.
+
+    Args:
+        command: whose annotations mark outputs by ``Output``.
+        arguments: by their names.
+
+    Raises:
+        InputError: as ``check_writable``, or an output that is the file of another argument.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    for name, path in arguments.items():
+        marks = [each for each in getattr(hints[name], "__metadata__", ()) if type(each) is Output]
+        if not marks or path is None:
+            continue
+        check_writable(path, marks[0].suffixes)
+        for other, value in arguments.items():
+            for text in value if isinstance(value, (list, tuple)) else [value]:
+                if other != name and isinstance(text, (str, Path)) and _same_file(path, text):
+                    option = f"--{name.replace('_', '-')}"
+                    raise InputError(f"{option} {path}: is also {other}, allowed: another file")
+
+
+def _same_file(path: Path, text: str | Path) -> bool:
+    """Whether an argument, or the file of an override, is the file ``path``."""
+    file = FILE_OVERRIDE.sub("", str(text))
+    with writing(path):
+        return bool(file) and os.path.realpath(file) == os.path.realpath(path)
+
+
+def check_writable(path: Path, suffixes: Sequence[str] = (), overwrite: bool = True) -> None:
+    """Refuse an output path before any work is done.
+
+    Args:
+        path: of a file to write.
+        suffixes: the allowed ones; any if empty.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        InputError: a wrong suffix, a directory, a link, a pipe, a device, or a folder that does
+            not exist or cannot be written.
+    """
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: {', '.join(suffixes)}")
+    with writing(path):
+        if path.is_symlink():
+            raise InputError(f"{path}: is a link, expected the name of a file")
+        if path.is_dir():
+            raise InputError(f"{path}: is a directory, expected the name of a file")
+        if path.exists():
+            check_file(path)
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: there is no folder {path.parent}, expected an existing one")
+        if not os.access(path.parent, os.W_OK):
+            raise InputError(f"{path}: cannot be written (no permission in {path.parent})")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: exists already, allowed: another name, or --overwrite")

@@ -1,0 +1,68 @@
+"""What commands print and write: their present step, the names of files, and results as JSON."""
+
+import contextvars
+import shlex
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+SECONDS = 5.0  # between lines where there is no terminal
+ARGUMENTS: contextvars.ContextVar[Sequence[str]] = contextvars.ContextVar("ARGUMENTS", default=())
+
+
+@contextmanager
+def steps(console: Console | None = None) -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows the present step of a command until the block ends.
+
+    A terminal has one line that changes. Elsewhere it prints lines, at most one in ``SECONDS``.
+
+    Args:
+        console: that of stderr if not given.
+    """
+    console = console or Console(stderr=True)
+    if console.is_terminal:
+        with console.status("starting") as status:
+            yield status.update
+        return
+    printed = -SECONDS
+
+    def report(text: str) -> None:
+        nonlocal printed
+        if time.monotonic() - printed >= SECONDS:
+            printed = time.monotonic()
+            console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    yield report
+
+
+def note(text: str) -> None:
+    """Print a line to stderr, apart from the results of a command."""
+    Console(stderr=True).print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def wrote(*paths: Path | str | None) -> None:
+    """Say which files a command has written; None is an output that was not asked for."""
+    for path in paths:
+        if path is not None:
+            note(f"wrote {path}")
+
+
+def write_record(
+    path: Path | None, record: Mapping[str, Any], provenance: Mapping[str, Any]
+) -> None:
+    """Write the numbers of a command as JSON with their provenance; nothing if path is None."""
+    from quadjax.core.files import write_json
+
+    if path is not None:
+        write_json(path, {**record, "provenance": provenance})
+        wrote(path)
+
+
+def command_again(without: str = "--overwrite", more: str | None = None) -> str:
+    """The command line that was given, without an option and with another one."""
+    words = [word for word in ARGUMENTS.get() if word not in (without, more)]
+    return shlex.join(["quadjax", *words, *([more] if more else [])])

@@ -1,5 +1,0 @@
-"""Run ``quadjax benchmark``."""
-
-from quadjax.cli import main
-
-main("benchmark")

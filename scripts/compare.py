@@ -1,5 +1,0 @@
-"""Run ``quadjax compare``."""
-
-from quadjax.cli import main
-
-main("compare")

@@ -1,5 +1,0 @@
-"""Run ``quadjax seeds``."""
-
-from quadjax.cli import main
-
-main("seeds")

@@ -1,5 +1,0 @@
-"""Run ``quadjax verify``."""
-
-from quadjax.cli import main
-
-main("verify")
