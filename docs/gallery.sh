@@ -45,7 +45,7 @@ view grand_challenge "A2RL Grand Challenge: a 5-inch drone" \
 view split_s "Split-S: best known race of 20 waypoints" \
   "$laps/split_s.npz" "$laps/published.json" --name "quadjax limit" --name "published (CPC)"
 
-[ -e "$laps/logs" ] || quadjax plant-logs standin --policy e2e_nominal --policy indi_shac \
+[ -e "$laps/logs" ] || quadjax logs standin --policy e2e_nominal --policy indi_shac \
   --flights 1 --laps 3 --output "$laps/logs"
 for policy in e2e_nominal:e2e_shac indi_shac:indi_shac; do
   name=${policy%:*}

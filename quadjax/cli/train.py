@@ -73,6 +73,8 @@ def train(
         raise InputError("--overwrite and --resume exclude each other")
     named = [*overrides, *([f"name={name}"] if name else [])]
     if seeds is not None:
+        if resume or fine_tune is not None:
+            raise InputError("--resume and --fine-tune have no effect with --seeds")
         return _seeds([config, *named], list(dict.fromkeys(seeds)), runs, output, figure, overwrite)
     if figure is not None:
         raise InputError("--figure has no effect without --seeds")

@@ -691,7 +691,7 @@ class Config(Section):
         return self._race_units
 
     def with_notes(self, notes: Sequence[str]) -> Self:
-        """The config with lines that ``quadjax train`` and ``quadjax config`` print."""
+        """The config with lines that ``quadjax train`` and ``quadjax show`` print."""
         copy = self.model_copy()
         copy._notes = tuple(notes)
         return copy

@@ -30,7 +30,7 @@ from quadjax.fitting.motor_checks import check_commands, check_motors, typical_s
 Quantities = dict[str, np.ndarray]
 STANDIN_LOGS = "standin_logs"
 STANDIN_HINT = (
-    "; simulate them: quadjax plant-logs standin --policy e2e_nominal --policy indi_shac "
+    "; simulate them: quadjax logs standin --policy e2e_nominal --policy indi_shac "
     f"--output runs/{STANDIN_LOGS}"
 )
 SIGNALS = (

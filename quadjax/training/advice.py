@@ -14,7 +14,7 @@ CHANGES = {  # by the reason of CRASHES
     "above the body rate limit": "raise rules.body_rate_limit or reward.body_rates",
     "above the training limit of the yaw rate": "raise training_limits.yaw_rate",
     "lost its attitude": "raise training_limits.pitch_deg, or lower vehicle.residual_gain",
-    "not finite": "check the constants of the vehicle: quadjax vehicle FILE",
+    "not finite": "check the constants of the vehicle: quadjax show FILE",
     "ended by an extra rule": "check rules.extra",
     "above the speed limit": "raise reward.overspeed or reward.overspeed_margin",
     "out of time": "raise training_limits.gate_inflation and learner.discount, or run.steps",

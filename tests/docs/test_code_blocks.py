@@ -21,14 +21,12 @@ from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
 from tests.docs.smaller import CODE, WIDE, load_short, short_overrides, smaller
 
 TRAINED = ("README.md", "docs/getting_started/quickstart.md")
-TRAINS = ("train", "seeds")
 OPTIONS = {  # added to a command, unless it has them
     "seeds": ["--seeds", "0", "1", "--runs", "2"],
     "evaluate": ["--runs", "2", "--laps", "1"],
     "compare": ["--runs", "2", "--laps", "1", "--parts", "table"],
     "export": ["--allow-unfinished", *(f"--range={name}={size:g}" for name, size in WIDE.items())],
     "verify": ["--allow-unfinished", "--vectors", "100"],
-    "benchmark": ["--quick", "--repeats", "1"],
 }
 SMALLER = [
     *CODE,
@@ -119,12 +117,12 @@ def shortened(arguments: list[str]) -> list[str]:
     if "--help" in arguments:
         return arguments
     result = list(arguments)
-    if arguments[1] in TRAINS:
+    if arguments[1] == "train":
         changes = [w for w in arguments[3:] if "=" in w and not w.startswith("-")]
         short = short_overrides(arguments[2], changes)
         keys = {change.partition("=")[0] for change in short}
         result = [w for w in result if w.partition("=")[0] not in keys] + short
-    extra = OPTIONS.get(arguments[1], [])
+    extra = OPTIONS.get("seeds" if "--seeds" in arguments else arguments[1], [])
     for option in [w for w in extra if w.startswith("--")]:
         if option in result:
             at = result.index(option)

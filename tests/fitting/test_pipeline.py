@@ -172,7 +172,7 @@ def test_missing_logs_are_one_line_and_no_folder_is_made(tmp_path, capsys):
 def test_missing_logs_of_the_simulated_drone_say_how_they_are_made(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run("fit", "standin") == 2
-    assert "no such file (logs.files); simulate them: quadjax plant-logs standin --policy" in (
+    assert "no such file (logs.files); simulate them: quadjax logs standin --policy" in (
         capsys.readouterr().err
     )
 
