@@ -70,6 +70,7 @@ WITHOUT_CONFIG = (
 )
 # Public functions that also take a preset's name.
 EDGES = {"evaluate", "race_of_policy", "_make", "_make_vector"}
+EDGES |= {"specialize", "outside", "_constants"}  # of the drone of a config
 
 
 def test_only_the_outer_packages_take_a_whole_config():
