@@ -100,7 +100,6 @@ def logs(
     plans = plan_logs(load_config(race or "e2e_shac"), drone, files, flights, laps or 6)
     patterns = [f"{name}_*.csv" for name in plans]
     with claim(output, "logs", patterns, overwrite), steps() as report:
-        report("compiling and simulating")
         written = write_logs(plans, output, seed, report)
     for log in written:
         print(f"wrote {log.path}, {log.rows} rows {log.crash}".rstrip())

@@ -164,7 +164,7 @@ def test_code_that_a_policy_file_names_is_not_imported(tmp_path, capsys):
         for command in (
             ("view", path, "--output", tmp_path / "out.html"),
             ("export", path, "--output", tmp_path / "out"),
-            ("results", path),
+            ("evaluate", "--policy", path),
             ("replay", tmp_path / "log.csv", "--policy", path),
         ):
             assert run(*command) == 2
