@@ -7,18 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.console import Console
 
-from quadjax.cli.options import (
-    Flag,
-    Folder,
-    Laps,
-    Overrides,
-    PolicyFile,
-    RunName,
-    Runs,
-    Seed,
-    config_of,
-    whole,
-)
+from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -28,23 +17,23 @@ Several = Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="
 
 
 def compare(
-    config: Annotated[str, Parameter(name="CONFIG"), config_of("plant")],
+    config: Annotated[str, Parameter(name="CONFIG"), opt.config_of("plant")],
     /,
-    *overrides: Overrides,
-    e2e: PolicyFile = PRETRAINED / "e2e_nominal.npz",
-    indi: PolicyFile = PRETRAINED / "indi_shac.npz",
+    *overrides: opt.Overrides,
+    e2e: opt.PolicyFile = PRETRAINED / "e2e_nominal.npz",
+    indi: opt.PolicyFile = PRETRAINED / "indi_shac.npz",
     race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e_shac",
     parts: Several = None,
     conditions: Several = None,
-    plants: Annotated[int, Parameter(converter=whole(1, 1000))] = 10,
-    laps: Laps = 6,
-    runs: Runs = 100,
-    sampled: Flag = False,
-    seed: Seed = 0,
-    ablation: Folder = PRETRAINED / "ablation",
-    name: RunName = "compare",
-    output: Folder = Path("runs"),
-    overwrite: Flag = False,
+    plants: Annotated[int, Parameter(converter=opt.whole(1, 1000))] = 10,
+    laps: opt.Laps = 6,
+    runs: opt.Runs = 100,
+    sampled: opt.Flag = False,
+    seed: opt.Seed = 0,
+    ablation: opt.Folder = PRETRAINED / "ablation",
+    name: opt.RunName = "compare",
+    output: opt.Folder = Path("runs"),
+    overwrite: opt.Flag = False,
 ) -> None:
     """Compare E2E and INDI in the simulator and on the stand-in plant.
 

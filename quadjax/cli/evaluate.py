@@ -6,22 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from quadjax.cli.options import (
-    FILES,
-    Config,
-    Count,
-    FitConfig,
-    Flag,
-    Gates,
-    Laps,
-    Output,
-    Overrides,
-    Picture,
-    PolicyFile,
-    Positive,
-    Runs,
-    Seed,
-)
+from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, write_record, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -33,6 +18,14 @@ if TYPE_CHECKING:
     from quadjax.policy.file import Policy
 
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
+States = Annotated[
+    Path | None,
+    opt.Output((".npz", ".csv")),
+    Parameter(metavar="FILE.npz|.csv", group=opt.FILES),
+]
+Animation = Annotated[
+    Path | None, opt.Output((".gif",)), Parameter(metavar="FILE.gif", group=opt.FILES)
+]
 Study = Literal["laps", "protocols", "spread", "races", "random-tracks"]
 USED: Mapping[str, set[str]] = {  # options that have an effect on each study, apart from laps
     "protocols": {"runs", "json"},
@@ -50,38 +43,34 @@ FIGURES = {  # methods of an evaluation by the options that write their figures
 
 
 def evaluate(
-    config: Annotated[Config | None, Parameter(name="CONFIG")] = None,
+    config: Annotated[opt.Config | None, Parameter(name="CONFIG")] = None,
     /,
-    *overrides: Overrides,
-    policy: list[PolicyFile] | None = None,
+    *overrides: opt.Overrides,
+    policy: list[opt.PolicyFile] | None = None,
     study: Study | None = None,
-    laps: Laps | None = None,
-    gates: Gates | None = None,
-    runs: Runs | None = None,
+    laps: opt.Laps | None = None,
+    gates: opt.Gates | None = None,
+    runs: opt.Runs | None = None,
     start: Literal["hover", "random"] = "hover",
-    seed: Seed = 0,
-    deterministic: Flag = False,
-    fixed_point: Flag = False,
+    seed: opt.Seed = 0,
+    deterministic: opt.Flag = False,
+    fixed_point: opt.Flag = False,
     range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
-    body: Annotated[Positive | None, Parameter(metavar="RADIUS")] = None,
-    seconds: Count | None = None,
-    offsets: Flag = False,
+    body: Annotated[opt.Positive | None, Parameter(metavar="RADIUS")] = None,
+    seconds: opt.Count | None = None,
+    offsets: opt.Flag = False,
     flights: Annotated[list[str] | None, Parameter(metavar="[LABEL=]FILE", group=RECORDED)] = None,
-    logs: Annotated[FitConfig | None, Parameter(group=RECORDED)] = None,
-    allow_code: Annotated[Flag, Parameter(group=RECORDED)] = False,
+    logs: Annotated[opt.FitConfig | None, Parameter(group=RECORDED)] = None,
+    allow_code: Annotated[opt.Flag, Parameter(group=RECORDED)] = False,
     report: Annotated[Path, Parameter(metavar="DIR", group=RECORDED)] = Path("runs/report"),
-    overwrite: Annotated[Flag, Parameter(group=RECORDED)] = False,
-    json: Annotated[Path | None, Output(), Parameter(metavar="FILE.json", group=FILES)] = None,
-    states: Annotated[
-        Path | None, Output((".npz", ".csv")), Parameter(metavar="FILE.npz|.csv", group=FILES)
-    ] = None,
-    figure: Picture = None,
-    figure_3d: Picture = None,
-    signals: Picture = None,
-    attitude: Picture = None,
-    animation: Annotated[
-        Path | None, Output((".gif",)), Parameter(metavar="FILE.gif", group=FILES)
-    ] = None,
+    overwrite: Annotated[opt.Flag, Parameter(group=RECORDED)] = False,
+    json: opt.AnyFile = None,
+    states: States = None,
+    figure: opt.Picture = None,
+    figure_3d: opt.Picture = None,
+    signals: opt.Picture = None,
+    attitude: opt.Picture = None,
+    animation: Animation = None,
 ) -> int | None:
     """Time the laps of policies, next to the published ones of the same race, if any.
 
@@ -162,7 +151,7 @@ def evaluate(
 def _refuse_others(study: str, options: Mapping[str, Any]) -> None:
     """Refuse options that have no effect on the flights of a study."""
     used = USED.get(study) or set(options) - USED["flights"] - {"seconds"}
-    defaults = {"hover", 0, Path("runs/report")}
+    defaults = ("hover", 0, Path("runs/report"))
     for name, value in options.items():
         if name in used or value is None or value is False or value in defaults:
             continue

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from quadjax.cli.options import Flag, Folder, Overrides, RunName, config_of
+from quadjax.cli import options as opt
 from quadjax.cli.output import steps
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -14,13 +14,13 @@ from quadjax.core.resources import find_config
 
 
 def fit(
-    config: Annotated[str, Parameter(name="CONFIG"), config_of("fit")],
+    config: Annotated[str, Parameter(name="CONFIG"), opt.config_of("fit")],
     /,
-    *overrides: Overrides,
-    name: RunName | None = None,
-    allow_code: Flag = False,
-    output: Folder = Path("runs"),
-    overwrite: Flag = False,
+    *overrides: opt.Overrides,
+    name: opt.RunName | None = None,
+    allow_code: opt.Flag = False,
+    output: opt.Folder = Path("runs"),
+    overwrite: opt.Flag = False,
 ) -> None:
     """Fit the model of a drone to its flight logs.
 

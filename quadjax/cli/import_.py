@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from quadjax.cli.options import Config, Output, Positive, is_override, number, several, whole
+from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 Motors = Annotated[
     tuple[int, int, int, int],
-    Parameter(converter=several(whole(1, 4)).converter, metavar="N N N N"),
+    Parameter(converter=opt.several(opt.whole(1, 4)).converter, metavar="N N N N"),
 ]
 Span = Annotated[
     tuple[float, float],
-    Parameter(converter=several(number(-1e6, 1e6)).converter, metavar="LOW HIGH"),
+    Parameter(converter=opt.several(opt.number(-1e6, 1e6)).converter, metavar="LOW HIGH"),
 ]
 
 
 def import_(
-    config: Config,
+    config: opt.Config,
     /,
     *files: Annotated[str, Parameter(name="FILE|KEY=VALUE", required=True)],
-    output: Annotated[Path, Output((".npz",)), Parameter(metavar="FILE.npz")],
+    output: Annotated[Path, opt.Output((".npz",)), Parameter(metavar="FILE.npz")],
     activation: Literal["relu", "tanh"] | None = None,
-    std: Positive | None = None,
+    std: opt.Positive | None = None,
     motors: Motors | None = None,
     actuator_range: Span | None = None,
     thrust_sign: Literal["1", "-1"] | None = None,
@@ -70,8 +70,8 @@ def import_(
         from quadjax.policy.foreign import policy_of
         from quadjax.vehicle.residual_file import write_residual
 
-    race = load_config(config, [text for text in files if is_override(text)])
-    networks, deviations = _networks([text for text in files if not is_override(text)], std)
+    race = load_config(config, [text for text in files if opt.is_override(text)])
+    networks, deviations = _networks([text for text in files if not opt.is_override(text)], std)
     residual = None
     if len(networks) > 1:
         sign = None if thrust_sign is None else int(thrust_sign)

@@ -5,19 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from quadjax.cli.options import (
-    Config,
-    FitConfig,
-    Flag,
-    Folder,
-    Laps,
-    Overrides,
-    PlantConfig,
-    PolicyFile,
-    Runs,
-    Seed,
-    whole,
-)
+from quadjax.cli import options as opt
 from quadjax.cli.output import command_again, steps
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
@@ -26,31 +14,31 @@ if TYPE_CHECKING:
     from quadjax.studies.improve.run import Report, Setting
 
 FLIGHTS = Group("Flights on the plant", sort_key=2)
-Rounds = Annotated[int, Parameter(converter=whole(1, 100), group=FLIGHTS)]
-Plants = Annotated[int, Parameter(converter=whole(1, 1000), group=FLIGHTS)]
-Check = Annotated[int, Parameter(converter=whole(0, 10_000), group=FLIGHTS)]
+Rounds = Annotated[int, Parameter(converter=opt.whole(1, 100), group=FLIGHTS)]
+Plants = Annotated[int, Parameter(converter=opt.whole(1, 1000), group=FLIGHTS)]
+Check = Annotated[int, Parameter(converter=opt.whole(0, 10_000), group=FLIGHTS)]
 
 
 def improve(
-    config: Config,
+    config: opt.Config,
     /,
-    *overrides: Overrides,
-    policy: PolicyFile,
-    steps_: Annotated[int | None, Parameter(name="--steps", converter=whole(1, 10**9))] = None,
-    fit: FitConfig | None = None,
-    allow_code: Flag = False,
+    *overrides: opt.Overrides,
+    policy: opt.PolicyFile,
+    steps_: Annotated[int | None, Parameter(name="--steps", converter=opt.whole(1, 10**9))] = None,
+    fit: opt.FitConfig | None = None,
+    allow_code: opt.Flag = False,
     logs: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="FILE ...")] = None,
     rounds: Rounds | None = None,
-    flights: Annotated[Runs | None, Parameter(group=FLIGHTS)] = None,
-    laps: Annotated[Laps | None, Parameter(group=FLIGHTS)] = None,
-    plant: Annotated[PlantConfig | None, Parameter(group=FLIGHTS)] = None,
-    plant_seed: Annotated[Seed | None, Parameter(group=FLIGHTS)] = None,
+    flights: Annotated[opt.Runs | None, Parameter(group=FLIGHTS)] = None,
+    laps: Annotated[opt.Laps | None, Parameter(group=FLIGHTS)] = None,
+    plant: Annotated[opt.PlantConfig | None, Parameter(group=FLIGHTS)] = None,
+    plant_seed: Annotated[opt.Seed | None, Parameter(group=FLIGHTS)] = None,
     plants: Plants | None = None,
-    seed: Annotated[Seed | None, Parameter(group=FLIGHTS)] = None,
+    seed: Annotated[opt.Seed | None, Parameter(group=FLIGHTS)] = None,
     check: Check | None = None,
-    reference: Annotated[Flag, Parameter(group=FLIGHTS)] = False,
-    output: Folder = Path("runs/improve"),
-    overwrite: Flag = False,
+    reference: Annotated[opt.Flag, Parameter(group=FLIGHTS)] = False,
+    output: opt.Folder = Path("runs/improve"),
+    overwrite: opt.Flag = False,
 ) -> int:
     """Improve a policy by its own flights: fly, refit the model, fine-tune, repeat.
 

@@ -6,19 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from quadjax.cli.options import (
-    Config,
-    Flag,
-    InputFile,
-    JsonFile,
-    NpzFile,
-    Overrides,
-    Picture,
-    PolicyFile,
-    number,
-    several,
-    whole,
-)
+from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions, loading
@@ -31,35 +19,35 @@ STOPPING = b"\nstopping: the best flight so far is kept; Ctrl-C again ends witho
 FLIGHT = Group("The flight", sort_key=2)
 SEARCH = Group("The search", sort_key=1)
 MAX_LAPS, MAX_GATES, MAX_SECONDS = 20, 200, 86_400
-MeterPerSecond = Annotated[float, Parameter(converter=number(0.1, 1000.0), metavar="M/S")]
-Meter = Annotated[float, Parameter(converter=number(0.0, 1000.0), metavar="M")]
-Radius = Annotated[float, Parameter(converter=number(0.001, 1000.0), metavar="M")]
+MeterPerSecond = Annotated[float, Parameter(converter=opt.number(0.1, 1000.0), metavar="M/S")]
+Meter = Annotated[float, Parameter(converter=opt.number(0.0, 1000.0), metavar="M")]
+Radius = Annotated[float, Parameter(converter=opt.number(0.001, 1000.0), metavar="M")]
 Rates = Annotated[
     tuple[float, float, float],
-    Parameter(converter=several(number(0.01, 1000.0)).converter, metavar="RAD/S"),
+    Parameter(converter=opt.several(opt.number(0.01, 1000.0)).converter, metavar="RAD/S"),
 ]
 
 
 def limit(
-    config: Config,
+    config: opt.Config,
     /,
-    *overrides: Overrides,
-    policy: Annotated[PolicyFile | None, Parameter(group=SEARCH)] = None,
-    guess: Annotated[list[InputFile] | None, Parameter(group=SEARCH)] = None,
+    *overrides: opt.Overrides,
+    policy: Annotated[opt.PolicyFile | None, Parameter(group=SEARCH)] = None,
+    guess: Annotated[list[opt.InputFile] | None, Parameter(group=SEARCH)] = None,
     bound_speed: Annotated[MeterPerSecond | None, Parameter(group=SEARCH)] = None,
-    starts: Annotated[int, Parameter(converter=whole(1, 100), group=SEARCH)] = 2,
-    seconds: Annotated[int, Parameter(converter=whole(1, MAX_SECONDS), group=SEARCH)] = 300,
-    laps: Annotated[int | None, Parameter(converter=whole(1, MAX_LAPS), group=FLIGHT)] = None,
-    gates: Annotated[int | None, Parameter(converter=whole(1, MAX_GATES), group=FLIGHT)] = None,
-    stop: Annotated[Flag, Parameter(group=FLIGHT)] = False,
-    centers: Annotated[Flag, Parameter(group=FLIGHT)] = False,
+    starts: Annotated[int, Parameter(converter=opt.whole(1, 100), group=SEARCH)] = 2,
+    seconds: Annotated[int, Parameter(converter=opt.whole(1, MAX_SECONDS), group=SEARCH)] = 300,
+    laps: Annotated[int | None, Parameter(converter=opt.whole(1, MAX_LAPS), group=FLIGHT)] = None,
+    gates: Annotated[int | None, Parameter(converter=opt.whole(1, MAX_GATES), group=FLIGHT)] = None,
+    stop: Annotated[opt.Flag, Parameter(group=FLIGHT)] = False,
+    centers: Annotated[opt.Flag, Parameter(group=FLIGHT)] = False,
     clearance: Annotated[Meter | None, Parameter(group=FLIGHT)] = None,
     waypoint: Annotated[Radius | None, Parameter(group=FLIGHT)] = None,
     speed: Annotated[MeterPerSecond | None, Parameter(group=FLIGHT)] = None,
     rates: Annotated[Rates | None, Parameter(group=FLIGHT)] = None,
-    json: JsonFile = None,
-    npz: NpzFile = None,
-    figure: Picture = None,
+    json: opt.JsonFile = None,
+    npz: opt.NpzFile = None,
+    figure: opt.Picture = None,
 ) -> int:
     """Compute the best known flight of a race and a lower bound of its time.
 

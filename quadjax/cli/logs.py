@@ -5,20 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from quadjax.cli.options import (
-    Flag,
-    Folder,
-    InputFile,
-    Laps,
-    Overrides,
-    PlantConfig,
-    PolicyFile,
-    Race,
-    Runs,
-    Seed,
-    config_of,
-    number,
-)
+from quadjax.cli import options as opt
 from quadjax.cli.output import steps
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -29,28 +16,29 @@ if TYPE_CHECKING:
 RESIDUAL = "residual.npz"
 RACES = Group("Races on the plant", sort_key=1)
 EXCITATION = Group("Excitation of a model", sort_key=2)
+Seconds = Annotated[float, Parameter(converter=opt.number(1.0, 3600.0), group=EXCITATION)]
 Vehicle = Annotated[
-    str | None, config_of("vehicles"), Parameter(metavar="FILE.yaml", group=EXCITATION)
+    str | None, opt.config_of("vehicles"), Parameter(metavar="FILE.yaml", group=EXCITATION)
 ]
 
 
 def logs(
-    plant: Annotated[PlantConfig | None, Parameter(name="PLANT")] = None,
+    plant: Annotated[opt.PlantConfig | None, Parameter(name="PLANT")] = None,
     /,
-    *overrides: Overrides,
-    output: Folder,
-    flights: Runs = 4,
-    seed: Seed = 0,
-    overwrite: Flag = False,
-    policy: Annotated[list[PolicyFile] | None, Parameter(group=RACES)] = None,
-    race: Annotated[Race, Parameter(group=RACES)] = None,
-    laps: Annotated[Laps | None, Parameter(group=RACES)] = None,
+    *overrides: opt.Overrides,
+    output: opt.Folder,
+    flights: opt.Runs = 4,
+    seed: opt.Seed = 0,
+    overwrite: opt.Flag = False,
+    policy: Annotated[list[opt.PolicyFile] | None, Parameter(group=RACES)] = None,
+    race: Annotated[opt.Race, Parameter(group=RACES)] = None,
+    laps: Annotated[opt.Laps | None, Parameter(group=RACES)] = None,
     vehicle: Vehicle = None,
-    residual: Annotated[InputFile | None, Parameter(group=EXCITATION)] = None,
-    random_residual: Annotated[Seed | None, Parameter(group=EXCITATION)] = None,
+    residual: Annotated[opt.InputFile | None, Parameter(group=EXCITATION)] = None,
+    random_residual: Annotated[opt.Seed | None, Parameter(group=EXCITATION)] = None,
     thrust_std: Annotated[float, Parameter(group=EXCITATION)] = 1.0,
     moment_std: Annotated[float, Parameter(group=EXCITATION)] = 0.015,
-    seconds: Annotated[float, Parameter(converter=number(1.0, 3600.0), group=EXCITATION)] = 30.0,
+    seconds: Seconds = 30.0,
 ) -> None:
     """Write flight logs of a simulated drone.
 

@@ -121,6 +121,7 @@ class Output:
 
 
 JsonFile = Annotated[Path | None, Output((".json",)), Parameter(metavar="FILE.json", group=FILES)]
+AnyFile = Annotated[Path | None, Output(), Parameter(metavar="FILE.json", group=FILES)]
 NpzFile = Annotated[Path | None, Output((".npz",)), Parameter(metavar="FILE.npz", group=FILES)]
 Picture = Annotated[Path | None, Output(PICTURES), Parameter(metavar="FILE.png", group=FILES)]
 

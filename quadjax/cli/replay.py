@@ -5,16 +5,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from quadjax.cli.options import (
-    FitConfig,
-    Flag,
-    Folder,
-    InputFile,
-    JsonFile,
-    PolicyFile,
-    Race,
-    RunName,
-)
+from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -24,18 +15,18 @@ def replay(
     log: Annotated[Path, Parameter(name="LOG")],
     /,
     *,
-    policy: PolicyFile | None = None,
-    logs: FitConfig | None = None,
-    allow_code: Flag = False,
-    race: Race = None,
+    policy: opt.PolicyFile | None = None,
+    logs: opt.FitConfig | None = None,
+    allow_code: opt.Flag = False,
+    race: opt.Race = None,
     track: str | None = None,
-    vehicle: InputFile | None = None,
+    vehicle: opt.InputFile | None = None,
     residual: Annotated[str | None, Parameter(metavar="FILE.npz")] = None,
     drive: Literal["commands", "speeds"] | None = None,
-    json: JsonFile = None,
-    name: RunName = "replay",
-    output: Folder = Path("runs"),
-    overwrite: Flag = False,
+    json: opt.JsonFile = None,
+    name: opt.RunName = "replay",
+    output: opt.Folder = Path("runs"),
+    overwrite: opt.Flag = False,
 ) -> None:
     """Replay a flight log through a policy and a model.
 

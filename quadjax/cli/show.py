@@ -13,7 +13,6 @@ from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import (
     CONFIGS,
-    find_config,
     find_policy,
     policy_names,
     preset_names,
@@ -88,19 +87,21 @@ def show(
 def _kind_of(what: str) -> str:
     """Whether a name or a file is a config, a track, a vehicle or a policy."""
     with loading():
-        from quadjax.core.yaml_files import read_tree_with_bases
+        from quadjax.core.yaml_files import close_match, read_tree_with_bases
         from quadjax.vehicle.registry import MODELS
 
     if Path(what).suffix == ".npz":
         return "policy"
     if not Path(what).is_file():
-        names = {"config": "", "track": "tracks", "vehicle": "vehicles"}
-        for kind, folder in names.items():
-            if Path(what).with_suffix("").name in preset_names(folder):
+        kinds = {"config": "", "track": "tracks", "vehicle": "vehicles"}
+        names = {kind: preset_names(folder) for kind, folder in kinds.items()}
+        names["policy"] = policy_names()
+        for kind, known in names.items():
+            if Path(what).with_suffix("").name in known:
                 return kind
-        if find_policy(what) != Path(what):
-            return "policy"
-    tree = read_tree_with_bases(find_config(what))
+        hint = close_match(what, [name for known in names.values() for name in known])
+        raise InputError(f"{what}: no such name or file{hint}; quadjax show lists the names")
+    tree = read_tree_with_bases(what)
     if "gates" in tree:
         return "track"
     return "vehicle" if {"models", *MODELS} & set(tree) else "config"

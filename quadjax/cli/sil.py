@@ -6,18 +6,7 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter, Token
 
-from quadjax.cli.options import (
-    Flag,
-    Folder,
-    Laps,
-    Overrides,
-    PlantConfig,
-    Race,
-    RunName,
-    Runs,
-    Seed,
-    number,
-)
+from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import interruptions, loading
@@ -35,36 +24,36 @@ def _address(_: object, tokens: Sequence[Token]) -> tuple[str, int]:
 
 
 Address = Annotated[tuple[str, int], Parameter(converter=_address, metavar="HOST:PORT", n_tokens=1)]
-Probability = Annotated[float, Parameter(converter=number(0.0, 1.0), metavar="P", group=FAULTS)]
+Probability = Annotated[float, Parameter(converter=opt.number(0.0, 1.0), metavar="P", group=FAULTS)]
 
 
 def sil(
     source: Annotated[Path, Parameter(name="DIR")],
     /,
-    *overrides: Overrides,
+    *overrides: opt.Overrides,
     listen: Address | None = None,
-    race: Race = None,
-    plant: PlantConfig | None = None,
-    simulator: Flag = False,
+    race: opt.Race = None,
+    plant: opt.PlantConfig | None = None,
+    simulator: opt.Flag = False,
     speed: Annotated[
-        float | None, Parameter(converter=number(0.01, 1000.0, {"max": None}), metavar="X")
+        float | None, Parameter(converter=opt.number(0.01, 1000.0, {"max": None}), metavar="X")
     ] = None,
-    laps: Laps | None = None,
-    runs: Runs = 1,
-    seed: Seed = 0,
-    timeout: Annotated[float, Parameter(converter=number(0.001, 3600.0), metavar="S")] = 5.0,
+    laps: opt.Laps | None = None,
+    runs: opt.Runs = 1,
+    seed: opt.Seed = 0,
+    timeout: Annotated[float, Parameter(converter=opt.number(0.001, 3600.0), metavar="S")] = 5.0,
     drop: Probability = 0.0,
     late: Probability = 0.0,
     delay: Annotated[
-        float | None, Parameter(converter=number(0.0, 10_000.0), metavar="MS", group=FAULTS)
+        float | None, Parameter(converter=opt.number(0.0, 10_000.0), metavar="MS", group=FAULTS)
     ] = None,
     damage: Probability = 0.0,
     nan: Annotated[list[str] | None, Parameter(metavar="FIELD=P", group=FAULTS)] = None,
     wrong_unit: Annotated[list[str] | None, Parameter(metavar="FIELD=UNIT", group=FAULTS)] = None,
-    view: Flag = False,
-    name: RunName = "sil",
-    output: Folder = Path("runs"),
-    overwrite: Flag = False,
+    view: opt.Flag = False,
+    name: opt.RunName = "sil",
+    output: opt.Folder = Path("runs"),
+    overwrite: opt.Flag = False,
 ) -> int:
     """Fly exported C on a simulated drone: software in the loop.
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from quadjax.cli.options import Count, Flag, Folder, Overrides, config_of
+from quadjax.cli import options as opt
 from quadjax.core.errors import INTERRUPTED
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
@@ -24,14 +24,14 @@ FILES = (  # written by a sweep
 
 
 def sweep(
-    config: Annotated[str, Parameter(name="CONFIG"), config_of("sweeps")],
+    config: Annotated[str, Parameter(name="CONFIG"), opt.config_of("sweeps")],
     /,
-    *overrides: Overrides,
-    workers: Count | None = None,
-    check: Flag = False,
-    report: Flag = False,
-    overwrite: Flag = False,
-    output: Folder = Path("runs"),
+    *overrides: opt.Overrides,
+    workers: opt.Count | None = None,
+    check: opt.Flag = False,
+    report: opt.Flag = False,
+    overwrite: opt.Flag = False,
+    output: opt.Folder = Path("runs"),
 ) -> int:
     """Search a space of training configs.
 

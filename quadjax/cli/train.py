@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from quadjax.cli import STARTED
-from quadjax.cli.options import (
-    Config,
-    Flag,
-    Folder,
-    Overrides,
-    Picture,
-    PolicyFile,
-    RunName,
-    Runs,
-    Seeds,
-    is_override,
-)
+from quadjax.cli import options as opt
 from quadjax.cli.output import command_again, write_record, wrote
 from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
@@ -33,17 +22,17 @@ SEEDS = Group("Several seeds", sort_key=2)
 
 
 def train(
-    config: Config,
+    config: opt.Config,
     /,
-    *overrides: Overrides,
-    name: RunName | None = None,
-    output: Folder = Path("runs"),
-    resume: Flag = False,
-    overwrite: Flag = False,
-    fine_tune: PolicyFile | None = None,
-    seeds: Annotated[Seeds | None, Parameter(group=SEEDS)] = None,
-    runs: Annotated[Runs, Parameter(group=SEEDS)] = 100,
-    figure: Picture = None,
+    *overrides: opt.Overrides,
+    name: opt.RunName | None = None,
+    output: opt.Folder = Path("runs"),
+    resume: opt.Flag = False,
+    overwrite: opt.Flag = False,
+    fine_tune: opt.PolicyFile | None = None,
+    seeds: Annotated[opt.Seeds | None, Parameter(group=SEEDS)] = None,
+    runs: Annotated[opt.Runs, Parameter(group=SEEDS)] = 100,
+    figure: opt.Picture = None,
 ) -> int:
     """Train a racing policy.
 
@@ -220,7 +209,7 @@ def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
     from quadjax.core.resources import find_config
     from quadjax.evaluation.curves import check_lengths
 
-    overrides = [each for each in words if is_override(each)]
+    overrides = [each for each in words if opt.is_override(each)]
     files = [str(find_config(each)) for each in words if each not in overrides]
     configs = [load_config(path, overrides) for path in files]
     names = [config.name for config in configs]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from quadjax.cli.options import FitConfig, Flag, Laps, Output, Race, Runs, Seed
+from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
@@ -15,19 +15,19 @@ from quadjax.core.interruptions import loading
 
 def view(
     *flights: Annotated[str, Parameter(name="FLIGHTS", required=True)],
-    output: Annotated[Path, Output((".html", ".json")), Parameter(metavar="FILE.html")] = Path(
+    output: Annotated[Path, opt.Output((".html", ".json")), Parameter(metavar="FILE.html")] = Path(
         "flights.html"
     ),
     name: list[str] | None = None,
     title: str | None = None,
-    race: Race = None,
-    laps: Laps | None = None,
-    runs: Runs = 1,
-    sampled: Flag = False,
-    seed: Seed = 0,
-    logs: FitConfig | None = None,
-    allow_code: Flag = False,
-    open_: Annotated[Flag, Parameter(name="--open")] = False,
+    race: opt.Race = None,
+    laps: opt.Laps | None = None,
+    runs: opt.Runs = 1,
+    sampled: opt.Flag = False,
+    seed: opt.Seed = 0,
+    logs: opt.FitConfig | None = None,
+    allow_code: opt.Flag = False,
+    open_: Annotated[opt.Flag, Parameter(name="--open")] = False,
 ) -> None:
     """Write flights as an interactive 3D page that opens without a server or network.
 
