@@ -1,66 +1,83 @@
-"""Compute best known laps and lower bounds of the published tracks for several drones.
+"""Best known laps and lower bounds of the published tracks for several drones, as a table.
 
-Each pair of a track and a drone is written to FOLDER as .json and .npz when it is done. The script
-continues where it was interrupted: a pair with a .json file is not computed again. The table, of
-docs/design/limits.md, is printed as Markdown.
+Each pair of a track and a drone is written to FOLDER as .json and .npz when it is done. A pair with
+a .json file is not computed again, so that the script continues where it was interrupted. An .npz
+file without one, such as a lap of an earlier version, is an initial guess.
 
-    python -m benchmarks.limits runs/limits
+    python -m benchmarks.limits FOLDER [--tracks square4 ..] [--drones a2rl ..] [--seconds 300]
 """
 
+import argparse
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-from cyclopts import Parameter
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.core.files import read_json, write_json
+from quadjax.limits.bound import lower_bound
+from quadjax.limits.problem import Flight, make_problem
+from quadjax.limits.report import read_guess, to_json, write_flight, write_unverified
+from quadjax.limits.search import NotFoundError, Search
 
-from quadjax.cli import script
-from quadjax.cli.options import Flag, Folder, whole
-from quadjax.cli.output import steps
-from quadjax.core.errors import InputError
-from quadjax.core.interruptions import interruptions
-from quadjax.studies import limits_table
+TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s", "grand_challenge")
+DRONES = {  # by name: a preset and overrides
+    "bebop_e2e": ("e2e_race",),
+    "bebop_indi": ("indi_fastest",),
+    "5inch": ("e2e_fastest", "vehicle=5inch"),
+    "3inch": ("e2e_fastest", "vehicle=3inch"),
+    "a2rl": ("e2e_fastest", "vehicle=a2rl"),
+}
 
-STOPPING = b"\nstopping: the table is continued by the same command\n"
-Names = Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="NAME ...")]
+
+def compute(track: str, drone: str, path: Path, seconds: float, starts: int) -> dict[str, Any]:
+    """The result of one pair, as of ``quadjax limit --json``; an ``error`` where there is none."""
+    preset, *overrides = DRONES[drone]
+    config = load_config(preset, [f"track={track}", *overrides])
+    fitted = config.vehicle.fitted_speed
+    problem = make_problem(*race_of(config), Flight(fitted_speed=fitted))
+    flight = path.with_suffix(".npz")
+    guesses = {"earlier flight": read_guess(problem, str(flight))} if flight.exists() else {}
+    try:
+        best = Search(problem, seconds).run(guesses, starts)
+    except NotFoundError as error:
+        if not guesses:
+            write_unverified(flight, error)
+        return {"error": str(error)}
+    top = best.check.top_speed
+    bound = lower_bound(problem, max(top, min(1.2 * top, problem.speed_limit)), best.total)
+    result = to_json(config, problem, best, bound, None, None)
+    write_flight(flight, config, problem, best, result)
+    return result
 
 
-def limits(
-    folder: Annotated[Path, Parameter(name="FOLDER")],
-    /,
-    *,
-    tracks: Names = None,
-    drones: Names = None,
-    seconds: Annotated[int, Parameter(converter=whole(1, 86_400))] = 300,
-    starts: Annotated[int, Parameter(converter=whole(1, 100))] = 2,
-    policies: Folder | None = None,
-    no_centers: Flag = False,
-) -> int:
-    """Compute best known laps and lower bounds of several drones, and print the table.
+def row(name: str, result: dict[str, Any]) -> str:
+    """One line of the table."""
+    if "error" in result:
+        return f"| {name} | | | | {result['error']} |"
+    low = result["lower_bound"]
+    bound = "" if low is None else f"{low:.3f} s"
+    times = f"{bound} | {result['best_known']:.4f} s | {result['seconds']:.0f} s"
+    return f"| {name} | {times} | {result['guess']} |"
 
-    Args:
-        folder: Of the results.
-        tracks: Names of tracks (default: the table's five).
-        drones: Names of drones (default: all five).
-        seconds: Processor time of a pair's searches at most.
-        starts: Number of initial guesses.
-        policies: Folder of policies to compare with and to start from, named as the results:
-            square4_5-inch.npz (default: the shipped ones).
-        no_centers: No lap through the centers of the gates.
-    """
-    chosen = tracks or list(limits_table.TRACKS)
-    if policies is not None and not policies.is_dir():
-        raise InputError(f"--policies: {policies} is not a folder")
-    names = drones or list(limits_table.DRONES)
-    for name in names:
-        if name not in limits_table.DRONES:
-            known = ", ".join(limits_table.DRONES)
-            raise InputError(f"--drones: {name!r} is not a drone of the table: {known}")
-    with interruptions(STOPPING) as stop, steps() as report:
-        limits_table.make(
-            folder, chosen, names, seconds, policies, stop, report, starts, not no_centers
-        )
-    print(limits_table.markdown(folder, chosen))
-    return 1 if stop.is_set() else 0
+
+def main() -> None:
+    """Compute what is missing and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--tracks", nargs="+", default=TRACKS)
+    parser.add_argument("--drones", nargs="+", default=tuple(DRONES), choices=tuple(DRONES))
+    parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--starts", type=int, default=2)
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    print("| track, drone | lower bound | best known | computing | from |\n|---|---|---|---|---|")
+    for track in options.tracks:
+        for drone in options.drones:
+            path = options.folder / f"{track}_{drone}.json"
+            if not path.exists():
+                write_json(path, compute(track, drone, path, options.seconds, options.starts))
+            print(row(f"{track}, {drone}", read_json(path)), flush=True)
 
 
 if __name__ == "__main__":
-    script(limits)
+    main()

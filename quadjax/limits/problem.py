@@ -1,24 +1,56 @@
-"""A time-optimal flight: vehicle, gates, rules, start and end."""
+"""A time-optimal flight: a race's drone, gates and rules in float64, its start and its end.
+
+A state is a vector (13 + actuators,): position, velocity, unit quaternion (body to world), body
+rates, actuators. Models with Euler angles are solved with a quaternion, too.
+"""
 
 import dataclasses
 import functools
-from typing import Any, Literal
+import math
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
-from quadjax.core.vectors import Vec3
+from quadjax.core.quaternion import Quaternion
 from quadjax.limits.gates import Gates, gates_of
-from quadjax.race.environment import RaceParams
-from quadjax.race.rules import BENEATH, Frame, Landing
-from quadjax.race.start import hover
-from quadjax.race.track import Track
-from quadjax.vehicle.protocol import Motion, State, VehicleModel, VehicleParams
+from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules, hover_start
+from quadjax.race.rules import BENEATH
+from quadjax.vehicle.attitude import with_quaternions
+from quadjax.vehicle.protocol import State, VehicleModel
 
-NO_BOUNDS = ((-np.inf,) * 3, (np.inf, np.inf, 0.0))  # the ground is at z = 0
+POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
+ACTUATORS = slice(13, None)
 CENTERED = 0.02  # m from a center, within which a flight passes through it
-Start = Literal["periodic", "hover"]
+TIME_STEP = 1e-3  # s, for which a command is held in the verification
+SPEED = 60.0  # m/s, the limit of a drone without ``fitted_speed``
+BELOW_RULE = 0.998  # of a limit of the race, at the nodes: between them a flight may exceed it
+Tree = TypeVar("Tree")
+
+
+@dataclasses.dataclass(frozen=True)
+class Flight:
+    """What is flown, in place of a periodic lap.
+
+    Attributes:
+        gates: gates of a flight from the start; None: a periodic lap, or ``laps``.
+        laps: laps of a flight from the start; None: a periodic lap, or ``gates``.
+        stops: whether it ends at rest in the center of the last gate.
+        clearance: m from the edges of the openings; None: through the centers.
+        speed: m/s, the speed limit; None: ``fitted_speed``, or ``SPEED`` where it is unknown.
+        fitted_speed: m/s, highest speed of the flights that the model is fitted to; None: unknown.
+    """
+
+    gates: int | None = None
+    laps: int | None = None
+    stops: bool = False
+    clearance: float | None = 0.0
+    speed: float | None = None
+    fitted_speed: float | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -26,225 +58,202 @@ class Problem:
     """A flight whose time is to be as small as possible.
 
     Attributes:
-        model: the vehicle model.
-        vehicle: its constants and residual, in float64.
-        track: gates and start.
-        gates: of the track, in float64.
-        passages: number of gates to pass, in the track's order, again from its first after its
-            last; a periodic flight passes each gate once.
-        start: ``periodic``: the state at the end is the state at the start, in the last gate;
-            ``hover``: from the start of timed laps, at rest.
-        stops: whether the flight ends at rest in the center of the last gate.
-        clearance: distance from every edge of the openings, m; None: through the centers.
+        choices: of the race: RK4, and gates passed where the path crosses their planes.
+        params: numbers of the race without training limits, in float64, with steps of 1 ms.
+        flight: its length, end and clearance.
+        gates: of the track, smaller by the radius of the drone.
+        order: indices of the gates to pass, one for each leg.
+        periodic: whether the flight ends, in the last gate, in the state in which it starts;
+            otherwise it is from the start of timed laps, at rest.
         bounds: lowest and highest position, m, (2, 3).
         rate_limit: largest body rates about x, y and z, rad/s, (3,).
-        pitch_limit: rad.
         speed_limit: m/s.
-        speed_rule: m/s, of the race; a faster flight is rejected.
-        fitted_speed: highest speed of the flights that the model is fitted to, m/s.
-        frame: solid frames around the openings.
-        landing: largest speed near the ground; None: no flight below the ground.
-        radius: of the drone, m. ``gates`` and ``bounds`` are already smaller by it.
+        pitch_limit: rad; inf where the attitude is a quaternion in the race, too.
+        landing: the height, m, below which flight is slower than a speed, m/s; None: no such rule.
+        frame_depth: m, of the solid frames and the drone, on each side of a gate; None: no frames.
     """
 
-    model: VehicleModel
-    vehicle: VehicleParams
-    track: Track
+    choices: Choices
+    params: RaceParams
+    flight: Flight
     gates: Gates
-    passages: int
-    start: Start = "periodic"
-    stops: bool = False
-    clearance: float | None = 0.0
-    bounds: np.ndarray = dataclasses.field(default_factory=lambda: np.array(NO_BOUNDS))
-    rate_limit: np.ndarray = dataclasses.field(default_factory=lambda: np.full(3, np.inf))
-    pitch_limit: float = np.inf
-    speed_limit: float = 30.0
-    speed_rule: float = np.inf
-    fitted_speed: float = np.inf
-    frame: Frame | None = None
-    landing: Landing | None = None
-    radius: float = 0.0
+    order: np.ndarray
+    periodic: bool
+    bounds: np.ndarray
+    rate_limit: np.ndarray
+    speed_limit: float
+    pitch_limit: float
+    landing: tuple[float, float] | None
+    frame_depth: float | None
 
-    def __post_init__(self) -> None:
-        """Raise an ``InputError`` for a gate that no flight can pass."""
-        _ = self.normalized  # computed here, outside of traced functions
-        low, high = self.bounds
-        for index in range(self.gate_count):
-            half = self.gates.smallest(index)
-            if self.clearance is not None and self.clearance >= half:
-                raise InputError(
-                    f"gate {index + 1}: a clearance of {self.clearance:g} m leaves no opening "
-                    f"(half of its smaller side is {half:g} m)"
-                )
-            inside = self.gates.shrunk(index, self.clearance)
-            if np.any(inside.max(axis=0) < low) or np.any(inside.min(axis=0) > high):
-                raise InputError(
-                    f"gate {index + 1}: unreachable, outside the bounds of the race and the ground"
-                )
-        start = leaves(self.model.position(self.hover_state))
-        if self.start == "hover" and np.any((start < low) | (start > high)):
-            raise InputError(f"the start at {start.round(3).tolist()} is outside the bounds")
+    @property
+    def model(self) -> VehicleModel:
+        """The vehicle model, with a quaternion."""
+        return self.choices.model
 
     def leeway(self, index: int, place: np.ndarray) -> float:
         """How far, m, a passage of a gate is inside what the clearance leaves; negative outside.
 
         Through the centers, within ``CENTERED`` of the center.
         """
-        if self.clearance is None:
+        if self.flight.clearance is None:
             return float(CENTERED - np.linalg.norm(place - self.gates.position[index]))
-        return self.gates.clearance(index, place) - self.clearance
-
-    @property
-    def gate_count(self) -> int:
-        """Number of gates of the track."""
-        return len(self.gates.position)
-
-    @property
-    def order(self) -> np.ndarray:
-        """Indices of the gates to pass, one for each leg."""
-        return np.arange(self.passages) % self.gate_count
+        return self.gates.clearance(index, place) - self.flight.clearance
 
     @functools.cached_property
-    def hover_state(self) -> State:
-        """The start of timed laps: hover at the track's start, or in the last gate."""
+    def race_start(self) -> RaceState:
+        """The start of timed laps: at rest at the track's start, or in the last gate."""
         with jax.enable_x64(True):
-            return wide(hover(self.model, self.vehicle.constants, wide(self.track)))
-
-    def hover_at(self, *motion: np.ndarray) -> np.ndarray:
-        """Leaves of a state with the actuators of a hover.
-
-        Args:
-            motion: position, velocity, Euler angles and, if not zero, body rates, each (3,).
-        """
-        parts = [*motion, np.zeros(3)][:4]
-        vectors = (Vec3.of(np.asarray(x, np.float64)) for x in parts)
-        with jax.enable_x64(True):
-            return leaves(self.model.hover(self.vehicle.constants, Motion(*vectors)))
-
-    def specific_force(self, state: np.ndarray) -> np.ndarray:
-        """The specific force (3,), m/s^2, body, of the leaves of a state."""
-        with jax.enable_x64(True):
-            return leaves(self.model.specific_force(self.vehicle, self.state(state)))
+            return double(hover_start(self.choices, self.params))
 
     @functools.cached_property
-    def actuator_leaves(self) -> list[int]:
-        """Indices of the leaves that are the actuators' state, in its order."""
-        return self.leaf_indices("actuator_state")
+    def start(self) -> np.ndarray:
+        """The state at the start of timed laps."""
+        with jax.enable_x64(True):
+            return np.asarray(self.vector(self.race_start.drone))
 
-    def leaf_indices(self, name: str) -> list[int]:
-        """Indices of the leaves that a function of the model returns, in its order."""
-        start = self.hover_at(*np.zeros((3, 3)))
-        read = getattr(self.model, name)
-        base = leaves(read(self.state(start)))
-        found: dict[int, int] = {}
-        for index in range(len(start)):
-            moved = start.copy()
-            moved[index] += 1.0
-            (changed,) = np.nonzero(np.abs(leaves(read(self.state(moved))) - base) > 0.5)
-            if len(changed) == 1:
-                found[int(changed[0])] = index
-        return [found[row] for row in range(len(base))]
+    @functools.cached_property
+    def level(self) -> np.ndarray:
+        """The state of ``start``, level and with the nose to the north."""
+        return np.concatenate([self.start[:6], np.eye(4)[0], self.start[10:]])
 
     @functools.cached_property
     def command_range(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest command, as leaves."""
-        low, high = self.model.command_range(self.vehicle.constants)
-        return leaves(low), leaves(high)
+        """Lowest and highest command."""
+        low, high = self.model.command_range(self.params.vehicle.constants)
+        return numbers(low), numbers(high)
 
     @functools.cached_property
-    def structure(self) -> tuple[Any, Any]:
-        """Tree structures of the state and of the command."""
-        low, _ = self.model.command_range(self.vehicle.constants)
-        return jax.tree.structure(self.hover_state), jax.tree.structure(low)
+    def actuator_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest state of the actuators."""
+        low, high = self.model.actuator_range(self.params.vehicle.constants)
+        return numbers(low), numbers(high)
 
     @functools.cached_property
-    def angles(self) -> np.ndarray:
-        """Which leaves of the state are angles (leaves,): ``model.wrap`` wraps them."""
-        moved = leaves(self.hover_state) + 0.3
-        base = leaves(self.model.wrap(self.state(moved)))
-        found = np.zeros(len(moved), bool)
-        for index in range(len(moved)):
-            turned = moved.copy()
-            turned[index] += 2.0 * np.pi
-            wrapped = leaves(self.model.wrap(self.state(turned)))
-            found[index] = abs(wrapped[index] - turned[index]) > 1.0 and np.allclose(
-                wrapped, base, atol=1e-4
-            )
-        return found
+    def _places(self) -> list[int]:
+        """Which leaves of the model's state the entries of a vector are, by field."""
+        leaves, structure = jax.tree.flatten(self.race_start.drone)
+        indices, model = structure.unflatten(range(len(leaves))), self.model
+        nodes = jax.tree.leaves(indices, is_leaf=lambda node: isinstance(node, Quaternion))
+        (attitude,) = (node for node in nodes if isinstance(node, Quaternion))
+        fields = model.position(indices), model.velocity(indices), attitude, model.rates(indices)
+        return jax.tree.leaves((*fields, model.actuator_state(indices)))
 
-    @functools.cached_property
-    def normalized(self) -> np.ndarray:
-        """Which leaves are those of a quaternion (leaves,): ``model.wrap`` normalizes them."""
-        start = leaves(self.hover_state)
-        mixed = np.where(self.angles, start, start + 1.0)
-        wrapped = leaves(self.model.wrap(self.state(mixed)))
-        return (np.abs(wrapped - mixed) > 1e-3) & ~self.angles
+    def state(self, vector: np.ndarray | jax.Array) -> State:
+        """The model's state of a vector; its disturbances are zero."""
+        leaves, structure = jax.tree.flatten(self.race_start.drone)
+        for index, place in enumerate(self._places):
+            leaves[place] = vector[index]
+        return structure.unflatten(leaves)
 
-    def state(self, values: Any) -> State:
-        """The state of its leaves."""
-        return jax.tree.unflatten(self.structure[0], list(values))
+    def vector(self, state: State) -> jax.Array:
+        """The vector of a state of the model."""
+        leaves = jax.tree.leaves(state)
+        return jnp.stack([jnp.asarray(leaves[place]) for place in self._places])
 
-    def command(self, values: Any) -> Any:
-        """The command of its leaves."""
-        return jax.tree.unflatten(self.structure[1], list(values))
+    def slope(self, vector: jax.Array, command: jax.Array) -> jax.Array:
+        """The time derivative of a state under the numbers of a command.
+
+        The quaternion is normalized before: its length may drift on a coarse mesh and would then
+        scale the thrust.
+        """
+        low, _ = self.model.command_range(self.params.vehicle.constants)
+        held = jax.tree.structure(low).unflatten([command[i] for i in range(command.shape[0])])
+        state = self.model.hold(self.model.wrap(self.state(vector)), held)
+        return self.vector(self.model.derivative(self.params.vehicle, state, held))
+
+    def specific_force(self, vector: np.ndarray) -> np.ndarray:
+        """The specific force (3,), m/s^2, body."""
+        with jax.enable_x64(True):
+            return numbers(self.model.specific_force(self.params.vehicle, self.state(vector)))
+
+    def vectors(self, motion: Sequence[np.ndarray], actuators: np.ndarray) -> np.ndarray:
+        """States (n, 13 + actuators) without jumps of a quaternion's sign.
+
+        ``motion`` is position, velocity, Euler angles (roll, pitch, yaw) and body rates, (n, 3)
+        each.
+        """
+        position, velocity, euler, rates = motion
+        quaternion = Rotation.from_euler("ZYX", euler[:, ::-1]).as_quat()[:, [3, 0, 1, 2]]
+        same = np.sum(quaternion[1:] * quaternion[:-1], axis=1) >= 0.0
+        quaternion[1:] *= np.cumprod(np.where(same, 1.0, -1.0))[:, None]
+        return np.concatenate([position, velocity, quaternion, rates, actuators], axis=1)
 
 
-def leaves(tree: Any) -> np.ndarray:
+def euler_of(vectors: np.ndarray) -> np.ndarray:
+    """Roll, pitch and yaw (n, 3), rad, of states (n, 13 + actuators)."""
+    rotation = Rotation.from_quat(vectors[:, ATTITUDE][:, [1, 2, 3, 0]])
+    return rotation.as_euler("ZYX")[:, ::-1]
+
+
+def numbers(tree: Any) -> np.ndarray:
     """The leaves of a pytree of scalars, in float64."""
     return np.array([float(leaf) for leaf in jax.tree.leaves(tree)])
 
 
-def wide(tree: Any) -> Any:
-    """A pytree of numbers in float64."""
-    return jax.tree.map(lambda x: np.asarray(x, np.float64), tree)
+def double(tree: Tree) -> Tree:
+    """A pytree of arrays with its floating-point numbers in float64."""
+    arrays = jax.tree.map(np.asarray, tree)
+    return jax.tree.map(lambda x: x.astype(np.float64) if x.dtype.kind == "f" else x, arrays)
 
 
-def make_problem(
-    model: VehicleModel,
-    params: RaceParams,
-    world_box: bool = False,
-    *,
-    passages: int | None = None,
-    waypoint: float | None = None,
-    **options: Any,
-) -> Problem:
+def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = None) -> Problem:
     """The time-optimal flight of a race.
 
     Args:
-        model: the vehicle model.
-        params: the numbers of the race; training limits are ignored.
-        world_box: the rule ``gate_test: world_box``.
-        passages: number of gates to pass; None: each of the track once.
-        waypoint: as of ``gates_of``.
-        options: further fields of ``Problem``.
+        choices: of the race.
+        params: of the race; training limits are ignored.
+        flight: what is flown; None: a periodic lap.
 
     Raises:
-        InputError: a gate that cannot be passed.
+        InputError: a rule that is not supported, or a gate that cannot be passed.
     """
-    limits = params.limits
+    flight = flight or Flight()
+    if choices.gate_test == "world_box":
+        raise InputError("rules.gate_test: world_box is not supported by time-optimal laps")
+    if params.battery is not None:
+        raise InputError("battery: time-optimal laps do not support it, allowed: null")
+    model, params = choices.model, double(exact_rules(choices.model, params))
+    if math.isfinite(model.pitch_limit):
+        model = with_quaternions(model)
+    choices = dataclasses.replace(choices, model=model, integrator="rk4", gate_test="interpolated")
+    steps = {"time_step": np.float64(TIME_STEP), "episode_steps": np.int32(10**9)}
+    params = params.replace(limits=params.limits.replace(**steps))
+    limits, landing, frame = params.limits, params.limits.landing, params.limits.frame
     radius = 0.0 if limits.body_radius is None else float(limits.body_radius)
-    bounds = np.array(NO_BOUNDS)
-    bounds[1, 2] = -radius if limits.landing is None else BENEATH
-    edge = float(limits.position)
-    bounds[:, :2] = [[-edge] * 2, [edge] * 2]
-    if limits.bounds is not None:
-        low, high = (leaves(end) for end in limits.bounds)
-        inner = np.maximum(bounds[0], low + radius), np.minimum(bounds[1], high - radius)
-        bounds = np.array(inner)
-    gates = gates_of(params.track, world_box, waypoint, radius)
-    if not params.track.closed:
-        options["start"] = "hover"
-    fields = {"bounds": bounds, "frame": limits.frame, "landing": limits.landing} | options
-    fields["radius"] = radius
-    axes = np.full(3, float(limits.body_rate))
-    if limits.axis_rates is not None:
-        axes = leaves(limits.axis_rates)
+    gates = gates_of(params.track, radius)
+    count = len(gates.position)
+    rates = (limits.body_rate,) * 3 if limits.axis_rates is None else limits.axis_rates
+    fastest = math.inf if limits.speed is None else float(limits.speed)
+    narrowest = int(np.argmin(gates.half_size.min(axis=1)))
+    half = gates.half_size[narrowest].min()
+    if flight.clearance is not None and flight.clearance >= half:
+        raise InputError(
+            f"gate {narrowest + 1}: a clearance of {flight.clearance:g} m leaves no opening "
+            f"(half of its smaller side is {half:g} m)"
+        )
     return Problem(
-        model,
-        wide(params.vehicle),
-        params.track,
-        gates,
-        len(gates.position) if passages is None else passages,
-        pitch_limit=float(model.pitch_limit),
-        **({"rate_limit": axes} | fields),
+        choices=choices,
+        params=params,
+        flight=flight,
+        gates=gates,
+        order=np.arange(flight.gates or (flight.laps or 1) * count) % count,
+        periodic=bool(params.track.closed and not (flight.gates or flight.laps or flight.stops)),
+        bounds=_bounds(params, radius),
+        rate_limit=BELOW_RULE * numbers(rates),
+        speed_limit=min(flight.speed or flight.fitted_speed or SPEED, BELOW_RULE * fastest),
+        pitch_limit=float(limits.pitch),
+        landing=landing and (float(landing.height), float(landing.speed)),
+        frame_depth=frame and 0.5 * float(frame.depth) + radius,
     )
+
+
+def _bounds(params: RaceParams, radius: float) -> np.ndarray:
+    """Lowest and highest position (2, 3) of the drone's center, m."""
+    limits, edge = params.limits, float(params.limits.position)
+    ground = -radius if limits.landing is None else BENEATH
+    bounds = np.array([[-edge, -edge, -np.inf], [edge, edge, ground]])
+    if limits.bounds is None:
+        return bounds
+    low, high = (numbers(end) for end in limits.bounds)
+    return np.array([np.maximum(bounds[0], low + radius), np.minimum(bounds[1], high - radius)])

@@ -2,7 +2,11 @@
 
 import dataclasses
 
+import jax
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from quadjax.limits.problem import Problem
 
 
 @dataclasses.dataclass(frozen=True)
@@ -10,7 +14,7 @@ class Trajectory:
     """States and commands at the nodes of a mesh, with as many intervals in each leg."""
 
     leg_times: np.ndarray  # (legs,) s
-    states: np.ndarray  # (nodes, state leaves)
+    states: np.ndarray  # (nodes, 13 + actuators), as of ``Problem``
     commands: np.ndarray  # (nodes, commands)
 
     @property
@@ -29,12 +33,24 @@ class Trajectory:
         steps = np.repeat(self.leg_times / self.intervals, self.intervals)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
-    def resample(self, intervals: int) -> "Trajectory":
-        """The trajectory on another mesh, interpolated linearly."""
+    def curve(self, problem: Problem) -> CubicHermiteSpline:
+        """The states as a function of time, with the slopes that the equations give."""
+        with jax.enable_x64(True):
+            slopes = np.asarray(jax.jit(jax.vmap(problem.slope))(self.states, self.commands))
+        return CubicHermiteSpline(self.times, self.states, slopes)
+
+    def resample(self, intervals: int, problem: Problem | None = None) -> "Trajectory":
+        """The trajectory on another mesh, interpolated linearly.
+
+        With a problem, the states are those that the collocation has between the nodes.
+        """
         old = np.linspace(0, len(self.leg_times), len(self.states))
         new = np.linspace(0, len(self.leg_times), len(self.leg_times) * intervals + 1)
-        columns = (
+        states, commands = (
             np.stack([np.interp(new, old, column) for column in table.T], axis=1)
             for table in (self.states, self.commands)
         )
-        return Trajectory(self.leg_times, *columns)
+        mesh = Trajectory(self.leg_times, states, commands)
+        if problem is None:
+            return mesh
+        return dataclasses.replace(mesh, states=self.curve(problem)(mesh.times))

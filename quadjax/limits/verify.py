@@ -1,58 +1,55 @@
-"""Verification of a solution: simulation of its commands in the vehicle model."""
+"""Verification of a solution: its commands are flown in the race itself.
+
+Each command is held for 1 ms, with RK4 in float64, by the step and the rules of the race. Where the
+commands alone fail, a linear-quadratic regulator corrects them along the solution: errors of a mesh
+grow with the length of the flight. The flight of the corrected commands is verified like any other.
+"""
 
 import dataclasses
+import functools
+from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.core.vectors import Vec3
-from quadjax.limits.problem import Problem
-from quadjax.limits.rules import Wall
-from quadjax.limits.simulation import crossings, positions, simulate, vectors, velocities
-from quadjax.limits.tracking import follow, reference
+from quadjax.core.integrators import rk4_loop_step
+from quadjax.limits.gates import Gates
+from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP, VELOCITY, Problem
 from quadjax.limits.trajectory import Trajectory
-from quadjax.race.rules import inside_frame
+from quadjax.race.environment import Choices, RaceParams, RaceState, transition
 
-TIME_STEP = 1e-3  # s, for which each command is held
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
 STEPS = 1000  # the number of steps is a multiple: each number is compiled anew
 OVERRUN = 1.01  # the simulation is longer than the solution, to reach the last gate
 AT_REST = 0.02, 0.05  # m from the center of the last gate, and m/s, at the end of a flight at rest
-NEAR_GATE = 0.1  # legs from a gate, within which its own frame is that of the passage
-RATE_TOLERANCE, PITCH_TOLERANCE = 1.001, 1e-3  # a factor, and rad
+MISSED = 0.05  # m, by which a rejected flight may miss a gate and continue, to measure all misses
+TOLERANCES = 0.03, 0.1, 0.03  # of the regulator: m, m/s, fraction of the largest value of others
+COMMAND = 0.1  # fraction of the range: tolerance of the commands
 
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """The result of simulating a solution: commands held for 1 ms, RK4, float64.
+    """The result of flying a solution in the race.
 
     Attributes:
         error: why the solution is rejected; "" if it is verified.
         leg_times: (legs,) s, between the gates.
-        clearance: smallest ``Problem.leeway``, m, or depth in the frame of a gate that is passed;
-            negative where a gate is missed or its frame is hit.
+        clearance: smallest ``Problem.leeway`` of a passage, m; negative where a gate is missed.
         margin: smallest distance from the bounds and the ground, m; negative: outside.
-        top_speed: m/s.
-        closure: m, distance between the start and the end of a periodic flight.
         feedback: whether a regulator corrected the solution's commands.
-        states: (steps + 1, leaves) of the simulation.
+        position, velocity: (steps + 1, 3) m, m/s, world.
         commands: (steps, commands) that it flew.
-        rates: (3,) rad/s, largest body rates.
-        walls: sides of frames that a flight that hit them should keep to.
     """
 
     error: str
     leg_times: np.ndarray
     clearance: float
     margin: float
-    top_speed: float
-    closure: float
     feedback: bool
-    states: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
     commands: np.ndarray
-    rates: np.ndarray
-    walls: tuple[Wall, ...] = ()
 
     @property
     def total(self) -> float:
@@ -60,172 +57,190 @@ class Check:
         return float(self.leg_times.sum())
 
     @property
-    def drift(self) -> float:
-        """By how much the flight leaves the openings and the bounds, m; inf if it fails."""
-        return max(0.0, -min(self.clearance, self.margin), 5e-4 * bool(self.error))
+    def miss(self) -> float:
+        """By how much the flight leaves the openings and the bounds, m."""
+        return max(0.0, -min(self.clearance, self.margin))
+
+    @property
+    def top_speed(self) -> float:
+        """Highest speed, m/s."""
+        return float(np.linalg.norm(self.velocity, axis=1).max())
 
 
-def verify(problem: Problem, trajectory: Trajectory, tolerance: float = 0.0) -> Check:
-    """Simulate the commands of a solution and apply the rules.
-
-    The commands are flown as they are; if this flight is rejected, also with a regulator that
-    corrects them.
-
-    Args:
-        problem: the flight.
-        trajectory: the solution.
-        tolerance: m, by which an edge of an opening may be missed.
-    """
+def verify(problem: Problem, trajectory: Trajectory) -> Check:
+    """Fly the commands of a solution; if they are rejected, also corrected by a regulator."""
     steps = STEPS * int(np.ceil(OVERRUN * trajectory.total / (STEPS * TIME_STEP)))
-    _, commands = reference(problem, trajectory, TIME_STEP, steps)
-    states = simulate(problem, commands, TIME_STEP, "rk4", trajectory.states[0])
-    check = _check(problem, trajectory, states, commands, tolerance, False)
-    if not check.drift and not check.error:
+    states, commands = reference(problem, trajectory, steps)
+    check = _check(problem, trajectory, commands, False)
+    if not check.error:
         return check
-    states, commands = follow(problem, trajectory, TIME_STEP, steps)
-    corrected = _check(problem, trajectory, states, commands, tolerance, True)
-    better = (bool(corrected.error), corrected.drift) < (bool(check.error), check.drift)
+    corrected = _check(problem, trajectory, _follow(problem, trajectory, states, commands), True)
+    better = (bool(corrected.error), corrected.miss) < (bool(check.error), check.miss)
     return corrected if better else check
 
 
-def _check(
-    problem: Problem,
-    trajectory: Trajectory,
-    states: np.ndarray,
-    commands: np.ndarray,
-    tolerance: float,
-    feedback: bool,
-) -> Check:
-    flown = positions(problem, states)
-    order = problem.order[:-1] if problem.stops else problem.order
-    times, clearance = crossings(problem, flown, TIME_STEP, order, tolerance)
-    if problem.stops and len(times) == len(order):
-        times = np.append(times, trajectory.total)
-    last = min(round(times[-1] / TIME_STEP), len(flown) - 1) if len(times) else 0
-    margin, error = _margin(problem, states[: last + 1], tolerance)
-    frame_clearance, walls = frames_hit(problem, positions(problem, states[1 : last + 1]), times)
-    clearance = min(clearance, frame_clearance)
-    if walls and not error:
-        error = "hits the frame of a gate"
-    if problem.stops and not error and len(times) == len(problem.order):
-        error = _at_rest(problem, states[last])
-    error = _error(problem, trajectory.total, times, clearance, margin, tolerance) or error
-    return Check(
-        error=error,
-        leg_times=np.diff(times, prepend=0.0),
-        clearance=float(min(clearance, 1e3)),
-        margin=margin,
-        top_speed=float(np.linalg.norm(velocities(problem, states[: last + 1]), axis=1).max()),
-        closure=float(np.linalg.norm(flown[last] - flown[0])),
-        feedback=feedback,
-        states=states[: last + 1],
-        commands=commands[:last],
-        rates=np.abs(vectors(problem, states[: last + 1], "rates")).max(axis=0),
-        walls=walls,
-    )
+def reference(
+    problem: Problem, trajectory: Trajectory, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """States (steps + 1, n) and commands (steps, commands) of a solution, every millisecond.
+
+    Beyond the end: of a periodic flight its next round, of another one its last values.
+    """
+    when, total, periodic = np.arange(steps + 1) * TIME_STEP, trajectory.total, problem.periodic
+    over = (when >= total) & periodic
+    states = trajectory.curve(problem)(np.minimum(np.where(over, when - total, when), total))
+    if trajectory.states[0, ATTITUDE] @ trajectory.states[-1, ATTITUDE] < 0.0:
+        states[over, ATTITUDE] *= -1.0
+    middle = when[:-1] + 0.5 * TIME_STEP
+    middle = middle % total if periodic else np.minimum(middle, total)
+    commands = [np.interp(middle, trajectory.times, column) for column in trajectory.commands.T]
+    return states, np.stack(commands, axis=1)
 
 
-def _at_rest(problem: Problem, state: np.ndarray) -> str:
-    place = positions(problem, state[None])[0] - problem.gates.position[problem.order[-1]]
-    speed = np.linalg.norm(velocities(problem, state[None]))
-    if np.linalg.norm(place) > AT_REST[0] or speed > AT_REST[1]:
-        return f"ends {np.linalg.norm(place):.3f} m from the last gate at {speed:.2f} m/s"
-    return ""
+def passages(
+    gates: Gates, order: Iterable[int], position: np.ndarray, time_step: float, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """When and where a path passes gates, up to the first that it misses.
 
-
-def _margin(problem: Problem, states: np.ndarray, tolerance: float) -> tuple[float, str]:
-    """Smallest distance from the bounds and, in fast flight, the ground, m; and what else fails."""
-    flown = positions(problem, states)[1:]
-    low, high = problem.bounds
-    margin = float(min((flown - low).min(initial=np.inf), (high - flown).min(initial=np.inf)))
-    if not np.isfinite(states).all():
-        return -np.inf, "leaves the bounds of the race"
-    if np.linalg.norm(velocities(problem, states), axis=1).max() > problem.speed_rule:
-        return margin, "exceeds the speed limit"
-    rates = np.abs(vectors(problem, states, "rates")).max(axis=0)
-    if np.any(rates > problem.rate_limit * RATE_TOLERANCE):
-        return margin, "exceeds the limit of the body rates"
-    if (
-        np.abs(vectors(problem, states, "euler")[:, 1]).max()
-        > problem.pitch_limit + PITCH_TOLERANCE
-    ):
-        return margin, "exceeds the limit of the pitch"
-    if problem.landing is not None:
-        fast = np.linalg.norm(velocities(problem, states)[1:], axis=1) > float(
-            problem.landing.speed
-        )
-        height = float(-flown[fast, 2].max(initial=-np.inf) - problem.landing.height)
-        margin = min(margin, height)
-        if height < -tolerance:
-            return margin, "flies too fast near the ground"
-    return margin, ""
-
-
-def frames_hit(
-    problem: Problem, flown: np.ndarray, times: np.ndarray
-) -> tuple[float, tuple[Wall, ...]]:
-    """Where a flight is inside solid frames.
+    Args:
+        gates: of the track.
+        order: indices of the gates.
+        position: (n, 3) m.
+        time_step: s, between them.
+        tolerance: m, by which an edge of an opening may be missed.
 
     Returns:
-        The smallest distance, m, from the inner edges of the frames of the gates that it passes,
-        negative inside, inf if it is inside none; and for each part inside the frame of another
-        gate, the nearest outer side.
+        The times (passages,), s, where straight lines between the positions cross the planes of the
+        gates, and these places (passages, 3), m.
     """
-    clearance, walls = np.inf, []
-    if problem.frame is None:
-        return clearance, ()
+    times, places, step = [], [], 0
+    for gate in order:
+        ahead = (position[step:] - gates.position[gate]) @ gates.axes[gate, 0]
+        (crossed,) = np.nonzero((ahead[:-1] < 0) & (ahead[1:] >= 0))
+        if not len(crossed):
+            break
+        index = int(crossed[0])
+        fraction = -ahead[index] / (ahead[index + 1] - ahead[index])
+        before, after = position[step + index : step + index + 2]
+        place = before + fraction * (after - before)
+        if gates.clearance(gate, place) < -tolerance:
+            break
+        times.append((step + index + fraction) * time_step)
+        places.append(place)
+        step += index + 1
+    return np.array(times), np.array(places).reshape(-1, 3)
+
+
+@functools.partial(jax.jit, static_argnames=("choices",))
+def _fly(
+    choices: Choices, params: RaceParams, start: RaceState, actions: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Position and velocity (steps, 3), and whether a rule is broken (steps,), of actions."""
+
+    def advance(state: RaceState, action: jax.Array) -> tuple[RaceState, tuple]:
+        after, _, outcome = transition(choices, params, state, action)
+        place, speed = choices.model.position(after.drone), choices.model.velocity(after.drone)
+        return after, (place.array(), speed.array(), outcome.terminated)
+
+    return jax.lax.scan(advance, start, actions)[1]
+
+
+def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedback: bool) -> Check:
+    """Fly commands in the race and measure the flight, up to the last gate.
+
+    The drone continues after a broken rule, so that all misses are measured.
+    """
+    low, high = problem.command_range
+    actions = 2.0 * (commands - low) / np.where(high > low, high - low, 1.0) - 1.0
+    first = trajectory.states[0]
+    state = problem.race_start.replace(drone=problem.state(first))
     with jax.enable_x64(True):
-        hit = jax.vmap(
-            lambda p: inside_frame(p, problem.track, problem.frame, 0.0, problem.radius)
-        )(Vec3.of(jnp.asarray(flown)))
-    nodes = np.concatenate([[0.0], times])
-    (found,) = np.nonzero(np.asarray(hit))
-    for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1) if len(found) else ():
-        legs = np.interp(TIME_STEP * (part[[0, -1]] + 1), nodes, np.arange(len(nodes)))
-        gate, local = _nearest_frame(problem, flown[part])
-        passed = round(legs.mean())
-        if abs(legs.mean() - passed) < NEAR_GATE and problem.order[passed - 1] == gate:
-            own = [problem.gates.clearance(gate, place) for place in flown[part]]
-            clearance = min(clearance, *own)
-        else:
-            walls.append(_wall(problem, gate, local, legs))
-    return clearance, tuple(walls)
-
-
-def _nearest_frame(problem: Problem, places: np.ndarray) -> tuple[int, np.ndarray]:
-    """The gate whose frame is nearest to places (n, 3), and these in its axes (n, 3), m."""
-    offset = places[:, None] - problem.gates.position  # (n, gates, 3)
-    local = np.einsum("gij,ngj->ngi", problem.gates.axes, offset)
-    gate = int(np.argmin(np.abs(local[:, :, 0]).max(axis=0) + np.abs(local).max(axis=(0, 2))))
-    return gate, local[:, gate]
-
-
-def _wall(problem: Problem, gate: int, local: np.ndarray, legs: np.ndarray) -> Wall:
-    """The outer side of a frame that is nearest to places (n, 3) in the gate's axes, m."""
-    wider = float(problem.frame.width) + 2.0 * problem.radius  # than the opening for a point
-    size = problem.gates.half_size[gate] + wider
-    axis = 1 + int(np.argmin(size - np.abs(local[:, 1:]).max(axis=0)))
-    sign = float(np.sign(local[:, axis].mean()))
-    return Wall((legs[0] - 0.1, legs[1] + 0.1), gate, axis, sign, float(size[axis - 1]))
+        rows = map(np.asarray, _fly(problem.choices, problem.params, state, actions))
+    start = first[POSITION], first[VELOCITY], False
+    position, velocity, broken = (
+        np.concatenate([np.asarray(x)[None], row]) for x, row in zip(start, rows, strict=True)
+    )
+    order = problem.order[: len(problem.order) - problem.flight.stops]
+    times, places = passages(problem.gates, order, position, TIME_STEP, MISSED)
+    leeways = [problem.leeway(*pair) for pair in zip(order, places, strict=False)]
+    if len(times) < len(order):
+        leeways.append(-MISSED)
+    elif problem.flight.stops:
+        times = np.append(times, trajectory.total)
+    last = min(int(np.ceil(times.max(initial=0.0) / TIME_STEP)), len(commands))
+    inside, (lowest, highest) = position[1 : last + 1], problem.bounds
+    margin = min((inside - lowest).min(initial=np.inf), (highest - inside).min(initial=np.inf))
+    check = Check(
+        error="",
+        leg_times=np.diff(times, prepend=0.0),
+        clearance=float(min(leeways)),
+        margin=float(margin),
+        feedback=feedback,
+        position=position[: last + 1],
+        velocity=velocity[: last + 1],
+        commands=commands[:last],
+    )
+    error = _error(problem, trajectory, check, leeways, broken[: last + 1])
+    return dataclasses.replace(check, error=error)
 
 
 def _error(
-    problem: Problem,
-    claimed: float,
-    times: np.ndarray,
-    clearance: float,
-    margin: float,
-    tolerance: float,
+    problem: Problem, trajectory: Trajectory, check: Check, leeways: list[float], broken: np.ndarray
 ) -> str:
-    legs = len(problem.order)
-    if clearance < -tolerance and len(times) == legs:
-        return "hits the frame of a gate"
-    if clearance < -tolerance:
-        return f"misses gate {problem.order[len(times)] + 1} by {-1e3 * clearance:.1f} mm"
-    if len(times) < legs:
-        return f"passes {len(times)} of {legs} gates"
-    if margin < -tolerance:
-        return "leaves the bounds of the race"
-    if abs(times[-1] - claimed) > TIME_TOLERANCE * claimed:
-        return f"takes {times[-1]:.3f} s instead of {claimed:.3f} s"
+    """Why a flight is rejected; "" if it is not."""
+    if check.clearance < 0.0:
+        gate = problem.order[np.argmin(leeways)] + 1
+        return f"it misses gate {gate} by {-1e3 * check.clearance:.1f} mm"
+    if check.margin < 0.0:
+        return f"it leaves the bounds of the race by {-1e3 * check.margin:.1f} mm"
+    if broken.any():
+        return f"it breaks a rule of the race at {np.argmax(broken) * TIME_STEP:.3f} s"
+    if problem.flight.stops:
+        away = np.linalg.norm(check.position[-1] - problem.gates.position[problem.order[-1]])
+        speed = np.linalg.norm(check.velocity[-1])
+        if away > AT_REST[0] or speed > AT_REST[1]:
+            return f"it ends {away:.3f} m from the last gate at {speed:.2f} m/s"
+    if abs(check.total - trajectory.total) > TIME_TOLERANCE * trajectory.total:
+        return f"it takes {check.total:.3f} s instead of {trajectory.total:.3f} s"
     return ""
+
+
+def _follow(
+    problem: Problem, trajectory: Trajectory, states: np.ndarray, commands: np.ndarray
+) -> np.ndarray:
+    """Commands (steps, commands) of a regulator that follows a reference, within their range."""
+    low, high = problem.command_range
+    weight = TOLERANCES[2] * np.maximum(np.abs(trajectory.states).max(axis=0), 0.1)
+    weight[POSITION], weight[VELOCITY] = TOLERANCES[:2]
+    effort = COMMAND * np.where(high > low, high - low, 1.0)
+    with jax.enable_x64(True):
+        return np.asarray(_regulate(problem, states, commands, weight, effort))
+
+
+@functools.partial(jax.jit, static_argnames=("problem",))
+def _regulate(
+    problem: Problem, states: jax.Array, commands: jax.Array, weight: jax.Array, effort: jax.Array
+) -> jax.Array:
+    cost, effort_cost = jnp.diag(1.0 / weight**2), jnp.diag(1.0 / effort**2)
+    low, high = problem.command_range
+
+    def step(state: jax.Array, command: jax.Array) -> jax.Array:
+        after = rk4_loop_step(lambda x: problem.slope(x, command), state, TIME_STEP)
+        return problem.vector(problem.model.wrap(problem.state(after)))
+
+    slopes = jax.vmap(jax.jacfwd(step, argnums=(0, 1)))(states[:-1], commands)
+
+    def riccati(value: jax.Array, slope: tuple) -> tuple[jax.Array, jax.Array]:
+        a, b = slope
+        gain = jnp.linalg.solve(effort_cost + b.T @ value @ b, b.T @ value @ a)
+        value = cost + a.T @ value @ (a - b @ gain)
+        return 0.5 * (value + value.T), gain
+
+    gains = jax.lax.scan(riccati, cost, slopes, reverse=True)[1]
+
+    def advance(state: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+        target, command, gain = row
+        command = jnp.clip(command - gain @ (state - target), low, high)
+        return step(state, command), command
+
+    return jax.lax.scan(advance, states[0], (states[:-1], commands, gains))[1]

@@ -8,8 +8,9 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.vectors import Vec3
 from quadjax.limits.gates import gates_of
-from quadjax.limits.problem import make_problem
-from quadjax.race.rules import inside_square, inside_world_box
+from quadjax.limits.problem import Flight, make_problem
+from quadjax.limits.verify import passages
+from quadjax.race.rules import inside_square
 from quadjax.race.track import gate_at, make_track, to_opening_frame
 
 
@@ -23,37 +24,31 @@ def _track():
     )
 
 
-@pytest.mark.parametrize("world_box", [False, True])
-def test_a_place_has_clearance_where_the_rules_let_it_pass(world_box):
+def test_a_place_has_clearance_where_the_rules_let_it_pass():
     track, rng = _track(), np.random.default_rng(0)
-    gates = gates_of(track, world_box)
+    gates = gates_of(track)
     for index in range(3):
         g = gate_at(track, index)
         across = rng.uniform(-1.2, 1.2, (300, 2))
         places = gates.position[index] + across @ gates.axes[index, 1:]
         with jax.enable_x64(True):
-            offset = Vec3.of(places) - g.position
-            local = to_opening_frame(g, offset)
-            inside = inside_world_box(offset, g, 0.0) if world_box else inside_square(local, g, 0.0)
+            local = to_opening_frame(g, Vec3.of(places) - g.position)
+            inside = inside_square(local, g, 0.0)
         np.testing.assert_allclose(local.x, 0.0, atol=1e-6)
         found = np.array([gates.clearance(index, place) for place in places])
         np.testing.assert_array_equal(found > 0.0, np.asarray(inside))
         assert 0.02 < np.mean(found > 0.0) < 0.9
 
 
-@pytest.mark.parametrize("waypoint", [None, 0.4])
-def test_the_corners_contain_the_opening(waypoint):
-    gates, rng = gates_of(_track(), waypoint=waypoint), np.random.default_rng(0)
+def test_the_corners_contain_the_opening():
+    gates, rng = gates_of(_track()), np.random.default_rng(0)
     for index in range(3):
-        axes = gates.axes[index]
-        places = gates.position[index] + rng.uniform(-0.7, 0.7, (500, 3)) @ (
-            axes if waypoint else axes * [[0.0], [1.0], [1.0]]
-        )
-        inside = [place for place in places if gates.clearance(index, place) >= 0.0]
+        axes = gates.axes[index] * [[0.0], [1.0], [1.0]]
+        places = gates.position[index] + rng.uniform(-0.7, 0.7, (500, 3)) @ axes
         ways = rng.normal(size=(50, 3))  # a convex set contains a point if all its supports do
         for kept in (0.0, 0.1):
-            reached = (gates.shrunk(index, kept) @ ways.T).max(axis=0)
-            clear = [place for place in inside if gates.clearance(index, place) >= kept]
+            reached = (gates.corners(index, kept) @ ways.T).max(axis=0)
+            clear = [place for place in places if gates.clearance(index, place) >= kept]
             assert len(clear) > 10
             assert np.all(np.array(clear) @ ways.T <= reached + 1e-9)
 
@@ -61,14 +56,12 @@ def test_the_corners_contain_the_opening(waypoint):
 def _crossing(*gate):
     """Where a point mass passes a gate that is above and beside the way, in the gate's frame."""
     pytest.importorskip("casadi")
-    import threading
-
     from quadjax.limits.point_mass import optimize, spline
+    from quadjax.limits.program import Effort
 
-    choices, params = race_of(load_config("e2e_shac", list(gate)))
-    problem = make_problem(choices.model, params, start="hover", passages=2, stops=True)
-    first = spline(problem, 6, 3.0, 0.0, np.random.default_rng(0))
-    path = optimize(problem, first, 20.0, threading.Event())
+    race = race_of(load_config("e2e_shac", list(gate)))
+    problem = make_problem(*race, Flight(gates=2, stops=True))
+    path = optimize(problem, spline(problem, 6, 3.0), Effort(20.0))
     gates = problem.gates
     return gates.axes[0] @ (path.position[6] - gates.position[0]), gates.half_size[0]
 
@@ -96,70 +89,30 @@ def test_a_tilted_gate_is_passed_at_its_edge():
     assert abs(world).sum() == pytest.approx(np.sqrt(2.0) * (half[0] - KEPT), abs=0.05)
 
 
-@pytest.mark.parametrize(
-    ("aside", "tolerance", "clearance"), [(0.2, 0.0, 0.0), (0.33, 0.05, -0.03)]
-)
-def test_a_waypoint_is_passed_within_its_distance(aside, tolerance, clearance):
-    from quadjax.limits.simulation import crossings
-
-    choices, params = race_of(load_config("indi"))
-    problem = make_problem(choices.model, params, waypoint=0.3)
-    way = np.linspace(-2.0, 2.0, 4001)[:, None] * [1.0, 0.0, 0.0] + [0.0, aside, 0.0]
-    times, found = crossings(problem, problem.gates.position[0] + way, 1e-3, [0], tolerance)
-    assert found == pytest.approx(clearance, abs=2e-3)
-    half = np.sqrt(max(0.3**2 - aside**2, 0.0))
-    np.testing.assert_allclose(times, [2.0 - half], atol=2e-3)
-    assert not len(crossings(problem, problem.gates.position[0] + 2.0 * way, 1e-3, [0])[0])
-
-
 def test_a_body_radius_narrows_openings_bounds_and_ground():
     from quadjax.core.errors import InputError
 
     rules = ["rules.body_radius=0.1", "rules.gate_frame=0.2", "rules.bounds=[[-9,9],[-9,9],[-5,0]]"]
     choices, params = race_of(load_config("indi", rules))
-    problem = make_problem(choices.model, params)
+    problem = make_problem(choices, params)
     point = gates_of(params.track)
     np.testing.assert_allclose(problem.gates.half_size, point.half_size - 0.1, atol=1e-6)
     np.testing.assert_allclose(problem.bounds, [[-8.9, -8.9, -4.9], [8.9, 8.9, -0.1]], atol=1e-6)
-    assert problem.radius == pytest.approx(0.1)
+    assert problem.frame_depth == pytest.approx(0.15)
     with pytest.raises(InputError, match="gate 1: no wider than the drone"):
         gates_of(params.track, radius=2.0)
-
-
-def test_own_frames_have_a_clearance_and_those_of_other_gates_an_outer_side():
-    """A flight that grazes its own opening's edge, then hits the frame of the gate before."""
-    from quadjax.limits.verify import TIME_STEP, frames_hit
-
-    rules = ["rules.gate_frame=0.2", "rules.gate_depth=0.1"]
-    choices, params = race_of(load_config("e2e_fastest", rules))
-    problem = make_problem(choices.model, params)
-    along, half = np.linspace(-0.5, 0.5, 201), problem.gates.half_size[0, 0]
-
-    def through(gate, right):
-        """Positions on a straight line through the plane of a gate."""
-        ahead, side, _ = problem.gates.axes[gate]
-        return problem.gates.position[gate] + along[:, None] * ahead + right * side
-
-    flown = np.concatenate([through(0, half + 0.003), through(1, 0.0), through(0, -half - 0.15)])
-    times = TIME_STEP * np.array([101.0, 302.0, 603.0])  # the third gate is not flown
-    clearance, (wall,) = frames_hit(problem, flown, times)
-    assert clearance == pytest.approx(-0.003, abs=1e-6)
-    assert (wall.gate, wall.axis, wall.sign) == (0, 1, -1.0)
-    assert wall.distance == pytest.approx(half + 0.2)
-    assert wall.legs[0] < 2.0 + 200.0 / 301.0 < wall.legs[1]
 
 
 @pytest.mark.parametrize(("clearance", "right", "leeway"), [
     (0.0, 0.3, 0.2), (0.2, 0.25, 0.05), (0.2, 0.35, -0.05), (None, 0.01, 0.01), (None, 0.3, -0.28),
 ])  # fmt: skip
-def test_a_required_clearance_is_part_of_the_verification(clearance, right, leeway):
-    from quadjax.limits.simulation import crossings
-
-    choices, params = race_of(load_config("e2e_fastest"))
-    problem = make_problem(choices.model, params, clearance=clearance)
+def test_a_passage_is_measured_against_the_required_clearance(clearance, right, leeway):
+    race = race_of(load_config("e2e_fastest"))
+    problem = make_problem(*race, Flight(clearance=clearance))
     ahead, side, _ = problem.gates.axes[0]
-    way = np.linspace(-0.5, 0.5, 11)[:, None] * ahead + right * side
-    times, found = crossings(problem, problem.gates.position[0] + way, 1e-3, [0])
-    assert found == pytest.approx(leeway, abs=1e-6)
-    assert len(times) == (leeway > 0.0)
-    assert len(crossings(problem, problem.gates.position[0] + way, 1e-3, [0], openings=True)[0])
+    way = np.linspace(-0.5, 0.5, 12)[:, None] * ahead + right * side
+    path = problem.gates.position[0] + way
+    times, (place,) = passages(problem.gates, [0], path, 1e-3, 0.0)
+    np.testing.assert_allclose(times, [5.5e-3])
+    assert problem.leeway(0, place) == pytest.approx(leeway, abs=1e-6)
+    assert not len(passages(problem.gates, [0], path + side, 1e-3, 0.3)[0])

@@ -70,7 +70,7 @@ view notes.txt | notes.txt
 limit e2e_shac track=nosuch | nosuch
 limit e2e_shac --clearance -1 | --clearance
 limit e2e_shac --laps 0 | --laps
-limit e2e_shac --centers --waypoint 1 | --waypoint --centers
+limit e2e_shac --centers --clearance 1 | --clearance --centers
 sweep nosuch | nosuch
 sweep key.yaml | key.yaml
 fit nosuch | nosuch

@@ -1,0 +1,218 @@
+"""The best of several solves: stages, mesh refinement, verification, time limit."""
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+
+from quadjax.limits.collocation import SMOOTHNESS, Dynamics, Settings, Solution, solve
+from quadjax.limits.guess import from_point_mass
+from quadjax.limits.problem import Problem
+from quadjax.limits.program import Effort
+from quadjax.limits.trajectory import Trajectory
+from quadjax.limits.verify import Check, verify
+
+FINEST, NODES = 80, 800  # intervals of a leg, and of all legs, at most
+MESH_CHANGE = 1e-3  # relative change of the time below which the mesh is fine enough
+MARGIN = 1e-4  # m, first distance from the edges; more where the flight drifts
+WIDENINGS, WIDER = 4, 5e-4  # times that the margin is increased, and by how much at first, m
+RESERVE, FIRM_RESERVE = 0.002, 0.01  # of the commands, kept for the regulator of a rejected flight
+SMALL, LARGE = 0.01, 0.05  # m, misses that are removed before refinement, that need FIRM_RESERVE
+SHARE = 0.4  # of the time that is left, for each of the stages
+STAGES = (  # divisor of the mesh, smoothness in s, reserve of the commands
+    (2, 1e-2, 0.02),
+    (1, 1e-3, 0.005),
+    (1, SMOOTHNESS, 0.0),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class BestKnown:
+    """A verified flight. Its time is an upper bound of the shortest time; it may not be optimal.
+
+    Attributes:
+        trajectory: states and commands at the nodes.
+        check: the flight by the commands.
+        guess: where the solver started.
+        mesh_change: relative change of the time between the last two meshes.
+        attempts: what became of each initial guess, by its name.
+        seconds: wall-clock time of the search.
+    """
+
+    trajectory: Trajectory
+    check: Check
+    guess: str
+    mesh_change: float
+    attempts: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    seconds: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Time, s: the longer of the solution's and of the flight by its commands."""
+        return max(self.trajectory.total, self.check.total)
+
+
+class NotFoundError(Exception):
+    """No initial guess led to a verified flight: one line that says what was tried.
+
+    Attributes:
+        flight: the last solution, which is not verified; None if there is none.
+        error: why it is not.
+    """
+
+    def __init__(
+        self, attempts: Mapping[str, str], flight: Trajectory | None = None, error: str = ""
+    ) -> None:
+        """Say what was tried, and what the last solution is."""
+        self.flight, self.error = flight, error
+        tried = "; ".join(f"{guess}: {status}" for guess, status in attempts.items()) or "no time"
+        text = f"no flight was found ({tried}); try more time (--seconds)"
+        if flight is not None:
+            text += f"; a solution of {flight.total:.3f} s with {flight.intervals} intervals a leg "
+            text += f"is not verified: {error}"
+        super().__init__(text)
+
+
+class Search:
+    """Solves from initial guesses in turn and keeps the best verified result."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        seconds: float = 300.0,
+        stop: threading.Event | None = None,
+        report: Callable[[str], object] = lambda text: None,
+    ) -> None:
+        """Prepare a search.
+
+        Args:
+            problem: the flight.
+            seconds: limit of wall-clock time.
+            stop: if set, the search ends with the best so far.
+            report: called with one line on the progress.
+        """
+        self.problem, self.stop, self.report = problem, stop or threading.Event(), report
+        self.began, self.seconds = time.monotonic(), seconds
+        self.dynamics = Dynamics(problem)
+        self.best: BestKnown | None = None
+        self.rejected: tuple[Trajectory, str] | None = None  # the last, and why
+
+    def run(self, guesses: Mapping[str, Trajectory] | None = None, starts: int = 1) -> BestKnown:
+        """Solve from each guess by name, then from ``starts`` flights of a point mass.
+
+        Raises:
+            NotFoundError: no guess led to a verified flight.
+        """
+        attempts: dict[str, str] = {}
+        for name, guess in self._guesses(guesses or {}, starts):
+            attempts[name] = self._attempt(name, guess)
+        if self.best is None:
+            raise NotFoundError(attempts, *self.rejected or ())
+        seconds = time.monotonic() - self.began
+        return dataclasses.replace(self.best, attempts=attempts, seconds=seconds)
+
+    def _left(self) -> float:
+        """Seconds that are left; none after a request to stop."""
+        return 0.0 if self.stop.is_set() else self.seconds - (time.monotonic() - self.began)
+
+    def _guesses(
+        self, guesses: Mapping[str, Trajectory], starts: int
+    ) -> Iterator[tuple[str, Trajectory]]:
+        yield from guesses.items()
+        for index in range(starts):
+            if self._left() <= 0.0:
+                return
+            self.report(name := f"point mass {index + 1}")
+            effort = Effort(0.3 * self._left(), stop=self.stop)
+            yield name, from_point_mass(self.problem, index, effort)
+
+    def _attempt(self, name: str, guess: Trajectory) -> str:
+        """Solve from one guess; a verified guess is a result, too."""
+        if self.best is None and not name.startswith("point mass"):
+            self._keep(name, guess, np.inf)
+        flight, settings = self._approach(name, guess)
+        if flight is None:
+            return "not converged"
+        if self.best is not None and flight.total > self.best.total * (1.0 - 1e-5):
+            return f"{flight.total:.4f} s, not faster"
+        return f"{flight.total:.4f} s, {self._refine(name, flight, settings)}"
+
+    def _approach(self, name: str, guess: Trajectory) -> tuple[Trajectory | None, Settings]:
+        """Solve for smooth flights with a reserve of the commands first, then for the fastest.
+
+        If the last stage does not converge, the fastest on the whole mesh that did is the result.
+        """
+        flight, used, warm, intervals = None, Settings(), False, guess.intervals
+        for divisor, smoothness, reserve in STAGES:
+            settings = Settings(MARGIN, reserve, smoothness)
+            mesh = guess.resample(intervals // divisor)
+            guess, warm, _ = self._solve(name, mesh, settings, SHARE, warm)
+            if warm and divisor == 1:
+                flight, used = guess, settings
+            elif flight is not None:
+                break
+        return flight, used
+
+    def _solve(
+        self, name: str, mesh: Trajectory, settings: Settings, share: float = 1.0, warm: bool = True
+    ) -> Solution:
+        """Solve in at most a share of the time that is left."""
+        if self._left() <= 0.0:
+            return Solution(mesh, False, "no time")
+        best = "" if self.best is None else f", best {self.best.total:.4f} s"
+        text = f"{name}, {mesh.intervals} intervals a leg{best}"
+        report = lambda value: self.report(f"{text}: {value:.4f} s")  # noqa: E731
+        effort = Effort(share * self._left(), warm, self.stop, report)
+        return solve(self.problem, self.dynamics, mesh, settings, effort)
+
+    def _refine(self, name: str, flight: Trajectory, settings: Settings) -> str:
+        """Refine the mesh until the time converges and the flight is verified.
+
+        A small miss is removed on the first mesh already: finer ones take longer.
+        """
+        widenings, change = 0, np.inf
+        finest = min(FINEST, max(flight.intervals, NODES // len(flight.leg_times)))
+        check = self._keep(name, flight, change)
+        while self._left() > 0.0:
+            fine, mesh = change <= MESH_CHANGE or 2 * flight.intervals > finest, flight
+            if fine and not check.error:
+                return "verified"
+            if check.error and (fine or 0.0 < check.miss < SMALL):
+                if widenings == WIDENINGS:
+                    break
+                settings = _wider(settings, check, widenings)
+                widenings += 1
+            else:
+                mesh = flight.resample(2 * flight.intervals, self.problem)
+            solution = self._solve(name, mesh, settings)
+            if not solution.converged:
+                self._keep(name, solution.trajectory, np.inf)
+                return solution.status
+            if mesh is not flight:
+                change = abs(solution.trajectory.total / flight.total - 1.0)
+            flight = solution.trajectory
+            check = self._keep(name, flight, change)
+        return check.error or "verified on a coarse mesh"
+
+    def _keep(self, name: str, flight: Trajectory, change: float) -> Check:
+        """Verify a flight, and keep it if it is the best."""
+        check = verify(self.problem, flight)
+        if check.error:
+            self.rejected = flight, check.error
+            return check
+        result = BestKnown(flight, check, name, change)
+        best = self.best
+        refined = best is not None and best.guess == name and np.isfinite(change)
+        if best is None or refined or result.total < best.total:
+            self.best = result
+        return check
+
+
+def _wider(settings: Settings, check: Check, widenings: int) -> Settings:
+    """More distance from the edges; for a large miss also a reserve for the regulator."""
+    margin, reserve = settings.margin + 1.2 * check.miss + WIDER * 4.0**widenings, settings.reserve
+    if check.miss == 0.0 or check.miss > SMALL:
+        reserve = max(2.0 * reserve, RESERVE if check.miss < LARGE else FIRM_RESERVE)
+    return Settings(margin, reserve, settings.smoothness)

@@ -1,0 +1,88 @@
+"""The equations that the solver uses are those of the vehicle models."""
+
+import jax
+import numpy as np
+import pytest
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.core.vectors import Rotors
+from quadjax.limits.problem import (
+    ATTITUDE,
+    RATES,
+    VELOCITY,
+    double,
+    euler_of,
+    make_problem,
+    numbers,
+)
+from quadjax.vehicle.racing import motor_map
+
+casadi = pytest.importorskip("casadi")
+RACES = {
+    "motor": ("e2e_shac",),
+    "motor with residual": ("e2e",),
+    "rate": ("indi",),
+    "5-inch": ("e2e_fastest", "vehicle=5inch"),
+    "A2RL": ("e2e_fastest", "vehicle=a2rl"),
+    "CPC": ("e2e_fastest", "vehicle=cpc"),
+}
+
+
+def _race(name):
+    return race_of(load_config(RACES[name][0], list(RACES[name][1:])))
+
+
+@pytest.mark.parametrize("name", RACES)
+def test_the_equations_agree_with_jax(name):
+    from quadjax.limits.collocation import Dynamics
+
+    choices, params = _race(name)
+    problem, rng = make_problem(choices, params), np.random.default_rng(0)
+    slope, (low, high) = Dynamics(problem).slope, problem.command_range
+    for _ in range(5):
+        start = problem.start
+        state = start * rng.uniform(0.5, 1.5, len(start)) + rng.uniform(-0.5, 0.5, len(start))
+        state[ATTITUDE] /= np.linalg.norm(state[ATTITUDE])
+        command = rng.uniform(low, high)
+        with jax.enable_x64(True):
+            expected = np.asarray(problem.slope(state, command))
+        found = np.array(slope(state, command)).ravel()
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ["motor", "rate"])
+def test_a_quaternion_has_the_accelerations_of_the_race_with_euler_angles(name):
+    choices, params = _race(name)
+    problem, model, vehicle = make_problem(choices, params), choices.model, double(params.vehicle)
+    vector = problem.start + 0.1 * np.random.default_rng(0).normal(size=len(problem.start))
+    vector[ATTITUDE] /= np.linalg.norm(vector[ATTITUDE])
+    command = 0.7 * problem.command_range[1]
+    with jax.enable_x64(True):
+        found = np.asarray(problem.slope(vector, command))
+        state = problem.state(vector)
+        (roll, pitch, yaw), vec = euler_of(vector[None])[0], type(state.position)
+        low, _ = model.command_range(vehicle.constants)
+        held = jax.tree.structure(low).unflatten(list(command))
+        slope = model.derivative(vehicle, state.replace(euler=vec(roll, pitch, yaw)), held)
+    np.testing.assert_allclose(found[VELOCITY], numbers(model.velocity(slope)), rtol=1e-6)
+    np.testing.assert_allclose(found[RATES], numbers(model.rates(slope)), rtol=1e-9)
+
+
+def test_the_specific_force_is_in_double_precision_after_a_simulation_in_single():
+    choices, params = race_of(load_config("e2e_race", ["vehicle=5inch"]))
+    jax.eval_shape(lambda c: motor_map(c, Rotors(*(c.k,) * 4)), params.vehicle.constants)
+    problem = make_problem(choices, params)
+    speeds, state = np.array([1000.0, 1500.0, 2000.0, 2500.0]), problem.level.copy()
+    state[13:] = speeds
+    expected = [0.0, 0.0, -np.float64(np.float32(2.49e-06)) * np.sum(speeds**2)]
+    np.testing.assert_allclose(problem.specific_force(state), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_an_unknown_operation_is_named():
+    from quadjax.core.errors import InputError
+    from quadjax.limits.translate import translate
+
+    function = translate(jax.lax.erf_inv, np.array([0.5]))
+    with pytest.raises(InputError, match="erf_inv"):
+        function(casadi.SX.sym("x"))
