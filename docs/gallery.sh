@@ -27,10 +27,6 @@ best figure8_indi indi track=figure8 --seconds 150
 best ring8 e2e_fastest track=ring8 --seconds 150
 best figure8_tudelft e2e_fastest vehicle=5inch track=figure8_tudelft --seconds 200
 best grand_challenge e2e_fastest vehicle=5inch track=grand_challenge --starts 1 --seconds 200
-best split_s e2e_fastest vehicle=cpc track=split_s rules.position_limit=null \
-  rules.body_rate_limit=null --gates 20 --stop --waypoint 0.3 --rates 15 15 0.3 --seconds 600
-published='{"laps": [[17.56]]}'
-echo "$published" > "$laps/published.json"
 
 view paper_track "E2E, INDI and the best known lap" \
   e2e_fastest e2e_nominal indi "$laps/square4.npz" --laps 3 \
@@ -42,8 +38,6 @@ view figure8_tudelft "Figure eight of TU Delft: a 5-inch drone" \
   "$laps/figure8_tudelft.npz" --name "best known lap"
 view grand_challenge "A2RL Grand Challenge: a 5-inch drone" \
   "$laps/grand_challenge.npz" --name "best known lap"
-view split_s "Split-S: best known race of 20 waypoints" \
-  "$laps/split_s.npz" "$laps/published.json" --name "quadjax limit" --name "published (CPC)"
 
 [ -e "$laps/logs" ] || quadjax logs standin --policy e2e_nominal --policy indi_shac \
   --flights 1 --laps 3 --output "$laps/logs"
