@@ -122,7 +122,8 @@ def _gates(gates: Gates, path: Axes) -> None:
         labels.setdefault(key, []).append(str(index + 1))
         places.setdefault(key, center + 1.3 * side)
     for key, numbers in labels.items():
-        path.annotate(", ".join(numbers), places[key][:2], ha="center", va="center", color=MUTED)
+        x, y, _ = places[key]
+        path.annotate(", ".join(numbers), (x, y), ha="center", va="center", color=MUTED)
     path.set_aspect("equal")
     path.invert_yaxis()
     path.set_xlabel("x, north [m]", color=INK)

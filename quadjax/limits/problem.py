@@ -133,7 +133,7 @@ class Problem:
     def _places(self) -> list[int]:
         """Which leaves of the model's state the entries of a vector are, by field."""
         leaves, structure = jax.tree.flatten(self.race_start.drone)
-        indices, model = structure.unflatten(range(len(leaves))), self.model
+        indices, model = jax.tree.unflatten(structure, range(len(leaves))), self.model
         nodes = jax.tree.leaves(indices, is_leaf=lambda node: isinstance(node, Quaternion))
         (attitude,) = (node for node in nodes if isinstance(node, Quaternion))
         fields = model.position(indices), model.velocity(indices), attitude, model.rates(indices)
@@ -144,7 +144,7 @@ class Problem:
         leaves, structure = jax.tree.flatten(self.race_start.drone)
         for index, place in enumerate(self._places):
             leaves[place] = vector[index]
-        return structure.unflatten(leaves)
+        return jax.tree.unflatten(structure, leaves)
 
     def vector(self, state: State) -> jax.Array:
         """The vector of a state of the model."""
@@ -158,7 +158,9 @@ class Problem:
         scale the thrust.
         """
         low, _ = self.model.command_range(self.params.vehicle.constants)
-        held = jax.tree.structure(low).unflatten([command[i] for i in range(command.shape[0])])
+        held = jax.tree.unflatten(
+            jax.tree.structure(low), [command[i] for i in range(command.shape[0])]
+        )
         state = self.model.hold(self.model.wrap(self.state(vector)), held)
         return self.vector(self.model.derivative(self.params.vehicle, state, held))
 
@@ -217,8 +219,8 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
     if math.isfinite(model.pitch_limit):
         model = with_quaternions(model)
     choices = dataclasses.replace(choices, model=model, integrator="rk4", gate_test="interpolated")
-    steps = {"time_step": np.float64(TIME_STEP), "episode_steps": np.int32(10**9)}
-    params = params.replace(limits=params.limits.replace(**steps))
+    steps: dict[str, Any] = {"time_step": np.float64(TIME_STEP), "episode_steps": np.int32(10**9)}
+    params = dataclasses.replace(params, limits=dataclasses.replace(params.limits, **steps))
     limits, landing, frame = params.limits, params.limits.landing, params.limits.frame
     radius = 0.0 if limits.body_radius is None else float(limits.body_radius)
     gates = gates_of(params.track, radius)
@@ -243,8 +245,8 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
         rate_limit=BELOW_RULE * numbers(rates),
         speed_limit=min(flight.speed or flight.fitted_speed or SPEED, BELOW_RULE * fastest),
         pitch_limit=float(limits.pitch),
-        landing=landing and (float(landing.height), float(landing.speed)),
-        frame_depth=frame and 0.5 * float(frame.depth) + radius,
+        landing=None if landing is None else (float(landing.height), float(landing.speed)),
+        frame_depth=None if frame is None else 0.5 * float(frame.depth) + radius,
     )
 
 

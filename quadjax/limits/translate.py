@@ -128,8 +128,8 @@ def _apply(equation: JaxprEqn, inputs: list[Scalars]) -> list[Scalars]:
     if name == "reduce_sum":
         return [_boxed(np.add.reduce(inputs[0], axis=params["axes"]))]
     if name == "dot_general" and not any(params["dimension_numbers"][1]):
-        product = np.tensordot(*inputs, axes=params["dimension_numbers"][0])
-        return [_boxed(product)]
+        left, right = inputs
+        return [_boxed(np.tensordot(left, right, axes=params["dimension_numbers"][0]))]
     if name not in OPERATIONS:
         raise InputError(f"the vehicle model uses {name}, which time-optimal laps do not support")
     return [_elementwise(OPERATIONS[name], *inputs)]

@@ -153,7 +153,7 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
     low, high = problem.command_range
     actions = 2.0 * (commands - low) / np.where(high > low, high - low, 1.0) - 1.0
     first = trajectory.states[0]
-    state = problem.race_start.replace(drone=problem.state(first))
+    state = dataclasses.replace(problem.race_start, drone=problem.state(first))
     with jax.enable_x64(True):
         rows = map(np.asarray, _fly(problem.choices, problem.params, state, actions))
     start = first[POSITION], first[VELOCITY], False
