@@ -32,8 +32,8 @@ def compare(
     seed: opt.Seed = 0,
     ablation: opt.Folder = PRETRAINED / "ablation",
     name: opt.RunName = "compare",
-    output: opt.Folder = Path("runs"),
-    overwrite: opt.Flag = False,
+    output: opt.RunsFolder = Path("runs"),
+    overwrite: opt.Overwrite = False,
 ) -> None:
     """Compare E2E and INDI in the simulator and on the stand-in plant.
 
@@ -56,9 +56,6 @@ def compare(
         sampled: Fly with the noise of training.
         seed: Of batteries, gusts and sensors.
         ablation: Folder of the ablation's policies.
-        name: Of the folder.
-        output: Write to DIR/NAME.
-        overwrite: Replace an earlier comparison of the same name.
     """
     started = time.monotonic()
     with loading():

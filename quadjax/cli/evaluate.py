@@ -61,9 +61,9 @@ def evaluate(
     offsets: opt.Flag = False,
     flights: Annotated[list[str] | None, Parameter(metavar="[LABEL=]FILE", group=RECORDED)] = None,
     logs: Annotated[opt.FitConfig | None, Parameter(group=RECORDED)] = None,
-    allow_code: Annotated[opt.Flag, Parameter(group=RECORDED)] = False,
+    allow_code: Annotated[opt.AllowCode, Parameter(group=RECORDED)] = False,
     report: Annotated[Path, Parameter(metavar="DIR", group=RECORDED)] = Path("runs/report"),
-    overwrite: Annotated[opt.Flag, Parameter(group=RECORDED)] = False,
+    overwrite: Annotated[opt.Overwrite, Parameter(group=RECORDED)] = False,
     json: opt.AnyFile = None,
     states: States = None,
     figure: opt.Picture = None,
@@ -78,7 +78,7 @@ def evaluate(
     mean action. The files show the sampled runs, or the deterministic ones with
     --deterministic. Without CONFIG a policy flies the race that it was trained in.
     Several policies, each with its own --policy, are compared in one table; without
-    --policy, those that come with the package.
+    CONFIG and --policy, those that come with the package.
 
     The option --study selects other flights:
 
@@ -112,9 +112,7 @@ def evaluate(
         offsets: Print the distances from the gates' centers.
         flights: A group of flights, with its label; may be repeated.
         logs: Fit config whose section logs describes the columns of flight logs.
-        allow_code: Import the reader of logs that the fit config names as module:OBJECT.
         report: Folder of the tables and figures.
-        overwrite: Replace an earlier report.
         json: Write the laps, or the numbers of a study.
         states: Write all trajectories.
         figure: Draw the flight from two sides.

@@ -1,7 +1,7 @@
 """``quadjax export``."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -15,7 +15,7 @@ def export(
     /,
     *,
     output: Folder,
-    target: Literal[tuple(TARGETS)] = DEFAULT_TARGET,  # type: ignore[valid-type]
+    target: Annotated[str, Parameter(choices=tuple(TARGETS))] = DEFAULT_TARGET,
     name: str | None = None,
     range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
     track: Annotated[str | None, config_of("tracks")] = None,

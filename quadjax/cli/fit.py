@@ -18,9 +18,9 @@ def fit(
     /,
     *overrides: opt.Overrides,
     name: opt.RunName | None = None,
-    allow_code: opt.Flag = False,
-    output: opt.Folder = Path("runs"),
-    overwrite: opt.Flag = False,
+    allow_code: opt.AllowCode = False,
+    output: opt.RunsFolder = Path("runs"),
+    overwrite: opt.Overwrite = False,
 ) -> None:
     """Fit the model of a drone to its flight logs.
 
@@ -32,12 +32,6 @@ def fit(
     dataset, PX4's ULog, and your own columns or reader (logs.format).
 
     Example: quadjax fit paparazzi 'logs.files=[logs/*.csv]' --name my_drone
-
-    Args:
-        name: Name of the folder, as name=NAME.
-        allow_code: Import the reader of logs that the config names as module:OBJECT.
-        output: Write to DIR/NAME.
-        overwrite: Replace an earlier fit of the same name.
     """
     started = time.monotonic()
     with loading():

@@ -26,7 +26,7 @@ def improve(
     policy: opt.PolicyFile,
     steps_: Annotated[int | None, Parameter(name="--steps", converter=opt.whole(1, 10**9))] = None,
     fit: opt.FitConfig | None = None,
-    allow_code: opt.Flag = False,
+    allow_code: opt.AllowCode = False,
     logs: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="FILE ...")] = None,
     rounds: Rounds | None = None,
     flights: Annotated[opt.Runs | None, Parameter(group=FLIGHTS)] = None,

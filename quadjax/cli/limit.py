@@ -67,7 +67,6 @@ def limit(
         centers: Through the gates' centers.
         clearance: Distance from the gates' edges, m.
         speed: Speed limit (default: the vehicle's fitted_speed, or 60).
-        json: Write the result.
         npz: Write states and commands.
         figure: Draw path, speed and commands.
     """

@@ -88,16 +88,27 @@ def several(convert: Converter) -> Parameter:
 
 
 Flag = Annotated[bool, Parameter(show_default=False)]
+Overwrite = Annotated[
+    bool, Parameter(show_default=False, help="Replace earlier results of the same name.")
+]
+AllowCode = Annotated[
+    bool,
+    Parameter(
+        show_default=False,
+        help="Import the reader of logs that the fit config names as module:OBJECT.",
+    ),
+]
 Config = Annotated[str, Parameter(name="CONFIG", help="A preset's name or a YAML file.")]
 Overrides = Annotated[
     str, Parameter(name="KEY=VALUE", help="Changes of keys of the config, and +PART for parts.")
 ]
-RunName = Annotated[str, Parameter(converter=_run_name, metavar="NAME")]
+RunName = Annotated[str, Parameter(converter=_run_name, metavar="NAME", help="Name of the folder.")]
 PolicyFile = Annotated[Path, Parameter(converter=_policy_file, metavar="FILE.npz")]
 PlantConfig = Annotated[str, config_of("plant"), Parameter(metavar="CONFIG")]
 FitConfig = Annotated[str, config_of("fit"), Parameter(metavar="FIT.yaml")]
 Race = Annotated[str | None, Parameter(metavar="CONFIG")]
 Folder = Annotated[Path, Parameter(metavar="DIR")]
+RunsFolder = Annotated[Path, Parameter(metavar="DIR", help="Write to DIR/NAME.")]
 InputFile = Annotated[Path, Parameter(metavar="FILE")]
 Seed = Annotated[int, Parameter(converter=whole(0, MAX_SEED))]
 Seeds = Annotated[tuple[int, ...], several(whole(0, MAX_SEED)), Parameter(metavar="N ...")]
@@ -120,7 +131,11 @@ class Output:
     suffixes: tuple[str, ...] = ()
 
 
-JsonFile = Annotated[Path | None, Output((".json",)), Parameter(metavar="FILE.json", group=FILES)]
+JsonFile = Annotated[
+    Path | None,
+    Output((".json",)),
+    Parameter(metavar="FILE.json", group=FILES, help="Write the numbers."),
+]
 AnyFile = Annotated[Path | None, Output(), Parameter(metavar="FILE.json", group=FILES)]
 NpzFile = Annotated[Path | None, Output((".npz",)), Parameter(metavar="FILE.npz", group=FILES)]
 Picture = Annotated[Path | None, Output(PICTURES), Parameter(metavar="FILE.png", group=FILES)]

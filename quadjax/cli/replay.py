@@ -17,7 +17,7 @@ def replay(
     *,
     policy: opt.PolicyFile | None = None,
     logs: opt.FitConfig | None = None,
-    allow_code: opt.Flag = False,
+    allow_code: opt.AllowCode = False,
     race: opt.Race = None,
     track: str | None = None,
     vehicle: opt.InputFile | None = None,
@@ -25,8 +25,8 @@ def replay(
     drive: Literal["commands", "speeds"] | None = None,
     json: opt.JsonFile = None,
     name: opt.RunName = "replay",
-    output: opt.Folder = Path("runs"),
-    overwrite: opt.Flag = False,
+    output: opt.RunsFolder = Path("runs"),
+    overwrite: opt.Overwrite = False,
 ) -> None:
     """Replay a flight log through a policy and a model.
 
@@ -45,7 +45,6 @@ def replay(
         log: A flight log.
         policy: Policy file, or a shipped one's name.
         logs: Columns of the log, of a fit config (default: plain columns).
-        allow_code: Import the reader of logs that the fit config names as module:OBJECT.
         race: Race of the policy (default: its file's).
         track: Track that was flown (default: the race's).
         vehicle: Vehicle file of the model (default: the race's).
@@ -53,9 +52,6 @@ def replay(
             vehicle file).
         drive: Drive the model by logged commands or rotor speeds (commands if there are any).
         json: Write the numbers there as well.
-        name: Of the folder.
-        output: Write to DIR/NAME.
-        overwrite: Replace an earlier replay of the same name.
     """
     if policy is None and vehicle is None:
         raise InputError("--policy or --vehicle is required (try --help)")

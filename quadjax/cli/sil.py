@@ -52,8 +52,8 @@ def sil(
     wrong_unit: Annotated[list[str] | None, Parameter(metavar="FIELD=UNIT", group=FAULTS)] = None,
     view: opt.Flag = False,
     name: opt.RunName = "sil",
-    output: opt.Folder = Path("runs"),
-    overwrite: opt.Flag = False,
+    output: opt.RunsFolder = Path("runs"),
+    overwrite: opt.Overwrite = False,
 ) -> int:
     """Fly exported C on a simulated drone: software in the loop.
 
@@ -87,9 +87,6 @@ def sil(
         wrong_unit: Of the states: attitude=deg, rates=deg/s, position=mm, velocity=cm/s,
             rotor_speed=rpm; may be repeated.
         view: Show the flight in the browser.
-        name: Of the folder.
-        output: Write to DIR/NAME.
-        overwrite: Replace an earlier flight of the same name.
     """
     if listen is None and not source.is_dir():
         hint = "an autopilot of your own needs --listen HOST:PORT"

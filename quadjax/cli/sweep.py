@@ -31,7 +31,7 @@ def sweep(
     check: opt.Flag = False,
     report: opt.Flag = False,
     overwrite: opt.Flag = False,
-    output: opt.Folder = Path("runs"),
+    output: opt.RunsFolder = Path("runs"),
 ) -> int:
     """Search a space of training configs.
 
@@ -46,7 +46,6 @@ def sweep(
         check: Check the sweep and run nothing.
         report: Only report the finished trials.
         overwrite: Remove the trials first.
-        output: Write to DIR/NAME.
     """
     with loading():
         from quadjax.core.folders import check_free, check_kind, claim, remove_files

@@ -26,7 +26,7 @@ def train(
     /,
     *overrides: opt.Overrides,
     name: opt.RunName | None = None,
-    output: opt.Folder = Path("runs"),
+    output: opt.RunsFolder = Path("runs"),
     resume: opt.Flag = False,
     overwrite: opt.Flag = False,
     fine_tune: opt.PolicyFile | None = None,
@@ -49,8 +49,6 @@ def train(
     Example: quadjax train e2e_shac seed=3 run.steps=5000000 --name third
 
     Args:
-        name: Name of the run's folder, as name=NAME.
-        output: Write to DIR/NAME.
         resume: Continue from the last checkpoint.
         overwrite: Remove an earlier run of the same name first.
         fine_tune: Continue from a policy and its critic, with all schedules at their ends.

@@ -26,7 +26,7 @@ def view(
     sampled: opt.Flag = False,
     seed: opt.Seed = 0,
     logs: opt.FitConfig | None = None,
-    allow_code: opt.Flag = False,
+    allow_code: opt.AllowCode = False,
     open_: Annotated[opt.Flag, Parameter(name="--open")] = False,
 ) -> None:
     """Write flights as an interactive 3D page that opens without a server or network.
@@ -52,7 +52,6 @@ def view(
         sampled: Sampled actions of policies.
         seed: Of the noise.
         logs: Columns and frames of flight logs, of a fit config.
-        allow_code: Import the reader of logs that the fit config names as module:OBJECT.
         open_: Open the page in the browser.
     """
     names = name or []
