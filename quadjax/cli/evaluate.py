@@ -71,7 +71,7 @@ def evaluate(
     signals: opt.Picture = None,
     attitude: opt.Picture = None,
     animation: Animation = None,
-) -> int | None:
+) -> None:
     """Time the laps of policies, next to the published ones of the same race, if any.
 
     One policy is evaluated with sampled actions, as the paper does, and with the
@@ -124,9 +124,9 @@ def evaluate(
     options = {key: value for key, value in locals().items() if key not in ("config", "overrides")}
     if flights is not None:
         _refuse_others("flights", options)
-        return _report(
-            config or "e2e_shac", overrides, flights, logs, allow_code, report, overwrite
-        )
+        columns = (logs, allow_code)
+        _report(config or "e2e_shac", overrides, flights, columns, report, overwrite)
+        return
     if laps is not None and gates is not None:
         raise InputError("--laps and --gates exclude each other")
     if range_ and not fixed_point:
@@ -140,10 +140,11 @@ def evaluate(
     else:
         _refuse_others(study, {**options, "policy": None, "study": None})
     if study == "protocols":
-        return _protocols(files, config, overrides, runs or 100, json)
-    if len(files) > 1:
+        _protocols(files, config, overrides, runs or 100, json)
+    elif len(files) > 1:
         raise InputError(f"--policy: {len(files)} policies, allowed: 1 with --study {study}")
-    return _evaluate(files[0], config, overrides, study, options)
+    else:
+        _evaluate(files[0], config, overrides, study, options)
 
 
 def _refuse_others(study: str, options: Mapping[str, Any]) -> None:
@@ -333,8 +334,7 @@ def _report(
     config: str,
     overrides: Sequence[str],
     flights: Sequence[str],
-    logs: str | None,
-    allow_code: bool,
+    columns: tuple[str | None, bool],
     folder: Path,
     overwrite: bool,
 ) -> None:
@@ -348,8 +348,9 @@ def _report(
         from quadjax.studies.report.run import write_report
 
     race = load_config(config, overrides)
-    columns = None if logs is None else load_fit_config(logs, allow_code=allow_code).logs
-    groups = find_flights(flights, race.track, columns)
+    fit, allow_code = columns
+    logs = None if fit is None else load_fit_config(fit, allow_code=allow_code).logs
+    groups = find_flights(flights, race.track, logs)
     with results(folder, "report", REPORT_FILES, overwrite) as new:
         text = write_report(groups, race, new)
     print(text)

@@ -1,7 +1,7 @@
 """``quadjax improve``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -69,7 +69,7 @@ def improve(
         output: Folder of the results.
         overwrite: Replace earlier results.
     """
-    numbers = {
+    numbers: dict[str, Any] = {
         **{"rounds": rounds, "flights": flights, "laps": laps, "check": check, "seed": seed},
         "reference": reference or None,
     }
@@ -96,9 +96,8 @@ def improve(
         if plant_seed is not None:
             drone = drone.replace(constants=drone.constants.replace(seed=plant_seed))
     files = find_logs(model.logs.replace(files=tuple(logs)), Path()) if logs else []
-    numbers = {
-        key: value for key, value in {**numbers, "steps": steps_}.items() if value is not None
-    }
+    numbers = {key: value for key, value in numbers.items() if value is not None}
+    numbers |= {} if steps_ is None else {"steps": steps_}
     race = load_config(config, overrides)
     setting = run.Setting(race, policy, model, drone, tuple(files), **numbers)
     enable_compilation_cache()

@@ -130,10 +130,8 @@ def _listing() -> str:
             text = _description(CONFIGS / folder / f"{name}.yaml")
             lines.append(textwrap.fill(start + text, 79, subsequent_indent=" " * len(start)))
         lines.append("")
-    names = ", ".join(policy_names())
-    return "\n".join(
-        [*lines, "policies:", textwrap.fill(names, 77, initial_indent="  ", subsequent_indent="  ")]
-    )
+    policies = textwrap.fill(", ".join(policy_names()), 77)
+    return "\n".join([*lines, "policies:", textwrap.indent(policies, "  ")])
 
 
 def _description(path: Path) -> str:

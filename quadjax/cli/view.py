@@ -72,7 +72,7 @@ def view(
     title = title or (config.track.name if config else "") or "Flights"
     with steps() as report:
         reading = dataclasses.replace(reading, progress=report)
-        record = scene_record(flights, names, title, reading)
+        record = scene_record(list(flights), names, title, reading)
         if output.suffix == ".json":
             write_json(output, record)
         else:
