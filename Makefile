@@ -26,7 +26,7 @@ $(VENV)/.run $(VENV)/.test $(VENV)/.docs $(VENV)/.test-all: pyproject.toml const
 setup: $(VENV)/.test-all ## install quadjax with everything that development needs into .venv
 
 train: $(VENV)/.run ## train the E2E policy on this machine and print its lap table
-	$(BIN)/quadjax train e2e_shac --resume
+	$(BIN)/quadjax train e2e --resume
 
 train-indi: $(VENV)/.run ## the same for the INDI policy
 	$(BIN)/quadjax train indi --resume

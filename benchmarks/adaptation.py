@@ -22,7 +22,7 @@ from quadjax.training.progress import bar
 
 def adaptation(
     *overrides: Overrides,
-    race: str = "e2e",
+    race: str = "e2e +residual",
     policy: PolicyFile = PRETRAINED / "e2e_adaptive.npz",
     without: PolicyFile = PRETRAINED / "e2e.npz",
     runs: Runs = 100,

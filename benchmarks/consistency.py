@@ -26,7 +26,7 @@ def consistency(
     config: Annotated[str, Parameter(name="CONFIG"), config_of("plant")],
     /,
     *overrides: Overrides,
-    race: str = "e2e",
+    race: str = "e2e +residual",
     policy: list[PolicyFile] | None = None,
     runs: Runs = 1000,
     seconds: Count = 20,

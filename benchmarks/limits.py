@@ -22,10 +22,10 @@ from quadjax.limits.search import NotFoundError, Search
 TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s", "grand_challenge")
 DRONES = {  # by name: a preset and overrides
     "bebop_e2e": ("e2e_race",),
-    "bebop_indi": ("indi_fastest",),
-    "5inch": ("e2e_fastest", "vehicle=5inch"),
-    "3inch": ("e2e_fastest", "vehicle=3inch"),
-    "a2rl": ("e2e_fastest", "vehicle=a2rl"),
+    "bebop_indi": ("indi +fastest",),
+    "5inch": ("e2e +fastest", "vehicle=5inch"),
+    "3inch": ("e2e +fastest", "vehicle=3inch"),
+    "a2rl": ("e2e +fastest", "vehicle=a2rl"),
 }
 
 

@@ -24,7 +24,7 @@ from quadjax.vehicle.residual_file import read_residual
 def nominal_flight() -> Recording:
     """Six laps of the mean action of ``e2e_nominal.npz`` on the nominal model."""
     laps = quadjax.evaluate(
-        PRETRAINED / "e2e_nominal.npz", "e2e_shac", runs=1, laps=6, deterministic=True
+        PRETRAINED / "e2e_nominal.npz", "e2e", runs=1, laps=6, deterministic=True
     )
     return laps.flights[0]
 

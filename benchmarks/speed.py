@@ -20,9 +20,9 @@ from quadjax.training.progress import bar
 
 NUM_ENVS = tuple(4**power for power in range(9))  # 1 to 65,536
 QUICK_NUM_ENVS = (1, 64, 4096, 65_536)
-PRESET, OBSERVED = "e2e_shac", 4096
+PRESET, OBSERVED = "e2e", 4096
 VEHICLES = ("bebop1", "5inch", "a2rl", "cpc")  # of the measurement with the observation
-PRESETS = ("e2e_shac", "e2e_ppo", "e2e_paper")
+PRESETS = ("e2e", "e2e_ppo", "e2e_paper")
 COLUMNS = f"{'':>10} {'num_envs':>8} {'devices':>7} {'steps/s':>12} {'slowest':>12} {'compile':>8}"
 
 

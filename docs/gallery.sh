@@ -21,12 +21,12 @@ view() { # PAGE TITLE FLIGHTS AND OPTIONS..
   quadjax view "$@" --title "$title" --output "$page"
 }
 
-best square4 e2e_fastest --policy quadjax/pretrained/e2e_fastest.npz --seconds 200
-best figure8 e2e_fastest track=figure8 --seconds 150
-best figure8_indi indi track=figure8 --seconds 150
-best ring8 e2e_fastest track=ring8 --seconds 150
-best figure8_tudelft e2e_fastest vehicle=5inch track=figure8_tudelft --seconds 200
-best grand_challenge e2e_fastest vehicle=5inch track=grand_challenge --starts 1 --seconds 200
+best square4 e2e +fastest --policy quadjax/pretrained/e2e_fastest.npz --seconds 200
+best figure8 e2e +fastest track=figure8 --seconds 150
+best figure8_indi indi +fastest track=figure8 --seconds 150
+best ring8 e2e +fastest track=ring8 --seconds 150
+best figure8_tudelft e2e +fastest vehicle=5inch track=figure8_tudelft --seconds 200
+best grand_challenge e2e +fastest vehicle=5inch track=grand_challenge --starts 1 --seconds 200
 
 view paper_track "E2E, INDI and the best known lap" \
   e2e_fastest e2e_nominal indi "$laps/square4.npz" --laps 3 \
@@ -41,12 +41,12 @@ view grand_challenge "A2RL Grand Challenge: a 5-inch drone" \
 
 [ -e "$laps/logs" ] || quadjax logs standin --policy e2e_nominal --policy indi_shac \
   --flights 1 --laps 3 --output "$laps/logs"
-for policy in e2e_nominal:e2e_shac indi_shac:indi_shac; do
+for policy in e2e_nominal:e2e indi_shac:indi; do
   name=${policy%:*}
   [ -e "$laps/$name.npz" ] || quadjax evaluate "${policy#*:}" --policy "$name" --deterministic \
     --runs 1 --laps 3 --states "$laps/$name.npz"
 done
 view plant "E2E and INDI: simulated and on the plant" "$laps/e2e_nominal.npz" \
   "$laps/logs/e2e_nominal_0.csv" "$laps/indi_shac.npz" "$laps/logs/indi_shac_0.csv" \
-  --logs standin --race e2e_shac \
+  --logs standin --race e2e \
   --name "E2E simulated" --name "E2E plant" --name "INDI simulated" --name "INDI plant"

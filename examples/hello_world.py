@@ -2,7 +2,7 @@
 
 import quadjax
 
-config = quadjax.load("e2e_shac")
+config = quadjax.load("e2e")
 run = quadjax.train(config)
 laps = quadjax.evaluate(run.policy, config, runs=100)
 print(laps.table())

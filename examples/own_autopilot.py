@@ -29,7 +29,7 @@ def control(state):
     return [-8.0 * down[1], 8.0 * down[0], turn, np.linalg.norm(force)]
 
 
-race = [sys.executable, "-m", "quadjax", "sil", "indi_shac", "--laps", "1", "--listen"]
+race = [sys.executable, "-m", "quadjax", "sil", "indi", "--laps", "1", "--listen"]
 drone = subprocess.Popen([*race, f"{ADDRESS[0]}:{ADDRESS[1]}"])
 own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 own.connect(ADDRESS)

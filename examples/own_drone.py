@@ -5,6 +5,6 @@ from pathlib import Path
 import quadjax
 
 drone = Path(__file__).with_name("own_drone.yaml")
-config = quadjax.load("e2e_shac", [f"vehicle={drone}", "name=own_drone"])
+config = quadjax.load("e2e", [f"vehicle={drone}", "name=own_drone"])
 run = quadjax.train(config)
 print(quadjax.evaluate(run.policy, config, deterministic=True).table())

@@ -43,7 +43,7 @@ class GradientAscent(LearnerSection):
         return Learner(init, update, {}, self.num_envs * self.horizon, num_shards=1)
 
 
-environment, params = quadjax.make_race(quadjax.load("e2e_shac"))
+environment, params = quadjax.make_race(quadjax.load("e2e"))
 result = GradientAscent().train(environment, params, steps=200_000)
 reward = result.metrics["reward"]
 print(f"mean reward {reward[:5].mean():.3f} at first, {reward[-5:].mean():.3f} at the end")

@@ -13,7 +13,7 @@ SPEED = quadjax.Field("speed", 1, "10 m/s", "world", range=4.0, value=speed)
 
 if __name__ == "__main__":
     overrides = ["observation.extra=[own_observation:SPEED]", "name=own_observation"]
-    config = quadjax.load("e2e_shac", overrides)
+    config = quadjax.load("e2e", overrides)
     run = quadjax.train(config)
     print(quadjax.evaluate(run.policy, config).table())
 

@@ -19,12 +19,12 @@ def level(step):
 
 if __name__ == "__main__":
     terms = "reward.terms={own_reward_term:fast: -1.0, own_reward_term:level: -0.5}"
-    config = quadjax.load("e2e_shac", [terms, "name=own_reward_term"])
+    config = quadjax.load("e2e", [terms, "name=own_reward_term"])
     run = quadjax.train(config)
     print(quadjax.evaluate(run.policy, config).table())
 
     rewards = []
-    for each in (config, quadjax.load("e2e_shac")):
+    for each in (config, quadjax.load("e2e")):
         environment, params = quadjax.make_race(each)
         state = environment.reset(params, jax.random.key(0))
         rewards.append(environment.step(params, state, jnp.zeros(4))[1])

@@ -22,7 +22,7 @@ def ends_at_3_m(config):
 
 
 if __name__ == "__main__":
-    config = quadjax.load("e2e_shac", ["rules.extra=[own_rule:ceiling]", "name=own_rule"])
+    config = quadjax.load("e2e", ["rules.extra=[own_rule:ceiling]", "name=own_rule"])
     run = quadjax.train(config)
     print(quadjax.evaluate(run.policy, config).table())
-    assert ends_at_3_m(config) and not ends_at_3_m(quadjax.load("e2e_shac"))
+    assert ends_at_3_m(config) and not ends_at_3_m(quadjax.load("e2e"))

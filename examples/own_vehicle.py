@@ -31,7 +31,7 @@ MODEL = dataclasses.replace(
 
 if __name__ == "__main__":
     overrides = ["vehicle.model=own_vehicle:MODEL", "vehicle=own_vehicle.yaml", "name=own_vehicle"]
-    config = quadjax.load("indi_shac", overrides)
+    config = quadjax.load("indi", overrides)
     run = quadjax.train(config)
     print(quadjax.evaluate(run.policy, config).table())
     assert run.policy.vehicle == "quadratic_drag"

@@ -43,15 +43,15 @@ def test_an_unknown_name_is_an_attribute_error():
 
 
 def test_presets_can_be_loaded_by_name():
-    assert {"e2e", "e2e_shac", "indi"} <= set(quadjax.presets())
-    config = quadjax.load("e2e_shac", ["seed=3"])
-    assert isinstance(config, quadjax.Config) and (config.name, config.seed) == ("e2e_shac", 3)
+    assert {"e2e", "e2e_race", "indi"} <= set(quadjax.presets())
+    config = quadjax.load("e2e", ["seed=3"])
+    assert isinstance(config, quadjax.Config) and (config.name, config.seed) == ("e2e", 3)
     with pytest.raises(quadjax.InputError, match="e2e_shak"):
         quadjax.load("e2e_shak")
 
 
 def test_a_race_is_three_pure_functions_and_its_numbers():
-    environment, params = quadjax.make_race("e2e_shac")
+    environment, params = quadjax.make_race("e2e")
     assert isinstance(environment, quadjax.Environment)
 
     @jax.jit
@@ -78,7 +78,7 @@ def test_shipped_policies_are_found_by_name():
 
 @pytest.mark.slow
 def test_a_shipped_policy_is_evaluated(tmp_path):
-    config = quadjax.load("e2e_shac", ["evaluate.laps=1"])
+    config = quadjax.load("e2e", ["evaluate.laps=1"])
     laps = quadjax.evaluate(PRETRAINED / "e2e_nominal.npz", config, runs=3)
     assert laps.lap_times.shape == (3, 1) and laps.finished == 3
     assert "sampled, 3 runs" in laps.table() and "3/3" in laps.table()
@@ -89,7 +89,7 @@ def test_a_shipped_policy_is_evaluated(tmp_path):
     assert not np.array_equal(other.totals, laps.totals)
     flown = laps.to_json()
     origin = flown["provenance"]
-    assert flown["runs"] == 3 and origin["config"]["name"] == "e2e_shac" and origin["seed"] == 0
+    assert flown["runs"] == 3 and origin["config"]["name"] == "e2e" and origin["seed"] == 0
     assert origin["policy"]["file"].endswith("e2e_nominal.npz") and origin["policy"]["sha256"]
     flight = laps.best
     assert flight.lap_ends[-1] == pytest.approx(np.nanmin(laps.totals), abs=0.011)
@@ -122,11 +122,11 @@ def test_a_number_out_of_range_is_one_line():
         ({"start": "moon"}, "start is 'moon'"),
     ):
         with pytest.raises(quadjax.InputError, match=message):
-            quadjax.evaluate(policy, "e2e_shac", **argument)
+            quadjax.evaluate(policy, "e2e", **argument)
     with pytest.raises(quadjax.InputError, match=r"indi\.npz: a policy for the rate"):
-        quadjax.evaluate(PRETRAINED / "indi.npz", "e2e_shac")
+        quadjax.evaluate(PRETRAINED / "indi.npz", "e2e")
     for learner, values, message in (
-        ("SHAC", {"horizon": 0}, "SHAC: horizon is 0, allowed: a whole number, at least 1"),
+        ("SHAC", {"horizon": 0}, "SHAC: horizon is 0, allowed: greater than or equal to 1"),
         ("PPO", {"typo": 1}, "PPO: unknown key typo"),
         ("PPO", {"learning_rate": float("nan")}, "PPO: learning_rate is nan, allowed: finite"),
         ("Network", {"hidden": []}, "Network: hidden is "),
@@ -140,14 +140,14 @@ def test_a_preset_is_trained_by_its_name(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / ".quadjax.json").write_text('{"kind": "sweep"}')
     with pytest.raises(quadjax.InputError, match="holds a sweep, not a training"):
-        quadjax.train("e2e_shac", tmp_path / "run")
+        quadjax.train("e2e", tmp_path / "run")
     with pytest.raises(quadjax.InputError, match="e2e_shak"):
         quadjax.train("e2e_shak")
 
 
 @pytest.mark.slow
 def test_a_training_is_loaded_and_evaluated(tmp_path):
-    config = short_config("e2e_shac")
+    config = short_config("e2e")
     run = quadjax.train(config, tmp_path / "run", progress=False)
     assert run.finished and run.folder == tmp_path / "run"
     assert run.metrics["steps"].tolist() == [128, 256, 384, 512]

@@ -28,11 +28,11 @@ def foreign(tmp_path, monkeypatch):
     (tmp_path / "foreign.py").write_text("open('ran', 'w').close()\n")
     folder = tmp_path / "rf"
     folder.mkdir()
-    config = load_config("e2e_shac").model_dump(mode="json", by_alias=True)
+    config = load_config("e2e").model_dump(mode="json", by_alias=True)
     config["vehicle"]["model"] = "foreign:MODEL"
     policy = Policy.load(PRETRAINED / "e2e_nominal.npz")
     dataclasses.replace(policy, config=config).save(folder / "policy.npz")
-    text = "base: e2e_shac\nvehicle: {model: 'foreign:MODEL'}\n"
+    text = "base: e2e\nvehicle: {model: 'foreign:MODEL'}\n"
     (folder / "config.yaml").write_text(text)
     (tmp_path / "mine.yaml").write_text(text)
     yield folder
@@ -88,10 +88,10 @@ def test_a_config_next_to_a_policy_file_is_not_read(foreign, capsys):
 
 
 def test_a_run_is_resumed_with_its_own_code_alone(foreign):
-    config = load_config("e2e_shac", ["name=rf", "rules.extra=[foreign:RULE]"])
+    config = load_config("e2e", ["name=rf", "rules.extra=[foreign:RULE]"])
     (foreign / "config.yaml").write_text(config.to_yaml())
     check_same(config, foreign)
-    other = load_config("e2e_shac", ["name=rf"])
+    other = load_config("e2e", ["name=rf"])
     with pytest.raises(InputError, match="rules.extra is 'foreign:RULE'; code that this file"):
         check_same(other, foreign)
     (foreign / "config.yaml").write_text("base: ../mine.yaml\n")

@@ -22,7 +22,7 @@ def compare(
     *overrides: opt.Overrides,
     e2e: opt.PolicyFile = PRETRAINED / "e2e_nominal.npz",
     indi: opt.PolicyFile = PRETRAINED / "indi_shac.npz",
-    race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e_shac",
+    race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e",
     parts: Several = None,
     conditions: Several = None,
     plants: Annotated[int, Parameter(converter=opt.whole(1, 1000))] = 10,

@@ -94,7 +94,7 @@ def evaluate(
     FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
     figures as text, LaTeX, PDF, SVG and PNG. CONFIG is the race that was flown.
 
-    Example: quadjax evaluate e2e_shac --policy e2e_nominal --laps 6 --figure lap.png
+    Example: quadjax evaluate e2e --policy e2e_nominal --laps 6 --figure lap.png
 
     Args:
         policy: Policy file, folder of a run, or name of a shipped policy.
@@ -125,7 +125,7 @@ def evaluate(
     if flights is not None:
         _refuse_others("flights", options)
         columns = (logs, allow_code)
-        _report(config or "e2e_shac", overrides, flights, columns, report, overwrite)
+        _report(config or "e2e", overrides, flights, columns, report, overwrite)
         return
     if laps is not None and gates is not None:
         raise InputError("--laps and --gates exclude each other")

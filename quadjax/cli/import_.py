@@ -11,6 +11,7 @@ from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
+from quadjax.policy.c_arrays import is_c, read_c_std
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,7 +51,7 @@ def import_(
     policy's output_std. Nothing in the files is executed.
 
     Example, a network of INDIflight:
-    quadjax import e2e_shac neural_network.c track=figure8_tudelft vehicle=5inch
+    quadjax import e2e neural_network.c track=figure8_tudelft vehicle=5inch
     --activation relu --motors 4 2 1 3 --actuator-range 0 3000 --output policy.npz
 
     Args:
@@ -100,8 +101,6 @@ def _networks(
     files: Sequence[str], std: float | None
 ) -> tuple[list[str], "np.ndarray | float | None"]:
     """The files of networks, and the standard deviations in the file that has only these."""
-    from quadjax.core.c_arrays import is_c, read_c_std
-
     stds = {name: read_c_std(name) for name in files if is_c(name)}
     of_std = [name for name, values in stds.items() if values is not None]
     networks = [name for name in files if name not in of_std]
@@ -116,7 +115,7 @@ def _networks(
 
 
 def _residual(config: "TrainingConfig", networks: Sequence[str], sign: int | None) -> "Residual":
-    from quadjax.vehicle.residual_file import import_residual
+    from quadjax.policy.foreign_residual import import_residual
 
     if sign is None:
         raise InputError("--thrust-sign is missing, allowed: 1 (added) or -1 (subtracted)")

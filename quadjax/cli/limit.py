@@ -52,7 +52,7 @@ def limit(
     lap is compared with the best known one, and is one of the initial guesses.
     Disturbances, randomization and model mismatch of the config are ignored.
 
-    Example: quadjax limit e2e_fastest track=figure8 --seconds 150 --npz lap.npz
+    Example: quadjax limit e2e +fastest track=figure8 --seconds 150 --npz lap.npz
 
     Args:
         policy: Compare with this policy's lap.

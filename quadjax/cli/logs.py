@@ -54,7 +54,7 @@ def logs(
         seed: Of the first flight.
         overwrite: Replace files of the same names in a folder that holds no such logs.
         policy: Policy that flies: a file, or a shipped one's name; may be repeated.
-        race: Race of the policies (default: e2e_shac).
+        race: Race of the policies (default: e2e).
         laps: Laps of each flight (default: 6).
         residual: A residual file (.npz) of the drone.
         random_residual: Seed of a random residual, which is written to DIR/residual.npz.
@@ -85,7 +85,7 @@ def logs(
 
     drone = load_plant_config(plant, overrides)
     files = [str(each) for each in policy]
-    plans = plan_logs(load_config(race or "e2e_shac"), drone, files, flights, laps or 6)
+    plans = plan_logs(load_config(race or "e2e"), drone, files, flights, laps or 6)
     patterns = [f"{name}_*.csv" for name in plans]
     with claim(output, "logs", patterns, overwrite), steps() as report:
         written = write_logs(plans, output, seed, report)

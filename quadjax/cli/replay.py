@@ -79,7 +79,7 @@ def replay(
         residual = residual or _residual_of(vehicle)
         changes = [f"vehicle={vehicle}", *([f"track={track}"] if track else [])]
         changes += [f"vehicle.residual={residual}"] if residual not in (None, "none") else []
-        drone = load_config(race or "e2e_fastest", changes)
+        drone = load_config(race or "e2e +fastest", changes)
     assert drone is not None
     columns = LogsConfig() if logs is None else load_fit_config(logs, allow_code=allow_code).logs
     folder = output / name

@@ -21,7 +21,7 @@ from quadjax.core.resources import (
 if TYPE_CHECKING:
     from quadjax.config.schema import Gate, Track
 
-PRESET = "e2e_shac"  # whose rules check a track that has none of its own
+PRESET = "e2e"  # whose rules check a track that has none of its own
 KINDS = {"presets": "", "tracks": "tracks", "vehicles": "vehicles"}  # folders of configs
 COMMENT = "docs/guide/vehicle.md has the formulas. Fit flight logs for better constants."
 
@@ -110,7 +110,7 @@ def _kind_of(what: str) -> str:
 def _keys_of(kind: str) -> str:
     """The settings of a random track, or the data of an airframe."""
     with loading():
-        from quadjax.core.sections import describe
+        from quadjax.config.reference import describe
         from quadjax.race.random_track import RandomTrack
         from quadjax.vehicle.airframe import Airframe
 

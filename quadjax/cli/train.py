@@ -46,7 +46,7 @@ def train(
     mean and sampled flights of the best policies, from hover and from random starts. The
     figure shows the learning curves of all configs.
 
-    Example: quadjax train e2e_shac seed=3 run.steps=5000000 --name third
+    Example: quadjax train e2e seed=3 run.steps=5000000 --name third
 
     Args:
         resume: Continue from the last checkpoint.
@@ -166,8 +166,8 @@ def _seeds(
 ) -> int:
     """Train each config with each seed, draw the learning curves, and tabulate."""
     with loading():
+        from quadjax.config.code import names_of_code
         from quadjax.config.loading import load_config
-        from quadjax.config.stored import names_of_code
         from quadjax.core.plotting import save_figure
         from quadjax.core.provenance import provenance
         from quadjax.evaluation.curves import learning_figure

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
+from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 
 CODE = (
@@ -46,3 +47,8 @@ def named_code(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         for name in names if isinstance(names, (list, tuple, dict)) else ():
             if isinstance(name, str) and ":" in name:
                 yield f"{section}.{key}", name
+
+
+def names_of_code(config: Config) -> list[str]:
+    """The objects ``module:OBJECT`` of the user's own modules that a config names."""
+    return [name for _, name in named_code(config.model_dump(by_alias=True))]

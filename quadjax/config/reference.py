@@ -1,24 +1,88 @@
 """The reference of every config key, from the declarations: a page of the docs, and comments."""
 
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
 from quadjax.config.schema import Config, Gate, Schedule
 from quadjax.core.markdown import table
-from quadjax.core.sections import KeyInfo, Section, describe
+from quadjax.core.sections import Section, is_section
 from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.shac.hyperparameters import SHAC
 
 LEARNERS: tuple[type[Section], ...] = (PPO, SHAC)
+BOUNDS = {  # of a JSON schema
+    "minimum": "at least {}",
+    "exclusiveMinimum": "above {}",
+    "maximum": "at most {}",
+    "exclusiveMaximum": "below {}",
+    "minItems": "at least {} of them",
+    "maxItems": "at most {} of them",
+    "maxProperties": "at most {} of them",
+    "pattern": "matching {}",
+}
+KINDS = {"boolean": "true or false", "integer": "a whole number", "number": "a number"}
+KINDS |= {"string": "text", "null": "null", "object": "a mapping", "array": "a list"}
+
+
+class KeyInfo(NamedTuple):
+    """One key of a config: dotted name, values it takes, default and description."""
+
+    key: str
+    allowed: str
+    default: object
+    description: str
+
+
+def describe(schema: type[Section], prefix: str = "") -> list[KeyInfo]:
+    """Every key of a section and of those in it, in order, for help and reference pages."""
+    found: list[KeyInfo] = []
+    document = schema.model_json_schema()
+    for name, field in schema.model_fields.items():
+        key = f"{prefix}{field.alias or name}"
+        if is_section(field.annotation):
+            found += describe(field.annotation, f"{key}.")
+        else:
+            default = None if field.is_required() else field.get_default(call_default_factory=True)
+            allowed = _values(document["properties"][field.alias or name])
+            found.append(KeyInfo(key, allowed, default, field.description or ""))
+    return found
+
+
+def _values(node: Mapping[str, Any]) -> str:
+    """The values that a JSON schema allows, as text: "a whole number, at least 1, or null"."""
+    if "anyOf" in node:
+        text = " or ".join(_values(each) for each in node["anyOf"])
+        return text.replace(" or null", ", or null")
+    if "enum" in node or "const" in node:
+        return "one of " + ", ".join(map(str, node.get("enum", [node.get("const")])))
+    text = KINDS.get(str(node.get("type", "object")), "a value")
+    inner = node.get("items") or node.get("additionalProperties") or node.get("prefixItems")
+    if isinstance(inner, list):  # of a fixed number
+        text, inner = f"a list of {len(inner)}", inner[0]
+        node = {}
+    if isinstance(inner, Mapping):
+        each = _values(inner)
+        text += f" of ({each})" if ", " in each else f" of {each}"
+    bounds = [text.format(_number(node[key])) for key, text in BOUNDS.items() if key in node]
+    return ", ".join([text, *bounds])
+
+
+def _number(bound: Any) -> str:
+    """A bound as text: 1e6 for a million."""
+    text = f"{bound:g}" if isinstance(bound, (int, float)) else str(bound)
+    exact = "e" in text and float(text) == bound
+    return text.replace("e+0", "e").replace("e+", "e") if exact else str(bound)
 
 
 def commented_yaml(config: Config) -> str:
-    """A config as YAML with its notes and the description of each key on the line above it."""
+    """A config as YAML with the description of each key on the line above it."""
     keys = describe(Config) + describe(type(config.learner), "learner.")
     comments = {info.key: f"{info.description} [{info.allowed}]" for info in keys}
     for location, (text, number) in config.race_units.items():
         key = ".".join(part for part in location if isinstance(part, str))
         comments[key] = f"{comments.get(key, '')} {text}: {number:g}".lstrip()
-    notes = "".join(f"# {note}\n" for note in config.notes)
-    return notes + to_yaml(config.to_tree(), comments)
+    return to_yaml(config.to_tree(), comments)
 
 
 def training_sections() -> list[tuple[str, list[KeyInfo]]]:
@@ -59,6 +123,6 @@ def markdown(title: str, sections: list[tuple[str, list[KeyInfo]]]) -> str:
 def _table(keys: list[KeyInfo]) -> str:
     rows = [("key", "default", "values", "description")]
     for info in keys:
-        default = to_yaml({"": info.default}).strip().removeprefix('"": ')
+        default = to_yaml({"key": info.default}).strip().removeprefix("key: ")
         rows.append((f"`{info.key}`", f"`{default}`", info.allowed, info.description))
     return table(rows) + "\n"

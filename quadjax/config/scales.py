@@ -1,7 +1,8 @@
 """Units of a race: numbers of a config in legs, in leg times and in gates.
 
 A preset for any drone and track gives its numbers as text with a unit, such as
-``learner.horizon: 1.1 leg times``. Loading replaces them by plain numbers.
+``learner.horizon: 1.1 leg times``. Loading replaces them by plain numbers. A field declares the
+unit of its number, and takes only units of the race of the same dimension.
 """
 
 import dataclasses
@@ -13,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from quadjax.config.schema import Config, Location, Rules, Track, Vehicle, WithUnit
-from quadjax.core.errors import InputError
-from quadjax.core.sections import LARGEST, Section, build, number_unit
+from quadjax.core.sections import LARGEST, BadValue, Section, Unit, build, dotted, field_at, refuse
 from quadjax.core.yaml_files import Tree
 from quadjax.vehicle.registry import model as vehicle_model
 
@@ -49,23 +49,24 @@ class Scales:
         return math.sqrt(self.leg / self.acceleration)
 
 
-FACTORS: dict[str, Callable[[Scales], float]] = {
+LENGTHS: dict[str, Callable[[Scales], float]] = {
     "legs": lambda s: s.leg,
-    "per leg": lambda s: 1.0 / s.leg,
-    "leg times": lambda s: s.time,
-    "per leg time": lambda s: 1.0 / s.time,
-    "legs per leg time": lambda s: s.leg / s.time,
     "half gates": lambda s: s.half_gate,
+}
+PER_LENGTH: dict[str, Callable[[Scales], float]] = {
+    "per leg": lambda s: 1.0 / s.leg,
     "per half gate": lambda s: 1.0 / s.half_gate,
 }
-UNITS: dict[str | None, tuple[str, ...]] = {  # of a race, by the unit of the field
-    "m": ("legs", "half gates"),
-    "1/m": ("per leg", "per half gate"),
-    "1/s": ("per leg time",),
-    "m/s": ("legs per leg time",),
-    "steps": ("leg times",),
-    "decay": ("leg times",),
-    "environments": ("per leg time",),
+TIMES: dict[str, Callable[[Scales], float]] = {"leg times": lambda s: s.time}
+PER_TIME: dict[str, Callable[[Scales], float]] = {"per leg time": lambda s: 1.0 / s.time}
+UNITS: dict[str, dict[str, Callable[[Scales], float]]] = {  # of a race, by the field's unit
+    "m": LENGTHS,
+    "1/m": PER_LENGTH,
+    "1/s": PER_TIME,
+    "m/s": {"legs per leg time": lambda s: s.leg / s.time},
+    "steps": TIMES,
+    "decay": TIMES,
+    "environments": PER_TIME,
 }
 
 
@@ -84,10 +85,8 @@ def race_scales(track: Track, vehicle: Vehicle, time_step: float) -> Scales:
     """
     model = vehicle_model(vehicle.model)
     if model.thrust_to_weight is None:
-        raise InputError(
-            f"vehicle.model is {vehicle.model}, which has no thrust_to_weight; allowed: one that "
-            f"has, or values without the units {', '.join(FACTORS)}"
-        )
+        allowed = "a model that has thrust_to_weight, or numbers without units of the race"
+        refuse("vehicle.model", vehicle.model, allowed)
     ratio = max(float(model.thrust_to_weight(vehicle.constants)), LEAST_RATIO)
     centers = np.array([gate.position for gate in track.gates], np.float64)
     lengths = np.linalg.norm(np.roll(centers, -1, axis=0) - centers, axis=1)
@@ -123,12 +122,12 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
         if isinstance(node, list):
             return [convert(item, (*location, index)) for index, item in enumerate(node)]
         match = _WITH_UNIT.fullmatch(node) if isinstance(node, str) else None
-        takes_numbers, unit = _number_unit(location, learner) if match else (False, None)
-        if match is None or not takes_numbers:
+        unit = _unit_of(location, learner) if match else None
+        if match is None or unit is None:
             return node
-        _check_unit(location, match, unit)
+        factor = _factor(dotted(location), match, unit)
         scales[:] = scales or [_scales_of(tree)]
-        value = float(match["number"]) * FACTORS[match["unit"]](scales[0])
+        value = float(match["number"]) * factor(scales[0])
         written[location] = (node, _in_unit(value, unit, scales[0].time_step))
         return written[location][1]
 
@@ -136,26 +135,28 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
     return {**tree, **{key: convert(tree[key], (key,)) for key in keys}}, written
 
 
-def _number_unit(location: Location, learner: type[Section]) -> tuple[bool, str | None]:
-    """Whether the key of a value takes numbers, and their unit."""
+def _unit_of(location: Location, learner: type[Section]) -> str | None:
+    """The unit that the field of a value declares, also of a value of its schedule."""
     if location[0] == "schedules" and location[2:3] == ("linear",):
         location = tuple(str(location[1]).split("."))
+    schema: type[Section] = Config
     if location[0] == "learner":
-        return number_unit(learner, location[1:])
-    return number_unit(Config, location)
+        schema, location = learner, location[1:]
+    field = field_at(schema, [part for part in location if isinstance(part, str)])
+    units = [item.name for item in (field.metadata if field else ()) if isinstance(item, Unit)]
+    return units[0] if units else None
 
 
-def _check_unit(location: Location, match: re.Match, unit: str | None) -> None:
-    """Refuse a unit of the race that is not one of the key's, and times that are not above 0."""
-    key = ".".join(str(part) for part in location if isinstance(part, str))
-    units = UNITS.get(unit, ())
-    above = " above 0" if unit in ("steps", "decay", "environments") else ""
-    number = float(match["number"])
-    if match["unit"] not in units or abs(number) > LARGEST or (above and number <= 0.0):
-        span = f"{above}, at most {LARGEST:g}" if abs(number) > LARGEST else above
-        or_unit = f" or a number{span} with the unit {' or '.join(units)}" if units else ""
-        text = f"{match['number']} {match['unit']}"[:60]
-        raise InputError(f"{key} is {text}, allowed: a plain number{or_unit}")
+def _factor(key: str, match: re.Match, unit: str) -> Callable[[Scales], float]:
+    """The size of a unit of the race, which has to be of the same dimension as the key's."""
+    positive = unit in ("steps", "decay", "environments")
+    number, name = float(match["number"]), match["unit"]
+    if name not in UNITS[unit] or abs(number) > LARGEST or (positive and number <= 0.0):
+        text = f"{key} is {match['number']} {name}"[:100]
+        span = f"number{' above 0' if positive else ''}, at most {LARGEST:g},"
+        units = " or ".join(UNITS[unit])
+        raise BadValue(key, f"{text}, allowed: a plain number, or a {span} with the unit {units}")
+    return UNITS[unit][name]
 
 
 def _scales_of(tree: Tree) -> Scales:
@@ -165,7 +166,7 @@ def _scales_of(tree: Tree) -> Scales:
     return race_scales(track, vehicle, rules.time_step)
 
 
-def _in_unit(value: float, unit: str | None, time_step: float) -> float | int:
+def _in_unit(value: float, unit: str, time_step: float) -> float | int:
     """A number in SI units, converted to the unit of its field."""
     if unit == "steps":
         return max(1, round(value / time_step))

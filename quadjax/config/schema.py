@@ -5,7 +5,6 @@ world frame is north-east-down, the body frame front-right-down.
 """
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import PrivateAttr, SerializeAsAny
@@ -655,7 +654,6 @@ class Config(Section):
     run: Run = Run()
     evaluate: Evaluate = Evaluate()
     _race_units: WithUnit = PrivateAttr({})
-    _notes: tuple[str, ...] = PrivateAttr(())
 
     def __eq__(self, other: object) -> bool:
         """Whether all values are equal, however they are written."""
@@ -671,7 +669,7 @@ class Config(Section):
 
     def replace(self, **changes: Any) -> Self:
         """A changed copy, as ``Section.replace``; it keeps its units if the race has the same."""
-        copy = super().replace(**changes).with_notes(self._notes)
+        copy = super().replace(**changes)
         return copy.with_race_units(self._race_units) if copy._scale == self._scale else copy
 
     @property
@@ -689,17 +687,6 @@ class Config(Section):
     def race_units(self) -> WithUnit:
         """The numbers that the config's file has in units of the race."""
         return self._race_units
-
-    def with_notes(self, notes: Sequence[str]) -> Self:
-        """The config with lines that ``quadjax train`` and ``quadjax show`` print."""
-        copy = self.model_copy()
-        copy._notes = tuple(notes)
-        return copy
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What loading changed without an override: values for tracks other than the paper's."""
-        return self._notes
 
     def to_tree(self) -> dict[str, Any]:
         """The whole config as plain values, numbers in units of the race as text."""

@@ -20,16 +20,6 @@ MARKER = ".quadjax.json"
 LOCK = ".lock"
 NEW = ".new-"  # prefix of folders of results that are not complete
 NO_RESULTS = {MARKER, LOCK, "config.yaml", "inputs"}  # in the folder of a failed command
-EVIDENCE = {  # patterns of files in folders without a marker, which earlier versions wrote
-    "training": "checkpoints",
-    "sweep": "study.journal",
-    "fit": "vehicle.yaml",
-    "export": "*_report.json",
-    "comparison": "compare.json",
-    "report": "report.json",
-    "replay": "replay.json",
-    "flight": "sil.json",
-}
 
 
 @contextlib.contextmanager
@@ -39,12 +29,12 @@ def claim(
     """Create a folder, or take one of the same kind, and lock it for the duration of the block.
 
     The operating system releases the lock when the process ends. Temporary files that a killed
-    process left are removed. If the block fails before it writes more than copies of its inputs,
-    whatever is new is removed: these copies, the folder's kind and lock, and new folders.
+    process left are removed. If the block fails in a new folder before it has results, the folder
+    is removed.
 
     Args:
         folder: created if needed.
-        kind: a key of ``EVIDENCE``, ``logs`` or ``improvement``.
+        kind: of the program: ``training``, ``fit``, ..
         files: patterns of the files that the block writes; see ``check_free``.
         overwrite: accept such files in a folder without a kind.
 
@@ -56,21 +46,9 @@ def claim(
     check_kind(folder, kind)
     if not overwrite:
         check_free(folder, kind, files)
-    with writing(folder):
-        new = [path for path in (folder, *folder.parents) if not path.exists()]
-        before = set() if new else {path.name for path in folder.iterdir()}
-    with _locked(folder), _undone(folder, new, before):
-        check_kind(folder, kind)
-        remove_stale(folder)
-        if not (folder / MARKER).exists():
-            write_json(folder / MARKER, {"kind": kind})
-        yield
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
     lock = FileLock(folder / LOCK, timeout=0)
     with writing(folder):
+        new = [path for path in (folder, *folder.parents) if not path.exists()]
         folder.mkdir(parents=True, exist_ok=True)
         try:
             lock.acquire()
@@ -79,24 +57,20 @@ def _locked(folder: Path) -> Iterator[None]:
                 f"{folder} is in use by another process: choose another name"
             ) from None
     try:
-        yield
-    finally:
-        lock.release()
-
-
-@contextlib.contextmanager
-def _undone(folder: Path, new: list[Path], before: set[str]) -> Iterator[None]:
-    """Remove what a failed block added to a folder, if that is no result, and new folders."""
-    try:
+        check_kind(folder, kind)
+        remove_stale(folder)
+        if not (folder / MARKER).exists():
+            write_json(folder / MARKER, {"kind": kind})
         yield
     except BaseException:
-        with contextlib.suppress(OSError):
-            added = {path.name for path in folder.iterdir()} - before
-            if added <= NO_RESULTS:
-                remove_files(folder, added)
-            for path in new:  # the deepest first; a folder that is not empty stays
-                path.rmdir()
+        if new and {path.name for path in folder.iterdir()} <= NO_RESULTS:
+            shutil.rmtree(folder, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                for path in new[1:]:
+                    path.rmdir()
         raise
+    finally:
+        lock.release()
 
 
 def check_free(folder: Path | str, kind: str, files: Iterable[str]) -> None:
@@ -119,15 +93,13 @@ def kind_of(folder: Path | str) -> str | None:
     Raises:
         InputError: a damaged marker.
     """
-    folder = Path(folder)
-    marker = folder / MARKER
-    if marker.exists():
-        kind = read_json(marker).get("kind")
-        if not isinstance(kind, str):
-            raise InputError(f"{marker}: kind is {kind!r}, expected a name")
-        return kind
-    found = (kind for kind, pattern in EVIDENCE.items() if any(folder.glob(pattern)))
-    return next(found, None)
+    marker = Path(folder) / MARKER
+    if not marker.exists():
+        return None
+    kind = read_json(marker).get("kind")
+    if not isinstance(kind, str):
+        raise InputError(f"{marker}: kind is {kind!r}, expected a name")
+    return kind
 
 
 def check_kind(folder: Path | str, kind: str) -> None:

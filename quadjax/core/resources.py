@@ -13,6 +13,21 @@ _BUNDLED = _PACKAGE / "configs"
 
 CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
+REMOVED = {  # presets of earlier versions, and the same race now
+    "authors_code": "e2e_paper +authors_code",
+    "e2e_adaptive": "e2e +residual +disturbance",
+    "e2e_clear": "e2e +fastest +clear",
+    "e2e_disturbed": "e2e +disturbance",
+    "e2e_estimated": "e2e +estimated",
+    "e2e_fastest": "e2e +fastest",
+    "e2e_fastest_disturbed": "e2e +fastest +disturbance",
+    "e2e_ppo_residual": "e2e_ppo +residual",
+    "e2e_race_adaptive": "e2e_race_robust +history",
+    "e2e_robust": "e2e +robust",
+    "e2e_shac": "e2e",
+    "indi_fastest": "indi +fastest",
+    "indi_shac": "indi",
+}
 
 
 def preset_names(folder: str = "") -> list[str]:
@@ -43,6 +58,8 @@ def find_config(name: Path | str, folder: str = "") -> Path:
         if path.exists() or path.is_symlink():
             return path
     names = preset_names(folder)
+    if path.name in REMOVED:
+        raise InputError(f"{name}: no such preset, write: {REMOVED[path.name]}")
     near = difflib.get_close_matches(path.stem, names, 1)
     hint = f"; did you mean {near[0]}?" if near else ""
     kind = "file" if path.suffix else "preset or file"

@@ -15,9 +15,8 @@ A config is a ``Section``; each key is declared once, with default, bounds and d
                 raise ValueError("search.trials is 3, allowed: at least 4 with method=tpe")
             return self
 
-    tree = merge_trees(read_tree_with_bases(path), parse_overrides(["trials=2e3"]))
-    search = build(Search, tree, str(path))   # or InputError, one line
-    text = to_yaml(search.model_dump())       # read_yaml reads it back
+    search = load_section(Search, "mine.yaml", "sweeps", ["trials=2e3"])  # or InputError, one line
+    text = to_yaml(search.model_dump())                                   # read_yaml reads it back
 
 Sections are frozen and refuse unknown keys. Types are strict: ``"1"`` and ``true`` are not numbers;
 an ``int`` field takes ``2e6``, a ``tuple`` field takes a list (use ``tuple[float, ...]`` rather
@@ -30,38 +29,47 @@ changed copy, validated again.
 import contextlib
 import dataclasses
 import re
-import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, NoReturn, Self, TypeGuard, TypeVar
+from typing import Annotated, Any, NoReturn, Self, TypeGuard, TypeVar
 
 import pydantic
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.fields import FieldInfo
 
 from quadjax.core.errors import InputError
-from quadjax.core.layers import Layer, from_layers
 from quadjax.core.resources import find_config
 from quadjax.core.yaml_files import (
+    Sources,
     Tree,
     close_match,
-    merge_trees,
+    merge_layers,
     parse_overrides,
-    read_tree_with_bases,
+    read_layers,
     short,
 )
 
+__all__ = ["Field", "Section", "build", "load_section", "model_validator"]
+
 LARGEST = 1e9  # default bound of numbers
 MAX_TEXT = 1000  # characters of a text
+MIN_FLOAT, MAX_FLOAT = 1.2e-38, 3.4e38  # single precision
 Positive = Annotated[float, Field(gt=0, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 FOLDER_NAME = r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}"
 FolderName = Annotated[str, Field(pattern=rf"^{FOLDER_NAME}$")]
-
-_UNION_TAG = re.compile(r"int|float|str|bool|(literal|tuple|constrained|function)\b.*")
-MIN_FLOAT, MAX_FLOAT = 1.2e-38, 3.4e38  # single precision
+ALLOWED = {  # by the type of pydantic's error
+    "bool_type": "true or false",
+    "dict_type": "a mapping",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "mapping_type": "a mapping",
+    "model_type": "a mapping",
+    "string_type": "text",
+    "tuple_type": "a list",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +82,20 @@ class Unit:
     """
 
     name: str
+
+
+class BadValue(InputError):
+    """A value of a key that is not allowed; the message starts with the key."""
+
+    def __init__(self, key: str, message: str) -> None:
+        """A message about the value of a dotted key."""
+        super().__init__(message)
+        self.key = key
+
+
+def refuse(key: str, value: object, allowed: str) -> NoReturn:
+    """Raise the one-line error of a value."""
+    raise BadValue(key, f"{key} is {short(value)}, allowed: {allowed}")
 
 
 class Section(pydantic.BaseModel):
@@ -97,18 +119,10 @@ class Section(pydantic.BaseModel):
             Raises:
                 InputError: as ``build``.
             """
-            with _one_line_errors(type(self), values, type(self).__name__):
-                super().__init__(**values)
+            with one_line_errors(type(self).__name__), _errors_of(type(self), values):
+                super().__init__(**_plain(values))
 
         __init__.__pydantic_base_init__ = True  # validation of nested sections does not call it
-
-    @model_validator(mode="before")
-    @classmethod
-    def _coerce_values(cls, values: object) -> object:
-        if not isinstance(values, Mapping):
-            return values
-        hints = {(f.alias or name): f.annotation for name, f in cls.model_fields.items()}
-        return {key: _coerce(hints.get(key), value) for key, value in values.items()}
 
     def replace(self, **changes: object) -> Self:
         """A copy with other values, validated as a whole.
@@ -116,51 +130,31 @@ class Section(pydantic.BaseModel):
         Raises:
             InputError: as ``build``.
         """
-        known = {
+        values = {
             (f.alias or name): getattr(self, name) for name, f in type(self).model_fields.items()
         }
-        return build(type(self), {**known, **changes}, type(self).__name__)
+        return build(type(self), {**values, **changes}, type(self).__name__)
 
 
 SectionType = TypeVar("SectionType", bound=Section)
 
 
-def _options(hint: object) -> tuple[object, ...]:
-    """The members of a union, or the type itself."""
-    if typing.get_origin(hint) is typing.Annotated:
-        hint = typing.get_args(hint)[0]
-    if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
-        return typing.get_args(hint)
-    return (hint,)
-
-
-def _coerce(hint: object, value: object) -> object:
-    """A value as YAML gives it, as its field takes it: 2e6 to an int, a list to a tuple."""
-    options = _options(hint)
-    if isinstance(value, float) and float not in options and int in options:
-        return int(value) if value.is_integer() else value
-    if isinstance(value, list):
-        for option in options:
-            if typing.get_origin(option) is tuple:
-                inner = typing.get_args(option)[0]
-                return tuple(_coerce(inner, item) for item in value)
-    return value
-
-
-def build(schema: type[SectionType], tree: Tree, source: str, prefix: str = "") -> SectionType:
+def build(
+    schema: type[SectionType], tree: Tree, source: str | Sources, prefix: str = ""
+) -> SectionType:
     """A section from plain values.
 
     Args:
         schema: the section's class.
         tree: plain values, as ``read_yaml`` returns them.
-        source: what to name in an error: the file.
+        source: what to name in an error: the file, or the file of each key.
         prefix: of the keys in an error, such as ``"learner."``.
 
     Raises:
         InputError: one line: source, dotted key, value and what is allowed.
     """
-    with _one_line_errors(schema, tree, source, prefix):
-        return schema.model_validate(tree)
+    with one_line_errors(source), _errors_of(schema, tree, prefix):
+        return schema.model_validate(_plain(tree, prefix))
 
 
 def load_section(
@@ -178,173 +172,139 @@ def load_section(
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
     path = find_config(path, folder)
-    tree, over = read_tree_with_bases(path), parse_overrides(overrides)
-    with from_layers([Layer(str(path), tree), Layer("overrides", over)], str(path)):
-        return build(schema, merge_trees(tree, over), str(path))
+    layers = [(str(file), tree) for file, tree in read_layers(path)]
+    tree, sources = merge_layers([*layers, ("overrides", parse_overrides(overrides))], str(path))
+    return build(schema, tree, sources)
 
 
 @contextlib.contextmanager
-def _one_line_errors(
-    schema: type[Section], tree: Tree, source: str, prefix: str = ""
-) -> Iterator[None]:
-    """Check the tree's values, and raise ``InputError`` for errors of pydantic in the block."""
-    _check_values(tree, source, prefix)
+def one_line_errors(source: str | Sources) -> Iterator[None]:
+    """Put the file of its key before the message of a ``BadValue`` in the block."""
+    try:
+        yield
+    except BadValue as error:
+        file = source if isinstance(source, str) else source.of(error.key)
+        raise InputError(f"{file}: {error}") from None
+
+
+@contextlib.contextmanager
+def _errors_of(schema: type[Section], tree: Tree, prefix: str = "") -> Iterator[None]:
+    """Raise ``BadValue`` for errors of pydantic in the block."""
     try:
         yield
     except pydantic.ValidationError as error:
         errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-        raise InputError(f"{source}: {_message(schema, errors[0], prefix)}") from None
+        raise _bad_value(schema, tree, [dict(e) for e in errors], prefix) from None
     except RecursionError:
-        raise InputError(f"{source}: nested too deep") from None
+        raise BadValue("", "nested too deep") from None
 
 
-def _refuse_long(text: str, source: str, key: str) -> NoReturn:
-    raise InputError(f"{source}: {key} has {len(text)} characters, allowed: up to {MAX_TEXT}")
+def _plain(value: Any, key: str = "") -> Any:
+    """A value of YAML as its field takes it: a tuple for a list, 2000000 for 2e6.
 
-
-def _check_values(value: object, source: str, key: str) -> None:
-    """Reject numbers outside the range of single precision, and long texts."""
+    Raises:
+        BadValue: a number outside the range of single precision, or a long text.
+    """
     if isinstance(value, Mapping):
-        for name, item in value.items():
-            if len(str(name)) > MAX_TEXT:
-                _refuse_long(str(name), source, f"a key of {key.rstrip('.')}")
-            _check_values(item, source, f"{key}{name}.")
-    elif isinstance(value, str) and len(value) > MAX_TEXT:
-        _refuse_long(value, source, key.rstrip("."))
-    elif isinstance(value, (list, tuple)):
-        for item in value:
-            _check_values(item, source, key)
-    elif isinstance(value, (int, float)) and value and not MIN_FLOAT <= abs(value) <= MAX_FLOAT:
-        raise InputError(
-            f"{source}: {key.rstrip('.')} is {short(value)}, allowed: finite numbers in the range "
-            "of single precision"
-        )
+        where = f"a key of {key}"
+        return {_plain(k, where): _plain(item, f"{key}{k}.") for k, item in value.items()}
+    if type(value) in (list, tuple):
+        return tuple(_plain(item, key) for item in value)
+    key = key.rstrip(".")
+    if isinstance(value, str) and len(value) > MAX_TEXT:
+        text = f"{key} has {len(value)} characters, allowed: up to {MAX_TEXT}"
+        raise BadValue(key, text)
+    if isinstance(value, (int, float)) and value and not MIN_FLOAT <= abs(value) <= MAX_FLOAT:
+        refuse(key, value, "finite numbers in the range of single precision")
+    whole = isinstance(value, float) and value.is_integer() and abs(value) < 1e15
+    return int(value) if whole else value
 
 
-def _message(schema: type[Section], error: Mapping, prefix: str) -> str:
-    location = tuple(part for part in error["loc"] if not _UNION_TAG.fullmatch(str(part)))
-    *parents, last = location or ("",)
-    dotted = prefix + _dotted(location) if location else prefix.rstrip(".")
+def _bad_value(
+    schema: type[Section], tree: Tree, errors: Sequence[Mapping[str, Any]], prefix: str
+) -> BadValue:
+    """The error of the first key among those of pydantic."""
+    error, location = errors[0], _location(errors[0], tree)
+    key = prefix + dotted(location) if location else prefix.rstrip(".")
     if error["type"] == "extra_forbidden":
-        names = _keys(_section_of(_at(schema, parents)[0]) or schema)
-        there = f"allowed there: {', '.join(sorted(names))}"
-        return f"unknown key {dotted}{close_match(str(last), names)}; {there}"
+        names = _names(_section_at(schema, location[:-1]) or schema)
+        hint, there = close_match(str(location[-1]), names), ", ".join(sorted(names))
+        return BadValue(key, f"unknown key {key}{hint}; allowed there: {there}")
     if error["type"] in ("value_error", "assertion_error"):
         reason = str(error["ctx"]["error"])
-        return reason if not dotted or dotted in reason else f"{dotted}: {reason}"
-    field = _at(schema, location)[1]
-    text = allowed(field) if field is not None else error["msg"]
+        return BadValue(key, reason if not key or key in reason else f"{key}: {reason}")
     if error["type"] == "missing":
-        return f"{dotted} is missing, allowed: {text}"
-    if error["type"] == "too_long" and short(error["input"]).endswith("..."):
-        return f"{dotted} has {len(error['input'])} items, allowed: {text}"
-    if not dotted:
-        return f"{short(error['input'])} is not a mapping of keys to values"
-    return f"{dotted} is {short(error['input'])}, allowed: {text}"
+        return BadValue(key, f"{key} is missing")
+    texts = [_allowed(e) for e in errors if _location(e, tree) == location]
+    value = short(error["input"])
+    if not key:
+        return BadValue(key, f"{value} is not a mapping of keys to values")
+    return BadValue(key, f"{key} is {value}, allowed: {' or '.join(dict.fromkeys(texts))}")
 
 
-def _dotted(location: tuple[str | int, ...]) -> str:
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
-    return text
+def _location(error: Mapping[str, Any], tree: object) -> tuple[str | int, ...]:
+    """Keys and indices of an error, without the names of a union's members."""
+    found: list[str | int] = []
+    for part in error["loc"]:
+        if isinstance(tree, Mapping) and part in tree:
+            tree = tree[part]
+        elif isinstance(tree, (list, tuple)) and isinstance(part, int) and part < len(tree):
+            tree = tree[part]
+        elif error["type"] != "missing" or part != error["loc"][-1]:
+            continue
+        found.append(part)
+    return tuple(found)
 
 
-def _keys(schema: type[Section]) -> list[str]:
+def _allowed(error: Mapping[str, Any]) -> str:
+    """What pydantic allows: "greater than 0", of "Input should be greater than 0"."""
+    text = re.sub(r"^\w+ should (be |have )?", "", error["msg"])
+    return ALLOWED.get(error["type"], text.partition(" after validation")[0])
+
+
+def dotted(location: Sequence[str | int]) -> str:
+    """A location as text: ``track.gates[0].size``."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
+    return "".join(parts).removeprefix(".")
+
+
+def _names(schema: type[Section]) -> list[str]:
     return [field.alias or name for name, field in schema.model_fields.items()]
 
 
-def _at(schema: type[Section], location: Sequence) -> tuple[object, FieldInfo | None]:
-    """The type at an error's location, and the field of the last key on the way."""
-    hint: Any = schema
-    field: FieldInfo | None = None
+def _section_at(schema: type[Section] | None, location: Sequence[str | int]) -> Any:
+    """The class of the section at a location; None if there is another value."""
     for part in location:
-        section = _section_of(hint)
-        if section is not None and isinstance(part, str):
-            found = [f for name, f in section.model_fields.items() if part in (name, f.alias)]
-            field = found[0] if found else None
-            hint = field.annotation if field else None
-        else:  # an item of a list or a value of a mapping
-            inner = [a for option in _options(hint) for a in typing.get_args(option)]
-            hint = next((a for a in reversed(inner) if a not in (Ellipsis, type(None))), hint)
-    return hint, field
+        if schema is None:
+            return None
+        field = field_of(schema, str(part))
+        if field is not None:
+            schema = next((s for s in _types(field.annotation) if is_section(s)), None)
+    return schema
 
 
-def number_unit(schema: type[Section], location: Sequence) -> tuple[bool, str | None]:
-    """Whether the key at a location takes numbers, and the name of their unit, if it has one.
-
-    Args:
-        schema: of the location's first key.
-        location: keys of sections and mappings, and indices of lists.
-    """
-    hint, field = _at(schema, location)
-    kinds = {getattr(option, "__origin__", option) for option in _options(hint)}
-    units = [item.name for item in (field.metadata if field else ()) if isinstance(item, Unit)]
-    return not kinds.isdisjoint((int, float)), units[0] if units else None
+def field_of(schema: type[Section], key: str) -> FieldInfo | None:
+    """The field of a section's key."""
+    fields = schema.model_fields.items()
+    return next((field for name, field in fields if key in (name, field.alias)), None)
 
 
-def _section_of(hint: object) -> type[Section] | None:
-    return next((option for option in _options(hint) if _is_section(option)), None)
+def field_at(schema: type[Section], location: Sequence[str | int]) -> FieldInfo | None:
+    """The field of a key in sections of sections; None if there is none."""
+    section = _section_at(schema, location[:-1])
+    return field_of(section, str(location[-1])) if section else None
 
 
-def _is_section(hint: object) -> TypeGuard[type[Section]]:
+def _types(hint: object) -> Iterator[object]:
+    """The types in an annotation, inner ones too."""
+    yield hint
+    for inner in typing.get_args(hint):
+        yield from _types(inner)
+
+
+def is_section(hint: object) -> TypeGuard[type[Section]]:
+    """Whether an annotation is the class of a section."""
     return isinstance(hint, type) and issubclass(hint, Section)
-
-
-def allowed(field: FieldInfo) -> str:
-    """The values that a field takes, as text: ``"a whole number from 1 to 4096, or null"``."""
-    options = [option for option in _options(field.annotation) if option is not type(None)]
-    own = [getattr(o, "__metadata__", (None,))[0] for o in options]  # a Field of one option
-    texts = [_type_text(o) + (_bounds(f) if f else "") for o, f in zip(options, own, strict=True)]
-    text = " or ".join(texts) + _bounds(field)
-    return f"{text}, or null" if len(options) < len(_options(field.annotation)) else text
-
-
-def _type_text(hint: object, plural: bool = False) -> str:
-    if typing.get_origin(hint) is typing.Annotated:
-        hint = typing.get_args(hint)[0]
-    if typing.get_origin(hint) is Literal:
-        return "one of " + ", ".join(str(choice) for choice in typing.get_args(hint))
-    inner = typing.get_args(hint)
-    if typing.get_origin(hint) in (tuple, list):
-        count = f"{len(inner)} " if inner[-1] is not Ellipsis and len(inner) > 1 else ""
-        bounds = getattr(inner[0], "__metadata__", None)
-        each = _bounds(bounds[0]).replace(", ", ", each ", 1) if bounds else ""
-        return f"a list of {count}{_type_text(inner[0], plural=True)}{each}"
-    if typing.get_origin(hint) is dict:
-        return f"a mapping of names to {_type_text(inner[-1], plural=True)}"
-    names: dict[Any, tuple[str, str]] = {
-        bool: ("true or false", "true or false"),
-        int: ("a whole number", "whole numbers"),
-        float: ("a number", "numbers"),
-        str: ("text", "texts"),
-    }
-    default = ("a mapping", "mappings") if _is_section(hint) else ("a value", "values")
-    return names.get(hint, default)[plural]
-
-
-def _bounds(field: FieldInfo) -> str:
-    bounds, counts = [], []
-    for item in field.metadata:
-        for name, text in (("ge", "at least"), ("gt", "above"), ("le", "at most"), ("lt", "below")):
-            if (bound := getattr(item, name, None)) is not None:
-                bounds.append(f"{text} {_number(bound)}")
-        for name, text in (("min_length", "at least"), ("max_length", "at most")):
-            if (bound := getattr(item, name, None)) is not None:
-                counts.append(f"{text} {bound}")
-        if getattr(item, "pattern", None):
-            bounds.append(f"matching {item.pattern}")
-    if counts:
-        bounds.append(f"{', '.join(counts)} of them")
-    return "".join(f", {bound}" for bound in bounds)
-
-
-def _number(bound: float) -> str:
-    return (
-        f"{bound:g}".replace("e+0", "e").replace("e+", "e")
-        if abs(bound) in {1e5, 1e6, 1e7, 1e8, 1e9, 1e12}
-        else str(bound)
-    )
 
 
 def value_at(section: Section, key: str, missing: object = 1.0) -> object:
@@ -367,25 +327,3 @@ def value_at(section: Section, key: str, missing: object = 1.0) -> object:
     if isinstance(node, Section):
         raise InputError(f"{key}: is a section of the keys {', '.join(vars(node))}")
     return node
-
-
-class KeyInfo(NamedTuple):
-    """One key of a config: dotted name, values it takes, default and description."""
-
-    key: str
-    allowed: str
-    default: object
-    description: str
-
-
-def describe(schema: type[Section], prefix: str = "") -> list[KeyInfo]:
-    """Every key of a section and of those in it, in order, for help and reference pages."""
-    found: list[KeyInfo] = []
-    for name, field in schema.model_fields.items():
-        key = f"{prefix}{field.alias or name}"
-        if _is_section(field.annotation):
-            found += describe(field.annotation, f"{key}.")
-        else:
-            default = None if field.is_required() else field.get_default(call_default_factory=True)
-            found.append(KeyInfo(key, allowed(field), default, field.description or ""))
-    return found

@@ -1,16 +1,19 @@
 """YAML 1.2 files, ``key=value`` overrides and their composition, as plain dictionaries."""
 
+import dataclasses
 import difflib
+import io
 import json
-import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.representer import RoundTripRepresenter
 
 from quadjax.core.errors import InputError, prefixed, reading
 from quadjax.core.files import read_text
@@ -86,28 +89,20 @@ def _check_plain(value: object, source: str, depth: int, count: list[int]) -> No
         raise InputError(f"{source}: {short(value)} is not a plain value")
 
 
-Merge = Callable[[Tree, Tree, Path], Tree]
-
-
-def read_tree_with_bases(path: Path | str, merge: Merge | None = None) -> Tree:
-    """A YAML mapping merged over the files that its key ``base`` names, one or a list, in order.
+def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[tuple[Path, Tree]]:
+    """A YAML mapping and those of the files that its key ``base`` names, the lowest first.
 
     A base is a path relative to the file that names it, or the name of a file in ``configs/``,
-    with or without ``.yaml``.
+    with or without ``.yaml``. ``base`` is one or a list; each is merged over those before it.
 
     Args:
         path: the file.
-        merge: ``(under, over, file of over) -> merged``; ``merge_trees`` by default.
+        chain: files whose bases lead to this one.
 
     Raises:
         InputError: a file that cannot be read, a base that leads back to itself, a long chain.
     """
-    return _with_bases(
-        {}, Path(path), (), merge or (lambda under, over, _: merge_trees(under, over))
-    )
-
-
-def _with_bases(under: Tree, path: Path, chain: tuple[Path, ...], merge: Merge) -> Tree:
+    path = Path(path)
     tree = read_yaml(path)
     bases = tree.pop("base", [])
     names = [bases] if isinstance(bases, str) else bases
@@ -116,13 +111,65 @@ def _with_bases(under: Tree, path: Path, chain: tuple[Path, ...], merge: Merge) 
     chain = (*chain, path.resolve())
     if len(chain) > MAX_DEPTH:
         raise InputError(f"{path}: a chain of more than {MAX_DEPTH} bases")
+    layers: list[tuple[Path, Tree]] = []
     for name in names:
         with prefixed(f"{path}: base"):
             base = find_file(name, path.parent)
         if base.resolve() in chain:
             raise InputError(f"{path}: base {name} leads back to itself")
-        under = _with_bases(under, base, chain, merge)
-    return merge(under, tree, path)
+        layers += read_layers(base, chain)
+    return [*layers, (path, tree)]
+
+
+def read_tree_with_bases(path: Path | str) -> Tree:
+    """A YAML mapping merged over its bases; see ``read_layers``."""
+    return merge_layers([(str(file), tree) for file, tree in read_layers(path)], str(path))[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class Sources:
+    """Which file each value of a merged tree comes from.
+
+    Attributes:
+        path: of the config.
+        files: by the dotted key of each value, and of each section: the last file with a value in
+            it.
+    """
+
+    path: str
+    files: dict[str, str]
+
+    def of(self, key: str) -> str:
+        """The file of a dotted key, or of the section around it."""
+        key = re.sub(r"\[\d+\]", "", key)
+        while key and key not in self.files:
+            key = key.rpartition(".")[0]
+        return self.files.get(key, self.path)
+
+
+def merge_layers(layers: Sequence[tuple[str, Tree]], path: str) -> tuple[Tree, Sources]:
+    """Trees merged in their order, and the source of each value.
+
+    Args:
+        layers: source and tree of each.
+        path: of the config.
+    """
+    tree: Tree = {}
+    files: dict[str, str] = {}
+    for source, over in layers:
+        tree = merge_trees(tree, over)
+        files |= files_of(over, source)
+    return tree, Sources(path, files)
+
+
+def files_of(tree: Tree, file: str) -> dict[str, str]:
+    """A file, by the dotted key of each of its values and sections."""
+    found: dict[str, str] = {}
+    for key in flatten(tree):
+        while key:
+            found[key] = file
+            key = key.rpartition(".")[0]
+    return found
 
 
 def find_file(name: str, folder: Path, kind: str = ".") -> Path:
@@ -198,54 +245,57 @@ def override(key: str, value: object) -> str:
 
 
 def to_yaml(tree: Mapping[str, object], comments: Mapping[str, str] | None = None) -> str:
-    """A tree as YAML: nested mappings in block style, lists of plain values in flow style.
+    """A tree as YAML: nested mappings in block style, lists and what is in them in flow style.
 
     Args:
         tree: plain values; ``section.model_dump()`` of a section.
         comments: text for the lines above a key, by dotted key.
     """
-    return "".join(f"{line}\n" for line in _lines(tree, "", 0, comments or {}))
+    writer = YAML()
+    writer.Representer = _Representer
+    writer.width = 10**6
+    writer.indent(mapping=2, sequence=4, offset=2)
+    stream = io.StringIO()
+    if tree:
+        writer.dump(_block(tree, "", comments or {}), stream)
+    return stream.getvalue()
 
 
-def _lines(tree: Mapping[str, object], prefix: str, depth: int, comments: Mapping) -> list[str]:
-    indent, lines = "  " * depth, []
+class _Representer(RoundTripRepresenter):
+    """Writes ``null`` for None."""
+
+
+_Representer.add_representer(
+    type(None), lambda writer, _: writer.represent_scalar("tag:yaml.org,2002:null", "null")
+)
+
+
+def _block(tree: Mapping[str, object], prefix: str, comments: Mapping[str, str]) -> CommentedMap:
+    block, depth = CommentedMap(), prefix.count(".")
     for key, value in tree.items():
-        dotted = f"{prefix}{key}"
-        if dotted in comments:
-            start = f"{indent}# "
-            lines += textwrap.wrap(
-                comments[dotted],
-                WIDTH,
-                initial_indent=start,
-                subsequent_indent=start,
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
         if isinstance(value, Mapping) and value:
-            lines.append(f"{indent}{_flow(key)}:")
-            lines += _lines(value, f"{dotted}.", depth + 1, comments)
+            block[key] = _block(value, f"{prefix}{key}.", comments)
         elif isinstance(value, (list, tuple)) and any(isinstance(v, Mapping) for v in value):
-            lines.append(f"{indent}{_flow(key)}:")
-            lines += [f"{indent}  - {_flow(item)}" for item in value]
+            block[key] = CommentedSeq(map(_flow, value))
         else:
-            lines.append(f"{indent}{_flow(key)}: {_flow(value)}")
-    return lines
+            block[key] = _flow(value)
+        if text := comments.get(f"{prefix}{key}"):
+            lines = textwrap.fill(text, WIDTH - 2 * depth - 2, break_long_words=False)
+            block.yaml_set_comment_before_after_key(key, before=lines, indent=2 * depth)
+    return block
 
 
-def _flow(value: object) -> str:
+def _flow(value: object) -> object:
+    """A value in flow style: on one line."""
+    node: CommentedMap | CommentedSeq
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_flow(k)}: {_flow(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_flow(item) for item in value) + "]"
-    if isinstance(value, str):
-        plain = re.fullmatch(r"[A-Za-z_/][\w./-]*", value) and value.lower() not in _NOT_TEXT
-        return value if plain else json.dumps(value, ensure_ascii=False)
-    if isinstance(value, float) and not math.isfinite(value):
-        return ".nan" if math.isnan(value) else ("-.inf" if value < 0 else ".inf")
-    return json.dumps(value)
-
-
-_NOT_TEXT = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}
+        node = CommentedMap((key, _flow(item)) for key, item in value.items())
+    elif isinstance(value, (list, tuple)):
+        node = CommentedSeq(_flow(item) for item in value)
+    else:
+        return value
+    node.fa.set_flow_style()
+    return node
 
 
 def short(value: object) -> str:

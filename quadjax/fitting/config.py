@@ -20,7 +20,7 @@ from quadjax.core.sections import (
 from quadjax.core.yaml_files import Tree, parse_overrides
 from quadjax.fitting.columns import WIDTHS
 
-Columns = Annotated[list[str], Field(max_length=100)]
+Columns = Annotated[tuple[str, ...], Field(max_length=100)]
 MotorCommand = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 

@@ -30,7 +30,7 @@ except ImportError:
 Info = dict[str, Any]
 Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]
 ID = "quadjax/Race-v0"
-DEFAULT_CONFIG = "e2e_shac"
+DEFAULT_CONFIG = "e2e"
 Named = Config | Path | str  # a config, a preset's name or a YAML file
 
 

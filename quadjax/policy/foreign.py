@@ -14,10 +14,10 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from quadjax.core import c_arrays
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_finite
-from quadjax.core.torch_files import MAX_BYTES, linear_layers, read_state_dict
+from quadjax.policy import c_arrays
+from quadjax.policy.torch_files import MAX_BYTES, linear_layers, read_state_dict
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
@@ -61,7 +61,7 @@ def read_network(path: Path | str) -> Network:
     - ``.zip``: a model of Stable-Baselines3 (PPO or A2C, ``MlpPolicy``);
     - ``.pt``, ``.pth``: a PyTorch state dict, of Stable-Baselines3's policy or of linear layers in
       the order of their application, optionally with ``log_std``;
-    - ``.c``, ``.h``, ``.cpp``, ``.hpp``: see ``quadjax.core.c_arrays.read_c_network``.
+    - ``.c``, ``.h``, ``.cpp``, ``.hpp``: see ``quadjax.policy.c_arrays.read_c_network``.
 
     Raises:
         InputError: another suffix, or a file that cannot be read; in one line.

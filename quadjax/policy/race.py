@@ -4,15 +4,15 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from quadjax.config.loading import load_config
+from quadjax.config.loading import load_config, stored_config
 from quadjax.config.schema import Config
-from quadjax.config.stored import stored_config
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS, preset_names
+from quadjax.core.resources import CONFIGS, REMOVED, preset_names
 from quadjax.core.yaml_files import override
 from quadjax.policy.file import Policy
 
-DEFAULT_CONFIG = CONFIGS / "e2e_shac.yaml"  # with which the file of another track is read
+DEFAULT_CONFIG = CONFIGS / "e2e.yaml"  # with which the file of another track is read
+OLD = {**REMOVED, "e2e": "e2e +residual", "indi": "indi +fastest"}  # names in files without config
 
 
 def race_of_policy(
@@ -62,9 +62,15 @@ def race_of_policy(
 
 
 def preset_of(policy: Policy) -> str | None:
-    """The preset that a policy file without a config names, if it comes with the package."""
+    """The preset that a policy file without a config names, if it comes with the package.
+
+    Such files are of earlier versions; the preset of the same race now may have parts:
+    ``e2e +residual``.
+    """
+    if policy.config is not None:
+        return None
     preset = re.sub(r"_seed\d+$", "", str(policy.source.get("config")))
-    return preset if policy.config is None and preset in preset_names() else None
+    return OLD.get(preset, preset if preset in preset_names() else None)
 
 
 def _residual(policy: Policy) -> list[str]:

@@ -43,19 +43,19 @@ class Variant:
 
 def _randomized(percent: int) -> Variant:
     overrides = tuple(f"randomization.{group}={percent / 100}" for group in _RANDOM)
-    training = ("configs/e2e_robust.yaml", STEPS, *overrides)
+    training = ("e2e", "+robust", STEPS, *overrides)
     return Variant("randomization", f"{percent}%", f"e2e_random_{percent}", training)
 
 
-_DISTURBED = ("configs/e2e_disturbed.yaml", STEPS, f"vehicle.residual={RESIDUAL}")
+_DISTURBED = ("e2e", "+disturbance", STEPS, f"vehicle.residual={RESIDUAL}")
 
 VARIANTS = (
-    Variant("residual", "without", "e2e_nominal", ("configs/e2e_shac.yaml", STEPS)),
+    Variant("residual", "without", "e2e_nominal", ("e2e", STEPS)),
     Variant(
         "residual",
         "with",
         "e2e_residual",
-        ("configs/e2e_shac.yaml", STEPS, f"vehicle.residual={RESIDUAL}"),
+        ("e2e", STEPS, f"vehicle.residual={RESIDUAL}"),
         True,
     ),
     Variant("disturbance", "ground_truth", "e2e_ground_truth", _DISTURBED, True, "ground_truth"),

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.config.loading import stored_config
 from quadjax.config.race import build_vehicle, race_of
 from quadjax.config.schema import Config
-from quadjax.config.stored import stored_config
 from quadjax.core.errors import InputError
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Plan, plan_flights

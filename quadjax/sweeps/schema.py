@@ -14,7 +14,9 @@ Bound = Annotated[float, Field(ge=-1e12, le=1e12)]
 class Range(Section):
     """The values of one key: exactly one of ``choices``, ``range`` and ``log``."""
 
-    choices: list[Any] | None = Field(None, min_length=1, max_length=1000, description="values")
+    choices: tuple[Any, ...] | None = Field(
+        None, min_length=1, max_length=1000, description="values"
+    )
     range: tuple[Bound, Bound] | None = Field(None, description="lowest and highest value")
     log: tuple[Bound, Bound] | None = Field(None, description="the same, on a log scale")
     step: Positive | None = Field(None, description="distance of the values of a range")

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from quadjax.config.code import names_of_code
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
-from quadjax.config.stored import names_of_code
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, whole_file, write_text
 from quadjax.core.folders import check_kind, kind_of, remove_files

@@ -99,7 +99,7 @@ def train(
             return Run.load(folder, config)
         display = TrainingProgress(job.plan.steps, config.name) if progress else None
         if display is not None:
-            for note in (*config.notes, *_sizes(config)):
+            for note in _sizes(config):
                 display.note(f"{config.name}: {note}")
         with interruptions() as stop, display or contextlib.nullcontext():
             position = _run(job, folder, resume, started, display, stop, enough)

@@ -15,11 +15,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from quadjax.core.c_arrays import is_c, read_c_network
 from quadjax.core.errors import InputError, reading
 from quadjax.core.files import read_layers, read_npz, write_npz
 from quadjax.core.resources import PRETRAINED
-from quadjax.core.torch_files import Layers, linear_layers, read_state_dict
 from quadjax.vehicle.residual import Residual
 
 FORMAT, POLICY_FORMAT = FORMATS = ("quadjax-residual/1", "quadjax-policy/2")
@@ -87,42 +85,8 @@ def read_residual(path: Path | str) -> Residual:
     return from_arrays(path, arrays, meta if meta["format"] == FORMAT else meta.get("residual"))
 
 
-def import_residual(
-    thrust: Path | str,
-    moment: Path | str,
-    rpm_range: tuple[float, float],
-    thrust_sign: int,
-) -> Residual:
-    """A residual from two networks with ReLU: PyTorch state dicts of linear layers, or C source.
-
-    Args:
-        thrust: network of 7 inputs and 1 output; see ``quadjax.vehicle.residual``.
-        moment: network of 10 inputs and 3 outputs.
-        rpm_range: propeller speeds that enter as -1 and 1, rpm.
-        thrust_sign: +1 if the first network's output is added to the body-z specific force, -1 if
-            it is subtracted, as printed in the paper.
-
-    Raises:
-        InputError: a file that cannot be read, or networks of other sizes; in one line.
-    """
-    meta = {"rpm_min": rpm_range[0], "rpm_max": rpm_range[1], "thrust_sign": thrust_sign}
-    found = {}
-    for name, path in (("thrust", thrust), ("moment", moment)):
-        layers = _c_layers(path) if is_c(path) else linear_layers(path, read_state_dict(path))
-        _check_shape(path, name, layers)
-        for index, (kernel, bias) in enumerate(layers):
-            found |= {f"{name}_kernel_{index}": kernel, f"{name}_bias_{index}": bias}
-    return from_arrays(thrust, found, meta)
-
-
-def _c_layers(path: Path | str) -> Layers:
-    network = read_c_network(path)
-    if network.activation == "tanh":
-        raise InputError(f"{path}: its activation is tanh, a residual has relu")
-    return network.layers
-
-
-def _check_shape(path: Path | str, name: str, layers: Sequence[tuple[Any, Any]]) -> None:
+def check_shape(path: Path | str, name: str, layers: Sequence[tuple[Any, Any]]) -> None:
+    """Raise an ``InputError`` unless layers have the inputs and outputs of the named network."""
     expected, found = SHAPES[name], (layers[0][0].shape[0], layers[-1][0].shape[1])
     if found != expected:
         raise InputError(
@@ -142,7 +106,7 @@ def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -
     networks = {}
     for name in SHAPES:
         layers = read_layers(path, arrays, f"{name}_")
-        _check_shape(path, name, layers)
+        check_shape(path, name, layers)
         networks[name] = tuple(
             (jnp.asarray(k, jnp.float32), jnp.asarray(b, jnp.float32)) for k, b in layers
         )

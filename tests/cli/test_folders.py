@@ -72,10 +72,11 @@ def test_a_copy_of_a_run_without_its_hidden_file_is_viewed(here, monkeypatch, ca
 
 
 def test_messages_of_functions_name_arguments_and_those_of_commands_options(here, capsys):
-    config = load_config("e2e_shac", ["name=a"])
+    config = load_config("e2e", ["name=a"])
     (here / "runs" / "a" / "checkpoints").mkdir(parents=True)
+    (here / "runs" / "a" / ".quadjax.json").write_text('{"kind": "training"}')
     (here / "runs" / "a" / "policy.npz").write_bytes(b"")
     with pytest.raises(InputError, match=r"\(resume=True\), replace it \(overwrite=True\)"):
         training.prepare_folder(config, here / "runs" / "a", resume=False, overwrite=False)
-    assert run("train", "e2e_shac", "--name", "a", "run.devices=1") == 2
+    assert run("train", "e2e", "--name", "a", "run.devices=1") == 2
     assert "resume it (--resume), replace it (--overwrite)" in capsys.readouterr().err

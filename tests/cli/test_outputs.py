@@ -28,8 +28,8 @@ def refusal(capsys, *arguments):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("train", "e2e_shac", "--output=--"),
-        ("train", "e2e_shac", "--seeds=--"),
+        ("train", "e2e", "--output=--"),
+        ("train", "e2e", "--seeds=--"),
         ("evaluate", "e2e", "--policy=--"),
         ("export", "p.npz", "--output", "o", "--range=--"),
     ],
@@ -120,7 +120,7 @@ def test_a_path_with_an_equals_sign_is_a_file(tmp_path, monkeypatch, capsys):
         assert run("evaluate", "--policy", file) == 2
         assert f"error: {file}: not an .npz file\n" in capsys.readouterr().err
         assert file in refusal(capsys, "import", "e2e", file, "--output", "out.npz")
-    Path("a=b.yaml").write_text("base: e2e_shac\nname: mine\n")
+    Path("a=b.yaml").write_text("base: e2e\nname: mine\n")
     overrides = ["seed=3", f"vehicle={CONFIGS / 'vehicles/bebop1.yaml'}"]
     assert configs_of(["a=b.yaml", *overrides]) == ({"mine": "a=b.yaml"}, overrides)
 
@@ -155,22 +155,22 @@ def test_somebody_s_files_are_not_replaced(tmp_path, capsys, arguments, file):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "file"),
+    ("arguments", "kind", "file"),
     [
-        (("replay", "log.csv", "--vehicle", "bebop1.yaml"), "replay.json"),
-        (("sil", "one"), "sil.json"),
-        (("compare", "standin"), "compare.json"),
+        (("replay", "log.csv", "--vehicle", "bebop1.yaml"), "replay", "replay.json"),
+        (("sil", "one"), "flight", "sil.json"),
+        (("compare", "standin"), "comparison", "compare.json"),
     ],
     ids=lambda value: value if isinstance(value, str) else value[0],
 )
-def test_earlier_results_are_replaced_only_with_overwrite(tmp_path, capsys, arguments, file):
+def test_earlier_results_are_replaced_only_with_overwrite(tmp_path, capsys, arguments, kind, file):
     """They are refused at once, before logs are read, C is compiled or flights are simulated."""
     name, *words = [tmp_path if word == "one" else word for word in arguments]
     folder = tmp_path / name
     folder.mkdir()
     (folder / file).write_text("earlier")
     error = refusal(capsys, name, *words, "--output", tmp_path)
-    assert "already: replace it (--overwrite) or choose another name" in error
+    assert f"holds no {kind}, but {file}: choose another folder, or replace" in error
     assert (folder / file).read_text() == "earlier" and len(list(folder.iterdir())) == 1
 
 
@@ -219,10 +219,8 @@ def test_a_refused_command_leaves_nothing(tmp_path, capsys, monkeypatch, argumen
 
 def test_a_failure_removes_copies_of_inputs_and_nothing_else(tmp_path):
     (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "config.yaml").write_text("mine")
-    for folder, file in ((tmp_path / "a" / "new", "config.yaml"), (tmp_path / "old", "inputs")):
-        with pytest.raises(InputError), claim(folder, "training"):
-            (folder / file).write_text("a copy")
-            raise InputError("refused")
+    folder = tmp_path / "a" / "new"
+    with pytest.raises(InputError), claim(folder, "training"):
+        (folder / "config.yaml").write_text("a copy")
+        raise InputError("refused")
     assert [path.name for path in tmp_path.iterdir()] == ["old"]
-    assert [path.name for path in (tmp_path / "old").iterdir()] == ["config.yaml"]

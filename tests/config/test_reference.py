@@ -2,8 +2,7 @@
 
 import pytest
 
-from quadjax.config.reference import markdown, sections_of, training_sections
-from quadjax.core.sections import describe
+from quadjax.config.reference import describe, markdown, sections_of, training_sections
 from quadjax.fitting.config import FitConfig
 from quadjax.plant.config import PlantConfig
 from quadjax.sweeps.schema import Range, SweepFile

@@ -24,7 +24,7 @@ def scales_of(config):
 
 def test_units_of_the_papers_race():
     """Legs of 4 and 3 m; four rotors of k_w rpm_max^2 each, against g."""
-    scales = scales_of(load_config("e2e_fastest"))
+    scales = scales_of(load_config("e2e +fastest"))
     thrust = 4 * 4.36301076e-08 * 11000**2
     assert scales.leg == pytest.approx(3.5)
     assert scales.acceleration == pytest.approx(math.sqrt(thrust**2 - 9.81**2), rel=1e-6)
@@ -34,7 +34,7 @@ def test_units_of_the_papers_race():
 
 def test_numbers_with_a_unit_become_plain_numbers():
     config = load_config(
-        "e2e_fastest",
+        "e2e +fastest",
         [
             "track=figure8_tudelft",
             "reward.progress=10 per leg",
@@ -78,18 +78,21 @@ def test_numbers_with_a_unit_become_plain_numbers():
         ("reward.gate_edge=3 legs", "gate_edge is 3 legs, allowed: .* per leg or per half gate"),
         ("reward.time=2 per half gate", "time is 2 per half gate, allowed: .* per leg time"),
         ("reward.progress=2 per legs", "is 2 per legs, allowed: .* per leg or per half gate"),
-        ("reward.gate=2 feet", "reward.gate is 2 feet, allowed: a plain number$"),
-        ("reward.body_rates=3 legs", "body_rates is 3 legs, allowed: a plain number$"),
-        ("learner.std=0.05 legs", "learner.std is 0.05 legs, allowed: a plain number$"),
-        ("run.steps=1 leg times", "run.steps is 1 leg times, allowed: a plain number$"),
-        ("rules.body_radius=1 legs", "rules.body_radius is 1 legs, allowed: a plain number$"),
-        ("schedules.learner.std.linear=[1 legs, 2]", "learner.std.linear is 1 legs, allowed"),
-        ("schedules.reward.gate_edge.from=1 legs", "gate_edge.from is 1 legs, allowed"),
+        ("reward.gate=2 feet", "reward.gate is '2 feet', allowed: a number$"),
+        ("reward.body_rates=3 legs", "body_rates is '3 legs', allowed: a number$"),
+        ("learner.std=0.05 legs", "learner.std is '0.05 legs', allowed: a number$"),
+        ("run.steps=1 leg times", "run.steps is '1 leg times', allowed: a whole number$"),
+        ("rules.body_radius=1 legs", "rules.body_radius is '1 legs', allowed: a number$"),
+        (
+            "schedules.learner.std.linear=[1 legs, 2]",
+            "learner.std.linear\\[0\\] is '1 legs', allowed",
+        ),
+        ("schedules.reward.gate_edge.from=1 legs", "gate_edge.from is '1 legs', allowed"),
     ],
 )
 def test_a_wrong_unit_is_one_line(override, named):
     with pytest.raises(InputError, match=named) as caught:
-        load_config("e2e_fastest", [override])
+        load_config("e2e +fastest", [override])
     assert "\n" not in str(caught.value)
 
 
@@ -118,8 +121,8 @@ def test_a_printed_config_keeps_its_units(tmp_path):
 
 
 def test_a_model_without_thrust_to_weight_has_no_units():
-    with pytest.raises(InputError, match="has no thrust_to_weight"):
-        load_config("e2e_fastest", [NO_RATIO, "reward.progress=10 per leg"])
+    with pytest.raises(InputError, match="a model that has thrust_to_weight"):
+        load_config("e2e +fastest", [NO_RATIO, "reward.progress=10 per leg"])
 
 
 KEYS = (
@@ -178,8 +181,8 @@ def test_a_race_scaled_in_length_and_time_trains_alike(tmp_path):
     places = ((8, -6, 45), (8, 6, 135), (-8, 6, 225), (-8, -6, 315))
     gates = [f"{{position: [{x}, {y}, -6], yaw_deg: {a}, size: [4, 4]}}" for x, y, a in places]
     (tmp_path / "large.yaml").write_text("gates:\n  - " + "\n  - ".join(gates) + "\n")
-    small = load_config("indi_fastest", KEYS)
-    large = load_config("indi_fastest", [*KEYS, *SLOWER, f"track={tmp_path / 'large.yaml'}"])
+    small = load_config("indi +fastest", KEYS)
+    large = load_config("indi +fastest", [*KEYS, *SLOWER, f"track={tmp_path / 'large.yaml'}"])
     assert large.learner == small.learner
     assert large.training_limits.episode_steps == small.training_limits.episode_steps
     assert large.reward.progress == small.reward.progress / 4

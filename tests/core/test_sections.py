@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 import pytest
 
+from quadjax.config.reference import describe
 from quadjax.core.errors import InputError
-from quadjax.core.sections import Field, Section, build, describe, model_validator
+from quadjax.core.sections import Field, Section, build, model_validator
 from quadjax.core.yaml_files import (
     merge_trees,
     parse_overrides,
@@ -57,29 +58,29 @@ def test_build_takes_what_is_meant():
 
 
 REFUSED = [
-    ({"sizes": [9]}, "sizes[0] is 9, allowed: a list of numbers, each above 0, at most 5"),
-    ({"count": 2.5}, "count is 2.5, allowed: a whole number, at least 1, at most 4096"),
+    ({"sizes": [9]}, "sizes[0] is 9, allowed: less than or equal to 5"),
+    ({"count": 2.5}, "count is 2.5, allowed: a whole number"),
     ({"count": True}, "count is True, allowed: a whole number"),
     ({"count": "2"}, "count is '2', allowed: a whole number"),
-    ({"count": 0}, "count is 0, allowed: a whole number, at least 1"),
+    ({"count": 0}, "count is 0, allowed: greater than or equal to 1"),
     ({"count": 10**5000}, "count is a number of thousands of digits, allowed: finite numbers"),
     ({"flag": "true"}, "flag is 'true', allowed: true or false"),
     ({"flag": 1}, "flag is 1, allowed: true or false"),
     ({"flag": None}, "flag is None, allowed: true or false"),
-    ({"method": "cma"}, "method is 'cma', allowed: one of tpe, grid"),
-    ({"widths": []}, "widths is [], allowed: a list of whole numbers, at least 1, at most 3"),
-    ({"widths": [1, "x"]}, "widths[1] is 'x', allowed: a list of whole numbers"),
-    ({"widths": 3}, "widths is 3, allowed: a list of whole numbers"),
-    ({"factors": {"a": "x"}}, "factors.a is 'x', allowed: a mapping of names to numbers"),
-    ({"limit": -1}, "limit is -1, allowed: a number, above 0, or null"),
+    ({"method": "cma"}, "method is 'cma', allowed: 'tpe' or 'grid'"),
+    ({"widths": []}, "widths is [], allowed: at least 1 item"),
+    ({"widths": [1, "x"]}, "widths[1] is 'x', allowed: a whole number"),
+    ({"widths": 3}, "widths is 3, allowed: a list"),
+    ({"factors": {"a": "x"}}, "factors.a is 'x', allowed: a number"),
+    ({"limit": -1}, "limit is -1, allowed: greater than 0"),
     ({"limit": float("nan")}, "limit is nan, allowed: finite numbers"),
     ({"limit": 1e39}, "limit is 1e+39, allowed: finite numbers in the range of single precision"),
     ({"limit": 1e-40}, "limit is 1e-40, allowed: finite numbers"),
-    ({"points": [{"position": [1]}]}, "points[0].position[1] is missing, allowed: a list of 2"),
+    ({"points": [{"position": [1]}]}, "points[0].position[1] is missing"),
     ({"points": [{"positoin": [1, 2]}]}, "unknown key points[0].positoin; did you mean position?"),
-    ({"span": {"until": 4}}, "span.until is 4, allowed: a number, above 0, at most 3"),
+    ({"span": {"until": 4}}, "span.until is 4, allowed: less than or equal to 3"),
     ({"span": {"x": 4}}, "unknown key span.x; allowed there: begin, until"),
-    ({"spans": {"a": {"until": 0}}}, "spans.a.until is 0, allowed: a number, above 0, at most 3"),
+    ({"spans": {"a": {"until": 0}}}, "spans.a.until is 0, allowed: greater than 0"),
     ({"span": 3}, "span is 3, allowed: a mapping"),
     ({"counts": 3}, "unknown key counts; did you mean count?; allowed there: count, factors,"),
     ({"flag": True}, "limit is None, allowed: a number with flag=true"),
@@ -95,7 +96,9 @@ def test_build_refuses_in_one_line(tree, message):
 
 
 def test_a_section_made_directly_refuses_in_one_line():
-    with pytest.raises(InputError, match="^Span: begin is -1, allowed: a number, at least 0$"):
+    with pytest.raises(
+        InputError, match="^Span: begin is -1, allowed: greater than or equal to 0$"
+    ):
         Span(begin=-1)
     with pytest.raises(InputError, match="^Span: unknown key start; allowed there: begin, until$"):
         Span(start=1.0)
@@ -103,7 +106,7 @@ def test_a_section_made_directly_refuses_in_one_line():
 
 
 def test_prefix_names_the_section():
-    with pytest.raises(InputError, match=re.escape("f.yaml: learner.count is 0, allowed: a whole")):
+    with pytest.raises(InputError, match=re.escape("f.yaml: learner.count is 0, allowed: greater")):
         build(Example, {"count": 0}, "f.yaml", prefix="learner.")
 
 

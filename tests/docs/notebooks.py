@@ -61,7 +61,11 @@ def inputs_of(notebook: nbformat.NotebookNode, root: Path = ROOT) -> dict[str, s
         for name in {path.name, path.stem}:
             files.setdefault(name, []).append(path)
     contents: dict[str, str] = {}
-    words = [word for code in code_of(notebook) for word in re.findall(r'"([\w./-]+)"', code)]
+    texts = [text for code in code_of(notebook) for text in re.findall(r'"([\w./+ -]+)"', code)]
+    words = []
+    for preset, *parts in (text.split() for text in texts if text.strip()):  # "e2e +residual"
+        names = [part.removeprefix("+") for part in parts]
+        words += [preset, *names, *(f"{preset}_{name}" for name in names)]
     words += DEFAULTS
     while words:
         for path in files.get(Path(words.pop()).name, []):

@@ -31,9 +31,9 @@ SMALL = {
     ],
     "fixed_point": ['POLICY, FLIGHTS, LAPS, VECTORS = "e2e.npz", 4, 1, 200'],
     "reproduce_paper": [
-        'PRESETS = {"SHAC": "e2e_shac", "PPO": "e2e_ppo"}',
+        'PRESETS = {"SHAC": "e2e", "PPO": "e2e_ppo"}',
         'STEPS = {"SHAC": 25_000, "PPO": 25_000}',
-        'SHIPPED = {"INDI, SHAC, whole preset": ("indi_shac", "indi_shac.npz")}',
+        'SHIPPED = {"INDI, SHAC, whole preset": ("indi", "indi_shac.npz")}',
         'OVERRIDES = ["run.evaluate_every=12500", "run.devices=1"]',
         "RUNS, SEED = 2, 0",
     ],

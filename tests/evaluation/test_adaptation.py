@@ -7,7 +7,7 @@ from quadjax.core.resources import PRETRAINED
 from quadjax.policy.file import Policy
 from quadjax.studies.adaptation import CONDITIONS, Condition, fly_condition
 
-RACE = load_config("e2e", ["evaluate.laps=6"])
+RACE = load_config("e2e +residual", ["evaluate.laps=6"])
 YAW = next(each for each in CONDITIONS if each.label == "yaw moment -0.01 N m")
 
 

@@ -38,10 +38,10 @@ def test_the_table_has_both_protocols_both_starts_and_the_flights_that_finish():
     ("preset", "overrides", "time"),
     [
         ("indi_table1", [], 17.14),
-        ("indi_shac", ["vehicle=bebop1_authors"], 17.14),
-        ("indi_shac", [], None),  # thrust up to 15 m/s^2
+        ("indi", ["vehicle=bebop1_authors"], 17.14),
+        ("indi", [], None),  # thrust up to 15 m/s^2
         ("indi_table1", ["evaluate.laps=5"], None),
-        ("e2e_shac", [], None),  # no residual
+        ("e2e", [], None),  # no residual
         ("e2e", [], None),  # that of the stand-in plant
     ],
 )
@@ -64,13 +64,12 @@ def test_the_command_flies_a_policy_in_its_own_race_and_in_another(tmp_path, cap
     file = tmp_path / "a.json"
     arguments = ("--study", "protocols", "--runs", "2", "--json", file)
     assert (
-        run("evaluate", "e2e_shac", "evaluate.laps=1", "--policy", tmp_path / "one.npz", *arguments)
-        == 0
+        run("evaluate", "e2e", "evaluate.laps=1", "--policy", tmp_path / "one.npz", *arguments) == 0
     )
     assert "| one | " in capsys.readouterr().out
     found = json.loads(file.read_text())
     assert found["results"][0]["sampled"]["random"]["runs"] == 2
-    assert found["provenance"]["config"]["name"] == "e2e_shac"
+    assert found["provenance"]["config"]["name"] == "e2e"
 
 
 def test_overrides_need_a_race(capsys):

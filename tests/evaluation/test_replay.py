@@ -49,7 +49,7 @@ def _log(path, flight, step):
 def flown(tmp_path_factory):
     """A deterministic flight of a shipped policy without disturbances, and its log."""
     folder = tmp_path_factory.mktemp("replay")
-    config = quadjax.load("e2e_shac")
+    config = quadjax.load("e2e")
     policy = Policy.load(PRETRAINED / f"{POLICY}.npz")
     evaluation = quadjax.evaluate(policy, config, runs=1, laps=2, deterministic=True)
     _log(folder / "flight.csv", evaluation.flights[0], evaluation.time_step)
@@ -119,7 +119,7 @@ def test_a_fitted_vehicle_is_flown_with_its_residual(flown, tmp_path, capsys):
 @pytest.mark.slow
 def test_a_policy_replayed_on_its_own_log_observes_the_estimated_disturbance(tmp_path, capsys):
     """On the plant, whose effects the policy's model lacks; with zeros the RMS is up to 500 rpm."""
-    own = ("standin", "--race", "e2e_adaptive", "--policy", "e2e_adaptive")
+    own = ("standin", "--race", "e2e +residual +disturbance", "--policy", "e2e_adaptive")
     logs, out = tmp_path / "logs", ("--output", tmp_path, "--name", "out")
     assert run("logs", *own, "--flights", 1, "--laps", 1, "--output", logs) == 0
     (log,) = logs.glob("*.csv")
@@ -134,7 +134,7 @@ def test_a_policy_replayed_on_its_own_log_observes_the_estimated_disturbance(tmp
 
 def test_the_disturbances_of_a_log_are_those_of_the_onboard_estimator():
     """A hover with 0.5 m/s^2 more force, and a roll that is faster by 2 rad/s^2."""
-    c = MotorConstants(**quadjax.load("e2e_shac").vehicle.constants)
+    c = MotorConstants(**quadjax.load("e2e").vehicle.constants)
     count, step = 300, 0.005
     zero, time = np.zeros((count, 3)), step * np.arange(count)
     flight = Logged(
@@ -207,4 +207,4 @@ def test_bad_input_is_one_line_and_status_2(arguments, says, tmp_path, capsys):
     assert run("replay", *words, "--output", tmp_path, "--name", "out") == 2
     *notes, error = capsys.readouterr().err.splitlines()
     assert says in error and not (tmp_path / "out").exists()
-    assert all("flies the race of the preset e2e" in note for note in notes)
+    assert all("flies the race of the preset e2e +residual" in note for note in notes)

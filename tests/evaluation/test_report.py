@@ -20,7 +20,7 @@ from quadjax.studies.report.run import figures
 from quadjax.studies.report.tables import latex_table, text_table
 from tests.commands import run
 
-RACE = load_config("e2e_shac")
+RACE = load_config("e2e")
 RADIUS, STEP = 2.5, 0.01  # the circle through all four gates of the track
 
 

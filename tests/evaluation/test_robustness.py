@@ -81,7 +81,7 @@ def test_a_drone_that_hovers_is_neither_crashed_nor_has_it_a_lap(monkeypatch):
     ],
 )
 def test_options_without_effect_are_refused(options, message, capsys):
-    assert run(["evaluate", "e2e_shac", "--policy", "none.npz", *options]) == 2
+    assert run(["evaluate", "e2e", "--policy", "none.npz", *options]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -89,7 +89,7 @@ def test_options_without_effect_are_refused(options, message, capsys):
 def test_more_drones_crash_with_larger_errors(tmp_path, capsys):
     file, policy = tmp_path / "found.json", PRETRAINED / "e2e_fastest.npz"
     options = ["--study", "spread", "--runs", "60", "--seconds", "7", "--json", str(file)]
-    command = ["evaluate", "e2e_fastest", "--policy", str(policy), *options]
+    command = ["evaluate", "e2e +fastest", "--policy", str(policy), *options]
     assert run(command) == 0
     assert "| e2e_fastest | " in capsys.readouterr().out
     found = json.loads(file.read_text())["flights"]
@@ -127,7 +127,7 @@ def test_the_table_of_races_has_a_row_for_each_randomization():
 def test_whole_races_of_a_policy(tmp_path):
     file, policy = tmp_path / "found.json", PRETRAINED / "e2e_fastest.npz"
     options = ["--study", "races", "--gates", "6", "--runs", "60", "--json", str(file)]
-    assert run(["evaluate", "e2e_fastest", "--policy", str(policy), *options]) == 0
+    assert run(["evaluate", "e2e +fastest", "--policy", str(policy), *options]) == 0
     found = json.loads(file.read_text())["flights"]
     assert [each["label"] for each in found] == ["±0%", "±10%", "±20%", "±30%"]
     assert found[0]["finished"] > found[-1]["finished"]

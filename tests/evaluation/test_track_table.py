@@ -48,7 +48,7 @@ def test_best_known_laps_are_read_from_a_file(tmp_path):
     with pytest.raises(InputError, match="two laps of a with b, allowed: one"):
         read_best(file)
     file.write_text("laps: [{track: a, vehicle: b, seconds: -1}]\n")
-    with pytest.raises(InputError, match=r"laps\[0\].seconds is -1, allowed: a number, above 0"):
+    with pytest.raises(InputError, match=r"laps\[0\].seconds is -1, allowed: greater than 0"):
         read_best(file)
 
 
@@ -56,7 +56,7 @@ def test_best_known_laps_are_read_from_a_file(tmp_path):
 def test_the_command_resumes_and_writes_table_and_pictures(tmp_path, capsys):
     policy = str(PRETRAINED / "e2e_fastest.npz")
     own = ["--tracks", "square4", "random_1", "--drones", "bebop1", "--runs", "4"]
-    command = ["tracks", "e2e_fastest", "--policy", policy, *own]
+    command = ["tracks", "e2e +fastest", "--policy", policy, *own]
     assert run_script(*command, "--output", tmp_path) == 0
     text = capsys.readouterr().out
     assert "| square4 | bebop1 | 2.0" in text and (tmp_path / "tracks.md").read_text() == text

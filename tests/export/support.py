@@ -117,7 +117,11 @@ def export_of(folder: Path, vehicle: str) -> Path:
     observes the highest propeller speed of a battery.
     """
     policy, out = folder / "policy.npz", folder / "c"
-    preset, battery = ("e2e", ["battery.charge=[0.1, 1]"]) if vehicle == "motor" else ("indi", [])
+    preset, battery = (
+        ("e2e +residual", ["battery.charge=[0.1, 1]"])
+        if vehicle == "motor"
+        else ("indi +fastest", [])
+    )
     own = made_policy(24, vehicle, gain=0.5)
     own = with_highest_rpm(own) if vehicle == "motor" else own
     dataclasses.replace(own, config=tree_of(load_config(preset, battery))).save(policy)

@@ -59,7 +59,7 @@ def converted(policy, own):
 def without_rotors():
     """An untrained policy that observes its last action in place of rotor speeds."""
     overrides = ["vehicle=5inch", "observation.actuators=false", "observation.last_action=true"]
-    config = load_config("e2e_shac", [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
+    config = load_config("e2e", [*overrides, "network.hidden=[8]", "track.generate.seed=1"])
     policy = untrained(config)
     layers = tuple((np.asarray(k) * 0.3, np.asarray(b) + 0.01) for k, b in policy.layers)
     return dataclasses.replace(policy, layers=layers), own_race(config, policy, "test")

@@ -39,13 +39,13 @@ NOTHING = Rollouts(*(np.zeros((0, 1)),) * 3)
 
 @functools.cache
 def constants():
-    return build_vehicle(load_config("e2e_shac")).constants
+    return build_vehicle(load_config("e2e")).constants
 
 
 @functools.cache
 def made():
     """An untrained policy that reacts to the highest rpm, its race and its config."""
-    config = load_config("e2e_shac", [BATTERY, UNDISTURBED, "network.hidden=[8]"])
+    config = load_config("e2e", [BATTERY, UNDISTURBED, "network.hidden=[8]"])
     policy = untrained(config)
     layers = [(np.asarray(k) * 0.3, np.asarray(b) + 0.5) for k, b in policy.layers]
     layers[0][0][-1] = np.linspace(-2.0, 2.0, 8)
@@ -198,8 +198,8 @@ def test_motors_without_room_for_the_proof_are_refused():
 def test_what_cannot_be_exported_is_one_line(tmp_path):
     policy, own, _ = made()
     with pytest.raises(InputError, match="battery is null, and policy observes highest_rpm; give"):
-        own_race(load_config("e2e_shac"), policy, "e2e_shac")
-    other = load_config("e2e_shac", ["battery.charge=[0.5, 0.6]"])
+        own_race(load_config("e2e"), policy, "e2e")
+    other = load_config("e2e", ["battery.charge=[0.5, 0.6]"])
     policy.save(tmp_path / "policy.npz")
     with pytest.raises(InputError, match="trained in another race.*: battery.*in training"):
         check_race(policy, own_race(other, policy, "config"), tmp_path / "policy.npz")

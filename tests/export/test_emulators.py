@@ -17,7 +17,7 @@ from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from tests.export.support import POLICIES, named_network, observations
-from tests.test_training import CONFIGS, ROOT
+from tests.test_training import ROOT
 
 
 def by_hand(network, x):
@@ -90,7 +90,7 @@ def test_actors_give_the_same_command():
 
 @pytest.mark.slow
 def test_the_fixed_point_policy_flies_the_laps_of_the_float_one():
-    config = load_config(CONFIGS / "e2e.yaml")
+    config = load_config("e2e +residual")
     policy = Policy.load(ROOT / "quadjax" / "pretrained" / "e2e.npz")
     fly = functools.partial(
         pilot.fly_policy, *race_of(config), policy, laps=1, runs=1, deterministic=True

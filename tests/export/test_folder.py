@@ -410,7 +410,7 @@ def test_a_config_of_another_vehicle_is_refused(tmp_path):
 
 def test_the_race_is_the_one_in_the_policy_file(tmp_path):
     (tmp_path / "triangle.yaml").write_text(TRACK)
-    config = load_config(CONFIGS / "e2e.yaml", [f"track={tmp_path / 'triangle.yaml'}"])
+    config = load_config("e2e +residual", [f"track={tmp_path / 'triangle.yaml'}"])
     policy = dataclasses.replace(
         Policy.load(PRETRAINED / "e2e_nominal.npz"), config=tree_of(config)
     )
@@ -436,10 +436,10 @@ OTHER_RACES = {
 
 
 def test_another_race_than_that_of_the_policy_file_is_refused(tmp_path):
-    trained = load_config("e2e_shac")
+    trained = load_config("e2e")
     policy = dataclasses.replace(Policy.load(PRETRAINED / "e2e.npz"), config=tree_of(trained))
     for override, difference in OTHER_RACES.items():
-        config = load_config("e2e_shac", [override])
+        config = load_config("e2e", [override])
         message = f"policy.npz: trained in another race than config: {difference}; allow_other"
         with pytest.raises(InputError, match=message):
             export_c(policy, tmp_path / "c", config)
@@ -448,7 +448,7 @@ def test_another_race_than_that_of_the_policy_file_is_refused(tmp_path):
 def test_a_residual_that_the_policy_names_may_not_be_left_out(tmp_path):
     policy = shipped(tmp_path, "e2e.npz")
     with pytest.raises(InputError, match="standin_residual.npz in training, no residual here"):
-        export_c(policy, tmp_path / "c", "e2e_shac")
+        export_c(policy, tmp_path / "c", "e2e")
 
 
 def test_a_name_that_makes_two_symbols_the_same_is_refused(exported):
@@ -462,7 +462,7 @@ def test_a_name_that_makes_two_symbols_the_same_is_refused(exported):
 
 
 def test_a_folder_of_another_kind_is_refused(tmp_path):
-    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / ".quadjax.json").write_text('{"kind": "training"}')
     for use in (read_folder, lambda folder: export_c(made_policy(8), folder)):
         with pytest.raises(InputError, match="holds a training"):
             use(tmp_path)

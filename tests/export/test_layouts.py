@@ -27,17 +27,17 @@ HISTORY = (
     "observation.history={fields: [position, %s, rates, %s, last_action], steps: 2, every: %d}"
 )
 RACES = {  # preset, overrides, size of the observation
-    "e2e with a history": ("e2e_disturbed", (HISTORY % ("velocity, attitude", "rpm", 9),), 64),
-    "racing, axes and more": ("e2e_shac", (*FIVE_INCH, AXES, *MORE), 31),
-    "e2e, axes and more": ("e2e_disturbed", (AXES, *MORE, "battery.charge=[0.1, 1.0]"), 36),
-    "e2e with quaternions": ("e2e_disturbed", ("vehicle.quaternion=true",), 24),
-    "indi and more": ("indi_shac", ("observation.gates_ahead=3", MORE[1]), 29),
+    "e2e with a history": ("e2e +disturbance", (HISTORY % ("velocity, attitude", "rpm", 9),), 64),
+    "racing, axes and more": ("e2e", (*FIVE_INCH, AXES, *MORE), 31),
+    "e2e, axes and more": ("e2e +disturbance", (AXES, *MORE, "battery.charge=[0.1, 1.0]"), 36),
+    "e2e with quaternions": ("e2e +disturbance", ("vehicle.quaternion=true",), 24),
+    "indi and more": ("indi", ("observation.gates_ahead=3", MORE[1]), 29),
     "racing with a history": (
-        "e2e_shac",
+        "e2e",
         (*FIVE_INCH, AXES, MORE[1], HISTORY % ("rotation", "rotor_speed", 2)),
         27 + 40,
     ),
-    "published racing": ("e2e_shac", FIVE_INCH, 20),
+    "published racing": ("e2e", FIVE_INCH, 20),
 }
 EVERY_FIELD = list(RACES)[:5]  # each kind of field once
 FEW = [pytest.param(name, marks=pytest.mark.slow) for name in EVERY_FIELD[2:]]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.core.resources import PRETRAINED
 from quadjax.export import estimator_emulator, flights, race_emulator
 from quadjax.export.conversion import Options, convert_policy
 from quadjax.export.convert import export_c
@@ -108,12 +108,12 @@ def test_gates_are_passed_and_missed():
     assert event(*above) == race_emulator.MISSED
 
 
-@pytest.mark.parametrize("config", ["indi.yaml", "authors_code.yaml"])
+@pytest.mark.parametrize("config", ["indi", "e2e_paper +authors_code"])
 def test_gates_along_a_wandering_path_are_the_simulators(config):
-    policy = made_policy(8, "rate" if config == "indi.yaml" else "motor")
-    own = own_race(policy, config=CONFIGS / config)
+    policy = made_policy(8, "rate" if config == "indi" else "motor")
+    own = own_race(policy, config=config)
     world_box = own.choices.gate_test == "world_box"
-    assert world_box == (config == "authors_code.yaml")
+    assert world_box == (config == "e2e_paper +authors_code")
     network = convert(policy, {"next_yaw": 8.0})
     tables = make_tables(network.box, policy, own.choices, own.params)
     positions, targets = flights.wander(own, 3000)

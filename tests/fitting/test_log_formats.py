@@ -310,7 +310,7 @@ def test_the_command_writes_a_vehicle_for_training(short, tmp_path):
     assert "held out" in (tmp_path / "mine/report.txt").read_text()
     written = yaml.safe_load((tmp_path / "mine/vehicle.yaml").read_text())
     assert written["racing"]["turning"] == ["cw", "ccw", "cw", "ccw"]
-    config = load_config("e2e_fastest", [f"vehicle={tmp_path}/mine/vehicle.yaml"])
+    config = load_config("e2e +fastest", [f"vehicle={tmp_path}/mine/vehicle.yaml"])
     assert config.vehicle.model == "racing"
     assert abs(config.vehicle.constants["k_w"] / 2.49e-6 - 1.0) < 0.02
 

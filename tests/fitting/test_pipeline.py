@@ -88,7 +88,7 @@ def test_an_earlier_fit_is_replaced_only_on_request(folder, tmp_path, monkeypatc
     vehicle.parent.mkdir()
     vehicle.write_text("name: earlier")
     assert run("fit", CONFIG, *arguments) == 2
-    assert "mine holds a fit already: replace it (--overwrite)" in capsys.readouterr().err
+    assert "mine holds no fit, but vehicle.yaml" in capsys.readouterr().err
     assert run("fit", CONFIG, *arguments, "--overwrite") == 2  # which fails, and removes nothing
     assert capsys.readouterr().err == "error: fitting mine\n"
     assert vehicle.read_text() == "name: earlier"

@@ -41,8 +41,8 @@ def test_a_file_with_two_models_and_lists_of_rotors_is_read_and_written(tmp_path
     text = path.read_text().replace("model: motor", "model: racing")
     path.write_text(text)
     assert read_racing_vehicle(str(path)) == read_racing_vehicle("5inch.yaml")
-    expected = load_config("e2e_fastest", ["vehicle=5inch.yaml"]).vehicle.constants
-    assert load_config("e2e_fastest", [f"vehicle={path}"]).vehicle.constants == expected
+    expected = load_config("e2e +fastest", ["vehicle=5inch.yaml"]).vehicle.constants
+    assert load_config("e2e +fastest", [f"vehicle={path}"]).vehicle.constants == expected
 
 
 @pytest.mark.parametrize("line", ["width: wide", "fitted_speed: .nan", "mass: [1]"])

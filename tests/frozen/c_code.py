@@ -30,24 +30,24 @@ def history(fields: str, every: int) -> str:
 
 LAYOUTS = {  # preset, overrides
     "e2e with a history": (
-        "e2e_disturbed",
+        "e2e +disturbance",
         (history("position, velocity, attitude, rates, rpm, last_action", 9),),
     ),
-    "racing, axes and more": ("e2e_shac", (*FIVE_INCH, AXES, *MORE)),
-    "e2e, axes and more": ("e2e_disturbed", (AXES, *MORE, "battery.charge=[0.1, 1.0]")),
-    "published racing": ("e2e_shac", FIVE_INCH),
-    "published e2e": ("e2e_disturbed", ()),
-    "published indi": ("indi_shac", ()),
-    "e2e with quaternions": ("e2e_disturbed", ("vehicle.quaternion=true",)),
+    "racing, axes and more": ("e2e", (*FIVE_INCH, AXES, *MORE)),
+    "e2e, axes and more": ("e2e +disturbance", (AXES, *MORE, "battery.charge=[0.1, 1.0]")),
+    "published racing": ("e2e", FIVE_INCH),
+    "published e2e": ("e2e +disturbance", ()),
+    "published indi": ("indi", ()),
+    "e2e with quaternions": ("e2e +disturbance", ("vehicle.quaternion=true",)),
     "racing with a history": (
-        "e2e_shac",
+        "e2e",
         (*FIVE_INCH, AXES, LAST, history("position, rotation, rates, rotor_speed, last_action", 2)),
     ),
     "indi with a history": (
-        "indi_shac",
+        "indi",
         (history("position, velocity, rates, thrust, last_action", 3),),
     ),
-    "indi and more": ("indi_shac", ("observation.gates_ahead=3", LAST)),
+    "indi and more": ("indi", ("observation.gates_ahead=3", LAST)),
 }
 TINY = ("run.devices=1", "run.steps=1", "network.hidden=[8]", "learner.num_envs=16",
         "evaluate.laps=1", "track.generate.seed=1")  # fmt: skip

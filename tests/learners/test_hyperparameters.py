@@ -11,14 +11,14 @@ from quadjax.learners.shac.hyperparameters import SHAC
 @pytest.mark.parametrize(
     ("section", "values", "message"),
     [
-        (PPO, {"num_envs": 0}, "num_envs is 0, allowed: a whole number"),
+        (PPO, {"num_envs": 0}, "num_envs is 0, allowed: greater than or equal to 1"),
         (PPO, {"num_epochs": 1e20}, "num_epochs is "),
         (PPO, {"num_envs": 10**7}, "num_envs is 10000000"),
         (PPO, {"num_envs": 10**6, "rollout_length": 1000}, "a product of at most"),
         (PPO, {"num_envs": 3}, "num_minibatches is 8, allowed: a divisor of the 3 blocks"),
         (PPO, {"shuffle_block": 7}, "shuffle_block is 7, allowed: a divisor of rollout_length 64"),
         (PPO, {"clip": 0.2}, "unknown key clip"),
-        (PPO, {"discount": 1.0}, "discount is 1.0, allowed: a number"),
+        (PPO, {"discount": 1.0}, "discount is 1, allowed: less than 1"),
         (SHAC, {"horizon": 1e20}, "horizon is "),
         (SHAC, {"num_envs": 6}, "critic_minibatches is 4, allowed: a divisor of num_envs 6"),
         (SHAC, {"num_envs": 10**6}, None),

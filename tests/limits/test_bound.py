@@ -53,8 +53,8 @@ def test_openings_that_touch_have_no_lower_bound():
 @pytest.mark.parametrize(
     "words",
     [
-        ("e2e_shac",),
-        ("indi",),
+        ("e2e",),
+        ("indi +fastest",),
         *(("e2e_race", f"vehicle={name}") for name in ("5inch", "a2rl", "cpc")),
     ],
 )
@@ -80,5 +80,5 @@ def test_no_sampled_force_exceeds_the_largest(words):
 
 
 def test_a_residual_has_no_lower_bound():
-    bound = lower_bound(make_problem(*race_of(load_config("e2e"))), 10.0, 3.0)
+    bound = lower_bound(make_problem(*race_of(load_config("e2e +residual"))), 10.0, 3.0)
     assert bound.time is None and "no bound" in bound.error

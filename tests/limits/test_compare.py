@@ -11,7 +11,7 @@ pytest.importorskip("casadi")
 
 
 def _problem(*overrides):
-    return make_problem(*race_of(load_config("indi", list(overrides))))
+    return make_problem(*race_of(load_config("indi +fastest", list(overrides))))
 
 
 def test_a_slower_leg_is_where_the_time_is_lost():

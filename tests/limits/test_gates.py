@@ -59,7 +59,7 @@ def _crossing(*gate):
     from quadjax.limits.point_mass import optimize, spline
     from quadjax.limits.program import Effort
 
-    race = race_of(load_config("e2e_shac", list(gate)))
+    race = race_of(load_config("e2e", list(gate)))
     problem = make_problem(*race, Flight(gates=2, stops=True))
     path = optimize(problem, spline(problem, 6, 3.0), Effort(20.0))
     gates = problem.gates
@@ -93,7 +93,7 @@ def test_a_body_radius_narrows_openings_bounds_and_ground():
     from quadjax.core.errors import InputError
 
     rules = ["rules.body_radius=0.1", "rules.gate_frame=0.2", "rules.bounds=[[-9,9],[-9,9],[-5,0]]"]
-    choices, params = race_of(load_config("indi", rules))
+    choices, params = race_of(load_config("indi +fastest", rules))
     problem = make_problem(choices, params)
     point = gates_of(params.track)
     np.testing.assert_allclose(problem.gates.half_size, point.half_size - 0.1, atol=1e-6)
@@ -107,7 +107,7 @@ def test_a_body_radius_narrows_openings_bounds_and_ground():
     (0.0, 0.3, 0.2), (0.2, 0.25, 0.05), (0.2, 0.35, -0.05), (None, 0.01, 0.01), (None, 0.3, -0.28),
 ])  # fmt: skip
 def test_a_passage_is_measured_against_the_required_clearance(clearance, right, leeway):
-    race = race_of(load_config("e2e_fastest"))
+    race = race_of(load_config("e2e +fastest"))
     problem = make_problem(*race, Flight(clearance=clearance))
     ahead, side, _ = problem.gates.axes[0]
     way = np.linspace(-0.5, 0.5, 12)[:, None] * ahead + right * side

@@ -17,7 +17,7 @@ pytest.importorskip("casadi")
 
 
 def _problem(*overrides, **options):
-    return make_problem(*race_of(load_config("indi", list(overrides))), Flight(**options))
+    return make_problem(*race_of(load_config("indi +fastest", list(overrides))), Flight(**options))
 
 
 def _trajectory(seconds, intervals=2):
@@ -45,7 +45,7 @@ def test_the_speed_limit_of_a_race_is_a_constraint():
 
 
 def test_options_that_exclude_each_other(capsys):
-    assert run("limit", "indi", "--laps", "3", "--gates", "3") == 2
+    assert run("limit", "indi +fastest", "--laps", "3", "--gates", "3") == 2
     assert "--gates" in capsys.readouterr().err
 
 
@@ -103,7 +103,7 @@ def test_a_search_that_finds_nothing_exits_with_1_and_keeps_the_last_solution(
 
     monkeypatch.setattr(module.Search, "run", interrupted)
     path = tmp_path / "lap.npz"
-    assert run("limit", "indi", "--starts", "1", "--npz", path) == 1
+    assert run("limit", "indi +fastest", "--starts", "1", "--npz", path) == 1
     lines = capsys.readouterr().err
     assert "no flight was found" in lines and "4.000 s with 2 intervals a leg" in lines
     assert "is not verified: misses gate 1 by 3.0 mm" in lines and "only for --guess" in lines
@@ -162,7 +162,7 @@ def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
 def test_a_lap_with_a_split_s_is_found_from_the_flight_of_a_point_mass():
     from quadjax.limits.search import Search
 
-    race = race_of(load_config("e2e_fastest", ["vehicle=5inch", "track=split_s"]))
+    race = race_of(load_config("e2e +fastest", ["vehicle=5inch", "track=split_s"]))
     stop = threading.Event()  # set at the first verified flight
     report = lambda text: search.best is not None and stop.set()  # noqa: E731
     search = Search(make_problem(*race, Flight(speed=40.0)), 1000, stop, report)
@@ -176,7 +176,7 @@ def test_the_nose_of_a_guess_closes_the_lap(along):
     from quadjax.limits.guess import from_path
     from quadjax.limits.point_mass import Path
 
-    problem = make_problem(*race_of(load_config("e2e_fastest", ["vehicle=5inch"])))
+    problem = make_problem(*race_of(load_config("e2e +fastest", ["vehicle=5inch"])))
     angle = np.linspace(0.0, 2.0 * np.pi, 17)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(17)], axis=1)
     velocity = np.stack([-np.sin(angle), np.cos(angle), np.zeros(17)], axis=1)
@@ -190,7 +190,7 @@ def test_the_nose_of_a_guess_closes_the_lap(along):
 @pytest.mark.slow
 def test_the_command_writes_a_bracket(tmp_path, capsys):
     path, table = tmp_path / "limit.json", tmp_path / "limit.npz"
-    assert run("limit", "indi", "--starts", 1, "--json", path, "--npz", table) == 0
+    assert run("limit", "indi +fastest", "--starts", 1, "--json", path, "--npz", table) == 0
     report = json.loads(path.read_text())
     assert 0.8 * report["best_known"] < report["lower_bound"] < report["best_known"]
     with np.load(table) as arrays:

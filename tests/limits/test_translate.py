@@ -20,12 +20,12 @@ from quadjax.vehicle.racing import motor_map
 
 casadi = pytest.importorskip("casadi")
 RACES = {
-    "motor": ("e2e_shac",),
-    "motor with residual": ("e2e",),
-    "rate": ("indi",),
-    "5-inch": ("e2e_fastest", "vehicle=5inch"),
-    "A2RL": ("e2e_fastest", "vehicle=a2rl"),
-    "CPC": ("e2e_fastest", "vehicle=cpc"),
+    "motor": ("e2e",),
+    "motor with residual": ("e2e +residual",),
+    "rate": ("indi +fastest",),
+    "5-inch": ("e2e +fastest", "vehicle=5inch"),
+    "A2RL": ("e2e +fastest", "vehicle=a2rl"),
+    "CPC": ("e2e +fastest", "vehicle=cpc"),
 }
 
 

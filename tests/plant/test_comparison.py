@@ -54,7 +54,7 @@ def compared(name: str, file: str, lap: float, crashes: tuple[str, ...]) -> Comp
 
 
 def test_the_table_has_flights_of_this_comparison_only():
-    setting = Setting(load_config(ROOT / "configs" / "e2e.yaml"), PlantConfig(), runs=6)
+    setting = Setting(load_config("e2e +residual"), PlantConfig(), runs=6)
     e2e = compared("E2E", "e2e.npz", 2.5, ("",) * 5 + ("hit a gate",))
     indi = compared("INDI", "indi.npz", 2.75, ("",) * 6)
     text = table_text(setting, e2e, indi)
@@ -100,10 +100,10 @@ def test_each_condition_of_the_plant_changes_one_thing():
 
 
 def test_commands_mean_what_the_policy_was_trained_with():
-    limits = load_config("indi_shac", ["vehicle.constants.thrust_max=20"])
+    limits = load_config("indi", ["vehicle.constants.thrust_max=20"])
     policy = Policy.load(ROOT / "quadjax" / "pretrained" / "indi_shac.npz")
     own = dataclasses.replace(policy, config=limits.model_dump(mode="json", by_alias=True))
-    found = race_config(load_config("e2e"), own).vehicle
+    found = race_config(load_config("e2e +residual"), own).vehicle
     assert found.model == "rate" and found.constants["thrust_max"] == 20.0
 
 
@@ -162,7 +162,7 @@ def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(monkeypat
         return SimpleNamespace(laps=None)
 
     monkeypatch.setattr(comparison, "fly", fly)
-    setting = Setting(load_config("e2e"), PlantConfig(), runs=6, seed=7, plants=3)
+    setting = Setting(load_config("e2e +residual"), PlantConfig(), runs=6, seed=7, plants=3)
     comparison.fly_drawn(setting, PlantConfig(), None)
     assert [number for number, _, _ in seen] == [1, 2, 3]
     assert len({seed for _, seed, _ in seen}) == 3 and {runs for *_, runs in seen} == {2}
@@ -191,7 +191,7 @@ def test_its_policies_can_be_trained(variant, monkeypatch):
     """Its arguments are a valid config, but for a residual that is made elsewhere."""
     monkeypatch.chdir(ROOT)
     config, *arguments = variant.training
-    read = load_config(ROOT / config, [f"name={variant.policy}", *arguments])
+    read = load_config(config, [f"name={variant.policy}", *arguments])
     assert read.name == variant.policy and read.vehicle.model == "motor"
     assert variant.policy in variant.command() and config in variant.command()
 

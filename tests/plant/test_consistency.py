@@ -26,7 +26,7 @@ P, V, EULER, RATES, FORCE = range(5)
 
 
 def evaluate(plant: PlantConfig, name: str, seconds: float = SECONDS):
-    race = load_config(CONFIGS / "e2e.yaml")
+    race = load_config("e2e +residual")
     return evaluate_filter(race, without_effects(plant), PRETRAINED / name, DRONES, seconds)
 
 

@@ -25,7 +25,7 @@ HISTORY = "{fields: [rates, rpm, last_action], steps: 2, every: 1}"
 
 
 def flown(name: str, plant: PlantConfig):
-    config = load_config("e2e")
+    config = load_config("e2e +residual")
     policy = Policy.load(PRETRAINED / name)
     plan = plan_race(config, plant, policy, name, lap_count=1, runs=2, recorded=2)
     return config, fly_plan(plan, seed=3)
@@ -90,7 +90,7 @@ def test_logged_positions_are_the_estimated_ones(indi):
 
 
 def test_the_race_is_the_policys_own():
-    config = load_config("e2e")
+    config = load_config("e2e +residual")
     policy = Policy.load(PRETRAINED / "indi.npz")
     race = race_config(config, policy)
     assert race.vehicle.model == "rate" and race.observation.disturbance == "ground_truth"
@@ -100,7 +100,7 @@ def test_the_race_is_the_policys_own():
 
 @pytest.mark.parametrize("observed", [f"history={HISTORY}", "last_action=true"])
 def test_earlier_steps_of_another_length_are_refused(observed):
-    config = load_config("e2e_shac", [f"observation.{observed}", "network.hidden=[8]"])
+    config = load_config("e2e", [f"observation.{observed}", "network.hidden=[8]"])
     policy, other = untrained_policy(config), EXACT.replace(control_rate=500.0)
     plan = plan_race(config, other, policy, "own", lap_count=1, runs=2)
     with pytest.raises(InputError, match="of 0.01 s, .* steps are 0.002 s: add control_rate=100"):
@@ -109,7 +109,7 @@ def test_earlier_steps_of_another_length_are_refused(observed):
 
 @pytest.mark.slow  # compiles the plant
 def test_a_history_is_of_the_known_states_and_actions():
-    config = load_config("e2e_shac", [f"observation.history={HISTORY}", "network.hidden=[8]"])
+    config = load_config("e2e", [f"observation.history={HISTORY}", "network.hidden=[8]"])
     plan = plan_race(config, EXACT, untrained_policy(config), "own", lap_count=1, runs=2)
     first = onboard_flight.begin(plan.choices, plan.params, jax.random.key(0), 2, 1)
 

@@ -245,7 +245,12 @@ def test_the_guide_has_the_digests_of_the_authors_files():
 @pytest.mark.parametrize(
     ("files", "trained", "race", "row"),
     [
-        ([*E2E, *RESIDUAL, "--thrust-sign", 1], "authors_code", "e2e_table1", paper.E2E_ROW),
+        (
+            [*E2E, *RESIDUAL, "--thrust-sign", 1],
+            "e2e_paper +authors_code",
+            "e2e_table1",
+            paper.E2E_ROW,
+        ),
         (INDI, "indi_table1", "indi_table1", paper.INDI_ROW),
     ],
     ids=["E2E", "INDI"],

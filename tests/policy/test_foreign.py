@@ -8,10 +8,11 @@ import pytest
 
 import quadjax
 from quadjax.core.errors import InputError
-from quadjax.core.torch_files import LEGACY, read_state_dict
 from quadjax.policy.file import Policy
 from quadjax.policy.foreign import policy_of
-from quadjax.vehicle.residual_file import import_residual, read_residual
+from quadjax.policy.foreign_residual import import_residual
+from quadjax.policy.torch_files import LEGACY, read_state_dict
+from quadjax.vehicle.residual_file import read_residual
 from tests.commands import run
 from tests.policy.torch_writer import archive, linear, sb3_model, sb3_tensors, state_dict
 
@@ -258,7 +259,7 @@ def test_an_imported_policy_flies_like_the_original(tmp_path):
     for index, (kernel, bias) in enumerate(own.layers):
         arrays |= {f"{index}.weight": kernel.T.copy(), f"{index}.bias": bias}
     path = as_dict(tmp_path / "a", {"log_std": own.log_std, **arrays})
-    config = quadjax.load("e2e_shac")
+    config = quadjax.load("e2e")
     same = Policy.load(path, config, activation="relu")
     laps = [quadjax.evaluate(p, config, runs=1, deterministic=True).totals for p in (own, same)]
     np.testing.assert_allclose(laps[0], laps[1], atol=0.011)
@@ -267,4 +268,4 @@ def test_an_imported_policy_flies_like_the_original(tmp_path):
 def test_the_ends_of_an_actuator_range_are_in_order(tmp_path):
     path = as_dict(tmp_path / "net", NET)
     with pytest.raises(InputError, match="the lowest below the highest"):
-        policy_of(path, "e2e_shac", "relu", 0.1, None, (3000.0, 0.0))
+        policy_of(path, "e2e", "relu", 0.1, None, (3000.0, 0.0))

@@ -18,12 +18,12 @@ from tests.commands import run
 from tests.export.support import made_policy
 
 PRESETS = {  # of the shipped policies
-    "e2e": "e2e",
-    "e2e_adaptive": "e2e_adaptive",
-    "e2e_fastest": "e2e_fastest",
-    "e2e_nominal": "e2e_shac",
-    "indi": "indi_fastest",
-    "indi_shac": "indi_shac",
+    "e2e": "e2e +residual",
+    "e2e_adaptive": "e2e +residual +disturbance",
+    "e2e_fastest": "e2e +fastest",
+    "e2e_nominal": "e2e",
+    "indi": "indi +fastest",
+    "indi_shac": "indi",
 }
 
 
@@ -73,19 +73,21 @@ def test_every_command_flies_the_same_race(name, races, tmp_path, capsys):
         assert run(*command) == 2
         assert "error: stopped" in capsys.readouterr().err
     assert len(races) == 4 and all(race == races[0] for race in races)
-    preset = load_config(PRESETS.get(name, "authors_code"))
+    preset = load_config(PRESETS.get(name, "e2e_paper +authors_code"))
     residual = Policy.load(path).source.get("residual", preset.vehicle.residual)
     assert races[0].track.gates == preset.track.gates and races[0].rules == preset.rules
     assert Path(races[0].vehicle.residual or "").name == (residual or "")
 
 
 def test_the_race_of_a_preset_is_said(races, tmp_path, capsys):
-    said = "e2e.npz: flies the race of the preset e2e, which the policy file names"
+    said = "e2e.npz: flies the race of the preset e2e +residual, which the policy file names"
     for command in commands(PRETRAINED / "e2e.npz", tmp_path):
         run(*command)
         words = " ".join(capsys.readouterr().err.split())
         assert (said in words) == (command[0] != "export")  # whose report has it
-    assert race_of_policy(Policy.load("e2e"))[1] == "preset e2e, which the policy file names"
+    assert (
+        race_of_policy(Policy.load("e2e"))[1] == "preset e2e +residual, which the policy file names"
+    )
 
 
 def test_a_file_without_a_race_is_refused_by_every_command(races, tmp_path, capsys):
@@ -98,10 +100,10 @@ def test_a_file_without_a_race_is_refused_by_every_command(races, tmp_path, caps
         assert "alone.npz: contains no config and names no preset, name the config" in error
         option = "quadjax evaluate CONFIG" if command[0] == "evaluate" else "--race CONFIG"
         assert f"({option})" in error
-        config = ["e2e_shac"] if command[0] == "evaluate" else ["--race", "e2e_shac"]
+        config = ["e2e"] if command[0] == "evaluate" else ["--race", "e2e"]
         assert run(*command, *config) == 2
         assert "error: stopped" in capsys.readouterr().err
-    assert len(races) == 4 and all(race == load_config("e2e_shac") for race in races)
+    assert len(races) == 4 and all(race == load_config("e2e") for race in races)
     with pytest.raises(InputError, match=r"name the config of its race \(config=CONFIG\)"):
         convert.export_c(path, tmp_path / "c")
 
@@ -109,7 +111,7 @@ def test_a_file_without_a_race_is_refused_by_every_command(races, tmp_path, caps
 def test_a_named_config_comes_first(tmp_path):
     policy = Policy.load("e2e_adaptive")
     assert race_of_policy(policy)[0].name == "e2e_adaptive"
-    assert race_of_policy(policy, config="e2e_shac")[0] == load_config("e2e_shac")
+    assert race_of_policy(policy, config="e2e")[0] == load_config("e2e")
     flown, origin = race_of_policy(policy, track="figure8")
     assert origin == "the policy file's config, track figure8"
-    assert flown.track.gates == load_config("e2e_shac", ["track=figure8"]).track.gates
+    assert flown.track.gates == load_config("e2e", ["track=figure8"]).track.gates

@@ -14,7 +14,7 @@ LOW, HIGH = 0.2, 0.6
 
 
 def _race(*overrides):
-    return race_of(load_config("e2e_shac", [f"battery.charge=[{LOW}, {HIGH}]", *overrides]))
+    return race_of(load_config("e2e", [f"battery.charge=[{LOW}, {HIGH}]", *overrides]))
 
 
 def _limit(rpm: np.ndarray, charge: float) -> float:
@@ -54,8 +54,3 @@ def test_charges_are_drawn_from_the_range():
 def test_a_model_without_propeller_speeds_has_none():
     with pytest.raises(InputError, match=r"battery.charge is \[0.2, 1.0\], allowed: no battery"):
         load_config("indi", ["battery.charge=[0.2, 1.0]"])
-
-
-def test_the_source_of_the_limit_has_no_effect_without_a_battery():
-    with pytest.raises(InputError, match="observation.highest_rpm is 'none'.*without battery"):
-        load_config("e2e_shac", ["observation.highest_rpm=none"])

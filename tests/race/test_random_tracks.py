@@ -23,7 +23,7 @@ KEYS = [
 
 
 def race(*keys):
-    return make_race(load_config("e2e_fastest", [*KEYS, *keys, "start.heading=north"]))
+    return make_race(load_config("e2e +fastest", [*KEYS, *keys, "start.heading=north"]))
 
 
 def drawn(environment, params, count):
@@ -87,19 +87,19 @@ def test_the_position_limit_has_room_for_every_track():
 )
 def test_refused(key, named):
     with pytest.raises(InputError, match=named):
-        load_config("e2e_fastest", [*KEYS, "start.heading=north", key])
+        load_config("e2e +fastest", [*KEYS, "start.heading=north", key])
 
 
 def test_headings_of_one_track_are_refused_on_random_tracks():
     environment, params = race()
-    inside = make_race(load_config("e2e_fastest", ["start.heading=inside_turn"]))[1].start
+    inside = make_race(load_config("e2e +fastest", ["start.heading=inside_turn"]))[1].start
     params = params.replace(start=params.start.replace(heading=inside.heading))
     with pytest.raises(InputError, match="params.start.heading is set, allowed: None with params"):
         environment.reset(params, jax.random.key(0))
 
 
 def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
-    arguments = ["evaluate", "e2e_fastest", "--policy", str(PRETRAINED / "e2e_fastest.npz")]
+    arguments = ["evaluate", "e2e +fastest", "--policy", str(PRETRAINED / "e2e_fastest.npz")]
     arguments += ["--study", "random-tracks"]
     options = ("--runs", 4, "--laps", 2, "--json", tmp_path / "found.json")
     assert run(*arguments, *options) == 0

@@ -263,8 +263,6 @@ def test_files_of_states_that_do_not_fit_are_one_line(tmp_path):
         States(own.arrays | {name: wrong}, "square").save(path)
         with pytest.raises(InputError, match=says):
             training_params(make_config(f"run.start_states={path}"))
-    with pytest.raises(InputError, match="start_states_part is 0.3, .*without run.start_states"):
-        make_config("run.start_states_part=0.3")
 
 
 def test_starts_of_a_race():

@@ -11,12 +11,12 @@ import quadjax
 from tests.commands import run
 
 TOTALS = {  # shipped policy: preset of its race, mean of ten deterministic flights, s
-    "e2e": ("e2e", 13.68),
-    "e2e_adaptive": ("e2e_adaptive", 14.28),
-    "e2e_fastest": ("e2e_fastest", 12.80),
-    "e2e_nominal": ("e2e_shac", 13.78),
-    "indi": ("indi_fastest", 16.14),
-    "indi_shac": ("indi_shac", 17.14),
+    "e2e": ("e2e +residual", 13.68),
+    "e2e_adaptive": ("e2e +residual +disturbance", 14.28),
+    "e2e_fastest": ("e2e +fastest", 12.80),
+    "e2e_nominal": ("e2e", 13.78),
+    "indi": ("indi +fastest", 16.14),
+    "indi_shac": ("indi", 17.14),
 }
 
 
@@ -35,13 +35,13 @@ def test_a_shipped_policy_flies_its_laps(name, tmp_path):
 
 @pytest.mark.slow
 def test_an_evaluation_has_rows_tables_and_states(tmp_path):
-    config = quadjax.load("e2e_shac")
+    config = quadjax.load("e2e")
     evaluation = quadjax.evaluate("e2e_nominal", config, runs=3)
     assert "3/3" in evaluation.table()
     states = tmp_path / "states.csv"
     figure = tmp_path / "lap.png"
     words = ("--policy", "e2e_nominal", "--runs", 1, "--states", states, "--figure", figure)
-    assert run("evaluate", "e2e_shac", *words) == 0
+    assert run("evaluate", "e2e", *words) == 0
     with states.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) > 1_300  # a row every 0.01 s of 13.8 s
@@ -54,7 +54,7 @@ def test_the_fixed_point_arithmetic_flies_the_same_laps(tmp_path):
     for more in ((), ("--fixed-point",)):
         file = tmp_path / f"{len(more)}.json"
         words = ("--policy", "e2e_nominal", "--runs", 2, "--deterministic", "--json", file)
-        assert run("evaluate", "e2e_shac", *words, *more) == 0
+        assert run("evaluate", "e2e", *words, *more) == 0
         totals.append(np.mean(json.loads(file.read_text())["totals"]))
     assert abs(totals[0] - totals[1]) <= 0.02
 

@@ -15,7 +15,7 @@ from tests.commands import run
 FILES = {
     "not.yaml": "a: [1",
     "list.yaml": "- 1\n- 2\n",
-    "key.yaml": "base: e2e_shac\nlerner: {}\n",
+    "key.yaml": "base: e2e\nlerner: {}\n",
     "gates.yaml": "name: one\ngates:\n- {position: [0, 0], yaw_deg: 0}\n",
     "bytes.npz": "PK not an archive",
     "notes.txt": "a text",
@@ -25,52 +25,52 @@ FILES = {
 }
 ROWS = """
 train | CONFIG
-train nosuch | nosuch e2e_shac
+train nosuch | nosuch e2e
 train not.yaml | not.yaml
 train list.yaml | list.yaml
 train key.yaml | lerner learner
 train notes.txt | notes.txt
-train e2e_shac nosuch=1 | nosuch
-train e2e_shac learner.nosuch=1 | learner.nosuch
-train e2e_shac seed=-1 | seed -1
-train e2e_shac seed=one | seed one
-train e2e_shac learner.num_envs=0 | learner.num_envs 0
-train e2e_shac learner.discount=1.5 | learner.discount 1.5
-train e2e_shac learner.learning_rate=nan | learner.learning_rate
-train e2e_shac 'network.hidden=[0]' | network.hidden
-train e2e_shac network.activation=gelu | network.activation gelu relu
-train e2e_shac learner.std=0.05legs | learner.std
-train e2e_shac 'learner.std=0.05 legs' | learner.std legs
-train e2e_shac 'reward.body_rates=3 furlongs' | reward.body_rates furlongs
-train e2e_shac track=nosuch | nosuch square4
-train e2e_shac track=gates.yaml | gates.yaml position
-train e2e_shac vehicle=nosuch | nosuch
-train e2e_shac vehicle.constants.nosuch=1 | vehicle.constants.nosuch
-train e2e_shac vehicle.constants.mass=-1 | mass
-train e2e_shac vehicle.residual=nosuch.npz | nosuch.npz
-train e2e_shac rules.extra=[code:nosuch] | code nosuch
-train e2e_shac rules.extra=[nosuch:term] | nosuch
-train e2e_shac reward.extra=[code] | reward.extra
-train e2e_shac 'schedules.nosuch.key={linear: [0, 1]}' | schedules nosuch
-train e2e_shac 'schedules.learner.std={linear: [0, a]}' | schedules learner.std
+train e2e nosuch=1 | nosuch
+train e2e learner.nosuch=1 | learner.nosuch
+train e2e seed=-1 | seed -1
+train e2e seed=one | seed one
+train e2e learner.num_envs=0 | learner.num_envs 0
+train e2e learner.discount=1.5 | learner.discount 1.5
+train e2e learner.learning_rate=nan | learner.learning_rate
+train e2e 'network.hidden=[0]' | network.hidden
+train e2e network.activation=gelu | network.activation gelu relu
+train e2e learner.std=0.05legs | learner.std
+train e2e 'learner.std=0.05 legs' | learner.std legs
+train e2e 'reward.body_rates=3 furlongs' | reward.body_rates furlongs
+train e2e track=nosuch | nosuch square4
+train e2e track=gates.yaml | gates.yaml position
+train e2e vehicle=nosuch | nosuch
+train e2e vehicle.constants.nosuch=1 | vehicle.constants.nosuch
+train e2e vehicle.constants.mass=-1 | mass
+train e2e vehicle.residual=nosuch.npz | nosuch.npz
+train e2e rules.extra=[code:nosuch] | code nosuch
+train e2e rules.extra=[nosuch:term] | nosuch
+train e2e reward.extra=[code] | reward.extra
+train e2e 'schedules.nosuch.key={linear: [0, 1]}' | schedules nosuch
+train e2e 'schedules.learner.std={linear: [0, a]}' | schedules learner.std
 train e2e_ppo learner.num_envs=10 learner.num_minibatches=7 | num_minibatches
-train e2e_shac --fine-tune bytes.npz | bytes.npz
-train e2e_shac --fine-tune nosuch.npz | nosuch.npz
-evaluate e2e_shac | --policy
-evaluate e2e_shac --policy nosuch | nosuch e2e_nominal
-evaluate e2e_shac --policy bytes.npz | bytes.npz
-evaluate e2e_shac --policy indi | rate motor
-evaluate e2e_shac --policy e2e --runs 0 | --runs 0
-evaluate e2e_shac --policy e2e --laps 2 --gates 3 | --gates --laps
-evaluate e2e_shac --policy e2e --seed -1 | --seed -1
-evaluate e2e_shac --policy e2e --json notes.txt/a.json | notes.txt
-evaluate e2e_shac --policy e2e --start floor | floor hover
+train e2e --fine-tune bytes.npz | bytes.npz
+train e2e --fine-tune nosuch.npz | nosuch.npz
+evaluate e2e | --policy
+evaluate e2e --policy nosuch | nosuch e2e_nominal
+evaluate e2e --policy bytes.npz | bytes.npz
+evaluate e2e --policy indi | rate motor
+evaluate e2e --policy e2e --runs 0 | --runs 0
+evaluate e2e --policy e2e --laps 2 --gates 3 | --gates --laps
+evaluate e2e --policy e2e --seed -1 | --seed -1
+evaluate e2e --policy e2e --json notes.txt/a.json | notes.txt
+evaluate e2e --policy e2e --start floor | floor hover
 view nosuch.npz | nosuch.npz
 view notes.txt | notes.txt
-limit e2e_shac track=nosuch | nosuch
-limit e2e_shac --clearance -1 | --clearance
-limit e2e_shac --laps 0 | --laps
-limit e2e_shac --centers --clearance 1 | --clearance --centers
+limit e2e track=nosuch | nosuch
+limit e2e --clearance -1 | --clearance
+limit e2e --laps 0 | --laps
+limit e2e --centers --clearance 1 | --clearance --centers
 sweep nosuch | nosuch
 sweep key.yaml | key.yaml
 fit nosuch | nosuch
@@ -87,10 +87,10 @@ export e2e --output out --range position=-1 | position
 verify nosuch | nosuch
 verify notes.txt | notes.txt
 sil nosuch | nosuch
-import e2e_shac notes.txt --output new.npz | notes.txt
-import e2e_shac bytes.npz --output new.npz | bytes.npz
+import e2e notes.txt --output new.npz | notes.txt
+import e2e bytes.npz --output new.npz | bytes.npz
 show nosuch | nosuch
-show e2e_shac run.steps=-5 | run.steps -5
+show e2e run.steps=-5 | run.steps -5
 nosuch | nosuch train
 """.strip().splitlines()
 
@@ -132,5 +132,5 @@ def test_refused_in_one_line(row, folder, capfd, monkeypatch):
 
 def test_a_damaged_policy_names_what_is_wrong(tmp_path, capfd):
     np.savez(tmp_path / "p.npz", kernel_0=np.zeros((3, 4)), meta="{}")
-    assert run("evaluate", "e2e_shac", "--policy", tmp_path / "p.npz") == 2
+    assert run("evaluate", "e2e", "--policy", tmp_path / "p.npz") == 2
     assert "p.npz" in capfd.readouterr().err

@@ -73,7 +73,7 @@ def test_a_network_in_c_is_imported_and_evaluated(tmp_path):
     (tmp_path / "network.c").write_text(text)
     file = tmp_path / "policy.npz"
     words = ("--activation", "relu", "--std", 0.1, "--output", file)
-    assert run("import", "e2e_shac", tmp_path / "network.c", *words) == 0
+    assert run("import", "e2e", tmp_path / "network.c", *words) == 0
     policy = quadjax.Policy.load(file)
     x = np.random.default_rng(1).standard_normal((5, 24)).astype(np.float32)
     (first, first_bias), (second, second_bias) = layers
@@ -84,8 +84,8 @@ def test_a_network_in_c_is_imported_and_evaluated(tmp_path):
 @pytest.mark.slow
 def test_the_flights_of_policies_and_a_run_are_shown_in_a_browser(tmp_path, monkeypatch, browser):
     monkeypatch.chdir(tmp_path)
-    assert run("train", *short("e2e_shac"), "--name", "first") == 0
-    assert run("view", "e2e_nominal", "runs/first", "--race", "e2e_shac", "--laps", 1) == 0
+    assert run("train", *short("e2e"), "--name", "first") == 0
+    assert run("view", "e2e_nominal", "runs/first", "--race", "e2e", "--laps", 1) == 0
     with opened(browser, (tmp_path / "flights.html").as_uri(), offline=True) as page:
         wait_until(page.page, "quadjax.viewer.clock.time > 0.2")
         assert len(page.state(0.1)["drones"]) == 2
@@ -105,7 +105,7 @@ WIDE = {"position": 64, "velocity": 128, "rates": 1024, "attitude": 4}
 def test_a_racing_policy_is_exported_verified_and_flown(target, tmp_path, monkeypatch):
     """It is trained for seconds: it need not finish its race."""
     monkeypatch.chdir(tmp_path)
-    run_of = quadjax.train(quadjax.load(*split(short("e2e_shac", *RACING))), tmp_path / "run")
+    run_of = quadjax.train(quadjax.load(*split(short("e2e", *RACING))), tmp_path / "run")
     ranges = [f"--range={name}={size}" for name, size in WIDE.items()]
     words = ("--output", "out", "--target", target, "--allow-unfinished", *ranges)
     assert run("export", run_of.folder / "policy.npz", *words) == 0

@@ -69,7 +69,7 @@ def wait_for(condition, process: subprocess.Popen, seconds: float = 300.0) -> No
 @pytest.mark.slow
 def test_a_run_writes_its_files_and_runs_again_to_the_same_bits(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    arguments = short("e2e_shac")
+    arguments = short("e2e")
     assert run("train", *arguments, "--name", "first") == 0
     assert run("train", *arguments, "--name", "second") == 0
     for name in ("config.yaml", "metrics.csv", "policy.npz", "policy_last.npz", "summary.json"):
@@ -86,7 +86,7 @@ def test_a_run_writes_its_files_and_runs_again_to_the_same_bits(tmp_path, monkey
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ["e2e_shac", "e2e_ppo", "indi_shac", "indi_ppo"])
+@pytest.mark.parametrize("preset", ["e2e", "e2e_ppo", "indi", "indi_ppo"])
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
 def test_a_run_that_was_stopped_resumes_to_the_same_bits(tmp_path, preset, end):
     arguments = short(preset, "run.steps=4096")
@@ -117,7 +117,7 @@ def test_a_run_in_python_has_policy_metrics_and_summary(tmp_path):
 
 
 def test_the_race_is_three_pure_functions_and_numbers_compile_nothing_again():
-    config = short_config("e2e_shac")
+    config = short_config("e2e")
     environment, params = quadjax.make_race(config)
     count = 0
 
@@ -134,7 +134,7 @@ def test_the_race_is_three_pure_functions_and_numbers_compile_nothing_again():
     again = transition(params, state, action)
     jax.tree.map(np.testing.assert_array_equal, first[1:], again[1:])
     other = quadjax.make_race(
-        short_config("e2e_shac", "reward.body_rates=0.01", "vehicle.constants.k_w=3e-8")
+        short_config("e2e", "reward.body_rates=0.01", "vehicle.constants.k_w=3e-8")
     )[1]
     changed = transition(other, state, action)
     assert count == 1
@@ -145,7 +145,7 @@ def test_the_race_is_three_pure_functions_and_numbers_compile_nothing_again():
 
 @pytest.mark.slow
 def test_a_learner_repeats_itself_to_the_bit():
-    environment, params = quadjax.make_race(short_config("e2e_shac"))
+    environment, params = quadjax.make_race(short_config("e2e"))
     learner = quadjax.SHAC(num_envs=16, horizon=4, critic_minibatches=2, critic_epochs=1)
     result = learner.train(environment, params, steps=128, seed=0)
     repeated = learner.train(environment, params, steps=128, seed=0)

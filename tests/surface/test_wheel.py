@@ -66,8 +66,8 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
     where = run(installed, tmp_path, "-c", "import quadjax; print(quadjax.__file__)")
     assert str(installed) in where.stdout
     for arguments in (
-        ["train", *short("e2e_shac"), "--name", "first"],
-        ["evaluate", "e2e_shac", "--policy", "runs/first/policy.npz", "--laps", "1", "--runs", "2"]
+        ["train", *short("e2e"), "--name", "first"],
+        ["evaluate", "e2e", "--policy", "runs/first/policy.npz", "--laps", "1", "--runs", "2"]
         + ["--json", "laps.json", "--figure", "lap.png"],
     ):
         done = run(installed, tmp_path, "-m", "quadjax", *arguments)
@@ -75,14 +75,12 @@ def test_it_trains_and_evaluates_in_an_empty_folder(installed, tmp_path):
     laps = json.loads((tmp_path / "laps.json").read_text())
     origin = laps["provenance"]
     assert laps["runs"] == 2 and origin["policy"]["file"] == "runs/first/policy.npz"
-    assert origin["config"]["name"] == "e2e_shac" and origin["quadjax"]
+    assert origin["config"]["name"] == "e2e" and origin["quadjax"]
     assert (tmp_path / "lap.png").stat().st_size > 1000
 
 
 def test_it_exports_and_verifies_in_an_empty_folder(installed, tmp_path):
-    script = (
-        "import quadjax\nquadjax.export_c(quadjax.Policy.load('e2e_nominal'), 'c', 'e2e_shac')\n"
-    )
+    script = "import quadjax\nquadjax.export_c(quadjax.Policy.load('e2e_nominal'), 'c', 'e2e')\n"
     done = run(installed, tmp_path, "-c", script)
     assert done.returncode == 0, done.stdout + done.stderr
     assert list((tmp_path / "c").glob("*.c"))

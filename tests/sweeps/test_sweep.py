@@ -56,7 +56,7 @@ IMPOSSIBLE_FILES = {
     "no such config": ({"config": "none.yaml"}, ["config", "none.yaml", "no such file"]),
     "another store": ({"storage": "mysql://u:secret@host/d"}, ["storage", "postgresql://"]),
     "a name with a slash": ({"name": "a/b"}, ["name", "a/b"]),
-    "an unknown override": ({"overrides": {"ppo.klip": 1}}, ["klip"]),
+    "an unknown override": ({"overrides": {"ppo.klip": 1}}, ["ppo"]),
     "a grid of a line": (
         {"search": {"method": "grid"}},
         [RATE, "choices, step or points"],

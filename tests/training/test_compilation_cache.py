@@ -84,7 +84,7 @@ def test_its_size_is_bounded(tmp_path):
 @pytest.mark.slow
 def test_commands_use_it_unless_it_is_off(tmp_path):
     policy = ROOT / "quadjax/pretrained/e2e_nominal.npz"
-    command = ["-m", "quadjax", "evaluate", "e2e_shac", "--policy", policy, "--laps", "1"]
+    command = ["-m", "quadjax", "evaluate", "e2e", "--policy", policy, "--laps", "1"]
     command += ["--deterministic", "--runs", "1"]
     python(tmp_path / "off", *command, "run.compilation_cache=false")
     assert not list((tmp_path / "off").rglob("*-cache"))

@@ -29,7 +29,7 @@ def test_a_policy_flies_after_two_million_steps(tmp_path):
         "run.devices=1",
         "evaluate.best_known_lap=2.0",
     ]
-    config = quadjax.load("e2e_shac", overrides)
+    config = quadjax.load("e2e", overrides)
     run = quadjax.train(config, folder=tmp_path / "run")
     laps = quadjax.evaluate(run.policy, config, laps=2, runs=3, deterministic=True)
     assert np.all(np.isfinite(laps.totals))

@@ -78,7 +78,7 @@ OTHER_INDI = (
     "vehicle.constants.r_max=3",
     "rules.time_step=0.005",
 )
-OTHERS = ("e2e", "e2e_shac", "e2e_ppo", "indi", "indi_shac", "indi_paper", "e2e_paper")
+OTHERS = ("e2e +residual", "e2e", "e2e_ppo", "indi +fastest", "indi", "indi_paper", "e2e_paper")
 
 
 def test_any_other_race_has_no_published_time(residual):
@@ -101,7 +101,7 @@ def test_training_does_not_matter_to_timed_flights(residual):
     """Rewards, starts and limits of training, and whole turns of a gate."""
     own = ["reward.time=1", "start.position=1", "training_limits.pitch_deg=60", "start.gate=random"]
     assert total(indi(*own)) == 17.14
-    assert total(e2e(residual, preset="e2e_shac")) == 15.75
+    assert total(e2e(residual, preset="e2e")) == 15.75
     gates = [gate.replace(yaw_deg=gate.yaw_deg - 360.0) for gate in indi().track.gates]
     assert paper.is_indi_table1(indi().replace(track=indi().track.replace(gates=gates)))
     plain, moved = (race_of(indi(*words)) for words in ([], own))
@@ -130,7 +130,7 @@ def test_training_compares_sampled_scores_only(tmp_path):
         return write_summary(config, tmp_path, position, {"steps": 900}, True)["first_under"]
 
     assert indi().run.score == "mean" and first(indi()) is None
-    assert first(load_config("e2e_shac")) is None
+    assert first(load_config("e2e")) is None
     found = first(indi("run.score=sampled"))
     assert found == {"total": 17.14, "seconds": 3.0, "steps": 900}
 

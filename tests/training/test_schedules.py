@@ -35,7 +35,7 @@ def tiny(name, *overrides):
 
 def test_the_default_preset_from_start_to_end():
     """Of 10 updates, yaw and pitch change from 1.25 to 3.125, the residual to 5.625."""
-    config = tiny("e2e", "observation.disturbance=estimated")
+    config = tiny("e2e +residual", "observation.disturbance=estimated")
     whole = build_params(config)
     kernel = np.asarray(whole.vehicle.residual.moment[-1][0])
     shares = {0: (0, 0), 1: (0, 0), 2: (0.4, 0), 4: (1, 0.35), 5: (1, 0.75), 6: (1, 1), 10: (1, 1)}
@@ -55,7 +55,7 @@ def test_the_default_preset_from_start_to_end():
 
 
 def test_the_word_value_is_the_keys_own_value():
-    config = tiny("e2e_fastest", "reward.gate_edge=40", "learner.std=0.4")
+    config = tiny("e2e +fastest", "reward.gate_edge=40", "learner.std=0.4")
     expected = {0: (0.0, 0.4), 2: (16.0, 0.33), 5: (40.0, 0.225), 10: (40.0, 0.05)}
     for (edge, std), (hyper, params) in zip(expected.values(), at(config, *expected), strict=True):
         assert float(params.reward.gate_edge) == pytest.approx(edge, abs=1e-5)
@@ -65,16 +65,16 @@ def test_the_word_value_is_the_keys_own_value():
 
 def test_steps_and_several_values():
     schedule = "schedules.reward.gate={linear: [1, 3, 2], from: 64, until: 320}"
-    config = tiny("e2e_shac", schedule)
+    config = tiny("e2e", schedule)
     found = [params.reward.gate for _, params in at(config, *range(7))]
     np.testing.assert_allclose(found, [1, 1, 2, 3, 2.5, 2, 2], rtol=1e-6)
 
 
 def test_constants_and_randomization_can_be_scheduled():
-    config = tiny("e2e_shac", "schedules.vehicle.constants.tau={linear: [0.1, value]}")
+    config = tiny("e2e", "schedules.vehicle.constants.tau={linear: [0.1, value]}")
     ((_, params),) = at(config, 5)
     assert float(params.vehicle.constants.tau) == pytest.approx(0.08)
-    config = tiny("e2e_shac", "schedules.randomization.drag={linear: [0, 0.2]}")
+    config = tiny("e2e", "schedules.randomization.drag={linear: [0, 0.2]}")
     assert choices_of(config).randomize
     ((_, params),) = at(config, 5)
     assert float(params.randomization.k_x) == pytest.approx(0.1)
@@ -82,12 +82,12 @@ def test_constants_and_randomization_can_be_scheduled():
 
 @pytest.mark.slow
 def test_another_schedule_compiles_nothing():
-    first = build_learner(tiny("e2e_shac"))
+    first = build_learner(tiny("e2e"))
     overrides = [
         "schedules.start.yaw_deg={linear: [10, value], from: 0.0, until: 0.9}",
         "learner.std=0.2",
     ]
-    second = build_learner(tiny("e2e_shac", *overrides, "schedules.reward.pitch_up.until=0.6"))
+    second = build_learner(tiny("e2e", *overrides, "schedules.reward.pitch_up.until=0.6"))
     traced = []
 
     @jax.jit
@@ -95,7 +95,7 @@ def test_another_schedule_compiles_nothing():
         traced.append(1)
         return first.init(*arguments)
 
-    params, key = build_params(tiny("e2e_shac")), jax.random.key(0)
+    params, key = build_params(tiny("e2e")), jax.random.key(0)
     yaws = []
     for learner in (first, second):
         yaw = program(learner.hyper, params, key).environment.drone.euler.z
@@ -116,4 +116,4 @@ def test_another_schedule_compiles_nothing():
 def test_only_numbers_of_training_can_be_scheduled(schedule, message):
     own = "reward.gate=3"
     with pytest.raises(InputError, match=message):
-        build_learner(tiny("e2e_shac", f"schedules.{schedule}", own))
+        build_learner(tiny("e2e", f"schedules.{schedule}", own))

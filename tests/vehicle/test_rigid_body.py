@@ -38,7 +38,7 @@ def _double():
 
 @functools.cache
 def vehicle_of(name):
-    vehicle = load_config("e2e_shac", (f"vehicle={name}", "track=figure8_tudelft")).vehicle
+    vehicle = load_config("e2e", (f"vehicle={name}", "track=figure8_tudelft")).vehicle
     return MODELS[vehicle.model], vehicle.constants
 
 

@@ -74,7 +74,7 @@ def test_a_file_from_data(tmp_path, capsys):
     assert run("vehicle", path, *DATA, "thrust_to_weight=4") == 0
     printed = capsys.readouterr().out
     assert "thrust-to-weight  4.00" in printed and "warning" not in printed
-    config = load_config("e2e_shac", [f"vehicle={path}"])  # needs no constants of the rate model
+    config = load_config("e2e", [f"vehicle={path}"])  # needs no constants of the rate model
     assert config.vehicle.name == "mine" and config.vehicle.constants["tau"] == 0.03
     assert run("vehicle", path, *DATA) == 2
     assert "exists already" in capsys.readouterr().err
@@ -101,4 +101,4 @@ def test_a_rate_model_alone(tmp_path, capsys):
     path.write_text("rate: " + str(ref.RATE).replace("'", "") + "\n")
     assert run("vehicle", path) == 0
     assert "model rate" in capsys.readouterr().out
-    assert load_config("indi_shac", [f"vehicle={path}"]).vehicle.models == {}
+    assert load_config("indi", [f"vehicle={path}"]).vehicle.models == {}

@@ -178,9 +178,9 @@ def test_policies_and_their_states_show_the_same_flight(tmp_path):
     common = ["--laps", "1", "--runs", "1"]
     states = tmp_path / "states.npz"
     more = ["--policy", policy, "--deterministic", "--states", states]
-    assert run("evaluate", "e2e_shac", *more, *common) == 0
+    assert run("evaluate", "e2e", *more, *common) == 0
     page = tmp_path / "flights.json"
-    assert run("view", "e2e_nominal", states, "--race", "e2e_shac", *common, "--output", page) == 0
+    assert run("view", "e2e_nominal", states, "--race", "e2e", *common, "--output", page) == 0
     one, two = json.loads(page.read_text(encoding="utf-8"))["flights"]
     assert one["lap_ends"] == pytest.approx(two["lap_ends"], abs=1e-3)
     np.testing.assert_allclose(one["passages"], two["passages"], atol=2e-3)

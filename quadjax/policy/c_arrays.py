@@ -9,7 +9,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_layers, read_text
-from quadjax.core.torch_files import Layers, single
+from quadjax.policy.torch_files import Layers, single
 
 SUFFIXES = (".c", ".h", ".cpp", ".hpp")
 STD = "output_std"
