@@ -4,7 +4,8 @@ Flies the mean action on drones drawn from the config's randomization. A linear 
 observation, or from one hidden layer, to the thrust-to-weight ratio and other quantities of the
 drone is fitted to half of the drones. The table has its R^2 on the other half.
 
-    python -m benchmarks.probe e2e_race_robust +history --policy runs/e2e_race_robust_history/policy.npz
+    python -m benchmarks.probe e2e_race_robust +history \
+        --policy runs/e2e_race_robust_history/policy.npz
 """
 
 from collections.abc import Sequence

@@ -24,6 +24,7 @@ OPTIONS = {
     "--fit": preset_names("fit"),
     "--plant": preset_names("plant"),
 }
+PARTS = preset_names("parts")
 OVERRIDES = {"track": preset_names("tracks"), "vehicle": preset_names("vehicles")}
 
 
@@ -38,6 +39,9 @@ def unknown(example):
     found, option = [], None
     for word in words:
         name, equals, value = word.partition("=")
+        if word.startswith("+"):
+            found += [] if any(f"_{word[1:]}" in f"_{part}" for part in PARTS) else [word]
+            continue
         if option is not None:
             known, word = OPTIONS.get(option), word
         elif equals:
