@@ -132,12 +132,13 @@ def with_files(source: str, tree: Tree, folder: Path) -> list[Layer]:
             continue
         if not isinstance(values["file"], str):
             raise InputError(f"{section}.file is {short(values['file'])}, allowed: name of a file")
-        if section == "track" and values.get("generate") is not None:
-            raise InputError(f"{source}: track.gates has no effect with track.generate")
         with prefixed(f"{source}: {section}.file"):
             path = find_file(values["file"], folder, f"{section}s")
         with_model = "model" in values
-        layers.append(Layer(str(path), file_values(section, path), section, with_model))
+        found = file_values(section, path)
+        if values.get("generate") is not None and "gates" in found[section]:
+            raise InputError(f"{source}: track.gates has no effect with track.generate")
+        layers.append(Layer(str(path), found, section, with_model))
         tree = {**tree, section: {**values, "file": None}}
     return [*layers, Layer(source, tree)]
 
