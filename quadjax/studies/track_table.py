@@ -1,7 +1,6 @@
 """A table of tracks and drones: the laps of a policy on each against the best known ones."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -146,11 +145,3 @@ def lap_rows(rows: Sequence[Row], best: dict[tuple[str, str], BestLap]) -> str:
         cells.append([row.track, row.vehicle, lap, shown, gap, done, f"{row.speed:.1f} m/s"])
     notes = [f"({index}) {source}" for index, source in enumerate(sources, start=1)]
     return "\n\n".join([table(cells), *notes])
-
-
-def speed_rows(speeds: dict[str, float], first: str) -> str:
-    """A Markdown table of environment steps per second, relative to those of the first drone."""
-    own = speeds.get(first, math.nan)
-    cells = [["drone", "environment steps/s", f"of {first}'s"]]
-    cells += [[name, f"{x:,.0f}", f"{x / own:.2f}"] for name, x in speeds.items()]
-    return table(cells)

@@ -17,22 +17,19 @@ ASSETS = Path(__file__).parent / "assets"
 HEIGHT = 560  # px, of a page in a notebook
 
 
-def page(record: dict[str, Any], server: bool = False) -> str:
+def page(record: dict[str, Any]) -> str:
     """The HTML of a page.
 
     The page loads nothing: its security policy allows only its own script and style, identified by
-    their hashes, and, for a page of a server, requests to that server. Text of the record is shown
-    as text.
+    their hashes. Text of the record is shown as text.
 
     Args:
-        record: of a ``Scene``, or the settings of a live page.
-        server: whether the page asks the server that it came from for data.
+        record: of a ``Scene``.
     """
     script, css = _asset("viewer.js"), _asset("viewer.css")
-    source = "'self'" if server else "'none'"
     policy = (
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(css)}; "
-        f"img-src data: blob:; connect-src {source}"
+        f"img-src data: blob:; connect-src 'none'"
     )
     data = json.dumps(record, allow_nan=False, separators=(",", ":"))
     for letter in "<>&\u2028\u2029":  # no tag or comment begins or ends in the data

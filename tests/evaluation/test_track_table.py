@@ -6,7 +6,7 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
-from quadjax.studies.track_table import BestLap, Case, Row, lap_rows, read_best, speed_rows
+from quadjax.studies.track_table import BestLap, Case, Row, lap_rows, read_best
 from tests.commands import run_script
 
 
@@ -26,8 +26,6 @@ def test_laps_stand_next_to_the_best_known_ones():
     assert lines[2] == "| square4 | bebop1 | 2.100 s | 2.000 s (1) | 5.0% | 9 of 10 | 7.3 m/s |"
     assert lines[3] == "| mine | bebop1 | 2.100 s | - | - | 9 of 10 | 7.3 m/s |"
     assert "| hit a gate | 2.000 s (1) | - |" in lines[4] and lines[-1] == "(1) by hand"
-    speeds = speed_rows({"bebop1": 2e6, "5inch": 1.5e6}, "bebop1").splitlines()
-    assert speeds[-1] == "| 5inch | 1,500,000 | 0.75 |"
 
 
 def test_a_case_is_a_track_and_a_drone():
