@@ -62,6 +62,9 @@ def load_config(
     return config_of(tree, sources)
 
 
+load = load_config  # its name in the public interface
+
+
 def generated(tree: Tree, source: str | Sources) -> Tree:
     """A tree with the gates and the rules of the random track that it asks for, if it does.
 

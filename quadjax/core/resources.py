@@ -38,6 +38,9 @@ def preset_names(folder: str = "") -> list[str]:
     return sorted(path.stem for path in (CONFIGS / folder).glob("*.yaml"))
 
 
+presets = preset_names  # its name in the public interface
+
+
 def find_config(name: Path | str, folder: str = "") -> Path:
     """The path of a config: a file, or a preset by its name without ``.yaml``.
 

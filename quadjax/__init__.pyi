@@ -1,0 +1,34 @@
+"""The public interface: ``quadjax/__init__.py`` imports these names when they are first used."""
+
+from quadjax.config.loading import load as load
+from quadjax.config.race import make_race as make_race
+from quadjax.config.schema import Config as Config
+from quadjax.core.environment import Environment as Environment
+from quadjax.core.errors import InputError as InputError
+from quadjax.core.resources import presets as presets
+from quadjax.core.sections import Section as Section
+from quadjax.evaluation.evaluation import Evaluation as Evaluation
+from quadjax.evaluation.evaluation import evaluate as evaluate
+from quadjax.export.convert import export_c as export_c
+from quadjax.learners.ppo.hyperparameters import PPO as PPO
+from quadjax.learners.section import LearnerSection as LearnerSection
+from quadjax.learners.section import Network as Network
+from quadjax.learners.section import Schedule as Schedule
+from quadjax.learners.shac.hyperparameters import SHAC as SHAC
+from quadjax.learners.state import Learner as Learner
+from quadjax.learners.state import TrainState as TrainState
+from quadjax.learners.train import TrainResult as TrainResult
+from quadjax.policy.file import Policy as Policy
+from quadjax.race.context import StepContext as StepContext
+from quadjax.race.layout import Field as Field
+from quadjax.race.layout import Layout as Layout
+from quadjax.race.layout import View as View
+from quadjax.training.result import Run as Run
+from quadjax.training.run import train as train
+from quadjax.vehicle.protocol import Measurement as Measurement
+from quadjax.vehicle.protocol import Motion as Motion
+from quadjax.vehicle.protocol import Signal as Signal
+from quadjax.vehicle.protocol import VehicleModel as VehicleModel
+from quadjax.vehicle.protocol import VehicleParams as VehicleParams
+
+__version__: str
