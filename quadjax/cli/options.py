@@ -144,7 +144,8 @@ Picture = Annotated[Path | None, Output(PICTURES), Parameter(metavar="FILE.png",
 def is_override(text: str) -> bool:
     """Whether an argument is ``key=value`` or ``+part``, not a file, whose path may have ``=``."""
     key, equals, _ = text.partition("=")
-    return text.startswith("+") or bool(equals) and "/" not in key and not os.path.exists(text)
+    is_change = bool(equals) and not set("/ ") & set(key)
+    return text.startswith("+") or (is_change and not os.path.exists(text))
 
 
 def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> None:

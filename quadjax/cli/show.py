@@ -22,7 +22,12 @@ if TYPE_CHECKING:
     from quadjax.config.schema import Gate, Track
 
 PRESET = "e2e"  # whose rules check a track that has none of its own
-KINDS = {"presets": "", "tracks": "tracks", "vehicles": "vehicles"}  # folders of configs
+KINDS = {  # folders of configs
+    "presets": "",
+    "parts of presets (+NAME; with a prefix e2e_ or indi_ those of that preset)": "parts",
+    "tracks": "tracks",
+    "vehicles": "vehicles",
+}
 COMMENT = "docs/guide/vehicle.md has the formulas. Fit flight logs for better constants."
 
 
@@ -35,7 +40,7 @@ def show(
     figure: Picture = None,
     model: Annotated[str | None, Parameter(metavar="module:OBJECT")] = None,
 ) -> None:
-    """List presets, policies, tracks and vehicles, or print one of them.
+    """List presets, parts, policies, tracks and vehicles, or print one of them.
 
     Without WHAT, everything that comes with the package is listed by name.
     WHAT is a name or a file; what it contains decides what is printed:

@@ -40,11 +40,12 @@ def train(
     lap table and the figures. The same command with --resume continues a run that
     was stopped.
 
-    With --seeds the config, or each of several, is trained once for each seed, one after
-    the other. A finished run is not trained again. The first table has the training runs;
-    'last' and 'best' are lap times of the flights that run.score selects. The second one has
-    mean and sampled flights of the best policies, from hover and from random starts. The
-    figure shows the learning curves of all configs.
+    With --seeds the config, or each of several, is trained once for each seed, one
+    after the other. A config with parts is one word here ("e2e +fastest"). A finished
+    run is not trained again. The first table has the training runs; 'last' and 'best'
+    are lap times of the flights that run.score selects. The second one has mean and
+    sampled flights of the best policies, from hover and from random starts. The figure
+    shows the learning curves of all configs.
 
     Example: quadjax train e2e seed=3 run.steps=5000000 --name third
 
@@ -204,11 +205,10 @@ def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
             be compared.
     """
     from quadjax.config.loading import load_config
-    from quadjax.core.resources import find_config
     from quadjax.evaluation.curves import check_lengths
 
     overrides = [each for each in words if opt.is_override(each)]
-    files = [str(find_config(each)) for each in words if each not in overrides]
+    files = [each for each in words if each not in overrides]
     configs = [load_config(path, overrides) for path in files]
     names = [config.name for config in configs]
     for name in names:

@@ -76,7 +76,7 @@ def test_a_config_is_printed_and_can_be_read_again(capsys, tmp_path):
 def test_what_is_shipped_is_listed(capsys):
     assert run("show") == 0
     text = capsys.readouterr().out
-    first = text.partition("tracks:")[0].splitlines()[1:]
+    first = text.partition("parts of")[0].splitlines()[1:]
     names = [line for line in first if re.match(r"  \w", line)]
     assert [line.split()[0] for line in names] == quadjax.presets()
     assert all(len(line.split()) > 2 for line in names)

@@ -51,5 +51,6 @@ def test_configs_and_overrides_are_separated():
     configs, overrides = configs_of([files[0], "learner.num_epochs=2", files[1]])
     assert configs == dict(zip(("e2e_ppo", "indi_ppo"), files, strict=True))
     assert overrides == ["learner.num_epochs=2"]
+    assert list(configs_of(["e2e", "e2e +fastest name=other"])[0]) == ["e2e", "other"]
     with pytest.raises(InputError, match="named mine"):
         configs_of([*files, "name=mine"])
