@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from quadjax.config.drone_checks import check_drone
-from quadjax.config.schema import Config, Gate, Randomization, Schedule
+from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError
 from quadjax.core.sections import BadValue, refuse, value_at
 from quadjax.core.yaml_files import short
@@ -203,36 +203,26 @@ def _check_gates(config: Config) -> None:
         if (index or config.track.closed) and math.dist(before, gate.position) < SMALLEST_LEG:
             allowed = "another place than the gate before it" + " (itself)" * (len(gates) == 1)
             refuse(f"{key}.position", gate.position, allowed)
-    _check_frames(config, gates)
-
-
-def _check_frames(config: Config, gates: Sequence[Gate]) -> None:
-    """Check that frames leave room between the gates."""
-    frame = config.rules.gate_frame
-    for index, gate in enumerate(gates if frame else ()):
-        for other in gates[:index]:
-            room = 0.5 * math.dist(gate.position, other.position)
-            if frame >= room > 0.0:
-                refuse("rules.gate_frame", frame, f"below {room:.3g} m, half a distance of gates")
 
 
 def _check_random_tracks(config: Config) -> None:
     """Check that the random tracks of training fit the starts and the rules."""
-    tracks, start, rules = config.randomization.tracks, config.start, config.rules
+    tracks, frame = config.randomization.tracks, config.rules.gate_frame
     if tracks is None:
         return
-    if start.heading == "inside_turn":
-        refuse("start.heading", start.heading, "north with randomization.tracks")
-    if start.position >= tracks.height[0]:
+    if frame > tracks.frame:
+        refuse("rules.gate_frame", frame, f"at most {tracks.frame:g}, randomization.tracks.frame")
+    if config.start.position >= tracks.height[0]:
         lowest = f"below {tracks.height[0]:g}, the lowest gate of randomization.tracks"
-        refuse("start.position", start.position, lowest)
-    if rules.bounds is not None:
-        refuse("rules.bounds", rules.bounds, "null with randomization.tracks")
-    if rules.gate_frame > tracks.frame:
-        allowed = f"at most {tracks.frame:g}, randomization.tracks.frame"
-        refuse("rules.gate_frame", rules.gate_frame, allowed)
-    if config.run.start_states is not None:
-        refuse("run.start_states", config.run.start_states, "null with randomization.tracks")
+        refuse("start.position", config.start.position, lowest)
+    if config.start.heading == "inside_turn":
+        refuse("start.heading", config.start.heading, "north with randomization.tracks")
+    for key, value in (
+        ("rules.bounds", config.rules.bounds),
+        ("run.start_states", config.run.start_states),
+    ):
+        if value is not None:
+            refuse(key, value, "null with randomization.tracks")
 
 
 def _check_race_start(config: Config) -> None:

@@ -123,7 +123,7 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
             return [convert(item, (*location, index)) for index, item in enumerate(node)]
         match = _WITH_UNIT.fullmatch(node) if isinstance(node, str) else None
         unit = _unit_of(location, learner) if match else None
-        if match is None or unit is None:
+        if match is None or unit not in UNITS:
             return node
         factor = _factor(dotted(location), match, unit)
         scales[:] = scales or [_scales_of(tree)]

@@ -447,10 +447,6 @@ REFUSED = [
     ),
     ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
     ("learner.clip_range", "'learner.clip_range' is not of the form key=value"),
-    (
-        "rules.gate_frame=10",
-        "rules.gate_frame is 10.0, allowed: below 1.5 m, half a distance of gates",
-    ),
     ("rules.bounds=[[9, -9], [-9, 9], [-6, 0]]", "allowed: [lowest, highest] for each of x, y"),
     ("vehicle=bebp1", "overrides: vehicle.file: 'bebp1': no such file in"),
     ("track=figure9", "tracks; did you mean figure8?"),
