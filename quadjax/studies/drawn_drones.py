@@ -1,6 +1,7 @@
 """Drones drawn from the randomization of a config: their constants, as numbers and as files."""
 
 import contextlib
+import functools
 from pathlib import Path
 
 import jax
@@ -14,9 +15,9 @@ from quadjax.core.files import write_text
 from quadjax.core.yaml_files import to_yaml
 from quadjax.race.laps import starting_states
 from quadjax.vehicle.protocol import Constants, VehicleModel
+from quadjax.vehicle.summary import AXES, turns
 
 SPARE = 4  # drones are drawn for each one that is written
-AXES = ("roll", "pitch", "yaw")
 
 
 def check_drawn(config: Config) -> None:
@@ -87,11 +88,11 @@ def quantities(model: VehicleModel, constants: Constants) -> dict[str, np.ndarra
     found: dict[str, np.ndarray] = {}
     if model.thrust_to_weight is not None:
         found["thrust to weight"] = np.asarray(model.thrust_to_weight(values))
-    if model.angular_acceleration is not None:
-        turns = model.angular_acceleration(values)
-        found |= {
-            f"{axis} acceleration": np.asarray(x) for axis, x in zip(AXES, turns, strict=True)
-        }
+    accelerations, _ = jax.jit(jax.vmap(functools.partial(turns, model)))(constants)
+    found |= {
+        f"{axis} acceleration": np.asarray(accelerations[:, index])
+        for index, axis in enumerate(AXES)
+    }
     found |= {name: values[name] for _, name in model.ranges}
     found |= {name: values[name] for name in model.lags}
     return {name: x for name, x in found.items() if x.ndim and np.ptp(x) > 0.0}

@@ -5,8 +5,6 @@ Motors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left; 2 and 4 spin cou
 seen from above.
 """
 
-from collections.abc import Mapping
-
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -179,18 +177,6 @@ def _with_disturbance(state: MotorState, moment: Vec3, force: Vec3) -> MotorStat
     return state.replace(moment_ext=moment, force_ext=force)
 
 
-def _angular_acceleration(c: Mapping[str, float]) -> tuple[float, float, float]:
-    squares = 2.0 * (c["rpm_max"] ** 2 - c["rpm_min"] ** 2)
-    speeds = 2.0 * (c["rpm_max"] - c["rpm_min"])
-    roll, pitch = c["k_p"] * squares / c["i_xx"], c["k_q"] * squares / c["i_yy"]
-    return roll, pitch, c["k_r1"] * speeds / c["i_zz"]
-
-
-def _damping(c: Mapping[str, float]) -> dict[str, float]:
-    drag = {name: 4.0 * c["rpm_max"] * c[name] for name in ("k_x", "k_y", "k_z")}
-    return drag | {"k_rr": c["k_rr"] / c["i_zz"]}
-
-
 MODEL = VehicleModel(
     name="motor",
     constants=MotorConstants,
@@ -219,8 +205,6 @@ MODEL = VehicleModel(
     ranges=(("rpm_min", "rpm_max"),),
     lags=("tau",),
     thrust_to_weight=lambda c: 4.0 * c["k_w"] * c["rpm_max"] ** 2 / c["g"],
-    angular_acceleration=_angular_acceleration,
-    damping=_damping,
     has_battery=True,
     has_residual=True,
     disturbance=lambda state: (state.moment_ext, state.force_ext),

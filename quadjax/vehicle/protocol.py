@@ -112,10 +112,6 @@ class VehicleModel:
         ranges: pairs of names of constants: 0 <= first < second.
         lags: names of the time constants, s.
         thrust_to_weight: ``(values by name) -> float``, or None where unknown.
-        angular_acceleration: ``(values by name) -> (x, y, z)``, rad/s^2, the largest that
-            commands give about each axis; None where unknown.
-        damping: ``(values by name) -> {name: 1/s}``, the fastest decay that a constant sets of a
-            velocity or a rate, at full command; None where unknown.
         position, velocity, euler, rates: ``(state) -> Vec3``, as in ``Motion``.
         to_body: ``(state, vector) -> Vec3``: a world-frame vector in the body frame.
         wrap: ``(state) -> state`` with angles wrapped or a quaternion normalized, after each step.
@@ -154,8 +150,6 @@ class VehicleModel:
     ranges: tuple[tuple[str, str], ...] = ()
     lags: tuple[str, ...] = ()
     thrust_to_weight: Callable[[Mapping[str, float]], float] | None = None
-    angular_acceleration: Callable[[Mapping[str, float]], tuple[float, float, float]] | None = None
-    damping: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
     position: Callable[[State], Vec3] = operator.attrgetter("position")
     velocity: Callable[[State], Vec3] = operator.attrgetter("velocity")
     euler: Callable[[State], Vec3] = operator.attrgetter("euler")

@@ -259,13 +259,6 @@ def _scaled(
     return nominal.replace(**found)
 
 
-def _angular_acceleration(c: Mapping[str, float]) -> tuple[float, float, float]:
-    squares, speeds = c["w_max"] ** 2 - c["w_min"] ** 2, c["w_max"] - c["w_min"]
-    totals = (sum(c[f"{name}{rotor}"] for rotor in (1, 2, 3, 4)) for name in ("k_p", "k_q", "k_r"))
-    roll, pitch, yaw = totals
-    return 0.5 * roll * squares, 0.5 * pitch * squares, 0.5 * yaw * speeds
-
-
 GROUPS = {
     "gravity": ("g",),
     "thrust": ("k_w",),
@@ -291,8 +284,6 @@ COMMON = {
     "ranges": (("w_min", "w_max"),),
     "lags": ("tau",),
     "thrust_to_weight": lambda c: 4.0 * c["k_w"] * c["w_max"] ** 2 / c["g"],
-    "angular_acceleration": _angular_acceleration,
-    "damping": lambda c: {name: 4.0 * c["w_max"] * c[name] for name in ("k_x", "k_y")},
 }
 MODEL = rigid_body_model(
     "racing",

@@ -107,6 +107,5 @@ MODEL = VehicleModel(
     ranges=(("thrust_min", "thrust_max"),),
     lags=("tau_rate", "tau_thrust"),
     thrust_to_weight=lambda c: c["thrust_max"] / c["g"],
-    damping=lambda c: {name: c[name] for name in ("d_x", "d_y")},
     uses_start_thrust=True,
 )

@@ -4,8 +4,6 @@ Foehn, Romero, Scaramuzza, "Time-optimal planning for quadrotor waypoint flight"
 2021). Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left. World NED, body FRD.
 """
 
-from collections.abc import Mapping
-
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -63,12 +61,6 @@ def _hold(state: RigidBodyState, command: Rotors) -> RigidBodyState:
     return state.replace(rotors=command)
 
 
-def _angular_acceleration(c: Mapping[str, float]) -> tuple[float, float, float]:
-    thrust = 2.0 * (c["thrust_max"] - c["thrust_min"])
-    arms = (c["arm_y"] / c["i_xx"], c["arm_x"] / c["i_yy"], c["k_torque"] / c["i_zz"])
-    return arms[0] * thrust, arms[1] * thrust, arms[2] * thrust
-
-
 MODEL = rigid_body_model(
     "rotor_thrust",
     RotorThrustConstants,
@@ -90,5 +82,4 @@ MODEL = rigid_body_model(
     positive=("g", "mass", "i_xx", "i_yy", "i_zz", "arm_x", "arm_y", "k_torque"),
     ranges=(("thrust_min", "thrust_max"),),
     thrust_to_weight=lambda c: 4.0 * c["thrust_max"] / (c["mass"] * c["g"]),
-    angular_acceleration=_angular_acceleration,
 )

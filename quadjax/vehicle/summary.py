@@ -1,7 +1,6 @@
 """Quantities derived from the constants of a vehicle model, and warnings of implausible ones."""
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Mapping
 
@@ -10,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.vectors import Vec3
-from quadjax.vehicle.protocol import Command, Motion, State, VehicleModel, VehicleParams
+from quadjax.vehicle.protocol import Command, Constants, Motion, State, VehicleModel, VehicleParams
 
 AXES = ("roll", "pitch", "yaw")
 STEPS = 100  # of a simulated command
@@ -40,23 +39,19 @@ class VehicleSummary:
 
 
 def summarize(model: VehicleModel, values: Mapping[str, float]) -> VehicleSummary:
-    """The summary of a model with constants by name.
-
-    Every combination of lowest and highest commands is simulated from hover (for more than six
-    commands each alone), and the largest rates are reported. This works for any model.
-    """
+    """The summary of a model with constants by name."""
     constants = model.constants(**{name: jnp.float32(value) for name, value in values.items()})
     zero = Vec3.zero()
     hover = model.hover(constants, Motion(zero, zero, zero, zero))
     low, high = model.actuator_range(constants)
-    acceleration, rates = _fastest(model, VehicleParams(constants), hover)
+    accelerations, rates = jax.jit(turns, static_argnums=0)(model, constants)
     return VehicleSummary(
         hover=_numbers(model.actuator_state(hover)),
         lowest=_numbers(low),
         highest=_numbers(high),
         thrust_to_weight=model.thrust_to_weight and float(model.thrust_to_weight(values)),
-        angular_acceleration=acceleration,
-        body_rates=rates,
+        angular_acceleration=_numbers(list(accelerations)),
+        body_rates=_numbers(list(rates)),
         lags={name: values[name] for name in model.lags},
     )
 
@@ -65,32 +60,32 @@ def _numbers(tree: object) -> tuple[float, ...]:
     return tuple(float(x) for x in jax.tree.leaves(tree))
 
 
-def _fastest(
-    model: VehicleModel, params: VehicleParams, hover: State
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The largest angular accelerations and body rates of commands at their limits."""
-    low, high = model.command_range(params.constants)
-    commands = [
-        jax.tree.unflatten(jax.tree.structure(low), ends)
-        for ends in _corners(jax.tree.leaves(low), jax.tree.leaves(high))
-    ]
-    batch = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), *commands)
-    run = jax.jit(jax.vmap(functools.partial(_simulate, model), in_axes=(None, None, 0)))
-    rates = np.abs(np.asarray(run(params, hover, batch)))  # (commands, steps, 3)
-    change = np.abs(np.diff(rates, axis=1)) * STEPS / SECONDS
-    return _largest(change), _largest(rates)
+def turns(model: VehicleModel, constants: Constants) -> tuple[jax.Array, jax.Array]:
+    """The largest angular accelerations (3,), rad/s^2, and body rates (3,), rad/s, about x, y, z.
+
+    Every combination of lowest and highest commands is simulated for 0.1 s from a level hover (for
+    more than six commands each alone). This works for any model, and for one drone: batch with
+    ``jax.vmap``.
+    """
+    zero = Vec3.zero()
+    hover = model.hover(constants, Motion(zero, zero, zero, zero))
+    low, high = (jnp.stack(jax.tree.leaves(end)) for end in model.command_range(constants))
+    structure = jax.tree.structure(model.command_range(constants)[0])
+
+    def rates_under(fraction: jax.Array) -> jax.Array:
+        held = jax.tree.unflatten(structure, list(low + (high - low) * fraction))
+        return _simulate(model, VehicleParams(constants), hover, held)
+
+    rates = jnp.abs(jax.vmap(rates_under)(_corners(len(low))))  # (commands, steps, 3)
+    change = jnp.abs(jnp.diff(rates, axis=1)) * (STEPS / SECONDS)
+    return jnp.nanmax(change, axis=(0, 1)), jnp.nanmax(rates, axis=(0, 1))
 
 
-def _largest(values: np.ndarray) -> tuple[float, ...]:
-    return tuple(float(x) for x in np.nanmax(values, axis=(0, 1)))
-
-
-def _corners(low: list, high: list) -> list[tuple]:
-    if len(low) <= 6:
-        return list(itertools.product(*zip(low, high, strict=True)))
-    middle = [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
-    ends = [(i, end) for i in range(len(low)) for end in (low[i], high[i])]
-    return [tuple(end if i == j else x for j, x in enumerate(middle)) for i, end in ends]
+def _corners(size: int) -> jax.Array:
+    """Commands (n, size) at their limits, as fractions of their range."""
+    if size <= 6:
+        return jnp.array(list(itertools.product((0.0, 1.0), repeat=size)))
+    return 0.5 + 0.5 * jnp.concatenate([-jnp.eye(size), jnp.eye(size)])
 
 
 def _simulate(
@@ -148,8 +143,7 @@ def warnings(
     inertia = [values[name] for name in model.groups.get("inertia", ())]
     if len(inertia) == 3 and 2.0 * max(inertia) > 1.001 * sum(inertia):
         found.append("inertia: one moment exceeds the sum of the others, which is impossible")
-    damping = model.damping(values) if model.damping else ()
-    for name in dict.fromkeys((*model.positive, *model.nonnegative, *damping)):
+    for name in (*model.positive, *model.nonnegative):
         if values[name] < 0:
             found.append(f"{name} {values[name]:g}: at least 0 in the frame of the model")
     return found

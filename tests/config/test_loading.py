@@ -365,29 +365,10 @@ REFUSED = [
     ("vehicle.constants.k_p=-1e-9", "vehicle.constants.k_p is -1e-09, allowed: a positive number"),
     ("vehicle.constants.k_q=0", "vehicle.constants.k_q is 0.0, allowed: a positive number"),
     ("vehicle.constants.k_r1=0", "vehicle.constants.k_r1 is 0.0, allowed: a positive number"),
-    ("vehicle.constants.k_p=1e-20", "about x at full command: above 0.0028 rad/s² (the drone can"),
     ("vehicle.constants.i_zz=1.0", "vehicle.constants.i_zz is 1.0, allowed: at most 0.002148, the"),
-    ("vehicle.constants.tau=1e6", "vehicle.constants.tau is 1000000.0, allowed: above 0.005 s"),
-    (
-        "vehicle.constants.k_x=1",
-        "vehicle.constants.k_x is 1.0, allowed: other values, as it gives 4.4e+04",
-    ),
     ("vehicle.constants.k_x=-1e-4", "vehicle.constants.k_x is -0.0001, allowed: at least 0"),
-    ("vehicle.constants.k_z=-1e-4", "as it gives -4.4 1/s as the damping by k_z: above -1/s (the"),
-    ("vehicle.mismatch={k_w: 0.1}", "vehicle.mismatch.k_w is 0.1, allowed: other values, as it"),
-    ("vehicle.mismatch={tau: 0.01}", "vehicle.mismatch.tau is 0.01, allowed: other values, as it"),
-    (
-        "randomization.thrust=0.9",
-        "randomization.thrust is 0.9, allowed: at most 0.535; the worst draw of k_w gives 0.215",
-    ),
-    (
-        "randomization.gravity=0.9",
-        "randomization.gravity is 0.9, allowed: at most 0.839; the worst",
-    ),
-    ("randomization.constants={tau: 0.9167}", "randomization.constants.tau is 0.9167, allowed"),
-    ("disturbance.force_z=12", "disturbance.force_z is 12.0, allowed: below 11.3 m/s²"),
-    ("disturbance.moment_x=1", "disturbance.moment_x is 1.0, allowed: below 0.316 N m about x"),
-    ("disturbance.moment_bias=[1, 0, 0]", "disturbance.moment_bias is [1.0, 0.0, 0.0], allowed"),
+    ("vehicle.mismatch={k_w: 0.1}", "vehicle.constants times vehicle.mismatch give a thrust of"),
+    ("vehicle.mismatch={tau: 0.01}", "vehicle.constants.tau times its mismatch is 0.0006, allowed"),
     (
         "track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1], yaw_deg: 180}]",
         "track.gates[0].position is [0.0, 0.0, -1.0], allowed: another place than the gate before",
@@ -451,10 +432,6 @@ REFUSED = [
     ("vehicle=bebp1", "overrides: vehicle.file: 'bebp1': no such file in"),
     ("track=figure9", "tracks; did you mean figure8?"),
     ("schedules.learner.discont.linear=[0.9, 1]", "unknown key; did you mean discount?; allowed"),
-    (
-        "randomization.all=0.3",
-        "at most 0.225; the worst draw of k_w, rpm_max gives 0.738 times the",
-    ),
     ("learner.revisit=0.5", "unknown key learner.revisit"),
 ]
 
@@ -510,13 +487,7 @@ def test_refused(override, message):
         (["vehicle.model=rate", "disturbance.force_z=1"], "disturbance.force_z is 1.0"),
         (["vehicle.model=rate", "observation.disturbance=estimated"], "observation.disturbance is"),
         (["vehicle.model=rate", "vehicle.constants.thrust_max=9"], "give a thrust of 0 to 0.917"),
-        (["vehicle.model=rate", "vehicle.constants.d_x=250"], "d_x is 250.0, allowed: above -1/s"),
         (["vehicle.model=rate", "vehicle.constants.d_x=-1"], "d_x is -1.0, allowed: at least 0"),
-        (["vehicle.model=rate", "vehicle.constants.tau_rate=1000"], "tau_rate is 1000.0, allowed"),
-        (
-            ["disturbance.force_z=5", "randomization.thrust=0.3"],
-            "disturbance.force_z is 5.0, allowed: below 4.97 m/s²",
-        ),
         (["learner.std=0.2", "learner.algorithm=ppo"], "unknown key learner.std"),
         (
             ["run.steps=1000000", "schedules.reward.gate={linear: [0, value], until: 2e6}"],
