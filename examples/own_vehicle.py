@@ -1,33 +1,32 @@
 """Train your own vehicle model: the rate-level drone with quadratic drag."""
 
-import dataclasses
-
-import jax
 from flax import struct
 
 import quadjax
 from quadjax.core.vectors import safe_norm
-from quadjax.vehicle import rate
-from quadjax.vehicle.constants import RateConstants
+from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.rate import Rate, RateConstants
 
 
 @struct.dataclass
 class Constants(RateConstants):
     """The constants of the rate-level model, and one more."""
 
-    d_2: jax.Array  # quadratic drag, 1/m
+    d_2: Scalar = constant("1/m", "drag", "nonnegative")  # quadratic drag
 
 
-def derivative(params, state, command, *call):
-    """Time derivative of the state."""
-    slope = rate.derivative(params, state, command, *call)
-    drag = state.velocity * (params.constants.d_2 * safe_norm(state.velocity))
-    return slope.replace(velocity=slope.velocity - drag)
+class QuadraticDrag(Rate):
+    """The rate-level model with quadratic drag."""
+
+    name, constants = "quadratic_drag", Constants
+
+    def force_moment(self, params, actuators, actuator_rate, velocity, rates):
+        """Specific force and moment, body."""
+        force, moment = super().force_moment(params, actuators, actuator_rate, velocity, rates)
+        return force - velocity * (params.constants.d_2 * safe_norm(velocity)), moment
 
 
-MODEL = dataclasses.replace(
-    rate.MODEL, name="quadratic_drag", constants=Constants, derivative=derivative
-)
+MODEL = QuadraticDrag()
 
 if __name__ == "__main__":
     overrides = ["vehicle.model=own_vehicle:MODEL", "vehicle=own_vehicle.yaml", "name=own_vehicle"]

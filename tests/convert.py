@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.vehicle.constants import MotorConstants, RateConstants
-from quadjax.vehicle.motor import MotorState
-from quadjax.vehicle.rate import RateCommand, RateState
+from quadjax.vehicle.motor import MotorConstants
+from quadjax.vehicle.rate import RateCommand, RateConstants
 from quadjax.vehicle.residual import Residual
+from quadjax.vehicle.rigid_body import RigidBodyState
 from tests import reference as ref
 
 
@@ -24,7 +24,7 @@ def constants(kind: str, values: dict) -> MotorConstants | RateConstants:
     return schema(**{name: jnp.asarray(value, float) for name, value in values.items()})
 
 
-def state_of(kind: str, rows: np.ndarray) -> MotorState | RateState:
+def state_of(kind: str, rows: np.ndarray) -> RigidBodyState:
     pose = {
         "position": vec3(rows[..., ref.P]),
         "velocity": vec3(rows[..., ref.V]),
@@ -32,24 +32,24 @@ def state_of(kind: str, rows: np.ndarray) -> MotorState | RateState:
         "rates": vec3(rows[..., ref.RATES]),
     }
     if kind == "rate":
-        return RateState(**pose, thrust=jnp.asarray(rows[..., 12]))
-    return MotorState(
+        return RigidBodyState(**pose, actuators=jnp.asarray(rows[..., 12]))
+    return RigidBodyState(
         **pose,
-        rpm=rotors(rows[..., ref.RPM]),
+        actuators=rotors(rows[..., ref.RPM]),
         moment_ext=vec3(rows[..., ref.MOMENT]),
         force_ext=vec3(rows[..., ref.FORCE]),
     )
 
 
-def rows_of(state: MotorState | RateState) -> np.ndarray:
+def rows_of(state: RigidBodyState) -> np.ndarray:
     def columns(vector: Vec3 | Rotors) -> list[np.ndarray]:
         return [np.asarray(getattr(vector, name)) for name in vars(vector)]
 
     drone = [*map(columns, (state.position, state.velocity, state.euler, state.rates))]
-    if isinstance(state, RateState):
-        drone.append([np.asarray(state.thrust)])
+    if state.moment_ext is None:
+        drone.append([np.asarray(state.actuators)])
     else:
-        drone += map(columns, (state.rpm, state.moment_ext, state.force_ext))
+        drone += map(columns, (state.actuators, state.moment_ext, state.force_ext))
     flat = np.broadcast_arrays(*(column for part in drone for column in part))
     return np.stack(flat, axis=-1)
 

@@ -160,9 +160,9 @@ def _check_effects(config: Config) -> None:
     if vehicle.residual is None and vehicle.residual_gain != 1.0:
         refuse("vehicle.residual_gain", vehicle.residual_gain, "1.0 without vehicle.residual")
     for key, value in config.disturbance.model_dump().items():
-        if model.disturbance is None and value != type(config.disturbance)().model_dump()[key]:
+        if not model.can_be_disturbed and value != type(config.disturbance)().model_dump()[key]:
             refuse(f"disturbance.{key}", value, f"0 {with_model}")
-    if config.observation.disturbance == "estimated" and model.balance is None:
+    if config.observation.disturbance == "estimated" and not model.can_be_disturbed:
         refuse("observation.disturbance", "estimated", f"ground_truth or none {with_model}")
     for key in ("overspeed", "overspeed_margin"):
         value, default = getattr(config.reward, key), type(config.reward).model_fields[key].default

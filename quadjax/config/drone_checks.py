@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.yaml_files import close_match, short
+from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import model as vehicle_model
 
@@ -74,11 +75,10 @@ def _check_population(config: Config, model: VehicleModel, spread: Values) -> No
 
 def _check_signs(model: VehicleModel, constants: Values) -> None:
     """Check the signs of the constants, and the triangle inequality of moments of inertia."""
-    for name in model.positive:
-        if constants[name] <= 0:
+    for name, declared in declarations(model.constants).items():
+        if declared.sign == "positive" and constants[name] <= 0:
             refuse(f"vehicle.constants.{name}", constants[name], "a positive number")
-    for name in model.nonnegative:
-        if constants[name] < 0:
+        if declared.sign == "nonnegative" and constants[name] < 0:
             refuse(f"vehicle.constants.{name}", constants[name], "at least 0")
     inertia = {name: constants[name] for name in model.groups.get("inertia", ())}
     if len(inertia) == 3:
@@ -105,10 +105,10 @@ def _check_ranges(model: VehicleModel, values: Values, spread: Values) -> None:
 
 def _check_thrust(model: VehicleModel, values: Values, origin: str) -> None:
     """Check that the commands reach from below to above the weight."""
-    if model.thrust_to_weight is None:
-        return
     idle = {**values, **{high: values[low] for low, high in model.ranges}}
-    least, most = model.thrust_to_weight(idle), model.thrust_to_weight(values)
+    least, most = (model.thrust_to_weight(model.make_constants(x)) for x in (idle, values))
+    if least is None or most is None:
+        return
     if not least < 1 < most <= MAX_THRUST:
         raise InputError(
             f"vehicle.constants{origin} give a thrust of {least:.3g} to {most:.3g} times the "

@@ -25,8 +25,8 @@ from quadjax.race.rules import Frame, Landing, Limits, Overspeed, Perception, Re
 from quadjax.race.start import DisturbanceRange, StartRange
 from quadjax.race.track import Pose, Track, inside_turn, make_track
 from quadjax.vehicle import motor
-from quadjax.vehicle.attitude import with_quaternions
 from quadjax.vehicle.battery import battery_params, limit_estimator
+from quadjax.vehicle.constants import replaced
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
 from quadjax.vehicle.registry import model
@@ -41,8 +41,9 @@ OPTIONAL = ("action_change", "perception")  # penalties that are computed where 
 def vehicle_model_of(config: Config) -> VehicleModel:
     """The vehicle model, with quaternions if ``vehicle.quaternion`` is set and it has none yet."""
     own = model(config.vehicle.model)
-    singular = math.isfinite(own.pitch_limit)
-    return with_quaternions(own) if config.vehicle.quaternion and singular else own
+    if config.vehicle.quaternion and math.isfinite(own.pitch_limit):
+        own = own.with_quaternions()
+    return own
 
 
 def choices_of(config: Config) -> Choices:
@@ -102,7 +103,7 @@ def build_vehicle(config: Config) -> VehicleParams:
         InputError: a residual file that cannot be read.
     """
     vehicle = config.vehicle
-    constants = model(vehicle.model).constants(**_traced(vehicle.constants))
+    constants = model(vehicle.model).make_constants(_traced(vehicle.constants))
     if vehicle.residual is None:
         return VehicleParams(constants)
     residual = read_residual(Path(vehicle.residual))
@@ -160,13 +161,13 @@ def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:
     if not config.vehicle.mismatch:
         return None
     ones = jax.tree.map(jnp.ones_like, vehicle.constants)
-    return ones.replace(**_traced(config.vehicle.mismatch))
+    return replaced(ones, _traced(config.vehicle.mismatch))
 
 
 def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None:
     """The onboard estimator of the disturbance, where it is observed."""
     own = model(config.vehicle.model)
-    if config.observation.disturbance != "estimated" or own.balance is None:
+    if config.observation.disturbance != "estimated" or not own.has_estimator:
         return None
     euler = config.vehicle.integrator == "euler"
     return estimator_params(own, vehicle, 1.0 / config.rules.time_step, explicit_euler=euler)
@@ -206,7 +207,7 @@ def build_params(config: Config) -> RaceParams:
             race=_race_part(config.start.race, track),
         ),
         disturbance=disturbance_range(config.disturbance),
-        randomization=own.constants(**_traced(config.randomization.by_constant(own))),
+        randomization=own.make_constants(_traced(config.randomization.by_constant(own))),
         population_width=_population_width(config),
         mismatch=_mismatch(config, vehicle),
         estimator=_estimator(config, vehicle),

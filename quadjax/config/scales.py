@@ -84,10 +84,11 @@ def race_scales(track: Track, vehicle: Vehicle, time_step: float) -> Scales:
         InputError: a vehicle model that defines no thrust-to-weight ratio.
     """
     model = vehicle_model(vehicle.model)
-    if model.thrust_to_weight is None:
+    thrust = model.thrust_to_weight(model.make_constants(vehicle.constants))
+    if thrust is None:
         allowed = "a model that has thrust_to_weight, or numbers without units of the race"
         refuse("vehicle.model", vehicle.model, allowed)
-    ratio = max(float(model.thrust_to_weight(vehicle.constants)), LEAST_RATIO)
+    ratio = max(float(thrust), LEAST_RATIO)
     centers = np.array([gate.position for gate in track.gates], np.float64)
     lengths = np.linalg.norm(np.roll(centers, -1, axis=0) - centers, axis=1)
     legs = lengths if track.closed or len(lengths) == 1 else lengths[:-1]

@@ -23,7 +23,7 @@ from quadjax.core.errors import InputError
 from quadjax.export.estimator_tables import speed_exponent
 from quadjax.export.integers import INPUT_BITS, enable_x64
 from quadjax.vehicle.battery import LOWEST, limit_estimator
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 
 FINE_BITS = 40  # the range of the speeds is 2^40 fine units
 MOTORS = 4

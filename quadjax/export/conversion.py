@@ -160,7 +160,7 @@ def convert_policy(
         network.box.check(rollouts.observations)
         rollouts = rollouts.thinned()
     vehicle, estimator = own.params.vehicle, None
-    if network.model.balance is not None and has_estimator(options.target):
+    if network.model.name == "motor" and has_estimator(options.target):
         numbers = (options.sample_rate, options.cutoff)
         estimator = make_estimator(vehicle.constants, vehicle.residual, *numbers)
     return Converted(

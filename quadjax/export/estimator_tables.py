@@ -21,7 +21,7 @@ from quadjax.core.errors import InputError
 from quadjax.export.fixed import FixedLayer, convert_hidden, largest_power
 from quadjax.export.integers import INPUT_BITS, ONE
 from quadjax.export.scaling import Rescale, rescale
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual import Residual
 
 MODEL_BITS, DIFFERENCE_BITS = 14, 10  # of a monomial's constant beyond the fine unit's

@@ -120,7 +120,7 @@ def _states(
     attitude += [_quaternions(trace.euler)] if "quaternion" in sizes else []
     parts = [trace.position, trace.velocity, *attitude, trace.rates, trace.actuators]
     rows = [np.moveaxis(np.asarray(part), 1, -1)[going] for part in parts]
-    if own.choices.model.disturbance is not None:
+    if own.choices.model.disturbed:
         # Disturbances are constant in a flight; they are drawn again from their ranges.
         rng = np.random.default_rng(seed)
         span = own.params.disturbance
@@ -202,7 +202,7 @@ def _battery(params: RaceBattery, highest: jax.Array) -> BatteryState:
 def _estimate(own: OwnRace, drone: State) -> Estimate | None:
     """The disturbances of the state as the onboard estimate; None for a race without estimator."""
     model = own.choices.model
-    if own.params.estimator is None or model.disturbance is None:
+    if own.params.estimator is None or not model.disturbed:
         return None
     return Estimate(None, *model.disturbance(drone))
 

@@ -185,7 +185,7 @@ def state_sizes(layout: Layout, model: VehicleModel) -> dict[str, int]:
     observed = [split_name(name)[0] for name in layout.names]
     angles = {} if "rotation" in layout and "attitude" not in layout else {"euler": 3}
     matrix = {"quaternion": 4} if "rotation" in layout else {}
-    disturbances = {} if model.disturbance is None else {"moment_ext": 3, "force_ext": 3}
+    disturbances = {"moment_ext": 3, "force_ext": 3} if model.disturbed else {}
     limit = {HIGHEST_RPM: 1} if HIGHEST_RPM in layout else {}
     last = {LAST_COMMAND: model.action_size} if LAST_ACTION in observed else {}
     motion = {"position": 3, "velocity": 3, **angles, **matrix, "rates": 3}

@@ -16,6 +16,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.fitting.nominal import AXES, EQUATIONS, Constants
 from quadjax.fitting.prepare import Samples
+from quadjax.vehicle.constants import replaced, values_of
 
 BLOCK = 0.5  # s
 UNCERTAIN = 0.05  # relative standard error above which a lag has a warning
@@ -60,7 +61,7 @@ def with_fit(base: Fitted, fits: list[AxisFit]) -> Fitted:
         for fit in fits
         for name, value in zip(fit.names, fit.values, strict=True)
     }
-    return base.replace(**found)
+    return replaced(base, found)
 
 
 def fit_axis(
@@ -70,7 +71,7 @@ def fit_axis(
     equations = EQUATIONS[type(base)]
     names = equations.constants[axis]
     columns, target = samples.regressors[axis], samples.measured[:, AXES.index(axis)]
-    kept = np.array([float(getattr(base, name)) for name in names])
+    kept = np.array([float(values_of(base)[name]) for name in names])
     size = np.sqrt((columns**2).mean(axis=0))
     excited = _excited(columns, size)
     small = np.array([name in equations.small for name in names])

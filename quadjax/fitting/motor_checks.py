@@ -20,7 +20,8 @@ from quadjax.fitting.axis_checks import Evidence, compare, inner_rows, listed
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.nominal import ModelInputs, nominal
 from quadjax.fitting.signals import derivative, first_order
-from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.constants import constant_names
+from quadjax.vehicle.motor import MotorConstants
 
 if TYPE_CHECKING:
     from quadjax.fitting.flight_log import FlightLog

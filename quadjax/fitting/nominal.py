@@ -7,15 +7,17 @@ angular accelerations (racing).
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
+import jax
 import numpy as np
 from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.signals import Rows
 from quadjax.vehicle import motor, racing
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.constants import constant_names, replaced, rotor_names
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.residual import Layers, Residual
 
@@ -31,10 +33,6 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "My": ("k_q", "k_qv"),
     "Mz": ("k_r1", "k_r2", "k_rr"),
 }
-
-
-def _rotors(name: str) -> tuple[str, ...]:
-    return tuple(f"{name}{rotor}" for rotor in (1, 2, 3, 4))
 
 
 @dataclass(frozen=True)
@@ -86,11 +84,18 @@ EQUATIONS: dict[type, Equations] = {
     RacingConstants: Equations(
         {
             **{"ax": ("k_x",), "ay": ("k_y",), "az": ("k_w",)},
-            **{"Mx": _rotors("k_p"), "My": _rotors("k_q")},
-            "Mz": (*_rotors("k_r"), *_rotors("k_rd")),
+            **{"Mx": rotor_names("k_p"), "My": rotor_names("k_q")},
+            "Mz": (*rotor_names("k_r"), *rotor_names("k_rd")),
         },
-        driving=("k_x", "k_y", "k_w", *_rotors("k_p"), *_rotors("k_q"), *_rotors("k_r")),
-        small=_rotors("k_rd"),
+        driving=(
+            "k_x",
+            "k_y",
+            "k_w",
+            *rotor_names("k_p"),
+            *rotor_names("k_q"),
+            *rotor_names("k_r"),
+        ),
+        small=rotor_names("k_rd"),
         force_moment=_racing,
         has_inertia=False,
         uncertain=0.01,
@@ -110,15 +115,15 @@ class ModelInputs(Rows):
 
 def nominal(constants: Constants, motion: ModelInputs) -> np.ndarray:
     """Specific forces, m/s^2, and moments of the nominal model: (n, 6), as ``AXES``."""
-    numbers = {item.name: float(getattr(constants, item.name)) for item in fields(constants)}
+    constants = jax.tree.map(float, constants)
     rpm, rpm_rate = Rotors.of(motion.rpm), Rotors.of(motion.rpm_rate)
     velocity, rates = Vec3.of(motion.body_velocity), Vec3.of(motion.rates)
     equations = EQUATIONS[type(constants)]
-    parts = equations.force_moment(type(constants)(**numbers), rpm, rpm_rate, velocity, rates)
+    parts = equations.force_moment(constants, rpm, rpm_rate, velocity, rates)
     return np.stack([number for part in parts for number in part.components()], axis=1)
 
 
-NO_CONSTANTS = MotorConstants(**dict.fromkeys((item.name for item in fields(MotorConstants)), 0.0))
+NO_CONSTANTS = MotorConstants(**dict.fromkeys(constant_names(MotorConstants), 0.0))
 
 
 def regressors(motion: ModelInputs, constants: Constants = NO_CONSTANTS) -> dict[str, np.ndarray]:
@@ -129,10 +134,10 @@ def regressors(motion: ModelInputs, constants: Constants = NO_CONSTANTS) -> dict
         constants: of the model, whose type selects the equations.
     """
     axes = EQUATIONS[type(constants)].constants
-    zero = constants.replace(**dict.fromkeys((n for names in axes.values() for n in names), 0.0))
+    zero = replaced(constants, dict.fromkeys((n for names in axes.values() for n in names), 0.0))
     return {
         axis: np.stack(
-            [nominal(zero.replace(**{name: 1.0}), motion)[:, AXES.index(axis)] for name in names],
+            [nominal(replaced(zero, {name: 1.0}), motion)[:, AXES.index(axis)] for name in names],
             axis=1,
         )
         for axis, names in axes.items()

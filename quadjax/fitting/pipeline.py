@@ -35,7 +35,7 @@ from quadjax.fitting.residual_fit import (
 from quadjax.fitting.split import TEST, Split, make_split
 from quadjax.fitting.tasks import learned_rows, nominal_without
 from quadjax.fitting.vehicle_file import BaseVehicle, read_vehicle, with_body
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 
 Report = Callable[[str], None]
 

@@ -11,7 +11,7 @@ from quadjax.fitting.prepare import Samples
 from quadjax.fitting.residual_fit import ResidualFit
 from quadjax.fitting.signals import Rows, concatenated
 from quadjax.fitting.tasks import nominal_error
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual import Residual
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.core.errors import InputError
+from quadjax.core.vectors import Rotors
 from quadjax.core.yaml_files import Tree
 from quadjax.fitting.config import FitConfig, ResidualConfig
 from quadjax.fitting.flight_log import FlightLog, highest_speed, read_logs
@@ -19,6 +20,7 @@ from quadjax.fitting.prepare import Samples, airborne, prepare
 from quadjax.fitting.split import GUARD, flight_groups
 from quadjax.fitting.tasks import nominal_error
 from quadjax.fitting.vehicle_file import kept_keys, number, vehicle_tree
+from quadjax.vehicle.constants import constant_names, from_values
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.vehicle_file import for_each_rotor
 
@@ -60,9 +62,10 @@ def read_racing_vehicle(name: str, folder: Path = Path()) -> RacingConstants | N
     if values.get("model") != MODEL:
         return None
     constants = values["models"].get(MODEL, {})
-    names = [field.name for field in dataclasses.fields(RacingConstants)]
+    names = constant_names(RacingConstants)
     constants = for_each_rotor(constants, names)
-    return RacingConstants(**{name: number(path, constants, name, f"{MODEL}.") for name in names})
+    values = {name: number(path, constants, name, f"{MODEL}.") for name in names}
+    return from_values(RacingConstants, values)
 
 
 def run_racing_fit(
@@ -200,5 +203,5 @@ def with_common(samples: Samples, base: RacingConstants) -> RacingConstants:
         values = np.linalg.lstsq(columns / size, target, rcond=1e-6)[0] / size
         for stem, value in zip(stems, values, strict=True):
             if value > 0.0:
-                found |= {f"{stem}{rotor}": float(value) for rotor in (1, 2, 3, 4)}
+                found[stem] = Rotors.same(float(value))
     return base.replace(**found)

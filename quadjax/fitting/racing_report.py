@@ -13,6 +13,7 @@ from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.racing_fit import MODEL, RacingFit
 from quadjax.fitting.report import NONE_HELD_OUT
 from quadjax.fitting.vehicle_file import head_lines
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import RacingConstants
 from quadjax.vehicle.vehicle_file import ROTORS, TURNING
 
@@ -117,7 +118,7 @@ def _vehicle_file(result: RacingFit) -> str:
         f"{MODEL}:",
     ]
     turning = {number: word for word, number in TURNING.items()}
-    values = {name: float(getattr(result.constants, name)) for name in vars(result.constants)}
+    values = {name: float(value) for name, value in values_of(result.constants).items()}
     for name, value in values.items():
         if f"{name[:-1]}4" not in values or not name[-1].isdigit():
             note = f"  # {notes[name]}" if name in notes else ""

@@ -15,7 +15,8 @@ from quadjax.fitting.prediction import Prediction, pooled
 from quadjax.fitting.residual_fit import ALL
 from quadjax.fitting.split import TEST
 from quadjax.fitting.vehicle_file import write_vehicle
-from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.constants import constant_names
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual_file import write_residual
 
 RESIDUAL_AXES = AXES[2:]

@@ -31,7 +31,7 @@ from quadjax.fitting.tasks import (
     nominal_without,
 )
 from quadjax.fitting.train import padded, train_tasks
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual import Residual
 
 LeftOut = frozenset[int]

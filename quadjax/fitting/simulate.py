@@ -18,9 +18,9 @@ from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.columns import paparazzi_columns
 from quadjax.vehicle import motor
-from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Layers, Residual, residual_force_moment
+from quadjax.vehicle.rigid_body import RigidBodyState
 
 SUBSTEPS = 2
 # The flight envelope of the Bebop 1 for random residuals.
@@ -75,7 +75,7 @@ def simulate_flight(
             "world_velocity": noisy(states.velocity, noise.velocity),
             "euler": noisy(states.euler, noise.angle),
             "gyro": noisy(states.rates, noise.gyro),
-            "rpm": noisy(states.rpm, noise.rpm),
+            "rpm": noisy(states.actuators, noise.rpm),
             "rpm_command": noisy(commands, 0.0),
             "acceleration": noisy(forces, noise.acceleration) + bias,
             "acceleration_bias": bias,
@@ -101,33 +101,33 @@ def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> n
 @partial(jax.jit, static_argnums=2)
 def _fly(
     vehicle: VehicleParams, targets: jax.Array, sample_rate: float
-) -> tuple[MotorState, Rotors, Vec3]:
+) -> tuple[RigidBodyState, Rotors, Vec3]:
     """States, rpm commands and specific forces, n of each, of a flight that follows targets."""
     dt = 1.0 / (sample_rate * SUBSTEPS)
 
     def step(
-        state: MotorState, target: jax.Array
-    ) -> tuple[MotorState, tuple[MotorState, Rotors, Vec3]]:
+        state: RigidBodyState, target: jax.Array
+    ) -> tuple[RigidBodyState, tuple[RigidBodyState, Rotors, Vec3]]:
         command = _control(vehicle, state, target)
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
         steady = Rotors.same(jnp.zeros(()))
-        force, _ = motor.force_moment(vehicle, state.rpm, steady, body_velocity, state.rates)
+        force, _ = motor.force_moment(vehicle, state.actuators, steady, body_velocity, state.rates)
         record = (state, command, force)
         state = jax.lax.fori_loop(
             0,
             SUBSTEPS,
-            lambda _, s: rk4_step(lambda x: motor.derivative(vehicle, x, command), s, dt),
+            lambda _, s: rk4_step(lambda x: motor.MODEL.derivative(vehicle, x, command), s, dt),
             state,
         )
         return state, record
 
     rpm = Rotors.same(motor.hover_rpm(vehicle.constants))
     zero = Vec3.zero()
-    start = MotorState(zero, zero, zero, zero, rpm, zero, zero)
+    start = RigidBodyState(zero, zero, zero, zero, rpm, zero, zero)
     return jax.lax.scan(step, start, targets)[1]
 
 
-def _control(vehicle: VehicleParams, state: MotorState, target: jax.Array) -> Rotors:
+def _control(vehicle: VehicleParams, state: RigidBodyState, target: jax.Array) -> Rotors:
     """Rpm commands that follow target angles and a target climb rate."""
     c = vehicle.constants
     hover = motor.hover_rpm(c)
@@ -137,7 +137,9 @@ def _control(vehicle: VehicleParams, state: MotorState, target: jax.Array) -> Ro
     wanted = angle * Vec3(60.0, 60.0, 6.0) - state.rates * Vec3(12.0, 12.0, 4.0)
     if vehicle.residual is not None:  # compensated exactly
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
-        _, extra = residual_force_moment(vehicle.residual, state.rpm, body_velocity, state.rates)
+        _, extra = residual_force_moment(
+            vehicle.residual, state.actuators, body_velocity, state.rates
+        )
         wanted = wanted - extra / Vec3(c.i_xx, c.i_yy, c.i_zz)
     turn = wanted / effect
     roll, pitch, yaw = (jnp.clip(part, -1200.0, 1200.0) for part in turn.components())

@@ -12,7 +12,8 @@ from quadjax.fitting.config import NominalConfig, ResidualConfig
 from quadjax.fitting.least_squares import fit_nominal, with_fit
 from quadjax.fitting.nominal import AXES, EQUATIONS, Constants, file_inputs
 from quadjax.fitting.prepare import Samples
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.constants import values_of
+from quadjax.vehicle.motor import MotorConstants
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,10 @@ def learned_rows(fold: np.ndarray, left_out: frozenset[int]) -> np.ndarray:
 
 def nominal_error(samples: Samples, constants: Constants) -> np.ndarray:
     """Measured minus nominal (n, 6), as ``AXES``."""
+    values = values_of(constants)
     modeled = [
         samples.regressors[axis]
-        @ np.array(
-            [float(getattr(constants, name)) for name in EQUATIONS[type(constants)].constants[axis]]
-        )
+        @ np.array([float(values[name]) for name in EQUATIONS[type(constants)].constants[axis]])
         for axis in AXES
     ]
     return samples.measured - np.stack(modeled, axis=1)

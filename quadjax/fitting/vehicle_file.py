@@ -14,7 +14,8 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.yaml_files import Tree, find_file, read_tree_with_bases, to_yaml
 from quadjax.fitting.config import BodyConfig
-from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.constants import constant_names
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.vehicle_file import vehicle_values
 
 KEPT = ("width", "fitted_speed", "model")

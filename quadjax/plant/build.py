@@ -12,7 +12,8 @@ from quadjax.plant.gusts import gust_params
 from quadjax.plant.plant import PlantParams
 from quadjax.plant.power import PowerParams
 from quadjax.vehicle.battery import battery_params
-from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.constants import constant_names
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Residual
 

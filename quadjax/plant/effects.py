@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3, cross
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 
 RPM_PER_RAD_S = 60.0 / (2.0 * jnp.pi)
 _NEAREST = 0.5  # rotor radii: least height of a disc above the ground in its effect

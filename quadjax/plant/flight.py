@@ -23,9 +23,9 @@ from quadjax.race.battery import BatteryState
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.start import hover
 from quadjax.race.track import gate, gate_count
-from quadjax.vehicle import motor, rate
-from quadjax.vehicle.motor import MotorState
-from quadjax.vehicle.rate import RateCommand, RateState
+from quadjax.vehicle import motor
+from quadjax.vehicle.rate import RateCommand
+from quadjax.vehicle.rigid_body import RigidBodyState
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +60,8 @@ class Flight:
 class Frame:
     """Record of one control step."""
 
-    true: MotorState  # with the external moment and force that the policy observed
-    estimated: MotorState
+    true: RigidBodyState  # with the external moment and force that the policy observed
+    estimated: RigidBodyState
     gyro: Vec3  # rad/s, as measured
     accelerometer: Vec3  # m/s^2, as measured
     force_bias: Vec3  # m/s^2, estimated
@@ -173,13 +173,13 @@ def hold(
     return following, jax.tree.map(lambda x: x[-1], rotors)
 
 
-def _known_motion(choices: FlightChoices, computers: OnboardState) -> MotorState | RateState:
+def _known_motion(choices: FlightChoices, computers: OnboardState) -> RigidBodyState:
     """The estimated state, of the race's vehicle model."""
     motion = computers.estimate.motion
-    if choices.race.model is not rate.MODEL:
+    if choices.race.model.name != "rate":
         return motion
     thrust = computers.inner.thrust
-    return RateState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
+    return RigidBodyState(motion.position, motion.velocity, motion.euler, motion.rates, thrust)
 
 
 def remember(choices: FlightChoices, before: Flight, flight: Flight, action: jax.Array) -> Flight:

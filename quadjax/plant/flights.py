@@ -205,7 +205,7 @@ def recordings(flights: Flights) -> list[Recording]:
                 velocity=rows(flights, true.velocity, run),
                 euler=rows(flights, true.euler, run),
                 rates=rows(flights, true.rates, run),
-                actuators=rows(flights, true.rpm, run),
+                actuators=rows(flights, true.actuators, run),
                 command=rows(flights, frames.command, run),
                 target=np.asarray(frames.target)[~frames.over[:, run], run],
                 lap_ends=np.cumsum(times[np.isfinite(times)]),

@@ -34,7 +34,7 @@ from flax import struct
 from quadjax.core.filters import advance, butterworth, settled
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.config import IndiConfig
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 

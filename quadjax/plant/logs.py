@@ -44,7 +44,7 @@ def log_quantities(flights: Flights, run: int, gates: np.ndarray) -> dict[str, n
         "world_velocity": frames.estimated.velocity,
         "euler": frames.estimated.euler,
         "gyro": frames.gyro,
-        "rpm": frames.estimated.rpm,
+        "rpm": frames.estimated.actuators,
         "rpm_command": frames.rpm_command,
         "acceleration": frames.accelerometer,
         "acceleration_bias": frames.force_bias,

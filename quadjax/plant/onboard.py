@@ -23,9 +23,9 @@ from quadjax.vehicle import battery, motor
 from quadjax.vehicle import estimator as disturbance
 from quadjax.vehicle.battery import LimitEstimatorParams, LimitEstimatorState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
-from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
+from quadjax.vehicle.rigid_body import RigidBodyState
 
 DRAWS = sensors.DRAWS + gusts.DRAWS
 
@@ -54,7 +54,7 @@ class OnboardParams:
 class StateEstimate:
     """Estimate of the drone's state at one sample."""
 
-    motion: MotorState  # with the external moment and force that the policy observes
+    motion: RigidBodyState  # with the external moment and force that the policy observes
     measurement: Measurement  # less the estimated biases
     gyro: Vec3  # rad/s, as measured
     accelerometer: Vec3  # m/s^2, as measured
@@ -147,7 +147,7 @@ def _estimate(
         now, rpm = estimate(params.ekf, filtered).value, measured.rpm
         gyro, accelerometer = measured.gyro, measured.accelerometer
         gyro_bias, force_bias = now.gyro_bias, now.accelerometer_bias
-    motion = MotorState(now.position, now.velocity, now.euler, now.rates, rpm, none, none)
+    motion = RigidBodyState(now.position, now.velocity, now.euler, now.rates, rpm, none, none)
     velocity = world_to_body(attitude(motion.euler), motion.velocity)
     measurement = Measurement(gyro - gyro_bias, accelerometer - force_bias, rpm, velocity)
     return StateEstimate(motion, measurement, gyro, accelerometer, force_bias)
@@ -159,7 +159,7 @@ def unmodeled(params: OnboardParams, body: PlantParams, state: PlantState) -> tu
     velocity = world_to_body(attitude(true.euler), true.velocity)
     steady = Rotors.same(jnp.zeros(()))
     model = params.estimator.vehicle
-    force, moment = motor.force_moment(model, true.rpm, steady, velocity, true.rates)
+    force, moment = motor.force_moment(model, true.actuators, steady, velocity, true.rates)
     own_force, own_moment = plant.loads(body, state)
     return own_moment - moment, own_force - force
 

@@ -23,10 +23,10 @@ from quadjax.plant.effects import FlexParams, ImuParams, RotorParams
 from quadjax.plant.gusts import GustParams, GustState
 from quadjax.plant.power import PowerParams
 from quadjax.plant.sensors import GroundTruth
-from quadjax.vehicle import motor
+from quadjax.vehicle import motor, rigid_body
 from quadjax.vehicle.battery import charge_rate, highest_rpm
-from quadjax.vehicle.motor import MotorState
 from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.rigid_body import RigidBodyState
 
 
 @struct.dataclass
@@ -52,7 +52,7 @@ class PlantParams:
 class Physics:
     """The integrated state."""
 
-    body: MotorState
+    body: RigidBodyState
     rpm_rate: Rotors  # rpm/s, of second-order motors
     flex: Vec3  # deflection of the frame, rad
     flex_rate: Vec3  # rad/s
@@ -70,7 +70,9 @@ class PlantState:
     commands: tuple[Rotors, ...]  # on their way to the motors, rpm, the oldest first
 
 
-def begin(params: PlantParams, body: MotorState, charge: jax.Array, drawn: jax.Array) -> PlantState:
+def begin(
+    params: PlantParams, body: RigidBodyState, charge: jax.Array, drawn: jax.Array
+) -> PlantState:
     """A drone at the start: frame undeflected, pending commands equal to its rotor speeds.
 
     Args:
@@ -80,10 +82,10 @@ def begin(params: PlantParams, body: MotorState, charge: jax.Array, drawn: jax.A
         drawn: (gusts.START_DRAWS,) standard normal numbers.
     """
     physics = Physics(
-        body, jax.tree.map(jnp.zeros_like, body.rpm), Vec3.zero(), Vec3.zero(), charge
+        body, jax.tree.map(jnp.zeros_like, body.actuators), Vec3.zero(), Vec3.zero(), charge
     )
     still, phase = Vec3.zero(), Rotors.of(jnp.zeros(4))
-    line = (body.rpm,) * params.command_delay
+    line = (body.actuators,) * params.command_delay
     return PlantState(physics, still, phase, gusts.init(drawn), line)
 
 
@@ -99,7 +101,7 @@ def forces(
         air_velocity: of the drone through the air, m/s, body.
     """
     body, c = physics.body, params.vehicle.constants
-    rpm = body.rpm * params.rotor_factor
+    rpm = body.actuators * params.rotor_factor
     force, moment = motor.force_moment(params.vehicle, rpm, rpm_rate, air_velocity, body.rates)
     lost = effects.advance_loss(params.rotors, c, air_velocity)
     lift = effects.ground_gain(params.rotors, c, rpm, air_velocity, -body.position.z)
@@ -115,28 +117,28 @@ def derivative(
     body, c = physics.body, params.vehicle.constants
     a = call(attitude, body.euler)
     air_velocity = call(world_to_body, a, body.velocity - wind)
-    top = highest_rpm(params.power.battery, body.rpm, physics.charge)
+    top = highest_rpm(params.power.battery, body.actuators, physics.charge)
     rpm_rate, rpm_bend = power.rotor_rates(
-        params.power, c.tau, body.rpm, physics.rpm_rate, command, top
+        params.power, c.tau, body.actuators, physics.rpm_rate, command, top
     )
     force, moment = call(forces, params, physics, rpm_rate, air_velocity)
     acceleration = body_to_world(a, force + body.force_ext)
-    turning = motor.angular_acceleration(c, moment + body.moment_ext, body.rates)
+    turning = rigid_body.angular_acceleration(c, moment + body.moment_ext, body.rates)
     bend = effects.flex_acceleration(params.flex, physics.flex, physics.flex_rate, turning)
     return Physics(
-        body=MotorState(
+        body=RigidBodyState(
             position=body.velocity,
             velocity=acceleration.replace(z=acceleration.z + c.g),
             euler=euler_rates(a, body.rates),
             rates=turning,
-            rpm=rpm_rate,
+            actuators=rpm_rate,
             moment_ext=Vec3.zero(),
             force_ext=Vec3.zero(),
         ),
         rpm_rate=rpm_bend,
         flex=physics.flex_rate,
         flex_rate=bend,
-        charge=charge_rate(params.power.battery, body.rpm),
+        charge=charge_rate(params.power.battery, body.actuators),
     )
 
 
@@ -156,7 +158,7 @@ def update(
         drawn: (gusts.DRAWS,) standard normal numbers.
         call: calls a function; see ``quadjax.core.materialize``.
     """
-    low, high = motor.command_range(params.vehicle.constants)
+    low, high = motor.MODEL.command_range(params.vehicle.constants)
     held = jax.tree.map(jnp.clip, command, low, high)
     applied, *waiting = (*state.commands, held)
     physics, integrate = state.physics, INTEGRATORS[params.integrator]
@@ -179,7 +181,7 @@ def update(
     phase = jax.tree.map(
         lambda angle, w: wrap_angle(angle + w * (params.step / effects.RPM_PER_RAD_S)),
         state.phase,
-        body.rpm,
+        body.actuators,
     )
     following = gusts.update(params.gusts, state.gusts, body.velocity, drawn)
     return PlantState(physics.replace(body=body), turning, phase, following, tuple(waiting))
@@ -190,14 +192,14 @@ def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
     physics, body = state.physics, state.physics.body
     force, _ = loads(params, state)
     lever = effects.lever_acceleration(params.imu, body.rates, state.turning)
-    shaking, turning = effects.vibration(params.imu, body.rpm, state.phase)
+    shaking, turning = effects.vibration(params.imu, body.actuators, state.phase)
     return GroundTruth(
         position=body.position,
         velocity=body.velocity,
         euler=body.euler,
         rates=body.rates + physics.flex_rate + turning,
         specific_force=force + body.force_ext + lever + shaking,
-        rpm=body.rpm,
+        rpm=body.actuators,
     )
 
 

@@ -10,6 +10,7 @@ from quadjax.core.errors import InputError
 from quadjax.policy.file import Layers, Policy
 from quadjax.race.known_drone import CONSTANTS
 from quadjax.race.layout import Layout
+from quadjax.vehicle.constants import values_of
 
 ROUNDING = 1e-6  # relative, of the constants in single precision
 
@@ -75,7 +76,7 @@ def _constants(
             f"{name}: a policy for the {policy.vehicle} vehicle; vehicle.model of the config is "
             f"{model.name}"
         )
-    values = {key: float(getattr(params.vehicle.constants, key)) for key in model.constant_names}
+    values = {key: float(x) for key, x in values_of(params.vehicle.constants).items()}
     low, high = np.asarray(field.span, np.float64).T
     return values, low, high
 

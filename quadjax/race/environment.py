@@ -19,7 +19,6 @@ from quadjax.core.imports import name_of, own_numbers
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import (
     call_materialized,
-    call_materialized_forward,
     materialize,
     materialize_cotangent,
 )
@@ -148,7 +147,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         track, index = _draw_track(params.tracks, track_key)
         params = on_track(params, track)
     constants = params.vehicle.constants
-    extra = len(dataclasses.fields(constants)) if choices.randomize else 0
+    extra = len(jax.tree.leaves(constants)) if choices.randomize else 0
     own_draws = 2 + start.draw_count(choices.model)
     drawn = start.draw(key, own_draws + extra)
     target = clock = jnp.zeros((), jnp.int32)
@@ -241,7 +240,7 @@ def race_drone(
     """
     model = choices.model
     drone = start.hover(model, constants or params.vehicle.constants, params.track, drawn)
-    if disturbed is None or model.disturbance is None:
+    if disturbed is None or not model.disturbed:
         return drone
     return model.with_disturbance(drone, *model.disturbance(disturbed))
 
@@ -308,17 +307,13 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
     opaque_true = _opaque_true(params)
     # A step of Euler's method starts from the carry of a loop, which is in memory already.
     begin = materialize_cotangent if choices.integrator == "euler" else materialize
-    call = functools.partial(_call, opaque_true)
+    vehicle = vehicle.replace(opaque_true=opaque_true)
     after = INTEGRATORS[choices.integrator](
-        lambda drone: model.derivative(vehicle, begin(drone, opaque_true), held, call),
+        lambda drone: model.derivative(vehicle, begin(drone, opaque_true), held),
         state.drone,
         params.limits.time_step,
     )
     return model.wrap(model.hold(after, held))
-
-
-def _call(opaque_true: jax.Array, function: Callable[..., Kept], *arguments: object) -> Kept:
-    return call_materialized_forward(function, opaque_true, *arguments)
 
 
 def _finite(drone: State) -> jax.Array:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 
-from quadjax.vehicle.protocol import Constants, VehicleModel
+from quadjax.vehicle.protocol import VehicleModel
 
 if TYPE_CHECKING:
     from quadjax.race.environment import RaceParams
@@ -26,8 +26,8 @@ def numbers(view: "View") -> Sequence[jax.Array]:
     """
     drawn, known = view.state.constants, view.params.vehicle.constants
     if drawn is None or view.params.mismatch is not None:
-        return _listed(view.model, known)
-    return _listed(view.model, drawn)
+        return jax.tree.leaves(known)
+    return jax.tree.leaves(drawn)
 
 
 def bounds(
@@ -37,15 +37,11 @@ def bounds(
 
     Of a population, whose limits are not known, the constants minus and plus their size.
     """
-    nominal = _listed(model, params.vehicle.constants)
+    nominal = jax.tree.leaves(params.vehicle.constants)
     if params.population_width is not None:
         widths = [jnp.abs(x) for x in nominal]
     else:
-        parts = _listed(model, params.randomization)
+        parts = jax.tree.leaves(params.randomization)
         widths = [jnp.abs(x) * part for x, part in zip(nominal, parts, strict=True)]
     pairs = list(zip(nominal, widths, strict=True))
     return tuple(x - width for x, width in pairs), tuple(x + width for x, width in pairs)
-
-
-def _listed(model: VehicleModel, constants: Constants) -> list[jax.Array]:
-    return [getattr(constants, name) for name in model.constant_names]

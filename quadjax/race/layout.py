@@ -317,12 +317,10 @@ def _limit_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
 
 
 def _true_moment(view: View) -> Sequence[jax.Array]:
-    assert view.model.disturbance is not None
     return view.model.disturbance(view.drone)[0].components()
 
 
 def _true_force(view: View) -> Sequence[jax.Array]:
-    assert view.model.disturbance is not None
     return (view.model.disturbance(view.drone)[1].z,)
 
 
@@ -454,7 +452,7 @@ def make_layout(
         NEXT_YAW if wrap_next_yaw else NEXT_YAW_UNWRAPPED,
         *(field for pair in AHEAD[: ahead - 1] for field in pair),
         *([last_action(model.action_size)] if with_last_action else []),
-        *(disturbance_fields(disturbance) if model.disturbance is not None else ()),
+        *(disturbance_fields(disturbance) if model.disturbed else ()),
         *([] if highest_speed is None else [highest_command(highest_speed)]),
         *([constants_field(model)] if with_constants else []),
     )

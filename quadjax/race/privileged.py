@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from quadjax.core.environment import Environment
 from quadjax.race.environment import RaceParams, RaceState
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.protocol import Constants
 
 Spread = tuple[tuple[str, float], ...]  # names of constants, and the largest relative error of each
@@ -41,6 +42,6 @@ def with_constants(
 
 
 def _relative(nominal: Constants, drawn: Constants, name: str, most: float) -> jax.Array:
-    own = getattr(nominal, name)
+    own = values_of(nominal)[name]
     size = jnp.where(own == 0.0, 1.0, jnp.abs(own))
-    return (getattr(drawn, name) - own) / (size * most)
+    return (values_of(drawn)[name] - own) / (size * most)

@@ -126,7 +126,7 @@ def start(
     if recorded is not None:
         motion, actuators = recorded.instead_of(motion, actuators)
     state = model.start(c, motion, actuators, (span.thrust_low, span.thrust_high))
-    if model.disturbance is None:
+    if not model.disturbed:
         return state
     drawn = drawn[-DISTURBANCE_DRAWS:]
     moment = Vec3(disturbance.moment_x, disturbance.moment_y, disturbance.moment_z)
@@ -170,5 +170,6 @@ def draw_constants(nominal: Constants, spread: Constants, drawn: jax.Array) -> C
 
     ``drawn`` holds one number in [-1, 1] for each constant.
     """
-    factors = type(nominal)(*(drawn[index] for index in range(len(vars(nominal)))))
+    structure = jax.tree.structure(nominal)
+    factors = jax.tree.unflatten(structure, [drawn[i] for i in range(structure.num_leaves)])
     return jax.tree.map(lambda x, part, draw: x * (1.0 + part * draw), nominal, spread, factors)

@@ -19,7 +19,6 @@ from quadjax.sil.faults import Channel, Faults
 from quadjax.sil.message import RPM_PER_RAD_S, STATE_FIELDS, CommandKind, Kind, new
 from quadjax.sil.peer import Gone, Peer
 from quadjax.sil.worlds import Now, World, command_kind
-from quadjax.vehicle import rate
 
 INTERRUPTED, LOST = "interrupted", "autopilot gone"
 MARGIN = 1e-5  # of a command's range, by which rounding may exceed it
@@ -144,7 +143,7 @@ def _state(now: Now, run: int, number: int, at: float) -> np.ndarray:
 def resting(world: World, now: Now) -> np.ndarray:
     """The command before the first one arrives: hover, or halfway between the limits."""
     low, high = world.ranges()
-    if world.model is rate.MODEL:
+    if world.model.name == "rate":
         return np.array([0.0, 0.0, 0.0, 9.81], np.float32)
     if world.model.actuators.name == world.model.commands[0].name:
         return now.true[12:].astype(np.float32)

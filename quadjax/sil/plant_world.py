@@ -15,7 +15,6 @@ from quadjax.race import laps
 from quadjax.race.laps import Laps
 from quadjax.sil.message import RPM_PER_RAD_S
 from quadjax.sil.worlds import Now, Seen, numbers, scaled
-from quadjax.vehicle import rate
 from quadjax.vehicle.protocol import VehicleModel
 
 
@@ -93,7 +92,7 @@ def _see_plant(choices: FlightChoices, params: FlightParams, drones: Flight) -> 
     one = jax.tree.map(lambda x: x[..., 0], drones)
     own, body, target = one.onboard, one.plant.physics.body, one.race.state.target
     now, measured = own.estimate.motion, own.estimate.measurement
-    rate_level = choices.race.model is rate.MODEL
+    rate_level = choices.race.model.name == "rate"
     thrust = own.inner.thrust if rate_level else jnp.zeros(())
     shown = numbers(
         *(now.position, now.velocity, measured.body_velocity, now.euler, now.rates),
@@ -106,7 +105,7 @@ def _see_plant(choices: FlightChoices, params: FlightParams, drones: Flight) -> 
         *(now.moment_ext, now.force_ext, params.race.track, target),
     )
     force = plant.truth_of(params.plant, one.plant).specific_force
-    actuators = [-force.z] if rate_level else jax.tree.leaves(body.rpm)
+    actuators = [-force.z] if rate_level else jax.tree.leaves(body.actuators)
     motion = (body.position, body.velocity, body.euler, body.rates)
     true = jnp.stack([*jax.tree.leaves(motion), *actuators])
     return Seen(shown, target, true, one.race.over)

@@ -12,16 +12,50 @@ from typing import Any
 from quadjax.config.race import build_vehicle, race_of
 from quadjax.config.schema import Config
 from quadjax.core.markdown import table
+from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation.protocols import cell, note, numbers
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fly_policy
 from quadjax.race.laps import Laps
-from quadjax.vehicle.damage import damaged
+from quadjax.vehicle import motor
 from quadjax.vehicle.estimator import estimator_params
+from quadjax.vehicle.protocol import VehicleParams
 
 # What the policy observes, by column; zeros are also what ``without`` observed in training.
 COLUMNS = {"without": "none", "zeros": "none", "estimated": "estimated"}
 PROTOCOLS = ("mean", "sampled")
+
+
+@dataclasses.dataclass(frozen=True)
+class Damaged(motor.Motor):
+    """The motor-level model of a drone that is damaged or unbalanced.
+
+    A rotor of thrust factor f has the forces and moments that one without damage has at
+    ``sqrt(f)`` times its speed. The measured speeds are the true ones. A shift c of the center of
+    mass adds the moment ``-c x m F`` of the specific force F.
+
+    Attributes:
+        rotors: thrust factor of each of the four rotors, above 0.
+        imbalance: mass times shift of the center of mass along body x and y, kg m.
+    """
+
+    rotors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    imbalance: tuple[float, float] = (0.0, 0.0)
+
+    def force_moment(
+        self,
+        params: VehicleParams,
+        actuators: Rotors,
+        actuator_rate: Rotors,
+        velocity: Vec3,
+        rates: Vec3,
+    ) -> tuple[Vec3, Vec3]:
+        """Specific force, m/s^2, and moment, N m, body."""
+        slow = Rotors(*(factor**0.5 for factor in self.rotors))
+        slowed = (actuators * slow, actuator_rate * slow)
+        force, moment = super().force_moment(params, *slowed, velocity, rates)
+        x, y = self.imbalance
+        return force, moment + Vec3(-y * force.z, x * force.z, y * force.x - x * force.y)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,11 +137,11 @@ def fly_condition(
     config = config.at("observation.disturbance", source)
     choices, params = race_of(condition.race(config))
     if condition.rotors != (1.0,) * 4 or condition.imbalance != (0.0, 0.0):
-        model = damaged(condition.rotors, condition.imbalance)
+        model = Damaged(disturbed=True, rotors=condition.rotors, imbalance=condition.imbalance)
         choices = dataclasses.replace(choices, model=model)
     if params.estimator is not None:
         onboard = estimator_params(
-            choices.model,
+            motor.MODEL,
             build_vehicle(config),
             1.0 / config.rules.time_step,
             explicit_euler=config.vehicle.integrator == "euler",

@@ -14,6 +14,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
 from quadjax.core.yaml_files import to_yaml
 from quadjax.race.laps import starting_states
+from quadjax.vehicle.constants import replaced, values_of
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.summary import AXES, turns
 
@@ -56,15 +57,15 @@ def reachable(model: VehicleModel, nominal: Constants, drawn: Constants) -> Cons
 
     A policy commands the nominal range. Where a drawn limit is wider, the drone never reaches it.
     """
-    found = {}
-    for name in model.constant_names:
-        value, own = getattr(drawn, name), getattr(nominal, name)
-        more = model.command_range(nominal.replace(**{name: 1.01 * own}))
+    found, wide = {}, values_of(drawn)
+    for name, own in values_of(nominal).items():
+        value = wide[name]
+        more = model.command_range(replaced(nominal, {name: 1.01 * own}))
         ends = zip(more, model.command_range(nominal), strict=True)
         low, high = (_differ(*pair) for pair in ends)
         if low or high:
             found[name] = np.maximum(value, own) if low else np.minimum(value, own)
-    return drawn.replace(**found)
+    return replaced(drawn, found)
 
 
 def _differ(one: object, other: object) -> bool:
@@ -82,12 +83,12 @@ def quantities(model: VehicleModel, constants: Constants) -> dict[str, np.ndarra
         model: of the vehicle.
         constants: each (n,).
     """
-    values = {
-        name: np.asarray(getattr(constants, name), np.float64) for name in model.constant_names
-    }
+    constants = jax.tree.map(lambda x: np.asarray(x, np.float64), constants)
+    values = values_of(constants)
     found: dict[str, np.ndarray] = {}
-    if model.thrust_to_weight is not None:
-        found["thrust to weight"] = np.asarray(model.thrust_to_weight(values))
+    ratio = model.thrust_to_weight(constants)
+    if ratio is not None:
+        found["thrust to weight"] = np.asarray(ratio)
     accelerations, _ = jax.jit(jax.vmap(functools.partial(turns, model)))(constants)
     found |= {
         f"{axis} acceleration": np.asarray(accelerations[:, index])
@@ -134,12 +135,9 @@ def write_drones(config: Config, count: int, seed: int, folder: Path) -> list[Pa
 def _possible(config: Config, drawn: Constants) -> list[dict[str, float]]:
     """The constants of the drones that are allowed in a vehicle file."""
     found = []
-    rows = zip(
-        *(np.asarray(getattr(drawn, name)) for name in config.vehicle.constants), strict=True
-    )
-    for row in rows:
-        values = (float(f"{float(x):.7g}") for x in row)
-        own = dict(zip(config.vehicle.constants, values, strict=True))
+    columns = {name: np.asarray(x) for name, x in values_of(drawn).items()}
+    for row in zip(*columns.values(), strict=True):
+        own = {name: float(f"{x:.7g}") for name, x in zip(columns, map(float, row), strict=True)}
         vehicle = config.vehicle.replace(constants=own)
         with contextlib.suppress(InputError):
             check_drone(config.replace(vehicle=vehicle, randomization=Randomization()))

@@ -14,9 +14,10 @@ from quadjax.plant.build import build_plant, nominal_vehicle
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.indi import IndiParams
 from quadjax.plant.plant import PlantParams
-from quadjax.vehicle.motor import MotorState, hover_rpm
+from quadjax.vehicle.motor import hover_rpm
 from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
+from quadjax.vehicle.rigid_body import RigidBodyState
 
 SECONDS = 0.2
 EXPECTED = (0.025, 0.035)  # s, around the 0.03 s of the training model
@@ -124,7 +125,7 @@ def _fly(count: int, params: PlantParams, loop: IndiParams, commands: jax.Array)
         up = Vec3(jnp.zeros(()), jnp.zeros(()), jnp.full((), -100.0))  # far from the ground
         rpm = Rotors.same(hover_rpm(c))
         zero = Vec3.zero()
-        body = MotorState(up, zero, zero, zero, rpm, zero, zero)
+        body = RigidBodyState(up, zero, zero, zero, rpm, zero, zero)
         none = jnp.zeros(gusts.START_DRAWS)
         state = plant.begin(params, body, jnp.ones(()), none)
         inner = indi.init(loop, _measure(params, state))

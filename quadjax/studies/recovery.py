@@ -10,7 +10,7 @@ from quadjax.fitting.least_squares import r_squared
 from quadjax.fitting.log_frames import rotation_of_euler
 from quadjax.fitting.nominal import AXES, CONSTANTS, ModelInputs, nominal, residual_output
 from quadjax.fitting.simulate import SensorNoise, simulate_flight
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Residual
 

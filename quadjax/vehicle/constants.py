@@ -1,61 +1,92 @@
-"""Physical constants of a vehicle, as pytrees of scalars, so that each can be traced and drawn.
+"""Constants of a vehicle model: a dataclass whose fields declare unit, group and sign.
 
-The values of the Bebop 1 are in ``configs/vehicles/bebop1.yaml``; the symbols are those of
-Ferede et al. (arXiv 2311.16948, arXiv 2304.13460).
+The dataclass is a pytree of scalars, so that each number can be traced and drawn. A field of type
+``Rotors`` has one number for each rotor. By name, as in configs and vehicle files, the numbers of a
+field ``k_p`` are ``k_p1`` to ``k_p4``.
 """
 
 import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import Any, Literal, TypeVar
 
 import jax
 from flax import struct
 
+from quadjax.core.vectors import Rotors
+
 Scalar = jax.Array | float
+Kind = TypeVar("Kind")
+KEY = "constant"
 
 
-@struct.dataclass
-class MotorConstants:
-    """Constants of the motor-level (E2E) model."""
+@dataclasses.dataclass(frozen=True)
+class Declaration:
+    """What is declared of a constant; see ``constant``."""
 
-    g: Scalar  # gravity, m/s^2
-    i_xx: Scalar  # inertia, kg m^2
-    i_yy: Scalar
-    i_zz: Scalar
-    k_x: Scalar  # rotor drag, 1/(s rpm)
-    k_y: Scalar
-    k_z: Scalar
-    k_w: Scalar  # thrust, m/s^2/rpm^2
-    k_h: Scalar  # translational lift, 1/m
-    k_p: Scalar  # roll moment, N m/rpm^2
-    k_q: Scalar  # pitch moment, N m/rpm^2
-    k_pv: Scalar  # roll moment of sideways flight, N s
-    k_qv: Scalar  # pitch moment of forward flight, N s
-    k_r1: Scalar  # yaw moment of rotor drag, N m/rpm
-    k_r2: Scalar  # yaw moment of rotor acceleration, N m s/rpm
-    k_rr: Scalar  # yaw damping, N m s
-    tau: Scalar  # motor time constant, s
-    rpm_min: Scalar  # rpm
-    rpm_max: Scalar  # rpm
+    unit: str = ""
+    group: str | None = None
+    sign: Literal["positive", "nonnegative", "any"] = "any"
+    above: str | None = None
 
 
-@struct.dataclass
-class RateConstants:
-    """Constants of the rate-and-thrust (INDI) model."""
+def constant(
+    unit: str = "",
+    group: str | None = None,
+    sign: Literal["positive", "nonnegative", "any"] = "any",
+    above: str | None = None,
+) -> Any:
+    """A field of a dataclass of constants.
 
-    g: Scalar  # gravity, m/s^2
-    d_x: Scalar  # linear drag, 1/s
-    d_y: Scalar
-    tau_rate: Scalar  # body rate time constant, s
-    tau_thrust: Scalar  # thrust time constant, s
-    p_max: Scalar  # rate command limits, rad/s
-    q_max: Scalar
-    r_max: Scalar
-    thrust_min: Scalar  # specific thrust command limits, m/s^2
-    thrust_max: Scalar
+    Args:
+        unit: of the number.
+        group: key of the config's section ``randomization`` that scales the constant. The group
+            ``inertia`` is in the order x, y, z; the constants of the group ``lag`` are time
+            constants, s.
+        sign: that the number must have.
+        above: name of the constant that is the lower end of the range whose upper end this is:
+            0 <= lower < upper.
+    """
+    return struct.field(metadata={KEY: Declaration(unit, group, sign, above)})
 
 
-Constants = MotorConstants | RateConstants
+@functools.cache
+def declarations(kind: type) -> dict[str, Declaration]:
+    """What is declared of each constant of a dataclass, by name and in order."""
+    found: dict[str, Declaration] = {}
+    for field in dataclasses.fields(kind):
+        names = rotor_names(field.name) if field.type is Rotors else (field.name,)
+        found |= dict.fromkeys(names, field.metadata.get(KEY, Declaration()))
+    return found
 
 
-def constant_names(kind: type[Constants]) -> tuple[str, ...]:
-    """The field names of a set of constants, in order."""
-    return tuple(field.name for field in dataclasses.fields(kind))
+def rotor_names(name: str) -> tuple[str, ...]:
+    """The names of a constant's four numbers, in the order of ``Rotors``."""
+    return tuple(f"{name}{rotor}" for rotor in (1, 2, 3, 4))
+
+
+def constant_names(kind: type) -> tuple[str, ...]:
+    """The names of the constants of a dataclass, in order."""
+    return tuple(declarations(kind))
+
+
+def from_values(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
+    """The constants of a dataclass with numbers by name."""
+    numbers: dict[str, Any] = {}
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        if field.type is Rotors:
+            numbers[field.name] = Rotors(*(values[name] for name in rotor_names(field.name)))
+        else:
+            numbers[field.name] = values[field.name]
+    return kind(**numbers)
+
+
+def values_of(constants: Any) -> dict[str, Any]:
+    """The numbers of constants by name."""
+    names = constant_names(type(constants))
+    return dict(zip(names, jax.tree.leaves(constants), strict=True))
+
+
+def replaced(constants: Kind, values: Mapping[str, Any]) -> Kind:
+    """Constants of which some numbers, given by name, are replaced."""
+    return from_values(type(constants), values_of(constants) | dict(values))

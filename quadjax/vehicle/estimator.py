@@ -16,8 +16,6 @@ it. ``explicit_euler`` delays the moment by the same half sample, with the forwa
 ``k [0, 2, 2]``: then the estimate is exactly that filter of the true external moment.
 """
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -38,9 +36,7 @@ class EstimatorParams:
     low_pass: jax.Array  # (3,) forward coefficients, for the force
     low_pass_moment: jax.Array  # (3,) the same, or k [0, 2, 2] in an explicit Euler simulation
     derivative: jax.Array  # (3,) forward coefficients of the derivative, 1/s
-    balance: Callable[[VehicleParams, Measurement], tuple[Vec3, Vec3, Vec3]] = struct.field(
-        pytree_node=False
-    )  # of the vehicle model
+    model: VehicleModel = struct.field(pytree_node=False)
 
 
 @struct.dataclass
@@ -63,7 +59,7 @@ def estimator_params(
     """The estimator of one vehicle at a fixed sample rate.
 
     Args:
-        model: with a ``balance``.
+        model: with ``has_estimator``.
         vehicle: constants, and residual if any, of the model that is subtracted.
         sample_rate: Hz, constant; may be traced.
         cutoff: -3 dB frequency of the low-pass, Hz; may be traced.
@@ -73,7 +69,7 @@ def estimator_params(
         InputError: a cutoff that is not between zero and half the sample rate (where both are
             plain numbers).
     """
-    assert model.balance is not None, model.name
+    assert model.has_estimator, model.name
     filtered = butterworth(sample_rate, cutoff)
     low_pass = filtered.forward
     k = low_pass[0]
@@ -84,7 +80,7 @@ def estimator_params(
         low_pass=low_pass,
         low_pass_moment=late if explicit_euler else low_pass,
         derivative=filtered.derivative,
-        balance=model.balance,
+        model=model,
     )
 
 
@@ -94,7 +90,7 @@ def init(params: EstimatorParams, measurement: Measurement) -> EstimatorState:
     Without this start, the initial rotation of a drone would appear as an external moment.
     Pass the same measurement to the first ``update``.
     """
-    momentum, _, force = params.balance(params.vehicle, measurement)
+    momentum, _, force = params.model.balance(params.vehicle, measurement)
     zero = jax.tree.map(jnp.zeros_like, force)
     return EstimatorState(*settled(momentum, params.derivative), zero, zero)
 
@@ -114,7 +110,7 @@ def update(
         the body frame and with the delay of the filter (about ``sqrt(2) / (2 pi f_c)``: 28 ms
         at 8 Hz).
     """
-    momentum, moment, force = params.balance(params.vehicle, measurement)
+    momentum, moment, force = params.model.balance(params.vehicle, measurement)
     moment_ext, moments = advance(
         params.feedback,
         [(moment, params.low_pass_moment), (momentum, params.derivative)],

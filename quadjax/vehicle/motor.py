@@ -9,25 +9,37 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
-from quadjax.core.materialize import Caller, call_directly
-from quadjax.core.vectors import Rotors, Vec3, between
-from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.protocol import Measurement, Motion, Signal, VehicleModel, VehicleParams
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.vehicle import rigid_body
+from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.protocol import Signal, VehicleParams
 from quadjax.vehicle.residual import residual_force_moment
+from quadjax.vehicle.rigid_body import RigidBody
 
 
 @struct.dataclass
-class MotorState:
-    """State of one drone."""
+class MotorConstants:
+    """Constants of the model ``motor``; those of the Bebop 1 are in its vehicle file."""
 
-    position: Vec3  # m, world
-    velocity: Vec3  # m/s, world
-    euler: Vec3  # roll, pitch, yaw, rad
-    rates: Vec3  # p, q, r, rad/s, body
-    rpm: Rotors  # propeller speeds, rpm
-    moment_ext: Vec3  # external moment, N m, body
-    force_ext: Vec3  # external specific force, m/s^2, body
+    g: Scalar = constant("m/s^2", "gravity", "positive")
+    i_xx: Scalar = constant("kg m^2", "inertia", "positive")
+    i_yy: Scalar = constant("kg m^2", "inertia", "positive")
+    i_zz: Scalar = constant("kg m^2", "inertia", "positive")
+    k_x: Scalar = constant("1/(s rpm)", "drag", "nonnegative")  # rotor drag
+    k_y: Scalar = constant("1/(s rpm)", "drag", "nonnegative")
+    k_z: Scalar = constant("1/(s rpm)", "drag")
+    k_w: Scalar = constant("m/s^2/rpm^2", "thrust", "positive")
+    k_h: Scalar = constant("1/m", "drag")  # translational lift
+    k_p: Scalar = constant("N m/rpm^2", "moment", "positive")  # roll
+    k_q: Scalar = constant("N m/rpm^2", "moment", "positive")  # pitch
+    k_pv: Scalar = constant("N s", "velocity_moment")  # roll moment of sideways flight
+    k_qv: Scalar = constant("N s", "velocity_moment")  # pitch moment of forward flight
+    k_r1: Scalar = constant("N m/rpm", "yaw", "positive")  # rotor drag
+    k_r2: Scalar = constant("N m s/rpm", "yaw", "nonnegative")  # rotor acceleration
+    k_rr: Scalar = constant("N m s", "yaw")  # yaw damping
+    tau: Scalar = constant("s", "lag", "positive")  # of the motors
+    rpm_min: Scalar = constant("rpm", "limits")
+    rpm_max: Scalar = constant("rpm", "limits", above="rpm_min")
 
 
 def nominal_force(c: MotorConstants, rpm: Rotors, body_velocity: Vec3) -> Vec3:
@@ -83,131 +95,63 @@ def force_moment(
     return force, moment
 
 
-def angular_acceleration(c: MotorConstants, moment: Vec3, rates: Vec3) -> Vec3:
-    """``I^-1 (M - Omega x I Omega)``, rad/s^2, body frame, of a moment, N m, and rates, rad/s."""
-    p, q, r = rates.x, rates.y, rates.z
-    return Vec3(
-        (moment.x + (c.i_yy - c.i_zz) * q * r) / c.i_xx,
-        (moment.y + (c.i_zz - c.i_xx) * r * p) / c.i_yy,
-        (moment.z + (c.i_xx - c.i_yy) * p * q) / c.i_zz,
-    )
-
-
-def derivative(
-    params: VehicleParams, state: MotorState, rpm_command: Rotors, call: Caller = call_directly
-) -> MotorState:
-    """Time derivative of the state under four rpm commands, as a ``MotorState``.
-
-    ``call`` calls a function and materializes its values.
-    """
-    c = params.constants
-    a = call(attitude, state.euler)
-    body_velocity = call(world_to_body, a, state.velocity)
-    rpm_rate = (rpm_command - state.rpm) / c.tau
-    force, moment = force_moment(params, state.rpm, rpm_rate, body_velocity, state.rates)
-    acceleration = body_to_world(a, force + state.force_ext)
-    return MotorState(
-        position=state.velocity,
-        velocity=acceleration.replace(z=acceleration.z + c.g),
-        euler=euler_rates(a, state.rates),
-        rates=angular_acceleration(c, moment + state.moment_ext, state.rates),
-        rpm=rpm_rate,
-        moment_ext=Vec3.zero(),
-        force_ext=Vec3.zero(),
-    )
-
-
-def command_range(c: MotorConstants) -> tuple[Rotors, Rotors]:
-    """Lowest and highest command, rpm."""
-    return Rotors.same(c.rpm_min), Rotors.same(c.rpm_max)
-
-
 def hover_rpm(c: MotorConstants) -> jax.Array:
     """Propeller speed () at which four rotors carry the drone at rest, rpm."""
     return jnp.sqrt(c.g / (4.0 * c.k_w))
 
 
-def specific_force(params: VehicleParams, state: MotorState) -> Vec3:
-    """What an ideal accelerometer measures, m/s^2, body frame."""
-    velocity = world_to_body(attitude(state.euler), state.velocity)
-    steady = Rotors.same(jnp.zeros(()))  # forces do not depend on the propellers' acceleration
-    force, _ = force_moment(params, state.rpm, steady, velocity, state.rates)
-    return force + state.force_ext
+class Motor(RigidBody):
+    """The model ``motor``."""
+
+    name = "motor"
+    constants = MotorConstants
+    commands = (Signal("rpm", 4, "rpm"),)
+    actuators = Signal("rpm", 4, "rpm")
+    has_battery = has_residual = has_estimator = can_be_disturbed = True
+
+    def actuator_rate(self, c: MotorConstants, actuators: Rotors, command: Rotors) -> Rotors:
+        """Derivatives of the propeller speeds, rpm/s."""
+        return (command - actuators) / c.tau
+
+    def force_moment(
+        self,
+        params: VehicleParams,
+        actuators: Rotors,
+        actuator_rate: Rotors,
+        velocity: Vec3,
+        rates: Vec3,
+    ) -> tuple[Vec3, Vec3]:
+        """Specific force, m/s^2, and moment, N m; see ``force_moment`` of this module."""
+        return force_moment(params, actuators, actuator_rate, velocity, rates)
+
+    def angular_acceleration(
+        self, c: MotorConstants, moment: Vec3, rates: Vec3, command: Rotors
+    ) -> Vec3:
+        """The derivative of the body rates, rad/s^2, of a moment, N m."""
+        return rigid_body.angular_acceleration(c, moment, rates)
+
+    def angular_momentum(
+        self, c: MotorConstants, actuators: Rotors, rates: Vec3
+    ) -> tuple[Vec3, Vec3]:
+        """Angular momentum minus that of the rotors, N m s, and the gyroscopic moment, N m."""
+        rpm = actuators
+        rotors = c.k_r2 * (-rpm.w1 + rpm.w2 - rpm.w3 + rpm.w4)
+        momentum = Vec3(c.i_xx * rates.x, c.i_yy * rates.y, c.i_zz * rates.z - rotors)
+        return momentum, rigid_body.gyroscopic_moment(c, rates)
+
+    def command_range(self, c: MotorConstants) -> tuple[Rotors, Rotors]:
+        """Lowest and highest command, rpm."""
+        return Rotors.same(c.rpm_min), Rotors.same(c.rpm_max)
+
+    actuator_range = command_range
+
+    def hover_actuators(self, c: MotorConstants) -> Rotors:
+        """Propeller speeds of a hover, rpm, clipped to the range of the motors."""
+        return Rotors.same(jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max))
+
+    def thrust_to_weight(self, c: MotorConstants) -> float:
+        """Thrust at the highest command over weight."""
+        return 4.0 * c.k_w * c.rpm_max**2 / c.g
 
 
-def balance(params: VehicleParams, measured: Measurement) -> tuple[Vec3, Vec3, Vec3]:
-    """The terms that the disturbance estimator compares; see ``VehicleModel.balance``.
-
-    Returns:
-        Angular momentum minus the part that rotor acceleration exchanges with the body, N m s;
-        gyroscopic minus modeled moment, N m; measured minus modeled specific force, m/s^2.
-    """
-    c, rpm, rates = params.constants, measured.rpm, measured.gyro
-    rotors = c.k_r2 * (-rpm.w1 + rpm.w2 - rpm.w3 + rpm.w4)
-    momentum = Vec3(c.i_xx * rates.x, c.i_yy * rates.y, c.i_zz * rates.z - rotors)
-    p, q, r = rates.x, rates.y, rates.z
-    gyroscopic = Vec3(
-        (c.i_zz - c.i_yy) * q * r, (c.i_xx - c.i_zz) * r * p, (c.i_yy - c.i_xx) * p * q
-    )
-    # The moment of rotor acceleration is differentiated by the filter, not here.
-    steady = jax.tree.map(jnp.zeros_like, rpm)
-    force, moment = force_moment(params, rpm, steady, measured.body_velocity, rates)
-    return momentum, gyroscopic - moment, measured.specific_force - force
-
-
-def start(
-    c: MotorConstants, motion: Motion, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
-) -> MotorState:
-    """A start with propeller speeds drawn over their range, of numbers (4..,) in [-1, 1]."""
-    rpm = Rotors.of(between(c.rpm_min, c.rpm_max, drawn[:4]))
-    return _undisturbed(motion, rpm)
-
-
-def hover(c: MotorConstants, motion: Motion) -> MotorState:
-    """A start with the propeller speeds of a hover, clipped to the range of the motors."""
-    rpm = Rotors.same(jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max))
-    return _undisturbed(motion, rpm)
-
-
-def _undisturbed(motion: Motion, rpm: Rotors) -> MotorState:
-    return MotorState(**vars(motion), rpm=rpm, moment_ext=Vec3.zero(), force_ext=Vec3.zero())
-
-
-def _with_disturbance(state: MotorState, moment: Vec3, force: Vec3) -> MotorState:
-    return state.replace(moment_ext=moment, force_ext=force)
-
-
-MODEL = VehicleModel(
-    name="motor",
-    constants=MotorConstants,
-    commands=(Signal("rpm", 4, "rpm"),),
-    actuators=Signal("rpm", 4, "rpm"),
-    derivative=derivative,
-    command_range=command_range,
-    actuator_range=command_range,
-    actuator_state=lambda state: state.rpm,
-    start=start,
-    hover=hover,
-    specific_force=specific_force,
-    groups={
-        "gravity": ("g",),
-        "inertia": ("i_xx", "i_yy", "i_zz"),
-        "thrust": ("k_w",),
-        "drag": ("k_x", "k_y", "k_z", "k_h"),
-        "moment": ("k_p", "k_q"),
-        "velocity_moment": ("k_pv", "k_qv"),
-        "yaw": ("k_r1", "k_r2", "k_rr"),
-        "lag": ("tau",),
-        "limits": ("rpm_min", "rpm_max"),
-    },
-    positive=("g", "i_xx", "i_yy", "i_zz", "k_w", "k_p", "k_q", "k_r1", "tau"),
-    nonnegative=("k_x", "k_y", "k_r2"),
-    ranges=(("rpm_min", "rpm_max"),),
-    lags=("tau",),
-    thrust_to_weight=lambda c: 4.0 * c["k_w"] * c["rpm_max"] ** 2 / c["g"],
-    has_battery=True,
-    has_residual=True,
-    disturbance=lambda state: (state.moment_ext, state.force_ext),
-    with_disturbance=_with_disturbance,
-    balance=balance,
-)
+MODEL = Motor(disturbed=True)

@@ -6,24 +6,23 @@ the learners, the evaluation and the plant use only this interface, so a user's 
 change to them.
 """
 
-import dataclasses
 import math
-import operator
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 from flax import struct
 
-from quadjax.core import frames
-from quadjax.core.frames import wrap_angle
+from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
+from quadjax.vehicle.constants import constant_names, declarations, from_values
 
-Scalar = jax.Array | float
-Constants = Any  # a flax dataclass of scalars
+Constants = Any  # a flax dataclass of scalars; see ``quadjax.vehicle.constants``
 State = Any  # a pytree of scalars
 Command = Any  # a pytree of scalars, in the order of ``VehicleModel.commands``
 Actuators = Any  # a pytree of scalars: propeller speeds, thrust, ...
+Population = Callable[[Constants, jax.Array], Constants]
 
 
 class Signal(NamedTuple):
@@ -36,10 +35,18 @@ class Signal(NamedTuple):
 
 @struct.dataclass
 class VehicleParams:
-    """What a model is computed with; all of it traced."""
+    """What a model is computed with; all of it traced.
+
+    Attributes:
+        constants: of the model.
+        residual: a learned correction of the equations, where the model takes one.
+        opaque_true: () bool with which a model computes values once; see
+            ``quadjax.core.materialize``. None: plain functions.
+    """
 
     constants: Constants
-    residual: Any = None  # a learned correction of the equations, where the model takes one
+    residual: Any = None
+    opaque_true: jax.Array | None = None
 
 
 @struct.dataclass
@@ -62,121 +69,179 @@ class Measurement:
     body_velocity: Vec3  # m/s, body
 
 
-def _wrap(state: State) -> State:
-    euler = state.euler
-    return state.replace(euler=euler.replace(x=wrap_angle(euler.x), z=wrap_angle(euler.z)))
-
-
-def _to_body(state: State, vector: Vec3) -> Vec3:
-    return frames.world_to_body(frames.attitude(state.euler), vector)
-
-
-def _no_hold(state: State, command: Command) -> State:
-    return state
-
-
-def _ignore_disturbance(state: State, moment: Vec3, force: Vec3) -> State:
-    return state
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class VehicleModel:
-    """One vehicle model: data and pure functions of one drone.
+    """One vehicle model: a subclass gives what the equations need, and may keep the rest.
 
-    The defaults fit a state with the fields ``position``, ``velocity``, ``euler`` and ``rates`` (as
-    in ``Motion``) that has no residual and no external disturbance. A model with another attitude
-    (a quaternion, say) gives its own ``euler``, ``to_body`` and ``wrap``.
+    Most models are a ``quadjax.vehicle.rigid_body.RigidBody``, which implements all but a few
+    methods. Instances are compared and hashed where programs are compiled: equal ones must have
+    equal equations.
 
     Attributes:
         name: as in ``vehicle.model`` of a config and in a policy file.
-        constants: flax dataclass of scalars; each field is a number of the vehicle file.
+        constants: flax dataclass of scalars; each number has a key in the vehicle file.
         commands: the command's numbers in order; an action has as many.
         actuators: the actuators' measured state, one group of the observation.
-        derivative: ``(params, state, command, call) -> state``, the time derivative; ``call(f,
-            *arguments)`` is ``f(*arguments)`` with its values computed once, and may be ignored.
-        command_range: ``(constants) -> (lowest, highest)`` command.
-        actuator_range: ``(constants) -> (lowest, highest)`` actuator state, observed as -1 and 1.
-        actuator_state: ``(state) -> actuators``.
-        start: ``(constants, motion, drawn, thrust) -> state``, the start of an episode, with
-            ``drawn`` (at least ``actuators.size``,) uniform in [-1, 1] and the config's lowest and
-            highest start thrust, m/s^2. External disturbances are zero.
-        hover: ``(constants, motion) -> state``: as ``start``, with the actuators of a hover.
-        specific_force: ``(params, state) -> Vec3``, what an ideal accelerometer measures, m/s^2,
-            body.
-        groups: names of constants by the group of ``randomization`` that scales them; a group is a
-            key of that section. The group ``inertia`` is in the order x, y, z.
         populations: ``(nominal, drawn) -> constants`` by name, for ``randomization.population``: a
             drone of a population, of one number in [-1, 1] for each constant.
-        positive: names of constants that must be above zero.
-        nonnegative: names of constants that must not be negative.
-        ranges: pairs of names of constants: 0 <= first < second.
-        lags: names of the time constants, s.
-        thrust_to_weight: ``(values by name) -> float``, or None where unknown.
-        position, velocity, euler, rates: ``(state) -> Vec3``, as in ``Motion``.
-        to_body: ``(state, vector) -> Vec3``: a world-frame vector in the body frame.
-        wrap: ``(state) -> state`` with angles wrapped or a quaternion normalized, after each step.
-        hold: ``(state, command) -> state``: called after each step with its command, for actuators
-            without a lag.
-        pitch_limit: rad; the largest pitch at which the state is valid, inf if any.
         uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
         has_battery: whether commands and actuators are propeller speeds, rpm, ``Rotors``, which a
             battery limits.
         has_residual: whether ``VehicleParams.residual`` is used.
-        disturbance: ``(state) -> (moment, force)``: external moment, N m, and specific force,
-            m/s^2, body; None where the model has none.
-        with_disturbance: ``(state, moment, force) -> state``.
-        balance: ``(params, measurement) -> (momentum, moment, force)`` for the disturbance
-            estimator: what is differentiated, N m s; gyroscopic minus modeled moment, N m;
-            measured minus modeled specific force, m/s^2. None where there is no estimator.
+        has_estimator: whether ``balance`` is defined, for the disturbance estimator.
+        can_be_disturbed: whether ``with_disturbances`` is defined.
+        disturbed: whether the state has an external moment and force.
+        moment_unit: of an external moment.
     """
 
-    name: str
-    constants: type
-    commands: tuple[Signal, ...]
-    actuators: Signal
-    derivative: Callable[..., State]
-    command_range: Callable[[Constants], tuple[Command, Command]]
-    actuator_range: Callable[[Constants], tuple[Actuators, Actuators]]
-    actuator_state: Callable[[State], Actuators]
-    start: Callable[[Constants, Motion, jax.Array, tuple[jax.Array, jax.Array]], State]
-    hover: Callable[[Constants, Motion], State]
-    specific_force: Callable[[VehicleParams, State], Vec3]
-    groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
-    populations: Mapping[str, Callable[[Constants, jax.Array], Constants]] = dataclasses.field(
-        default_factory=dict
-    )
-    positive: tuple[str, ...] = ()
-    nonnegative: tuple[str, ...] = ()
-    ranges: tuple[tuple[str, str], ...] = ()
-    lags: tuple[str, ...] = ()
-    thrust_to_weight: Callable[[Mapping[str, float]], float] | None = None
-    position: Callable[[State], Vec3] = operator.attrgetter("position")
-    velocity: Callable[[State], Vec3] = operator.attrgetter("velocity")
-    euler: Callable[[State], Vec3] = operator.attrgetter("euler")
-    rates: Callable[[State], Vec3] = operator.attrgetter("rates")
-    to_body: Callable[[State, Vec3], Vec3] = _to_body
-    wrap: Callable[[State], State] = _wrap
-    hold: Callable[[State, Command], State] = _no_hold
-    pitch_limit: float = math.radians(89.0)
-    uses_start_thrust: bool = False
-    has_battery: bool = False
-    has_residual: bool = False
-    disturbance: Callable[[State], tuple[Vec3, Vec3]] | None = None
-    with_disturbance: Callable[[State, Vec3, Vec3], State] = _ignore_disturbance
-    balance: Callable[[VehicleParams, Measurement], tuple[Vec3, Vec3, Vec3]] | None = None
+    name: ClassVar[str]
+    constants: ClassVar[type]
+    commands: ClassVar[tuple[Signal, ...]]
+    actuators: ClassVar[Signal]
+    populations: ClassVar[Mapping[str, Population]] = MappingProxyType({})
+    uses_start_thrust: ClassVar[bool] = False
+    has_battery: ClassVar[bool] = False
+    has_residual: ClassVar[bool] = False
+    has_estimator: ClassVar[bool] = False
+    can_be_disturbed: ClassVar[bool] = False
+    moment_unit: ClassVar[str] = "N m"
+    disturbed: bool = False
+
+    def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
+        """The time derivative of a state under a command, as a state."""
+        raise NotImplementedError
+
+    def command_range(self, c: Constants) -> tuple[Command, Command]:
+        """Lowest and highest command."""
+        raise NotImplementedError
+
+    def actuator_range(self, c: Constants) -> tuple[Actuators, Actuators]:
+        """Lowest and highest actuator state, observed as -1 and 1."""
+        raise NotImplementedError
+
+    def actuator_state(self, state: State) -> Actuators:
+        """The actuators' state."""
+        raise NotImplementedError
+
+    def start(
+        self, c: Constants, motion: Motion, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
+    ) -> State:
+        """The start of an episode, without external disturbances.
+
+        Args:
+            c: the constants.
+            motion: of the body.
+            drawn: numbers (at least ``actuators.size``,) uniform in [-1, 1].
+            thrust: the config's lowest and highest start thrust, m/s^2.
+        """
+        raise NotImplementedError
+
+    def hover(self, c: Constants, motion: Motion) -> State:
+        """As ``start``, with the actuators of a hover."""
+        raise NotImplementedError
+
+    def specific_force(self, params: VehicleParams, state: State) -> Vec3:
+        """What an ideal accelerometer measures, m/s^2, body."""
+        raise NotImplementedError
+
+    def position(self, state: State) -> Vec3:
+        """Position, m, world."""
+        raise NotImplementedError
+
+    def velocity(self, state: State) -> Vec3:
+        """Velocity, m/s, world."""
+        raise NotImplementedError
+
+    def euler(self, state: State) -> Vec3:
+        """Roll, pitch and yaw, rad."""
+        raise NotImplementedError
+
+    def rates(self, state: State) -> Vec3:
+        """Body rates p, q, r, rad/s."""
+        raise NotImplementedError
+
+    def to_body(self, state: State, vector: Vec3) -> Vec3:
+        """A world-frame vector in the body frame."""
+        raise NotImplementedError
+
+    def wrap(self, state: State) -> State:
+        """The state with angles wrapped or a quaternion normalized, after each step."""
+        return state
+
+    def hold(self, state: State, command: Command) -> State:
+        """The state with actuators that follow the command without a lag; after each step."""
+        return state
+
+    def thrust_to_weight(self, c: Constants) -> float | None:
+        """Thrust at the highest command over weight; None: unknown."""
+        return None
 
     @property
-    def constant_names(self) -> tuple[str, ...]:
-        """Names of the constants, in order."""
-        return tuple(field.name for field in dataclasses.fields(self.constants))
+    def pitch_limit(self) -> float:
+        """The largest pitch at which the state is valid, rad; inf if any."""
+        return math.radians(89.0)
 
-    @property
-    def action_size(self) -> int:
-        """Number of scalars of a command."""
-        return sum(signal.size for signal in self.commands)
+    def with_quaternions(self) -> Self:
+        """The model whose attitude is a quaternion, so that any attitude is valid."""
+        raise InputError(f"vehicle.quaternion is true, allowed: false with model {self.name}")
+
+    def with_disturbances(self) -> Self:
+        """The model whose state has an external moment and force."""
+        raise InputError(f"disturbance: the model {self.name} has none")
+
+    def disturbance(self, state: State) -> tuple[Vec3, Vec3]:
+        """External moment, ``moment_unit``, and specific force, m/s^2, body."""
+        raise NotImplementedError
+
+    def with_disturbance(self, state: State, moment: Vec3, force: Vec3) -> State:
+        """The state with an external moment and force, as of ``disturbance``."""
+        raise NotImplementedError
+
+    def balance(self, params: VehicleParams, measured: Measurement) -> tuple[Vec3, Vec3, Vec3]:
+        """The terms that the disturbance estimator compares.
+
+        Returns:
+            What is differentiated: angular momentum minus the part that rotor acceleration
+            exchanges with the body, N m s; gyroscopic minus modeled moment, N m; measured minus
+            modeled specific force, m/s^2. Moments are per inertia where ``moment_unit`` is.
+        """
+        raise NotImplementedError
 
     def measure(self, params: VehicleParams, state: State) -> Measurement:
         """What the drone measures, without noise."""
         velocity = self.to_body(state, self.velocity(state))
         force = self.specific_force(params, state)
         return Measurement(self.rates(state), force, self.actuator_state(state), velocity)
+
+    def make_constants(self, values: Mapping[str, Any]) -> Constants:
+        """The constants with numbers by name."""
+        return from_values(self.constants, values)
+
+    @property
+    def constant_names(self) -> tuple[str, ...]:
+        """Names of the constants, in order."""
+        return constant_names(self.constants)
+
+    @property
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """Names of the constants of each group of ``randomization``."""
+        found: dict[str, tuple[str, ...]] = {}
+        for name, declared in declarations(self.constants).items():
+            if declared.group is not None:
+                found[declared.group] = (*found.get(declared.group, ()), name)
+        return found
+
+    @property
+    def ranges(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of names of constants: 0 <= first < second."""
+        pairs = declarations(self.constants).items()
+        return tuple((x.above, name) for name, x in pairs if x.above is not None)
+
+    @property
+    def lags(self) -> tuple[str, ...]:
+        """Names of the time constants, s."""
+        return self.groups.get("lag", ())
+
+    @property
+    def action_size(self) -> int:
+        """Number of scalars of a command."""
+        return sum(signal.size for signal in self.commands)

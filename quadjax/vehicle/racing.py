@@ -6,7 +6,6 @@ of the published code. Forces and moments are specific (no mass, no inertia), ro
 Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left.
 """
 
-import dataclasses
 from collections.abc import Mapping
 
 import jax
@@ -16,10 +15,10 @@ from flax import struct
 from quadjax.core.gradients import bounded_sqrt
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Rotors, Vec3, between
-from quadjax.vehicle.protocol import Signal
-from quadjax.vehicle.rigid_body import per_rotor, rigid_body_model
+from quadjax.vehicle.constants import Scalar, constant, constant_names, replaced, values_of
+from quadjax.vehicle.protocol import Signal, VehicleParams
+from quadjax.vehicle.rigid_body import RigidBody
 
-Scalar = jax.Array | float
 NEWTON_STEPS = 6
 SLOPE_FLOOR = 0.05  # fraction of the speed range below which the motor map's slope is bounded
 
@@ -28,49 +27,34 @@ SLOPE_FLOOR = 0.05  # fraction of the speed range below which the motor map's sl
 class RacingConstants:
     """Constants of the model ``racing``."""
 
-    g: Scalar  # gravity, m/s^2
-    k_w: Scalar  # thrust, m/s^2/(rad/s)^2
-    k_x: Scalar  # rotor drag, 1/rad
-    k_y: Scalar
-    k_p1: Scalar  # roll moment, rad/s^2/(rad/s)^2
-    k_p2: Scalar
-    k_p3: Scalar
-    k_p4: Scalar
-    k_q1: Scalar  # pitch moment, rad/s^2/(rad/s)^2
-    k_q2: Scalar
-    k_q3: Scalar
-    k_q4: Scalar
-    k_r1: Scalar  # yaw moment of rotor drag, rad/s^2/(rad/s)
-    k_r2: Scalar
-    k_r3: Scalar
-    k_r4: Scalar
-    k_rd1: Scalar  # yaw moment of rotor acceleration, rad/s^2/(rad/s^2)
-    k_rd2: Scalar
-    k_rd3: Scalar
-    k_rd4: Scalar
-    turning1: Scalar  # 1: counter-clockwise seen from above, -1: clockwise
-    turning2: Scalar
-    turning3: Scalar
-    turning4: Scalar
-    w_min: Scalar  # rad/s, speed at command 0
-    w_max: Scalar  # rad/s, speed at command 1
-    k: Scalar  # curvature of the motor map, 0 to 1
-    tau: Scalar  # motor time constant, s
+    g: Scalar = constant("m/s^2", "gravity", "positive")
+    k_w: Scalar = constant("m/s^2/(rad/s)^2", "thrust", "positive")
+    k_x: Scalar = constant("1/rad", "drag", "nonnegative")  # rotor drag
+    k_y: Scalar = constant("1/rad", "drag", "nonnegative")
+    k_p: Rotors = constant("rad/s^2/(rad/s)^2", "moment", "positive")  # roll
+    k_q: Rotors = constant("rad/s^2/(rad/s)^2", "moment", "positive")  # pitch
+    k_r: Rotors = constant("rad/s^2/(rad/s)", "yaw", "positive")  # rotor drag
+    k_rd: Rotors = constant("rad/s^2/(rad/s^2)", "yaw", "nonnegative")  # rotor acceleration
+    turning: Rotors = constant()  # 1: counter-clockwise seen from above, -1: clockwise
+    w_min: Scalar = constant("rad/s", "limits")  # speed at command 0
+    w_max: Scalar = constant("rad/s", "limits", above="w_min")  # speed at command 1
+    k: Scalar = constant("", "motor_map")  # curvature of the motor map, 0 to 1
+    tau: Scalar = constant("s", "lag", "positive")  # of the motors
 
 
 @struct.dataclass
 class A2RLConstants(RacingConstants):
     """Constants of the model ``a2rl``."""
 
-    k_angle: Scalar  # thrust by angle of attack, 1/rad
-    k_hor: Scalar  # thrust by advance, 1/rad
-    k_v2: Scalar  # quadratic drag, 1/m
-    k_x2: Scalar
-    k_y2: Scalar
-    j_x: Scalar  # gyroscopic coupling
-    j_y: Scalar
-    j_z: Scalar
-    rotor_radius: Scalar  # m
+    k_angle: Scalar = constant("1/rad", "aerodynamics")  # thrust by angle of attack
+    k_hor: Scalar = constant("1/rad", "aerodynamics")  # thrust by advance
+    k_v2: Scalar = constant("1/m", "aerodynamics")  # quadratic drag
+    k_x2: Scalar = constant("1/m", "aerodynamics")
+    k_y2: Scalar = constant("1/m", "aerodynamics")
+    j_x: Scalar = constant("", "gyroscopic")
+    j_y: Scalar = constant("", "gyroscopic")
+    j_z: Scalar = constant("", "gyroscopic")
+    rotor_radius: Scalar = constant("m")
 
 
 def motor_map(c: RacingConstants, command: Rotors) -> Rotors:
@@ -115,53 +99,9 @@ def nominal_force(c: RacingConstants, speed: Rotors, velocity: Vec3) -> Vec3:
 def nominal_spin(c: RacingConstants, speed: Rotors, speed_rate: Rotors) -> Vec3:
     """Angular acceleration, rad/s^2, of rotor speeds, rad/s, and their derivatives, rad/s^2."""
     square = speed * speed
-    p, q = per_rotor(c, "k_p") * square, per_rotor(c, "k_q") * square
-    r = per_rotor(c, "k_r") * speed + per_rotor(c, "k_rd") * speed_rate
-    return Vec3(
-        p.w1 - p.w2 - p.w3 + p.w4,
-        q.w1 + q.w2 - q.w3 - q.w4,
-        _total(per_rotor(c, "turning") * r),
-    )
-
-
-def forces(
-    c: RacingConstants, speed: Rotors, command: Rotors, velocity: Vec3, rates: Vec3
-) -> tuple[Vec3, Vec3, Rotors]:
-    """The equations of ``racing``; see ``quadjax.vehicle.rigid_body.Forces``."""
-    speed_rate = (motor_map(c, command) - speed) / c.tau
-    return nominal_force(c, speed, velocity), nominal_spin(c, speed, speed_rate), speed_rate
-
-
-def a2rl_forces(
-    c: A2RLConstants, speed: Rotors, command: Rotors, velocity: Vec3, rates: Vec3
-) -> tuple[Vec3, Vec3, Rotors]:
-    """The equations of ``a2rl``: those of ``racing`` and three kinds of terms.
-
-    - thrust times ``1 + k_angle alpha + k_hor mu`` with ``alpha = atan2(v_z, R w)`` and
-      ``mu = atan2(v_x^2 + v_y^2, (R w)^2)``, ``w`` the mean rotor speed;
-    - quadratic drag;
-    - gyroscopic moments ``(j_x q r, j_y p r, j_z p q)``.
-    """
-    force, spin, speed_rate = forces(c, speed, command, velocity, rates)
-    tip = c.rotor_radius * 0.25 * _total(speed)
-    vx, vy, vz = velocity.x, velocity.y, velocity.z
-    alpha, mu = arctan2(vz, tip), arctan2(vx * vx + vy * vy, tip * tip)
-    gain = 1.0 + c.k_angle * alpha + c.k_hor * mu
-    drag = Vec3(c.k_x2 * vx * jnp.abs(vx), c.k_y2 * vy * jnp.abs(vy), c.k_v2 * vz * jnp.abs(vz))
-    p, q, r = rates.x, rates.y, rates.z
-    coupling = Vec3(c.j_x * q * r, c.j_y * p * r, c.j_z * p * q)
-    return force.replace(z=force.z * gain) - drag, spin + coupling, speed_rate
-
-
-def speed_range(c: RacingConstants) -> tuple[Rotors, Rotors]:
-    """Lowest and highest rotor speeds, rad/s."""
-    return Rotors.same(c.w_min), Rotors.same(c.w_max)
-
-
-def command_range(c: RacingConstants) -> tuple[Rotors, Rotors]:
-    """Lowest and highest command: 0 and 1."""
-    zero = jnp.zeros_like(jnp.asarray(c.w_min))
-    return Rotors.same(zero), Rotors.same(zero + 1.0)
+    p, q = c.k_p * square, c.k_q * square
+    r = c.k_r * speed + c.k_rd * speed_rate
+    return Vec3(p.w1 - p.w2 - p.w3 + p.w4, q.w1 + q.w2 - q.w3 - q.w4, _total(c.turning * r))
 
 
 def hover_speed(c: RacingConstants) -> Rotors:
@@ -207,24 +147,25 @@ ROTOR_DIFFERENCE = 50.0
 def all_racing_drones(nominal: RacingConstants, drawn: jax.Array) -> RacingConstants:
     """A drone of ``ALL_RACING_DRONES``, of at least 19 numbers in [-1, 1]; ``g`` as given."""
     count = len(ALL_RACING_DRONES)
-    found = {
+    values = {
         name: between(*span, drawn[index])
         for index, (name, span) in enumerate(ALL_RACING_DRONES.items())
     }
-    w = found["w_max"]
+    w = values["w_max"]
     for name in ("k_w", "k_p", "k_q"):
-        found[name] = found[name] / (w * w)
+        values[name] = values[name] / (w * w)
     for name in ("k_x", "k_y", "k_r", "k_rd"):
-        found[name] = found[name] / w
-    for axis, name in enumerate(("k_p", "k_q", "k_r", "k_rd")):
-        value = found.pop(name)
-        for rotor in range(4):
-            own = ROTOR_DIFFERENCE * drawn[count + 4 * axis + rotor] / (w * w) if axis < 2 else 0.0
-            found[f"{name}{rotor + 1}"] = value + own
-    return nominal.replace(**found)
+        values[name] = values[name] / w
+    for axis, name in enumerate(("k_p", "k_q")):
+        draws = (drawn[count + 4 * axis + rotor] for rotor in range(4))
+        values[name] = Rotors(*(values[name] + ROTOR_DIFFERENCE * x / (w * w) for x in draws))
+    for name in ("k_r", "k_rd"):
+        values[name] = Rotors.same(values[name] + 0.0)
+    return nominal.replace(**values)
 
 
-# The randomization of the fastest (M16) and of the most robust network of "MonoRace", as fractions.
+# The randomization of the fastest (M16) and of the most robust network of "MonoRace", as fractions
+# by group or by name.
 MONORACE_FASTEST = {
     **{"thrust": 0.15, "drag": 0.2, "aerodynamics": 0.45, "moment": 0.45, "yaw": 0.45},
     **{"gyroscopic": 0.5, "w_min": 0.2, "w_max": 0.15, "motor_map": 0.45, "lag": 0.3},
@@ -250,54 +191,100 @@ def _scaled(
     nominal: A2RLConstants, fractions: Mapping[str, float], drawn: jax.Array
 ) -> A2RLConstants:
     """Constants, each times 1 +- the fraction of its group or of its own name."""
-    names = [field.name for field in dataclasses.fields(nominal)]
-    found = {}
-    for key, fraction in fractions.items():
-        for name in A2RL_GROUPS.get(key, (key,)):
-            own = drawn[names.index(name)]
-            found[name] = getattr(nominal, name) * (1.0 + fraction * own)
-    return nominal.replace(**found)
+    names, values = constant_names(A2RLConstants), values_of(nominal)
+    changed = {
+        name: values[name] * (1.0 + fraction * drawn[names.index(name)])
+        for key, fraction in fractions.items()
+        for name in A2RL.groups.get(key, (key,))
+    }
+    return replaced(nominal, changed)
 
 
-GROUPS = {
-    "gravity": ("g",),
-    "thrust": ("k_w",),
-    "drag": ("k_x", "k_y"),
-    "moment": tuple(f"{name}{rotor}" for name in ("k_p", "k_q") for rotor in (1, 2, 3, 4)),
-    "yaw": tuple(f"{name}{rotor}" for name in ("k_r", "k_rd") for rotor in (1, 2, 3, 4)),
-    "lag": ("tau",),
-    "limits": ("w_min", "w_max"),
-    "motor_map": ("k",),
-}
-A2RL_GROUPS = GROUPS | {
-    "gyroscopic": ("j_x", "j_y", "j_z"),
-    "aerodynamics": ("k_angle", "k_hor", "k_v2", "k_x2", "k_y2"),
-}
-COMMON = {
-    "command": Signal("motor_command", 4, ""),
-    "rotors": Signal("rotor_speed", 4, "rad/s"),
-    "rotor_range": speed_range,
-    "hover": hover_speed,
-    "command_range": command_range,
-    "positive": ("g", "k_w", "tau", *GROUPS["moment"], *GROUPS["yaw"][:4]),
-    "nonnegative": ("k_x", "k_y", *GROUPS["yaw"][4:]),
-    "ranges": (("w_min", "w_max"),),
-    "lags": ("tau",),
-    "thrust_to_weight": lambda c: 4.0 * c["k_w"] * c["w_max"] ** 2 / c["g"],
-}
-MODEL = rigid_body_model(
-    "racing",
-    RacingConstants,
-    forces=forces,
-    groups=GROUPS,
-    populations={"all_racing_drones": all_racing_drones},
-    **COMMON,
-)
-A2RL = rigid_body_model(
-    "a2rl",
-    A2RLConstants,
-    forces=a2rl_forces,
-    groups=A2RL_GROUPS,
-    populations={"monorace_fastest": monorace_fastest, "monorace_robust": monorace_robust},
-    **COMMON,
-)
+class Racing(RigidBody):
+    """The model ``racing``; its actuators are the rotor speeds, rad/s."""
+
+    name = "racing"
+    constants = RacingConstants
+    commands = (Signal("motor_command", 4, ""),)
+    actuators = Signal("rotor_speed", 4, "rad/s")
+    populations = {"all_racing_drones": all_racing_drones}
+    has_estimator = can_be_disturbed = True
+    moment_unit = "rad/s^2"
+
+    def actuator_rate(self, c: RacingConstants, actuators: Rotors, command: Rotors) -> Rotors:
+        """Derivatives of the rotor speeds, rad/s^2."""
+        return (motor_map(c, command) - actuators) / c.tau
+
+    def force_moment(
+        self,
+        params: VehicleParams,
+        actuators: Rotors,
+        actuator_rate: Rotors,
+        velocity: Vec3,
+        rates: Vec3,
+    ) -> tuple[Vec3, Vec3]:
+        """Specific force, m/s^2, and angular acceleration, rad/s^2."""
+        c = params.constants
+        return nominal_force(c, actuators, velocity), nominal_spin(c, actuators, actuator_rate)
+
+    def angular_momentum(
+        self, c: RacingConstants, actuators: Rotors, rates: Vec3
+    ) -> tuple[Vec3, Vec3]:
+        """Body rates minus the part of the rotors, rad/s; the moment has the gyroscopic terms."""
+        rotors = _total(c.turning * (c.k_rd * actuators))
+        return rates.replace(z=rates.z - rotors), Vec3.zero()
+
+    def command_range(self, c: RacingConstants) -> tuple[Rotors, Rotors]:
+        """Lowest and highest command: 0 and 1."""
+        zero = jnp.zeros_like(jnp.asarray(c.w_min))
+        return Rotors.same(zero), Rotors.same(zero + 1.0)
+
+    def actuator_range(self, c: RacingConstants) -> tuple[Rotors, Rotors]:
+        """Lowest and highest rotor speeds, rad/s."""
+        return Rotors.same(c.w_min), Rotors.same(c.w_max)
+
+    def hover_actuators(self, c: RacingConstants) -> Rotors:
+        """Rotor speeds of a hover, rad/s; see ``hover_speed``."""
+        return hover_speed(c)
+
+    def thrust_to_weight(self, c: RacingConstants) -> float:
+        """Thrust at the highest command over weight."""
+        return 4.0 * c.k_w * c.w_max**2 / c.g
+
+
+class A2RLRacing(Racing):
+    """The model ``a2rl``: the equations of ``racing`` and three kinds of terms.
+
+    - thrust times ``1 + k_angle alpha + k_hor mu`` with ``alpha = atan2(v_z, R w)`` and
+      ``mu = atan2(v_x^2 + v_y^2, (R w)^2)``, ``w`` the mean rotor speed;
+    - quadratic drag;
+    - gyroscopic moments ``(j_x q r, j_y p r, j_z p q)``.
+    """
+
+    name = "a2rl"
+    constants = A2RLConstants
+    populations = {"monorace_fastest": monorace_fastest, "monorace_robust": monorace_robust}
+
+    def force_moment(
+        self,
+        params: VehicleParams,
+        actuators: Rotors,
+        actuator_rate: Rotors,
+        velocity: Vec3,
+        rates: Vec3,
+    ) -> tuple[Vec3, Vec3]:
+        """Specific force, m/s^2, and angular acceleration, rad/s^2."""
+        c = params.constants
+        force, spin = super().force_moment(params, actuators, actuator_rate, velocity, rates)
+        tip = c.rotor_radius * 0.25 * _total(actuators)
+        vx, vy, vz = velocity.x, velocity.y, velocity.z
+        alpha, mu = arctan2(vz, tip), arctan2(vx * vx + vy * vy, tip * tip)
+        gain = 1.0 + c.k_angle * alpha + c.k_hor * mu
+        drag = Vec3(c.k_x2 * vx * jnp.abs(vx), c.k_y2 * vy * jnp.abs(vy), c.k_v2 * vz * jnp.abs(vz))
+        p, q, r = rates.x, rates.y, rates.z
+        coupling = Vec3(c.j_x * q * r, c.j_y * p * r, c.j_z * p * q)
+        return force.replace(z=force.z * gain) - drag, spin + coupling
+
+
+MODEL = Racing(quaternion=True)
+A2RL = A2RLRacing(quaternion=True)

@@ -7,22 +7,26 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
-from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.vectors import Vec3, between
-from quadjax.vehicle.constants import RateConstants
-from quadjax.vehicle.protocol import Motion, Signal, VehicleModel, VehicleParams
+from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.protocol import Signal, VehicleParams
+from quadjax.vehicle.rigid_body import RigidBody
 
 
 @struct.dataclass
-class RateState:
-    """State of one drone."""
+class RateConstants:
+    """Constants of the model ``rate``."""
 
-    position: Vec3  # m, world
-    velocity: Vec3  # m/s, world
-    euler: Vec3  # roll, pitch, yaw, rad
-    rates: Vec3  # p, q, r, rad/s, body
-    thrust: jax.Array  # () specific thrust along body -z, m/s^2
+    g: Scalar = constant("m/s^2", "gravity", "positive")
+    d_x: Scalar = constant("1/s", "drag", "nonnegative")
+    d_y: Scalar = constant("1/s", "drag", "nonnegative")
+    tau_rate: Scalar = constant("s", "lag", "positive")  # of the body rates
+    tau_thrust: Scalar = constant("s", "lag", "positive")
+    p_max: Scalar = constant("rad/s", "limits", "positive")
+    q_max: Scalar = constant("rad/s", "limits", "positive")
+    r_max: Scalar = constant("rad/s", "limits", "positive")
+    thrust_min: Scalar = constant("m/s^2", "limits")
+    thrust_max: Scalar = constant("m/s^2", "limits", above="thrust_min")
 
 
 @struct.dataclass
@@ -33,79 +37,62 @@ class RateCommand:
     thrust: jax.Array  # () specific thrust, m/s^2
 
 
-def nominal_force(c: RateConstants, body_velocity: Vec3, thrust: jax.Array) -> Vec3:
-    """Specific force, m/s^2, body frame, of velocity, m/s, and specific thrust (), m/s^2."""
-    return Vec3(-c.d_x * body_velocity.x, -c.d_y * body_velocity.y, -thrust)
+class Rate(RigidBody):
+    """The model ``rate``; its actuator is the specific thrust (), m/s^2, along body -z."""
+
+    name = "rate"
+    constants = RateConstants
+    commands = (Signal("body_rates", 3, "rad/s"), Signal("thrust", 1, "m/s^2"))
+    actuators = Signal("thrust", 1, "m/s^2")
+    uses_start_thrust = True
+
+    def actuator_rate(
+        self, c: RateConstants, actuators: jax.Array, command: RateCommand
+    ) -> jax.Array:
+        """Derivative of the thrust, m/s^3."""
+        return (command.thrust - actuators) / c.tau_thrust
+
+    def force_moment(
+        self,
+        params: VehicleParams,
+        actuators: jax.Array,
+        actuator_rate: jax.Array,
+        velocity: Vec3,
+        rates: Vec3,
+    ) -> tuple[Vec3, Vec3]:
+        """Specific force, m/s^2, of drag and thrust; the inner loop gives the moment."""
+        c = params.constants
+        return Vec3(-c.d_x * velocity.x, -c.d_y * velocity.y, -actuators), Vec3.zero()
+
+    def angular_acceleration(
+        self, c: RateConstants, moment: Vec3, rates: Vec3, command: RateCommand
+    ) -> Vec3:
+        """The derivative of the body rates, rad/s^2, of the inner loop."""
+        return (command.rates - rates) / c.tau_rate
+
+    def command_range(self, c: RateConstants) -> tuple[RateCommand, RateCommand]:
+        """Lowest and highest command."""
+        high = RateCommand(Vec3(c.p_max, c.q_max, c.r_max), c.thrust_max)
+        low = RateCommand(Vec3(-c.p_max, -c.q_max, -c.r_max), c.thrust_min)
+        return low, high
+
+    def actuator_range(self, c: RateConstants) -> tuple[jax.Array, jax.Array]:
+        """Lowest and highest thrust, m/s^2."""
+        return c.thrust_min, c.thrust_max
+
+    def start_actuators(
+        self, c: RateConstants, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
+    ) -> jax.Array:
+        """The thrust drawn over the range ``thrust``, m/s^2, and clipped to that of commands."""
+        return jnp.clip(between(*thrust, drawn[0]), c.thrust_min, c.thrust_max)
+
+    def hover_actuators(self, c: RateConstants) -> jax.Array:
+        """The thrust of a hover, m/s^2, clipped to that of commands."""
+        return jnp.clip(c.g, c.thrust_min, c.thrust_max)
+
+    def thrust_to_weight(self, c: RateConstants) -> float:
+        """Thrust at the highest command over weight."""
+        return c.thrust_max / c.g
 
 
-def derivative(
-    params: VehicleParams, state: RateState, command: RateCommand, call: Caller = call_directly
-) -> RateState:
-    """Time derivative of the state under a command, as a ``RateState``.
-
-    ``call`` calls a function and materializes its values.
-    """
-    c = params.constants
-    a = call(attitude, state.euler)
-    body_velocity = call(world_to_body, a, state.velocity)
-    acceleration = body_to_world(a, nominal_force(c, body_velocity, state.thrust))
-    return RateState(
-        position=state.velocity,
-        velocity=acceleration.replace(z=acceleration.z + c.g),
-        euler=euler_rates(a, state.rates),
-        rates=(command.rates - state.rates) / c.tau_rate,
-        thrust=(command.thrust - state.thrust) / c.tau_thrust,
-    )
-
-
-def command_range(c: RateConstants) -> tuple[RateCommand, RateCommand]:
-    """Lowest and highest command."""
-    high = RateCommand(Vec3(c.p_max, c.q_max, c.r_max), c.thrust_max)
-    low = RateCommand(Vec3(-c.p_max, -c.q_max, -c.r_max), c.thrust_min)
-    return low, high
-
-
-def specific_force(params: VehicleParams, state: RateState) -> Vec3:
-    """What an ideal accelerometer measures, m/s^2, body frame."""
-    velocity = world_to_body(attitude(state.euler), state.velocity)
-    return nominal_force(params.constants, velocity, state.thrust)
-
-
-def start(
-    c: RateConstants, motion: Motion, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
-) -> RateState:
-    """A start with the thrust drawn over the range ``thrust``, m/s^2, of numbers in [-1, 1]."""
-    value = between(*thrust, drawn[0])
-    return RateState(**vars(motion), thrust=jnp.clip(value, c.thrust_min, c.thrust_max))
-
-
-def hover(c: RateConstants, motion: Motion) -> RateState:
-    """A start with the thrust of a hover, clipped to the thrust range."""
-    return RateState(**vars(motion), thrust=jnp.clip(c.g, c.thrust_min, c.thrust_max))
-
-
-MODEL = VehicleModel(
-    name="rate",
-    constants=RateConstants,
-    commands=(Signal("body_rates", 3, "rad/s"), Signal("thrust", 1, "m/s^2")),
-    actuators=Signal("thrust", 1, "m/s^2"),
-    derivative=derivative,
-    command_range=command_range,
-    actuator_range=lambda c: (c.thrust_min, c.thrust_max),
-    actuator_state=lambda state: state.thrust,
-    start=start,
-    hover=hover,
-    specific_force=specific_force,
-    groups={
-        "gravity": ("g",),
-        "drag": ("d_x", "d_y"),
-        "lag": ("tau_rate", "tau_thrust"),
-        "limits": ("p_max", "q_max", "r_max", "thrust_min", "thrust_max"),
-    },
-    nonnegative=("d_x", "d_y"),
-    positive=("g", "tau_rate", "tau_thrust", "p_max", "q_max", "r_max"),
-    ranges=(("thrust_min", "thrust_max"),),
-    lags=("tau_rate", "tau_thrust"),
-    thrust_to_weight=lambda c: c["thrust_max"] / c["g"],
-    uses_start_thrust=True,
-)
+MODEL = Rate()

@@ -4,82 +4,96 @@ Foehn, Romero, Scaramuzza, "Time-optimal planning for quadrotor waypoint flight"
 2021). Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left. World NED, body FRD.
 """
 
-import jax
 import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.vehicle.protocol import Signal
-from quadjax.vehicle.rigid_body import RigidBodyState, per_rotor, rigid_body_model
-
-Scalar = jax.Array | float
+from quadjax.vehicle import rigid_body
+from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.protocol import Signal, VehicleParams
+from quadjax.vehicle.rigid_body import RigidBody, RigidBodyState
 
 
 @struct.dataclass
 class RotorThrustConstants:
     """Constants of the model ``rotor_thrust``."""
 
-    g: Scalar  # gravity, m/s^2
-    mass: Scalar  # kg
-    i_xx: Scalar  # inertia, kg m^2
-    i_yy: Scalar
-    i_zz: Scalar
-    arm_x: Scalar  # distance of a rotor from the pitch axis, m
-    arm_y: Scalar  # distance of a rotor from the roll axis, m
-    k_torque: Scalar  # torque per thrust, m
-    turning1: Scalar  # 1: counter-clockwise seen from above, -1: clockwise
-    turning2: Scalar
-    turning3: Scalar
-    turning4: Scalar
-    thrust_min: Scalar  # of one rotor, N
-    thrust_max: Scalar
+    g: Scalar = constant("m/s^2", "gravity", "positive")
+    mass: Scalar = constant("kg", "thrust", "positive")
+    i_xx: Scalar = constant("kg m^2", "inertia", "positive")
+    i_yy: Scalar = constant("kg m^2", "inertia", "positive")
+    i_zz: Scalar = constant("kg m^2", "inertia", "positive")
+    arm_x: Scalar = constant("m", "moment", "positive")  # distance of a rotor from the pitch axis
+    arm_y: Scalar = constant("m", "moment", "positive")  # distance of a rotor from the roll axis
+    k_torque: Scalar = constant("m", "yaw", "positive")  # torque per thrust
+    turning: Rotors = constant()  # 1: counter-clockwise seen from above, -1: clockwise
+    thrust_min: Scalar = constant("N", "limits")  # of one rotor
+    thrust_max: Scalar = constant("N", "limits", above="thrust_min")
 
 
-def forces(
-    c: RotorThrustConstants, _: Rotors, thrust: Rotors, velocity: Vec3, rates: Vec3
-) -> tuple[Vec3, Vec3, Rotors]:
-    """The equations, with the commanded thrusts; see ``quadjax.vehicle.rigid_body.Forces``."""
-    t1, t2, t3, t4 = thrust.components()
-    p, q, r = rates.x, rates.y, rates.z
-    torque = per_rotor(c, "turning") * thrust
-    spin = Vec3(
-        (c.arm_y * (t1 - t2 - t3 + t4) + (c.i_yy - c.i_zz) * q * r) / c.i_xx,
-        (c.arm_x * (t1 + t2 - t3 - t4) + (c.i_zz - c.i_xx) * r * p) / c.i_yy,
-        (c.k_torque * sum(torque.components()) + (c.i_xx - c.i_yy) * p * q) / c.i_zz,
-    )
-    zero = jnp.zeros_like(t1)
-    force = Vec3(zero, zero, -(t1 + t2 + t3 + t4) / c.mass)
-    return force, spin, Rotors.same(zero)
+class RotorThrust(RigidBody):
+    """The model ``rotor_thrust``; its actuators are the commanded thrusts, N."""
+
+    name = "rotor_thrust"
+    constants = RotorThrustConstants
+    commands = (Signal("rotor_thrust", 4, "N"),)
+    actuators = Signal("rotor_thrust", 4, "N")
+    has_estimator = can_be_disturbed = True
+
+    def hold(self, state: RigidBodyState, command: Rotors) -> RigidBodyState:
+        """The state with the commanded thrusts."""
+        return state.replace(actuators=command)
+
+    def actuator_rate(self, c: RotorThrustConstants, actuators: Rotors, command: Rotors) -> Rotors:
+        """Zero: the thrusts follow the command without a lag."""
+        return Rotors.same(jnp.zeros_like(actuators.w1))
+
+    def force_moment(
+        self,
+        params: VehicleParams,
+        actuators: Rotors,
+        actuator_rate: Rotors,
+        velocity: Vec3,
+        rates: Vec3,
+    ) -> tuple[Vec3, Vec3]:
+        """Specific force, m/s^2, and moment, N m, of the thrusts."""
+        c = params.constants
+        t1, t2, t3, t4 = actuators.components()
+        torque = c.turning * actuators
+        moment = Vec3(
+            c.arm_y * (t1 - t2 - t3 + t4),
+            c.arm_x * (t1 + t2 - t3 - t4),
+            c.k_torque * sum(torque.components()),
+        )
+        zero = jnp.zeros_like(t1)
+        return Vec3(zero, zero, -(t1 + t2 + t3 + t4) / c.mass), moment
+
+    def angular_acceleration(
+        self, c: RotorThrustConstants, moment: Vec3, rates: Vec3, command: Rotors
+    ) -> Vec3:
+        """The derivative of the body rates, rad/s^2, of a moment, N m."""
+        return rigid_body.angular_acceleration(c, moment, rates)
+
+    def angular_momentum(
+        self, c: RotorThrustConstants, actuators: Rotors, rates: Vec3
+    ) -> tuple[Vec3, Vec3]:
+        """Angular momentum, N m s, and the gyroscopic moment, N m."""
+        momentum = Vec3(c.i_xx * rates.x, c.i_yy * rates.y, c.i_zz * rates.z)
+        return momentum, rigid_body.gyroscopic_moment(c, rates)
+
+    def command_range(self, c: RotorThrustConstants) -> tuple[Rotors, Rotors]:
+        """Lowest and highest thrust of each rotor, N."""
+        return Rotors.same(c.thrust_min), Rotors.same(c.thrust_max)
+
+    actuator_range = command_range
+
+    def hover_actuators(self, c: RotorThrustConstants) -> Rotors:
+        """Thrusts of a hover, N, clipped to their range."""
+        return Rotors.same(jnp.clip(0.25 * c.mass * c.g, c.thrust_min, c.thrust_max))
+
+    def thrust_to_weight(self, c: RotorThrustConstants) -> float:
+        """Thrust at the highest command over weight."""
+        return 4.0 * c.thrust_max / (c.mass * c.g)
 
 
-def thrust_range(c: RotorThrustConstants) -> tuple[Rotors, Rotors]:
-    """Lowest and highest thrust of each rotor, N."""
-    return Rotors.same(c.thrust_min), Rotors.same(c.thrust_max)
-
-
-def _hold(state: RigidBodyState, command: Rotors) -> RigidBodyState:
-    return state.replace(rotors=command)
-
-
-MODEL = rigid_body_model(
-    "rotor_thrust",
-    RotorThrustConstants,
-    command=Signal("rotor_thrust", 4, "N"),
-    rotors=Signal("rotor_thrust", 4, "N"),
-    forces=forces,
-    rotor_range=thrust_range,
-    command_range=thrust_range,
-    hover=lambda c: Rotors.same(jnp.clip(0.25 * c.mass * c.g, c.thrust_min, c.thrust_max)),
-    hold=_hold,
-    groups={
-        "gravity": ("g",),
-        "inertia": ("i_xx", "i_yy", "i_zz"),
-        "thrust": ("mass",),
-        "moment": ("arm_x", "arm_y"),
-        "yaw": ("k_torque",),
-        "limits": ("thrust_min", "thrust_max"),
-    },
-    positive=("g", "mass", "i_xx", "i_yy", "i_zz", "arm_x", "arm_y", "k_torque"),
-    ranges=(("thrust_min", "thrust_max"),),
-    thrust_to_weight=lambda c: 4.0 * c["thrust_max"] / (c["mass"] * c["g"]),
-)
+MODEL = RotorThrust(quaternion=True)

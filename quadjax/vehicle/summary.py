@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.vectors import Vec3
+from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import Command, Constants, Motion, State, VehicleModel, VehicleParams
 
 AXES = ("roll", "pitch", "yaw")
@@ -40,16 +41,17 @@ class VehicleSummary:
 
 def summarize(model: VehicleModel, values: Mapping[str, float]) -> VehicleSummary:
     """The summary of a model with constants by name."""
-    constants = model.constants(**{name: jnp.float32(value) for name, value in values.items()})
+    constants = model.make_constants({name: jnp.float32(value) for name, value in values.items()})
     zero = Vec3.zero()
     hover = model.hover(constants, Motion(zero, zero, zero, zero))
     low, high = model.actuator_range(constants)
+    ratio = model.thrust_to_weight(model.make_constants(values))
     accelerations, rates = jax.jit(turns, static_argnums=0)(model, constants)
     return VehicleSummary(
         hover=_numbers(model.actuator_state(hover)),
         lowest=_numbers(low),
         highest=_numbers(high),
-        thrust_to_weight=model.thrust_to_weight and float(model.thrust_to_weight(values)),
+        thrust_to_weight=None if ratio is None else float(ratio),
         angular_acceleration=_numbers(list(accelerations)),
         body_rates=_numbers(list(rates)),
         lags={name: values[name] for name in model.lags},
@@ -143,7 +145,7 @@ def warnings(
     inertia = [values[name] for name in model.groups.get("inertia", ())]
     if len(inertia) == 3 and 2.0 * max(inertia) > 1.001 * sum(inertia):
         found.append("inertia: one moment exceeds the sum of the others, which is impossible")
-    for name in (*model.positive, *model.nonnegative):
-        if values[name] < 0:
+    for name, declared in declarations(model.constants).items():
+        if declared.sign != "any" and values[name] < 0:
             found.append(f"{name} {values[name]:g}: at least 0 in the frame of the model")
     return found

@@ -1,9 +1,27 @@
 """Vehicle models for the tests of configs."""
 
-import dataclasses
+from flax import struct
 
-from quadjax.vehicle import rate
+from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.rate import Rate, RateConstants
 
-OWN_GROUP = dataclasses.replace(rate.MODEL, groups={**rate.MODEL.groups, "wings": ("d_x",)})
-NO_THRUST = dataclasses.replace(rate.MODEL, uses_start_thrust=False)
-NO_RATIO = dataclasses.replace(rate.MODEL, thrust_to_weight=None)
+
+@struct.dataclass
+class Winged(RateConstants):
+    d_x: Scalar = constant("1/s", "wings")
+
+
+class OwnGroup(Rate):
+    constants = Winged
+
+
+class NoThrust(Rate):
+    uses_start_thrust = False
+
+
+class NoRatio(Rate):
+    def thrust_to_weight(self, c):
+        return None
+
+
+OWN_GROUP, NO_THRUST, NO_RATIO = OwnGroup(), NoThrust(), NoRatio()

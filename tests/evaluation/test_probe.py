@@ -11,6 +11,7 @@ from quadjax.config.race import race_of
 from quadjax.studies.drawn_drones import draw_drones, quantities, reachable
 from quadjax.studies.probe import Samples, fit_probes, probe_table
 from quadjax.training.build import untrained_policy
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.registry import model
 from tests.commands import run_script
 from tests.race.support import BLANK
@@ -50,9 +51,9 @@ def test_limits_of_the_commands_are_within_the_nominal_range():
     drawn = {}
     for config in (motor, racing):
         own = model(config.vehicle.model)
-        nominal = own.constants(**config.vehicle.constants)
+        nominal = own.make_constants(config.vehicle.constants)
         factors = jnp.array([0.9, 1.2])
-        wide = type(nominal)(*(value * factors for value in vars(nominal).values()))
+        wide = own.make_constants({k: x * factors for k, x in values_of(nominal).items()})
         drawn[own.name] = reachable(own, nominal, wide), nominal
     found, nominal = drawn["motor"]
     np.testing.assert_allclose(found.rpm_max, nominal.rpm_max * np.array([0.9, 1.0]))

@@ -14,7 +14,7 @@ from quadjax.fitting.simulate import random_residual
 from quadjax.policy.file import Policy
 from quadjax.studies.replay.logged import Logged, disturbances_of
 from quadjax.vehicle import motor
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual_file import write_residual
 from tests.commands import run

@@ -12,8 +12,9 @@ from quadjax.core.integrators import euler_step, rk4_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle import estimator, motor
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import Measurement, VehicleParams
+from quadjax.vehicle.rigid_body import RigidBodyState
 from tests.estimator_reference import estimate
 
 BEBOP = MotorConstants(
@@ -68,18 +69,18 @@ def _fly(rate, substeps, euler):
         state = state.replace(moment_ext=Vec3.of(MOMENT) * on, force_ext=Vec3.of(FORCE) * on)
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
         steady = Rotors.same(jnp.zeros(()))
-        force, _ = motor.force_moment(DRONE, state.rpm, steady, body_velocity, state.rates)
+        force, _ = motor.force_moment(DRONE, state.actuators, steady, body_velocity, state.rates)
         measured = Measurement(
             gyro=state.rates,
             specific_force=force + state.force_ext,
-            rpm=state.rpm,
+            rpm=state.actuators,
             body_velocity=body_velocity,
         )
         command = _controlled(state, time)
         state = jax.lax.fori_loop(
             0,
             substeps,
-            lambda _, s: integrator(lambda x: motor.derivative(DRONE, x, command), s, dt),
+            lambda _, s: integrator(lambda x: motor.MODEL.derivative(DRONE, x, command), s, dt),
             state,
         )
         return state, (measured, on)
@@ -89,7 +90,7 @@ def _fly(rate, substeps, euler):
         return state, (moment.array(), force.array())
 
     zero = Vec3.zero()
-    start = motor.MotorState(
+    start = RigidBodyState(
         position=zero,
         velocity=Vec3.of(jnp.array([1.0, -0.5, 0.2])),
         euler=Vec3.of(jnp.array([0.1, -0.2, 0.3])),

@@ -101,7 +101,9 @@ def _flown_both_ways() -> tuple[np.ndarray, np.ndarray]:
 
     def models(body, u):
         def one(body, u):
-            body = euler_step(lambda at: motor.derivative(params.vehicle, at, u), body, params.step)
+            body = euler_step(
+                lambda at: motor.MODEL.derivative(params.vehicle, at, u), body, params.step
+            )
             body = body.replace(euler=body.euler.replace(z=wrap_angle(body.euler.z)))
             return body, body
 
@@ -215,14 +217,14 @@ def test_vibration_has_the_frequency_and_size_of_the_rotors():
     update, shake, rpm = compiled_update(), jax.jit(effects.vibration), np.float32(6000.0)
     for _ in range(50):  # 100 turns a second: a period is five samples
         state = update(params, state, Rotors.same(rpm), CALM[: gusts.DRAWS])
-        force, rates = shake(params.imu, state.physics.body.rpm, state.phase)
+        force, rates = shake(params.imu, state.physics.body.actuators, state.phase)
         shaking.append([float(x) for x in (*force.components(), *rates.components())])
     measured = np.array(shaking)
     size = 4.0 * (6000.0 / hover) ** 2 * np.array([config.imu.vibration, config.imu.turning])
     spectrum = np.abs(np.fft.rfft(measured, axis=0)) / 25.0
     assert np.all(spectrum.argmax(axis=0) == 10)  # 10 periods in 50 samples
     np.testing.assert_allclose(spectrum[10], np.repeat(size, 3), rtol=1e-3)
-    assert not np.any(shake(build_plant(OFF).imu, body.rpm, state.phase)[0].array())
+    assert not np.any(shake(build_plant(OFF).imu, body.actuators, state.phase)[0].array())
 
 
 def test_commands_arrive_late():
@@ -235,7 +237,7 @@ def test_commands_arrive_late():
     speeds = []
     for _ in range(5):
         state = update(params, state, Rotors.same(rpm), CALM[: gusts.DRAWS])
-        speeds.append(float(state.physics.body.rpm.w1))
+        speeds.append(float(state.physics.body.actuators.w1))
     assert speeds[:3] == [7000.0] * 3 and speeds[3] > 7000.0
 
 

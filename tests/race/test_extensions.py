@@ -14,9 +14,9 @@ from quadjax.race import environment
 from quadjax.race.laps import fly_race, lap_length, starting_states, time_limit
 from quadjax.race.layout import Field, Layout, make_layout
 from quadjax.race.result import CRASHES, Laps
-from quadjax.vehicle import rate
 from quadjax.vehicle.motor import MODEL
 from quadjax.vehicle.protocol import Signal
+from quadjax.vehicle.rate import Rate
 from tests import reference as ref
 from tests.race.support import (
     HOVER,
@@ -71,19 +71,18 @@ def test_a_rule_ends_the_episode_as_a_collision_does(races):
     assert [CRASHES[code] for code in crashes] == ["", "ended by an extra rule"]
 
 
-def five_commands(constants):
-    low, high = rate.command_range(constants)
-    return (low, jnp.float32(0.0)), (high, jnp.float32(1.0))
+class FiveCommands(Rate):
+    commands = (*Rate.commands, Signal("flap", 1, ""))
+
+    def command_range(self, c):
+        low, high = super().command_range(c)
+        return (low, jnp.float32(0.0)), (high, jnp.float32(1.0))
+
+    def derivative(self, params, state, command):
+        return super().derivative(params, state, command[0])
 
 
-FIVE_COMMANDS = dataclasses.replace(
-    rate.MODEL,
-    commands=(*rate.MODEL.commands, Signal("flap", 1, "")),
-    command_range=five_commands,
-    derivative=lambda params, state, command, call: rate.derivative(
-        params, state, command[0], call
-    ),
-)
+FIVE_COMMANDS = FiveCommands()
 
 
 def test_timed_laps_of_a_model_with_five_commands():

@@ -116,7 +116,7 @@ def test_saturated_actions_can_come_back(kind):
     def speed(action):
         following, _, _ = environment.transition(choices, params, state, action)
         drone = following.drone
-        return drone.rpm.w1 if kind == "motor" else drone.thrust
+        return drone.actuators.w1 if kind == "motor" else drone.actuators
 
     index = 0 if kind == "motor" else 3
     slope = jax.jit(jax.grad(lambda action, sign: sign * speed(action)), compiler_options=QUICK)

@@ -9,7 +9,7 @@ from quadjax.config.race import build_params
 from quadjax.config.schema import Randomization
 from quadjax.core.errors import InputError
 from quadjax.race.start import towards
-from quadjax.vehicle.racing import A2RL, A2RLConstants
+from quadjax.vehicle.racing import A2RL
 from tests.race.support import make_config
 
 A2RL_RACE = ("vehicle=a2rl", "track=figure8_tudelft")
@@ -38,7 +38,7 @@ def test_populations_of_the_a2rl_drone(name):
     nominal = {key: np.float64(value) for key, value in config.vehicle.constants.items()}
     count, names = 4000, A2RL.constant_names
     drawn = np.random.default_rng(0).uniform(-1, 1, (count, len(names))).astype(np.float32)
-    own = A2RLConstants(**{key: jnp.float32(value) for key, value in nominal.items()})
+    own = A2RL.make_constants({key: jnp.float32(value) for key, value in nominal.items()})
     found = jax.vmap(A2RL.populations[name], in_axes=(None, 0))(own, drawn)
     center = nominal | ({"tau": 0.025} if name == "monorace_robust" else {})
     table, spread = [], dict.fromkeys(names, 0.0)

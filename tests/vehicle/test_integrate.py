@@ -24,7 +24,7 @@ def _double():
 @functools.partial(jax.jit, static_argnames="name", compiler_options=QUICK)
 def fly(name, params, state, command, time, steps):
     """The state after any number of steps, by one program for each integrator."""
-    slope = functools.partial(motor.derivative, params, rpm_command=command)
+    slope = functools.partial(motor.MODEL.derivative, params, command=command)
     return jax.lax.fori_loop(
         0, steps, lambda _, state: INTEGRATORS[name](slope, state, time / steps), state
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadjax.vehicle import motor, rate
-from quadjax.vehicle.constants import MotorConstants
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
@@ -37,7 +37,7 @@ def motor_rows():
 @pytest.fixture(scope="module")
 def motor_slope():
     """Rows of derivatives; one compilation for all sets of constants."""
-    fly = jax.jit(jax.vmap(motor.derivative, in_axes=(None, 0, 0)))
+    fly = jax.jit(jax.vmap(motor.MODEL.derivative, in_axes=(None, 0, 0)))
 
     def slope(values, rows, commands, residual=None):
         net = None if residual is None else residual_of(residual)
@@ -188,7 +188,7 @@ def test_published_checks():
     assert float(motor.hover_rpm(c)) == pytest.approx(7497, abs=1)
     full = 4 * ref.MOTOR["k_w"] * 11000**2
     assert full == pytest.approx(21.1, abs=0.05)
-    low, high = motor.command_range(c)
+    low, high = motor.MODEL.command_range(c)
     np.testing.assert_array_equal(low.array(), 3000.0)
     np.testing.assert_array_equal(high.array(), 11000.0)
 
@@ -216,7 +216,9 @@ def test_single_precision_is_close(motor_rows):
         params = VehicleParams(MotorConstants(**{k: jnp.float32(v) for k, v in ref.MOTOR.items()}))
         state = state_of("motor", rows.astype(np.float32))
         command = command_of("motor", commands.astype(np.float32))
-        found = jax.jit(jax.vmap(motor.derivative, in_axes=(None, 0, 0)))(params, state, command)
+        found = jax.jit(jax.vmap(motor.MODEL.derivative, in_axes=(None, 0, 0)))(
+            params, state, command
+        )
         assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(found))
         found = rows_of(found)
     agree(found, ref.motor_derivative(ref.MOTOR, rows, commands), 3e-6)
@@ -224,7 +226,7 @@ def test_single_precision_is_close(motor_rows):
 
 @pytest.fixture(scope="module")
 def rate_slope():
-    fly = jax.jit(jax.vmap(rate.derivative, in_axes=(None, 0, 0)))
+    fly = jax.jit(jax.vmap(rate.MODEL.derivative, in_axes=(None, 0, 0)))
 
     def slope(values, rows, commands):
         params = VehicleParams(constants("rate", values))
@@ -261,7 +263,7 @@ def test_rate_hover_is_an_equilibrium(rate_slope):
 
 
 def test_rate_command_range():
-    low, high = rate.command_range(constants("rate", ref.RATE | {"p_max": 1, "q_max": 2}))
+    low, high = rate.MODEL.command_range(constants("rate", ref.RATE | {"p_max": 1, "q_max": 2}))
     np.testing.assert_array_equal(jax.tree.leaves(low), [-1, -2, -3, 0])
     np.testing.assert_array_equal(jax.tree.leaves(high), [1, 2, 3, 15])
 

@@ -14,7 +14,6 @@ from quadjax.core.quaternion import Quaternion
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle import racing
-from quadjax.vehicle.attitude import with_quaternions
 from quadjax.vehicle.protocol import Motion, VehicleParams
 from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.rigid_body import RigidBodyState
@@ -45,7 +44,7 @@ def vehicle_of(name):
 def params_of(name, **changed):
     model, values = vehicle_of(name)
     values = {key: np.float64(value) for key, value in (values | changed).items()}
-    return VehicleParams(model.constants(**values))
+    return VehicleParams(model.make_constants(values))
 
 
 def state_of(rows):
@@ -154,14 +153,14 @@ def test_hover_is_an_equilibrium(name):
     zero = Vec3.zero()
     motion = Motion(zero, zero, zero.replace(z=np.float64(0.7)), zero)
     state = jax.jit(model.hover, compiler_options=QUICK)(params.constants, motion)
-    command = state.rotors
+    command = state.actuators
     if name != "cpc":
-        command = racing.command_of(params.constants, state.rotors)
+        command = racing.command_of(params.constants, state.actuators)
         speeds = rows_of(racing.motor_map(params.constants, command))
-        np.testing.assert_allclose(speeds, rows_of(state.rotors), rtol=1e-12)
+        np.testing.assert_allclose(speeds, rows_of(state.actuators), rtol=1e-12)
     rows = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], each) for each in (state, command))
     np.testing.assert_allclose(rows_of(_slope(model)(params, *rows)), 0.0, atol=1e-8)
-    assert np.ptp(rows_of(state.rotors)) > (0 if name == "cpc" else 10) - 1e-9
+    assert np.ptp(rows_of(state.actuators)) > (0 if name == "cpc" else 10) - 1e-9
 
 
 @pytest.mark.parametrize("name", VEHICLES)
@@ -176,7 +175,9 @@ def test_ranges(name):
 
 
 def test_thrust_to_weight():
-    found = {name: vehicle_of(name)[0].thrust_to_weight(vehicle_of(name)[1]) for name in VEHICLES}
+    found = {
+        name: vehicle_of(name)[0].thrust_to_weight(params_of(name).constants) for name in VEHICLES
+    }
     assert found == pytest.approx({"5inch": 11.0, "3inch": 5.8, "a2rl": 6.1, "cpc": 3.3}, rel=0.01)
 
 
@@ -251,7 +252,7 @@ def motor_speed(constants, command):
 def test_models_of_euler_angles_with_a_quaternion(kind):
     """The same derivatives; those of the quaternion are the angles' at any regular attitude."""
     rows, commands = bebop.random_states(kind, COUNT), bebop.random_commands(kind, COUNT)
-    plain, model = MODELS[kind], with_quaternions(MODELS[kind])
+    plain, model = MODELS[kind], MODELS[kind].with_quaternions()
     params = VehicleParams(constants(kind, {"motor": bebop.MOTOR, "rate": bebop.RATE}[kind]))
     state, command = bebop_state(kind, rows), command_of(kind, commands)
     turned = state.replace(euler=jax.jit(quaternion.of_euler)(state.euler))
@@ -276,7 +277,7 @@ def test_accelerometer_measures_the_forces_without_gravity(name):
     state = state_of(ref.random_states(*RANGES[name], 8, seed=7))
 
     def forces(params, state):
-        slope = model.derivative(params, state, state.rotors)
+        slope = model.derivative(params, state, state.actuators)
         gravity = Vec3.zero().replace(z=params.constants.g)
         expected = model.to_body(state, slope.velocity - gravity)
         return model.specific_force(params, state), expected

@@ -12,8 +12,7 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.integers import enable_x64
 from quadjax.race.laps import Trace
 from quadjax.vehicle import battery, estimator, motor
-from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.motor import force_moment
+from quadjax.vehicle.motor import MotorConstants, force_moment
 from quadjax.vehicle.protocol import Measurement, VehicleParams
 
 # Standard deviation of the noise: gyro, rad/s; accelerometer, m/s^2; rpm; body velocity, m/s.

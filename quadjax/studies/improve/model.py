@@ -22,7 +22,8 @@ from quadjax.fitting.pipeline import FitResult, Report, run_fit
 from quadjax.fitting.report import write_results
 from quadjax.fitting.tasks import nominal_error
 from quadjax.vehicle.battery import BatteryConfig
-from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.constants import constant_names
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual_file import read_residual
 
 SPEEDS = "rpm"

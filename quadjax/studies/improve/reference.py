@@ -23,7 +23,8 @@ from quadjax.plant.config import (
 from quadjax.studies.improve.flights import Flown, fly_and_log
 from quadjax.studies.improve.model import Model
 from quadjax.vehicle.battery import BatteryConfig
-from quadjax.vehicle.constants import MotorConstants, constant_names
+from quadjax.vehicle.constants import constant_names
+from quadjax.vehicle.motor import MotorConstants
 
 FLIGHTS = 4  # for the residual
 LAPS = 6

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from quadjax.core.vectors import Rotors, Vec3
+from quadjax.studies.adaptation import Damaged
 from quadjax.vehicle import motor
-from quadjax.vehicle.constants import MotorConstants
-from quadjax.vehicle.damage import damaged
+from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.rigid_body import RigidBodyState
 from tests import reference as ref
 
 RPM = np.array([7000.0, 7600.0, 8000.0, 7300.0])
@@ -19,17 +20,21 @@ def rates_and_force(model):
     params = VehicleParams(MotorConstants(**{k: jnp.float32(v) for k, v in ref.MOTOR.items()}))
     zero = Vec3.zero()
     rpm = Rotors(*(jnp.float32(x) for x in RPM))
-    state = motor.MotorState(zero, zero, zero, zero, rpm, zero, zero)
+    state = RigidBodyState(zero, zero, zero, zero, rpm, zero, zero)
     command = Rotors.same(jnp.float32(8000.0))
     after = model.derivative(params, state, command)
     force = model.specific_force(params, state)
-    return [np.array([float(x) for x in v.components()]) for v in (after.rates, force, after.rpm)]
+    return [
+        np.array([float(x) for x in v.components()]) for v in (after.rates, force, after.actuators)
+    ]
 
 
 @pytest.mark.parametrize("imbalance", [(0.0, 0.0), (1.2e-3, -0.7e-3)])
 def test_weaker_rotors_and_a_shifted_mass(imbalance):
     c, factors = ref.MOTOR, np.array([0.85, 1.0, 0.9, 1.0])
-    rates, force, spin = rates_and_force(damaged(tuple(factors), imbalance))
+    rates, force, spin = rates_and_force(
+        Damaged(disturbed=True, rotors=tuple(factors), imbalance=imbalance)
+    )
     squares, slowed = factors * RPM**2, np.sqrt(factors) * RPM
     np.testing.assert_allclose(spin, (8000.0 - RPM) / c["tau"], rtol=1e-4)
     np.testing.assert_allclose(force, [0.0, 0.0, -c["k_w"] * squares.sum()], rtol=1e-5)
@@ -46,10 +51,6 @@ def test_weaker_rotors_and_a_shifted_mass(imbalance):
 
 def test_without_damage_it_is_the_model():
     for own, model in zip(
-        rates_and_force(damaged((1.0, 1.0, 1.0, 1.0))), rates_and_force(motor.MODEL), strict=True
+        rates_and_force(Damaged(disturbed=True)), rates_and_force(motor.MODEL), strict=True
     ):
         np.testing.assert_allclose(own, model, rtol=1e-6)
-
-
-def test_equal_arguments_give_one_object():
-    assert damaged((0.9, 1.0, 1.0, 1.0)) is damaged((0.9, 1.0, 1.0, 1.0))
