@@ -20,10 +20,11 @@ class QuadraticDrag(Rate):
 
     name, constants = "quadratic_drag", Constants
 
-    def force_moment(self, params, actuators, actuator_rate, velocity, rates):
+    def force_moment(self, params, body):
         """Specific force and moment, body."""
-        force, moment = super().force_moment(params, actuators, actuator_rate, velocity, rates)
-        return force - velocity * (params.constants.d_2 * safe_norm(velocity)), moment
+        force, moment = super().force_moment(params, body)
+        drag = body.velocity * (params.constants.d_2 * safe_norm(body.velocity))
+        return force - drag, moment
 
 
 MODEL = QuadraticDrag()

@@ -42,7 +42,7 @@ def vehicle_model_of(config: Config) -> VehicleModel:
     """The vehicle model, with quaternions if ``vehicle.quaternion`` is set and it has none yet."""
     own = model(config.vehicle.model)
     if config.vehicle.quaternion and math.isfinite(own.pitch_limit):
-        own = own.with_quaternions()
+        own = own.with_options(quaternion=True)
     return own
 
 
@@ -167,7 +167,7 @@ def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:
 def _estimator(config: Config, vehicle: VehicleParams) -> EstimatorParams | None:
     """The onboard estimator of the disturbance, where it is observed."""
     own = model(config.vehicle.model)
-    if config.observation.disturbance != "estimated" or not own.has_estimator:
+    if config.observation.disturbance != "estimated" or not own.can_be_disturbed:
         return None
     euler = config.vehicle.integrator == "euler"
     return estimator_params(own, vehicle, 1.0 / config.rules.time_step, explicit_euler=euler)

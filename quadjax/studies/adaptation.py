@@ -20,6 +20,7 @@ from quadjax.race.laps import Laps
 from quadjax.vehicle import motor
 from quadjax.vehicle.estimator import estimator_params
 from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.rigid_body import BodyState
 
 # What the policy observes, by column; zeros are also what ``without`` observed in training.
 COLUMNS = {"without": "none", "zeros": "none", "estimated": "estimated"}
@@ -42,18 +43,11 @@ class Damaged(motor.Motor):
     rotors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     imbalance: tuple[float, float] = (0.0, 0.0)
 
-    def force_moment(
-        self,
-        params: VehicleParams,
-        actuators: Rotors,
-        actuator_rate: Rotors,
-        velocity: Vec3,
-        rates: Vec3,
-    ) -> tuple[Vec3, Vec3]:
+    def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
         """Specific force, m/s^2, and moment, N m, body."""
         slow = Rotors(*(factor**0.5 for factor in self.rotors))
-        slowed = (actuators * slow, actuator_rate * slow)
-        force, moment = super().force_moment(params, *slowed, velocity, rates)
+        speeds = {"actuators": body.actuators * slow, "actuator_rate": body.actuator_rate * slow}
+        force, moment = super().force_moment(params, body.replace(**speeds))
         x, y = self.imbalance
         return force, moment + Vec3(-y * force.z, x * force.z, y * force.x - x * force.y)
 

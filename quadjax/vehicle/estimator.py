@@ -59,7 +59,7 @@ def estimator_params(
     """The estimator of one vehicle at a fixed sample rate.
 
     Args:
-        model: with ``has_estimator``.
+        model: with ``can_be_disturbed``.
         vehicle: constants, and residual if any, of the model that is subtracted.
         sample_rate: Hz, constant; may be traced.
         cutoff: -3 dB frequency of the low-pass, Hz; may be traced.
@@ -69,7 +69,7 @@ def estimator_params(
         InputError: a cutoff that is not between zero and half the sample rate (where both are
             plain numbers).
     """
-    assert model.has_estimator, model.name
+    assert model.can_be_disturbed, model.name
     filtered = butterworth(sample_rate, cutoff)
     low_pass = filtered.forward
     k = low_pass[0]

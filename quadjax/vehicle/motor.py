@@ -12,9 +12,9 @@ from flax import struct
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle import rigid_body
 from quadjax.vehicle.constants import Scalar, constant
-from quadjax.vehicle.protocol import Signal, VehicleParams
+from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.residual import residual_force_moment
-from quadjax.vehicle.rigid_body import RigidBody
+from quadjax.vehicle.rigid_body import BodyState
 
 
 @struct.dataclass
@@ -100,29 +100,23 @@ def hover_rpm(c: MotorConstants) -> jax.Array:
     return jnp.sqrt(c.g / (4.0 * c.k_w))
 
 
-class Motor(RigidBody):
+class Motor(VehicleModel):
     """The model ``motor``."""
 
     name = "motor"
     constants = MotorConstants
     commands = (Signal("rpm", 4, "rpm"),)
     actuators = Signal("rpm", 4, "rpm")
-    has_battery = has_residual = has_estimator = can_be_disturbed = True
+    has_battery = has_residual = can_be_disturbed = True
 
     def actuator_rate(self, c: MotorConstants, actuators: Rotors, command: Rotors) -> Rotors:
         """Derivatives of the propeller speeds, rpm/s."""
         return (command - actuators) / c.tau
 
-    def force_moment(
-        self,
-        params: VehicleParams,
-        actuators: Rotors,
-        actuator_rate: Rotors,
-        velocity: Vec3,
-        rates: Vec3,
-    ) -> tuple[Vec3, Vec3]:
+    def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
         """Specific force, m/s^2, and moment, N m; see ``force_moment`` of this module."""
-        return force_moment(params, actuators, actuator_rate, velocity, rates)
+        speeds = (body.actuators, body.actuator_rate)
+        return force_moment(params, *speeds, body.velocity, body.rates)
 
     def angular_acceleration(
         self, c: MotorConstants, moment: Vec3, rates: Vec3, command: Rotors
@@ -142,8 +136,6 @@ class Motor(RigidBody):
     def command_range(self, c: MotorConstants) -> tuple[Rotors, Rotors]:
         """Lowest and highest command, rpm."""
         return Rotors.same(c.rpm_min), Rotors.same(c.rpm_max)
-
-    actuator_range = command_range
 
     def hover_actuators(self, c: MotorConstants) -> Rotors:
         """Propeller speeds of a hover, rpm, clipped to the range of the motors."""

@@ -1,25 +1,32 @@
 """The interface between a vehicle's equations and the code that uses them.
 
 A vehicle model is a ``VehicleModel``: its constants, commands and actuators by name and unit, and
-pure functions of one drone (batch with ``jax.vmap``). World NED, body FRD, SI units, rad. The race,
+pure methods of one drone (batch with ``jax.vmap``). World NED, body FRD, SI units, rad. The race,
 the learners, the evaluation and the plant use only this interface, so a user's own model needs no
 change to them.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
+import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.errors import InputError
-from quadjax.core.vectors import Vec3
+from quadjax.core import quaternion
+from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body, wrap_angle
+from quadjax.core.materialize import call_materialized_forward
+from quadjax.core.quaternion import Quaternion
+from quadjax.core.trigonometry import arctan2
+from quadjax.core.vectors import Vec3, between
 from quadjax.vehicle.constants import constant_names, declarations, from_values
+from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 Constants = Any  # a flax dataclass of scalars; see ``quadjax.vehicle.constants``
-State = Any  # a pytree of scalars
+State = Any  # a pytree of scalars; a ``RigidBodyState``, unless a model has another
 Command = Any  # a pytree of scalars, in the order of ``VehicleModel.commands``
 Actuators = Any  # a pytree of scalars: propeller speeds, thrust, ...
 Population = Callable[[Constants, jax.Array], Constants]
@@ -69,12 +76,14 @@ class Measurement:
     body_velocity: Vec3  # m/s, body
 
 
+@dataclasses.dataclass(frozen=True)
 class VehicleModel:
-    """One vehicle model: a subclass gives what the equations need, and may keep the rest.
+    """A rigid body with actuators.
 
-    Most models are a ``quadjax.vehicle.rigid_body.RigidBody``, which implements all but a few
-    methods. Instances are compared and hashed where programs are compiled: equal ones must have
-    equal equations.
+    A subclass gives ``name``, ``constants``, ``commands``, ``actuators`` and the first six methods.
+    It may replace any other, such as ``derivative``, and have a state of another type. Instances
+    are compared and hashed where programs are compiled: a subclass with numbers is a frozen
+    dataclass.
 
     Attributes:
         name: as in ``vehicle.model`` of a config and in a policy file.
@@ -83,14 +92,16 @@ class VehicleModel:
         actuators: the actuators' measured state, one group of the observation.
         populations: ``(nominal, drawn) -> constants`` by name, for ``randomization.population``: a
             drone of a population, of one number in [-1, 1] for each constant.
+        moment_unit: of a moment: N m, or rad/s^2 where it is per inertia.
         uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
         has_battery: whether commands and actuators are propeller speeds, rpm, ``Rotors``, which a
             battery limits.
         has_residual: whether ``VehicleParams.residual`` is used.
-        has_estimator: whether ``balance`` is defined, for the disturbance estimator.
-        can_be_disturbed: whether ``with_disturbances`` is defined.
+        can_be_disturbed: whether there are external moments and forces, and ``angular_momentum``
+            for their estimator.
+        quaternion: whether the attitude is a quaternion, else Euler angles, which are singular at
+            a pitch of 90 deg.
         disturbed: whether the state has an external moment and force.
-        moment_unit: of an external moment.
     """
 
     name: ClassVar[str]
@@ -98,29 +109,110 @@ class VehicleModel:
     commands: ClassVar[tuple[Signal, ...]]
     actuators: ClassVar[Signal]
     populations: ClassVar[Mapping[str, Population]] = MappingProxyType({})
+    moment_unit: ClassVar[str] = "N m"
     uses_start_thrust: ClassVar[bool] = False
     has_battery: ClassVar[bool] = False
     has_residual: ClassVar[bool] = False
-    has_estimator: ClassVar[bool] = False
     can_be_disturbed: ClassVar[bool] = False
-    moment_unit: ClassVar[str] = "N m"
+    quaternion: bool = False
     disturbed: bool = False
-
-    def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
-        """The time derivative of a state under a command, as a state."""
-        raise NotImplementedError
 
     def command_range(self, c: Constants) -> tuple[Command, Command]:
         """Lowest and highest command."""
         raise NotImplementedError
 
     def actuator_range(self, c: Constants) -> tuple[Actuators, Actuators]:
-        """Lowest and highest actuator state, observed as -1 and 1."""
+        """Lowest and highest actuator state, observed as -1 and 1: by default as of commands."""
+        return self.command_range(c)
+
+    def actuator_rate(self, c: Constants, actuators: Actuators, command: Command) -> Actuators:
+        """The derivative of the actuators' state under a command, 1/s."""
         raise NotImplementedError
 
-    def actuator_state(self, state: State) -> Actuators:
-        """The actuators' state."""
+    def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
+        """Specific force, m/s^2, and moment, ``moment_unit``, body."""
         raise NotImplementedError
+
+    def angular_acceleration(
+        self, c: Constants, moment: Vec3, rates: Vec3, command: Command
+    ) -> Vec3:
+        """The derivative of the body rates, rad/s^2: by default the moment per inertia."""
+        return moment
+
+    def hover_actuators(self, c: Constants) -> Actuators:
+        """The actuators' state in hover, within its range."""
+        raise NotImplementedError
+
+    def start_actuators(
+        self, c: Constants, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
+    ) -> Actuators:
+        """The actuators' state at a start: drawn over their range; see ``start``."""
+        low, high = self.actuator_range(c)
+        pairs = zip(jax.tree.leaves(low), jax.tree.leaves(high), strict=True)
+        values = [between(*ends, drawn[index]) for index, ends in enumerate(pairs)]
+        return jax.tree.unflatten(jax.tree.structure(low), values)
+
+    def angular_momentum(
+        self, c: Constants, actuators: Actuators, rates: Vec3
+    ) -> tuple[Vec3, Vec3]:
+        """Angular momentum minus that of the rotors, and the gyroscopic moment; see ``balance``."""
+        raise NotImplementedError
+
+    def thrust_to_weight(self, c: Constants) -> float | None:
+        """Thrust at the highest command over weight; None: unknown."""
+        return None
+
+    def hold(self, state: State, command: Command) -> State:
+        """The state with actuators that follow the command without a lag; after each step."""
+        return state
+
+    def derivative(self, params: VehicleParams, state: State, command: Command) -> State:
+        """The time derivative of a state under a command, as a state."""
+        c, actuators = params.constants, self.hold(state, command).actuators
+        a = _once(params, attitude, state.euler)
+        velocity = _once(params, world_to_body, a, state.velocity)
+        rate = self.actuator_rate(c, actuators, command)
+        body = BodyState(velocity, state.rates, actuators, rate)
+        force, moment = self.force_moment(params, body)
+        if state.moment_ext is not None:
+            force, moment = force + state.force_ext, moment + state.moment_ext
+        acceleration = body_to_world(a, force)
+        return RigidBodyState(
+            position=state.velocity,
+            velocity=acceleration.replace(z=acceleration.z + c.g),
+            euler=euler_rates(a, state.rates),
+            rates=self.angular_acceleration(c, moment, state.rates, command),
+            actuators=rate,
+            moment_ext=None if state.moment_ext is None else Vec3.zero(),
+            force_ext=None if state.force_ext is None else Vec3.zero(),
+        )
+
+    def specific_force(self, params: VehicleParams, state: State) -> Vec3:
+        """What an ideal accelerometer measures, m/s^2, body."""
+        velocity = world_to_body(attitude(state.euler), state.velocity)
+        force, _ = self.force_moment(params, _steady(velocity, state.rates, state.actuators))
+        return force if state.force_ext is None else force + state.force_ext
+
+    def balance(self, params: VehicleParams, measured: Measurement) -> tuple[Vec3, Vec3, Vec3]:
+        """The terms that the disturbance estimator compares.
+
+        Returns:
+            What is differentiated: angular momentum minus the part that rotor acceleration
+            exchanges with the body, N m s; gyroscopic minus modeled moment, N m; measured minus
+            modeled specific force, m/s^2. Moments are per inertia where ``moment_unit`` is.
+        """
+        actuators, rates = measured.rpm, measured.gyro
+        momentum, gyroscopic = self.angular_momentum(params.constants, actuators, rates)
+        # The moment of rotor acceleration is differentiated by the filter, not here.
+        body = _steady(measured.body_velocity, rates, actuators)
+        force, moment = self.force_moment(params, body)
+        return momentum, gyroscopic - moment, measured.specific_force - force
+
+    def measure(self, params: VehicleParams, state: State) -> Measurement:
+        """What the drone measures, without noise."""
+        velocity = self.to_body(state, self.velocity(state))
+        force = self.specific_force(params, state)
+        return Measurement(self.rates(state), force, self.actuator_state(state), velocity)
 
     def start(
         self, c: Constants, motion: Motion, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
@@ -133,84 +225,66 @@ class VehicleModel:
             drawn: numbers (at least ``actuators.size``,) uniform in [-1, 1].
             thrust: the config's lowest and highest start thrust, m/s^2.
         """
-        raise NotImplementedError
+        return self._at(motion, self.start_actuators(c, drawn, thrust))
 
     def hover(self, c: Constants, motion: Motion) -> State:
         """As ``start``, with the actuators of a hover."""
-        raise NotImplementedError
+        return self._at(motion, self.hover_actuators(c))
 
-    def specific_force(self, params: VehicleParams, state: State) -> Vec3:
-        """What an ideal accelerometer measures, m/s^2, body."""
-        raise NotImplementedError
+    def _at(self, motion: Motion, actuators: Actuators) -> State:
+        euler = quaternion.of_euler(motion.euler) if self.quaternion else motion.euler
+        external = (Vec3.zero(), Vec3.zero()) if self.disturbed else (None, None)
+        body = (motion.position, motion.velocity, euler, motion.rates, actuators)
+        return RigidBodyState(*body, *external)
 
     def position(self, state: State) -> Vec3:
         """Position, m, world."""
-        raise NotImplementedError
+        return state.position
 
     def velocity(self, state: State) -> Vec3:
         """Velocity, m/s, world."""
-        raise NotImplementedError
+        return state.velocity
 
     def euler(self, state: State) -> Vec3:
         """Roll, pitch and yaw, rad."""
-        raise NotImplementedError
+        is_angles = not isinstance(state.euler, Quaternion)
+        return state.euler if is_angles else quaternion.to_euler(state.euler, arctan2)
 
     def rates(self, state: State) -> Vec3:
         """Body rates p, q, r, rad/s."""
-        raise NotImplementedError
+        return state.rates
+
+    def actuator_state(self, state: State) -> Actuators:
+        """The actuators' state."""
+        return state.actuators
 
     def to_body(self, state: State, vector: Vec3) -> Vec3:
         """A world-frame vector in the body frame."""
-        raise NotImplementedError
+        return world_to_body(attitude(state.euler), vector)
 
     def wrap(self, state: State) -> State:
-        """The state with angles wrapped or a quaternion normalized, after each step."""
-        return state
+        """The state with angles wrapped or the quaternion normalized, after each step."""
+        euler = state.euler
+        if isinstance(euler, Quaternion):
+            return state.replace(euler=quaternion.normalized(euler))
+        return state.replace(euler=euler.replace(x=wrap_angle(euler.x), z=wrap_angle(euler.z)))
 
-    def hold(self, state: State, command: Command) -> State:
-        """The state with actuators that follow the command without a lag; after each step."""
-        return state
+    def disturbance(self, state: State) -> tuple[Vec3, Vec3]:
+        """External moment, ``moment_unit``, and specific force, m/s^2, body."""
+        return state.moment_ext, state.force_ext
 
-    def thrust_to_weight(self, c: Constants) -> float | None:
-        """Thrust at the highest command over weight; None: unknown."""
-        return None
+    def with_disturbance(self, state: State, moment: Vec3, force: Vec3) -> State:
+        """The state with an external moment and force, as of ``disturbance``."""
+        return state.replace(moment_ext=moment, force_ext=force)
 
     @property
     def pitch_limit(self) -> float:
         """The largest pitch at which the state is valid, rad; inf if any."""
-        return math.radians(89.0)
+        return math.inf if self.quaternion else math.radians(89.0)
 
-    def with_quaternions(self) -> Self:
-        """The model whose attitude is a quaternion, so that any attitude is valid."""
-        raise InputError(f"vehicle.quaternion is true, allowed: false with model {self.name}")
-
-    def with_disturbances(self) -> Self:
-        """The model whose state has an external moment and force."""
-        raise InputError(f"disturbance: the model {self.name} has none")
-
-    def disturbance(self, state: State) -> tuple[Vec3, Vec3]:
-        """External moment, ``moment_unit``, and specific force, m/s^2, body."""
-        raise NotImplementedError
-
-    def with_disturbance(self, state: State, moment: Vec3, force: Vec3) -> State:
-        """The state with an external moment and force, as of ``disturbance``."""
-        raise NotImplementedError
-
-    def balance(self, params: VehicleParams, measured: Measurement) -> tuple[Vec3, Vec3, Vec3]:
-        """The terms that the disturbance estimator compares.
-
-        Returns:
-            What is differentiated: angular momentum minus the part that rotor acceleration
-            exchanges with the body, N m s; gyroscopic minus modeled moment, N m; measured minus
-            modeled specific force, m/s^2. Moments are per inertia where ``moment_unit`` is.
-        """
-        raise NotImplementedError
-
-    def measure(self, params: VehicleParams, state: State) -> Measurement:
-        """What the drone measures, without noise."""
-        velocity = self.to_body(state, self.velocity(state))
-        force = self.specific_force(params, state)
-        return Measurement(self.rates(state), force, self.actuator_state(state), velocity)
+    def with_options(self, **options: bool) -> Self:
+        """The model with other values of ``quaternion`` or ``disturbed``."""
+        return dataclasses.replace(self, **options)
 
     def make_constants(self, values: Mapping[str, Any]) -> Constants:
         """The constants with numbers by name."""
@@ -245,3 +319,15 @@ class VehicleModel:
     def action_size(self) -> int:
         """Number of scalars of a command."""
         return sum(signal.size for signal in self.commands)
+
+
+def _once(params: VehicleParams, function: Callable[..., Any], *arguments: Any) -> Any:
+    """``function(*arguments)``, with its values computed once where ``opaque_true`` is given."""
+    if params.opaque_true is None:
+        return function(*arguments)
+    return call_materialized_forward(function, params.opaque_true, *arguments)
+
+
+def _steady(velocity: Vec3, rates: Vec3, actuators: Actuators) -> BodyState:
+    """A body whose actuators do not change."""
+    return BodyState(velocity, rates, actuators, jax.tree.map(jnp.zeros_like, actuators))

@@ -16,8 +16,8 @@ from quadjax.core.gradients import bounded_sqrt
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Rotors, Vec3, between
 from quadjax.vehicle.constants import Scalar, constant, constant_names, replaced, values_of
-from quadjax.vehicle.protocol import Signal, VehicleParams
-from quadjax.vehicle.rigid_body import RigidBody
+from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
+from quadjax.vehicle.rigid_body import BodyState
 
 NEWTON_STEPS = 6
 SLOPE_FLOOR = 0.05  # fraction of the speed range below which the motor map's slope is bounded
@@ -160,7 +160,7 @@ def all_racing_drones(nominal: RacingConstants, drawn: jax.Array) -> RacingConst
         draws = (drawn[count + 4 * axis + rotor] for rotor in range(4))
         values[name] = Rotors(*(values[name] + ROTOR_DIFFERENCE * x / (w * w) for x in draws))
     for name in ("k_r", "k_rd"):
-        values[name] = Rotors.same(values[name] + 0.0)
+        values[name] = Rotors.same(values[name])
     return nominal.replace(**values)
 
 
@@ -200,7 +200,7 @@ def _scaled(
     return replaced(nominal, changed)
 
 
-class Racing(RigidBody):
+class Racing(VehicleModel):
     """The model ``racing``; its actuators are the rotor speeds, rad/s."""
 
     name = "racing"
@@ -208,24 +208,17 @@ class Racing(RigidBody):
     commands = (Signal("motor_command", 4, ""),)
     actuators = Signal("rotor_speed", 4, "rad/s")
     populations = {"all_racing_drones": all_racing_drones}
-    has_estimator = can_be_disturbed = True
+    can_be_disturbed = True
     moment_unit = "rad/s^2"
 
     def actuator_rate(self, c: RacingConstants, actuators: Rotors, command: Rotors) -> Rotors:
         """Derivatives of the rotor speeds, rad/s^2."""
         return (motor_map(c, command) - actuators) / c.tau
 
-    def force_moment(
-        self,
-        params: VehicleParams,
-        actuators: Rotors,
-        actuator_rate: Rotors,
-        velocity: Vec3,
-        rates: Vec3,
-    ) -> tuple[Vec3, Vec3]:
+    def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
         """Specific force, m/s^2, and angular acceleration, rad/s^2."""
-        c = params.constants
-        return nominal_force(c, actuators, velocity), nominal_spin(c, actuators, actuator_rate)
+        c, speed = params.constants, body.actuators
+        return nominal_force(c, speed, body.velocity), nominal_spin(c, speed, body.actuator_rate)
 
     def angular_momentum(
         self, c: RacingConstants, actuators: Rotors, rates: Vec3
@@ -265,19 +258,12 @@ class A2RLRacing(Racing):
     constants = A2RLConstants
     populations = {"monorace_fastest": monorace_fastest, "monorace_robust": monorace_robust}
 
-    def force_moment(
-        self,
-        params: VehicleParams,
-        actuators: Rotors,
-        actuator_rate: Rotors,
-        velocity: Vec3,
-        rates: Vec3,
-    ) -> tuple[Vec3, Vec3]:
+    def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
         """Specific force, m/s^2, and angular acceleration, rad/s^2."""
-        c = params.constants
-        force, spin = super().force_moment(params, actuators, actuator_rate, velocity, rates)
-        tip = c.rotor_radius * 0.25 * _total(actuators)
-        vx, vy, vz = velocity.x, velocity.y, velocity.z
+        c, rates = params.constants, body.rates
+        force, spin = super().force_moment(params, body)
+        tip = c.rotor_radius * 0.25 * _total(body.actuators)
+        vx, vy, vz = body.velocity.x, body.velocity.y, body.velocity.z
         alpha, mu = arctan2(vz, tip), arctan2(vx * vx + vy * vy, tip * tip)
         gain = 1.0 + c.k_angle * alpha + c.k_hor * mu
         drag = Vec3(c.k_x2 * vx * jnp.abs(vx), c.k_y2 * vy * jnp.abs(vy), c.k_v2 * vz * jnp.abs(vz))

@@ -9,8 +9,8 @@ from flax import struct
 
 from quadjax.core.vectors import Vec3, between
 from quadjax.vehicle.constants import Scalar, constant
-from quadjax.vehicle.protocol import Signal, VehicleParams
-from quadjax.vehicle.rigid_body import RigidBody
+from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
+from quadjax.vehicle.rigid_body import BodyState
 
 
 @struct.dataclass
@@ -37,7 +37,7 @@ class RateCommand:
     thrust: jax.Array  # () specific thrust, m/s^2
 
 
-class Rate(RigidBody):
+class Rate(VehicleModel):
     """The model ``rate``; its actuator is the specific thrust (), m/s^2, along body -z."""
 
     name = "rate"
@@ -52,17 +52,11 @@ class Rate(RigidBody):
         """Derivative of the thrust, m/s^3."""
         return (command.thrust - actuators) / c.tau_thrust
 
-    def force_moment(
-        self,
-        params: VehicleParams,
-        actuators: jax.Array,
-        actuator_rate: jax.Array,
-        velocity: Vec3,
-        rates: Vec3,
-    ) -> tuple[Vec3, Vec3]:
+    def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
         """Specific force, m/s^2, of drag and thrust; the inner loop gives the moment."""
         c = params.constants
-        return Vec3(-c.d_x * velocity.x, -c.d_y * velocity.y, -actuators), Vec3.zero()
+        drag = (-c.d_x * body.velocity.x, -c.d_y * body.velocity.y)
+        return Vec3(*drag, -body.actuators), Vec3.zero()
 
     def angular_acceleration(
         self, c: RateConstants, moment: Vec3, rates: Vec3, command: RateCommand

@@ -10,8 +10,8 @@ from flax import struct
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.vehicle import rigid_body
 from quadjax.vehicle.constants import Scalar, constant
-from quadjax.vehicle.protocol import Signal, VehicleParams
-from quadjax.vehicle.rigid_body import RigidBody, RigidBodyState
+from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
+from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 
 @struct.dataclass
@@ -31,14 +31,14 @@ class RotorThrustConstants:
     thrust_max: Scalar = constant("N", "limits", above="thrust_min")
 
 
-class RotorThrust(RigidBody):
+class RotorThrust(VehicleModel):
     """The model ``rotor_thrust``; its actuators are the commanded thrusts, N."""
 
     name = "rotor_thrust"
     constants = RotorThrustConstants
     commands = (Signal("rotor_thrust", 4, "N"),)
     actuators = Signal("rotor_thrust", 4, "N")
-    has_estimator = can_be_disturbed = True
+    can_be_disturbed = True
 
     def hold(self, state: RigidBodyState, command: Rotors) -> RigidBodyState:
         """The state with the commanded thrusts."""
@@ -48,18 +48,11 @@ class RotorThrust(RigidBody):
         """Zero: the thrusts follow the command without a lag."""
         return Rotors.same(jnp.zeros_like(actuators.w1))
 
-    def force_moment(
-        self,
-        params: VehicleParams,
-        actuators: Rotors,
-        actuator_rate: Rotors,
-        velocity: Vec3,
-        rates: Vec3,
-    ) -> tuple[Vec3, Vec3]:
+    def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
         """Specific force, m/s^2, and moment, N m, of the thrusts."""
         c = params.constants
-        t1, t2, t3, t4 = actuators.components()
-        torque = c.turning * actuators
+        t1, t2, t3, t4 = body.actuators.components()
+        torque = c.turning * body.actuators
         moment = Vec3(
             c.arm_y * (t1 - t2 - t3 + t4),
             c.arm_x * (t1 + t2 - t3 - t4),
@@ -84,8 +77,6 @@ class RotorThrust(RigidBody):
     def command_range(self, c: RotorThrustConstants) -> tuple[Rotors, Rotors]:
         """Lowest and highest thrust of each rotor, N."""
         return Rotors.same(c.thrust_min), Rotors.same(c.thrust_max)
-
-    actuator_range = command_range
 
     def hover_actuators(self, c: RotorThrustConstants) -> Rotors:
         """Thrusts of a hover, N, clipped to their range."""

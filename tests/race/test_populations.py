@@ -9,6 +9,7 @@ from quadjax.config.race import build_params
 from quadjax.config.schema import Randomization
 from quadjax.core.errors import InputError
 from quadjax.race.start import towards
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import A2RL
 from tests.race.support import make_config
 
@@ -45,7 +46,7 @@ def test_populations_of_the_a2rl_drone(name):
     for group, percent in zip(GROUPS, PRINTED[name], strict=True):
         spread |= dict.fromkeys(group, percent / 100)
     for index, key in enumerate(names):
-        values = np.broadcast_to(np.asarray(getattr(found, key), np.float64), count)
+        values = np.broadcast_to(np.asarray(values_of(found)[key], np.float64), count)
         wanted = center[key] * (1 + spread[key] * drawn[:, index].astype(np.float64))
         np.testing.assert_allclose(values, wanted, rtol=1e-5)
         if spread[key] and center[key]:

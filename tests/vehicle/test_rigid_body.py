@@ -252,7 +252,7 @@ def motor_speed(constants, command):
 def test_models_of_euler_angles_with_a_quaternion(kind):
     """The same derivatives; those of the quaternion are the angles' at any regular attitude."""
     rows, commands = bebop.random_states(kind, COUNT), bebop.random_commands(kind, COUNT)
-    plain, model = MODELS[kind], MODELS[kind].with_quaternions()
+    plain, model = MODELS[kind], MODELS[kind].with_options(quaternion=True)
     params = VehicleParams(constants(kind, {"motor": bebop.MOTOR, "rate": bebop.RATE}[kind]))
     state, command = bebop_state(kind, rows), command_of(kind, commands)
     turned = state.replace(euler=jax.jit(quaternion.of_euler)(state.euler))

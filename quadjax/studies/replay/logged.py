@@ -109,7 +109,7 @@ def disturbances_of(flight: Logged, model: VehicleModel, params: VehicleParams) 
     Empty for a model without an estimator, or a log without rotor speeds.
     """
     speeds = flight.actuators.get(model.actuators.name)
-    if not model.has_estimator or speeds is None:
+    if not model.can_be_disturbed or speeds is None:
         return {}
     estimator = estimator_params(model, params, 1.0 / flight.step)
     velocity = flight.attitude.inv().apply(flight.velocity)
