@@ -39,10 +39,17 @@ OPTIONAL = ("action_change", "perception")  # penalties that are computed where 
 
 
 def vehicle_model_of(config: Config) -> VehicleModel:
-    """The vehicle model, with quaternions if ``vehicle.quaternion`` is set and it has none yet."""
+    """The vehicle model, with a quaternion and disturbances where the config has them."""
     own = model(config.vehicle.model)
-    if config.vehicle.quaternion and math.isfinite(own.pitch_limit):
+    if config.vehicle.quaternion:
         own = own.with_options(quaternion=True)
+    disturbed = (
+        config.disturbance != Disturbance()
+        or config.observation.disturbance == "estimated"
+        or any(key.startswith("disturbance.") for key in config.schedules)
+    )
+    if own.can_be_disturbed and disturbed:
+        own = own.with_options(disturbed=True)
     return own
 
 

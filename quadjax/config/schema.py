@@ -471,12 +471,18 @@ class Start(Section):
 class Disturbance(Section):
     """External disturbances, drawn per episode and constant in it."""
 
-    moment_x: HalfWidth = Field(0.0, description="half-width, N m; the paper: 0.03")
-    moment_y: HalfWidth = Field(0.0, description="half-width, N m; the paper: 0.03")
-    moment_z: HalfWidth = Field(0.0, description="half-width, N m; the paper: 0.01")
+    moment_x: HalfWidth = Field(
+        0.0, description="half-width, N m, or rad/s^2 with racing and a2rl; the paper: 0.03"
+    )
+    moment_y: HalfWidth = Field(
+        0.0, description="half-width, N m, or rad/s^2 with racing and a2rl; the paper: 0.03"
+    )
+    moment_z: HalfWidth = Field(
+        0.0, description="half-width, N m, or rad/s^2 with racing and a2rl; the paper: 0.01"
+    )
     force_z: HalfWidth = Field(0.0, description="half-width, m/s^2; the paper: 0.5")
     moment_bias: tuple[Coordinate, Coordinate, Coordinate] = Field(
-        (0.0, 0.0, 0.0), description="moment added in every episode, N m, body"
+        (0.0, 0.0, 0.0), description="moment added in every episode, in the unit of moment_x, body"
     )
 
     @property

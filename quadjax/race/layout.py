@@ -502,6 +502,7 @@ def arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> 
         *other_fields(model.action_size),
         highest_command(NONE),  # without a battery: full speed
         constants_field(model),
+        *disturbance_fields(NONE),
     )
     known = {field.name: field for field in (*others, *layout.fields)}
     for base, lag in map(history.split_name, wanted.names):

@@ -1,0 +1,78 @@
+"""External moments and forces of every model that can have them, and their onboard estimate."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import quadjax
+from quadjax.config.race import race_of
+from quadjax.core.vectors import Vec3
+from quadjax.race.environment import make_environment
+from quadjax.vehicle.registry import MODELS
+
+DISTURBED = [name for name, model in MODELS.items() if model.can_be_disturbed]
+VEHICLES = {"motor": "bebop1", "racing": "5inch", "a2rl": "a2rl", "rotor_thrust": "cpc"}
+MOMENTS = {"motor": 0.01, "racing": 20.0, "a2rl": 20.0, "rotor_thrust": 0.05}
+
+
+@functools.cache
+def race(name, *overrides):
+    base = "e2e_shac" if name == "motor" else "e2e_race"
+    sizes = [f"disturbance.moment_{axis}={MOMENTS[name]}" for axis in "xyz"]
+    config = quadjax.load(
+        base, [f"vehicle={VEHICLES[name]}", *sizes, "disturbance.force_z=2", *overrides]
+    )
+    return race_of(config)
+
+
+@pytest.mark.parametrize("name", DISTURBED)
+def test_moment_and_force_reach_the_derivative(name):
+    choices, params = race(name)
+    state = jax.jit(make_environment(choices).reset)(params, jax.random.key(0))
+    model, drone = choices.model, state.drone
+    moment, force = model.disturbance(drone)
+    assert abs(moment.x) > 0 and abs(force.z) > 0 and force.x == 0
+    command = model.command_range(params.vehicle.constants)[1]
+    slope = jax.jit(model.derivative)
+    calm = model.with_disturbance(drone, Vec3.zero(), Vec3.zero())
+    with_it, without = (slope(params.vehicle, x, command) for x in (drone, calm))
+    change = model.to_body(drone, with_it.velocity - without.velocity)
+    np.testing.assert_allclose(change.array(), force.array(), atol=1e-4)
+    turn = (with_it.rates - without.rates).array()
+    c = params.vehicle.constants
+    inertia = 1.0 if model.moment_unit == "rad/s^2" else jnp.array([c.i_xx, c.i_yy, c.i_zz])
+    np.testing.assert_allclose(turn * inertia, moment.array(), rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", DISTURBED)
+def test_the_estimate_settles_at_the_disturbance(name):
+    choices, params = race(name, "observation.disturbance=estimated", "vehicle.integrator=euler")
+    assert "moment_ext" in choices.layout.names
+    environment = make_environment(choices)
+
+    @jax.jit
+    def flown(params, key):
+        first = environment.reset(params, key)
+        # Without a lag, the measured thrusts are those of the step before: they have to be steady.
+        spread = 0.1 if choices.model.lags else 0.0
+        action = spread * jax.random.normal(key, (60, choices.model.action_size)) - 0.3
+
+        def step(state, action):
+            following = environment.step(params, state, action)[0]
+            return following, following.estimate
+
+        return first, jax.lax.scan(step, first, action)[1]
+
+    first, estimate = flown(params, jax.random.key(3))
+    moment, force = choices.model.disturbance(first.drone)
+    late = jax.tree.map(lambda x: np.asarray(x)[-1], (estimate.moment, estimate.force))
+    np.testing.assert_allclose(late[0].array(), moment.array(), atol=0.02 * MOMENTS[name])
+    np.testing.assert_allclose(late[1].array(), force.array(), atol=0.1)
+
+
+def test_a_race_without_disturbances_has_no_such_state():
+    choices, params = race_of(quadjax.load("e2e_race", ["vehicle=5inch"]))
+    assert not choices.model.disturbed and "moment_ext" not in choices.layout.names
