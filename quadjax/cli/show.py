@@ -201,14 +201,15 @@ def _write_vehicle(path: Path, data: Sequence[str]) -> None:
     with loading():
         from quadjax.core.files import write_text
         from quadjax.core.sections import build
-        from quadjax.core.yaml_files import parse_overrides, to_yaml
+        from quadjax.core.yaml_files import parse_overrides
         from quadjax.vehicle.airframe import Airframe
+        from quadjax.vehicle.vehicle_file import vehicle_text
 
     airframe = build(Airframe, parse_overrides(data), "data")
     motor = {name: float(f"{value:.6g}") for name, value in airframe.motor_constants().items()}
     head = {"name": path.stem, "mass": airframe.mass, "width": round(airframe.width, 4)}
-    tree = {**head, "motor": motor}
-    write_text(path, f"# From {' '.join(data)}\n# {COMMENT}\n{to_yaml(tree)}")
+    comment = f"From {' '.join(data)}\n{COMMENT}"
+    write_text(path, vehicle_text(head, {"motor": motor}, comment))
 
 
 def _write_track(path: Path, settings: Sequence[str]) -> None:

@@ -12,10 +12,9 @@ from quadjax.fitting.motor_map import NAMES
 from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.racing_fit import MODEL, RacingFit
 from quadjax.fitting.report import NONE_HELD_OUT
-from quadjax.fitting.vehicle_file import head_lines
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import RacingConstants
-from quadjax.vehicle.vehicle_file import ROTORS, TURNING
+from quadjax.vehicle.vehicle_file import vehicle_text
 
 FILES = ("config.yaml", "vehicle.yaml", "report.json", "report.txt")
 
@@ -112,20 +111,7 @@ def _vehicle_file(result: RacingFit) -> str:
     body, tested = result.config.body, result.config.split.test_flights
     flights = ", ".join(log.name for log in result.logs if log.name not in tested)
     source = f"Fitted on {flights}\nby quadjax fit; see report.txt in this folder."
-    lines = [
-        *head_lines(body.name, body.mass, result.keys, source),
-        f"rotors: [{', '.join(ROTORS)}]",
-        f"{MODEL}:",
-    ]
-    turning = {number: word for word, number in TURNING.items()}
+    mass = {} if body.mass is None else {"mass": body.mass}
+    keys = {"name": body.name, **mass, **result.keys}
     values = {name: float(value) for name, value in values_of(result.constants).items()}
-    for name, value in values.items():
-        if f"{name[:-1]}4" not in values or not name[-1].isdigit():
-            note = f"  # {notes[name]}" if name in notes else ""
-            lines.append(f"  {name}: {value!r}{note}")
-        elif name.endswith("1"):
-            own = [f"{name[:-1]}{rotor}" for rotor in (1, 2, 3, 4)]
-            items = [turning[values[n]] if name == "turning1" else repr(values[n]) for n in own]
-            note = f"  # {', '.join(notes[n] for n in own)}" if name in notes else ""
-            lines.append(f"  {name[:-1]}: [{', '.join(items)}]{note}")
-    return "\n".join(lines) + "\n"
+    return vehicle_text(keys, {MODEL: values}, source, {MODEL: notes})

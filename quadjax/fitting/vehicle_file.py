@@ -12,11 +12,11 @@ from pathlib import Path
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
-from quadjax.core.yaml_files import Tree, find_file, read_tree_with_bases, to_yaml
+from quadjax.core.yaml_files import Tree, find_file, read_tree_with_bases
 from quadjax.fitting.config import BodyConfig
-from quadjax.vehicle.constants import constant_names
+from quadjax.vehicle.constants import constant_names, values_of
 from quadjax.vehicle.motor import MotorConstants
-from quadjax.vehicle.vehicle_file import vehicle_values
+from quadjax.vehicle.vehicle_file import vehicle_text, vehicle_values
 
 KEPT = ("width", "fitted_speed", "model")
 MOTOR = constant_names(MotorConstants)
@@ -111,26 +111,10 @@ def write_vehicle(
         notes: by model and constant, such as its standard error.
         source: comment at the head of the file.
     """
-    lines = head_lines(vehicle.name, vehicle.mass, vehicle.keys, source)
-    lines.append("motor:")
-    for name in MOTOR:
-        value = float(getattr(vehicle.motor, name))
-        lines.append(_constant_line(name, value, notes.get("motor", {})))
-    for model, constants in vehicle.others.items():
-        known = notes.get(model, {})
-        lines.append(f"{model}:" + ("" if known else "  # not fitted: the base vehicle's"))
-        lines += [_constant_line(name, value, known) for name, value in constants.items()]
-    write_text(path, "\n".join(lines) + "\n")
-
-
-def head_lines(name: str, mass: float | None, keys: Tree, source: str) -> list[str]:
-    """The lines of a vehicle file before its constants."""
-    values = {"name": name, **({} if mass is None else {"mass": mass}), **keys}
-    return [*(f"# {line}" for line in source.splitlines()), *to_yaml(values).splitlines()]
-
-
-def _constant_line(name: str, value: float, notes: dict[str, str]) -> str:
-    return f"  {name}: {value!r}" + (f"  # {notes[name]}" if name in notes else "")
+    mass = {} if vehicle.mass is None else {"mass": vehicle.mass}
+    models = {"motor": {name: float(x) for name, x in values_of(vehicle.motor).items()}}
+    keys = {"name": vehicle.name, **mass, **vehicle.keys}
+    write_text(path, vehicle_text(keys, models | vehicle.others, source, {"motor": {}} | notes))
 
 
 def number(path: Path, values: Mapping[str, object], name: str, section: str = "") -> float:

@@ -1,10 +1,11 @@
 """Vehicle files: a drone's name, its model and the constants of one or several models."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from quadjax.core.errors import InputError
-from quadjax.core.yaml_files import Tree, short
+from quadjax.core.yaml_files import Tree, short, to_yaml
+from quadjax.vehicle.constants import rotor_names
 
 KEYS = ("name", "mass", "width", "fitted_speed", "model", "rotors")  # in addition to the models
 ROTORS = ("front_left", "front_right", "rear_right", "rear_left")  # the order of Rotors
@@ -38,10 +39,8 @@ def vehicle_values(path: Path, tree: Tree) -> Tree:
                 "of each model as a mapping (motor, rate, ..)"
             )
         models[key] = _with_rotors(value, order, f"{path}: {key}")
-    own: Tree = {
-        key: tree[key] for key in ("name", "width", "fitted_speed", "model") if key in tree
-    }
-    return {"name": path.stem, **own, "models": models}
+    keys = {key: tree[key] for key in KEYS if key in tree and key not in ("mass", "rotors")}
+    return {"name": path.stem, **keys, "models": models}
 
 
 def _with_rotors(values: Tree, order: list[str], where: str) -> Tree:
@@ -56,7 +55,7 @@ def _with_rotors(values: Tree, order: list[str], where: str) -> Tree:
             if key == "turning" and item not in TURNING:
                 raise InputError(f"{where}.turning is {short(value)}, allowed: cw or ccw for each")
             number = TURNING[item] if key == "turning" else item
-            name = f"{key}{ROTORS.index(place) + 1}"
+            name = rotor_names(key)[ROTORS.index(place)]
             found[name] = values.get(name, number)  # a name with a rotor's number has precedence
     return found
 
@@ -70,9 +69,56 @@ def for_each_rotor(values: Tree, names: Collection[str]) -> Tree:
     """
     found: Tree = {}
     for key, value in values.items():
-        four = [f"{key}{index}" for index in range(1, len(ROTORS) + 1)]
+        four = rotor_names(key)
         if key not in names and set(four) <= set(names):
             found |= {name: value for name in four if name not in values}
         else:
             found[key] = value
     return found
+
+
+def vehicle_text(
+    keys: Tree,
+    models: Mapping[str, Mapping[str, float]],
+    comment: str,
+    notes: Mapping[str, Mapping[str, str]] | None = None,
+) -> str:
+    """The text of a vehicle file; ``vehicle_values`` reads it.
+
+    Args:
+        keys: those of ``KEYS`` that the file has.
+        models: constants by model and name; those of four rotors are written as a list.
+        comment: at the head of the file.
+        notes: on constants, by model and name; models without any were not fitted.
+    """
+    lines = [*(f"# {line}" for line in comment.splitlines()), *to_yaml(keys).splitlines()]
+    if any(map(_rotor_stems, models.values())):
+        lines.append(f"rotors: [{', '.join(ROTORS)}]")
+    for model, values in models.items():
+        known = {} if notes is None else notes.get(model, {})
+        whole = "" if notes is None or known else "  # not fitted: the base vehicle's"
+        lines.append(f"{model}:{whole}")
+        lines += _constant_lines(values, known)
+    return "\n".join(lines) + "\n"
+
+
+def _rotor_stems(values: Mapping[str, float]) -> set[str]:
+    """Names, without the rotor's number, of the constants of which all four rotors have one."""
+    return {name[:-1] for name in values if set(rotor_names(name[:-1])) <= set(values)}
+
+
+def _constant_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> list[str]:
+    words = {number: word for word, number in TURNING.items()}
+    stems, lines = _rotor_stems(values), []
+    for name, value in values.items():
+        stem, names, text = name[:-1], (name,), repr(value)
+        if stem in stems:
+            names = rotor_names(stem)
+            items = (values[each] for each in names)
+            text = ", ".join(words[x] if stem == "turning" else repr(x) for x in items)
+            text = f"[{text}]"
+        if name == names[0]:
+            note = ", ".join(notes[each] for each in names if each in notes)
+            key = stem if stem in stems else name
+            lines.append(f"  {key}: {text}" + (f"  # {note}" if note else ""))
+    return lines
