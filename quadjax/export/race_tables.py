@@ -200,6 +200,8 @@ def drone_of(layout: Layout, model: VehicleModel, example: State, numbers: jax.A
         start += size
     leaves = []
     for field in dataclasses.fields(example):
+        if getattr(example, field.name) is None:
+            continue
         own = values.get(field.name, values[model.actuators.name])
         if field.name == "euler":
             own = _attitude(values, isinstance(example.euler, Quaternion))

@@ -258,7 +258,7 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
     """Networks in training as a policy."""
     choices = choices_of(config)
     model = choices.model
-    constants = model.constants(**config.vehicle.constants)
+    constants = model.make_constants(config.vehicle.constants)
     low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
     inputs = input_scale(config)
     value = None
