@@ -472,13 +472,13 @@ class Disturbance(Section):
     """External disturbances, drawn per episode and constant in it."""
 
     moment_x: HalfWidth = Field(
-        0.0, description="half-width, N m, or rad/s^2 with racing and a2rl; the paper: 0.03"
+        0.0, description="half-width, N m with model motor, else rad/s^2; the paper: 0.03"
     )
     moment_y: HalfWidth = Field(
-        0.0, description="half-width, N m, or rad/s^2 with racing and a2rl; the paper: 0.03"
+        0.0, description="half-width, N m with model motor, else rad/s^2; the paper: 0.03"
     )
     moment_z: HalfWidth = Field(
-        0.0, description="half-width, N m, or rad/s^2 with racing and a2rl; the paper: 0.01"
+        0.0, description="half-width, N m with model motor, else rad/s^2; the paper: 0.01"
     )
     force_z: HalfWidth = Field(0.0, description="half-width, m/s^2; the paper: 0.5")
     moment_bias: tuple[Coordinate, Coordinate, Coordinate] = Field(

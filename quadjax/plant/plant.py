@@ -23,7 +23,7 @@ from quadjax.plant.effects import FlexParams, ImuParams, RotorParams
 from quadjax.plant.gusts import GustParams, GustState
 from quadjax.plant.power import PowerParams
 from quadjax.plant.sensors import GroundTruth
-from quadjax.vehicle import motor, rigid_body
+from quadjax.vehicle import motor
 from quadjax.vehicle.battery import charge_rate, highest_rpm
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.rigid_body import RigidBodyState
@@ -123,7 +123,7 @@ def derivative(
     )
     force, moment = call(forces, params, physics, rpm_rate, air_velocity)
     acceleration = body_to_world(a, force + body.force_ext)
-    turning = rigid_body.angular_acceleration(c, moment + body.moment_ext, body.rates)
+    turning = motor.angular_acceleration(c, moment + body.moment_ext, body.rates)
     bend = effects.flex_acceleration(params.flex, physics.flex, physics.flex_rate, turning)
     return Physics(
         body=RigidBodyState(

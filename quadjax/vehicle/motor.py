@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.vehicle import rigid_body
 from quadjax.vehicle.constants import Scalar, constant
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.residual import residual_force_moment
@@ -95,6 +94,22 @@ def force_moment(
     return force, moment
 
 
+def angular_acceleration(c: MotorConstants, moment: Vec3, rates: Vec3) -> Vec3:
+    """``I^-1 (M - Omega x I Omega)``, rad/s^2, body frame, of a moment, N m, and rates, rad/s."""
+    p, q, r = rates.x, rates.y, rates.z
+    return Vec3(
+        (moment.x + (c.i_yy - c.i_zz) * q * r) / c.i_xx,
+        (moment.y + (c.i_zz - c.i_xx) * r * p) / c.i_yy,
+        (moment.z + (c.i_xx - c.i_yy) * p * q) / c.i_zz,
+    )
+
+
+def gyroscopic_moment(c: MotorConstants, rates: Vec3) -> Vec3:
+    """``Omega x I Omega``, N m, body frame, of rates, rad/s."""
+    p, q, r = rates.x, rates.y, rates.z
+    return Vec3((c.i_zz - c.i_yy) * q * r, (c.i_xx - c.i_zz) * r * p, (c.i_yy - c.i_xx) * p * q)
+
+
 def hover_rpm(c: MotorConstants) -> jax.Array:
     """Propeller speed () at which four rotors carry the drone at rest, rpm."""
     return jnp.sqrt(c.g / (4.0 * c.k_w))
@@ -122,7 +137,7 @@ class Motor(VehicleModel):
         self, c: MotorConstants, moment: Vec3, rates: Vec3, command: Rotors
     ) -> Vec3:
         """The derivative of the body rates, rad/s^2, of a moment, N m."""
-        return rigid_body.angular_acceleration(c, moment, rates)
+        return angular_acceleration(c, moment, rates)
 
     def angular_momentum(
         self, c: MotorConstants, actuators: Rotors, rates: Vec3
@@ -131,7 +146,7 @@ class Motor(VehicleModel):
         rpm = actuators
         rotors = c.k_r2 * (-rpm.w1 + rpm.w2 - rpm.w3 + rpm.w4)
         momentum = Vec3(c.i_xx * rates.x, c.i_yy * rates.y, c.i_zz * rates.z - rotors)
-        return momentum, rigid_body.gyroscopic_moment(c, rates)
+        return momentum, gyroscopic_moment(c, rates)
 
     def command_range(self, c: MotorConstants) -> tuple[Rotors, Rotors]:
         """Lowest and highest command, rpm."""

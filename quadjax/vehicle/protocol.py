@@ -155,8 +155,11 @@ class VehicleModel:
     def angular_momentum(
         self, c: Constants, actuators: Actuators, rates: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Angular momentum minus that of the rotors, and the gyroscopic moment; see ``balance``."""
-        raise NotImplementedError
+        """Angular momentum minus that of the rotors, and the gyroscopic moment; see ``balance``.
+
+        By default those per inertia of rotors without inertia: the rates and zero.
+        """
+        return rates, Vec3.zero()
 
     def thrust_to_weight(self, c: Constants) -> float | None:
         """Thrust at the highest command over weight; None: unknown."""

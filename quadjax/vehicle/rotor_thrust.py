@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.vehicle import rigid_body
 from quadjax.vehicle.constants import Scalar, constant
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
@@ -39,6 +38,7 @@ class RotorThrust(VehicleModel):
     commands = (Signal("rotor_thrust", 4, "N"),)
     actuators = Signal("rotor_thrust", 4, "N")
     can_be_disturbed = True
+    moment_unit = "rad/s^2"
 
     def hold(self, state: RigidBodyState, command: Rotors) -> RigidBodyState:
         """The state with the commanded thrusts."""
@@ -49,30 +49,17 @@ class RotorThrust(VehicleModel):
         return Rotors.same(jnp.zeros_like(actuators.w1))
 
     def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
-        """Specific force, m/s^2, and moment, N m, of the thrusts."""
-        c = params.constants
+        """Specific force, m/s^2, and angular acceleration, rad/s^2."""
+        c, p, q, r = params.constants, body.rates.x, body.rates.y, body.rates.z
         t1, t2, t3, t4 = body.actuators.components()
         torque = c.turning * body.actuators
-        moment = Vec3(
-            c.arm_y * (t1 - t2 - t3 + t4),
-            c.arm_x * (t1 + t2 - t3 - t4),
-            c.k_torque * sum(torque.components()),
+        spin = Vec3(
+            (c.arm_y * (t1 - t2 - t3 + t4) + (c.i_yy - c.i_zz) * q * r) / c.i_xx,
+            (c.arm_x * (t1 + t2 - t3 - t4) + (c.i_zz - c.i_xx) * r * p) / c.i_yy,
+            (c.k_torque * sum(torque.components()) + (c.i_xx - c.i_yy) * p * q) / c.i_zz,
         )
         zero = jnp.zeros_like(t1)
-        return Vec3(zero, zero, -(t1 + t2 + t3 + t4) / c.mass), moment
-
-    def angular_acceleration(
-        self, c: RotorThrustConstants, moment: Vec3, rates: Vec3, command: Rotors
-    ) -> Vec3:
-        """The derivative of the body rates, rad/s^2, of a moment, N m."""
-        return rigid_body.angular_acceleration(c, moment, rates)
-
-    def angular_momentum(
-        self, c: RotorThrustConstants, actuators: Rotors, rates: Vec3
-    ) -> tuple[Vec3, Vec3]:
-        """Angular momentum, N m s, and the gyroscopic moment, N m."""
-        momentum = Vec3(c.i_xx * rates.x, c.i_yy * rates.y, c.i_zz * rates.z)
-        return momentum, rigid_body.gyroscopic_moment(c, rates)
+        return Vec3(zero, zero, -(t1 + t2 + t3 + t4) / c.mass), spin
 
     def command_range(self, c: RotorThrustConstants) -> tuple[Rotors, Rotors]:
         """Lowest and highest thrust of each rotor, N."""

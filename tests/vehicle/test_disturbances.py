@@ -15,7 +15,7 @@ from quadjax.vehicle.registry import MODELS
 
 DISTURBED = [name for name, model in MODELS.items() if model.can_be_disturbed]
 VEHICLES = {"motor": "bebop1", "racing": "5inch", "a2rl": "a2rl", "rotor_thrust": "cpc"}
-MOMENTS = {"motor": 0.01, "racing": 20.0, "a2rl": 20.0, "rotor_thrust": 0.05}
+MOMENTS = {"motor": 0.01, "racing": 20.0, "a2rl": 20.0, "rotor_thrust": 20.0}
 
 
 @functools.cache
@@ -43,7 +43,7 @@ def test_moment_and_force_reach_the_derivative(name):
     np.testing.assert_allclose(change.array(), force.array(), atol=1e-4)
     turn = (with_it.rates - without.rates).array()
     c = params.vehicle.constants
-    inertia = 1.0 if model.moment_unit == "rad/s^2" else jnp.array([c.i_xx, c.i_yy, c.i_zz])
+    inertia = jnp.array([c.i_xx, c.i_yy, c.i_zz]) if model.moment_unit == "N m" else 1.0
     np.testing.assert_allclose(turn * inertia, moment.array(), rtol=1e-3)
 
 
