@@ -133,6 +133,7 @@ def _control(vehicle: VehicleParams, state: RigidBodyState, target: jax.Array) -
     hover = motor.hover_rpm(c)
     # Angular acceleration per rpm of difference, about hover, from the nominal model.
     effect = Vec3(8.0 * c.k_p * hover / c.i_xx, 8.0 * c.k_q * hover / c.i_yy, 4.0 * c.k_r1 / c.i_zz)
+    assert isinstance(state.euler, Vec3)
     angle = Vec3.of(target[:3]) - state.euler
     wanted = angle * Vec3(60.0, 60.0, 6.0) - state.rates * Vec3(12.0, 12.0, 4.0)
     if vehicle.residual is not None:  # compensated exactly

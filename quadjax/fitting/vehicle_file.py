@@ -114,7 +114,7 @@ def write_vehicle(
     mass = {} if vehicle.mass is None else {"mass": vehicle.mass}
     models = {"motor": {name: float(x) for name, x in values_of(vehicle.motor).items()}}
     keys = {"name": vehicle.name, **mass, **vehicle.keys}
-    write_text(path, vehicle_text(keys, models | vehicle.others, source, {"motor": {}} | notes))
+    write_text(path, vehicle_text(keys, models | vehicle.others, source, {"motor": {}, **notes}))
 
 
 def number(path: Path, values: Mapping[str, object], name: str, section: str = "") -> float:

@@ -191,6 +191,7 @@ def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
     """The true motion at the sensors: of the center of gravity, and of the unit on its frame."""
     physics, body = state.physics, state.physics.body
     force, _ = loads(params, state)
+    assert body.force_ext is not None
     lever = effects.lever_acceleration(params.imu, body.rates, state.turning)
     shaking, turning = effects.vibration(params.imu, body.actuators, state.phase)
     return GroundTruth(

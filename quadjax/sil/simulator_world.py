@@ -99,7 +99,7 @@ def _see_simulator(choices: Choices, params: RaceParams, race: LapState) -> Seen
     if one.state.estimate is not None:
         moment, force = one.state.estimate.moment, one.state.estimate.force
     else:
-        moment, force = model.disturbance(drone) if model.disturbance else (zero, zero)
+        moment, force = model.disturbance(drone) if model.disturbed else (zero, zero)
     actuators = model.actuator_state(drone)
     still = Rotors.same(jnp.zeros(()))
     unit = 1.0 / RPM_PER_RAD_S if model.actuators.unit == "rpm" else 1.0

@@ -73,7 +73,7 @@ def constant_names(kind: type) -> tuple[str, ...]:
 def from_values(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
     """The constants of a dataclass with numbers by name."""
     numbers: dict[str, Any] = {}
-    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+    for field in dataclasses.fields(kind):
         if field.type is Rotors:
             numbers[field.name] = Rotors(*(values[name] for name in rotor_names(field.name)))
         else:

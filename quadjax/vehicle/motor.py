@@ -156,7 +156,7 @@ class Motor(VehicleModel):
         """Propeller speeds of a hover, rpm, clipped to the range of the motors."""
         return Rotors.same(jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max))
 
-    def thrust_to_weight(self, c: MotorConstants) -> float:
+    def thrust_to_weight(self, c: MotorConstants) -> Scalar:
         """Thrust at the highest command over weight."""
         return 4.0 * c.k_w * c.rpm_max**2 / c.g
 

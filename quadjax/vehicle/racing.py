@@ -7,6 +7,7 @@ Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -147,7 +148,7 @@ ROTOR_DIFFERENCE = 50.0
 def all_racing_drones(nominal: RacingConstants, drawn: jax.Array) -> RacingConstants:
     """A drone of ``ALL_RACING_DRONES``, of at least 19 numbers in [-1, 1]; ``g`` as given."""
     count = len(ALL_RACING_DRONES)
-    values = {
+    values: dict[str, Any] = {
         name: between(*span, drawn[index])
         for index, (name, span) in enumerate(ALL_RACING_DRONES.items())
     }
@@ -240,7 +241,7 @@ class Racing(VehicleModel):
         """Rotor speeds of a hover, rad/s; see ``hover_speed``."""
         return hover_speed(c)
 
-    def thrust_to_weight(self, c: RacingConstants) -> float:
+    def thrust_to_weight(self, c: RacingConstants) -> Scalar:
         """Thrust at the highest command over weight."""
         return 4.0 * c.k_w * c.w_max**2 / c.g
 

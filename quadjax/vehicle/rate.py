@@ -70,7 +70,7 @@ class Rate(VehicleModel):
         low = RateCommand(Vec3(-c.p_max, -c.q_max, -c.r_max), c.thrust_min)
         return low, high
 
-    def actuator_range(self, c: RateConstants) -> tuple[jax.Array, jax.Array]:
+    def actuator_range(self, c: RateConstants) -> tuple[Scalar, Scalar]:
         """Lowest and highest thrust, m/s^2."""
         return c.thrust_min, c.thrust_max
 
@@ -84,7 +84,7 @@ class Rate(VehicleModel):
         """The thrust of a hover, m/s^2, clipped to that of commands."""
         return jnp.clip(c.g, c.thrust_min, c.thrust_max)
 
-    def thrust_to_weight(self, c: RateConstants) -> float:
+    def thrust_to_weight(self, c: RateConstants) -> Scalar:
         """Thrust at the highest command over weight."""
         return c.thrust_max / c.g
 

@@ -69,7 +69,7 @@ class RotorThrust(VehicleModel):
         """Thrusts of a hover, N, clipped to their range."""
         return Rotors.same(jnp.clip(0.25 * c.mass * c.g, c.thrust_min, c.thrust_max))
 
-    def thrust_to_weight(self, c: RotorThrustConstants) -> float:
+    def thrust_to_weight(self, c: RotorThrustConstants) -> Scalar:
         """Thrust at the highest command over weight."""
         return 4.0 * c.thrust_max / (c.mass * c.g)
 

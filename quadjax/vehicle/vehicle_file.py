@@ -89,15 +89,15 @@ def vehicle_text(
         keys: those of ``KEYS`` that the file has.
         models: constants by model and name; those of four rotors are written as a list.
         comment: at the head of the file.
-        notes: on constants, by model and name; models without any were not fitted.
+        notes: on constants, by model and name; a model that is not in them was not fitted.
     """
     lines = [*(f"# {line}" for line in comment.splitlines()), *to_yaml(keys).splitlines()]
     if any(map(_rotor_stems, models.values())):
         lines.append(f"rotors: [{', '.join(ROTORS)}]")
     for model, values in models.items():
         known = {} if notes is None else notes.get(model, {})
-        whole = "" if notes is None or known else "  # not fitted: the base vehicle's"
-        lines.append(f"{model}:{whole}")
+        fitted = notes is None or model in notes
+        lines.append(f"{model}:" + ("" if fitted else "  # not fitted: the base vehicle's"))
         lines += _constant_lines(values, known)
     return "\n".join(lines) + "\n"
 
@@ -111,7 +111,8 @@ def _constant_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> li
     words = {number: word for word, number in TURNING.items()}
     stems, lines = _rotor_stems(values), []
     for name, value in values.items():
-        stem, names, text = name[:-1], (name,), repr(value)
+        names: tuple[str, ...] = (name,)
+        stem, text = name[:-1], repr(value)
         if stem in stems:
             names = rotor_names(stem)
             items = (values[each] for each in names)

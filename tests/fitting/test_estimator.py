@@ -95,7 +95,7 @@ def _fly(rate, substeps, euler):
         velocity=Vec3.of(jnp.array([1.0, -0.5, 0.2])),
         euler=Vec3.of(jnp.array([0.1, -0.2, 0.3])),
         rates=Vec3.of(jnp.array([0.5, -0.4, 0.3])),
-        rpm=Rotors.same(jnp.asarray(7000.0)),
+        actuators=Rotors.same(jnp.asarray(7000.0)),
         moment_ext=zero,
         force_ext=zero,
     )

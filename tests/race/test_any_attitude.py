@@ -8,6 +8,7 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.race import environment
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.protocol import Motion
 from tests import reference as ref
 from tests.promotion import QUICK
@@ -114,7 +115,7 @@ def test_thrusts_without_a_lag_are_those_of_the_command():
     state = states((choices, params), ATTITUDES[:1])
     action = np.float32([[-1.0, 0.0, 1.0, 3.0]])
     after = compiled_transition(choices)(params, state, action)[0].drone
-    thrusts = [x[0] for x in after.rotors]
+    thrusts = [x[0] for x in after.actuators]
     np.testing.assert_allclose(thrusts, [0, 0.5 * 6.879, 6.879, 6.879], rtol=1e-6)
 
 
@@ -126,11 +127,11 @@ def test_every_rotor_has_its_own_draw():
         "randomization.constants={k_w: 0.1, tau: 0}",
     )
     drawn = compiled_reset(choices)(params, jax.random.key(0), 4000).constants
-    nominal = params.vehicle.constants
+    nominal = values_of(params.vehicle.constants)
     spread = {"k_w": 0.1, "tau": 0.0, "g": 0.0}
     factors = {}
-    for name, values in vars(drawn).items():
-        factors[name] = np.asarray(values) / float(getattr(nominal, name))
+    for name, values in values_of(drawn).items():
+        factors[name] = np.asarray(values) / float(nominal[name])
         half = 0.0 if name.startswith("turning") else spread.get(name, 0.3)
         np.testing.assert_allclose(
             [factors[name].min(), factors[name].max()], [1 - half, 1 + half], atol=2e-3
@@ -147,7 +148,7 @@ def test_population_of_all_racing_drones():
         "vehicle=5inch", TRACK, "randomization.population=all_racing_drones"
     )
     drawn = compiled_reset(choices)(params, jax.random.key(1), 4000).constants
-    c = {name: np.asarray(value, float) for name, value in vars(drawn).items()}
+    c = {name: np.asarray(value, float) for name, value in values_of(drawn).items()}
     w = c["w_max"]
     for values, low, high in (
         (c["w_min"], 0, 500),

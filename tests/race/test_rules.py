@@ -640,7 +640,7 @@ def test_a_track_with_rules_and_a_start_on_the_ground():
     race = choices_of(config), build_params(config)
     begin = hover_state(race).drone
     np.testing.assert_allclose(begin.position.array(), [8, -22, 0])
-    np.testing.assert_allclose(begin.rotors.array(), 341.75)
+    np.testing.assert_allclose(begin.actuators.array(), 341.75)
 
 
 def test_full_thrust_takes_off_from_the_ground(course):
