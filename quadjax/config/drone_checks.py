@@ -4,25 +4,15 @@ from collections.abc import Mapping, Sequence
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.yaml_files import close_match, short
+from quadjax.core.sections import refuse
+from quadjax.core.yaml_files import close_match
 from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import model as vehicle_model
 
-MAX_THRUST, GRAVITY = 1000.0, 9.81  # times the weight; m/s^2
+MAX_THRUST = 1000.0  # times the weight
 INERTIA_TOLERANCE = 1.1  # of the triangle inequality, as inertias are measured
-LEAST_TURN = 0.1  # rad, within an episode
 Values = Mapping[str, float]
-
-
-def refuse(key: str, value: object, allowed: str) -> None:
-    """Raise the one-line error of a value."""
-    raise InputError(f"{key} is {short(value)}, allowed: {allowed}")
-
-
-def episode_seconds(config: Config) -> float:
-    """The length of an episode, s; at least a second."""
-    return max(1.0, config.training_limits.episode_steps * config.rules.time_step)
 
 
 def check_drone(config: Config) -> None:

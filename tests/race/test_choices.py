@@ -64,7 +64,7 @@ def test_actuators_are_scaled_by_a_given_range():
     field = choices.layout.with_spans(choices.model, params)["rotor_speed"]
     assert field.span == ((0.0, 3000.0),) * 4
     speeds = Rotors(*np.float32([0.0, 1500, 3000, 600]))
-    drone = types.SimpleNamespace(rotors=speeds)
+    drone = types.SimpleNamespace(actuators=speeds)
     found = field.numbers(View(choices.model, params, types.SimpleNamespace(drone=drone), None))
     np.testing.assert_allclose(found, [-1, 0, 1, -0.6], atol=1e-6)
 

@@ -20,7 +20,7 @@ MOMENTS = {"motor": 0.01, "racing": 20.0, "a2rl": 20.0, "rotor_thrust": 20.0}
 
 @functools.cache
 def race(name, *overrides):
-    base = "e2e_shac" if name == "motor" else "e2e_race"
+    base = "e2e" if name == "motor" else "e2e_race"
     sizes = [f"disturbance.moment_{axis}={MOMENTS[name]}" for axis in "xyz"]
     config = quadjax.load(
         base, [f"vehicle={VEHICLES[name]}", *sizes, "disturbance.force_z=2", *overrides]

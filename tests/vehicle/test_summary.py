@@ -38,7 +38,7 @@ def test_turns_of_the_rate_model():
 
 def test_shipped_vehicles_have_no_warning(capsys):
     for path in sorted((CONFIGS / "vehicles").glob("*inch.yaml")):
-        assert run("vehicle", path) == 0
+        assert run("show", path) == 0
         printed = capsys.readouterr().out
         assert "hover" in printed and "thrust-to-weight" in printed and "warning" not in printed
 
@@ -71,12 +71,12 @@ def test_the_bebop_from_its_airframe():
 
 def test_a_file_from_data(tmp_path, capsys):
     path = tmp_path / "mine.yaml"
-    assert run("vehicle", path, *DATA, "thrust_to_weight=4") == 0
+    assert run("show", path, "--write", "vehicle", *DATA, "thrust_to_weight=4") == 0
     printed = capsys.readouterr().out
     assert "thrust-to-weight  4.00" in printed and "warning" not in printed
     config = load_config("e2e", [f"vehicle={path}"])  # needs no constants of the rate model
     assert config.vehicle.name == "mine" and config.vehicle.constants["tau"] == 0.03
-    assert run("vehicle", path, *DATA) == 2
+    assert run("show", path, "--write", "vehicle", *DATA) == 2
     assert "exists already" in capsys.readouterr().err
 
 
@@ -91,7 +91,7 @@ IMPOSSIBLE = (
 
 def test_impossible_data(tmp_path, capsys):
     for arguments, message in IMPOSSIBLE:
-        assert run("vehicle", tmp_path / "mine.yaml", *arguments) == 2
+        assert run("show", tmp_path / "mine.yaml", "--write", "vehicle", *arguments) == 2
         assert message in capsys.readouterr().err
         assert not (tmp_path / "mine.yaml").exists()
 
@@ -99,6 +99,6 @@ def test_impossible_data(tmp_path, capsys):
 def test_a_rate_model_alone(tmp_path, capsys):
     path = tmp_path / "rate.yaml"
     path.write_text("rate: " + str(ref.RATE).replace("'", "") + "\n")
-    assert run("vehicle", path) == 0
+    assert run("show", path) == 0
     assert "model rate" in capsys.readouterr().out
     assert load_config("indi", [f"vehicle={path}"]).vehicle.models == {}
