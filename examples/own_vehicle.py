@@ -1,10 +1,11 @@
 """Train your own vehicle model: the rate-level drone with quadratic drag."""
 
+import jax
 from flax import struct
 
 import quadjax
 from quadjax.core.vectors import safe_norm
-from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.constants import constant
 from quadjax.vehicle.rate import Rate, RateConstants
 
 
@@ -12,7 +13,7 @@ from quadjax.vehicle.rate import Rate, RateConstants
 class Constants(RateConstants):
     """The constants of the rate-level model, and one more."""
 
-    d_2: Scalar = constant("1/m", "drag", "nonnegative")  # quadratic drag
+    d_2: jax.Array = constant("1/m", "drag", "nonnegative")  # quadratic drag
 
 
 class QuadraticDrag(Rate):
