@@ -20,7 +20,6 @@ from quadjax.core.quaternion import Quaternion
 from quadjax.limits.gates import Gates, gates_of
 from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules, hover_start
 from quadjax.race.rules import BENEATH
-from quadjax.vehicle.attitude import with_quaternions
 from quadjax.vehicle.protocol import State, VehicleModel
 
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
@@ -217,7 +216,7 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
         raise InputError("battery: time-optimal laps do not support it, allowed: null")
     model, params = choices.model, double(exact_rules(choices.model, params))
     if math.isfinite(model.pitch_limit):
-        model = with_quaternions(model)
+        model = model.with_options(quaternion=True)
     choices = dataclasses.replace(choices, model=model, integrator="rk4", gate_test="interpolated")
     steps: dict[str, Any] = {"time_step": np.float64(TIME_STEP), "episode_steps": np.int32(10**9)}
     params = dataclasses.replace(params, limits=dataclasses.replace(params.limits, **steps))
