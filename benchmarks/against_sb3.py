@@ -53,9 +53,9 @@ def against_sb3(
             with multiprocessing.get_context("spawn").Pool(1) as pool:
                 sides.append(pool.apply(train_side, (kind, seconds, steps or 0, time.monotonic())))
             progress.advance(task)
-    most = f"{seconds} s of wall time" + (f" or {steps:,} steps" if steps else "")
+    limits = f"{seconds} s of wall time" + (f" or {steps:,} steps" if steps else "")
     run = (
-        f"{PRESET}, seed {study.SEED}, {most} each from the start of the process; laps of the "
+        f"{PRESET}, seed {study.SEED}, {limits} each from the start of the process; laps of the "
         "last policy, deterministic from hover"
     )
     print(study.format_sides(sides, run))

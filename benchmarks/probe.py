@@ -56,7 +56,7 @@ def probe(
             probes.append(probe_policy(network, race, drones, seconds, seed, label))
     print(probe_table(probes))
     print(f"R^2 of {probes[0].held_out} drones; fitted to {probes[0].fitted}")
-    rows = [each.to_json() | file_record(files[each.label]) for each in probes]
+    rows = [row.to_json() | file_record(files[row.label]) for row in probes]
     record = {"probes": rows, "drones": drones, "seconds": seconds}
     write_record(json, record, provenance(race, seed=seed))
     if figure is not None:

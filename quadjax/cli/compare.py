@@ -78,11 +78,11 @@ def compare(
     plant = load_plant_config(config, overrides)
     setting = Setting(load_config(race), plant, laps, runs, seed, plants, not sampled)
     contenders = (contender("E2E", str(e2e)), contender("INDI", str(indi)))
-    for each, kind in zip(contenders, ("motor", "rate"), strict=True):
-        if each.policy.vehicle != kind:
+    for side, kind in zip(contenders, ("motor", "rate"), strict=True):
+        if side.policy.vehicle != kind:
             raise InputError(
-                f"{each.file}: a policy for the {each.policy.vehicle} vehicle, expected {kind} for "
-                f"--{each.name.lower()}"
+                f"{side.file}: a policy for the {side.policy.vehicle} vehicle, expected {kind} for "
+                f"--{side.name.lower()}"
             )
     folder, console = output / name, Console(stderr=True)
     claimed = results(folder, "comparison", FILES, overwrite)

@@ -228,11 +228,11 @@ def _study(
     if study == "spread":
         seconds = options["seconds"] or 12
         spreads = fly_spreads(policy, race, options["runs"] or 1000, seconds, seed, name)
-        rows = [each.to_json() for each in spreads]
+        rows = [row.to_json() for row in spreads]
         return spread_table(spreads, file.stem), {"seconds": seconds, "flights": rows}
     if study == "races":
         races = fly_races(policy, race, options["runs"] or 1000, laps, options["gates"], seed, name)
-        return race_table(races), {"flights": [each.to_json() for each in races]}
+        return race_table(races), {"flights": [row.to_json() for row in races]}
     if laps == 1:
         raise InputError("--laps is 1, allowed: at least 2 with --study random-tracks")
     trained = race.randomization.tracks or RandomTracks()
@@ -262,8 +262,8 @@ def _laps(
         return {"fixed point, mean": fixed}
     evaluations = {}
     for deterministic in (True,) if options["deterministic"] else (False, True):
-        each = evaluate(policy, race, deterministic=deterministic, **common)
-        evaluations[each.label()] = each
+        result = evaluate(policy, race, deterministic=deterministic, **common)
+        evaluations[result.label()] = result
     return evaluations
 
 
@@ -327,7 +327,7 @@ def _protocols(
             results.append(fly_protocols(fly, label, policy.log_std, published_sampled(flown)))
             progress.advance(task)
     print(protocol_table(results))
-    write_record(json, {"results": [each.to_json() for each in results]}, provenance(race))
+    write_record(json, {"results": [row.to_json() for row in results]}, provenance(race))
 
 
 def _report(

@@ -97,7 +97,7 @@ def limit(
     )
     problem = make_problem(choices, params, flight)
     flown = None
-    guesses = {str(path): read_guess(problem, path) for path in guess or ()}
+    guesses = {str(path): read_guess(problem, str(path)) for path in guess or ()}
     with interruptions(STOPPING) as stopped, steps() as show:
 
         def report(text: str) -> None:

@@ -67,9 +67,9 @@ def logs(
             raise InputError("--policy, --race and --laps need a PLANT, such as standin")
         if residual and random_residual is not None:
             raise InputError("--residual and --random-residual exclude each other")
-        drawn = None if random_residual is None else (random_residual, thrust_std, moment_std)
+        random = None if random_residual is None else (random_residual, thrust_std, moment_std)
         _excite(
-            vehicle or "bebop1.yaml", residual, drawn, flights, seconds, seed, output, overwrite
+            vehicle or "bebop1.yaml", residual, random, flights, seconds, seed, output, overwrite
         )
         return
     if not policy:
@@ -84,7 +84,7 @@ def logs(
         from quadjax.studies.plant_races import plan_logs
 
     drone = load_plant_config(plant, overrides)
-    files = [str(each) for each in policy]
+    files = [str(file) for file in policy]
     plans = plan_logs(load_config(race or "e2e"), drone, files, flights, laps or 6)
     patterns = [f"{name}_*.csv" for name in plans]
     with claim(output, "logs", patterns, overwrite), steps() as report:
@@ -96,7 +96,7 @@ def logs(
 def _excite(
     vehicle: str,
     residual: Path | None,
-    drawn: tuple[int, float, float] | None,
+    random: tuple[int, float, float] | None,
     flights: int,
     seconds: float,
     seed: int,
@@ -115,10 +115,10 @@ def _excite(
         from quadjax.vehicle.residual_file import read_residual, write_residual
 
     extra: Residual | None = read_residual(residual) if residual else None
-    if drawn is not None:
-        extra = random_residual(*drawn)
+    if random is not None:
+        extra = random_residual(*random)
     params = VehicleParams(read_vehicle(vehicle).motor, extra)
-    files = ("flight_*.csv", *([RESIDUAL] if drawn else []))
+    files = ("flight_*.csv", *([RESIDUAL] if random else []))
     with claim(output, "logs", files, overwrite), steps() as report:
         for index in range(flights):
             report(f"flight {index + 1} of {flights}")
@@ -130,5 +130,5 @@ def _excite(
                 )
             write_log(output / f"flight_{index}.csv", columns)
             print(f"wrote {output / f'flight_{index}.csv'}")
-        if drawn is not None and extra is not None:
-            write_residual(output / RESIDUAL, extra, {"random": True, "seed": drawn[0]})
+        if random is not None and extra is not None:
+            write_residual(output / RESIDUAL, extra, {"random": True, "seed": random[0]})

@@ -160,7 +160,7 @@ def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> 
     """
     hints = get_type_hints(command, include_extras=True)
     for name, path in arguments.items():
-        marks = [each for each in getattr(hints[name], "__metadata__", ()) if type(each) is Output]
+        marks = [mark for mark in getattr(hints[name], "__metadata__", ()) if type(mark) is Output]
         if not marks or path is None:
             continue
         check_writable(path, marks[0].suffixes)

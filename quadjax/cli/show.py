@@ -101,10 +101,10 @@ def _kind_of(what: str) -> str:
         kinds = {"config": "", "track": "tracks", "vehicle": "vehicles"}
         names = {kind: preset_names(folder) for kind, folder in kinds.items()}
         names["policy"] = policy_names()
-        for kind, known in names.items():
-            if Path(what).with_suffix("").name in known:
+        for kind, shipped in names.items():
+            if Path(what).with_suffix("").name in shipped:
                 return kind
-        hint = close_match(what, [name for known in names.values() for name in known])
+        hint = close_match(what, [name for shipped in names.values() for name in shipped])
         raise InputError(f"{what}: no such name or file{hint}; quadjax show lists the names")
     tree = read_tree_with_bases(what)
     if "gates" in tree:
@@ -168,13 +168,13 @@ def _print_policy(name: str) -> None:
     print(f"source: {policy.source}")
 
 
-def _print_vehicle(name: str, own_model: str | None) -> None:
+def _print_vehicle(name: str, model_name: str | None) -> None:
     with loading():
         from quadjax.config.loading import vehicle_configs
         from quadjax.vehicle import registry
         from quadjax.vehicle.summary import describe, summarize, warnings
 
-    for config in vehicle_configs(name, own_model):
+    for config in vehicle_configs(name, model_name):
         vehicle, model = config.vehicle, registry.model(config.vehicle.model)
         summary = summarize(model, vehicle.constants)
         print(f"{vehicle.name}, model {vehicle.model}")

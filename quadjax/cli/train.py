@@ -130,7 +130,7 @@ def _present(run: "Run") -> None:
             save_figure(curves, folder / "curves.png")
     if not len(metrics["steps"]):
         print(f"{folder / 'metrics.csv'}: no rows, so there are no curves of the training")
-    print(lap_table({each.label(): each for each in (sampled, steady)}))
+    print(lap_table({result.label(): result for result in (sampled, steady)}))
     print(_summary(run))
     if run.summary["best_lap_total"] is None:
         print(no_lap((*sampled.laps.crashes, *steady.laps.crashes), run.summary["steps"]))
@@ -186,7 +186,7 @@ def _seeds(
         ]
         for name, file in configs.items()
     }
-    code = [each for config in trained.values() for each in names_of_code(config)]
+    code = [name for config in trained.values() for name in names_of_code(config)]
     save_figure(learning_figure(groups, code), figure)
     wrote(figure)
     for name, folders in groups.items():
@@ -207,8 +207,8 @@ def configs_of(words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
     from quadjax.config.loading import load_config
     from quadjax.evaluation.curves import check_lengths
 
-    overrides = [each for each in words if opt.is_override(each)]
-    files = [each for each in words if each not in overrides]
+    overrides = [word for word in words if opt.is_override(word)]
+    files = [word for word in words if word not in overrides]
     configs = [load_config(path, overrides) for path in files]
     names = [config.name for config in configs]
     for name in names:
