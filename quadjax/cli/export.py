@@ -5,26 +5,26 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from quadjax.cli.options import Flag, Folder, config_of
+from quadjax.cli import options as opt
 from quadjax.core.interruptions import loading
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
 
 
 def export(
-    policy: Annotated[Path, Parameter(name="POLICY")],
+    policy: Annotated[opt.PolicyFile, Parameter(name="POLICY")],
     /,
     *,
-    output: Folder,
+    output: opt.Folder,
     target: Annotated[str, Parameter(choices=tuple(TARGETS))] = DEFAULT_TARGET,
     name: str | None = None,
     range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
-    track: Annotated[str | None, config_of("tracks")] = None,
+    track: Annotated[str | None, opt.config_of("tracks")] = None,
     race: Annotated[str | None, Parameter(name=["--race", "--config"], metavar="CONFIG")] = None,
     sample_rate: float | None = None,
     cutoff: float | None = None,
-    allow_unfinished: Flag = False,
-    allow_other_race: Flag = False,
-    overwrite: Flag = False,
+    allow_unfinished: opt.Flag = False,
+    allow_other_race: opt.Flag = False,
+    overwrite: opt.Flag = False,
 ) -> None:
     """Convert a policy file to fixed-point C.
 
