@@ -13,12 +13,12 @@ class GradientAscent(LearnerSection):
     horizon: int = 40
     learning_rate: float = 3e-3
 
-    def make(self, environment, networks, num_updates, max_shards=8):
+    def make(self, environment, networks, num_updates):
         adam = optax.adam(self.learning_rate)
 
         def init(hyper, params, key):
             w = networks.init(key)
-            return TrainState(w, adam.init(w), None, (), key[None], jnp.int32(0))
+            return TrainState(w, adam.init(w), None, (), key, jnp.int32(0))
 
         def loss(w, params, key):  # of one environment, until it crashes
             def step(carry, _):
@@ -31,16 +31,16 @@ class GradientAscent(LearnerSection):
             return jax.lax.scan(step, start, None, self.horizon)[1].mean()
 
         def update(hyper, params, old):
-            keys = jax.random.split(old.keys[0], 1 + self.num_envs)
+            keys = jax.random.split(old.key, 1 + self.num_envs)
             differentiate = jax.vmap(jax.value_and_grad(loss), in_axes=(None, None, 0))
             losses, gradients = differentiate(old.params, params, keys[1:])
             gradient = jax.tree.map(lambda g: jnp.nan_to_num(g).mean(axis=0), gradients)
             change, optimizer = adam.update(gradient, old.optimizer)
             w = optax.apply_updates(old.params, change)
-            new = TrainState(w, optimizer, None, (), keys[:1], old.update + 1)
+            new = TrainState(w, optimizer, None, (), keys[0], old.update + 1)
             return new, {"reward": -losses.mean()}
 
-        return Learner(init, update, {}, self.num_envs * self.horizon, num_shards=1)
+        return Learner(init, update, {}, self.num_envs * self.horizon)
 
 
 environment, params = quadjax.make_race(quadjax.load("e2e"))

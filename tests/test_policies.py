@@ -7,7 +7,6 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core import mlp
-from quadjax.learners.networks import layers_of
 from quadjax.policy.inference import act_deterministic, act_sampled, policy_params
 from quadjax.training.build import (
     build_networks,
@@ -25,10 +24,10 @@ def test_training_and_flight_share_one_head(algorithm):
     config = load_config(BLANK, ["network.hidden=[8]", f"learner.algorithm={algorithm}"])
     networks = build_networks(config)
     params = networks.init(jax.random.key(0))
-    last = jax.tree.map(lambda x: 300.0 * x, params.policy["Dense_1"])
-    params = params.replace(policy=params.policy | {"Dense_1": last})
+    first, last = params.policy
+    params = params.replace(policy=(first, jax.tree.map(lambda x: 300.0 * x, last)))
     seen = jax.random.normal(jax.random.key(1), (64, networks.observation_size))
-    raw = np.asarray(mlp.apply(layers_of(params.policy), seen))
+    raw = np.asarray(mlp.apply(params.policy, seen))
     assert (raw > 1.5).any() and (raw < -1.5).any() and (np.abs(raw) < 0.9).any()
     trained = np.asarray(networks.mean(params, seen))
     np.testing.assert_array_equal(trained, np.clip(raw, -1, 1) if algorithm == "shac" else raw)

@@ -3,6 +3,7 @@
 import csv
 import shutil
 import threading
+import types
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,8 +17,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.folders import MARKER
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.export.race_source import own_race
-from quadjax.learners import loop, memory
-from quadjax.learners.networks import layers_of
+from quadjax.learners import loop
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
 from quadjax.training import run as training
@@ -155,8 +155,7 @@ def test_the_critic_of_a_file_is_scaled_to_the_unit_of_the_reward(tmp_path):
     file = Policy.load(path)
     scales = [1.0] * (len(file.value) - 1) + [0.25]
     for networks in (state.params, state.target, state.ema):
-        found = layers_of(networks.value)
-        for (kernel, bias), (k, b), scale in zip(found, file.value, scales, strict=True):
+        for (kernel, bias), (k, b), scale in zip(networks.value, file.value, scales, strict=True):
             np.testing.assert_allclose(kernel, scale * k, rtol=1e-6)
             np.testing.assert_allclose(bias, scale * b, rtol=1e-6)
     back = policy_of(config, state.params, {})
@@ -178,8 +177,9 @@ def test_interrupted_while_compiling_it_saves_all_the_same(tmp_path, monkeypatch
 def test_a_run_that_needs_more_memory_than_there_is_is_refused_with_the_estimate(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(memory, "memory_bytes", lambda devices: 1000.0)
-    with pytest.raises(InputError, match=r"about \S+e-06 GiB .* has 9.31e-07 GiB: fewer environ"):
+    memory = types.SimpleNamespace(total=1000.0)
+    monkeypatch.setattr(training.parallel.psutil, "virtual_memory", lambda: memory)
+    with pytest.raises(InputError, match=r"about \S+e-0\d GiB .* has \S+e-07 GiB: fewer environ"):
         training.train(config_of("e2e_ppo"), tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run").exists()
 
@@ -253,7 +253,7 @@ def test_a_number_that_is_not_finite_stops_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "PATIENCE", 600.0)
     training.train(config, tmp_path / "run", resume=True)
     saved = Policy.load(tmp_path / "run/policy_last.npz")
-    for (kernel, bias), found in zip(layers_of(kept[1].policy), saved.layers, strict=True):
+    for (kernel, bias), found in zip(kept[1].policy, saved.layers, strict=True):
         np.testing.assert_array_equal(kernel, found[0])
         np.testing.assert_array_equal(bias, found[1])
 
@@ -269,7 +269,7 @@ def test_every_shipped_config_has_a_program(name):
     config = load_config(name, STANDIN.get(name, []))
     learner, params = build_learner(config), build_params(config)
     state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-    training.parallel.check_update(learner, training.parallel.make_mesh(1), params, state)
+    training.parallel.check_update(learner, params, state)
 
 
 @pytest.mark.slow

@@ -71,9 +71,7 @@ def _with_scheduled(config: Config, index: int) -> Config:
 
 
 def _check_run(config: Config) -> None:
-    shards, (low, high) = config.run.shards, config.start.thrust
-    if shards & (shards - 1):
-        refuse("run.shards", shards, "a power of two")
+    low, high = config.start.thrust
     if low > high:
         refuse("start.thrust", config.start.thrust, "[lowest, highest]")
     for low, high in config.rules.bounds or ():

@@ -27,7 +27,8 @@ from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.vehicle_file import for_each_rotor
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
-RETIRED = {("learner", "revisit"): 0.0}  # former keys, by the value that had no effect
+# Former keys, by the value that had no effect; None: any value.
+RETIRED = {("learner", "revisit"): 0.0, ("run", "shards"): None}
 
 
 def load_config(
@@ -191,7 +192,7 @@ def _without_retired(tree: Tree) -> Tree:
     """The tree without keys of earlier versions, where their value had no effect."""
     for (section, key), value in RETIRED.items():
         values = tree.get(section)
-        if isinstance(values, dict) and values.get(key) == value:
+        if isinstance(values, dict) and value in (None, values.get(key)):
             tree = {**tree, section: {k: v for k, v in values.items() if k != key}}
     return tree
 

@@ -560,13 +560,6 @@ class Run(Section):
     devices: Literal["auto", "all"] | Devices = Field(
         "auto", description="number of devices, or auto, or all"
     )
-    shards: int = Field(
-        8,
-        ge=1,
-        le=4096,
-        description="largest number of devices that can share the environments: a power of two; "
-        "results depend on it, not on the devices",
-    )
     initial_policy: str | None = Field(
         None,
         description="policy file (.npz) to start from, next to the config or by its path",

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 import jax
+import jax.numpy as jnp
 
 Params = TypeVar("Params")
 State = TypeVar("State")
@@ -37,3 +38,23 @@ class Environment(Generic[Params, State]):
     # (before, after) -> () float, parts of the task that a step completed: gates passed. None: not
     # reported.
     completed: Callable[[State, State], jax.Array] | None = None
+
+
+def vectorize(environment: Environment[Params, State]) -> Environment[Params, State]:
+    """The environment of many agents: states batched along the last axis, all else along the first.
+
+    ``reset`` takes an array of keys, ``step`` an array of actions; ``params`` are shared.
+    """
+    completed = environment.completed
+    return dataclasses.replace(
+        environment,
+        reset=jax.vmap(environment.reset, in_axes=(None, 0), out_axes=-1),
+        observe=jax.vmap(environment.observe, in_axes=(None, -1)),
+        step=jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0)),
+        completed=None if completed is None else jax.vmap(completed, in_axes=-1),
+    )
+
+
+def where_done(done: jax.Array, fresh: State, state: State) -> State:
+    """``fresh`` where an episode is done, else ``state``; both batched along the last axis."""
+    return jax.tree.map(lambda new, old: jnp.where(done, new, old), fresh, state)

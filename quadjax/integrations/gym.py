@@ -14,9 +14,8 @@ from flax import struct
 
 from quadjax.config.race import make_race
 from quadjax.config.schema import Config
-from quadjax.core.environment import Environment
+from quadjax.core.environment import Environment, where_done
 from quadjax.core.errors import InputError
-from quadjax.learners.shards import where_done
 from quadjax.race.environment import RaceParams, RaceState
 
 try:

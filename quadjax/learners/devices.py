@@ -5,7 +5,6 @@ import os
 import jax
 
 from quadjax.core.errors import InputError
-from quadjax.learners.sharding import device_count
 
 
 def core_count() -> int:
@@ -30,30 +29,31 @@ def prepare_devices(wanted: str | int) -> None:
         return
 
 
-def choose_devices(wanted: str | int, shards: int) -> int:
+def choose_devices(wanted: str | int, num_envs: int) -> int:
     """The number of devices to train on.
 
     Two devices of one core each train faster than one of two cores: XLA's own threads slow down
     matrix products this small.
 
     Args:
-        wanted: ``run.devices``: auto (the most that divide the shards), all, or a number.
-        shards: number of equal parts of the environments.
+        wanted: ``run.devices``: auto (the most that divide the environments), all, or a number.
+        num_envs: number of environments in the learner's state; 0 if it holds none.
 
     Raises:
-        InputError: more devices than there are, or a number that does not divide the shards.
+        InputError: more devices than there are, or a number that does not divide the environments.
     """
     available = jax.local_device_count()
     if wanted == "auto":
-        return device_count(shards, available)
+        counts = range(1, min(available, num_envs) + 1)
+        return max((count for count in counts if num_envs % count == 0), default=1)
     count = available if wanted == "all" else int(wanted)
     if count > available:
         raise InputError(f"run.devices is {wanted}, allowed: at most {available} (devices)")
     if count > core_count() and jax.default_backend() == "cpu":
         raise InputError(f"run.devices is {wanted}, allowed: at most {core_count()} (cores)")
-    if shards % count:
+    if num_envs % count:
         raise InputError(
-            f"run.devices is {wanted} ({count}), allowed: a divisor of the {shards} shards of "
-            "learner.num_envs (at most run.shards)"
+            f"run.devices is {wanted} ({count}), allowed: a divisor of the {num_envs} environments "
+            "(learner.num_envs)"
         )
     return count

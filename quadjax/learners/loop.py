@@ -1,6 +1,7 @@
 """The training loop: compiled chunks of updates, one after another. All learners use it."""
 
 import dataclasses
+import math
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -45,13 +46,14 @@ def plan_chunks(steps: int, steps_per_chunk: int, steps_per_update: int) -> Plan
     """Whole updates of a chunk, and whole chunks of a run, at least one of each.
 
     Args:
-        steps: environment steps of the run; the plan differs by at most half an update per chunk.
+        steps: environment steps of the run, at least: the plan has less than one chunk more.
         steps_per_chunk: environment steps of a chunk, about: chunks divide the run evenly.
         steps_per_update: environment steps of an update.
     """
-    wanted = max(1, round(steps / steps_per_update))
+    wanted = math.ceil(steps / steps_per_update)
     chunks = max(1, round(wanted / max(1, round(steps_per_chunk / steps_per_update))))
-    return Plan(round(wanted / chunks), chunks, steps_per_update)
+    updates = math.ceil(wanted / chunks)
+    return Plan(updates, math.ceil(wanted / updates), steps_per_update)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -110,25 +110,21 @@ class LearnerSection(Section):
         def __getattr__(self, name: str) -> Any:
             """A hyperparameter of the learner's own class."""
 
-    noise_on: ClassVar[Literal["mean", "clipped_mean"]] = "mean"  # what action noise is added to
+    # What action noise is added to. PPO's is learned and added to the network's output; far beyond
+    # the limits it has no effect, so a policy can become deterministic. SHAC's is not learned and
+    # added to the clipped mean, so that exploration continues at a limit. Both learners are much
+    # worse with the other choice.
+    noise_on: ClassVar[Literal["mean", "clipped_mean"]] = "mean"
 
     algorithm: str = Field("", description="ppo, shac, or module:Class of a learner of your own")
 
-    def make(
-        self,
-        environment: Environment,
-        networks: Networks,
-        num_updates: int,
-        max_shards: int = 8,
-    ) -> Learner:
+    def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
         """The learner on an environment.
 
         Args:
             environment: three pure functions of one agent.
             networks: the policy and the value.
             num_updates: of the whole run.
-            max_shards: upper bound of the number of equal parts of the environments, each with its
-                own PRNG key, that devices can share; a power of two.
         """
         raise NotImplementedError
 
@@ -138,7 +134,7 @@ class LearnerSection(Section):
         params: object,
         steps: int,
         seed: int = 0,
-        network: Network | None = None,
+        network: Network | Networks | None = None,
         schedules: Schedules | None = None,
         progress: Callable[[Mapping[str, float]], None] | None = None,
     ) -> TrainResult:

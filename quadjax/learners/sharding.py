@@ -1,16 +1,27 @@
-"""Compiled chunks of updates, data-parallel over devices: environments split, parameters shared."""
+"""Training over several devices: environments split, parameters shared.
+
+An update is a function of whole arrays. Compiled over a mesh of devices, each device computes its
+part of the environments, and the compiler inserts the sums over all of them. Random numbers do not
+depend on the number of devices (``jax_threefry_partitionable``, JAX's default), so that a run is
+the same on any number, up to rounding.
+"""
 
 from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import psutil
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from quadjax.learners.memory import check_memory, program_bytes, tree_bytes
-from quadjax.learners.state import AXIS, Learner, Metrics, TrainState
+from quadjax.core.errors import InputError
+from quadjax.learners.state import Learner, Metrics, TrainState
 
-Chunk = Callable[[object, TrainState], tuple[TrainState, Metrics]]
+AXIS = "environments"  # name of the mesh axis over which the environments are split
+SHARED = PartitionSpec()
+Chunk = Callable[[Any, TrainState], tuple[TrainState, Metrics]]
+Tree = TypeVar("Tree")
 
 
 def make_mesh(count: int) -> Mesh:
@@ -18,22 +29,25 @@ def make_mesh(count: int) -> Mesh:
     return Mesh(np.array(jax.devices()[:count]), (AXIS,))
 
 
-def device_count(shards: int, wanted: int) -> int:
-    """The most devices, up to ``wanted``, among which the shards divide evenly; 0 if none do."""
-    counts = range(1, max(wanted, 1) + 1)
-    return max((count for count in counts if shards % count == 0), default=0)
+def env_count(state: TrainState) -> int:
+    """Number of environments in a learner's state, or in its shapes; 0 if it holds none."""
+    leaves = jax.tree.leaves(state.environment)
+    return int(leaves[0].shape[-1]) if leaves else 0
 
 
-def specs_of(state: TrainState) -> TrainState:
-    """How each leaf is split: environments and keys by their last axis; others are replicated."""
+def split_last(tree: Any) -> Any:
+    """A tree of partition specs: every leaf is split along its last axis."""
+    return jax.tree.map(lambda x: PartitionSpec(*(None,) * (x.ndim - 1), AXIS), tree)
 
-    def split(leaf: jax.Array) -> PartitionSpec:
-        return PartitionSpec(*(None,) * (leaf.ndim - 1), AXIS)
 
-    shared = jax.tree.map(lambda _: PartitionSpec(), state)
-    return shared.replace(
-        environment=jax.tree.map(split, state.environment),
-        keys=PartitionSpec(AXIS),
+def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
+    """How each leaf is laid out: environments are split by their last axis, all else is shared."""
+    specs = jax.tree.map(lambda _: SHARED, state)
+    specs = specs.replace(environment=split_last(state.environment))
+    return jax.tree.map(
+        lambda spec: NamedSharding(mesh, spec),
+        specs,
+        is_leaf=lambda x: isinstance(x, PartitionSpec),
     )
 
 
@@ -41,14 +55,6 @@ def _strong(leaf: jax.Array) -> jax.Array:
     if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
         return leaf
     return leaf.astype(leaf.dtype)
-
-
-def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
-    return jax.tree.map(
-        lambda spec: NamedSharding(mesh, spec),
-        specs_of(state),
-        is_leaf=lambda x: isinstance(x, PartitionSpec),
-    )
 
 
 def place(state: TrainState, mesh: Mesh) -> TrainState:
@@ -68,6 +74,42 @@ def abstract(state: TrainState, mesh: Mesh) -> TrainState:
     )
 
 
+def constrain(tree: Tree, *spec: str | None) -> Tree:
+    """The tree, laid out over the mesh that a program is compiled for; as it is without one.
+
+    Args:
+        tree: arrays under a trace.
+        spec: the mesh axis by which each of the first array axes is split; none: shared.
+    """
+    if AXIS not in jax.sharding.get_abstract_mesh().axis_names:
+        return tree
+    return jax.lax.with_sharding_constraint(tree, PartitionSpec(*spec))
+
+
+def sum_over_devices(
+    function: Callable[..., tuple[Any, Any]], in_specs: Any, out_specs: Any
+) -> Callable[..., tuple[Any, Any]]:
+    """A function that adds up its first result over the devices once, at its end.
+
+    The compiler alone adds up a gradient through a rollout at every time step.
+
+    Args:
+        function: of arrays split over the devices, to (sums over environments, arrays).
+        in_specs: a partition spec of each argument.
+        out_specs: of the second result.
+    """
+    if AXIS not in jax.sharding.get_abstract_mesh().axis_names:
+        return function
+
+    def on_device(*arguments: Any) -> tuple[Any, Any]:
+        sums, rest = function(*arguments)
+        return jax.lax.psum(sums, AXIS), rest
+
+    return jax.shard_map(
+        on_device, in_specs=in_specs, out_specs=(SHARED, out_specs), check_vma=False
+    )
+
+
 def compile_options() -> dict[str, bool]:
     """XLA's compiler options: one thread per CPU device.
 
@@ -77,7 +119,7 @@ def compile_options() -> dict[str, bool]:
 
 
 def compile_chunk(
-    learner: Learner, mesh: Mesh, updates: int, params: object, state: TrainState
+    learner: Learner, mesh: Mesh, updates: int, params: Any, state: TrainState
 ) -> Chunk:
     """Compile ``updates`` updates as one program that reuses the old state's memory.
 
@@ -98,39 +140,64 @@ def compile_chunk(
         metrics of every update, each (updates,).
     """
     check_memory(tree_bytes(state) / mesh.size, mesh)
-    everywhere = NamedSharding(mesh, PartitionSpec())
-    hyper, params = jax.device_put((learner.hyper, params), everywhere)
-    split = _split_updates(learner, mesh, updates, state)
-    jitted = jax.jit(split, donate_argnums=2, compiler_options=compile_options())
-    program = jitted.lower(hyper, params, state).compile()
+    shared, split = NamedSharding(mesh, SHARED), _shardings(state, mesh)
+    jitted = jax.jit(
+        repeat(learner, updates),
+        in_shardings=(shared, shared, split),
+        out_shardings=(split, shared),
+        donate_argnums=2,
+        compiler_options=compile_options(),
+    )
+    hyper, params = jax.device_put((learner.hyper, params), shared)
+    with jax.set_mesh(mesh):
+        program = jitted.lower(hyper, params, state).compile()
     check_memory(program_bytes(program), mesh)
 
-    def chunk(params: object, state: TrainState) -> tuple[TrainState, Metrics]:
-        return program(hyper, jax.device_put(params, everywhere), state)
+    def chunk(params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
+        return program(hyper, jax.device_put(params, shared), state)
 
     return chunk
 
 
-def check_update(learner: Learner, mesh: Mesh, params: object, state: TrainState) -> None:
+def check_update(learner: Learner, params: Any, state: TrainState) -> None:
     """Trace two updates; nothing is compiled. Arguments as of ``compile_chunk``."""
-    jax.eval_shape(_split_updates(learner, mesh, 2, state), learner.hyper, params, state)
+    jax.eval_shape(repeat(learner, 2), learner.hyper, params, state)
 
 
-def _split_updates(
-    learner: Learner, mesh: Mesh, updates: int, state: TrainState
-) -> Callable[[object, object, TrainState], tuple[TrainState, Metrics]]:
-    """A number of updates, with the environments split over the devices."""
-    specs, shared = specs_of(state), PartitionSpec()
+def repeat(
+    learner: Learner, count: int
+) -> Callable[[Any, Any, TrainState], tuple[TrainState, Metrics]]:
+    """A number of updates as one function, with the metrics of each, (count,)."""
 
-    def many(hyper: object, params: object, state: TrainState) -> tuple[TrainState, Metrics]:
+    def many(hyper: Any, params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
         return jax.lax.scan(
-            lambda carry, _: learner.update(hyper, params, carry), state, None, updates
+            lambda carry, _: learner.update(hyper, params, carry), state, None, count
         )
 
-    return jax.shard_map(
-        many,
-        mesh=mesh,
-        in_specs=(shared, shared, specs),
-        out_specs=(specs, shared),
-        check_vma=False,
-    )
+    return many
+
+
+def tree_bytes(shapes: Any) -> int:
+    """Memory of a pytree of arrays or shapes."""
+    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
+
+
+def program_bytes(program: jax.stages.Compiled) -> int:
+    """Memory of a compiled program on each device: arguments, results and temporaries."""
+    memory = program.memory_analysis()
+    if memory is None:  # not available on this backend
+        return 0
+    results = memory.output_size_in_bytes - memory.alias_size_in_bytes
+    return memory.argument_size_in_bytes + memory.temp_size_in_bytes + results
+
+
+def check_memory(needed: float, mesh: Mesh) -> None:
+    """Raise an ``InputError`` where a device of the mesh has less memory than ``needed`` bytes."""
+    stats = mesh.devices.flat[0].memory_stats() or {}
+    available = stats.get("bytes_limit", psutil.virtual_memory().total / mesh.size)
+    if needed > available:
+        raise InputError(
+            f"training needs about {needed / 2**30:.3g} GiB of memory on each device, which has "
+            f"{available / 2**30:.3g} GiB: fewer environments (learner.num_envs), shorter rollouts "
+            "or smaller networks"
+        )

@@ -12,7 +12,6 @@ from quadjax.learners.networks import ActorCritic
 
 Params = TypeVar("Params")
 Metrics = dict[str, jax.Array]
-AXIS = "environments"  # name of the mesh axis over which a batch of environments is split
 
 
 @struct.dataclass
@@ -23,7 +22,7 @@ class TrainState:
     optimizer: optax.OptState
     target: Any  # ActorCritic or None: slowly moving copy, for learners with a target network
     environment: Any  # states of all environments, batched along the last axis
-    keys: jax.Array  # (shards,) PRNG keys
+    key: jax.Array  # () PRNG key
     update: jax.Array  # () int32, number of updates done
     ema: Any = (
         None  # ActorCritic or None: exponential moving average of ``params``, if there is one
@@ -44,14 +43,13 @@ class Learner(Generic[Params]):
     """An algorithm bound to an environment: what the training loop runs.
 
     ``init(hyper, environment_params, key)`` returns the first state of a run.
-    ``update(hyper, environment_params, state)`` does one update on one device's part of the
-    environments and averages gradients and metrics over the mesh axis ``AXIS``. It returns the next
-    state and scalar metrics, the same on every device. Both are pure; ``hyper`` and
-    ``environment_params`` are traced.
+    ``update(hyper, environment_params, state)`` does one update of all environments and returns the
+    next state and scalar metrics. Both are pure functions of whole arrays; ``hyper`` and
+    ``environment_params`` are traced. On several devices, ``TrainState.environment`` is split along
+    its last axis, and the compiler divides the work that depends on it.
     """
 
     init: Callable[[Any, Params, jax.Array], TrainState]
     update: Update
     hyper: Any  # pytree of hyperparameters
     steps_per_update: int  # environment steps of one update, all environments together
-    num_shards: int  # equal parts of the environments that devices can share

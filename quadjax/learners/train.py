@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,27 +12,17 @@ import numpy as np
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_SEED, check_integer
-from quadjax.core.sections import Section, build
+from quadjax.core.sections import build
 from quadjax.core.yaml_files import close_match
 from quadjax.learners.devices import choose_devices
 from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
 from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.schedules import schedule_learner
-from quadjax.learners.section import Network, Schedule, Schedules
-from quadjax.learners.sharding import compile_chunk, make_mesh, place
+from quadjax.learners.section import LearnerSection, Network, Schedule, Schedules
+from quadjax.learners.sharding import compile_chunk, env_count, make_mesh, place
 from quadjax.learners.state import Learner
 
 CHUNKS = 20  # of a run, at most: how often progress is reported
-
-
-class MakesLearner(Protocol):
-    """What can be trained: ``PPO``, ``SHAC``, or any object with this method."""
-
-    def make(
-        self, environment: Environment, networks: Networks, num_updates: int, max_shards: int = 8
-    ) -> Learner:
-        """The learner on an environment; see ``LearnerSection.make``."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,12 +36,12 @@ class TrainResult:
 
 
 def train(
-    algorithm: MakesLearner,
+    algorithm: LearnerSection,
     environment: Environment,
     params: Any,
     steps: int,
     seed: int = 0,
-    network: Network | None = None,
+    network: Network | Networks | None = None,
     schedules: Schedules | None = None,
     progress: Callable[[Row], None] | None = None,
 ) -> TrainResult:
@@ -61,12 +51,12 @@ def train(
     anything, so that a run uses all cores.
 
     Args:
-        algorithm: ``PPO(...)``, ``SHAC(...)`` or an object with the same ``make``.
+        algorithm: ``PPO(...)``, ``SHAC(...)`` or a learner of the user's.
         environment: three pure functions of one agent.
         params: traced parameters of the environment.
-        steps: environment steps of the run; rounded to whole updates.
+        steps: environment steps of the run, at least; a whole number of updates.
         seed: of all random numbers.
-        network: hidden layers of policy and value.
+        network: hidden layers of policy and value, or networks with functions of the user's.
         schedules: numbers that change during training: a ``Schedule``, or only its values, by the
             name of a hyperparameter or the dotted path of a leaf of ``params``, such as
             ``{"learning_rate": [3e-3, 0.0], "reward.gate": Schedule(linear=(0, 10), until=0.5)}``.
@@ -81,12 +71,11 @@ def train(
     """
     check_integer("steps", steps, 1, 10**12)
     check_integer("seed", seed, 0, MAX_SEED)
-    networks = _networks(algorithm, environment, network or Network())
-    learner = _make(algorithm, environment, networks, params, steps, schedules or {})
-    plan = _plan(steps, learner.steps_per_update)
-    mesh = make_mesh(choose_devices("auto", learner.num_shards))
-    first = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
-    state = place(first, mesh)
+    networks = _networks(algorithm, environment, network)
+    learner, plan = _make(algorithm, environment, networks, params, steps, schedules or {})
+    state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
+    mesh = make_mesh(choose_devices("auto", env_count(state)))
+    state = place(state, mesh)
     chunk = compile_chunk(learner, mesh, plan.updates_per_chunk, params, state)
     history: list[dict[str, np.ndarray]] = []
     started = time.monotonic()
@@ -104,61 +93,59 @@ def train(
     )
 
 
-def _networks(algorithm: MakesLearner, environment: Environment, network: Network) -> Networks:
+def _networks(
+    algorithm: LearnerSection, environment: Environment, network: Network | Networks | None
+) -> Networks:
+    if not isinstance(network, Network | None):
+        return network
+    section = network or Network()
     return Networks(
         observation_size=environment.observation_size,
         action_size=environment.action_size,
-        hidden=tuple(network.hidden),
-        activation=network.activation,
-        clip_mean=getattr(algorithm, "noise_on", "mean") == "clipped_mean",
+        hidden=tuple(section.hidden),
+        activation=section.activation,
+        clip_mean=algorithm.noise_on == "clipped_mean",
     )
 
 
-def _plan(steps: int, steps_per_update: int) -> Plan:
-    return plan_chunks(steps, max(1, steps // CHUNKS), steps_per_update)
-
-
 def _make(
-    algorithm: MakesLearner,
+    algorithm: LearnerSection,
     environment: Environment,
     networks: Networks,
     params: Any,
     steps: int,
     schedules: Schedules,
-) -> Learner:
-    """The learner with its schedules, over the whole run."""
+) -> tuple[Learner, Plan]:
+    """The learner with its schedules, and the plan of the run."""
 
-    def make(algorithm: MakesLearner, updates: int) -> Learner:
-        return algorithm.make(environment, networks, updates, 8)
+    def make(algorithm: LearnerSection, updates: int = 1) -> Learner:
+        return algorithm.make(environment, networks, updates)
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
         name = key.removeprefix("learner.")
-        if isinstance(algorithm, Section) and name in type(algorithm).model_fields:
-            own = algorithm if value is None else algorithm.replace(**{name: value})
-            return make(own, 1).hyper, params
+        if name in type(algorithm).model_fields:
+            changed = algorithm if value is None else algorithm.replace(**{name: value})
+            return make(changed).hyper, params
         return learner.hyper, _with_leaf(params, key, value)
 
-    per_update = make(algorithm, 1).steps_per_update
-    plan = _plan(steps, per_update)
+    plan = plan_chunks(steps, max(1, steps // CHUNKS), make(algorithm).steps_per_update)
     learner = make(algorithm, plan.updates)
     sections = {
         key: each if isinstance(each, Schedule) else build(Schedule, {"linear": [*each]}, key)
         for key, each in schedules.items()
     }
-    return schedule_learner(learner, sections, numbers_at, steps, plan.steps)
+    return schedule_learner(learner, sections, numbers_at, plan, steps), plan
 
 
 def _with_leaf(params: Any, key: str, value: float | None) -> Any:
     """The environment's parameters with another value of the leaf at a dotted path."""
-    found, structure = jax.tree_util.tree_flatten_with_path(params)
-    names = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in found]
-    if key not in names:
+    leaves = dict(jax.tree_util.tree_leaves_with_path(params))
+    paths = {jax.tree_util.keystr(path, simple=True, separator="."): path for path in leaves}
+    if key not in paths:
         raise InputError(
             f"schedules: {key} is no hyperparameter and no number of the environment's params"
-            f"{close_match(key, names)}"
+            f"{close_match(key, list(paths))}"
         )
-    leaves = [leaf for _, leaf in found]
     if value is not None:
-        index = names.index(key)
-        leaves[index] = jnp.full_like(leaves[index], value)
-    return jax.tree.unflatten(structure, leaves)
+        leaves[paths[key]] = jnp.full_like(leaves[paths[key]], value)
+    return jax.tree.unflatten(jax.tree.structure(params), leaves.values())

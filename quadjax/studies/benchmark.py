@@ -14,12 +14,10 @@ from jax.sharding import NamedSharding, PartitionSpec
 
 from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
-from quadjax.core.environment import Environment
+from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.provenance import processor
 from quadjax.learners import sharding as parallel
 from quadjax.learners.devices import choose_devices, core_count
-from quadjax.learners.shards import where_done
-from quadjax.learners.state import AXIS
 from quadjax.race.environment import RaceParams, make_environment
 from quadjax.training.build import build_learner, start_state
 from quadjax.vehicle.residual import Residual
@@ -59,8 +57,8 @@ def random_residual(seed: int = 0, width: int = 32) -> Residual:
 
 def _loop(environment: Environment, steps: int, observed: bool) -> Callable[..., tuple]:
     """Steps of all environments from a state, with a fresh one where an episode ends."""
-    step = jax.vmap(environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0))
-    observe = jax.vmap(environment.observe, in_axes=(None, -1))
+    batched = vectorize(environment)
+    step, observe = batched.step, batched.observe
 
     def loop(params: RaceParams, state: object, fresh: object, action: jax.Array) -> tuple:
         def one(carry: tuple, _: None) -> tuple[tuple, None]:
@@ -93,15 +91,19 @@ def environment_loop(
     environment = make_environment(choices_of(config))
     loop = _loop(environment, steps, observed)
     mesh = parallel.make_mesh(devices)
-    reset = jax.jit(jax.vmap(environment.reset, in_axes=(None, 0), out_axes=-1))
+    reset = jax.jit(vectorize(environment).reset)
     state = reset(params, jax.random.split(jax.random.key(0), num_envs))
     shape = (num_envs, environment.action_size)
     action = jax.random.uniform(jax.random.key(1), shape, minval=-1.0, maxval=1.0)
     shared = PartitionSpec()
-    split = jax.tree.map(lambda x: PartitionSpec(*(None,) * (x.ndim - 1), AXIS), state)
-    specs = (shared, split, split, PartitionSpec(AXIS))
+    split = parallel.split_last(state)
+    specs = (shared, split, split, PartitionSpec(parallel.AXIS))
     sharded = jax.shard_map(
-        loop, mesh=mesh, in_specs=specs, out_specs=(split, PartitionSpec(AXIS)), check_vma=False
+        loop,
+        mesh=mesh,
+        in_specs=specs,
+        out_specs=(split, PartitionSpec(parallel.AXIS)),
+        check_vma=False,
     )
 
     def place(tree: object, spec: object) -> object:
@@ -144,9 +146,10 @@ def measure_environment(
 def measure_training(config: Config, repeats: int) -> Speed:
     """Training steps a second of a config, from its first updates."""
     learner, params = build_learner(config), build_params(config)
-    devices = choose_devices(config.run.devices, learner.num_shards)
+    state = start_state(config, learner, params)
+    devices = choose_devices(config.run.devices, parallel.env_count(state))
     mesh = parallel.make_mesh(devices)
-    state = parallel.place(start_state(config, learner, params), mesh)
+    state = parallel.place(state, mesh)
     updates = max(1, round(STEPS_PER_CALL / 10 / learner.steps_per_update))
     began = time.perf_counter()
     chunk = parallel.compile_chunk(learner, mesh, updates, params, state)

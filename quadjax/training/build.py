@@ -12,8 +12,9 @@ from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
+from quadjax.core.mlp import Layers
 from quadjax.learners.loop import Plan, plan_chunks
-from quadjax.learners.networks import ActorCritic, Networks, layers_of, tree_of
+from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
@@ -47,15 +48,16 @@ def privileged_names(config: Config) -> tuple[str, ...]:
 
 def build_networks(config: Config) -> Networks:
     """The networks of a config."""
-    environment = build_environment(config)
+    environment, privileged = build_environment(config), len(privileged_names(config))
+    scale = input_scale(config)
     return Networks(
         observation_size=environment.observation_size,
         action_size=environment.action_size,
         hidden=config.network.hidden,
         activation=config.network.activation,
-        clip_mean=noise_on(config) == "clipped_mean",
-        input_scale=value_scale(config),
-        privileged_size=len(privileged_names(config)),
+        clip_mean=config.learner.noise_on == "clipped_mean",
+        input_scale=(*scale, *(1.0,) * privileged) if scale else (),
+        privileged_size=privileged,
     )
 
 
@@ -77,22 +79,6 @@ def input_scale(config: Config) -> tuple[float, ...]:
     )
 
 
-def value_scale(config: Config) -> tuple[float, ...]:
-    """Factors on all that the critic observes: ``input_scale``, and ones for the constants."""
-    own = input_scale(config)
-    return (*own, *(1.0 for _ in privileged_names(config))) if own else ()
-
-
-def noise_on(config: Config) -> str:
-    """What a learner's noise is added to, as in a policy file: ``mean`` or ``clipped_mean``.
-
-    PPO adds noise to the network's output. Far beyond the limits the noise has no effect, so a
-    policy can become deterministic. SHAC, whose noise is not learned, adds it to the clipped mean,
-    so that exploration continues at a limit. Both learners are much worse with the other choice.
-    """
-    return config.learner.noise_on
-
-
 def build_learner(config: Config) -> Learner[RaceParams]:
     """The learner of a config on the racing environment, with the schedules of the run.
 
@@ -109,16 +95,14 @@ def build_learner(config: Config) -> Learner[RaceParams]:
     chunks = plan(config, own.steps_per_update)
 
     def make(config: Config) -> Learner[RaceParams]:
-        return config.learner.make(environment, networks, chunks.updates, config.run.shards)
+        return config.learner.make(environment, networks, chunks.updates)
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
         own = config if value is None else config.at(key, value)
         return make(own).hyper, training_params(own)
 
-    steps, schedules = config.run.steps, config.schedules
-    return schedule_learner(
-        make(config), schedules, numbers_at, steps, chunks.steps, config.curriculum
-    )
+    schedules, steps = config.schedules, config.run.steps
+    return schedule_learner(make(config), schedules, numbers_at, chunks, steps, config.curriculum)
 
 
 def training_params(config: Config) -> RaceParams:
@@ -223,30 +207,30 @@ def with_policy(
     inverse = [1.0 / x for x in inputs]
     log_std = jnp.asarray(policy.log_std, jnp.float32)
     value = params.value
-    if policy.value is not None and policy.value[0][0].shape == layers_of(value)[0][0].shape:
-        value = tree_of(_with_inputs(_scaled(policy.value, scale), inverse))
-    own = tree_of(_with_inputs(policy.layers, inverse))
+    if policy.value is not None and policy.value[0][0].shape == value[0][0].shape:
+        value = _with_inputs(_scaled(policy.value, scale), inverse)
+    own = _with_inputs(policy.layers, inverse)
     return params.replace(policy=own, log_std=log_std, value=value)
 
 
-def _scaled(layers: Sequence[tuple], factor: float) -> list[tuple]:
+def _scaled(layers: Layers, factor: float) -> Layers:
     """The layers of a network whose outputs are ``factor`` times as large."""
     kernel, bias = layers[-1]
-    return [*layers[:-1], (factor * kernel, factor * bias)]
+    return (*layers[:-1], (factor * kernel, factor * bias))
 
 
-def _with_inputs(layers: Sequence[tuple], factors: Sequence[float]) -> list[tuple]:
+def _with_inputs(layers: Layers, factors: Sequence[float]) -> Layers:
     """The layers of a network of which each input has a factor; none where there are no factors."""
-    if not factors:
-        return list(layers)
     kernel, bias = layers[0]
-    return [(np.asarray(factors, np.float32)[:, None] * kernel, bias), *layers[1:]]
+    if factors:
+        kernel = jnp.asarray(factors, jnp.float32)[:, None] * kernel
+    return tuple((jnp.asarray(k), jnp.asarray(b)) for k, b in ((kernel, bias), *layers[1:]))
 
 
 def network_policy(config: Config, params: ActorCritic) -> PolicyParams:
     """Networks in training as parameters for inference."""
-    layers = tuple(_with_inputs(layers_of(params.policy), input_scale(config)))
-    return PolicyParams(layers, params.log_std, config.network.activation, noise_on(config))
+    layers = _with_inputs(params.policy, input_scale(config))
+    return PolicyParams(layers, params.log_std, config.network.activation, config.learner.noise_on)
 
 
 def untrained_policy(config: Config) -> Policy:
@@ -263,15 +247,15 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
     inputs = input_scale(config)
     value = None
     if not privileged_names(config):
-        value = _with_inputs(_scaled(layers_of(params.value), 1.0 / reward_scale(config)), inputs)
-    layers = _with_inputs(layers_of(params.policy), inputs)
+        value = _with_inputs(_scaled(params.value, 1.0 / reward_scale(config)), inputs)
+    layers = _with_inputs(params.policy, inputs)
     residual = config.vehicle.residual
     return Policy(
         layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers),
         log_std=np.asarray(params.log_std),
         vehicle=model.name,
         activation=config.network.activation,
-        noise_on=noise_on(config),
+        noise_on=config.learner.noise_on,
         command_low=low,
         command_high=high,
         layout=choices.layout.with_spans(model, build_params(config)),

@@ -98,20 +98,12 @@ def _read_table(path: Path | str) -> tuple[list[str], np.ndarray]:
     text = read_text(path)
     try:
         names, *rows = list(csv.reader(io.StringIO(text, newline=""))) or [[]]
-    except csv.Error as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
-    if rows and len(rows[-1]) < len(names):
-        rows.pop()
-    table = np.full((len(rows), len(names)), np.nan)
-    for index, row in enumerate(rows):
-        if len(row) != len(names):
-            raise InputError(f"{path} line {index + 2}: {len(row)} cells, expected {len(names)}")
-        for column, cell in enumerate(row):
-            try:
-                table[index, column] = float(cell) if cell.strip() else np.nan
-            except ValueError:
-                raise InputError(
-                    f"{path} line {index + 2}: {short(names[column])} is {short(cell)}, expected a "
-                    "number"
-                ) from None
-    return names, table
+        if rows and len(rows[-1]) < len(names):
+            rows.pop()
+        for line, row in enumerate(rows, start=2):
+            if len(row) != len(names):
+                raise ValueError(f"line {line}: {len(row)} cells, expected {len(names)}")
+        numbers = [float(cell.strip() or "nan") for row in rows for cell in row]
+    except (csv.Error, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({short(str(error))})") from error
+    return names, np.reshape(numbers, (len(rows), len(names)))

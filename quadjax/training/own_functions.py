@@ -74,7 +74,7 @@ def check_learner(config: Config, learner: Learner, params: RaceParams) -> Train
         shapes, part = init(), "init"
         if isinstance(shapes, TrainState):
             part = "update"
-            parallel.check_update(learner, parallel.make_mesh(1), params, shapes)
+            parallel.check_update(learner, params, shapes)
     except InputError:
         raise
     except OWN_ERRORS as error:

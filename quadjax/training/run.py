@@ -22,7 +22,6 @@ from quadjax.core.interruptions import interruptions
 from quadjax.learners import sharding as parallel
 from quadjax.learners.devices import choose_devices, prepare_devices
 from quadjax.learners.loop import Plan, Row, train_chunks
-from quadjax.learners.memory import check_memory, tree_bytes
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.sharding import Chunk
 from quadjax.learners.state import Learner, TrainState
@@ -132,8 +131,8 @@ def _prepare(config: Config) -> _Job:
     check_functions(choices_of(config), params, len(config.observation.extra))
     learner = build_learner(config)
     shapes = check_learner(config, learner, params)
-    mesh = parallel.make_mesh(choose_devices(config.run.devices, learner.num_shards))
-    check_memory(tree_bytes(shapes) / mesh.size, mesh)
+    mesh = parallel.make_mesh(choose_devices(config.run.devices, parallel.env_count(shapes)))
+    parallel.check_memory(parallel.tree_bytes(shapes) / mesh.size, mesh)
     if config.run.tensorboard:
         check_tensorboard()
     chunks = plan(config, learner.steps_per_update)

@@ -386,7 +386,6 @@ REFUSED = [
     (f"name={'x' * 300}", "name is 'xxx"),
     ("run.devices=none", "run.devices is 'none', allowed: 'auto' or 'all' or a whole number"),
     ("run.devices=0", "run.devices is 0, allowed: 'auto' or 'all' or greater than or equal to 1"),
-    ("run.shards=3", "run.shards is 3, allowed: a power of two"),
     ("run.steps=2.5", "run.steps is 2.5, allowed: a whole number"),
     ("evaluate.runs=1e6", "evaluate.runs is 1000000, allowed: less than or equal to 100000"),
     (

@@ -16,7 +16,6 @@ TINY = (
         "learner.horizon=4",
         "learner.learning_rate=0.004",
         "network.hidden=[8]",
-        "run.shards=2",
         "evaluate.laps=1",
     ),
 )

@@ -12,7 +12,7 @@ from quadjax.learners.networks import Networks
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.shac.hyperparameters import SHAC
 from quadjax.learners.state import Learner
-from tests.learners.probes import ENVIRONMENT, NETWORKS, probe
+from tests.learners.probes import ENVIRONMENT, NETWORKS
 
 UPDATES = 5  # of a chunk
 _mean, _value = jax.jit(NETWORKS.mean), jax.jit(NETWORKS.value)
@@ -61,25 +61,10 @@ def make(name: str, **numbers: object) -> Learner:
 def _program(name: str, devices: int):
     """A chunk that takes its hyperparameters too: one program for every test."""
     learner = make(name)
-    mesh = parallel.make_mesh(devices)
-    state = jax.eval_shape(learner.init, learner.hyper, probe(), jax.random.key(0))
-    specs = parallel.specs_of(state)
-    everywhere = jax.sharding.PartitionSpec()
-
-    def many(hyper, params, state):
-        return jax.lax.scan(
-            lambda carry, _: learner.update(hyper, params, carry), state, None, UPDATES
-        )
-
-    split = jax.shard_map(
-        many,
-        mesh=mesh,
-        in_specs=(everywhere, everywhere, specs),
-        out_specs=(specs, everywhere),
-        check_vma=False,
-    )
     # Compiled soon rather than well: these networks are tiny.
-    return learner, mesh, jax.jit(split, compiler_options={"xla_backend_optimization_level": 0})
+    quick = {"xla_backend_optimization_level": 0}
+    program = jax.jit(parallel.repeat(learner, UPDATES), compiler_options=quick)
+    return learner, parallel.make_mesh(devices), program
 
 
 class Run:
@@ -94,15 +79,16 @@ class Run:
         update: int = UPDATES,  # after the warm-up of the critic
         **numbers,
     ) -> None:
-        self.learner, mesh, self.program = _program(name, devices)
+        self.learner, self.mesh, self.program = _program(name, devices)
         self.hyper = as_leaves(DEFAULTS[name].replace(**numbers))
         self.params = params
         state = jax.jit(self.learner.init)(self.hyper, params, jax.random.key(seed))
-        self.state = parallel.place(state.replace(update=np.int32(update)), mesh)
+        self.state = parallel.place(state.replace(update=np.int32(update)), self.mesh)
 
     def train(self, chunks: int) -> dict[str, np.ndarray]:
         for _ in range(chunks):
-            self.state, metrics = self.program(self.hyper, self.params, self.state)
+            with jax.set_mesh(self.mesh):
+                self.state, metrics = self.program(self.hyper, self.params, self.state)
         return {name: np.asarray(value) for name, value in metrics.items()}
 
     def mean(self, observation: np.ndarray) -> float:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from quadjax.learners import sharding as parallel
-from quadjax.learners.loop import NonFiniteError, check_finite
-from quadjax.learners.schedules import make_schedule, with_schedules
-from quadjax.learners.state import AXIS
+from quadjax.learners.loop import NonFiniteError, Plan, check_finite
+from quadjax.learners.schedules import schedule_learner
+from quadjax.learners.section import Schedule
 from tests.learners.probes import observations, probe
 from tests.learners.support import UPDATES, Run, make, plain
 
@@ -45,9 +45,7 @@ def test_an_update_keeps_every_field_of_the_state(name):
         state = state.replace(level=jnp.float32(0.5))
         return state, learner.update(learner.hyper, probe(), state)[0]
 
-    before, after = jax.eval_shape(
-        jax.vmap(update, axis_name=AXIS), jax.random.split(jax.random.key(0), 1)
-    )
+    before, after = jax.eval_shape(update, jax.random.key(0))
     assert jax.tree.structure(after) == jax.tree.structure(before)
 
 
@@ -109,7 +107,7 @@ def test_the_same_on_any_number_of_devices(name):
         assert len(state.environment.place.sharding.device_set) == devices
         for here, there in zip(plain(state.params), plain(alone.params), strict=True):
             np.testing.assert_allclose(here, there, atol=2e-4)
-        np.testing.assert_array_equal(plain(state.keys)[0], plain(alone.keys)[0])
+        np.testing.assert_array_equal(plain(state.key)[0], plain(alone.key)[0])
         np.testing.assert_allclose(state.environment.place, alone.environment.place, atol=2e-4)
         np.testing.assert_array_equal(state.environment.sign, alone.environment.sign)
 
@@ -144,7 +142,7 @@ def test_a_batch_beyond_the_kl_limit_changes_nothing():
     metrics = run.train(1)
     assert np.all(metrics["skipped"] == 1)
     assert not changed((begin.params, begin.optimizer), (run.state.params, run.state.optimizer))
-    assert changed(begin.keys, run.state.keys)
+    assert changed(begin.key, run.state.key)
 
 
 def test_the_kl_limit_skips_some_batches_and_not_all():
@@ -179,8 +177,8 @@ def test_a_policy_stands_still_while_the_value_warms_up(name):
     begin = run.state.params
 
     def momentum():
-        adam = run.state.optimizer
-        return jax.tree.map(jnp.copy, adam[0].mu if name == "shac" else adam.mu.policy)
+        first = run.state.optimizer[0]  # of the policy alone, or of all parameters
+        return jax.tree.map(jnp.copy, first[0].mu if name == "shac" else first.mu.policy)
 
     resting = momentum()
     run.train(1)
@@ -194,9 +192,8 @@ def test_a_policy_stands_still_while_the_value_warms_up(name):
 @pytest.mark.slow
 def test_the_moving_average_follows_the_parameters():
     run = Run("shac", probe(best=1.0), critic_warmup=0)
-    one = {"axis_name": AXIS, "axis_size": 1, "in_axes": None, "out_axes": None}
     quick = {"xla_backend_optimization_level": 0}
-    update = jax.jit(jax.vmap(run.learner.update, **one), compiler_options=quick)
+    update = jax.jit(run.learner.update, compiler_options=quick)
     first, _ = update(run.hyper, run.params, run.state)
     for rate, done, expected in ((1.0, 60, 1.0), (0.1, 60, 0.25), (0.1, 0, 1.0), (0.1, 999, 0.1)):
         begin = first.replace(update=jnp.int32(done))
@@ -219,13 +216,14 @@ def test_the_moving_average_follows_the_parameters():
 @pytest.mark.slow
 def test_a_schedule_reaches_the_hyperparameters(name):
     scheduled = ["learning_rate"] if name == "ppo" else ["learning_rate", "std"]
-    learner, plain_params = make(name), probe(best=1.0)
-    trees = [
-        (make(name, **dict.fromkeys(scheduled, value)).hyper, plain_params) for value in (0.2, 0.1)
-    ]
-    knots = [0, 4 * learner.steps_per_update]
-    schedule = make_schedule("rates", knots, trees, learner.steps_per_update)
-    learner = with_schedules(learner, {"rates": schedule})
+    plain_params, per_update = probe(best=1.0), make(name).steps_per_update
+    learner = schedule_learner(
+        make(name),
+        {key: Schedule(linear=(0.2, 0.1), until=4 * per_update) for key in scheduled},
+        lambda key, value: (make(name, **{key: value}).hyper, plain_params),
+        Plan(6, 1, per_update),
+        6 * per_update,
+    )
     mesh = parallel.make_mesh(1)
     begin = jax.jit(learner.init)(learner.hyper, plain_params, jax.random.key(0))
     first_std = np.exp(begin.params.log_std)

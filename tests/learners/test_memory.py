@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.learners.memory import check_memory, memory_bytes, program_bytes, tree_bytes
-from quadjax.learners.sharding import make_mesh
+from quadjax.learners.sharding import check_memory, make_mesh, program_bytes, tree_bytes
 
 
 def test_a_program_counts_its_arguments_its_result_and_what_is_between():
@@ -16,8 +15,6 @@ def test_a_program_counts_its_arguments_its_result_and_what_is_between():
 
 
 def test_more_than_there_is_is_refused():
-    mesh = make_mesh(1)
-    check_memory(0.9 * memory_bytes(), mesh)
-    with pytest.raises(InputError, match="training needs about"):
-        check_memory(1.1 * memory_bytes(), mesh)
-    assert memory_bytes(2) <= memory_bytes()
+    check_memory(1e6, make_mesh(1))
+    with pytest.raises(InputError, match="training needs about .* GiB of memory on each device"):
+        check_memory(1e18, make_mesh(1))

@@ -9,7 +9,8 @@ import pytest
 from flax import struct
 
 from quadjax.core.errors import InputError
-from quadjax.learners.schedules import Climb, make_schedule, schedule_learner, with_schedules
+from quadjax.learners.loop import Plan
+from quadjax.learners.schedules import apply_schedules, make_schedule, schedule_learner
 from quadjax.learners.section import Curriculum, Schedule
 from quadjax.learners.state import Learner
 
@@ -36,7 +37,7 @@ def plain_learner():
     def update(hyper, params, state):
         return State(state.update + 1), {"rate": hyper["rate"], "gain": params["gain"]}
 
-    return Learner(init, update, tree()[0], STEPS, 1)
+    return Learner(init, update, tree()[0], STEPS)
 
 
 def numbers(learner, update):
@@ -44,39 +45,58 @@ def numbers(learner, update):
     return float(found["rate"]), found["gain"].tolist()
 
 
+def scheduled(learner, schedules, updates=10, curriculum=None):
+    """A learner of ten updates with schedules of the rate and of the gain."""
+    return schedule_learner(
+        learner,
+        {key: Schedule(**numbers) for key, numbers in schedules.items()},
+        lambda key, value: tree() if value is None else tree(**{key: value}),
+        Plan(updates, 1, STEPS),
+        updates * STEPS,
+        curriculum,
+    )
+
+
 def test_leaves_that_differ_are_interpolated_in_environment_steps():
-    schedule = make_schedule("rate", [2 * STEPS, 4 * STEPS], [tree(rate=1), tree(rate=5)], STEPS)
-    learner = with_schedules(plain_learner(), {"rate": schedule})
+    rate = {"linear": (1.0, 5.0), "start": 2 * STEPS, "until": 4 * STEPS}
+    learner = scheduled(plain_learner(), {"rate": rate})
     rates = [numbers(learner, update)[0] for update in (0, 2, 3, 4, 5, 10**9)]
     assert rates == [1, 1, 3, 5, 5, 5]
     assert numbers(learner, 3)[1] == [2, 20]
 
 
-def test_several_knots_and_several_schedules():
+def test_several_knots_and_jumps():
     gains = [tree(gain=g) for g in (0.0, 4.0, 4.0, 1.0)]
-    gain = make_schedule("gain", [0, 4 * STEPS, 8 * STEPS, 8 * STEPS], gains, STEPS)
-    rate = make_schedule("rate", [0, STEPS], [tree(rate=8), tree(rate=0)], STEPS)
-    learner = with_schedules(plain_learner(), {"gain": gain, "rate": rate})
-    found = {update: numbers(learner, update) for update in (0, 1, 2, 4, 7, 8, 9)}
-    assert [g[0] for _, g in found.values()] == [0, 1, 2, 4, 4, 1, 1]
-    assert all(g[1] == 10 * g[0] for _, g in found.values())
-    assert [r for r, _ in found.values()] == [8, 0, 0, 0, 0, 0, 0]
+    schedule = make_schedule("gain", np.array([0, 4, 8, 8]), gains)
+    rate = make_schedule("rate", np.array([0, 1]), [tree(rate=8), tree(rate=0)])
+    found = {
+        update: apply_schedules(tree(), [schedule, rate], jnp.int32(update))
+        for update in (0, 1, 2, 4, 7, 8, 9)
+    }
+    gained = [params["gain"].tolist() for _, params in found.values()]
+    assert gained == [[g, 10 * g] for g in (0, 1, 2, 4, 4, 1, 1)]
+    assert [float(hyper["rate"]) for hyper, _ in found.values()] == [8, 0, 0, 0, 0, 0, 0]
+
+
+def test_a_run_begins_with_the_first_values():
+    schedules = {"rate": {"linear": (8.0, 0.0)}, "gain": {"linear": (0.0, "value")}}
+    learner = scheduled(plain_learner(), schedules)
     begin = learner.init(learner.hyper, tree()[1], None)
     assert (float(begin["rate"]), begin["gain"].tolist()) == (8, [0, 0])
+    assert numbers(learner, 5) == (4, [1, 10])
 
 
 def test_other_numbers_of_a_schedule_compile_nothing(caplog):
-    def scheduled(first, last, until):
-        trees = [tree(rate=first), tree(rate=last)]
-        return with_schedules(
-            plain_learner(), {"rate": make_schedule("rate", [0, until], trees, STEPS)}
-        )
+    def learner(first, last, until):
+        rate = {"linear": (first, last), "until": until}
+        return scheduled(plain_learner(), {"rate": rate})
 
-    program = jax.jit(scheduled(1, 2, STEPS).update)
+    program = jax.jit(learner(1.0, 2.0, STEPS).update)
+    cases = ((1.0, 2.0, 8 * STEPS), (4.0, 0.0, 8 * STEPS), (1.0, 2.0, STEPS))
     with jax.log_compiles(), caplog.at_level(logging.WARNING, logger="jax"):
         found = [
-            float(program(scheduled(*case).hyper, tree()[1], State(jnp.int32(4)))[1]["rate"])
-            for case in ((1, 2, 8 * STEPS), (4, 0, 8 * STEPS), (1, 2, STEPS))
+            float(program(learner(*case).hyper, tree()[1], State(jnp.int32(4)))[1]["rate"])
+            for case in cases
         ]
     assert found == [1.5, 2.0, 2.0]
     compiled = [r for r in caplog.records if "Finished XLA compilation" in r.getMessage()]
@@ -95,19 +115,21 @@ def test_other_numbers_of_a_schedule_compile_nothing(caplog):
 )
 def test_what_cannot_be_scheduled_is_one_line(second, message):
     with pytest.raises(InputError, match="the.key") as caught:
-        make_schedule("the.key", [0, 1], [tree(), tree(**second)], STEPS)
+        make_schedule("the.key", np.arange(2.0), [tree(), tree(**second)])
     assert message in str(caught.value)
 
 
 def test_two_schedules_of_one_number_are_refused():
-    one = make_schedule("first", [0, 1], [tree(gain=1), tree(gain=2)], STEPS)
+    schedules = {"first": Schedule(linear=(1, 2)), "second": Schedule(linear=(1, 3))}
     with pytest.raises(InputError, match="first and second change the same number"):
-        with_schedules(plain_learner(), {"first": one, "second": one})
+        schedule_learner(
+            plain_learner(), schedules, lambda _, gain: tree(gain=gain), Plan(1, 1, STEPS), STEPS
+        )
 
 
 def test_no_schedules_leave_the_learner_as_it_is():
     learner = plain_learner()
-    assert with_schedules(learner, {}) is learner
+    assert scheduled(learner, {}) is learner
     assert np.array_equal(numbers(learner, 5)[1], [2, 20])
 
 
@@ -129,20 +151,14 @@ def share_learner(name="pass_rate"):
         metrics = {"rate": hyper["rate"], name: params["gain"][0]}
         return Leveled(state.update + 1), metrics
 
-    return Learner(init, update, tree()[0], STEPS, 1)
+    return Learner(init, update, tree()[0], STEPS)
 
 
 def test_a_level_rises_with_the_share_and_falls_without_it():
     """Half the updates of a run from level 0 to 1; the number follows the level, not the steps."""
     curriculum = Curriculum(pass_rate=0.8, duration=0.5)
-    learner = schedule_learner(
-        share_learner(),
-        {"rate": Schedule(linear=(1.0, 5.0), by="pass_rate")},
-        lambda key, value: tree(rate=value),
-        8 * STEPS,
-        8 * STEPS,
-        curriculum,
-    )
+    rate = {"linear": (1.0, 5.0), "by": "pass_rate"}
+    learner = scheduled(share_learner(), {"rate": rate}, 8, curriculum)
     state, rates = learner.init(learner.hyper, tree()[1], jax.random.key(0)), []
     for share in (0.5, 0.9, 0.8, 0.9, 0.9, 0.9, 0.7, 0.9):
         state, metrics = learner.update(learner.hyper, tree(gain=share)[1], state)
@@ -152,9 +168,8 @@ def test_a_level_rises_with_the_share_and_falls_without_it():
 
 
 def test_a_level_needs_a_learner_that_reports_the_share():
-    schedule = make_schedule("rate", [0, 1], [tree(rate=1), tree(rate=5)], STEPS, by_level=True)
-    climb = Climb(jnp.float32(0.5), jnp.float32(0.1))
-    learner = with_schedules(share_learner("other"), {"rate": schedule}, climb)
+    rate = {"linear": (1.0, 5.0), "by": "pass_rate"}
+    learner = scheduled(share_learner("other"), {"rate": rate})
     state = learner.init(learner.hyper, tree()[1], jax.random.key(0))
     with pytest.raises(InputError, match="reports no metric pass_rate"):
         learner.update(learner.hyper, tree()[1], state)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
+from quadjax.learners.networks import ActorCritic
 from quadjax.learners.section import LearnerSection, Network, Schedule
 from quadjax.learners.state import Learner, TrainState
 from quadjax.learners.train import train
@@ -52,7 +53,7 @@ def test_training_finds_the_best_action(name, caplog):
     assert np.all(np.diff(rates) < 0) and rates[-1] == pytest.approx(1e-3, rel=0.2)
     assert rows[-1]["steps"] == result.steps and len(rows) <= 21
     assert np.mean(result.metrics["reward"][-5:]) > np.mean(result.metrics["reward"][:5])
-    assert result.parameters.policy["Dense_0"]["kernel"].shape == (3, 16)
+    assert result.parameters.policy[0][0].shape == (3, 16)
 
 
 @pytest.mark.parametrize(
@@ -96,9 +97,9 @@ class Ascent(LearnerSection):
 
     num_envs: int = 8
 
-    def make(self, environment, networks, num_updates, max_shards=8):
+    def make(self, environment, networks, num_updates):
         def init(hyper, params, key):
-            return TrainState(networks.init(key), (), None, (), key[None], jnp.int32(0))
+            return TrainState(networks.init(key), (), None, (), key, jnp.int32(0))
 
         def reward(weights, params, key):
             state = environment.reset(params, key)
@@ -106,19 +107,36 @@ class Ascent(LearnerSection):
             return environment.step(params, state, action)[1]
 
         def update(hyper, params, state):
-            keys = jax.random.split(state.keys[0], self.num_envs)
+            keys = jax.random.split(state.key, self.num_envs)
             slope = jax.vmap(jax.grad(reward), in_axes=(None, None, 0))(state.params, params, keys)
             weights = jax.tree.map(lambda w, g: w + 0.1 * g.mean(axis=0), state.params, slope)
-            new = state.replace(params=weights, keys=keys[:1], update=state.update + 1)
+            new = state.replace(params=weights, key=keys[0], update=state.update + 1)
             return new, {"reward": reward(weights, params, keys[0])}
 
-        return Learner(init, update, {}, self.num_envs, 1)
+        return Learner(init, update, {}, self.num_envs)
 
 
 def test_an_own_learner():
     result = train(Ascent(num_envs=4), ENVIRONMENT, probe(best=1.0), 800, network=NETWORK)
     assert result.policy(observations())[0] == pytest.approx(0.5, abs=0.05)
     assert result.steps == 800
+
+
+class Constant:
+    """A policy of one number, as networks of the user's own."""
+
+    action_size = 1
+
+    def init(self, key):
+        return ActorCritic(policy=jnp.zeros(1), log_std=jnp.zeros(1), value=())
+
+    def mean(self, params, observation):
+        return jnp.broadcast_to(params.policy, (*observation.shape[:-1], 1))
+
+
+def test_own_networks():
+    result = Ascent(num_envs=4).train(ENVIRONMENT, probe(best=1.0), 200, network=Constant())
+    np.testing.assert_allclose(result.policy(np.zeros((5, 3), np.float32)), 0.5, atol=0.05)
 
 
 def test_numbers_of_the_environment_follow_schedules_as_in_a_config():

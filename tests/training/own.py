@@ -26,19 +26,19 @@ NAN = Field("nan", 1, "m", "world", value=lambda view: [jnp.float32(jnp.nan)])
 
 def learner(init, update):
     class Own(LearnerSection):
-        def make(self, environment, networks, num_updates, max_shards=8):
+        def make(self, environment, networks, num_updates):
             def begin(hyper, params, key):
                 w = networks.init(key)
                 adam = optax.adam(1e-3).init(w)
-                return TrainState(w, adam, None, (), key[None], jnp.int32(0))
+                return TrainState(w, adam, None, (), key, jnp.int32(0))
 
-            return Learner(init or begin, update, {}, 64, num_shards=1)
+            return Learner(init or begin, update, {}, 64)
 
     return Own
 
 
 class NoLearner(LearnerSection):
-    def make(self, environment, networks, num_updates, max_shards=8):
+    def make(self, environment, networks, num_updates):
         return None
 
 

@@ -51,7 +51,7 @@ def test_an_error_of_a_users_module_is_one_line_of_the_command(tmp_path, monkeyp
     (tmp_path / "late.py").write_text(
         "from quadjax import LearnerSection\n\n\n"
         "class Late(LearnerSection):\n"
-        "    def make(self, environment, networks, num_updates, max_shards=8):\n"
+        "    def make(self, environment, networks, num_updates):\n"
         "        return undefined\n"
     )
     monkeypatch.chdir(tmp_path)

@@ -67,7 +67,7 @@ def test_a_policy_with_a_critic_of_another_size_gives_its_policy_only():
     params = build_networks(make_config(*OWN, SMALL)).init(jax.random.key(0))
     found = with_policy(params, policy, 1.0)
     assert found.value is params.value and policy.value is not None
-    np.testing.assert_array_equal(found.policy["Dense_0"]["kernel"], policy.layers[0][0])
+    np.testing.assert_array_equal(found.policy[0][0], policy.layers[0][0])
 
 
 def test_it_is_refused_where_nothing_is_drawn():

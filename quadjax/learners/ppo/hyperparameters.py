@@ -94,10 +94,8 @@ class PPO(LearnerSection):
             )
         return self
 
-    def make(
-        self, environment: Environment, networks: Networks, num_updates: int, max_shards: int = 8
-    ) -> Learner:
+    def make(self, environment: Environment, networks: Networks, num_updates: int) -> Learner:
         """The learner on an environment; see ``LearnerSection.make``."""
         from quadjax.learners.ppo.update import make_learner
 
-        return make_learner(environment, networks, self, max_shards)
+        return make_learner(environment, networks, self)

@@ -1,146 +1,142 @@
 """One PPO update: collect a rollout, estimate advantages, take gradient steps on minibatches."""
 
-import dataclasses
 import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
+from flax import struct
 
-from quadjax.core.environment import Environment
+from quadjax.core.environment import Environment, vectorize
 from quadjax.core.traced import as_leaves, register
-from quadjax.learners.metrics import episode_metrics, explained_variance, global_mean
-from quadjax.learners.minibatches import shuffled, take_rows, to_blocks
+from quadjax.learners.minibatches import clip, descend, run_epochs
 from quadjax.learners.networks import ActorCritic, Networks
-from quadjax.learners.optimization import clip_by_norm, descend, select
-from quadjax.learners.ppo.advantage import advantages
 from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.ppo.loss import Batch, loss
-from quadjax.learners.ppo.rollout import Rollout, collect
-from quadjax.learners.shards import count_shards, reset_all, split_keys
-from quadjax.learners.state import AXIS, Learner, Metrics, TrainState
+from quadjax.learners.rollout import Steps, draw, rollout, step_metrics, td_lambda
+from quadjax.learners.state import Learner, Metrics, TrainState
 
+MAX_RESET_INTERVAL = 64  # steps between two draws of the states that episodes restart from
 Carry = tuple[ActorCritic, optax.OptState]
 
 register(PPO)
 
 
-def make_learner(
-    environment: Environment, networks: Networks, hyper: PPO, max_shards: int = 8
-) -> Learner:
+def make_learner(environment: Environment, networks: Networks, hyper: PPO) -> Learner:
     """PPO on an environment; arguments as of ``PPO.make``."""
-    blocks = hyper.rollout_length // _block_length(hyper)
-    shards = count_shards(hyper.num_envs, blocks, hyper.num_minibatches, max_shards)
+    batched = vectorize(environment)
     return Learner(
-        init=functools.partial(_init, environment, networks, shards),
-        update=functools.partial(_update, environment, networks),
+        init=functools.partial(_init, batched, networks),
+        update=functools.partial(_update, batched, networks),
         hyper=as_leaves(hyper),
         steps_per_update=hyper.num_envs * hyper.rollout_length,
-        num_shards=shards,
     )
-
-
-def _block_length(hyper: PPO) -> int:
-    return hyper.shuffle_block or hyper.rollout_length
 
 
 def _init(
-    environment: Environment,
-    networks: Networks,
-    shards: int,
-    hyper: PPO,
-    environment_params: Any,
-    key: jax.Array,
+    environment: Environment, networks: Networks, hyper: PPO, env_params: Any, key: jax.Array
 ) -> TrainState:
-    network_key, reset_key, shard_key = jax.random.split(key, 3)
+    network_key, reset_key, key = jax.random.split(key, 3)
     params = networks.init(network_key)
-    params = dataclasses.replace(
-        params, log_std=jnp.full_like(params.log_std, hyper.initial_log_std)
-    )
-    resets = jax.random.split(reset_key, shards)
-    count = hyper.num_envs // shards
+    params = params.replace(log_std=jnp.full_like(params.log_std, hyper.initial_log_std))
     return TrainState(
         params=params,
-        optimizer=optax.scale_by_adam().init(params),
+        optimizer=_optimizer(hyper).init(params),
         target=None,
-        environment=reset_all(environment, environment_params, resets, count),
-        keys=jax.random.split(shard_key, shards),
+        environment=environment.reset(env_params, jax.random.split(reset_key, hyper.num_envs)),
+        key=key,
         update=jnp.zeros((), jnp.int32),
     )
 
 
 def _update(
-    environment: Environment,
-    networks: Networks,
-    hyper: PPO,
-    environment_params: Any,
-    state: TrainState,
+    environment: Environment, networks: Networks, hyper: PPO, env_params: Any, state: TrainState
 ) -> tuple[TrainState, Metrics]:
-    keys, rollout_keys, shuffle_keys = split_keys(state.keys, 3)
-    environment_state, rollout = collect(
-        environment,
-        networks,
-        environment_params,
-        state.params,
-        state.environment,
-        rollout_keys,
-        hyper.rollout_length,
+    key, rollout_key, shuffle_key = jax.random.split(state.key, 3)
+    environment_state, (steps, log_prob) = collect(
+        environment, networks, hyper, env_params, state, rollout_key
     )
-    batch = _make_batch(rollout, hyper)
-    params, optimizer, metrics = _optimize(networks, hyper, state, batch, shuffle_keys)
-    metrics |= _rollout_metrics(rollout, batch, state.params)
-    following = dataclasses.replace(
-        state,
+    value = jax.lax.map(lambda x: networks.value(state.params, x), steps.observation)
+    target = td_lambda(steps, hyper.discount, hyper.gae_lambda, hyper.reward_scale)
+    batch = Batch(steps.observation, steps.action, log_prob, target - value, target)
+    params, optimizer, metrics = _optimize(networks, hyper, state, batch, shuffle_key)
+    metrics |= step_metrics(steps, jnp.mean(batch.advantage**2), target)
+    metrics["std"] = jnp.mean(jnp.exp(state.params.log_std))
+    following = state.replace(
         params=params,
         optimizer=optimizer,
         environment=environment_state,
-        keys=keys,
+        key=key,
         update=state.update + 1,
     )
     return following, metrics
 
 
-def _make_batch(rollout: Rollout, hyper: PPO) -> Batch:
-    """The rollout with advantages and value targets, ``G = A + V``."""
-    advantage = advantages(
-        rollout.reward * hyper.reward_scale,
-        rollout.value,
-        rollout.next_value,
-        rollout.terminated,
-        rollout.truncated,
-        hyper.discount,
-        hyper.gae_lambda,
-    )
-    return Batch(
-        observation=rollout.observation,
-        action=rollout.action,
-        log_prob=rollout.log_prob,
-        advantage=advantage,
-        target=advantage + rollout.value,
-    )
+@struct.dataclass
+class Batch:
+    """Steps to learn from; the leading axes are all batch."""
+
+    observation: jax.Array  # (..., observation_size)
+    action: jax.Array  # (..., actions), sampled, not clipped
+    log_prob: jax.Array  # (...) of the action under the policy that sampled it
+    advantage: jax.Array  # (...) over the value before the update
+    target: jax.Array  # (...) value target
+
+
+def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
+    """Log density (...) of an action (..., k) under independent normal distributions."""
+    log_std = jnp.broadcast_to(log_std, action.shape)
+    scaled = (action - mean) * jnp.exp(-log_std)
+    return -0.5 * jnp.sum(scaled**2 + 2.0 * log_std + jnp.log(2.0 * jnp.pi), axis=-1)
+
+
+def reset_interval(steps: int) -> int:
+    """The longest divisor of ``steps`` that is at most ``MAX_RESET_INTERVAL``."""
+    return max(d for d in range(1, min(steps, MAX_RESET_INTERVAL) + 1) if steps % d == 0)
+
+
+def collect(
+    environment: Environment,
+    networks: Networks,
+    hyper: PPO,
+    env_params: Any,
+    state: TrainState,
+    key: jax.Array,
+) -> tuple[Any, tuple[Steps, jax.Array]]:
+    """Simulate ``rollout_length`` steps of every environment with sampled actions.
+
+    The state that an environment restarts from is drawn once per ``reset_interval``, because
+    drawing it at every step takes longer than the simulation. An environment whose episode ends
+    twice within an interval restarts from the same state.
+
+    Returns:
+        The environment states after the last step, reset where an episode ended; the steps, and the
+        log densities (time, n) of their actions.
+    """
+    length, params = reset_interval(hyper.rollout_length), state.params
+    shape = (length, hyper.num_envs, networks.action_size)
+
+    def interval(state: Any, key: jax.Array) -> tuple[Any, tuple[Steps, jax.Array]]:
+        fresh, noise = draw(environment, env_params, key, shape)
+        scaled = jnp.broadcast_to(jnp.exp(params.log_std), shape) * noise
+        state, steps = rollout(
+            environment, networks, env_params, params, params, state, fresh, scaled
+        )
+        return state, (steps, log_probability(scaled, jnp.zeros(shape), params.log_std))
+
+    keys = jax.random.split(key, hyper.rollout_length // length)
+    environment_state, found = jax.lax.scan(interval, state.environment, keys)
+    return environment_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), found)
 
 
 def _optimize(
-    networks: Networks, hyper: PPO, state: TrainState, batch: Batch, keys: jax.Array
+    networks: Networks, hyper: PPO, state: TrainState, batch: Batch, key: jax.Array
 ) -> tuple[ActorCritic, optax.OptState, Metrics]:
-    """All epochs of all minibatches.
-
-    A minibatch whose KL divergence is above the limit or whose gradient is not finite changes
-    nothing.
-    """
-    blocks = to_blocks(batch, keys.shape[0], _block_length(hyper))
-    count = blocks.advantage.shape[1]
-
-    def minibatch(carry: Carry, chosen: jax.Array) -> tuple[Carry, Metrics]:
-        return _gradient_step(networks, hyper, state.update, carry, take_rows(blocks, chosen))
-
-    def epoch(carry: Carry, keys: jax.Array) -> tuple[Carry, Metrics]:
-        return jax.lax.scan(minibatch, carry, shuffled(keys, count, hyper.num_minibatches))
-
-    epoch_keys = jnp.stack(split_keys(keys, hyper.num_epochs))
+    """All epochs of all minibatches."""
+    step = functools.partial(_gradient_step, networks, hyper, state.update)
+    sizes = (hyper.num_epochs, hyper.num_minibatches, hyper.shuffle_block or hyper.rollout_length)
     start = (state.params, state.optimizer)
-    (params, optimizer), metrics = jax.lax.scan(epoch, start, epoch_keys)
+    (params, optimizer), metrics = run_epochs(step, start, batch, key, *sizes)
     reduced = jax.tree.map(jnp.mean, metrics)
     reduced["kl_max"] = jnp.max(metrics["approx_kl"])
     reduced["learning_rate"] = jnp.asarray(hyper.learning_rate)
@@ -150,45 +146,68 @@ def _optimize(
 def _gradient_step(
     networks: Networks, hyper: PPO, update: jax.Array, carry: Carry, batch: Batch
 ) -> tuple[Carry, Metrics]:
-    """One step of Adam; while the critic warms up, the policy stays as it is."""
-    params, optimizer = carry
-    gradient, metrics = jax.grad(loss, has_aux=True)(params, networks, hyper, batch)
-    gradient, metrics = jax.lax.pmean((gradient, metrics), AXIS)
-    accepted = jnp.isfinite(optax.tree.norm(gradient))
-    if hyper.max_kl is not None:
-        accepted = (metrics["approx_kl"] <= hyper.max_kl) & accepted
-    gradient, norm = _clip(gradient, hyper)
-    direction, new_optimizer = optax.scale_by_adam(eps=hyper.adam_epsilon).update(
-        gradient, optimizer
-    )
-    rate = jnp.asarray(hyper.learning_rate)
-    policy_rate = jnp.where(update < hyper.critic_warmup, 0.0, rate)
-    new_params = ActorCritic(
-        policy=descend(params.policy, direction.policy, policy_rate),
-        log_std=descend(params.log_std, direction.log_std, policy_rate),
-        value=descend(params.value, direction.value, rate),
-    )
-    metrics |= {"gradient_norm": norm, "skipped": 1.0 - accepted.astype(norm.dtype)}
-    return select(accepted, (new_params, new_optimizer), carry), metrics
+    """One step of Adam.
 
-
-def _clip(gradient: ActorCritic, hyper: PPO) -> tuple[ActorCritic, jax.Array]:
-    """Clip by the global norm: of everything, or of policy and value separately.
-
-    Returns:
-        The clipped gradient, and the norm before: of everything, or of the policy.
+    A minibatch whose KL divergence is above the limit or whose gradient is not finite changes
+    nothing.
     """
-    if not hyper.separate_grad_clip:
-        return clip_by_norm(gradient, hyper.max_grad_norm)
-    actor, norm = clip_by_norm((gradient.policy, gradient.log_std), hyper.max_grad_norm)
-    critic, _ = clip_by_norm(gradient.value, hyper.max_grad_norm)
-    return ActorCritic(policy=actor[0], log_std=actor[1], value=critic), norm
+    gradient, metrics = jax.grad(loss, has_aux=True)(carry[0], networks, hyper, batch)
+    actor = (gradient.policy, gradient.log_std)
+    norm = optax.tree.norm(actor if hyper.separate_grad_clip else gradient)
+    if hyper.separate_grad_clip:
+        (policy, log_std), value = (clip(x, hyper.max_grad_norm) for x in (actor, gradient.value))
+        gradient = ActorCritic(policy=policy, log_std=log_std, value=value)
+    else:
+        gradient = clip(gradient, hyper.max_grad_norm)
+    accepted = True if hyper.max_kl is None else metrics["approx_kl"] <= hyper.max_kl
+    carry, skipped = descend(_optimizer(hyper, update), gradient, carry, accepted)
+    return carry, metrics | {"gradient_norm": norm, "skipped": skipped}
 
 
-def _rollout_metrics(rollout: Rollout, batch: Batch, params: ActorCritic) -> Metrics:
-    error = global_mean((batch.target - rollout.value) ** 2)
-    ended = rollout.terminated, rollout.truncated
-    return episode_metrics(rollout.reward, *ended, rollout.completed) | {
-        "explained_variance": explained_variance(error, batch.target),
-        "std": jnp.mean(jnp.exp(params.log_std)),
+def _optimizer(hyper: PPO, update: jax.Array | int = 0) -> optax.GradientTransformation:
+    """Adam; while the critic warms up, the policy stays as it is."""
+    rate = -jnp.asarray(hyper.learning_rate)
+    actor_rate = jnp.where(update < hyper.critic_warmup, 0.0, rate)
+
+    def scaled(change: ActorCritic, _: Any) -> ActorCritic:
+        return ActorCritic(
+            policy=optax.tree.scale(actor_rate, change.policy),
+            log_std=actor_rate * change.log_std,
+            value=optax.tree.scale(rate, change.value),
+        )
+
+    return optax.chain(optax.scale_by_adam(eps=hyper.adam_epsilon), optax.stateless(scaled))
+
+
+def loss(
+    params: ActorCritic, networks: Networks, hyper: PPO, batch: Batch
+) -> tuple[jax.Array, Metrics]:
+    """PPO's loss () of one minibatch, and its parts (Schulman et al., 2017, eq. 7 and 9).
+
+    ``-mean(min(r A, clip(r, 1 - c, 1 + c) A)) + c_v mean((V - G)^2) - c_e H``, with ``r`` the
+    ratio of the new to the old probability density, ``A`` the normalized advantage and ``G`` the
+    value target. ``approx_kl`` is the estimator ``mean((r - 1) - log r)`` of KL(old, new)
+    (Schulman, "Approximating KL divergence", 2020).
+    """
+    mean = networks.mean(params, batch.observation)
+    log_ratio = log_probability(batch.action, mean, params.log_std) - batch.log_prob
+    ratio = jnp.exp(log_ratio)
+    advantage = normalize(batch.advantage)
+    clipped = jnp.clip(ratio, 1.0 - hyper.clip_range, 1.0 + hyper.clip_range)
+    policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
+    value = networks.value(params, batch.observation)
+    value_loss = jnp.mean((value - batch.target) ** 2)
+    entropy = jnp.sum(params.log_std + 0.5 * jnp.log(2.0 * jnp.pi * jnp.e))
+    total = policy_loss + hyper.value_coefficient * value_loss - hyper.entropy_coefficient * entropy
+    return total, {
+        "policy_loss": policy_loss,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        "approx_kl": jnp.mean((ratio - 1.0) - log_ratio),
+        "clip_fraction": jnp.mean((jnp.abs(ratio - 1.0) > hyper.clip_range).astype(ratio.dtype)),
     }
+
+
+def normalize(advantage: jax.Array) -> jax.Array:
+    """Advantages with zero mean and unit variance."""
+    return (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)

@@ -1,0 +1,152 @@
+"""Rollouts of a policy in many environments, and what all learners compute from them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.core.environment import Environment, where_done
+from quadjax.core.gradients import Scalar
+from quadjax.learners.networks import ActorCritic, Networks
+from quadjax.learners.sharding import AXIS, constrain
+from quadjax.learners.state import Metrics
+
+
+@struct.dataclass
+class Steps:
+    """Steps of all environments: axes are time, environment, then the quantity's own."""
+
+    observation: jax.Array  # (time, n, observation_size)
+    action: jax.Array  # (time, n, actions), sampled, not clipped
+    reward: jax.Array  # (time, n)
+    next_value: jax.Array  # (time, n) of the observation after the step, before any reset
+    terminated: jax.Array  # (time, n) bool
+    truncated: jax.Array  # (time, n) bool
+    completed: jax.Array | None  # (time, n), where the environment reports it
+
+
+def draw(
+    environment: Environment, env_params: Any, key: jax.Array, shape: tuple[int, int, int]
+) -> tuple[Any, jax.Array]:
+    """Random states that episodes restart from, and standard normal noise of the actions.
+
+    Args:
+        environment: of many agents, as ``quadjax.core.environment.vectorize`` makes it.
+        env_params: traced parameters of the environment.
+        key: PRNG key.
+        shape: of the noise: (time, n, actions).
+    """
+    reset_key, noise_key = jax.random.split(key)
+    keys = constrain(jax.random.split(reset_key, shape[1]), AXIS)
+    noise = constrain(jax.random.normal(noise_key, shape), None, AXIS)
+    return environment.reset(env_params, keys), noise
+
+
+def rollout(
+    environment: Environment,
+    networks: Networks,
+    env_params: Any,
+    params: ActorCritic,
+    critic: ActorCritic,
+    state: Any,
+    fresh: Any,
+    noise: jax.Array,
+    through: Callable[[Any], Any] = lambda state: state,
+) -> tuple[Any, Steps]:
+    """Simulate every environment with noise on its actions; differentiable if they are.
+
+    Args:
+        environment: of many agents.
+        networks: the policy and the value.
+        env_params: traced parameters of the environment.
+        params: of the policy.
+        critic: parameters whose value ``next_value`` is.
+        state: environment states, batched along the last axis.
+        fresh: the states that an ended episode restarts from.
+        noise: (time, n, actions) to add to the mean action.
+        through: applied to the states before each step.
+
+    Returns:
+        The environment states after the last step, reset where an episode ended, and the steps. No
+        gradient flows through their observations and actions.
+    """
+
+    def step(state: Any, noise: jax.Array) -> tuple[Any, Steps]:
+        state = through(state)
+        observation = environment.observe(env_params, state)
+        action = networks.mean(params, observation) + noise
+        following, reward, terminated, truncated = environment.step(env_params, state, action)
+        completed = environment.completed
+        steps = Steps(
+            observation=jax.lax.stop_gradient(observation),
+            action=jax.lax.stop_gradient(action),
+            reward=reward,
+            next_value=networks.value(critic, environment.observe(env_params, following)),
+            terminated=terminated,
+            truncated=truncated,
+            completed=None if completed is None else completed(state, following),
+        )
+        return where_done(terminated | truncated, fresh, following), steps
+
+    return jax.lax.scan(step, state, noise)
+
+
+def td_lambda(
+    steps: Steps, discount: Scalar, mixing: Scalar, reward_scale: Scalar = 1.0
+) -> jax.Array:
+    """TD(lambda) target (time, n) of the value of the observation before each step.
+
+    ``G_t = r_t + discount ((1 - lambda) V(s'_t) + lambda G_{t+1})``
+
+    ``s'_t`` is the state after the step and before any reset. At the last step and where an episode
+    is truncated, ``V(s'_t)`` alone takes the place of the mixture, so that a truncated episode
+    bootstraps from its last observation; where it is terminated, zero does (Xu et al., 2022, eq.
+    7). The advantage of generalized advantage estimation (Schulman et al., 2016) is
+    ``G_t - V(s_t)``.
+
+    Args:
+        steps: with axes time and environment.
+        discount: ().
+        mixing: () lambda.
+        reward_scale: () factor on the rewards.
+    """
+
+    def backward(following: jax.Array, step: Steps) -> tuple[jax.Array, jax.Array]:
+        mixed = (1.0 - mixing) * step.next_value + mixing * following
+        future = jnp.where(step.truncated, step.next_value, mixed)
+        future = jnp.where(step.terminated, 0.0, future)
+        target = reward_scale * step.reward + discount * future
+        return target, target
+
+    return jax.lax.scan(backward, steps.next_value[-1], steps, reverse=True)[1]
+
+
+def step_metrics(steps: Steps, error: jax.Array, target: jax.Array) -> Metrics:
+    """Metrics of all steps of an update.
+
+    Args:
+        steps: with axes time and environment.
+        error: () mean squared error of the value.
+        target: (time, n) its targets.
+
+    Returns:
+        ``reward``: mean per step; ``terminated``: fraction of steps that terminate an episode;
+        ``crash_rate``: fraction of ended episodes that were terminated rather than truncated;
+        ``explained_variance``: ``1 - error / Var(target)``, 1 for a perfect value and 0 for a
+        constant; where the environment reports what was completed, ``pass_rate``: completed parts
+        of the task, divided by the sum of these and crashes.
+    """
+    terminated = jnp.mean(steps.terminated.astype(jnp.float32))
+    truncated = jnp.mean(steps.truncated.astype(jnp.float32))
+    metrics = {
+        "reward": jnp.mean(steps.reward),
+        "crash_rate": terminated / jnp.maximum(terminated + truncated, 1e-9),
+        "terminated": terminated,
+        "explained_variance": 1.0 - error / jnp.maximum(jnp.var(target), 1e-9),
+    }
+    if steps.completed is not None:
+        passed = jnp.mean(steps.completed)
+        metrics["pass_rate"] = passed / jnp.maximum(passed + terminated, 1e-9)
+    return metrics
