@@ -4,9 +4,9 @@ import quadjax
 from quadjax.core.vectors import safe_norm
 
 
-def speed(view):
+def speed(step):
     """Speed, m/s, in tenths."""
-    return [0.1 * safe_norm(view.model.velocity(view.drone))]
+    return [0.1 * safe_norm(step.velocity)]
 
 
 SPEED = quadjax.Field("speed", 1, "10 m/s", "world", range=4.0, value=speed)

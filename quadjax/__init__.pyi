@@ -19,10 +19,9 @@ from quadjax.learners.state import Learner as Learner
 from quadjax.learners.state import TrainState as TrainState
 from quadjax.learners.train import TrainResult as TrainResult
 from quadjax.policy.file import Policy as Policy
-from quadjax.race.context import StepContext as StepContext
 from quadjax.race.layout import Field as Field
 from quadjax.race.layout import Layout as Layout
-from quadjax.race.layout import View as View
+from quadjax.race.step import Step as Step
 from quadjax.training.result import Run as Run
 from quadjax.training.run import train as train
 from quadjax.vehicle.protocol import Measurement as Measurement

@@ -10,6 +10,7 @@ import pytest
 
 import quadjax
 from quadjax.core.resources import PRETRAINED
+from quadjax.core.traced import with_leaves
 from tests.surface.short import short_config
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -60,8 +61,10 @@ def test_a_race_is_three_pure_functions_and_its_numbers():
         observation = environment.observe(params, state)
         return observation, *environment.step(params, state, np.zeros(4, np.float32))[1:]
 
-    tight = params.replace(limits=params.limits.replace(position=np.float32(0.01)))
-    last = params.replace(limits=params.limits.replace(episode_steps=np.int32(1)))
+    tight = params.replace(rules=with_leaves(params.rules, position_limit=np.float32(0.01)))
+    last = params.replace(
+        training_limits=with_leaves(params.training_limits, episode_steps=np.int32(1))
+    )
     for numbers, ends in ((params, (False, False)), (tight, (True, False)), (last, (False, True))):
         observation, reward, terminated, truncated = step(numbers)
         assert observation.shape == (environment.observation_size,)

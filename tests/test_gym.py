@@ -10,6 +10,7 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import make_race
+from quadjax.core.traced import with_leaves
 from quadjax.training.build import untrained_policy
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
@@ -32,7 +33,9 @@ REST = ["start.position=0", "start.velocity=0", "start.roll_pitch_deg=0"]
 def short():
     """A race of episodes of five steps."""
     environment, params = make_race(load_config(BLANK, REST))
-    return environment, params.replace(limits=params.limits.replace(episode_steps=np.int32(5)))
+    return environment, params.replace(
+        training_limits=with_leaves(params.training_limits, episode_steps=np.int32(5))
+    )
 
 
 @functools.cache
@@ -107,7 +110,7 @@ def test_a_truncation_is_no_crash_and_shows_where_it_ended():
 def test_a_crash_is_no_truncation():
     """Every start is beyond the limit of the position."""
     environment, params = short()
-    params = params.replace(limits=params.limits.replace(position=np.float32(0.01)))
+    params = params.replace(rules=with_leaves(params.rules, position_limit=np.float32(0.01)))
     env = RaceVectorEnv(environment, params, N, "SameStep")
     env.reset(seed=0)
     _, reward, terminated, truncated, infos = env.step(hover())

@@ -8,8 +8,8 @@ from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError
 from quadjax.core.sections import BadValue, refuse, value_at
 from quadjax.core.yaml_files import short
-from quadjax.race.history import LONGEST
-from quadjax.race.layout import ACTUATORS, remembered_names
+from quadjax.race.layout import LONGEST
+from quadjax.race.observations import ACTUATORS, remembered_names
 from quadjax.vehicle.registry import model as vehicle_model
 
 NOT_GROUPS = ("all", "constants", "population", "width", "tracks")  # keys of randomization

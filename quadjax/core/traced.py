@@ -1,23 +1,35 @@
 """Sections as pytrees: floats are leaves, which a program takes as numbers; the rest is static."""
 
-from typing import TypeVar, cast
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Collection
+from typing import Annotated, Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
+from pydantic.fields import FieldInfo
 
-from quadjax.core.sections import Section
+from quadjax.core.sections import Section, Unit
 
 SectionType = TypeVar("SectionType", bound=Section)
 
 
-def register(section: type[SectionType]) -> type[SectionType]:
-    """Register a section as a pytree whose leaves are its fields of type ``float``.
+@dataclasses.dataclass(frozen=True)
+class Traced:
+    """Marks a field of a whole number that is a leaf: ``Annotated[int, Traced()]``."""
 
-    A field that is ``float | None`` is a leaf unless it is None. The static part (sizes, flags,
-    names) is compared as a whole: sections that differ in it are different programs.
+
+def register(section: type[SectionType]) -> type[SectionType]:
+    """Register a section as a pytree whose leaves are its numbers.
+
+    These are the fields of floats, of tuples and mappings of floats, and of whole numbers marked
+    ``Traced``. A value of None has no leaf. The static part (sizes, flags, names) is compared as a
+    whole: sections that differ in it are different programs.
     """
-    leaves = [n for n, f in section.model_fields.items() if f.annotation in (float, float | None)]
-    static = [n for n in section.model_fields if n not in leaves]
+    leaves = _traced_names(section)
+    static = [name for name in section.model_fields if name not in leaves]
 
     def flatten(value: SectionType) -> tuple[list, tuple]:
         children = [getattr(value, name) for name in leaves]
@@ -31,6 +43,50 @@ def register(section: type[SectionType]) -> type[SectionType]:
     return section
 
 
-def as_leaves(section: SectionType) -> SectionType:
-    """The section with its floats as single-precision arrays ()."""
-    return cast(SectionType, jax.tree.map(jnp.float32, section))
+def as_leaves(section: SectionType, unused: Collection[str] = ()) -> SectionType:
+    """The section with its numbers as single-precision arrays (), angles in rad.
+
+    Args:
+        section: of a registered class; a field with the unit ``deg`` is in deg.
+        unused: names of fields that become None: the program is without them.
+    """
+    fields = type(section).model_fields
+    changes = {}
+    for name in _traced_names(type(section)):
+        in_deg = any(
+            isinstance(item, Unit) and item.name == "deg" for item in fields[name].metadata
+        )
+
+        def leaf(number: Any, in_deg: bool = in_deg) -> jax.Array:
+            kind = jnp.int32 if isinstance(number, int) else jnp.float32
+            return jnp.asarray(math.radians(number) if in_deg else number, kind)
+
+        changes[name] = None if name in unused else jax.tree.map(leaf, getattr(section, name))
+    return with_leaves(section, **changes)
+
+
+def with_leaves(section: SectionType, **changes: Any) -> SectionType:
+    """A copy of a section of leaves with other leaves, which are not validated."""
+    return section.model_copy(update=changes)
+
+
+def _traced_names(section: type[Section]) -> list[str]:
+    return [name for name, field in section.model_fields.items() if _is_traced(field)]
+
+
+def _is_traced(field: FieldInfo) -> bool:
+    return _is_of_floats(field.annotation) or any(isinstance(x, Traced) for x in field.metadata)
+
+
+def _is_of_floats(hint: Any) -> bool:
+    """Whether a type is float, None, or a union, a tuple or a mapping to such."""
+    if hint in (float, types.NoneType, Ellipsis):
+        return hint is not types.NoneType
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Annotated:
+        return _is_of_floats(inner[0])
+    if origin is dict:
+        return _is_of_floats(inner[1])
+    if origin not in (tuple, types.UnionType, typing.Union):
+        return False
+    return all(_is_of_floats(option) for option in inner if option is not types.NoneType)

@@ -45,8 +45,8 @@ from quadjax.export.targets import (
     has_estimator,
 )
 from quadjax.policy.file import Policy
-from quadjax.race.battery import middle_limit
-from quadjax.race.layout import HIGHEST_RPM
+from quadjax.race.observations import HIGHEST_RPM
+from quadjax.vehicle.battery import middle_limit
 
 COMMENT_WIDTH = 96
 LONGEST_NAME = 60

@@ -18,17 +18,16 @@ from quadjax.export.race_tables import LAST_COMMAND, drone_of, example_state, st
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
-from quadjax.race import environment, history, rules
-from quadjax.race.battery import BatteryState, RaceBattery, at_start
+from quadjax.race import environment, rules
 from quadjax.race.environment import Estimate, RaceState
-from quadjax.race.history import Past
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.layout import DISTURBANCES, HIGHEST_RPM
+from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM, Past
 from quadjax.race.track import gate
+from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
 from quadjax.vehicle.protocol import State
 
 Carry = tuple[jax.Array, jax.Array]  # a position and the target after it
-LOST_CONTROL = (  # of CRASHES
+LOST_CONTROL = (  # of TERMINATIONS
     "lost its attitude",
     "out of bounds",
     "above the body rate limit",
@@ -73,7 +72,7 @@ def simulate(own: OwnRace, runs: int = RUNS, laps: int = LAPS, seed: int = SEED)
     states, targets = _states(trace, own, counted, seed)
     shown, longest = (states, targets), None
     going = ~np.asarray(trace.over) & counted
-    if depth := history.depth(own.choices.layout.names):
+    if depth := own.choices.layout.depth:
         earlier, longest = _earlier(going, depth)
         shown = (*shown, earlier)
     return Rollouts(observe(own, *shown), states, targets, result, len(states), longest)
@@ -149,7 +148,7 @@ def observe(
     ``earlier`` has the rows (n, depth) of the states of 1, 2 .. steps before; by default the states
     are those of one flight from its start on.
     """
-    depth = history.depth(own.choices.layout.names)
+    depth = own.choices.layout.depth
     if earlier is None:
         earlier = np.maximum(np.arange(len(states))[:, None] - 1 - np.arange(depth), 0)
     example, sizes = example_state(own.choices, own.params), list(_sizes(own).items())
@@ -193,9 +192,9 @@ def observe_float64(own: OwnRace, states: np.ndarray, targets: np.ndarray) -> np
         return observe(same, states.astype(np.float64), targets)
 
 
-def _battery(params: RaceBattery, highest: jax.Array) -> BatteryState:
+def _battery(params: Battery, highest: jax.Array) -> BatteryState:
     """A battery of which the estimate of the highest speed is a number of the state, rpm."""
-    state = at_start(params, Rotors.same(jnp.zeros(())), None)
+    state = battery_at_start(params, Rotors.same(jnp.zeros(())), None)
     return state.replace(estimate=state.estimate.replace(highest=highest))
 
 
@@ -264,7 +263,7 @@ def wander(own: OwnRace, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndar
     ahead = np.stack([np.asarray(track.cos_yaw), np.asarray(track.sin_yaw)], axis=1)
     half = np.stack([np.asarray(track.half_width), np.asarray(track.half_height)], axis=1)
 
-    test = "world_box" if own.choices.gate_test == "world_box" else "square"
+    test = "world_box" if own.params.rules.gate_test == "world_box" else "square"
 
     def follow(carry: Carry, after: jax.Array) -> tuple[Carry, jax.Array]:
         before, target = carry

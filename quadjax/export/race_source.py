@@ -14,7 +14,7 @@ from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, fit_race, make_pilot
 from quadjax.policy.race import preset_of, race_of_policy
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.layout import ESTIMATED, HIGHEST_RPM
+from quadjax.race.observations import ESTIMATED, HIGHEST_RPM
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.residual_file import located
 
@@ -38,7 +38,7 @@ class OwnRace:
     @property
     def time_step(self) -> float:
         """Time step of the simulation, s."""
-        return float(self.params.limits.time_step)
+        return float(self.params.rules.time_step)
 
 
 def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") -> OwnRace:
@@ -76,7 +76,7 @@ def own_race(config: Config, policy: Policy, origin: str, name: str = "policy") 
     constants = _with_limits(choices.model, params.vehicle.constants, policy)
     params = params.replace(
         vehicle=params.vehicle.replace(constants=constants),
-        start=params.start.replace(heading=None),
+        heading=None,
     )
     pilot = make_pilot(choices, params, policy, deterministic=True)
     track, vehicle = (Path(p.name or p.file or "").name for p in (config.track, config.vehicle))
@@ -167,7 +167,7 @@ def _facts(own: OwnRace) -> dict[str, object]:
     model, gates = own.choices.model.name, len(params.track.yaw)
     words = {
         "vehicle.model": model,
-        "gate_test": own.choices.gate_test,
+        "gate_test": own.params.rules.gate_test,
         "the number of gates": gates,
     }
     return words | numbers

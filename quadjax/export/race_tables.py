@@ -26,16 +26,8 @@ from quadjax.export.scaling import Rescale, Spans, spans_of
 from quadjax.policy.file import Policy
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.history import split_name
-from quadjax.race.layout import (
-    AHEAD,
-    DISTURBANCES,
-    HIGHEST_RPM,
-    LAST_ACTION,
-    NEXT_YAW,
-    NEXT_YAW_UNWRAPPED,
-    Layout,
-)
+from quadjax.race.layout import LAST_ACTION, Layout, split_name
+from quadjax.race.observations import AHEAD, DISTURBANCES, HIGHEST_RPM
 from quadjax.race.track import Track, gates_ahead
 from quadjax.vehicle.protocol import State, VehicleModel
 
@@ -231,8 +223,8 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
     Args:
         box: of the network's inputs, which the observation is scaled to.
         policy: whose limits and scaling it has.
-        choices: vehicle model and gate test.
-        params: whose track it has.
+        choices: whose vehicle model it has.
+        params: whose track and gate test it has.
 
     Raises:
         InputError: a gate that is farther away than 2^15 m, or a next gate outside the network's
@@ -259,9 +251,9 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
         gate_yaw=np.rint(yaw * ONE).astype(np.int64),
         half_size=np.rint(half.astype(np.float64) * unit).astype(np.int64),
         next_gate=_gate_constants(box, track),
-        world_box=choices.gate_test == "world_box",
+        world_box=params.rules.gate_test == "world_box",
         axes=_gate_axes(track),
-        time_step=float(params.limits.time_step),
+        time_step=float(params.rules.time_step),
         circle=None if track.circle is None else np.asarray(track.circle),
     )
 
@@ -299,8 +291,8 @@ def next_gates(track: Track) -> dict[str, np.ndarray]:
     plain = np.roll(track.yaw, -1) - np.asarray(track.yaw)
     values = {
         "next_position": position,
-        NEXT_YAW.name: np.asarray(track.next_yaw)[:, None],
-        NEXT_YAW_UNWRAPPED.name: plain[:, None],
+        "next_yaw": np.asarray(track.next_yaw)[:, None],
+        "next_yaw_unwrapped": plain[:, None],
     }
     for count, (place_field, yaw_field) in enumerate(AHEAD, start=2):
         place, yaw = gates_ahead(track, count)

@@ -7,17 +7,13 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Policy
-from quadjax.race.history import split_name
-from quadjax.race.layout import (
+from quadjax.race.layout import LAST_ACTION, Layout, split_name
+from quadjax.race.observations import (
+    CONSTANTS,
     DISTURBANCES,
-    ESTIMATED,
     HIGHEST_RPM,
-    LAST_ACTION,
-    Layout,
-    highest_command,
+    fields_of,
     is_of_motion,
-    make_layout,
-    other_fields,
 )
 from quadjax.vehicle.registry import MODELS
 
@@ -103,9 +99,9 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
             that is not a power of two.
     """
     model = MODELS[policy.vehicle]
-    limits = [highest_command(ESTIMATED)] if model.has_battery else []
-    own_fields = (*make_layout(model).fields, *other_fields(model.action_size), *limits)
-    known = {f.name: f for f in own_fields}
+    without = {CONSTANTS, *(() if model.has_battery else (HIGHEST_RPM,))}
+    without |= set() if model.disturbed else set(DISTURBANCES)
+    known = {name: f for name, f in fields_of(model).items() if name not in without}
     for field in policy.layout.fields:
         base, lag = split_name(field.name)
         kept = not lag or (is_of_motion(base) and (base in policy.layout or base == LAST_ACTION))

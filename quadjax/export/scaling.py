@@ -7,7 +7,8 @@ from quadjax.core.errors import InputError
 from quadjax.export.integers import ONE
 from quadjax.export.ranges import InputBox
 from quadjax.policy.file import Policy
-from quadjax.race.layout import DISTURBANCES, HIGHEST_RPM, NONE, Field
+from quadjax.race.layout import Field
+from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM, NONE
 from quadjax.vehicle.battery import LOWEST
 
 LARGEST_SPAN = 1e6

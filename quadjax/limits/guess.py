@@ -45,7 +45,7 @@ def policy_laps(
         choices, params, policy, laps=laps, runs=1, deterministic=True, trace=True, name=name
     )
     assert trace is not None
-    time_step = float(params.limits.time_step)
+    time_step = float(params.rules.time_step)
     steps = round(float(result.seconds[0]) / time_step)
     columns = [np.asarray(getattr(trace, x), np.float64)[:steps, :, 0] for x in RECORDED]
     recorded = from_flight(problem, columns, time_step)

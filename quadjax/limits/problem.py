@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
 from quadjax.core.quaternion import Quaternion
+from quadjax.core.traced import with_leaves
 from quadjax.limits.gates import Gates, gates_of
 from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules, hover_start
 from quadjax.race.rules import BENEATH
@@ -210,22 +211,22 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
         InputError: a rule that is not supported, or a gate that cannot be passed.
     """
     flight = flight or Flight()
-    if choices.gate_test == "world_box":
+    if params.rules.gate_test == "world_box":
         raise InputError("rules.gate_test: world_box is not supported by time-optimal laps")
     if params.battery is not None:
         raise InputError("battery: time-optimal laps do not support it, allowed: null")
     model, params = choices.model, double(exact_rules(choices.model, params))
     if math.isfinite(model.pitch_limit):
         model = model.with_options(quaternion=True)
-    choices = dataclasses.replace(choices, model=model, integrator="rk4", gate_test="interpolated")
-    steps: dict[str, Any] = {"time_step": np.float64(TIME_STEP), "episode_steps": np.int32(10**9)}
-    params = dataclasses.replace(params, limits=dataclasses.replace(params.limits, **steps))
-    limits, landing, frame = params.limits, params.limits.landing, params.limits.frame
-    radius = 0.0 if limits.body_radius is None else float(limits.body_radius)
+    choices = dataclasses.replace(choices, model=model, integrator="rk4")
+    rules = with_leaves(params.rules, time_step=np.float64(TIME_STEP), gate_test="interpolated")
+    limits = with_leaves(params.training_limits, episode_steps=np.int32(10**9))
+    params = params.replace(rules=rules, training_limits=limits)
+    radius = 0.0 if rules.body_radius is None else float(rules.body_radius)
     gates = gates_of(params.track, radius)
     count = len(gates.position)
-    rates = (limits.body_rate,) * 3 if limits.axis_rates is None else limits.axis_rates
-    fastest = math.inf if limits.speed is None else float(limits.speed)
+    rates = math.inf if rules.body_rate_limit is None else rules.body_rate_limit
+    fastest = math.inf if rules.speed_limit is None else float(rules.speed_limit)
     narrowest = int(np.argmin(gates.half_size.min(axis=1)))
     half = gates.half_size[narrowest].min()
     if flight.clearance is not None and flight.clearance >= half:
@@ -241,20 +242,23 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
         order=np.arange(flight.gates or (flight.laps or 1) * count) % count,
         periodic=bool(params.track.closed and not (flight.gates or flight.laps or flight.stops)),
         bounds=_bounds(params, radius),
-        rate_limit=BELOW_RULE * numbers(rates),
+        rate_limit=BELOW_RULE * np.broadcast_to(np.asarray(rates, np.float64), 3),
         speed_limit=min(flight.speed or flight.fitted_speed or SPEED, BELOW_RULE * fastest),
-        pitch_limit=float(limits.pitch),
-        landing=None if landing is None else (float(landing.height), float(landing.speed)),
-        frame_depth=None if frame is None else 0.5 * float(frame.depth) + radius,
+        pitch_limit=math.inf if limits.pitch_deg is None else float(limits.pitch_deg),  # rad
+        landing=None
+        if rules.ground_speed is None
+        else (float(rules.ground_height), float(rules.ground_speed)),
+        frame_depth=None if rules.gate_frame is None else 0.5 * float(rules.gate_depth) + radius,
     )
 
 
 def _bounds(params: RaceParams, radius: float) -> np.ndarray:
     """Lowest and highest position (2, 3) of the drone's center, m."""
-    limits, edge = params.limits, float(params.limits.position)
-    ground = -radius if limits.landing is None else BENEATH
+    rules = params.rules
+    edge = math.inf if rules.position_limit is None else float(rules.position_limit)
+    ground = -radius if rules.ground_speed is None else BENEATH
     bounds = np.array([[-edge, -edge, -np.inf], [edge, edge, ground]])
-    if limits.bounds is None:
+    if rules.bounds is None:
         return bounds
-    low, high = (numbers(end) for end in limits.bounds)
+    low, high = np.asarray(rules.bounds, np.float64).T
     return np.array([np.maximum(bounds[0], low + radius), np.minimum(bounds[1], high - radius)])

@@ -18,12 +18,13 @@ from quadjax.plant import gusts, onboard, plant, sensors
 from quadjax.plant.onboard import OnboardChoices, OnboardParams, OnboardState
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
-from quadjax.race import environment, history, laps
-from quadjax.race.battery import BatteryState
+from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.start import hover
+from quadjax.race.observations import begin_past, push_past
+from quadjax.race.starts import hover
 from quadjax.race.track import gate, gate_count
 from quadjax.vehicle import motor
+from quadjax.vehicle.battery import BatteryState
 from quadjax.vehicle.rate import RateCommand
 from quadjax.vehicle.rigid_body import RigidBodyState
 
@@ -91,9 +92,9 @@ def begin(
         computers = onboard.begin(choices.onboard, params.onboard, params.plant, state, rest)
         zero, action = jnp.zeros((), jnp.int32), environment.no_action(choices.race, params.race)
         known = _known_motion(choices, computers)
-        past = history.begin(choices.race.layout.names, known, action)
-        race = RaceState(body, zero, zero, zero, None, action=action, past=past)
-        return race, state, computers
+        race = RaceState(body, zero, zero, zero, None, action=action)
+        past = begin_past(choices.race.layout, race.replace(drone=known))
+        return race.replace(past=past), state, computers
 
     of_noise, of_charge = jax.random.split(key)
     count = gusts.START_DRAWS + sensors.START_DRAWS
@@ -185,7 +186,8 @@ def _known_motion(choices: FlightChoices, computers: OnboardState) -> RigidBodyS
 def remember(choices: FlightChoices, before: Flight, flight: Flight, action: jax.Array) -> Flight:
     """One drone's flight after a control step, with what the policy observes of the step itself."""
     state = before.race.state
-    past = history.push(state.past, _known_motion(choices, before.onboard), state.action)
+    known = state.replace(drone=_known_motion(choices, before.onboard))
+    past = push_past(state.past, known)
     given = None if state.action is None else environment.applied(choices.race, action)
     after = flight.race.state.replace(past=past, action=given)
     return flight.replace(race=flight.race.replace(state=after))

@@ -21,12 +21,11 @@ from quadjax.plant.sensors import sensor_params
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import Pilot, make_pilot
 from quadjax.race import laps
-from quadjax.race.battery import middle_limit
 from quadjax.race.environment import Choices, RaceParams, exact_rules
 from quadjax.race.laps import Laps
 from quadjax.race.layout import Layout
 from quadjax.vehicle import motor
-from quadjax.vehicle.battery import limit_estimator
+from quadjax.vehicle.battery import limit_estimator, middle_limit
 from quadjax.vehicle.estimator import estimator_params
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.rate import RateCommand
@@ -150,7 +149,7 @@ def fly_chunks(
         InputError: see ``check_steps``.
     """
     race = plan.params.race
-    check_steps(plan.choices.race.layout, float(race.limits.time_step), plan.step)
+    check_steps(plan.choices.race.layout, float(race.rules.time_step), plan.step)
     start, key = jax.random.split(jax.random.key(seed))
     drones = jax.jit(flight.begin, static_argnums=(0, 3, 4))(
         plan.choices, plan.params, start, plan.runs, plan.laps
@@ -182,7 +181,9 @@ def fly_plan(
         kept.append(frames)
         report(len(kept) * max(1, round(CHUNK_SECONDS / plan.step)) * plan.step)
     joined = jax.tree.map(lambda *parts: np.concatenate(parts), *kept)
-    result = laps.laps_of(drones.race, float(plan.params.plant.step), plan.limit * plan.step)
+    result = laps.laps_of(
+        plan.choices.race, drones.race, float(plan.params.plant.step), plan.limit * plan.step
+    )
     return Flights(result, joined, plan.step)
 
 

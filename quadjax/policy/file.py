@@ -21,7 +21,8 @@ from quadjax.core.files import check_finite, read_layers, read_npz, write_npz
 from quadjax.core.resources import find_policy, policy_names
 from quadjax.policy import foreign, inference
 from quadjax.policy.release1 import layout_of_release_1
-from quadjax.race.layout import DISTURBANCES, Layout
+from quadjax.race.layout import Layout
+from quadjax.race.observations import DISTURBANCES
 from quadjax.vehicle import residual_file
 from quadjax.vehicle.residual import Residual
 

@@ -15,11 +15,13 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
+from quadjax.core.traced import with_leaves
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled, policy_params
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.layout import DISTURBANCES, Layout, arranged
+from quadjax.race.layout import Layout
+from quadjax.race.observations import DISTURBANCES, arranged
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
 
@@ -68,7 +70,7 @@ def fit_race(
         )
     layout = arranged(choices.layout, policy.layout, choices.model, name)
     widths = {name: jnp.float32(value) for name, value in policy.disturbance_widths.items()}
-    scale = params.observed_disturbance.replace(**widths)
+    scale = with_leaves(params.observed_disturbance, **widths)
     return dataclasses.replace(choices, layout=layout), params.replace(disturbance_scale=scale)
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.race.layout import DISTURBANCES, Field, Layout, make_layout
+from quadjax.race.layout import Field, Layout
+from quadjax.race.observations import DISTURBANCES, Observation, make_layout
 from quadjax.vehicle.registry import MODELS
 
 SOURCES = {"true": "ground_truth", "estimated": "estimated", "none": "none"}
@@ -59,7 +60,8 @@ def layout_of_release_1(
             return dataclasses.replace(field, span=tuple((-width, width) for width in half))
         return field
 
-    layout = make_layout(model, SOURCES[source], wrap)
+    observed = Observation(disturbance=SOURCES[source], wrap_next_yaw=wrap)
+    layout = make_layout(model, observed)
     return Layout(tuple(with_span(field) for field in layout.fields))
 
 

@@ -8,8 +8,8 @@ from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Randomization
 from quadjax.core.errors import InputError
 from quadjax.policy.file import Layers, Policy
-from quadjax.race.known_drone import CONSTANTS
 from quadjax.race.layout import Layout
+from quadjax.race.observations import CONSTANTS
 from quadjax.vehicle.constants import values_of
 
 ROUNDING = 1e-6  # relative, of the constants in single precision

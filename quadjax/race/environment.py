@@ -5,8 +5,8 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import TypeVar
+import math
+from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -15,28 +15,47 @@ from flax import struct
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.gradients import clip_inward
-from quadjax.core.imports import name_of, own_numbers
 from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import (
     call_materialized,
     materialize,
     materialize_cotangent,
 )
-from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race import battery, history, rules, start
-from quadjax.race.battery import BatteryState, RaceBattery
-from quadjax.race.context import StepContext
-from quadjax.race.history import Past
-from quadjax.race.layout import LAST_ACTION, Layout, View, make_layout
-from quadjax.race.recorded_starts import draw_recorded
+from quadjax.core.traced import with_leaves
+from quadjax.core.vectors import Vec3
+from quadjax.race import starts
+from quadjax.race.layout import LAST_ACTION, Layout, split_name
+from quadjax.race.observations import Past, begin_past, make_layout, push_past
+from quadjax.race.recorded_starts import RecordedStarts, draw_recorded
+from quadjax.race.rewards import REWARDS, Reward, Term, reward, user_term
+from quadjax.race.rules import (
+    NOT_FINITE,
+    TERMINATIONS,
+    Outcome,
+    Rules,
+    TrainingLimits,
+    judge,
+    user_rule,
+)
+from quadjax.race.starts import Disturbance, Draws, Start
+from quadjax.race.step import Step
 from quadjax.race.track import Gate, Track, gate, gate_count
 from quadjax.vehicle import estimator as onboard
 from quadjax.vehicle import motor
+from quadjax.vehicle.battery import (
+    Battery,
+    BatteryState,
+    advance_battery,
+    battery_at_start,
+    draw_battery,
+    limit_command,
+)
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.protocol import Command, Constants, State, VehicleModel, VehicleParams
 
-Kept = TypeVar("Kept")
-Term = Callable[[StepContext], jax.Array]  # -> () float
-Rule = Callable[[StepContext], jax.Array]  # -> () bool
+UserFunctions = tuple[
+    tuple[str, Callable[[Step], jax.Array]], ...
+]  # a user's functions, with their names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,46 +65,53 @@ class Choices:
     model: VehicleModel = motor.MODEL
     layout: Layout = make_layout(motor.MODEL)  # of the observation
     integrator: str = "euler"  # "euler" | "rk4"
-    gate_test: str = "square"  # "square" | "world_box" | "interpolated"
-    random_gate: bool = False  # start at any gate rather than the last
-    stagger_clocks: bool = False  # episodes start at a random step of their clock
     randomize: bool = False  # draw new constants for every episode
     population: str | None = None  # of the model, that they are drawn from
-    mismatch: bool = False  # the simulated drone has other constants than the policy's model
-    terms: tuple[Term, ...] = ()  # reward terms besides those of RewardWeights
-    rules: tuple[Rule, ...] = ()  # rules besides those of Limits
+    terms: UserFunctions = ()  # a user's reward terms, in addition to REWARDS
+    rules: UserFunctions = ()  # a user's rules, in addition to TERMINATIONS
     report_passes: bool = False  # to the learner: gates passed, for curricula
 
+    @property
+    def rewards(self) -> Mapping[str, Term]:
+        """Every term of the reward, by the name of its weight."""
+        return {**REWARDS, **{name: user_term(name, term) for name, term in self.terms}}
 
-@struct.dataclass
-class RaceParams:
-    """Every number of the race."""
+    @property
+    def terminations(self) -> Mapping[str, Callable[[Step], jax.Array | None]]:
+        """Every rule that ends an episode as a crash, by the text that says why."""
+        added = {f"ended by {name}": user_rule(name, rule) for name, rule in self.rules}
+        return {**TERMINATIONS, **added}
+
+
+class RaceParams(struct.PyTreeNode):
+    """Every number of the race. Sections of the config are as leaves, with angles in rad."""
 
     vehicle: VehicleParams
     track: Track
-    limits: rules.Limits
-    reward: rules.RewardWeights
-    start: start.StartRange
-    disturbance: start.DisturbanceRange
+    reward: Reward
+    rules: Rules
+    training_limits: TrainingLimits
+    start: Start
+    disturbance: Disturbance
     randomization: Constants  # largest relative error of each constant
     tracks: Track | None = None  # (tracks, gates) of each number: drawn for every episode
+    heading: jax.Array | None = None  # (gates,) rad, center of a start's yaw; None: north
+    recorded: RecordedStarts | None = None  # states in which a part of the episodes starts
     population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: onboard.EstimatorParams | None = None  # where the observation is estimated
-    battery: RaceBattery | None = None  # where it limits the commands
-    term_weights: tuple[jax.Array, ...] = ()  # of Choices.terms, each ()
+    battery: Battery | None = None  # where it limits the commands
     # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
     # that it was trained with.
-    disturbance_scale: start.DisturbanceRange | None = None
+    disturbance_scale: Disturbance | None = None
 
     @property
-    def observed_disturbance(self) -> start.DisturbanceRange:
+    def observed_disturbance(self) -> Disturbance:
         """Half-widths that scale the observed disturbances."""
         return self.disturbance if self.disturbance_scale is None else self.disturbance_scale
 
 
-@struct.dataclass
-class Estimate:
+class Estimate(struct.PyTreeNode):
     """The onboard estimate of the external disturbance."""
 
     filter: onboard.EstimatorState
@@ -93,8 +119,7 @@ class Estimate:
     force: Vec3  # m/s^2, body
 
 
-@struct.dataclass
-class RaceState:
+class RaceState(struct.PyTreeNode):
     """One drone in its race."""
 
     drone: State  # of the vehicle model
@@ -106,13 +131,12 @@ class RaceState:
     action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
     battery: BatteryState | None = None  # where the race has one
     track: Track | None = None  # of this episode, where it is drawn; else None
-    track_index: jax.Array | None = None  # () int32 of this track
     past: Past | None = None  # where a history is observed
 
 
 def _opaque_true(params: RaceParams) -> jax.Array:
     """A flag that is true but unknown to the compiler; see ``quadjax.core.materialize``."""
-    return params.limits.episode_steps > 0
+    return params.training_limits.episode_steps > 0
 
 
 def _vehicle_params(params: RaceParams, state: RaceState) -> VehicleParams:
@@ -126,12 +150,6 @@ def on_track(params: RaceParams, track: Track | None) -> RaceParams:
     return params if track is None else params.replace(track=track)
 
 
-def _draw_track(tracks: Track, key: jax.Array) -> tuple[Track, jax.Array]:
-    """One of several tracks, and its index."""
-    index = jax.random.randint(key, (), 0, tracks.yaw.shape[0])
-    return jax.tree.map(lambda numbers: numbers[index], tracks), index
-
-
 def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     """A random start.
 
@@ -139,74 +157,82 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         InputError: ``params`` has both random tracks and headings of the starts, which are those of
             ``params.track``.
     """
-    track, index = None, None
-    if params.tracks is not None:
-        if params.start.heading is not None:
-            raise InputError("params.start.heading is set, allowed: None with params.tracks")
-        track_key = jax.random.fold_in(key, 3)
-        track, index = _draw_track(params.tracks, track_key)
-        params = on_track(params, track)
-    constants = params.vehicle.constants
-    extra = len(jax.tree.leaves(constants)) if choices.randomize else 0
-    own_draws = 2 + start.draw_count(choices.model)
-    drawn = start.draw(key, own_draws + extra)
-    target = clock = jnp.zeros((), jnp.int32)
-    if choices.random_gate:
-        target = start.start_gate(params.track, drawn[0])
-    if choices.stagger_clocks:
-        most = params.limits.episode_steps.astype(drawn.dtype)
-        clock = (0.5 * (drawn[1] + 1.0) * most).astype(jnp.int32)
-    own = _own_constants(choices, params, drawn[own_draws:])
-    recorded = None
-    if params.start.recorded is not None:
-        recorded = draw_recorded(params.start.recorded, jax.random.fold_in(key, 4))
-        target = jnp.where(recorded.used, recorded.target, target)
-    part = None
-    if params.start.along_leg is not None:
-        part = params.start.along_leg * jax.random.uniform(jax.random.fold_in(key, 1))
-    drone = start.start(
-        choices.model,
-        constants if own is None else own,
-        params.track,
-        params.start,
-        params.disturbance,
-        target,
-        drawn[2:own_draws],
-        part,
-        recorded,
-    )
-    if params.start.race is not None:
-        race_key, used_key = jax.random.split(jax.random.fold_in(key, 5))
-        first = race_drone(choices, params, own, drone, start.draw(race_key, 3))
-        race = functools.partial(jnp.where, jax.random.uniform(used_key) < params.start.race)
-        drone, target = jax.tree.map(race, (first, jnp.zeros_like(target)), (drone, target))
-    zero = jnp.zeros((), jnp.int32)
-    before = no_action(choices, params)
-    state = RaceState(
-        drone, target, clock, zero, own, action=before, track=track, track_index=index
-    )
+    track = _draw_track(params, jax.random.fold_in(key, 3))
+    params = on_track(params, track)
+    size = len(jax.tree.leaves(params.vehicle.constants)) if choices.randomize else 0
+    draws = starts.draw_start(choices.model, key, size)
+    constants = _drawn_constants(choices, params, draws.constants)
+    drone, target = _drawn_start(choices, params, constants, draws, key)
+    zero = clock = jnp.zeros((), jnp.int32)
+    if params.start.stagger_clocks:
+        steps = params.training_limits.episode_steps.astype(draws.clock.dtype)
+        clock = (0.5 * (draws.clock + 1.0) * steps).astype(jnp.int32)
+    action = no_action(choices, params)
+    state = RaceState(drone, target, clock, zero, constants, action=action, track=track)
     if params.battery is not None:
-        rpm, own_key = choices.model.actuator_state(drone), jax.random.fold_in(key, 2)
-        state = state.replace(battery=battery.drawn(params.battery, rpm, own_key))
+        rpm, battery_key = choices.model.actuator_state(drone), jax.random.fold_in(key, 2)
+        state = state.replace(battery=draw_battery(params.battery, rpm, battery_key))
     return with_memory(choices, params, state)
 
 
-def _own_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> Constants | None:
+def _draw_track(params: RaceParams, key: jax.Array) -> Track | None:
+    """One of the random tracks, all with the same chance; None where there are none."""
+    tracks = params.tracks
+    if tracks is None:
+        return None
+    if params.heading is not None:
+        raise InputError("params.heading is set, allowed: None with params.tracks")
+    index = jax.random.randint(key, (), 0, tracks.yaw.shape[0])
+    return jax.tree.map(lambda numbers: numbers[index], tracks)
+
+
+def _drawn_start(
+    choices: Choices,
+    params: RaceParams,
+    constants: Constants | None,
+    draws: Draws,
+    key: jax.Array,
+) -> tuple[State, jax.Array]:
+    """The vehicle's state at a random start, and the gate to pass next."""
+    ranges, target = params.start, jnp.zeros((), jnp.int32)
+    if ranges.gate == "random":
+        target = starts.start_gate(params.track, draws.gate)
+    recorded = None
+    if params.recorded is not None:
+        recorded = draw_recorded(params.recorded, jax.random.fold_in(key, 4))
+        target = jnp.where(recorded.used, recorded.target, target)
+    fraction = None
+    if ranges.along_leg is not None:
+        fraction = ranges.along_leg * jax.random.uniform(jax.random.fold_in(key, 1))
+    motion = starts.start_motion(params.track, ranges, params.heading, target, draws, fraction)
+    nominal = params.vehicle.constants if constants is None else constants
+    drone = starts.start(
+        choices.model, nominal, motion, ranges.thrust, params.disturbance, draws, recorded
+    )
+    if ranges.race is None:
+        return drone, target
+    race_key, used_key = jax.random.split(jax.random.fold_in(key, 5))
+    first = race_drone(choices, params, constants, drone, starts.draw(race_key, 3))
+    race = functools.partial(jnp.where, jax.random.uniform(used_key) < ranges.race)
+    return jax.tree.map(race, (first, jnp.zeros_like(target)), (drone, target))
+
+
+def _drawn_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> Constants | None:
     """The constants of one episode, of numbers (n,) in [-1, 1]; None: those of ``params``."""
-    constants, own = params.vehicle.constants, None
-    if choices.mismatch:
-        own = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
+    constants, drawn = params.vehicle.constants, None
+    if params.mismatch is not None:
+        drawn = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
     if not choices.randomize:
-        return own
+        return drawn
     if choices.population is None:
-        return start.draw_constants(constants, params.randomization, numbers)
+        return starts.draw_constants(constants, params.randomization, numbers)
     drone = choices.model.populations[choices.population](constants, numbers)
-    return start.towards(constants, drone, params.population_width)
+    return starts.towards(constants, drone, params.population_width)
 
 
 def no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
     """The action before the first, where the observation or the reward needs it."""
-    observed = LAST_ACTION in (history.split_name(name)[0] for name in choices.layout.names)
+    observed = LAST_ACTION in (split_name(name)[0] for name in choices.layout.names)
     if not observed and params.reward.action_change is None:
         return None
     return tuple(jnp.zeros(()) for _ in range(choices.model.action_size))
@@ -218,8 +244,7 @@ def with_memory(choices: Choices, params: RaceParams, state: RaceState) -> RaceS
     A fresh estimate of the disturbance, where the race has an estimator; a history full of this
     state, where one is observed.
     """
-    past = history.begin(choices.layout.names, state.drone, state.action)
-    state = state.replace(past=past)
+    state = state.replace(past=begin_past(choices.layout, state))
     if params.estimator is None:
         return state
     measured = choices.model.measure(_vehicle_params(params, state), state.drone)
@@ -232,14 +257,14 @@ def race_drone(
     params: RaceParams,
     constants: Constants | None,
     disturbed: State | None,
-    drawn: jax.Array | None,
+    moved: jax.Array | None,
 ) -> State:
     """A drone at the start of a timed race, with the disturbances of ``disturbed``.
 
-    ``drawn``: see ``quadjax.race.start.hover``.
+    ``moved``: see ``quadjax.race.starts.hover``.
     """
     model = choices.model
-    drone = start.hover(model, constants or params.vehicle.constants, params.track, drawn)
+    drone = starts.hover(model, constants or params.vehicle.constants, params.track, moved)
     if disturbed is None or not model.disturbed:
         return drone
     return model.with_disturbance(drone, *model.disturbance(disturbed))
@@ -248,7 +273,7 @@ def race_drone(
 def hover_start(
     choices: Choices,
     params: RaceParams,
-    drawn: RaceState | None = None,
+    start: RaceState | None = None,
     moved: jax.Array | None = None,
 ) -> RaceState:
     """The start of a timed race: hover at the track's start, or the last gate.
@@ -256,25 +281,25 @@ def hover_start(
     Args:
         choices: of the race.
         params: of the race.
-        drawn: its constants, disturbances and battery are used; None: nothing is drawn, and the
+        start: its constants, disturbances and battery are used; None: nothing is drawn, and the
             battery has the highest charge.
-        moved: (3,) numbers of a start around that place; see ``quadjax.race.start.hover``.
+        moved: (3,) numbers of a start around that place; see ``quadjax.race.starts.hover``.
     """
     zero = jnp.zeros((), jnp.int32)
     constants, charged, disturbed = None, None, None
-    if drawn is not None:
-        constants, charged, disturbed = drawn.constants, drawn.battery, drawn.drone
+    if start is not None:
+        constants, charged, disturbed = start.constants, start.battery, start.drone
     drone = race_drone(choices, params, constants, disturbed, moved)
     before = no_action(choices, params)
     state = RaceState(drone, zero, zero, zero, constants, action=before)
     if params.battery is not None:
         rpm = choices.model.actuator_state(drone)
-        state = state.replace(battery=battery.at_start(params.battery, rpm, charged))
+        state = state.replace(battery=battery_at_start(params.battery, rpm, charged))
     return with_memory(choices, params, state)
 
 
 def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array:
-    """The observation (layout.size,); see ``quadjax.race.layout``."""
+    """The observation (layout.size,); see ``quadjax.race.observations``."""
     params = on_track(params, state.track)
     opaque_true = _opaque_true(params)
     g = call_materialized(gate, opaque_true, params.track, state.target)
@@ -284,7 +309,7 @@ def observe(choices: Choices, params: RaceParams, state: RaceState) -> jax.Array
 
 
 def _numbers(choices: Choices, params: RaceParams, state: RaceState, g: Gate) -> list[jax.Array]:
-    return choices.layout.numbers(View(choices.model, params, state, g))
+    return choices.layout.numbers(Step(choices.model, params, state, g))
 
 
 def command(choices: Choices, params: RaceParams, action: jax.Array) -> Command:
@@ -303,7 +328,7 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
     held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
     if params.battery is not None and state.battery is not None:
         rpm = model.actuator_state(state.drone)
-        held = battery.limit(params.battery, state.battery, rpm, held)
+        held = limit_command(params.battery, state.battery, rpm, held)
     opaque_true = _opaque_true(params)
     # A step of Euler's method starts from the carry of a loop, which is in memory already.
     begin = materialize_cotangent if choices.integrator == "euler" else materialize
@@ -311,67 +336,21 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
     after = INTEGRATORS[choices.integrator](
         lambda drone: model.derivative(vehicle, begin(drone, opaque_true), held),
         state.drone,
-        params.limits.time_step,
+        params.rules.time_step,
     )
     return model.wrap(model.hold(after, held))
 
 
-def _finite(drone: State) -> jax.Array:
-    return jnp.isfinite(sum(jax.tree.leaves(drone)))
-
-
 def evaluate_rules(
     choices: Choices, params: RaceParams, state: RaceState, after: State, g: Gate
-) -> rules.Outcome:
+) -> Outcome:
     """The events of a step from ``state`` to the vehicle state ``after``, before any reset."""
-    limits = params.limits
-    model = choices.model
-    position, rates, euler = model.position(after), model.rates(after), model.euler(after)
-    inflation, radius = limits.gate_inflation, limits.body_radius
-    opening, radius = (inflation, 0.0) if radius is None else (inflation - radius, radius)
-    before = model.position(state.drone)
-    passed, hit = rules.crossing(before, position, g, opening, choices.gate_test)
-    outside = (jnp.abs(position.x) > limits.position) | (jnp.abs(position.y) > limits.position)
-    if limits.bounds is not None:
-        outside = outside | rules.outside_box(position, limits.bounds, radius)
-    if limits.frame is not None:
-        wider = jnp.maximum(inflation, 0.0)
-        hit = hit | rules.inside_frame(position, params.track, limits.frame, wider, radius)
-    outcome = rules.Outcome(
-        passed=passed,
-        gate_collision=hit,
-        ground=rules.hits_ground(position, model.velocity(after), limits.landing, radius),
-        out_of_bounds=outside,
-        body_rate=rules.too_fast(rates, limits),
-        yaw_rate=jnp.abs(rates.z) > limits.yaw_rate,
-        attitude=(jnp.abs(euler.y) > limits.pitch) | (jnp.abs(euler.x) > limits.roll),
-        non_finite=~_finite(after),
-        truncated=state.step + 1 >= limits.episode_steps,
-        extra_rule=_extra_rule(choices, params, state, after, g),
-        overspeed=None if limits.speed is None else safe_norm(model.velocity(after)) > limits.speed,
-    )
-    ended = outcome.terminated
-    outcome = outcome.replace(passed=passed & ~ended, truncated=outcome.truncated & ~ended)
-    if params.track.closed:
-        return outcome
-    finished = outcome.passed & (state.target == gate_count(params.track) - 1)
-    return outcome.replace(finished=finished, truncated=outcome.truncated & ~finished)
-
-
-def _extra_rule(
-    choices: Choices, params: RaceParams, state: RaceState, after: State, g: Gate
-) -> jax.Array | None:
-    context = StepContext(choices.model, params, state, after, g)
-    ended = [
-        jnp.asarray(own_numbers(f"rule {name_of(rule)}", rule, context)[0], bool)
-        for rule in choices.rules
-    ]
-    return functools.reduce(jnp.logical_or, ended) if ended else None
+    return judge(Step(choices.model, params, state, g, after), choices.terminations)
 
 
 def transition(
     choices: Choices, params: RaceParams, state: RaceState, action: jax.Array
-) -> tuple[RaceState, jax.Array, rules.Outcome]:
+) -> tuple[RaceState, jax.Array, Outcome]:
     """One step with its events.
 
     Returns:
@@ -387,38 +366,21 @@ def transition(
     outcome = call_materialized(
         functools.partial(evaluate_rules, choices), opaque_true, params, state, after, g
     )
-    drone = jax.tree.map(
-        lambda new, old: jnp.where(outcome.non_finite, old, new), after, state.drone
-    )
-    weights, radius = params.reward, params.limits.body_radius
-    if radius is not None:  # the required clearance is that of the drone's edge
-        weights = weights.replace(gate_edge_margin=weights.gate_edge_margin + radius)
-    value = rules.reward(
-        weights,
-        outcome,
-        choices.model.position(state.drone),
-        choices.model.position(drone),
-        choices.model.euler(drone).y,
-        choices.model.rates(drone),
-        g,
-        params.limits.time_step,
-        params.limits.gate_inflation,
-    )
-    context = StepContext(choices.model, params, state, drone, g, outcome, action)
-    for weight, term in zip(params.term_weights, choices.terms, strict=True):
-        (number,) = own_numbers(f"reward term {name_of(term)}", term, context)
-        value = value + weight * jnp.asarray(number, value.dtype)
-    given = applied(choices, action) if state.action is not None else None
-    for penalty in _penalties(choices.model, params, state, drone, g, outcome, given):
-        value = value - penalty
+    invalid = outcome.crashes[NOT_FINITE]
+    drone = jax.tree.map(lambda new, old: jnp.where(invalid, old, new), after, state.drone)
+    step = Step(choices.model, params, state, g, drone, outcome, action)
+    value = reward(step, choices.rewards)
     following = progressed(params, state, drone, outcome)
     if params.battery is not None and state.battery is not None:
         rpm, sent = choices.model.actuator_state(drone), command(choices, params, action)
-        charged = battery.advance(params.battery, state.battery, rpm, sent)
+        charged = advance_battery(params.battery, state.battery, rpm, sent)
         following = following.replace(battery=charged)
-    estimate = _estimate(choices, params, state, drone)
-    past = history.push(state.past, state.drone, state.action)
-    return following.replace(estimate=estimate, action=given, past=past), value, outcome
+    following = following.replace(
+        estimate=_estimate(choices, params, state, drone),
+        action=None if state.action is None else applied(choices, action),
+        past=push_past(state.past, state),
+    )
+    return following, value, outcome
 
 
 def applied(choices: Choices, action: jax.Array) -> tuple[jax.Array, ...]:
@@ -426,36 +388,7 @@ def applied(choices: Choices, action: jax.Array) -> tuple[jax.Array, ...]:
     return tuple(jnp.clip(action[i], -1.0, 1.0) for i in range(choices.model.action_size))
 
 
-def _penalties(
-    model: VehicleModel,
-    params: RaceParams,
-    state: RaceState,
-    drone: State,
-    g: Gate,
-    outcome: rules.Outcome,
-    action: tuple[jax.Array, ...] | None,
-) -> list[jax.Array]:
-    """The penalties, each (), that are computed only where they are used."""
-    found = []
-    sight, change = params.reward.perception, params.reward.action_change
-    if sight is not None:
-        seen = model.to_body(drone, g.position - model.position(drone))
-        penalty = params.limits.time_step * rules.perception_penalty(sight, seen)
-        found.append(jnp.where(outcome.passed, 0.0, penalty))
-    if params.reward.overspeed is not None:
-        rate = rules.overspeed_penalty(
-            params.reward.overspeed, params.reward.progress, model.velocity(drone)
-        )
-        found.append(params.limits.time_step * rate)
-    if change is not None:
-        assert action is not None and state.action is not None
-        found.append(change * rules.action_change(action, state.action))
-    return found
-
-
-def progressed(
-    params: RaceParams, state: RaceState, drone: State, outcome: rules.Outcome
-) -> RaceState:
+def progressed(params: RaceParams, state: RaceState, drone: State, outcome: Outcome) -> RaceState:
     """The race one step later: vehicle state, target, step count and gates passed."""
     one = outcome.passed.astype(jnp.int32)
     advanced = state.target + one
@@ -478,15 +411,19 @@ def _estimate(
 def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
     """The race without training limits: no gate inflation, any roll, any valid pitch.
 
-    It is on ``params.track``, also where the episodes of training are on random tracks.
+    It is on ``params.track``, also where the episodes of training are on random tracks. Clocks
+    start at zero.
     """
-    limits = params.limits.replace(
+    pitch = jnp.float32(model.pitch_limit) if math.isfinite(model.pitch_limit) else None
+    limits = with_leaves(
+        params.training_limits,
         gate_inflation=jnp.zeros(()),
-        pitch=jnp.asarray(model.pitch_limit, jnp.float32),
-        roll=jnp.asarray(jnp.inf, jnp.float32),
-        yaw_rate=jnp.asarray(jnp.inf, jnp.float32),
+        pitch_deg=pitch,
+        roll_deg=None,
+        yaw_rate=None,
     )
-    return params.replace(limits=limits, tracks=None)
+    start = with_leaves(params.start, stagger_clocks=False)
+    return params.replace(training_limits=limits, start=start, tracks=None)
 
 
 def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
@@ -509,3 +446,31 @@ def make_environment(choices: Choices) -> Environment[RaceParams, RaceState]:
         observation_size=choices.layout.size,
         action_size=choices.model.action_size,
     )
+
+
+def with_critic_constants(
+    environment: Environment[RaceParams, RaceState], spread: Sequence[tuple[str, float]]
+) -> Environment[RaceParams, RaceState]:
+    """The environment whose observation ends with the drawn constants, for the critic alone.
+
+    An asymmetric actor-critic (Pinto et al., 2017, arXiv 1710.06542): the policy's network does not
+    take these numbers. Each is its relative error, divided by the largest one that is drawn.
+
+    Args:
+        environment: of the race, which draws constants.
+        spread: names of the drawn constants and the largest relative error of each; 1 where their
+            population has no such number.
+    """
+
+    def observe(params: RaceParams, state: RaceState) -> jax.Array:
+        assert state.constants is not None
+        constants, nominal = values_of(state.constants), values_of(params.vehicle.constants)
+        errors = []
+        for name, largest in spread:
+            value = nominal[name]
+            size = jnp.where(value == 0.0, 1.0, jnp.abs(value))
+            errors.append((constants[name] - value) / (size * largest))
+        return jnp.concatenate([environment.observe(params, state), jnp.stack(errors)])
+
+    size = environment.observation_size + len(spread)
+    return dataclasses.replace(environment, observe=observe, observation_size=size)

@@ -13,18 +13,96 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race import environment, start
+from quadjax.race import environment, starts
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.result import CRASHES, Laps
 from quadjax.race.rules import Outcome
 from quadjax.race.track import Track, gate_count
 
 Actor = Callable[[Any, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
+OUT_OF_TIME = "out of time"
 SLOWEST_LAP, ITS_LENGTH = 8.0, 14.0  # s and m; longer laps have proportionally more time
 
 
-@struct.dataclass
-class Speeds:
+@dataclasses.dataclass(frozen=True)
+class Laps:
+    """The result of timed laps, as NumPy arrays."""
+
+    lap_times: np.ndarray  # (runs, laps) s; NaN where not completed
+    crashes: tuple[str, ...]  # why each run ended early; "" where it did not
+    seconds: np.ndarray  # (runs,) s from the start to the end of the run
+    time_limit: float  # s; no run lasts longer
+    last_gates: int = 0  # gates of the last lap where it is a part of one; 0: it is whole
+
+    @property
+    def totals(self) -> np.ndarray:
+        """Time of all laps (runs,), s; NaN where not finished."""
+        return self.lap_times.sum(axis=1)
+
+    @property
+    def finished(self) -> int:
+        """Number of runs that completed all laps."""
+        return int(np.isfinite(self.totals).sum())
+
+    @property
+    def score(self) -> float:
+        """Mean time of all laps, s; lower is better.
+
+        A run that does not finish counts as the time limit, which no run that finishes exceeds, so
+        that a crash never improves the score. Infinite where no run finishes.
+        """
+        if self.finished == 0:
+            return math.inf
+        return float(np.nan_to_num(self.totals, nan=self.time_limit).mean())
+
+    @property
+    def penalized(self) -> float:
+        """Time of all laps, averaged over the runs, s; a missing lap counts as time_limit / laps.
+
+        Finite where no run finishes, and lower for runs that crash later.
+        """
+        penalty = self.time_limit / self.lap_times.shape[1]
+        return float(np.nan_to_num(self.lap_times, nan=penalty).sum(axis=1).mean())
+
+    @property
+    def whole_laps(self) -> np.ndarray:
+        """Lap times (runs, laps), s, without a last lap of fewer gates."""
+        return self.lap_times[:, :-1] if self.last_gates else self.lap_times
+
+    def laps_completed(self) -> np.ndarray:
+        """Number of laps that each run completed, (runs,)."""
+        return np.isfinite(self.lap_times).sum(axis=1)
+
+    def to_json(self) -> dict[str, object]:
+        """The result as JSON takes it: ``null`` for laps that were not completed.
+
+        Of the runs that ended early, ``crashes`` says which (from 0), in which lap (from 1), after
+        how many seconds and why.
+        """
+
+        def number(x: float) -> float | None:
+            return round(float(x), 4) if np.isfinite(x) else None
+
+        completed = self.laps_completed()
+        part = {"last_lap_gates": self.last_gates} if self.last_gates else {}
+        return part | {
+            "laps": [[number(x) for x in run] for run in self.lap_times],
+            "totals": [number(x) for x in self.totals],
+            "finished": self.finished,
+            "runs": len(self.crashes),
+            "crashes": [
+                {
+                    "run": run,
+                    "lap": int(completed[run]) + 1,
+                    "seconds": number(self.seconds[run]),
+                    "reason": reason,
+                }
+                for run, reason in enumerate(self.crashes)
+                if reason
+            ],
+        }
+
+
+class Speeds(struct.PyTreeNode):
     """Speeds of drones in a race, (runs,) each, and when they pass the first gate."""
 
     first_gate: jax.Array  # s since the start; 0 before
@@ -33,22 +111,20 @@ class Speeds:
     counted: jax.Array  # m/s
 
 
-@struct.dataclass
-class LapState:
+class LapState(struct.PyTreeNode):
     """Drones in timed laps, batched along the last axis."""
 
     state: RaceState
     lap_end: jax.Array  # (laps, runs) s since the start; 0 where not completed
     over: jax.Array  # (runs,) bool
-    crash: jax.Array  # (runs,) index into CRASHES
+    crash: jax.Array  # (runs,) 0, or the number of a termination from 1
     speeds: Speeds | None = None  # where they are recorded
 
 
 Carry = tuple[LapState, jax.Array]  # drones and the key of the next noise
 
 
-@struct.dataclass
-class Trace:
+class Trace(struct.PyTreeNode):
     """Recorded states: time first, then runs."""
 
     position: jax.Array  # (time, 3, runs) m, world
@@ -81,29 +157,10 @@ def starting_states(
         if not from_hover:
             zero = jnp.zeros((), jnp.int32)
             return drawn.replace(step=zero, gates_passed=zero)
-        moved = start.draw(jax.random.fold_in(key, 6), 3) if around else None
+        moved = starts.draw(jax.random.fold_in(key, 6), 3) if around else None
         return environment.hover_start(choices, params, drawn, moved)
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
-
-
-def _crash_code(outcome: Outcome) -> jax.Array:
-    flags = (
-        outcome.gate_collision,
-        outcome.ground,
-        outcome.out_of_bounds,
-        outcome.body_rate,
-        outcome.yaw_rate,
-        outcome.attitude,
-        outcome.non_finite,
-        outcome.extra_rule,
-        outcome.overspeed,
-    )
-    code = jnp.zeros((), jnp.int32)
-    for index, flag in reversed(list(enumerate(flags, start=1))):
-        if flag is not None:
-            code = jnp.where(flag, index, code)
-    return code
 
 
 def _step_one(
@@ -112,11 +169,11 @@ def _step_one(
     """One step of one drone; a race that is over does not change."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
     gates = gate_count(params.track)
-    scored = score(race, following, outcome, params.limits.time_step, gates, last)
+    scored = score(race, following, outcome, params.rules.time_step, gates, last)
     if race.speeds is None:
         return scored
     speed = safe_norm(choices.model.velocity(following.drone))
-    return scored.replace(speeds=_recorded(race, following, speed, params.limits.time_step))
+    return scored.replace(speeds=_recorded(race, following, speed, params.rules.time_step))
 
 
 def _recorded(race: LapState, following: RaceState, speed: jax.Array, dt: jax.Array) -> Speeds:
@@ -164,7 +221,7 @@ def score(
     now = following.step.astype(dt.dtype) * dt
     lap_end = jnp.where(ended & (jnp.arange(laps) == lap), now, race.lap_end)
     crashed = outcome.terminated & ~race.over
-    crash = jnp.where(crashed, _crash_code(outcome), race.crash)
+    crash = jnp.where(crashed, outcome.crash, race.crash)
     over = race.over | crashed | (lap_end[-1] > 0)
     state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
     return LapState(state, lap_end, over, crash, race.speeds)
@@ -296,7 +353,6 @@ def fly_laps(
     length = race_length(params.track, laps, gates)
     laps = math.ceil(length)
     params = environment.exact_rules(choices.model, params)
-    choices = dataclasses.replace(choices, stagger_clocks=False)
     start_key, noise_key = jax.random.split(key)
     states = starting_states(choices, params, start_key, runs, from_hover)
     steps = step_limit(params, length)
@@ -304,7 +360,7 @@ def fly_laps(
     race, kept = fly_race(
         choices, actor, laps, steps, trace, params, policy, states, noise_key, last
     )
-    result = laps_of(race, float(params.limits.time_step), time_limit(params.track, length))
+    result = laps_of(choices, race, float(params.rules.time_step), time_limit(params.track, length))
     return dataclasses.replace(result, last_gates=(gates or 0) % gate_count(params.track)), kept
 
 
@@ -333,19 +389,20 @@ def time_limit(track: Track, laps: float) -> float:
 
 def step_limit(params: RaceParams, laps: float) -> int:
     """The time limit of a race, steps."""
-    return round(time_limit(params.track, laps) / float(params.limits.time_step))
+    return round(time_limit(params.track, laps) / float(params.rules.time_step))
 
 
-def laps_of(race: LapState, dt: float, limit: float) -> Laps:
+def laps_of(choices: Choices, race: LapState, dt: float, limit: float) -> Laps:
     """The result of a race that is over, ``dt`` s a step, with its time limit in s."""
     ends = np.asarray(race.lap_end, np.float64).T
     completed = np.where(ends > 0, ends, np.nan)
     times = np.diff(completed, axis=1, prepend=0.0)
-    codes = np.asarray(race.crash)
-    unfinished = ~np.isfinite(completed[:, -1]) & (codes == 0)
-    codes = np.where(unfinished, CRASHES.index("out of time"), codes)
+    reasons = ("", *choices.terminations)
+    crashes = [reasons[code] for code in np.asarray(race.crash)]
+    for run in np.flatnonzero(~np.isfinite(completed[:, -1])):
+        crashes[run] = crashes[run] or OUT_OF_TIME
     seconds = np.asarray(race.state.step, np.float64) * dt
-    return Laps(times, tuple(CRASHES[code] for code in codes), seconds, limit)
+    return Laps(times, tuple(crashes), seconds, limit)
 
 
 def lap_length(track: Track) -> float:

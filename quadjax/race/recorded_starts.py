@@ -27,8 +27,7 @@ MOTION = ("position", "velocity", "euler", "rates")
 NAMES = (*MOTION, "actuators", "target")
 
 
-@struct.dataclass
-class RecordedStarts:
+class RecordedStarts(struct.PyTreeNode):
     """States of flights, n of each."""
 
     motion: Motion  # components (n,)
@@ -37,8 +36,7 @@ class RecordedStarts:
     part: jax.Array  # () of the episodes that start in one of them
 
 
-@struct.dataclass
-class RecordedStart:
+class RecordedStart(struct.PyTreeNode):
     """The state drawn for one episode, and whether it is used."""
 
     motion: Motion

@@ -1,128 +1,152 @@
-"""The rules of the race: gate crossing, collision, bounds, and the reward they give."""
+"""The rules of the race: the passing of gates, and the table ``TERMINATIONS`` of what ends it."""
 
 import functools
+import math
+from collections.abc import Callable, Mapping
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.gradients import Scalar
-from quadjax.core.trigonometry import arctan2
+from quadjax.core.imports import own_numbers
+from quadjax.core.sections import Field, Section, Unit
+from quadjax.core.traced import Traced, register
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.track import (
-    Gate,
-    Track,
-    gate_at,
-    gate_count,
-    to_gate_frame,
-    to_opening_frame,
-)
+from quadjax.race.step import Step
+from quadjax.race.track import Gate, Span, Track, gate_at, gate_count, to_opening_frame
+from quadjax.vehicle.protocol import VehicleModel
+
+Rate = Annotated[float, Field(gt=0, le=1e6)]
+BENEATH = 0.5  # m, deepest position of a take-off: the ground itself is not simulated
 
 
-@struct.dataclass
-class Frame:
-    """The solid frames of all gates."""
+@register
+class Rules(Section):
+    """The rules of the race, in training and evaluation."""
 
-    width: jax.Array  # m, around the opening
-    depth: jax.Array  # m, half of it on each side of the opening's plane
+    time_step: float = Field(
+        0.01, ge=1e-4, le=0.1, description="time between two commands and of the simulation, s"
+    )
+    gate_test: Literal["square", "world_box", "interpolated"] = Field(
+        "square",
+        description="what counts as passing: within the opening at the first sample past its plane "
+        "(the paper), within a box along the world axes there (the authors' code), or within the "
+        "opening where the line between two samples crosses the plane",
+    )
+    body_radius: float = Field(
+        0.0,
+        ge=0,
+        le=50,
+        description="radius of the drone, m, by which openings, bounds and ground are closer",
+    )
+    position_limit: float | None = Field(
+        10.0, gt=0, le=1e6, description="largest |x| and |y|, m; null: none"
+    )
+    bounds: tuple[Span, Span, Span] | None = Field(
+        None,
+        description="[lowest, highest] x, y and z, m: leaving the box is a collision; a z of -7 is "
+        "a ceiling at 7 m; null: only position_limit and the ground",
+    )
+    ground_speed: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="largest speed within ground_height of the ground, m/s, so that races can "
+        "start on it; null: touching the ground is a collision",
+    )
+    ground_height: float = Field(0.4, ge=0, le=100, description="see ground_speed, m")
+    gate_frame: float = Field(
+        0.0,
+        ge=0,
+        le=10,
+        description="width of the solid frame around the opening of every gate, m; 0: a collision "
+        "only where the plane of the target gate is crossed outside its opening",
+    )
+    gate_depth: float = Field(
+        0.1, gt=0, le=10, description="depth of the frames, half of it on each side, m"
+    )
+    body_rate_limit: Rate | tuple[Rate, Rate, Rate] | None = Field(
+        1000.0,
+        description="largest body rate about any axis, or [p, q, r] about each, rad/s; null: none",
+    )
+    speed_limit: float | None = Field(
+        None, gt=0, le=1000, description="largest speed, m/s, above which a flight ends; null: none"
+    )
+    extra: tuple[str, ...] = Field(
+        (), max_length=32, description="your own rules that end an episode, as module:function"
+    )
 
-
-@struct.dataclass
-class Landing:
-    """Where slow flight near the ground is no collision."""
-
-    height: jax.Array  # m above the ground
-    speed: jax.Array  # m/s
-
-
-@struct.dataclass
-class Limits:
-    """Where an episode ends."""
-
-    time_step: jax.Array  # s
-    episode_steps: jax.Array  # int32, a truncation
-    position: jax.Array  # m, largest |x| and |y|
-    body_rate: jax.Array  # rad/s, largest about any axis
-    pitch: jax.Array  # rad; below pi/2, where the Euler angles are singular
-    roll: jax.Array  # rad
-    yaw_rate: jax.Array  # rad/s
-    gate_inflation: jax.Array  # m added to each side of every gate's opening
-    axis_rates: Vec3 | None = None  # rad/s, largest about each axis; None: body_rate alone
-    bounds: tuple[Vec3, Vec3] | None = None  # lowest and highest position, m; None: none
-    landing: Landing | None = None  # None: touching the ground is a collision
-    frame: Frame | None = None  # None: only the target gate's plane is solid
-    body_radius: jax.Array | None = None  # m, of the drone; None: a point
-    speed: jax.Array | None = None  # m/s, the speed limit; None: none
-
-
-@struct.dataclass
-class Perception:
-    """The penalty for a target gate out of the camera's view."""
-
-    weight: jax.Array  # penalty per s and rad beyond the limit
-    camera: jax.Array  # rad, upward tilt of the camera's axis from the body's x
-    limit: jax.Array  # rad between the camera's axis and the gate's center
-
-
-@struct.dataclass
-class Overspeed:
-    """The penalty for flying close to the speed limit, or above it."""
-
-    weight: jax.Array  # multiple of the reward for progress
-    limit: jax.Array  # m/s, the speed limit of the race
-    margin: jax.Array  # of the limit, below which there is no penalty
-
-
-@struct.dataclass
-class RewardWeights:
-    """The published reward, and further terms that are zero by default."""
-
-    progress: jax.Array  # reward per m of progress to the target gate
-    gate: jax.Array  # reward per gate passed
-    gate_offset: jax.Array  # penalty per m from the gate's center, on passing it
-    collision: jax.Array  # penalty for a collision
-    time: jax.Array  # penalty per s
-    body_rates: jax.Array  # penalty per s and rad/s of body rate
-    pitch_up: jax.Array  # penalty per s and rad of pitch (nose up)
-    next_gate_progress: jax.Array  # per m of progress to the next gate in the step that passes one
-    gate_edge: jax.Array  # penalty per m of clearance violation on crossing a gate's plane
-    gate_edge_margin: jax.Array  # required clearance from each edge of the opening, m
-    gate_edge_reach: jax.Array  # largest clearance violation per axis, m
-    action_change: jax.Array | None = None  # penalty per change of an action; None: none
-    perception: Perception | None = None
-    overspeed: Overspeed | None = None  # None: no speed limit
+    @property
+    def largest_body_rates(self) -> tuple[float, float, float]:
+        """Largest p, q and r, rad/s; infinity where there is no limit."""
+        limit = math.inf if self.body_rate_limit is None else self.body_rate_limit
+        return limit if isinstance(limit, tuple) else (limit, limit, limit)
 
 
-@struct.dataclass
-class Outcome:
+@register
+class TrainingLimits(Section):
+    """Limits that apply in training only."""
+
+    episode_steps: Annotated[int, Unit("steps"), Traced()] = Field(
+        1200, ge=1, le=10**6, description="time steps of an episode"
+    )
+    pitch_deg: Annotated[float | None, Unit("deg")] = Field(
+        None,
+        ge=1,
+        le=89,
+        description="largest |pitch|, deg; null: 85 for models with Euler angles, which are "
+        "singular at 90, and none for those with quaternions",
+    )
+    roll_deg: Annotated[float | None, Unit("deg")] = Field(
+        None, ge=1, le=180, description="largest |roll|, deg"
+    )
+    yaw_rate: Annotated[float | None, Unit("1/s")] = Field(
+        None, gt=0, le=1e6, description="largest |yaw rate|, rad/s"
+    )
+    gate_inflation: Annotated[float, Unit("m")] = Field(
+        0.0,
+        ge=-50,
+        le=50,
+        description="widening of every gate's opening on each side, m; negative: narrowing",
+    )
+
+    def largest_pitch_deg(self, model: VehicleModel) -> float | None:
+        """The largest pitch in training with a vehicle model, deg; None: any."""
+        if self.pitch_deg is None and math.isfinite(model.pitch_limit):
+            return 85.0
+        return self.pitch_deg
+
+
+class Outcome(struct.PyTreeNode):
     """The events of one step; every flag is a () bool."""
 
-    passed: jax.Array
-    gate_collision: jax.Array
-    ground: jax.Array
-    out_of_bounds: jax.Array
-    body_rate: jax.Array  # above the race's limit
-    yaw_rate: jax.Array  # above the training limit
-    attitude: jax.Array  # pitch or roll beyond its limit
-    non_finite: jax.Array
+    passed: jax.Array  # the target gate, without a crash
+    crashes: Mapping[str, jax.Array]  # by the name of the termination, whether it applies
     truncated: jax.Array
-    extra_rule: jax.Array | None = None  # ended by a user's rule; None where there is none
     finished: jax.Array | None = None  # passed the last gate of a course; None on a closed track
-    overspeed: jax.Array | None = None  # above the speed limit; None where there is none
+    # Names of all terminations by priority; ``crashes`` lacks those that the race does not have.
+    names: tuple[str, ...] = struct.field(pytree_node=False, default=())
 
     @property
     def terminated(self) -> jax.Array:
         """Whether the episode ended in a collision of any kind."""
-        ended = self.gate_collision | self.ground | self.out_of_bounds | self.body_rate
-        ended = ended | self.yaw_rate | self.attitude | self.non_finite
-        for other in (self.extra_rule, self.overspeed):
-            ended = ended if other is None else ended | other
-        return ended
+        return functools.reduce(jnp.logical_or, self.crashes.values())
 
     @property
     def over(self) -> jax.Array:
         """Whether the episode ended by a collision or at the end of a course."""
         return self.terminated if self.finished is None else self.terminated | self.finished
+
+    @property
+    def crash(self) -> jax.Array:
+        """The number (), from 1, of the first of ``names`` that applies; 0 where none does."""
+        code = jnp.zeros((), jnp.int32)
+        for index, name in reversed(list(enumerate(self.names, start=1))):
+            if name in self.crashes:
+                code = jnp.where(self.crashes[name], index, code)
+        return code
 
 
 def inside_square(relative: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
@@ -178,16 +202,18 @@ def crossing(
 def inside_frame(
     position: Vec3,
     track: Track,
-    frame: Frame,
-    inflation: jax.Array,
-    radius: jax.Array | float = 0.0,
+    width: Scalar,
+    depth: Scalar,
+    inflation: Scalar,
+    radius: Scalar = 0.0,
 ) -> jax.Array:
     """Whether a drone touches the solid frame of any gate, a () bool.
 
     Args:
         position: m, world.
         track: all gates.
-        frame: their width and depth.
+        width: () m of the frames around the openings.
+        depth: () m of the frames, half of it on each side of the opening's plane.
         inflation: () m by which openings are wider; the outer edges do not change.
         radius: () m of the drone.
     """
@@ -196,144 +222,127 @@ def inside_frame(
         g = gate_at(track, index)
         relative = to_opening_frame(g, position - g.position)
         solid = ~inside_square(relative, g, inflation - radius)
-        solid = solid & inside_square(relative, g, frame.width + radius)
-        hit = hit | (solid & (jnp.abs(relative.x) <= 0.5 * frame.depth + radius))
+        solid = solid & inside_square(relative, g, width + radius)
+        hit = hit | (solid & (jnp.abs(relative.x) <= 0.5 * depth + radius))
     return hit
 
 
-def too_fast(rates: Vec3, limits: Limits) -> jax.Array:
-    """Whether body rates are above their limits, a () bool."""
-    fastest = jnp.maximum(jnp.maximum(jnp.abs(rates.x), jnp.abs(rates.y)), jnp.abs(rates.z))
-    beyond = fastest > limits.body_rate
-    if limits.axis_rates is not None:
-        for own, limit in zip(rates.components(), limits.axis_rates.components(), strict=True):
-            beyond = beyond | (jnp.abs(own) > limit)
-    return beyond
+def body_radius(step: Step) -> Scalar:
+    """The radius of the drone, m: 0 for a point."""
+    return 0.0 if step.params.rules.body_radius is None else step.params.rules.body_radius
 
 
-def outside_box(
-    position: Vec3, bounds: tuple[Vec3, Vec3], radius: jax.Array | float = 0.0
-) -> jax.Array:
-    """Whether a drone of a radius, m, leaves the box between two corners, a () bool."""
-    low, high = bounds
-    sides = zip(position.components(), low.components(), high.components(), strict=True)
-    out = [(x < least + radius) | (x > most - radius) for x, least, most in sides]
-    return out[0] | out[1] | out[2]
+def pass_or_hit(step: Step) -> tuple[jax.Array, jax.Array]:
+    """Whether a step passes its target gate, and whether it crosses the plane outside of it."""
+    inflation, radius = step.params.training_limits.gate_inflation, step.params.rules.body_radius
+    opening = inflation if radius is None else inflation - radius
+    before, test = step.model.position(step.before), step.params.rules.gate_test
+    return crossing(before, step.position, step.gate, opening, test)
 
 
-BENEATH = 0.5  # m, deepest position of a take-off: the ground itself is not simulated
+def hits_a_gate(step: Step) -> jax.Array:
+    """Whether the drone misses the opening of its gate, or touches a frame of any gate."""
+    rules, (_, hit) = step.params.rules, pass_or_hit(step)
+    if rules.gate_frame is None:
+        return hit
+    wider = jnp.maximum(step.params.training_limits.gate_inflation, 0.0)
+    solid = rules.gate_frame, rules.gate_depth, wider, body_radius(step)
+    return hit | inside_frame(step.position, step.params.track, *solid)
 
 
-def hits_ground(
-    position: Vec3, velocity: Vec3, landing: Landing | None, radius: jax.Array | float = 0.0
-) -> jax.Array:
-    """Whether a position or a velocity near the ground is a collision, a () bool.
+def hits_the_ground(step: Step) -> jax.Array:
+    """Whether the position is below the ground, or, where it may land, the speed near it too high.
 
-    Where the drone can take off from the ground, its radius, m, does not matter.
+    Where the drone can take off from the ground, its radius does not matter.
     """
-    if landing is None:
-        return position.z > 0.0 - radius  # 0.0 without a radius, not -0.0
-    fast = (position.z > -landing.height) & (safe_norm(velocity) > landing.speed)
-    return fast | (position.z > BENEATH)
+    rules, height = step.params.rules, step.position.z
+    if rules.ground_speed is None:
+        return height > 0.0 - body_radius(step)  # 0.0 without a radius, not -0.0
+    fast = (height > -rules.ground_height) & (safe_norm(step.velocity) > rules.ground_speed)
+    return fast | (height > BENEATH)
 
 
-def next_gate_progress(before: Vec3, after: Vec3, g: Gate) -> jax.Array:
-    """Progress () to the next gate's center, by way of this one's, m.
-
-    For the step that passes ``g``. With the weight of ``progress``, the rewards of a leg sum to the
-    same wherever its gates are passed; without it, a leg that ends at a gate's edge has less.
-    """
-    relative = to_gate_frame(g, after - g.position)
-    ahead = safe_norm(relative - g.next_position)
-    return safe_norm(before - g.position) + safe_norm(g.next_position) - ahead
-
-
-def clearance_violation(after: Vec3, g: Gate, margin: jax.Array, reach: Scalar = 1.0) -> jax.Array:
-    """Distance () beyond the required clearance from a gate's edges, m per axis, summed.
-
-    Whether a gate is hit has no gradient; this has one at the crossing. It is at most ``reach`` in
-    each axis.
-    """
-    relative = to_opening_frame(g, after - g.position)
-    width = jnp.clip(jnp.abs(relative.y) - (g.half_width - margin), 0.0, reach)
-    height = jnp.clip(jnp.abs(relative.z) - (g.half_height - margin), 0.0, reach)
-    if g.circle is None:
-        return width + height
-    distance = safe_norm(relative.replace(x=jnp.zeros_like(relative.x)))
-    return jnp.where(
-        g.circle, jnp.clip(distance - (g.half_width - margin), 0.0, 2.0 * reach), width + height
-    )
+def leaves_the_bounds(step: Step) -> jax.Array | None:
+    """Whether |x|, |y| or the bounds of the race are exceeded."""
+    rules, position, radius = step.params.rules, step.position, body_radius(step)
+    beyond = []
+    if rules.position_limit is not None:
+        beyond += [jnp.abs(x) > rules.position_limit for x in (position.x, position.y)]
+    for x, (low, high) in zip(position.components(), rules.bounds or (), strict=False):
+        beyond += [(x < low + radius) | (x > high - radius)]
+    return functools.reduce(jnp.logical_or, beyond) if beyond else None
 
 
-def perception_penalty(perception: Perception, seen: Vec3) -> jax.Array:
-    """The penalty () per s of a gate's center ``seen`` in the body frame, m.
-
-    ``weight`` times the angle beyond ``limit`` between it and the camera's axis, which is
-    ``(cos c, 0, -sin c)`` with the camera's tilt ``c``.
-    """
-    cosine, sine = jnp.cos(perception.camera), jnp.sin(perception.camera)
-    along = cosine * seen.x - sine * seen.z
-    aside = Vec3(seen.y, sine * seen.x + cosine * seen.z, jnp.zeros_like(seen.y))
-    angle = arctan2(safe_norm(aside), along)
-    return perception.weight * jnp.maximum(angle - perception.limit, 0.0)
+def turns_too_fast(step: Step) -> jax.Array | None:
+    """Whether a body rate is above the limit of the race."""
+    limit, rates = step.params.rules.body_rate_limit, step.body_rates.components()
+    if limit is None:
+        return None
+    limits = limit if isinstance(limit, tuple) else (limit, limit, limit)
+    beyond = [jnp.abs(rate) > highest for rate, highest in zip(rates, limits, strict=True)]
+    return beyond[0] | beyond[1] | beyond[2]
 
 
-def overspeed_penalty(own: Overspeed, progress: Scalar, velocity: Vec3) -> jax.Array:
-    """The penalty () per s of a speed near the limit: an episode's end has no gradient.
-
-    ``weight progress (|v| - (1 - margin) limit)`` above that speed, where ``progress`` is the
-    reward per m of progress: with a weight above 1, flying faster gains less than it loses.
-    """
-    above = safe_norm(velocity) - (1.0 - own.margin) * own.limit
-    return own.weight * progress * jnp.maximum(above, 0.0)
+def yaws_too_fast(step: Step) -> jax.Array | None:
+    """Whether the yaw rate is above its limit of training."""
+    limit = step.params.training_limits.yaw_rate
+    return None if limit is None else jnp.abs(step.body_rates.z) > limit
 
 
-def action_change(action: tuple[jax.Array, ...], before: tuple[jax.Array, ...]) -> jax.Array:
-    """The sum () of the absolute changes of an action's numbers."""
-    changes = [jnp.abs(now - old) for now, old in zip(action, before, strict=True)]
-    return functools.reduce(jnp.add, changes)
+def loses_attitude(step: Step) -> jax.Array | None:
+    """Whether pitch or roll is above its limit of training, or the Euler angles are singular."""
+    limits, euler = step.params.training_limits, step.euler
+    angles = (euler.y, limits.pitch_deg), (euler.x, limits.roll_deg)  # rad, as leaves
+    beyond = [jnp.abs(angle) > limit for angle, limit in angles if limit is not None]
+    return functools.reduce(jnp.logical_or, beyond) if beyond else None
 
 
-def reward(
-    weights: RewardWeights,
-    outcome: Outcome,
-    before: Vec3,
-    after: Vec3,
-    pitch: jax.Array,
-    body_rates: Vec3,
-    g: Gate,
-    time_step: jax.Array,
-    inflation: Scalar = 0.0,
-) -> jax.Array:
-    """The reward () of one step.
+def is_not_finite(step: Step) -> jax.Array:
+    """Whether a number of the vehicle's state is not finite."""
+    return ~jnp.isfinite(sum(jax.tree.leaves(step.drone)))
 
-    - Passing a gate: ``gate - gate_offset |p - p_gate|``, and ``next_gate_progress`` times the
-      progress of the step to the next gate.
-    - A collision: ``-collision``.
-    - Any other step: ``progress`` times the decrease of the distance to the target gate (Ferede et
-      al., arXiv 2311.16948, with the sign that makes progress positive).
 
-    On crossing a gate's plane, ``gate_edge`` per m of clearance violation is subtracted.
+def flies_too_fast(step: Step) -> jax.Array | None:
+    """Whether the speed is above the limit of the race."""
+    limit = step.params.rules.speed_limit
+    return None if limit is None else safe_norm(step.velocity) > limit
+
+
+# What ends an episode as a crash, by the text that says why: the first that applies is reported.
+# A function gives None where the race has no such rule. The order of a user's own: after these.
+NOT_FINITE = "not finite"
+TERMINATIONS: Mapping[str, Callable[[Step], jax.Array | None]] = {
+    "hit a gate": hits_a_gate,
+    "hit the ground": hits_the_ground,
+    "out of bounds": leaves_the_bounds,
+    "above the body rate limit": turns_too_fast,
+    "above the training limit of the yaw rate": yaws_too_fast,
+    "lost its attitude": loses_attitude,
+    NOT_FINITE: is_not_finite,
+    "above the speed limit": flies_too_fast,
+}
+
+
+def user_rule(name: str, rule: Callable[[Step], jax.Array]) -> Callable[[Step], jax.Array]:
+    """A user's own rule as an entry of the terminations, checked to give one flag."""
+    return lambda step: jnp.asarray(own_numbers(f"rule {name}", rule, step)[0], bool)
+
+
+def judge(step: Step, terminations: Mapping[str, Callable[[Step], jax.Array | None]]) -> Outcome:
+    """The events of a step, before any reset.
 
     Args:
-        weights: of each term.
-        outcome: events of the step.
-        before: position before the step, m, world.
-        after: position after it.
-        pitch: after it, (), rad.
-        body_rates: after it, rad/s.
-        g: the target gate of the step.
-        time_step: () s.
-        inflation: () m added to each side of the openings.
+        step: with the vehicle's state after it.
+        terminations: the rules by their names.
     """
-    distance = safe_norm(after - g.position)
-    progress = weights.progress * (safe_norm(before - g.position) - distance)
-    passed = weights.gate - weights.gate_offset * distance
-    passed = passed + weights.next_gate_progress * next_gate_progress(before, after, g)
-    value = jnp.where(outcome.passed, passed, progress)
-    value = jnp.where(outcome.terminated, -weights.collision, value)
-    reach = jnp.maximum(weights.gate_edge_reach, inflation + weights.gate_edge_margin)
-    edge = weights.gate_edge * clearance_violation(after, g, weights.gate_edge_margin, reach)
-    value = value - jnp.where(outcome.passed | outcome.gate_collision, edge, 0.0)
-    turning = weights.body_rates * safe_norm(body_rates)
-    return value - time_step * (weights.time + turning + weights.pitch_up * pitch)
+    params, state = step.params, step.state
+    flags = {name: rule(step) for name, rule in terminations.items()}
+    crashes = {name: flag for name, flag in flags.items() if flag is not None}
+    truncated = state.step + 1 >= params.training_limits.episode_steps
+    outcome = Outcome(pass_or_hit(step)[0], crashes, truncated, names=tuple(terminations))
+    going = ~outcome.terminated
+    outcome = outcome.replace(passed=outcome.passed & going, truncated=truncated & going)
+    if params.track.closed:
+        return outcome
+    finished = outcome.passed & (state.target == gate_count(params.track) - 1)
+    return outcome.replace(finished=finished, truncated=outcome.truncated & ~finished)

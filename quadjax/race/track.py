@@ -1,19 +1,107 @@
 """Tracks: gates in a fixed cyclic order. World NED, m, rad."""
 
+import functools
+import math
 from collections.abc import Callable
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from quadjax.core.frames import Attitude, attitude, world_to_body, wrap_angle
+from quadjax.core.sections import Field, Section
 from quadjax.core.vectors import Vec3
+from quadjax.race.random_track import RandomTrack, RandomTracks, generate
 
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+Span = tuple[Coordinate, Coordinate]
 AHEAD = 5.0  # m, from the last gate of a course to the gate that is observed after it
+STRAIGHT = 0.2  # below this sum of the sines of the turns at a leg's ends, the leg is straight
 
 
-@struct.dataclass
-class Pose:
+class GateSection(Section):
+    """One gate, in the world frame."""
+
+    position: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        description="center x, y, z, m; z < 0 is above 0"
+    )
+    yaw_deg: float = Field(0.0, ge=-720, le=720, description="direction of passage, deg")
+    size: tuple[Annotated[float, Field(gt=0, le=100)], Annotated[float, Field(gt=0, le=100)]] = (
+        Field((1.0, 1.0), description="width and height of the opening, m")
+    )
+    pitch_deg: float = Field(
+        0.0, ge=-90, le=90, description="upward slope of the passage, deg: -90 is straight down"
+    )
+    roll_deg: float = Field(
+        0.0, ge=-180, le=180, description="rotation of the opening about the passage, deg"
+    )
+    shape: Literal["rectangle", "circle"] = Field(
+        "rectangle", description="shape of the opening; a circle has size [diameter, diameter]"
+    )
+
+    @property
+    def axes(self) -> list[list[float]]:
+        """The matrix with columns through the gate, along its width and along its height, NED."""
+        angles = [math.radians(x) for x in (self.roll_deg, self.pitch_deg, self.yaw_deg)]
+        (sr, sp, sy), (cr, cp, cy) = map(math.sin, angles), map(math.cos, angles)
+        return [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+
+
+class TrackStart(Section):
+    """Where a timed race starts."""
+
+    position: tuple[Coordinate, Coordinate, Coordinate] = Field(description="x, y, z, m")
+    yaw_deg: float = Field(0.0, ge=-720, le=720, description="heading, deg")
+
+
+class TrackSection(Section):
+    """The gates, in the order of passage."""
+
+    file: str | None = Field(
+        None,
+        description="YAML file with the name and the gates, next to the config or in "
+        "configs/tracks; loading copies its values into the config and sets this to null "
+        "(default: square4.yaml)",
+    )
+    generate: RandomTrack | None = Field(
+        None,
+        description="random track in place of gates: {seed, gates, leg, leg_ratio, turn_deg, "
+        "yaw_deg, height, size, frame, split_s}; loading writes its gates into the config and sets "
+        "this to null",
+    )
+    name: str = Field("", description="name of the track, for tables and figures")
+    gates: tuple[GateSection, ...] = Field(
+        min_length=1,
+        max_length=100,
+        description="list of {position, yaw_deg, size, pitch_deg, roll_deg, shape}",
+    )
+    opening: float | None = Field(
+        None,
+        gt=0,
+        le=100,
+        description="width and height of the openings of all gates, m, in place of their sizes; "
+        "the outer edges of frames (rules.gate_frame) stay; loading writes the sizes into the "
+        "gates and sets this to null",
+    )
+    start: TrackStart | None = Field(
+        None,
+        description="{position, yaw_deg} of the hover from which timed laps start; null: the last "
+        "gate's center, nose towards the first gate",
+    )
+    closed: bool = Field(
+        True,
+        description="whether the first gate follows the last; false: a course, which ends at the "
+        "last gate and needs a start",
+    )
+
+
+class Pose(struct.PyTreeNode):
     """A place and a heading."""
 
     position: Vec3  # m, world
@@ -21,39 +109,27 @@ class Pose:
     on_ground: bool = struct.field(pytree_node=False, default=False)  # at rest, not in hover
 
 
-@struct.dataclass
-class Track:
-    """Gates as arrays over the gates, with what the observation needs of the one after each."""
+class Gate(struct.PyTreeNode):
+    """One gate, with what the observation needs of the one after it."""
 
-    position: Vec3  # of (gates,): centers, m, world
-    yaw: jax.Array  # (gates,) heading of the way through, rad
-    cos_yaw: jax.Array  # (gates,)
-    sin_yaw: jax.Array  # (gates,)
-    half_width: jax.Array  # (gates,) m
-    half_height: jax.Array  # (gates,) m
-    next_position: Vec3  # of (gates,): the next gate's center in this gate's frame, m
-    next_yaw: jax.Array  # (gates,) the next gate's yaw relative to this gate's, in [-pi, pi], rad
-    opening: Attitude | None = None  # of (gates,): roll, pitch and yaw; None: all upright
-    circle: jax.Array | None = None  # (gates,) bool, round openings; None: all rectangles
+    position: Vec3  # center, m, world
+    yaw: jax.Array  # heading of the way through, rad
+    cos_yaw: jax.Array
+    sin_yaw: jax.Array
+    half_width: jax.Array  # m
+    half_height: jax.Array  # m
+    next_position: Vec3  # the next gate's center in this gate's frame, m
+    next_yaw: jax.Array  # the next gate's yaw relative to this gate's, in [-pi, pi], rad
+    opening: Attitude | None = None  # roll, pitch and yaw; None: upright
+    circle: jax.Array | None = None  # bool, whether the opening is round; None: a rectangle
+
+
+class Track(Gate):
+    """Gates as arrays (gates,) of each number, and where the race starts and ends."""
+
     start: Pose | None = None  # of timed laps; None: at the last gate
     # Whether the first gate follows the last; else the race ends with the last gate.
     closed: bool = struct.field(pytree_node=False, default=True)
-
-
-@struct.dataclass
-class Gate:
-    """One gate of a track: the fields of ``Track`` at one index."""
-
-    position: Vec3
-    yaw: jax.Array
-    cos_yaw: jax.Array
-    sin_yaw: jax.Array
-    half_width: jax.Array
-    half_height: jax.Array
-    next_position: Vec3
-    next_yaw: jax.Array
-    opening: Attitude | None = None
-    circle: jax.Array | None = None
 
 
 def make_track(
@@ -105,6 +181,40 @@ def make_track(
     )
 
 
+def build_track(section: TrackSection) -> Track:
+    """The arrays of a track of a config."""
+    gates = section.gates
+    tilt = np.radians([(g.roll_deg, g.pitch_deg) for g in gates]).astype(np.float32)
+    circle = np.array([g.shape == "circle" for g in gates])
+    return make_track(
+        jnp.asarray(np.array([g.position for g in gates], np.float32)),
+        jnp.asarray(np.radians([g.yaw_deg for g in gates]).astype(np.float32)),
+        jnp.asarray(np.array([g.size for g in gates], np.float32)),
+        jnp.asarray(tilt) if tilt.any() else None,
+        jnp.asarray(circle) if circle.any() else None,
+        None if section.start is None else _pose(section.start),
+        section.closed,
+    )
+
+
+def _pose(start: TrackStart) -> Pose:
+    yaw, on_ground = jnp.float32(math.radians(start.yaw_deg)), start.position[2] == 0
+    return Pose(Vec3(*map(jnp.float32, start.position)), yaw, on_ground)
+
+
+@functools.lru_cache(maxsize=4)
+def build_tracks(settings: RandomTracks) -> tuple[Track, float]:
+    """Random tracks as one, with (tracks, gates) of each number, and their position limit, m.
+
+    Raises:
+        InputError: settings for which no track was found.
+    """
+    trees = [generate(each) for each in settings.each]
+    tracks = [build_track(TrackSection(gates=tree["gates"])) for tree in trees]
+    limit = max(tree["rules"]["position_limit"] for tree in trees)
+    return jax.tree.map(lambda *each: jnp.stack(each), *tracks), limit
+
+
 def gate_count(track: Track) -> int:
     """The number of gates of a track: static."""
     return track.yaw.shape[0]
@@ -132,7 +242,7 @@ def gate_at(track: Track, index: int) -> Gate:
 
 
 def _gate(track: Track, of: Callable[[jax.Array], jax.Array]) -> Gate:
-    names = (name for name in vars(track) if name not in ("start", "closed"))
+    names = Gate.__dataclass_fields__
     return Gate(**{name: jax.tree.map(of, getattr(track, name)) for name in names})
 
 
@@ -156,9 +266,6 @@ def gates_ahead(track: Track, count: int) -> tuple[Vec3, jax.Array]:
         across = Vec3(cosine * step.x - sine * step.y, sine * step.x + cosine * step.y, step.z)
         position, yaw = track.next_position + across, wrap_angle(track.next_yaw + turn)
     return position, yaw
-
-
-STRAIGHT = 0.2  # below this sum of the sines of the turns at a leg's ends, the leg is straight
 
 
 def inside_turn(track: Track) -> jax.Array:

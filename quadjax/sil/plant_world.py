@@ -62,7 +62,7 @@ class PlantWorld:
         """By the rules of the race, at every sample."""
         plan = self.plan
         step = float(plan.params.plant.step)
-        return laps.laps_of(now.state[0].race, step, plan.limit * plan.step)
+        return laps.laps_of(plan.choices.race, now.state[0].race, step, plan.limit * plan.step)
 
 
 @functools.partial(jax.jit, static_argnames=("choices", "lap_count"))

@@ -35,7 +35,7 @@ class SimulatorWorld:
     @property
     def step(self) -> float:
         """Of the simulation, s."""
-        return float(self.params.limits.time_step)
+        return float(self.params.rules.time_step)
 
     @property
     def limit(self) -> int:
@@ -60,13 +60,13 @@ class SimulatorWorld:
     def result(self, now: Now) -> Laps:
         """By the rules of the race."""
         limit = laps.time_limit(self.params.track, self.laps)
-        return laps.laps_of(now.state, self.step, limit)
+        return laps.laps_of(self.choices, now.state, self.step, limit)
 
 
 def simulator_world(choices: Choices, params: RaceParams, lap_count: int) -> SimulatorWorld:
     """The simulator of a race, by the exact rules of timed laps."""
     exact = environment.exact_rules(choices.model, params)
-    return SimulatorWorld(dataclasses.replace(choices, stagger_clocks=False), exact, lap_count)
+    return SimulatorWorld(choices, exact, lap_count)
 
 
 @functools.partial(jax.jit, static_argnames=("choices", "lap_count"))
@@ -86,7 +86,7 @@ def _advance_simulator(
 
     def one(race: LapState) -> LapState:
         following, _, outcome = environment.transition(choices, params, race.state, action)
-        return laps.score(race, following, outcome, params.limits.time_step, gates)
+        return laps.score(race, following, outcome, params.rules.time_step, gates)
 
     race = jax.vmap(one, -1, -1)(race)
     return race, _see_simulator(choices, params, race)

@@ -14,7 +14,7 @@ from quadjax.export.targets import AS_FILE, INDIFLIGHT, find_target
 from quadjax.export.verify.folder import Inputs
 from quadjax.export.verify.result import Failed, Skipped
 from quadjax.export.verify.toolchain import Compiler, host
-from quadjax.race.layout import HIGHEST_RPM
+from quadjax.race.observations import HIGHEST_RPM
 from quadjax.sil.message import (
     DTYPES,
     HEADER,

@@ -110,11 +110,11 @@ def sample(
     """Samples of flights; arguments and errors as of ``probe``."""
     check_drawn(config)
     choices, params = pilot.fit_race(*race_of(config.replace(schedules={})), policy, name)
-    choices = dataclasses.replace(choices, randomize=True, stagger_clocks=False)
+    choices = dataclasses.replace(choices, randomize=True)
     params = environment.exact_rules(choices.model, params)
     own = pilot.make_pilot(choices, params, policy, deterministic=True)
     race = _starts(choices, params, jax.random.key(seed), drones)
-    step = float(params.limits.time_step)
+    step = float(params.rules.time_step)
     stride = max(1, round(EVERY / step))
     skipped, count = round(WARM_UP / step), round((seconds - WARM_UP) / step / stride)
     seen, flying = _fly(choices, skipped, stride, count, params, own, race)

@@ -126,7 +126,7 @@ def _fly(
         jnp.float32(math.inf if speed is None else speed),
     )
     limit = laps.time_limit(params.track, length)
-    result = laps.laps_of(race, float(params.limits.time_step), limit)
+    result = laps.laps_of(choices, race, float(params.rules.time_step), limit)
     assert race.speeds is not None
     first, highest, above = (
         np.asarray(getattr(race.speeds, name), np.float64)

@@ -74,7 +74,6 @@ def fly_random_tracks(
     check_integer("laps", lap_count, 2, MAX_LAPS)
     own = config.replace(randomization=config.randomization.replace(tracks=tracks))
     choices, params = pilot.fit_race(*race_of(own), policy, name)
-    choices = dataclasses.replace(choices, stagger_clocks=False)
     every = params.tracks
     assert every is not None
     params = environment.exact_rules(choices.model, params)
@@ -85,7 +84,9 @@ def fly_random_tracks(
     flown = pilot.make_pilot(choices, params, policy, deterministic=True)
     steps, key = laps.step_limit(params, lap_count), jax.random.key(0)
     race, _ = laps.fly_race(choices, pilot.fly, lap_count, steps, False, params, flown, states, key)
-    result = laps.laps_of(race, float(params.limits.time_step), laps.time_limit(longest, lap_count))
+    result = laps.laps_of(
+        choices, race, float(params.rules.time_step), laps.time_limit(longest, lap_count)
+    )
     done = np.isfinite(result.totals)
     lap = np.median(result.lap_times[:, 1:], axis=1)
     return TrackFlights(tracks, np.where(done, lap, np.nan), result.crashes)

@@ -22,7 +22,7 @@ from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.start import draw, draw_count, start_gate
+from quadjax.race.starts import draw_start, start_gate
 from quadjax.race.track import gate
 from quadjax.vehicle.protocol import Motion
 
@@ -105,7 +105,7 @@ def drawn_races(
     for label, randomization in races.items():
         race = config.replace(randomization=randomization, disturbance=Disturbance(), schedules={})
         choices, params = pilot.fit_race(*race_of(race), policy, name)
-        choices = dataclasses.replace(choices, randomize=True, stagger_clocks=False)
+        choices = dataclasses.replace(choices, randomize=True)
         yield label, choices, environment.exact_rules(choices.model, params)
 
 
@@ -121,7 +121,7 @@ def _fly(
     key, noise = jax.random.split(jax.random.key(seed))
     states = jax.jit(_starts, static_argnums=(0, 3))(choices, params, key, runs)
     own = pilot.make_pilot(choices, params, policy, deterministic=True)
-    steps = round(seconds / float(params.limits.time_step))
+    steps = round(seconds / float(params.rules.time_step))
     race, _ = laps.fly_race(choices, pilot.fly, MOST_LAPS, steps, False, params, own, states, noise)
     ends = np.asarray(race.lap_end, np.float64)
     times = np.diff(np.where(ends > 0, ends, np.nan), axis=0)
@@ -142,19 +142,17 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     """A start ``DISTANCE`` before a gate, on the line through it; constants are drawn."""
     first, second = jax.random.split(key)
     state, model = environment.reset(choices, params, first), choices.model
-    drawn = draw(second, 1 + draw_count(model))
-    target = start_gate(params.track, drawn[0])
-    g, numbers = gate(params.track, target), drawn[1:]
+    drawn = draw_start(model, second)
+    target = start_gate(params.track, drawn.gate)
+    g = gate(params.track, target)
     behind = Vec3(g.cos_yaw, g.sin_yaw, jnp.zeros_like(g.yaw)) * DISTANCE
     motion = Motion(
         position=g.position - behind,
-        velocity=Vec3.of(numbers[3:6]) * VELOCITY,
-        euler=Vec3.of(numbers[6:9]) * Vec3(ROLL_PITCH, ROLL_PITCH, math.pi),
-        rates=Vec3.of(numbers[9:12]) * RATES,
+        velocity=Vec3.of(drawn.velocity) * VELOCITY,
+        euler=Vec3.of(drawn.euler) * Vec3(ROLL_PITCH, ROLL_PITCH, math.pi),
+        rates=Vec3.of(drawn.rates) * RATES,
     )
-    span = params.start
-    thrust = (span.thrust_low, span.thrust_high)
-    drone = model.start(state.constants, motion, numbers[12:], thrust)
+    drone = model.start(state.constants, motion, drawn.actuators, params.start.thrust)
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
     return environment.with_memory(choices, params, fresh)

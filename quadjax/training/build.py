@@ -19,8 +19,12 @@ from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams
-from quadjax.race.environment import RaceParams, RaceState, make_environment
-from quadjax.race.privileged import with_constants
+from quadjax.race.environment import (
+    RaceParams,
+    RaceState,
+    make_environment,
+    with_critic_constants,
+)
 from quadjax.race.recorded_starts import read_states
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.residual_file import is_shipped, read_residual
@@ -34,7 +38,7 @@ def build_environment(config: Config) -> Environment[RaceParams, RaceState]:
     if not names:
         return environment
     spread = config.randomization.by_constant(vehicle_model(config.vehicle.model))
-    return with_constants(environment, tuple((name, spread[name] or 1.0) for name in names))
+    return with_critic_constants(environment, tuple((name, spread[name] or 1.0) for name in names))
 
 
 def privileged_names(config: Config) -> tuple[str, ...]:
@@ -127,7 +131,7 @@ def training_params(config: Config) -> RaceParams:
     low, high = (np.array(jax.tree.leaves(end), np.float64) for end in ends)
     part, gates = config.run.start_states_part, len(config.track.gates)
     recorded = states.starts(part, (low, high), gates, f"run.start_states: {name}")
-    return params.replace(start=params.start.replace(recorded=recorded))
+    return params.replace(recorded=recorded)
 
 
 def plan(config: Config, steps_per_update: int) -> Plan:

@@ -8,13 +8,12 @@ import numpy as np
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import OWN_ERRORS, InputError, own_error
-from quadjax.core.imports import name_of, own_numbers
+from quadjax.core.imports import own_numbers
 from quadjax.learners import sharding as parallel
 from quadjax.learners.state import Learner, TrainState
 from quadjax.race import environment
-from quadjax.race.context import StepContext
 from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.layout import View
+from quadjax.race.step import Step
 from quadjax.race.track import gate
 
 STARTS = 8  # random starts whose first step is computed
@@ -39,16 +38,14 @@ def check_functions(choices: Choices, params: RaceParams, extra: int) -> None:
     def first_step(key: jax.Array) -> dict[str, list[jax.Array]]:
         state = environment.reset(choices, params, key)
         target = gate(params.track, state.target)
-        view = View(choices.model, params, state, target)
-        values = {f"observation field {field.name!r}": field.numbers(view) for field in fields}
+        seen = Step(choices.model, params, state, target)
+        values = {f"observation field {field.name!r}": field.numbers(seen) for field in fields}
         action = jnp.zeros(choices.model.action_size)
-        own = dataclasses.replace(params, term_weights=())
-        following, _, outcome = environment.transition(plain, own, state, action)
-        after = following.drone
-        context = StepContext(choices.model, params, state, after, target, outcome, action)
-        for term in choices.terms:
-            label = f"reward term {name_of(term)}"
-            values[label] = own_numbers(label, term, context)
+        following, _, outcome = environment.transition(plain, params, state, action)
+        step = dataclasses.replace(seen, after=following.drone, outcome=outcome, action=action)
+        for name, term in choices.terms:
+            label = f"reward term {name}"
+            values[label] = own_numbers(label, term, step)
         return values
 
     values = jax.jit(jax.vmap(first_step))(jax.random.split(jax.random.key(0), STARTS))

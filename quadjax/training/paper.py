@@ -15,6 +15,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import build_params, build_vehicle
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.core.traced import with_leaves
 from quadjax.race.environment import exact_rules
 from quadjax.vehicle import residual_file
 from quadjax.vehicle.registry import model
@@ -101,11 +102,12 @@ def _race(config: Config) -> tuple[object, ...]:
     is imported, so a config of a run's folder may be compared.
     """
     params = build_params(config)
-    zero, limits = jnp.zeros(()), exact_rules(model(config.vehicle.model), params).limits
-    limits = dataclasses.replace(limits, episode_steps=zero)
+    zero, params = jnp.zeros(()), exact_rules(model(config.vehicle.model), params)
+    limits = with_leaves(params.training_limits, episode_steps=zero)
     track = dataclasses.replace(params.track, yaw=zero, next_yaw=zero)  # sine and cosine remain
     numbers = {
         "constants": params.vehicle.constants,
+        "rules": params.rules,
         "limits": limits,
         "disturbance": params.disturbance,
         "randomization": params.randomization,

@@ -1,4 +1,4 @@
-"""The battery: the highest propeller speed that it permits, and the onboard estimate of it."""
+"""The battery: its charge, the highest propeller speed, and the onboard estimate of that."""
 
 from typing import Self
 
@@ -7,11 +7,13 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.filters import Scalar
+from quadjax.core.gradients import clip_inward
 from quadjax.core.sections import Field, Fraction, NonNegative, Positive, Section, model_validator
 from quadjax.core.vectors import Rotors
 
 LOWEST = 0.75  # of the highest command: the lowest estimate, and what is observed as -1
 DELAY = 0.02  # s, time constant of the low-pass that the speeds and commands share
+FIRST_ERROR = 0.05  # of the highest command: largest error of the first estimate of an episode
 ADAPTATION = 0.2  # s, time constant of the estimate while all commands are at the limit
 
 
@@ -37,8 +39,7 @@ class BatteryConfig(Section):
         return self
 
 
-@struct.dataclass
-class BatteryParams:
+class BatteryParams(struct.PyTreeNode):
     """A battery in a drone."""
 
     strength: jax.Array  # of the sag; 0: none, and no limit
@@ -94,8 +95,7 @@ def charge_rate(p: BatteryParams, rpm: Rotors) -> jax.Array:
     return -p.strength * p.drain * load(p, rpm)
 
 
-@struct.dataclass
-class LimitEstimatorParams:
+class LimitEstimatorParams(struct.PyTreeNode):
     """Numbers of the estimator of the highest speed, at a fixed sample rate."""
 
     highest: jax.Array  # () rpm, the highest command
@@ -104,8 +104,7 @@ class LimitEstimatorParams:
     gain: jax.Array  # () of the mean error, in one sample
 
 
-@struct.dataclass
-class LimitEstimatorState:
+class LimitEstimatorState(struct.PyTreeNode):
     """Memory of the estimator."""
 
     speed: Rotors  # low-pass of the measured speeds, rpm
@@ -163,3 +162,71 @@ def update(
     highest = state.highest + params.gain * sum((error * limited).components())
     highest = jnp.clip(highest, LOWEST * params.highest, params.highest)
     return LimitEstimatorState(towards(state.speed, rpm), expected, limited, highest)
+
+
+class Battery(struct.PyTreeNode):
+    """Numbers of the battery in a race, with the onboard estimator."""
+
+    cells: BatteryParams
+    charge: tuple[jax.Array, jax.Array]  # lowest and highest at the start
+    estimator: LimitEstimatorParams
+    time_step: jax.Array  # s
+
+
+class BatteryState(struct.PyTreeNode):
+    """The battery of one drone."""
+
+    charge: jax.Array  # () left, 0 to 1
+    estimate: LimitEstimatorState  # on board
+
+
+def draw_battery(params: Battery, rpm: Rotors, key: jax.Array) -> BatteryState:
+    """A charge of the range, and a first estimate near the limit at full power."""
+    part, error = jax.random.uniform(key, (2,))
+    low, high = params.charge
+    charge = low + (high - low) * part
+    wrong = FIRST_ERROR * params.estimator.highest * (2.0 * error - 1.0)
+    first = full_power_limit(params, charge) + wrong
+    return BatteryState(charge, begin(params.estimator, rpm, first))
+
+
+def full_power_limit(params: Battery, charge: jax.Array) -> jax.Array:
+    """The limit (), rpm, with all propellers at the highest command."""
+    full = Rotors.same(params.estimator.highest)
+    return highest_rpm(params.cells, full, charge)
+
+
+def middle_limit(params: Battery) -> jax.Array:
+    """The first estimate (), rpm, of a drone that does not know its charge."""
+    low, high = params.charge
+    return full_power_limit(params, 0.5 * (low + high))
+
+
+def battery_at_start(params: Battery, rpm: Rotors, state: BatteryState | None) -> BatteryState:
+    """The battery of a drone at rest with propeller speeds, rpm; without a state, well charged."""
+    first = middle_limit(params) if state is None else state.estimate.highest
+    charge = params.charge[1] if state is None else state.charge
+    return BatteryState(charge, begin(params.estimator, rpm, first))
+
+
+def limit_command(params: Battery, state: BatteryState, rpm: Rotors, command: Rotors) -> Rotors:
+    """The commands, rpm, that the battery permits at these speeds, rpm."""
+    top = jax.lax.stop_gradient(highest_rpm(params.cells, rpm, state.charge))
+    return jax.tree.map(lambda u: clip_inward(u, 0.0, top), command)
+
+
+def advance_battery(
+    params: Battery, state: BatteryState, rpm: Rotors, command: Rotors
+) -> BatteryState:
+    """The battery a step later: its charge, and the estimate, through which no gradient flows.
+
+    Args:
+        params: of the battery.
+        state: before the step.
+        rpm: propeller speeds after the step, rpm.
+        command: within the nominal range, rpm.
+    """
+    rpm, command = jax.lax.stop_gradient((rpm, command))
+    used = params.time_step * charge_rate(params.cells, rpm)
+    charge = jnp.clip(state.charge + used, 0.0, 1.0)
+    return BatteryState(charge, update(params.estimator, state.estimate, rpm, command))

@@ -6,8 +6,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.evaluation import tables
 from quadjax.evaluation.recording import choose, distinct, recordings
-from quadjax.race.laps import fly_laps
-from quadjax.race.result import Laps
+from quadjax.race.laps import Laps, fly_laps
 from quadjax.training import paper
 from tests.evaluation.support import rate_race, script, scripted
 from tests.race.support import BLANK

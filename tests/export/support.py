@@ -24,8 +24,9 @@ from quadjax.policy.file import Policy
 from quadjax.policy.pilot import command_ranges
 from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.laps import Laps
-from quadjax.race.layout import ESTIMATED, highest_command
+from quadjax.race.observations import HIGHEST_RPM, fields_of
 from quadjax.training.build import build_networks, policy_of
+from quadjax.vehicle import motor
 from quadjax.vehicle.residual import Residual
 from quadjax.vehicle.residual_file import write_residual
 
@@ -72,7 +73,7 @@ def made_policy(
 def with_highest_rpm(policy: Policy) -> Policy:
     """The policy, observing also the highest propeller speed."""
     top = float(policy.command_high[0])
-    field = dataclasses.replace(highest_command(ESTIMATED), span=((0.75 * top, top),))
+    field = dataclasses.replace(fields_of(motor.MODEL)[HIGHEST_RPM], span=((0.75 * top, top),))
     layout = dataclasses.replace(policy.layout, fields=(*policy.layout.fields, field))
     (kernel, bias), *others = policy.layers
     more = np.concatenate([kernel, -2.0 * kernel[:1]])

@@ -321,7 +321,9 @@ def flown(policy, own, reset, control, runs=6, lap_count=2):
             scaled = 2.0 * (command - pilot.low) / (pilot.high - pilot.low) - 1.0
             race, taken = advance(race, jnp.asarray(scaled, jnp.float32)), taken + 1
         limit = laps.time_limit(params.track, lap_count)
-        results.append([laps.laps_of(x, own.time_step, limit) for x in (reference, race)])
+        results.append(
+            [laps.laps_of(own.choices, x, own.time_step, limit) for x in (reference, race)]
+        )
     return results
 
 

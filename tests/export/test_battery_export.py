@@ -25,11 +25,10 @@ from quadjax.export.verify import measurements
 from quadjax.export.verify.harness import load_library
 from quadjax.export.verify.toolchain import WARNINGS, host
 from quadjax.race import environment
-from quadjax.race.battery import middle_limit
 from quadjax.sil.message import RPM_PER_RAD_S, Kind, new
 from quadjax.sil.run import make_world
 from quadjax.sil.source import write_sources
-from quadjax.vehicle.battery import limit_estimator
+from quadjax.vehicle.battery import limit_estimator, middle_limit
 from tests.export.support import ORIGIN, made_policy, untrained
 from tests.sil.test_exported import FLOATS, written
 

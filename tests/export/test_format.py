@@ -14,7 +14,8 @@ from quadjax.export.integers import ONE
 from quadjax.export.proof import prove
 from quadjax.export.ranges import declare, parse_overrides
 from quadjax.export.report import float64_commands
-from quadjax.race.layout import Field, Layout, make_layout
+from quadjax.race.layout import Field, Layout
+from quadjax.race.observations import Observation, make_layout
 from quadjax.vehicle.motor import MODEL
 from tests.export.support import POLICIES, made_policy, named_network
 
@@ -168,7 +169,9 @@ def test_ranges_are_powers_of_two_of_known_names():
         parse_overrides(["velocity"])
     with pytest.raises(InputError, match="velocity has two ranges"):
         parse_overrides(["velocity=32", "position=8", "velocity=16"])
-    unwrapped = dataclasses.replace(policy, layout=make_layout(MODEL, wrap_next_yaw=False))
+    unwrapped = dataclasses.replace(
+        policy, layout=make_layout(MODEL, Observation(wrap_next_yaw=False))
+    )
     assert declare(unwrapped).ranges[19] == 8.0
 
 

@@ -112,7 +112,7 @@ def test_gates_are_passed_and_missed():
 def test_gates_along_a_wandering_path_are_the_simulators(config):
     policy = made_policy(8, "rate" if config == "indi" else "motor")
     own = own_race(policy, config=config)
-    world_box = own.choices.gate_test == "world_box"
+    world_box = own.params.rules.gate_test == "world_box"
     assert world_box == (config == "e2e_paper +authors_code")
     network = convert(policy, {"next_yaw": 8.0})
     tables = make_tables(network.box, policy, own.choices, own.params)

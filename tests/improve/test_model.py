@@ -138,7 +138,7 @@ def test_states_of_logs_are_starts_with_the_gate_ahead(tmp_path):
     tuned = tuning_config(
         config, Model.of(config), policy_file(tmp_path), tmp_path / "states.npz", 0.0, 64
     )
-    recorded = training_params(tuned).start.recorded
+    recorded = training_params(tuned).recorded
     np.testing.assert_allclose(recorded.motion.position.array(), states.arrays["position"], 1e-6)
     np.testing.assert_allclose(recorded.actuators, 0.0, atol=1e-6)
     assert states_of_logs([dataclasses.replace(flown(config), position=None)], config) is None

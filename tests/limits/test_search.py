@@ -10,6 +10,7 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
+from quadjax.core.traced import with_leaves
 from quadjax.limits.problem import ATTITUDE, Flight, make_problem
 from tests.commands import run
 
@@ -153,8 +154,9 @@ def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
     assert best.check.error == "" and best.check.clearance >= 0.0
     hasty = dataclasses.replace(best.trajectory, leg_times=0.97 * best.trajectory.leg_times)
     assert verify(problem, hasty).error
-    limits = problem.params.limits.replace(speed=np.float64(best.check.top_speed - 0.01))
-    slow = dataclasses.replace(problem, params=problem.params.replace(limits=limits))
+    limit = np.float64(best.check.top_speed - 0.01)
+    rules = with_leaves(problem.params.rules, speed_limit=limit)
+    slow = dataclasses.replace(problem, params=problem.params.replace(rules=rules))
     assert "above the speed limit" in verify(slow, best.trajectory).error
 
 

@@ -7,7 +7,7 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
-from quadjax.race.layout import HIGHEST_RPM
+from quadjax.race.observations import HIGHEST_RPM
 from tests.race.support import compiled_observe, compiled_reset, compiled_transition, hover_state
 
 LOW, HIGH = 0.2, 0.6

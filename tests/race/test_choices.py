@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.vectors import Rotors
-from quadjax.race.layout import View
+from quadjax.race.step import Step
 from quadjax.race.track import gates_ahead
 from tests import reference as ref
 from tests.race.support import (
@@ -65,7 +65,7 @@ def test_actuators_are_scaled_by_a_given_range():
     assert field.span == ((0.0, 3000.0),) * 4
     speeds = Rotors(*np.float32([0.0, 1500, 3000, 600]))
     drone = types.SimpleNamespace(actuators=speeds)
-    found = field.numbers(View(choices.model, params, types.SimpleNamespace(drone=drone), None))
+    found = field.numbers(Step(choices.model, params, types.SimpleNamespace(drone=drone), None))
     np.testing.assert_allclose(found, [-1, 0, 1, -0.6], atol=1e-6)
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
+from quadjax.core.traced import with_leaves
 from quadjax.core.vectors import safe_norm
 from quadjax.race import environment
-from quadjax.race.laps import fly_race, lap_length, starting_states, time_limit
-from quadjax.race.layout import Field, Layout, make_layout
-from quadjax.race.result import CRASHES, Laps
+from quadjax.race.laps import Laps, fly_race, lap_length, starting_states, time_limit
+from quadjax.race.layout import Field, Layout
+from quadjax.race.observations import make_layout
 from quadjax.vehicle.motor import MODEL
 from quadjax.vehicle.protocol import Signal
 from quadjax.vehicle.rate import Rate
@@ -47,9 +48,11 @@ def ceiling(context):
 def races():
     """The published race, and one with two terms of the reward and a rule."""
     choices, params = make_race()
-    own = dataclasses.replace(choices, terms=(speed, squared_action), rules=(ceiling,))
-    weights = params.replace(term_weights=(jnp.float32(0.5), jnp.float32(-2.0)))
-    return (choices, params), (own, weights)
+    terms = (("speed", speed), ("squared", squared_action))
+    own = dataclasses.replace(choices, terms=terms, rules=(("ceiling", ceiling),))
+    weights = {"speed": jnp.float32(0.5), "squared": jnp.float32(-2.0)}
+    reward = with_leaves(params.reward, terms=weights)
+    return (choices, params), (own, params.replace(reward=reward))
 
 
 def test_terms_are_added_in_their_weights(races):
@@ -62,13 +65,13 @@ def test_terms_are_added_in_their_weights(races):
 def test_a_rule_ends_the_episode_as_a_collision_does(races):
     rows = level([ref.GATES[3] + [0, 0, -0.4], ref.GATES[3] + [0, 0, -0.6]], np.zeros(3))
     following, value, outcome = step(races[1], rows)
-    np.testing.assert_array_equal(outcome.extra_rule, [False, True])
+    np.testing.assert_array_equal(outcome.crashes["ended by ceiling"], [False, True])
     np.testing.assert_array_equal(outcome.terminated, [False, True])
     terms = -2.0 * 0.01 * 4 * HOVER**2 + 0.5 * np.linalg.norm([*following.drone.velocity], axis=0)
     np.testing.assert_allclose(value[1], -10.0 + terms[1], atol=1e-5)
     assert not np.any(step(races[0], rows)[2].terminated)
     crashes = first_score(rows, 0, following, outcome).crash
-    assert [CRASHES[code] for code in crashes] == ["", "ended by an extra rule"]
+    assert [("", *races[1][0].terminations)[code] for code in crashes] == ["", "ended by ceiling"]
 
 
 class FiveCommands(Rate):
@@ -145,11 +148,11 @@ def test_own_objects_are_named_in_the_config():
         f"observation.extra=[{own}:HEIGHT]",
     )
     assert (choices.terms, choices.rules, choices.layout.fields[-1]) == (
-        (speed,),
-        (ceiling,),
+        ((f"{own}:speed", speed),),
+        ((f"{own}:ceiling", ceiling),),
         HEIGHT,
     )
-    assert [float(weight) for weight in params.term_weights] == [0.5]
+    assert {name: float(x) for name, x in params.reward.terms.items()} == {f"{own}:speed": 0.5}
     with pytest.raises(InputError, match=r"observation.extra: .*:height is .*expected a Field"):
         make_race(f"observation.extra=[{own}:height]")
     with pytest.raises(InputError, match=r"rules.extra: .*:HEIGHT is .*expected a function"):

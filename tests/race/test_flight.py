@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+from quadjax.core.traced import with_leaves
 from quadjax.race import environment
 from quadjax.race.environment import RaceState, make_environment
 from tests import reference as ref
@@ -99,7 +100,7 @@ def test_flight_follows_the_reference(kind, integrator):
     with jax.enable_x64(True):
         exact = type(params.vehicle.constants)(**{k: np.float64(v) for k, v in c.items()})
         params = params.replace(vehicle=params.vehicle.replace(constants=exact))
-        params = params.replace(limits=double(params.limits).replace(time_step=np.float64(0.01)))
+        params = params.replace(rules=with_leaves(double(params.rules), time_step=np.float64(0.01)))
         if kind == "motor":
             residual = ref.random_residual(-1.0)
             vehicle = params.vehicle.replace(residual=residual_of(residual))
@@ -133,7 +134,7 @@ def test_drawn_constants_are_flown_and_limit_the_command(kind):
         exact = type(params.vehicle.constants)(**{k: np.float64(v) for k, v in c.items()})
         params = params.replace(
             vehicle=params.vehicle.replace(constants=exact),
-            limits=double(params.limits).replace(time_step=np.float64(0.01)),
+            rules=with_leaves(double(params.rules), time_step=np.float64(0.01)),
         )
         drawn = type(exact)(**{k: np.full(COUNT, v) for k, v in own.items()})
         found = flight(choices, params, kind, rows, actions, drawn)

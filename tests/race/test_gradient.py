@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
+from quadjax.core.traced import with_leaves
 from quadjax.race import environment
 from quadjax.race.environment import RaceState
 from tests import reference as ref
@@ -92,7 +93,7 @@ def test_gradient_of_the_return(kind, integrator, residual, term):
     elif term != "gate":
         weight |= {"gate": 0.0, term: 2.0}
     weight |= {"gate_edge_margin": 0.45}  # so that the flight passes beyond the safe part
-    weights = reward.replace(**{name: np.float64(value) for name, value in weight.items()})
+    weights = with_leaves(reward, **{name: np.float64(value) for name, value in weight.items()})
     h = 1e-4
     moves = np.concatenate([np.zeros((1, size)), h * np.eye(size), -h * np.eye(size)])
     (value, (passed, ended)), slope = jax.tree.map(np.asarray, both(moves, weights))

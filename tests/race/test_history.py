@@ -8,8 +8,9 @@ import pytest
 
 from quadjax.config.race import choices_of
 from quadjax.core.errors import InputError
-from quadjax.race import environment, history
-from quadjax.race.layout import View
+from quadjax.race import environment
+from quadjax.race.observations import push_past
+from quadjax.race.step import Step
 from tests.promotion import QUICK
 from tests.race.support import compiled_reset, make_config, make_race
 
@@ -60,10 +61,9 @@ def test_gradients_flow_through_the_history(flown):
 
     def seen(roll_rate):
         drone = state.drone.replace(rates=state.drone.rates.replace(x=roll_rate))
-        past = history.push(state.past, drone, state.action)
-        past = history.push(past, state.drone, state.action)
-        view = View(choices.model, params, state.replace(past=past), None)
-        return choices.layout["rates@2"].numbers(view)[0]
+        past = push_past(push_past(state.past, state.replace(drone=drone)), state)
+        seen = Step(choices.model, params, state.replace(past=past), None)
+        return choices.layout["rates@2"].numbers(seen)[0]
 
     assert jax.grad(seen)(0.3) == 1.0
 

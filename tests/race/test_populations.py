@@ -8,7 +8,7 @@ import pytest
 from quadjax.config.race import build_params
 from quadjax.config.schema import Randomization
 from quadjax.core.errors import InputError
-from quadjax.race.start import towards
+from quadjax.race.starts import towards
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import A2RL
 from tests.race.support import make_config

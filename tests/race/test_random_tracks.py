@@ -8,10 +8,10 @@ import pytest
 
 from quadjax import make_race
 from quadjax.config.loading import load_config
-from quadjax.config.race import build_tracks
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.race.random_track import RandomTracks
+from quadjax.race.track import build_tracks
 from tests.commands import run
 from tests.promotion import QUICK
 
@@ -49,7 +49,7 @@ def test_every_episode_is_on_one_of_the_tracks(flown):
 
 def test_a_drawn_track_is_raced_as_a_track_of_its_own(flown):
     environment, params, states = flown
-    other = np.flatnonzero(states.track_index > 0)[0]
+    other = np.flatnonzero(states.track.position.x[:, 0] != params.tracks.position.x[0, 0])[0]
     state = jax.tree.map(lambda leaf: leaf[other], states)
     alone = params.replace(track=state.track, tracks=None)
     action = np.full(4, 0.2, np.float32)
@@ -71,7 +71,7 @@ def test_the_position_limit_has_room_for_every_track():
     _, params = race()
     settings = RandomTracks(count=5, seed=3, gates=6)
     tracks, limit = build_tracks(settings)
-    assert float(params.limits.position) >= limit
+    assert float(params.rules.position_limit) >= limit
     assert np.abs(np.asarray(tracks.position.x)).max() < limit
     assert [each.seed for each in settings.each] == [3, 4, 5, 6, 7]
 
@@ -92,9 +92,9 @@ def test_refused(key, named):
 
 def test_headings_of_one_track_are_refused_on_random_tracks():
     environment, params = race()
-    inside = make_race(load_config("e2e +fastest", ["start.heading=inside_turn"]))[1].start
-    params = params.replace(start=params.start.replace(heading=inside.heading))
-    with pytest.raises(InputError, match="params.start.heading is set, allowed: None with params"):
+    inside = make_race(load_config("e2e +fastest", ["start.heading=inside_turn"]))[1]
+    params = params.replace(heading=inside.heading)
+    with pytest.raises(InputError, match="params.heading is set, allowed: None with params"):
         environment.reset(params, jax.random.key(0))
 
 

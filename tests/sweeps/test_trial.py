@@ -8,7 +8,7 @@ from PIL import Image
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.race.result import Laps
+from quadjax.race.laps import Laps
 from quadjax.studies.drawn_plants import OnPlants
 from quadjax.sweeps import trial
 from quadjax.sweeps.figures import slices_figure

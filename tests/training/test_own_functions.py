@@ -23,7 +23,7 @@ OWN = "tests.training.own"
         (f"reward.terms={{{OWN}:nan: 1.0}}", f"reward term {OWN}:nan is not finite after a"),
         (
             f"reward.terms={{{OWN}:attribute: 1.0}}",
-            f"{OWN}:attribute: AttributeError: 'StepContext' object has no attribute 'nosuch' (",
+            f"{OWN}:attribute: AttributeError: 'Step' object has no attribute 'nosuch' (",
         ),
         ("rules.extra=['sys:exit']", "rule sys:exit: SystemExit: "),
         (f"learner.algorithm={OWN}:LEAVES", f"learner.algorithm {OWN}:LEAVES: SystemExit: 3 ("),

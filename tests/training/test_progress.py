@@ -4,7 +4,8 @@ import io
 
 from rich.console import Console
 
-from quadjax.race.result import CRASHES
+from quadjax.race.laps import OUT_OF_TIME
+from quadjax.race.rules import TERMINATIONS
 from quadjax.training.advice import CHANGES, no_lap
 from quadjax.training.progress import TrainingProgress, describe
 
@@ -47,7 +48,7 @@ def test_without_a_lap_it_says_what_ended_the_flights_and_what_to_change():
     causes, changes = no_lap(["hit a gate", "out of bounds", "hit a gate", ""], 1e8).split("\n", 1)
     assert causes.endswith("hit a gate (2 of 3), out of bounds (1 of 3)")
     assert "reward.gate_edge" in changes and "When it does not learn" in " ".join(changes.split())
-    assert set(CHANGES) == set(CRASHES) - {""}  # every reason has its advice
+    assert set(CHANGES) == {*TERMINATIONS, OUT_OF_TIME}  # every reason has its advice
     assert no_lap(["", ""], 1e8) == ""
     every = [no_lap([reason] * 9, steps) for reason in CHANGES for steps in (1e5, 1e8)]
     assert max(len(line) for text in every for line in text.splitlines()) < 80

@@ -42,7 +42,7 @@ def test_the_default_preset_from_start_to_end():
     for (update, (turned, residual)), (hyper, params) in zip(
         shares.items(), at(config, *shares), strict=True
     ):
-        assert float(params.start.yaw) == pytest.approx(turned * np.pi, abs=1e-6)
+        assert float(params.start.yaw_deg) == pytest.approx(turned * np.pi, abs=1e-6)
         assert float(params.reward.pitch_up) == pytest.approx(2 * (1 - turned), abs=1e-6)
         for vehicle in (params.vehicle, params.estimator.vehicle):
             found = vehicle.residual.moment[-1][0]
@@ -51,7 +51,7 @@ def test_the_default_preset_from_start_to_end():
         assert float(hyper.learning_rate) == pytest.approx(rate, rel=1e-5)
         assert float(params.reward.gate) == 10.0
     inside = np.radians([90.0, 180.0, -90.0, 0.0])  # of the legs to the paper's four gates
-    np.testing.assert_allclose(np.exp(1j * np.asarray(params.start.heading)), np.exp(1j * inside))
+    np.testing.assert_allclose(np.exp(1j * np.asarray(params.heading)), np.exp(1j * inside))
 
 
 def test_the_word_value_is_the_keys_own_value():

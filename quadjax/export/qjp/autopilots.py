@@ -10,7 +10,7 @@ from quadjax.export.qjp.emit import FOLDER, LOADER, qjp_source
 from quadjax.export.race_tables import RaceTables
 from quadjax.export.render import render
 from quadjax.export.targets import CRAZYFLIE, PX4, QJP, check_model
-from quadjax.race.layout import DISTURBANCES
+from quadjax.race.observations import DISTURBANCES
 
 PX4_FOLDER, CRAZYFLIE_FOLDER = "px4", "crazyflie"
 PX4_MODULE = f"{PX4_FOLDER}/src/modules/quadjax_policy"  # in EXTERNAL_MODULES_LOCATION

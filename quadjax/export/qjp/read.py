@@ -30,7 +30,8 @@ from quadjax.export.race_tables import NOTES, ROTATION, SCALED, Input, RaceTable
 from quadjax.export.ranges import InputBox
 from quadjax.export.scaling import Rescale
 from quadjax.export.selftest import BLOCK, TURN
-from quadjax.race.layout import Field, Layout, make_layout, other_fields
+from quadjax.race.layout import Field, Layout
+from quadjax.race.observations import fields_of
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import MODELS
 
@@ -157,8 +158,7 @@ def _state(words: Reader, fields: int, size: int) -> tuple[StateField, ...]:
 
 def _box(records: list[tuple[np.ndarray, str]], model: VehicleModel) -> InputBox:
     """The declared ranges, by field."""
-    known = (*make_layout(model).fields, *other_fields(model.action_size))
-    units = {field.name: (field.unit, field.frame) for field in known}
+    units = {field.name: (field.unit, field.frame) for field in fields_of(model).values()}
     fields, scaled = [], []
     for (kind, _, size, exponent), name in records:
         unit, frame = units.get(name, ("", ""))

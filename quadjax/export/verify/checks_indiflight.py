@@ -27,8 +27,7 @@ from quadjax.export.verify.toolchain import (
 )
 from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.laps import LapState
-from quadjax.race.result import Laps
+from quadjax.race.laps import Laps, LapState
 from quadjax.race.track import gate_count
 
 WARNINGS = "-std=c99 -Wall -Wextra -Wdouble-promotion -Werror".split()
@@ -189,14 +188,13 @@ def _advance(own: OwnRace) -> Callable[[LapState, jax.Array], LapState]:
 
     def one(race: LapState, action: jax.Array) -> LapState:
         following, _, outcome = environment.transition(choices, params, race.state, action)
-        return laps.score(race, following, outcome, params.limits.time_step, gates)
+        return laps.score(race, following, outcome, params.rules.time_step, gates)
 
     return jax.jit(jax.vmap(one, in_axes=(-1, 0), out_axes=-1))
 
 
 def _exact(own: OwnRace) -> tuple[Choices, RaceParams]:
-    choices = dataclasses.replace(own.choices, stagger_clocks=False)
-    return choices, environment.exact_rules(own.choices.model, own.params)
+    return own.choices, environment.exact_rules(own.choices.model, own.params)
 
 
 def races(c: Context, runs: int, lap_count: int = RACE_LAPS, seed: int = 3) -> tuple[Laps, Laps]:
@@ -215,7 +213,7 @@ def races(c: Context, runs: int, lap_count: int = RACE_LAPS, seed: int = 3) -> t
         if np.asarray(race.over).all():
             break
     limit = laps.time_limit(params.track, lap_count)
-    reference, found = (laps.laps_of(x, own.time_step, limit) for x in (flown, race))
+    reference, found = (laps.laps_of(choices, x, own.time_step, limit) for x in (flown, race))
     return reference, found
 
 

@@ -15,7 +15,7 @@ from quadjax.export.race_tables import LAST_COMMAND, state_sizes
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import mean_action, policy_params
 from quadjax.policy.pilot import command_ranges
-from quadjax.race import history
+from quadjax.race.layout import split_name
 from quadjax.studies.replay.logged import (
     DISTURBANCES,
     Logged,
@@ -114,7 +114,7 @@ def _observations(
 def _disturbances(flight: Logged, own: OwnRace) -> tuple[Signals, str]:
     """The external moment and force that a policy observes, and where they are from."""
     layout = own.choices.layout
-    observed = [name for name in layout.names if history.split_name(name)[0] in DISTURBANCES]
+    observed = [name for name in layout.names if split_name(name)[0] in DISTURBANCES]
     if not observed:
         return {}, ""
     if layout[observed[0]].source == "none":
@@ -129,7 +129,7 @@ def _disturbances(flight: Logged, own: OwnRace) -> tuple[Signals, str]:
 def _check_rate(flight: Logged, own: OwnRace) -> None:
     """Check that a history, which counts steps, has the log's samples as its steps."""
     apart = flight.step / own.time_step - 1.0
-    if history.depth(own.choices.layout.names) and abs(apart) > RATE_ERROR:
+    if own.choices.layout.depth and abs(apart) > RATE_ERROR:
         raise InputError(
             f"{flight.path}: {1.0 / flight.step:.4g} samples/s; the policy observes a history, "
             f"which needs a log of {1.0 / own.time_step:.4g} samples/s"

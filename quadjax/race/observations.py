@@ -1,0 +1,451 @@
+"""What a policy observes: the table ``OBSERVATIONS`` of named fields, and layouts made of them.
+
+Sizes, slices, scaling, the conversion between two policies' scalings and the ranges of the exported
+code derive from the ``Layout``. The default one is that of Ferede et al. (arXiv 2311.16948): 24
+numbers for the motor-level vehicle, 17 for the rate-level one.
+
+A field of the history, ``velocity@5``, is the field ``velocity`` of the state of 5 steps before,
+seen from the present target gate: all fields of an observation have one frame, also in the steps
+after a gate. At the start of an episode all earlier states are the first one.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Literal
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from quadjax.core.errors import InputError
+from quadjax.core.frames import wrap_angle
+from quadjax.core.sections import Field as Key
+from quadjax.core.sections import Section
+from quadjax.core.vectors import Vec3, between
+from quadjax.race.layout import LAST_ACTION, MARK, Bounds, Field, Layout, Numbers, split_name
+from quadjax.race.step import Step
+from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame
+from quadjax.vehicle.battery import LOWEST, highest_rpm
+from quadjax.vehicle.protocol import State, VehicleModel
+
+if TYPE_CHECKING:
+    from quadjax.race.environment import RaceParams, RaceState
+
+HIGHEST_RPM, CONSTANTS, MOST_AHEAD = "highest_rpm", "constants", 4
+ACTUATORS = "actuators"  # in a history: the field of the model's actuators, whatever its name
+GROUND_TRUTH, ESTIMATED, NONE = "ground_truth", "estimated", "none"
+
+
+class History(Section):
+    """Fields of the observation that are also observed as they were in earlier steps."""
+
+    fields: tuple[str, ...] = Key(
+        (),
+        max_length=6,
+        description="names of observed fields: position, velocity, attitude (or rotation), rates, "
+        "actuators (or their own name: rpm, rotor_speed, thrust), or last_action",
+    )
+    steps: int = Key(4, ge=1, le=16, description="number of earlier values of each")
+    every: int = Key(
+        4,
+        ge=1,
+        le=16,
+        description="control steps from one to the next; steps * every is at most 64",
+    )
+
+    @property
+    def lags(self) -> tuple[int, ...]:
+        """How many steps before each of the values is, the latest first."""
+        return tuple(self.every * (i + 1) for i in range(self.steps))
+
+
+class Observation(Section):
+    """What the policy observes."""
+
+    disturbance: Literal["ground_truth", "estimated", "none"] = Key(
+        "ground_truth",
+        description="source of the observed external disturbance: the simulator, the onboard "
+        "estimator, or zeros",
+    )
+    highest_rpm: Literal["ground_truth", "estimated", "none"] = Key(
+        "estimated",
+        description="source of the observed limit of the propeller speeds, with a battery: as of "
+        "disturbance; none: it is not observed",
+    )
+    attitude: Literal["euler", "rotation"] = Key(
+        "euler",
+        description="roll, pitch and the yaw relative to the gate (3), or the body's x and z axes "
+        "in the gate's frame (6), which have no singularity",
+    )
+    gates_ahead: int = Key(
+        1,
+        ge=1,
+        le=4,
+        description="number of gates after the target whose position and yaw are observed",
+    )
+    last_action: bool = Key(
+        False, description="observe the action of the step before, -1 to 1; 0 at the start"
+    )
+    actuators: bool = Key(
+        True,
+        description="observe the actuators' state; false: for drones that do not measure it",
+    )
+    actuator_range: Span | None = Key(
+        None,
+        description="actuator states that are observed as -1 and 1, in the model's unit; null: "
+        "their nominal range (arXiv 2504.21586: [0, 3000] rad/s)",
+    )
+    wrap_next_yaw: bool = Key(
+        True,
+        description="wrap the next gate's relative yaw to +-180 deg; the authors' code does not",
+    )
+    history: History | None = Key(
+        None,
+        description="earlier values that are observed too: {fields: [rates, rpm], steps: 4, "
+        "every: 4} for those of 4, 8, 12 and 16 steps before; at a start, the first ones; null: "
+        "none",
+    )
+    constants: bool = Key(
+        False,
+        description="the policy observes the constants of the drone that randomization draws: for "
+        "drones whose constants are known",
+    )
+    critic_constants: bool = Key(
+        False,
+        description="the critic, not the policy, also observes the constants that randomization "
+        "draws; the policy file then has no critic",
+    )
+    extra: tuple[str, ...] = Key(
+        (), max_length=32, description="further fields, each the module:FIELD of your own Field"
+    )
+
+
+# Values: functions of the step, whose state and gate are those that are observed.
+
+
+def _position(step: Step) -> Numbers:
+    return to_gate_frame(step.gate, step.position - step.gate.position).components()
+
+
+def _velocity(step: Step) -> Numbers:
+    return to_gate_frame(step.gate, step.velocity).components()
+
+
+def _attitude(step: Step) -> Numbers:
+    """Roll, pitch, and the yaw's difference to the gate's, wrapped to [-pi, pi]."""
+    euler = step.euler
+    return euler.x, euler.y, wrap_angle(euler.z - step.gate.yaw)
+
+
+def _rotation(step: Step) -> Numbers:
+    """The body's x axis (front) and z axis (down) in the gate's frame."""
+    g = step.gate
+    zero, one = jnp.zeros_like(g.yaw), jnp.ones_like(g.yaw)
+    axes = (
+        Vec3(g.cos_yaw, g.sin_yaw, zero),
+        Vec3(-g.sin_yaw, g.cos_yaw, zero),
+        Vec3(zero, zero, one),
+    )
+    seen = [step.model.to_body(step.drone, axis) for axis in axes]
+    return [axis.x for axis in seen] + [axis.z for axis in seen]
+
+
+def _next_yaw_unwrapped(step: Step) -> Numbers:
+    """The plain difference of the gates' yaws, as in the code of Ferede et al."""
+    yaw = step.params.track.yaw
+    return (pick(jnp.roll(yaw, -1) - yaw, step.state.target),)
+
+
+def _beyond(count: int) -> tuple[Field, Field]:
+    """Position and yaw of the gate that is ``count`` gates after the target."""
+
+    def position(step: Step) -> Numbers:
+        place, _ = gates_ahead(step.params.track, count)
+        return [pick(table, step.state.target) for table in place.components()]
+
+    def yaw(step: Step) -> Numbers:
+        _, turn = gates_ahead(step.params.track, count)
+        return (pick(turn, step.state.target),)
+
+    return (
+        Field(f"next{count}_position", 3, "m", "gate", 16.0, position),
+        Field(f"next{count}_yaw", 1, "rad", "gate", 4.0, yaw),
+    )
+
+
+def _last_action(step: Step) -> Numbers:
+    """The command of the step before, which ``_command_bounds`` scales to the action."""
+    assert step.state.action is not None
+    ends = step.model.command_range(step.params.vehicle.constants)
+    low, high = (jax.tree.leaves(end) for end in ends)
+    return [between(*x) for x in zip(low, high, step.state.action, strict=True)]
+
+
+def _constants(step: Step) -> Numbers:
+    """Every constant of the drone, in the model's order and its units.
+
+    A drone that differs from its model (``vehicle.mismatch``) shows those of the model.
+    """
+    drawn, nominal = step.state.constants, step.params.vehicle.constants
+    unknown = drawn is None or step.params.mismatch is not None
+    return jax.tree.leaves(nominal if unknown else drawn)
+
+
+def _disturbance(source: str, step: Step) -> tuple[Vec3, Vec3]:
+    """The external moment, N m, and specific force, m/s^2, body, as they are observed."""
+    if source == ESTIMATED:
+        assert step.state.estimate is not None
+        return step.state.estimate.moment, step.state.estimate.force
+    return (Vec3.zero(), Vec3.zero()) if source == NONE else step.model.disturbance(step.drone)
+
+
+def _moment(source: str, step: Step) -> Numbers:
+    return _disturbance(source, step)[0].components()
+
+
+def _force(source: str, step: Step) -> Numbers:
+    return (_disturbance(source, step)[1].z,)
+
+
+def _highest_rpm(source: str, step: Step) -> Numbers:
+    """The highest propeller speed (), rpm, that the battery permits; full speed for ``none``."""
+    battery, params = step.state.battery, step.params.battery
+    if source == NONE:
+        return _limit_bounds(step.model, step.params)[1]
+    assert battery is not None and params is not None
+    if source == ESTIMATED:
+        return (battery.estimate.highest,)
+    limit = highest_rpm(params.cells, step.model.actuator_state(step.drone), battery.charge)
+    return (jnp.minimum(limit, params.estimator.highest),)
+
+
+# Scales: of the nominal drone, as drawn constants are not known to a policy.
+
+
+def _actuator_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    return model.actuator_range(params.vehicle.constants)
+
+
+def _fixed_bounds(span: tuple[float, float], model: VehicleModel, params: "RaceParams") -> Bounds:
+    low, high = ((jnp.float32(end),) * model.actuators.size for end in span)
+    return low, high
+
+
+def _command_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    return model.command_range(params.vehicle.constants)
+
+
+def _limit_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    highest = jax.tree.leaves(_command_bounds(model, params)[1])[0]
+    return (LOWEST * highest,), (highest,)
+
+
+def _moment_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    width = params.observed_disturbance
+    return None, (width.moment_x, width.moment_y, width.moment_z)
+
+
+def _force_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    return None, (params.observed_disturbance.force_z,)
+
+
+def _constant_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+    """The nominal constants minus and plus the drawn differences.
+
+    Of a population, whose limits are not known, the constants minus and plus their size.
+    """
+    nominal = jax.tree.leaves(params.vehicle.constants)
+    widths = [jnp.abs(x) for x in nominal]
+    if params.population_width is None:
+        spread = jax.tree.leaves(params.randomization)
+        widths = [width * part for width, part in zip(widths, spread, strict=True)]
+    pairs = list(zip(nominal, widths, strict=True))
+    return tuple(x - width for x, width in pairs), tuple(x + width for x, width in pairs)
+
+
+AHEAD = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
+OBSERVATIONS: Mapping[str, Field] = {  # of every model, by name; ``fields_of`` adds those of one
+    field.name: field
+    for field in (
+        Field("position", 3, "m", "gate", 8.0, _position),
+        Field("velocity", 3, "m/s", "gate", 16.0, _velocity),
+        Field("attitude", 3, "rad", "gate", 4.0, _attitude),
+        Field("rotation", 6, "", "gate", 2.0, _rotation),
+        Field("rates", 3, "rad/s", "body", 16.0, lambda step: step.body_rates.components()),
+        Field("next_position", 3, "m", "gate", 8.0, lambda s: s.gate.next_position.components()),
+        Field("next_yaw", 1, "rad", "gate", 4.0, lambda step: (step.gate.next_yaw,)),
+        Field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped),
+        *(field for pair in AHEAD for field in pair),
+    )
+}
+# The observed disturbances by field, as the section ``disturbance`` of a config names them.
+DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext": ("force_z",)}
+
+
+@functools.cache
+def fields_of(
+    model: VehicleModel,
+    disturbance: str = GROUND_TRUTH,
+    highest_rpm: str = ESTIMATED,
+    actuator_range: tuple[float, float] | None = None,
+) -> Mapping[str, Field]:
+    """Every field that a race of a vehicle model can give, by name.
+
+    Args:
+        model: its actuators are one field.
+        disturbance: source of the disturbances.
+        highest_rpm: source of the battery's limit.
+        actuator_range: actuator states that are observed as -1 and 1; None: the nominal range.
+    """
+    signal, bounds = model.actuators, _actuator_bounds
+    if actuator_range is not None:
+        bounds = functools.partial(_fixed_bounds, actuator_range)
+    of_source = functools.partial
+    fields = [
+        Field(
+            *(signal.name, signal.size, signal.unit, "body", 2.0),
+            value=lambda step: jax.tree.leaves(step.model.actuator_state(step.drone)),
+            scale=bounds,
+        ),
+        Field(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_bounds),
+        Field(
+            *(HIGHEST_RPM, 1, "rpm", "body", 2.0),
+            value=of_source(_highest_rpm, highest_rpm),
+            scale=_limit_bounds,
+        ),
+        Field(
+            *(CONSTANTS, len(model.constant_names), "", "", 8.0),
+            value=_constants,
+            scale=_constant_bounds,
+        ),
+    ]
+    moment, force = (of_source(value, disturbance) for value in (_moment, _force))
+    fields += [
+        Field("moment_ext", 3, "N m", "body", 2.0, moment, _moment_bounds, disturbance),
+        Field("force_ext", 1, "m/s^2", "body", 2.0, force, _force_bounds, disturbance),
+    ]
+    return {**OBSERVATIONS, **{field.name: field for field in fields}}
+
+
+def make_layout(
+    model: VehicleModel,
+    observed: Observation | None = None,
+    extra: Sequence[Field] = (),
+    battery: bool = False,
+) -> Layout:
+    """The observation of a vehicle model in the race.
+
+    Args:
+        model: its actuators are one field; a model without external disturbances observes none.
+        observed: the section of the config; None: the published observation.
+        extra: further fields, at the end, in place of ``observed.extra``.
+        battery: whether the race has a battery, whose limit is observed.
+
+    Raises:
+        InputError: two fields of one name.
+    """
+    observed = observed or Observation()
+    sources = observed.disturbance, observed.highest_rpm
+    fields = fields_of(model, *sources, observed.actuator_range)
+    names = [
+        *("position", "velocity", _attitude_of(observed.attitude), "rates"),
+        *([model.actuators.name] if observed.actuators else []),
+        *("next_position", "next_yaw" if observed.wrap_next_yaw else "next_yaw_unwrapped"),
+        *(field.name for pair in AHEAD[: observed.gates_ahead - 1] for field in pair),
+        *([LAST_ACTION] if observed.last_action else []),
+        *(DISTURBANCES if model.disturbed else ()),
+        *([HIGHEST_RPM] if battery and observed.highest_rpm != NONE else []),
+        *([CONSTANTS] if observed.constants else []),
+    ]
+    past = []
+    for lag in observed.history.lags if observed.history else ():
+        for name in observed.history.fields if observed.history else ():
+            field = model.actuators.name if name == ACTUATORS else name
+            past.append(delayed(fields[field], lag))
+    layout = Layout((*(fields[name] for name in names), *past, *extra))
+    if len(set(layout.names)) != len(layout.fields):
+        raise InputError(f"observation fields {', '.join(layout.names)}: two have the same name")
+    return layout
+
+
+def _attitude_of(kind: str) -> str:
+    return "attitude" if kind == "euler" else "rotation"
+
+
+def remembered_names(model: VehicleModel, attitude: str) -> tuple[str, ...]:
+    """The fields of which a history can be observed: those of the vehicle's motion and actions."""
+    motion = ("position", "velocity", _attitude_of(attitude), "rates", model.actuators.name)
+    return (*motion, ACTUATORS, LAST_ACTION)
+
+
+def is_of_motion(name: str) -> bool:
+    """Whether a field depends on the vehicle's motion and actions, so that it has a history."""
+    return name not in (*DISTURBANCES, HIGHEST_RPM, CONSTANTS) and not name.startswith("next")
+
+
+def arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> Layout:
+    """The layout with the fields of another one, in its order.
+
+    Args:
+        layout: of a race.
+        wanted: of a policy.
+        model: of the vehicle.
+        name: the policy's file, for the message.
+
+    Raises:
+        InputError: the race has no such field, or one of another size.
+    """
+    fields = dict(fields_of(model, NONE, NONE))  # no disturbance; full speed without a battery
+    if model.actuators.name not in layout:  # of a drone that does not measure them
+        del fields[model.actuators.name]
+    fields |= {field.name: field for field in layout.fields}
+    for base, lag in map(split_name, wanted.names):
+        if lag and base in fields and is_of_motion(base):
+            past = delayed(fields[base], lag)
+            fields[past.name] = past
+    for field in wanted.fields:
+        if field.name not in fields or fields[field.name].size != field.size:
+            raise InputError(
+                f"{name}: observes {field.name!r} ({field.size}), which the race lacks; "
+                f"it has {', '.join(f'{f.name} ({f.size})' for f in layout.fields)}"
+            )
+    return Layout(tuple(fields[field.name] for field in wanted.fields))
+
+
+# The history: what the last observations were computed from.
+
+
+class Past(struct.PyTreeNode):
+    """Earlier states of one drone, the latest first."""
+
+    drone: State  # of the vehicle model, each leaf (depth,)
+    action: tuple[jax.Array, ...] | None  # of the step before each, (depth,), where it is observed
+
+
+@functools.cache
+def delayed(field: Field, lag: int) -> Field:
+    """A field as it was ``lag`` steps before."""
+    value = field.value
+    assert value is not None, field.name
+
+    def earlier(step: Step) -> Numbers:
+        past = jax.tree.map(lambda x: x[lag - 1], step.state.past)
+        state = step.state.replace(drone=past.drone, action=past.action)
+        return value(dataclasses.replace(step, state=state))
+
+    return dataclasses.replace(field, name=f"{field.name}{MARK}{lag}", value=earlier)
+
+
+def begin_past(layout: Layout, state: "RaceState") -> Past | None:
+    """A history that is full of one state; None where no field needs one."""
+    past, size = Past(state.drone, state.action), layout.depth
+    return jax.tree.map(lambda x: jnp.full((size,), x), past) if size else None
+
+
+def push_past(past: Past | None, state: "RaceState") -> Past | None:
+    """The history one step later, with the state (and the action before it) of the step."""
+    if past is None:
+        return None
+    now = Past(state.drone, state.action)
+    return jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), past, now)

@@ -1,0 +1,216 @@
+"""The reward: the table ``REWARDS`` of its terms, their weights, and how they are combined."""
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import Annotated, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from quadjax.core.gradients import Scalar
+from quadjax.core.imports import own_numbers
+from quadjax.core.sections import Field, Section, Unit
+from quadjax.core.traced import register
+from quadjax.core.trigonometry import arctan2
+from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.race.rules import body_radius
+from quadjax.race.step import Step
+from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
+
+Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
+Penalty = Annotated[float, Field(ge=0, le=1e6)]
+
+
+@register
+class Reward(Section):
+    """Weights of the reward terms; the defaults are the published ones."""
+
+    progress: Annotated[Weight, Unit("1/m")] = Field(
+        1.0, description="reward per m of progress to the target gate"
+    )
+    gate: Weight = Field(10.0, description="reward per gate passed")
+    gate_offset: Annotated[Weight, Unit("1/m")] = Field(
+        10.0, description="penalty per m from the gate's center on passing"
+    )
+    collision: Weight = Field(10.0, description="penalty for a collision")
+    time: Annotated[Weight, Unit("1/s")] = Field(0.0, description="penalty per s")
+    body_rates: Weight = Field(0.0, description="penalty per s and rad/s of body rate")
+    pitch_up: Annotated[Penalty, Unit("1/s")] = Field(
+        0.0, description="penalty per s and rad of pitch (nose up)"
+    )
+    next_gate_progress: Annotated[Penalty, Unit("1/m")] = Field(
+        0.0,
+        description="reward per m of progress to the next gate within the step that passes a gate; "
+        "equal to progress, a leg's reward does not depend on where its gates are passed",
+    )
+    gate_edge: Annotated[Penalty, Unit("1/m")] = Field(
+        0.0, description="penalty per m of clearance violation on crossing the gate's plane"
+    )
+    gate_edge_margin: Annotated[Penalty, Unit("m")] = Field(
+        0.1, description="required clearance from each edge of a gate's opening, m"
+    )
+    gate_edge_reach: Annotated[Penalty, Unit("m")] = Field(
+        1.0,
+        description="clearance violation in each axis from which on the penalty is constant, m; at "
+        "least that at the edge of a widened opening",
+    )
+    action_change: Penalty = Field(
+        0.0,
+        description="penalty per change of an action from step to step, each in -1 to 1, summed",
+    )
+    perception: Annotated[Penalty, Unit("1/s")] = Field(
+        0.0,
+        description="penalty per s and rad of the angle between the camera's axis and the target "
+        "gate's center beyond perception_deg",
+    )
+    perception_deg: Annotated[float, Unit("deg")] = Field(
+        60.0, ge=0, le=180, description="angle without penalty, deg"
+    )
+    camera_deg: Annotated[float, Unit("deg")] = Field(
+        0.0, ge=-90, le=90, description="upward tilt of the camera's axis from the body's x, deg"
+    )
+    overspeed: Penalty = Field(
+        20.0,
+        description="penalty per s and m/s of speed above the margin below rules.speed_limit, as a "
+        "multiple of reward.progress; above 1, flying faster gains less than it loses",
+    )
+    overspeed_margin: float = Field(
+        0.03, ge=0, le=0.9, description="part of rules.speed_limit from which on overspeed applies"
+    )
+    terms: dict[str, Weight] = Field(
+        {}, max_length=100, description="weights of your own reward terms, by module:function"
+    )
+
+
+def next_gate_progress(step: Step) -> jax.Array:
+    """Progress () to the next gate's center, by way of this one's, m.
+
+    For the step that passes the gate. With the weight of ``progress``, the rewards of a leg sum to
+    the same wherever its gates are passed; without it, a leg that ends at a gate's edge has less.
+    """
+    relative = to_gate_frame(step.gate, step.position - step.gate.position)
+    ahead = safe_norm(relative - step.gate.next_position)
+    return step.distance_before + safe_norm(step.gate.next_position) - ahead
+
+
+def clearance_violation(after: Vec3, g: Gate, margin: Scalar, reach: Scalar = 1.0) -> jax.Array:
+    """Distance () beyond the required clearance from a gate's edges, m per axis, summed.
+
+    Whether a gate is hit has no gradient; this has one at the crossing. It is at most ``reach`` in
+    each axis.
+    """
+    relative = to_opening_frame(g, after - g.position)
+    width = jnp.clip(jnp.abs(relative.y) - (g.half_width - margin), 0.0, reach)
+    height = jnp.clip(jnp.abs(relative.z) - (g.half_height - margin), 0.0, reach)
+    if g.circle is None:
+        return width + height
+    distance = safe_norm(relative.replace(x=jnp.zeros_like(relative.x)))
+    return jnp.where(
+        g.circle, jnp.clip(distance - (g.half_width - margin), 0.0, 2.0 * reach), width + height
+    )
+
+
+def gate_edge(step: Step) -> jax.Array:
+    """Minus the clearance violation () of the drone's edge, m, on crossing the gate's plane."""
+    weights, inflation = step.params.reward, step.params.training_limits.gate_inflation
+    margin = weights.gate_edge_margin + body_radius(step)
+    reach = jnp.maximum(weights.gate_edge_reach, inflation + margin)
+    assert step.outcome is not None
+    crossed = step.outcome.passed | step.outcome.crashes["hit a gate"]
+    violation = clearance_violation(step.position, step.gate, margin, reach)
+    return jnp.where(crossed, -violation, 0.0)
+
+
+def action_change(step: Step) -> jax.Array:
+    """Minus the sum () of the absolute changes of the action's numbers, each within [-1, 1]."""
+    assert step.action is not None and step.state.action is not None
+    now = (jnp.clip(number, -1.0, 1.0) for number in step.action)
+    changes = [jnp.abs(x - before) for x, before in zip(now, step.state.action, strict=True)]
+    return -functools.reduce(jnp.add, changes)
+
+
+def perception(step: Step) -> jax.Array:
+    """Minus the angle () beyond its limit between the camera's axis and the gate's center, rad.
+
+    The axis is ``(cos c, 0, -sin c)`` in the body frame, with the camera's tilt ``c``. A step that
+    passes the gate has none.
+    """
+    weights = step.params.reward
+    seen = step.model.to_body(step.drone, step.gate.position - step.position)
+    cosine, sine = jnp.cos(weights.camera_deg), jnp.sin(weights.camera_deg)  # rad, as leaves
+    along = cosine * seen.x - sine * seen.z
+    aside = Vec3(seen.y, sine * seen.x + cosine * seen.z, jnp.zeros_like(seen.y))
+    angle = arctan2(safe_norm(aside), along)
+    assert step.outcome is not None
+    return jnp.where(step.outcome.passed, 0.0, -jnp.maximum(angle - weights.perception_deg, 0.0))
+
+
+def overspeed(step: Step) -> Scalar:
+    """Minus the speed () above the margin below the speed limit, m/s, times ``progress``'s weight.
+
+    An episode's end has no gradient; with a weight above 1, flying faster gains less than it loses.
+    """
+    weights, limit = step.params.reward, step.params.rules.speed_limit
+    if limit is None or weights.progress is None:
+        return 0.0
+    above = safe_norm(step.velocity) - (1.0 - weights.overspeed_margin) * limit
+    return -weights.progress * jnp.maximum(above, 0.0)
+
+
+class Term(NamedTuple):
+    """A term of the reward: its weight is multiplied by ``value``, in the steps of ``when``.
+
+    The reward of a step that passes a gate or ends in a crash replaces that of ``flight``; the
+    terms of ``any step`` and ``per second`` are added in each.
+    """
+
+    value: Callable[[Step], Scalar]
+    when: Literal["flight", "pass", "crash", "any step", "per second"] = "any step"
+    optional: bool = False  # not computed in a race where its weight is always zero
+
+
+REWARDS: Mapping[str, Term] = {  # by the name of the weight
+    # Ferede et al., arXiv 2311.16948, with the sign that makes progress positive.
+    "progress": Term(lambda step: step.distance_before - step.distance, "flight"),
+    "gate": Term(lambda step: 1.0, "pass"),
+    "gate_offset": Term(lambda step: -step.distance, "pass"),
+    "next_gate_progress": Term(next_gate_progress, "pass"),
+    "collision": Term(lambda step: -1.0, "crash"),
+    "gate_edge": Term(gate_edge),
+    "action_change": Term(action_change, optional=True),
+    "time": Term(lambda step: -1.0, "per second"),
+    "body_rates": Term(lambda step: -safe_norm(step.body_rates), "per second"),
+    "pitch_up": Term(lambda step: -step.euler.y, "per second"),
+    "perception": Term(perception, "per second", optional=True),
+    "overspeed": Term(overspeed, "per second"),
+}
+
+
+def user_term(name: str, term: Callable[[Step], jax.Array]) -> Term:
+    """A user's own term as an entry of the rewards, checked to give one number."""
+
+    def value(step: Step) -> jax.Array:
+        number = own_numbers(f"reward term {name}", term, step)[0]
+        return jnp.asarray(number, step.time_step.dtype)
+
+    return Term(value)
+
+
+def reward(step: Step, terms: Mapping[str, Term]) -> jax.Array:
+    """The reward () of one step: the sum of its weighted terms; see ``Term``.
+
+    Args:
+        step: with its outcome and its action.
+        terms: ``REWARDS`` and a user's own. A term whose weight is None is not computed.
+    """
+    section, outcome = step.params.reward, step.outcome
+    assert outcome is not None
+    weights = {name: getattr(section, name, section.terms.get(name)) for name in terms}
+
+    def total(when: str) -> Scalar:
+        used = [name for name in terms if terms[name].when == when and weights[name] is not None]
+        return sum((weights[name] * terms[name].value(step) for name in used), 0.0)
+
+    value = jnp.where(outcome.passed, total("pass"), total("flight"))
+    value = jnp.where(outcome.terminated, total("crash"), value)
+    return value + total("any step") + step.time_step * total("per second")
