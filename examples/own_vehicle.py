@@ -1,7 +1,6 @@
 """Train your own vehicle model: the rate-level drone with quadratic drag."""
 
 import jax
-from flax import struct
 
 import quadjax
 from quadjax.core.vectors import safe_norm
@@ -9,7 +8,6 @@ from quadjax.vehicle.constants import constant
 from quadjax.vehicle.rate import Rate, RateConstants
 
 
-@struct.dataclass
 class Constants(RateConstants):
     """The constants of the rate-level model, and one more."""
 

@@ -6,7 +6,7 @@ concatenation inside a fused loop is a branch per element.
 """
 
 import dataclasses
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,10 @@ from flax import struct
 
 class _Components:
     """Arithmetic, component by component, with another of the kind or with a scalar."""
+
+    if TYPE_CHECKING:  # of flax dataclasses
+
+        def replace(self, **changes: jax.Array) -> Self: ...
 
     def _zip(self, other: "_Components | jax.Array | float") -> list[tuple[jax.Array, jax.Array]]:
         own = self.components()
@@ -102,6 +106,6 @@ def safe_norm(vector: Vec3) -> jax.Array:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def between(low: jax.Array, high: jax.Array, drawn: jax.Array) -> jax.Array:
+def between(low: jax.Array | float, high: jax.Array | float, drawn: jax.Array) -> jax.Array:
     """A number of [-1, 1] mapped to [low, high]."""
     return low + 0.5 * (high - low) * (drawn + 1.0)

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from quadjax.core.errors import InputError
 from quadjax.policy.c_arrays import is_c, read_c_network
 from quadjax.policy.torch_files import Layers, linear_layers, read_state_dict
@@ -28,7 +30,7 @@ def import_residual(
         InputError: a file that cannot be read, or networks of other sizes; in one line.
     """
     meta = {"rpm_min": rpm_range[0], "rpm_max": rpm_range[1], "thrust_sign": thrust_sign}
-    found = {}
+    found: dict[str, np.ndarray] = {}
     for name, path in (("thrust", thrust), ("moment", moment)):
         layers = _c_layers(path) if is_c(path) else linear_layers(path, read_state_dict(path))
         check_shape(path, name, layers)

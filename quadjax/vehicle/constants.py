@@ -1,21 +1,20 @@
 """Constants of a vehicle model: a dataclass whose fields declare unit, group and sign.
 
-The dataclass is a pytree of scalars, so that each number can be traced and drawn. A field of type
-``Rotors`` has one number for each rotor. By name, as in configs and vehicle files, the numbers of a
-field ``k_p`` are ``k_p1`` to ``k_p4``.
+The dataclass is a ``flax.struct.PyTreeNode`` of scalars, so that each number can be traced and
+drawn. A field of type ``Rotors`` has one number for each rotor. By name, as in configs and vehicle
+files, the numbers of a field ``k_p`` are ``k_p1`` to ``k_p4``.
 """
 
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, cast
 
 import jax
 from flax import struct
 
 from quadjax.core.vectors import Rotors
 
-Scalar = jax.Array | float
 Kind = TypeVar("Kind")
 KEY = "constant"
 
@@ -73,7 +72,7 @@ def constant_names(kind: type) -> tuple[str, ...]:
 def from_values(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
     """The constants of a dataclass with numbers by name."""
     numbers: dict[str, Any] = {}
-    for field in dataclasses.fields(kind):
+    for field in dataclasses.fields(cast(Any, kind)):
         if field.type is Rotors:
             numbers[field.name] = Rotors(*(values[name] for name in rotor_names(field.name)))
         else:

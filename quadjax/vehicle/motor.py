@@ -10,35 +10,34 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.constants import constant
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.residual import residual_force_moment
 from quadjax.vehicle.rigid_body import BodyState
 
 
-@struct.dataclass
-class MotorConstants:
+class MotorConstants(struct.PyTreeNode):
     """Constants of the model ``motor``; those of the Bebop 1 are in its vehicle file."""
 
-    g: Scalar = constant("m/s^2", "gravity", "positive")
-    i_xx: Scalar = constant("kg m^2", "inertia", "positive")
-    i_yy: Scalar = constant("kg m^2", "inertia", "positive")
-    i_zz: Scalar = constant("kg m^2", "inertia", "positive")
-    k_x: Scalar = constant("1/(s rpm)", "drag", "nonnegative")  # rotor drag
-    k_y: Scalar = constant("1/(s rpm)", "drag", "nonnegative")
-    k_z: Scalar = constant("1/(s rpm)", "drag")
-    k_w: Scalar = constant("m/s^2/rpm^2", "thrust", "positive")
-    k_h: Scalar = constant("1/m", "drag")  # translational lift
-    k_p: Scalar = constant("N m/rpm^2", "moment", "positive")  # roll
-    k_q: Scalar = constant("N m/rpm^2", "moment", "positive")  # pitch
-    k_pv: Scalar = constant("N s", "velocity_moment")  # roll moment of sideways flight
-    k_qv: Scalar = constant("N s", "velocity_moment")  # pitch moment of forward flight
-    k_r1: Scalar = constant("N m/rpm", "yaw", "positive")  # rotor drag
-    k_r2: Scalar = constant("N m s/rpm", "yaw", "nonnegative")  # rotor acceleration
-    k_rr: Scalar = constant("N m s", "yaw")  # yaw damping
-    tau: Scalar = constant("s", "lag", "positive")  # of the motors
-    rpm_min: Scalar = constant("rpm", "limits")
-    rpm_max: Scalar = constant("rpm", "limits", above="rpm_min")
+    g: jax.Array = constant("m/s^2", "gravity", "positive")
+    i_xx: jax.Array = constant("kg m^2", "inertia", "positive")
+    i_yy: jax.Array = constant("kg m^2", "inertia", "positive")
+    i_zz: jax.Array = constant("kg m^2", "inertia", "positive")
+    k_x: jax.Array = constant("1/(s rpm)", "drag", "nonnegative")  # rotor drag
+    k_y: jax.Array = constant("1/(s rpm)", "drag", "nonnegative")
+    k_z: jax.Array = constant("1/(s rpm)", "drag")
+    k_w: jax.Array = constant("m/s^2/rpm^2", "thrust", "positive")
+    k_h: jax.Array = constant("1/m", "drag")  # translational lift
+    k_p: jax.Array = constant("N m/rpm^2", "moment", "positive")  # roll
+    k_q: jax.Array = constant("N m/rpm^2", "moment", "positive")  # pitch
+    k_pv: jax.Array = constant("N s", "velocity_moment")  # roll moment of sideways flight
+    k_qv: jax.Array = constant("N s", "velocity_moment")  # pitch moment of forward flight
+    k_r1: jax.Array = constant("N m/rpm", "yaw", "positive")  # rotor drag
+    k_r2: jax.Array = constant("N m s/rpm", "yaw", "nonnegative")  # rotor acceleration
+    k_rr: jax.Array = constant("N m s", "yaw")  # yaw damping
+    tau: jax.Array = constant("s", "lag", "positive")  # of the motors
+    rpm_min: jax.Array = constant("rpm", "limits")
+    rpm_max: jax.Array = constant("rpm", "limits", above="rpm_min")
 
 
 def nominal_force(c: MotorConstants, rpm: Rotors, body_velocity: Vec3) -> Vec3:
@@ -156,7 +155,7 @@ class Motor(VehicleModel):
         """Propeller speeds of a hover, rpm, clipped to the range of the motors."""
         return Rotors.same(jnp.clip(hover_rpm(c), c.rpm_min, c.rpm_max))
 
-    def thrust_to_weight(self, c: MotorConstants) -> Scalar:
+    def thrust_to_weight(self, c: MotorConstants) -> jax.Array:
         """Thrust at the highest command over weight."""
         return 4.0 * c.k_w * c.rpm_max**2 / c.g
 

@@ -22,7 +22,7 @@ from quadjax.core.materialize import call_materialized_forward
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, between
-from quadjax.vehicle.constants import Scalar, constant_names, declarations, from_values
+from quadjax.vehicle.constants import constant_names, declarations, from_values
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 Constants = Any  # a flax dataclass of scalars; see ``quadjax.vehicle.constants``
@@ -161,7 +161,7 @@ class VehicleModel:
         """
         return rates, Vec3.zero()
 
-    def thrust_to_weight(self, c: Constants) -> Scalar | None:
+    def thrust_to_weight(self, c: Constants) -> jax.Array | None:
         """Thrust at the highest command over weight; None: unknown."""
         return None
 

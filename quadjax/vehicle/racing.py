@@ -16,7 +16,7 @@ from flax import struct
 from quadjax.core.gradients import bounded_sqrt
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Rotors, Vec3, between
-from quadjax.vehicle.constants import Scalar, constant, constant_names, replaced, values_of
+from quadjax.vehicle.constants import constant, constant_names, replaced, values_of
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState
 
@@ -24,38 +24,36 @@ NEWTON_STEPS = 6
 SLOPE_FLOOR = 0.05  # fraction of the speed range below which the motor map's slope is bounded
 
 
-@struct.dataclass
-class RacingConstants:
+class RacingConstants(struct.PyTreeNode):
     """Constants of the model ``racing``."""
 
-    g: Scalar = constant("m/s^2", "gravity", "positive")
-    k_w: Scalar = constant("m/s^2/(rad/s)^2", "thrust", "positive")
-    k_x: Scalar = constant("1/rad", "drag", "nonnegative")  # rotor drag
-    k_y: Scalar = constant("1/rad", "drag", "nonnegative")
+    g: jax.Array = constant("m/s^2", "gravity", "positive")
+    k_w: jax.Array = constant("m/s^2/(rad/s)^2", "thrust", "positive")
+    k_x: jax.Array = constant("1/rad", "drag", "nonnegative")  # rotor drag
+    k_y: jax.Array = constant("1/rad", "drag", "nonnegative")
     k_p: Rotors = constant("rad/s^2/(rad/s)^2", "moment", "positive")  # roll
     k_q: Rotors = constant("rad/s^2/(rad/s)^2", "moment", "positive")  # pitch
     k_r: Rotors = constant("rad/s^2/(rad/s)", "yaw", "positive")  # rotor drag
     k_rd: Rotors = constant("rad/s^2/(rad/s^2)", "yaw", "nonnegative")  # rotor acceleration
     turning: Rotors = constant()  # 1: counter-clockwise seen from above, -1: clockwise
-    w_min: Scalar = constant("rad/s", "limits")  # speed at command 0
-    w_max: Scalar = constant("rad/s", "limits", above="w_min")  # speed at command 1
-    k: Scalar = constant("", "motor_map")  # curvature of the motor map, 0 to 1
-    tau: Scalar = constant("s", "lag", "positive")  # of the motors
+    w_min: jax.Array = constant("rad/s", "limits")  # speed at command 0
+    w_max: jax.Array = constant("rad/s", "limits", above="w_min")  # speed at command 1
+    k: jax.Array = constant("", "motor_map")  # curvature of the motor map, 0 to 1
+    tau: jax.Array = constant("s", "lag", "positive")  # of the motors
 
 
-@struct.dataclass
 class A2RLConstants(RacingConstants):
     """Constants of the model ``a2rl``."""
 
-    k_angle: Scalar = constant("1/rad", "aerodynamics")  # thrust by angle of attack
-    k_hor: Scalar = constant("1/rad", "aerodynamics")  # thrust by advance
-    k_v2: Scalar = constant("1/m", "aerodynamics")  # quadratic drag
-    k_x2: Scalar = constant("1/m", "aerodynamics")
-    k_y2: Scalar = constant("1/m", "aerodynamics")
-    j_x: Scalar = constant("", "gyroscopic")
-    j_y: Scalar = constant("", "gyroscopic")
-    j_z: Scalar = constant("", "gyroscopic")
-    rotor_radius: Scalar = constant("m")
+    k_angle: jax.Array = constant("1/rad", "aerodynamics")  # thrust by angle of attack
+    k_hor: jax.Array = constant("1/rad", "aerodynamics")  # thrust by advance
+    k_v2: jax.Array = constant("1/m", "aerodynamics")  # quadratic drag
+    k_x2: jax.Array = constant("1/m", "aerodynamics")
+    k_y2: jax.Array = constant("1/m", "aerodynamics")
+    j_x: jax.Array = constant("", "gyroscopic")
+    j_y: jax.Array = constant("", "gyroscopic")
+    j_z: jax.Array = constant("", "gyroscopic")
+    rotor_radius: jax.Array = constant("m")
 
 
 def motor_map(c: RacingConstants, command: Rotors) -> Rotors:
@@ -241,7 +239,7 @@ class Racing(VehicleModel):
         """Rotor speeds of a hover, rad/s; see ``hover_speed``."""
         return hover_speed(c)
 
-    def thrust_to_weight(self, c: RacingConstants) -> Scalar:
+    def thrust_to_weight(self, c: RacingConstants) -> jax.Array:
         """Thrust at the highest command over weight."""
         return 4.0 * c.k_w * c.w_max**2 / c.g
 

@@ -8,29 +8,27 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Vec3, between
-from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.constants import constant
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState
 
 
-@struct.dataclass
-class RateConstants:
+class RateConstants(struct.PyTreeNode):
     """Constants of the model ``rate``."""
 
-    g: Scalar = constant("m/s^2", "gravity", "positive")
-    d_x: Scalar = constant("1/s", "drag", "nonnegative")
-    d_y: Scalar = constant("1/s", "drag", "nonnegative")
-    tau_rate: Scalar = constant("s", "lag", "positive")  # of the body rates
-    tau_thrust: Scalar = constant("s", "lag", "positive")
-    p_max: Scalar = constant("rad/s", "limits", "positive")
-    q_max: Scalar = constant("rad/s", "limits", "positive")
-    r_max: Scalar = constant("rad/s", "limits", "positive")
-    thrust_min: Scalar = constant("m/s^2", "limits")
-    thrust_max: Scalar = constant("m/s^2", "limits", above="thrust_min")
+    g: jax.Array = constant("m/s^2", "gravity", "positive")
+    d_x: jax.Array = constant("1/s", "drag", "nonnegative")
+    d_y: jax.Array = constant("1/s", "drag", "nonnegative")
+    tau_rate: jax.Array = constant("s", "lag", "positive")  # of the body rates
+    tau_thrust: jax.Array = constant("s", "lag", "positive")
+    p_max: jax.Array = constant("rad/s", "limits", "positive")
+    q_max: jax.Array = constant("rad/s", "limits", "positive")
+    r_max: jax.Array = constant("rad/s", "limits", "positive")
+    thrust_min: jax.Array = constant("m/s^2", "limits")
+    thrust_max: jax.Array = constant("m/s^2", "limits", above="thrust_min")
 
 
-@struct.dataclass
-class RateCommand:
+class RateCommand(struct.PyTreeNode):
     """A command to the inner loop."""
 
     rates: Vec3  # p, q, r, rad/s, body
@@ -70,7 +68,7 @@ class Rate(VehicleModel):
         low = RateCommand(Vec3(-c.p_max, -c.q_max, -c.r_max), c.thrust_min)
         return low, high
 
-    def actuator_range(self, c: RateConstants) -> tuple[Scalar, Scalar]:
+    def actuator_range(self, c: RateConstants) -> tuple[jax.Array, jax.Array]:
         """Lowest and highest thrust, m/s^2."""
         return c.thrust_min, c.thrust_max
 
@@ -84,7 +82,7 @@ class Rate(VehicleModel):
         """The thrust of a hover, m/s^2, clipped to that of commands."""
         return jnp.clip(c.g, c.thrust_min, c.thrust_max)
 
-    def thrust_to_weight(self, c: RateConstants) -> Scalar:
+    def thrust_to_weight(self, c: RateConstants) -> jax.Array:
         """Thrust at the highest command over weight."""
         return c.thrust_max / c.g
 

@@ -15,8 +15,7 @@ from quadjax.core.vectors import Rotors, Vec3
 Layers = tuple[tuple[jax.Array, jax.Array], ...]  # (kernel (in, out), bias (out,)) per layer
 
 
-@struct.dataclass
-class Residual:
+class Residual(struct.PyTreeNode):
     """Two ReLU networks, the scaling of their inputs and the sign of the first."""
 
     thrust: Layers  # 7 -> .. -> 1

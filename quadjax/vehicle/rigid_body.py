@@ -8,8 +8,7 @@ from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Vec3
 
 
-@struct.dataclass
-class RigidBodyState:
+class RigidBodyState(struct.PyTreeNode):
     """State of one drone."""
 
     position: Vec3  # m, world
@@ -21,8 +20,7 @@ class RigidBodyState:
     force_ext: Vec3 | None = None  # external specific force, m/s^2, body
 
 
-@struct.dataclass
-class BodyState:
+class BodyState(struct.PyTreeNode):
     """What forces and moments depend on."""
 
     velocity: Vec3  # m/s, body

@@ -4,30 +4,30 @@ Foehn, Romero, Scaramuzza, "Time-optimal planning for quadrotor waypoint flight"
 2021). Rotors: 1 front-left, 2 front-right, 3 rear-right, 4 rear-left. World NED, body FRD.
 """
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.constants import constant
 from quadjax.vehicle.protocol import Signal, VehicleModel, VehicleParams
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 
-@struct.dataclass
-class RotorThrustConstants:
+class RotorThrustConstants(struct.PyTreeNode):
     """Constants of the model ``rotor_thrust``."""
 
-    g: Scalar = constant("m/s^2", "gravity", "positive")
-    mass: Scalar = constant("kg", "thrust", "positive")
-    i_xx: Scalar = constant("kg m^2", "inertia", "positive")
-    i_yy: Scalar = constant("kg m^2", "inertia", "positive")
-    i_zz: Scalar = constant("kg m^2", "inertia", "positive")
-    arm_x: Scalar = constant("m", "moment", "positive")  # distance of a rotor from the pitch axis
-    arm_y: Scalar = constant("m", "moment", "positive")  # distance of a rotor from the roll axis
-    k_torque: Scalar = constant("m", "yaw", "positive")  # torque per thrust
+    g: jax.Array = constant("m/s^2", "gravity", "positive")
+    mass: jax.Array = constant("kg", "thrust", "positive")
+    i_xx: jax.Array = constant("kg m^2", "inertia", "positive")
+    i_yy: jax.Array = constant("kg m^2", "inertia", "positive")
+    i_zz: jax.Array = constant("kg m^2", "inertia", "positive")
+    arm_x: jax.Array = constant("m", "moment", "positive")  # rotor to pitch axis
+    arm_y: jax.Array = constant("m", "moment", "positive")  # rotor to roll axis
+    k_torque: jax.Array = constant("m", "yaw", "positive")  # torque per thrust
     turning: Rotors = constant()  # 1: counter-clockwise seen from above, -1: clockwise
-    thrust_min: Scalar = constant("N", "limits")  # of one rotor
-    thrust_max: Scalar = constant("N", "limits", above="thrust_min")
+    thrust_min: jax.Array = constant("N", "limits")  # of one rotor
+    thrust_max: jax.Array = constant("N", "limits", above="thrust_min")
 
 
 class RotorThrust(VehicleModel):
@@ -69,7 +69,7 @@ class RotorThrust(VehicleModel):
         """Thrusts of a hover, N, clipped to their range."""
         return Rotors.same(jnp.clip(0.25 * c.mass * c.g, c.thrust_min, c.thrust_max))
 
-    def thrust_to_weight(self, c: RotorThrustConstants) -> Scalar:
+    def thrust_to_weight(self, c: RotorThrustConstants) -> jax.Array:
         """Thrust at the highest command over weight."""
         return 4.0 * c.thrust_max / (c.mass * c.g)
 

@@ -1,14 +1,13 @@
 """Vehicle models for the tests of configs."""
 
-from flax import struct
+import jax
 
-from quadjax.vehicle.constants import Scalar, constant
+from quadjax.vehicle.constants import constant
 from quadjax.vehicle.rate import Rate, RateConstants
 
 
-@struct.dataclass
 class Winged(RateConstants):
-    d_x: Scalar = constant("1/s", "wings")
+    d_x: jax.Array = constant("1/s", "wings")
 
 
 class OwnGroup(Rate):
