@@ -1,1 +1,1 @@
-"""Data of the pages: flights of any source, training runs in progress, and sweeps."""
+"""Data of the pages: flights of any source."""

@@ -110,7 +110,7 @@ def test_bad_input_is_one_line(tmp_path, capsys):
         (("--logs", "a.csv", "--plants", "2"), "--logs and --plants exclude each other"),
         (("--check", "0", "--reference"), "--reference needs flights to compare"),
         (("--logs", "a.csv", "--seed", "0"), "--logs and --seed exclude each other"),
-        (("--rounds", "0"), "--rounds: '0', expected an integer, 1 to 100"),
+        (("--rounds", "0"), "--rounds: '0', allowed: an integer, 1 to 100"),
         (("vehicle.model=rate",), "vehicle.model is rate, allowed: motor"),
         (("network.hidden=[9]",), "has hidden widths [8], the config has [9]"),
         (("observation.gates_ahead=2",), "has observation ["),

@@ -170,12 +170,12 @@ BAD = {
     "missing": "no such folder",
     ".": "expected one *_report.json",
     "no_c": "made.c: no such file",
-    "no_c --listen 5005": "expected HOST:PORT",
+    "no_c --listen 5005": "allowed: HOST:PORT",
     "no_c --delay 5": "--delay has no effect without --late",
     "no_c --simulator effects.gusts=0": "no effect with --simulator",
     "no_c --wrong-unit rates=turns": "--wrong-unit rates=turns, allowed:",
-    "no_c --drop 2": "expected a probability",
-    "no_c --speed 0": "expected max, or 0.01",
+    "no_c --drop 2": "allowed: a number, 0 to 1",
+    "no_c --speed 0": "allowed: max, or a number, 0.01",
     "no_c wings=2": "wings",
 }
 
