@@ -1,7 +1,7 @@
 """``quadjax import``."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -73,22 +73,17 @@ def import_(
 
     race = load_config(config, [text for text in files if opt.is_override(text)])
     networks, deviations = _networks([text for text in files if not opt.is_override(text)], std)
-    residual = None
-    if len(networks) > 1:
-        sign = None if thrust_sign is None else int(thrust_sign)
-        residual = _residual(race, networks[-2:], sign)
-    elif thrust_sign is not None:
-        raise InputError("--thrust-sign has no effect on a policy")
     if len(networks) == 2:
         options = {"activation": activation, "std": std, "motors": motors}
-        for name, value in {**options, "actuator-range": actuator_range}.items():
-            if value is not None:
-                raise InputError(f"--{name} has no effect on a residual")
-        assert residual is not None
-        write_residual(output, residual, {"imported": networks})
+        _refuse({**options, "actuator-range": actuator_range}, "a residual")
+        write_residual(output, _residual(race, networks, thrust_sign), {"imported": networks})
     else:
-        if residual is not None:  # in place of the config's
-            vehicle = race.vehicle.replace(residual=None, residual_gain=1.0)
+        residual = None
+        if len(networks) == 1:
+            _refuse({"thrust-sign": thrust_sign}, "a policy")
+        else:
+            residual = _residual(race, networks[1:], thrust_sign)
+            vehicle = race.vehicle.replace(residual=None, residual_gain=1.0)  # the files' instead
             race = race.replace(vehicle=vehicle)
         policy = policy_of(networks[0], race, activation, deviations, motors, actuator_range)
         sizes = [policy.layers[0][0].shape[0], *(len(bias) for _, bias in policy.layers)]
@@ -114,7 +109,14 @@ def _networks(
     return networks, stds[of_std[0]] if of_std else std
 
 
-def _residual(config: "TrainingConfig", networks: Sequence[str], sign: int | None) -> "Residual":
+def _refuse(options: Mapping[str, object], kind: str) -> None:
+    """Refuse options that have no effect."""
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"--{name} has no effect on {kind}")
+
+
+def _residual(config: "TrainingConfig", networks: Sequence[str], sign: str | None) -> "Residual":
     from quadjax.policy.foreign_residual import import_residual
 
     if sign is None:
@@ -123,5 +125,5 @@ def _residual(config: "TrainingConfig", networks: Sequence[str], sign: int | Non
     if "rpm_min" not in constants:
         raise InputError(f"{config.name}: vehicle.model is {config.vehicle.model}, expected motor")
     span = (constants["rpm_min"], constants["rpm_max"])
-    print(f"residual over {span[0]:g} to {span[1]:g} rpm, thrust sign {sign:+d}")
-    return import_residual(networks[0], networks[1], span, sign)
+    print(f"residual over {span[0]:g} to {span[1]:g} rpm, thrust sign {int(sign):+d}")
+    return import_residual(networks[0], networks[1], span, int(sign))

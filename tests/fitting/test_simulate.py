@@ -7,7 +7,7 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle.residual import residual_force_moment
 from quadjax.vehicle.residual_file import read_residual, write_residual
-from tests.commands import run
+from tests.commands import run, run_script
 
 from .conftest import REPOSITORY
 
@@ -52,12 +52,10 @@ def test_impossible_sizes_are_refused(arguments):
 @pytest.mark.parametrize(
     ("arguments", "names"),
     [
-        (["simulate-logs"], "--output"),
-        (["simulate-logs", "--output", "logs", "--random-residual", "-1"], "--random-residual"),
-        (["simulate-logs", "--output", "logs", "--seconds", "0"], "--seconds"),
-        (["simulate-logs", "--output", "/dev/null/logs"], "/dev/null/logs"),
-        (["recovery", "--fit", "none", "--flights", "none"], "--flights"),
-        (["recovery", "--fit", "none"], "none/vehicle.yaml"),
+        (["logs"], "--output"),
+        (["logs", "--output", "logs", "--random-residual", "-1"], "--random-residual"),
+        (["logs", "--output", "logs", "--seconds", "0"], "--seconds"),
+        (["logs", "--output", "/dev/null/logs"], "/dev/null/logs"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(capsys, arguments, names):
@@ -66,11 +64,18 @@ def test_bad_input_is_one_line_and_status_2(capsys, arguments, names):
     assert len(lines) == 1 and names in lines[0]
 
 
+def test_the_comparison_with_a_known_model_needs_a_fit(capsys):
+    for words, names in ((("--flights", "none"), "--flights"), ((), "none/vehicle.yaml")):
+        assert run_script("recovery", "--fit", "none", *words) == 2
+        error = capsys.readouterr().err
+        assert names in error and error.count("\n") == 1
+
+
 @pytest.mark.slow
 def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, capsys):
     logs = tmp_path / "logs"
     arguments = ["--random-residual", 5, "--moment-std", 0.005, "--flights", 2, "--seconds", 5]
-    assert run("simulate-logs", "--output", logs, *arguments) == 0
+    assert run("logs", "--output", logs, *arguments) == 0
     arguments = [
         f"logs.files=[{logs}/*.csv]",
         "figures=false",
@@ -83,6 +88,6 @@ def test_logs_of_a_known_model_are_fitted_and_compared(tmp_path, capsys):
     assert run("fit", REPOSITORY / "configs/fit/paparazzi.yaml", *arguments, fast) == 0
     capsys.readouterr()
     arguments = ["--fit", tmp_path / "known", "--residual", logs / "residual.npz", "--flights", 1]
-    assert run("recovery", *arguments) == 0
+    assert run_script("recovery", *arguments) == 0
     output = capsys.readouterr().out
     assert "k_w" in output and "R^2 of residual" in output
