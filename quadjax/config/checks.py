@@ -27,12 +27,12 @@ def check(config: Config) -> None:
     _check_effects(config)
     _check_observation(config)
     last = at_end(config)
-    for each in (_with_scheduled(config, 0), last):
-        _check_drone(each)
-        _check_gates(each)
-        _check_random_tracks(each)
-        _check_race_start(each)
-        _check_start(each)
+    for race in (_with_scheduled(config, 0), last):
+        _check_drone(race)
+        _check_gates(race)
+        _check_random_tracks(race)
+        _check_race_start(race)
+        _check_start(race)
     _check_gate_penalty(last)
 
 
@@ -89,10 +89,10 @@ def _check_schedules(config: Config) -> None:
         if not isinstance(value, float):
             refuse(f"schedules.{key}", value, "the key of a number")
         _check_times(f"schedules.{key}", config.run.steps, schedule)
-        for each in schedule.linear:
-            if each != "value":
+        for number in schedule.linear:
+            if number != "value":
                 try:
-                    config.at(key, each)
+                    config.at(key, number)
                 except InputError as error:
                     raise BadValue(f"schedules.{key}.linear", f"schedules.{key}: {error}") from None
 
@@ -113,9 +113,9 @@ def _check_times(key: str, steps: int, schedule: Schedule) -> None:
 def _check_observation(config: Config) -> None:
     """Check that observed constants are drawn, and which fields have a history."""
     observed, model = config.observation, vehicle_model(config.vehicle.model)
-    drawn = any(config.randomization.by_constant(model).values())
+    random = any(config.randomization.by_constant(model).values())
     for key in ("constants", "critic_constants"):
-        if getattr(observed, key) and not (drawn or config.randomization.population):
+        if getattr(observed, key) and not (random or config.randomization.population):
             allowed = "false where randomization draws none (randomization.all=0.2 draws them)"
             refuse(f"observation.{key}", True, allowed)
     if observed.constants and observed.critic_constants:
@@ -182,11 +182,11 @@ def _within(config: Config, position: Sequence[float], ground: bool = False) -> 
 def _check_gates(config: Config) -> None:
     """Check that gates are apart, can be reached, and that the drone fits through them."""
     inflation, radius = config.training_limits.gate_inflation, config.rules.body_radius
-    gates, least = config.track.gates, 2 * (radius - min(inflation, 0.0))
+    gates, smallest = config.track.gates, 2 * (radius - min(inflation, 0.0))
     for index, gate in enumerate(gates):
         key = f"track.gates[{index}]"
-        if min(gate.size) <= max(config.vehicle.width, least):
-            allowed = f"above vehicle.width {config.vehicle.width:g} and above {least:g}"
+        if min(gate.size) <= max(config.vehicle.width, smallest):
+            allowed = f"above vehicle.width {config.vehicle.width:g} and above {smallest:g}"
             limits = "training_limits.gate_inflation and rules.body_radius"
             refuse(f"{key}.size", gate.size, f"{allowed}, of {limits}")
         if gate.shape == "circle" and gate.size[0] != gate.size[1]:

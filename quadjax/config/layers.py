@@ -60,7 +60,7 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
     if not any(tree for _, tree in files):
         raise InputError(f"{path}: empty; write at least the preset to start from, as base: e2e")
     files += _part_files(parts, path, files)
-    layers = [each for file, tree in files for each in with_files(str(file), tree, file.parent)]
+    layers = [x for file, tree in files for x in with_files(str(file), tree, file.parent)]
     over = parse_overrides([_expand(override) for override in overrides])
     here = Path() if _exists(over, Path()) else path.parent
     return [*default_layers(files), *layers, *with_files("overrides", over, here)]
@@ -94,10 +94,10 @@ def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
     if name.endswith(".yaml") or "/" in name:
         return find_file(name, Path(), "parts")
     folders = [config.parent / "parts", Path("parts"), CONFIGS / "parts"]
-    for each in (*(f"{preset}_{name}" for preset in presets), name):
+    for stem in (*(f"{preset}_{name}" for preset in presets), name):
         for folder in folders:
-            if (folder / f"{each}.yaml").is_file():
-                return folder / f"{each}.yaml"
+            if (folder / f"{stem}.yaml").is_file():
+                return folder / f"{stem}.yaml"
     stems = preset_names("parts")
     names = {stem.removeprefix(f"{preset}_") for stem in stems for preset in (*presets, "")}
     hint = close_match(name, sorted(names))
@@ -135,10 +135,10 @@ def with_files(source: str, tree: Tree, folder: Path) -> list[Layer]:
         with prefixed(f"{source}: {section}.file"):
             path = find_file(values["file"], folder, f"{section}s")
         with_model = "model" in values
-        found = file_values(section, path)
-        if values.get("generate") is not None and "gates" in found[section]:
+        config = file_values(section, path)
+        if values.get("generate") is not None and "gates" in config[section]:
             raise InputError(f"{source}: track.gates has no effect with track.generate")
-        layers.append(Layer(str(path), found, section, with_model))
+        layers.append(Layer(str(path), config, section, with_model))
         tree = {**tree, section: {**values, "file": None}}
     return [*layers, Layer(source, tree)]
 
@@ -173,11 +173,11 @@ def merged(layers: Sequence[Layer], path: str) -> tuple[Tree, Sources]:
         if layer.replaces == "vehicle" and not layer.with_model:
             _check_level(tree, layer)
         tree = merge_trees(_below(tree, layer), layer.tree)
-        found = files_of(layer.tree, layer.source)
-        for key in list(found):  # constants are in vehicle.models until the model is known
+        sources = files_of(layer.tree, layer.source)
+        for key in list(sources):  # constants are in vehicle.models until the model is known
             if key.startswith("vehicle.models."):
-                found[f"vehicle.constants.{key.split('.')[-1]}"] = layer.source
-        files |= found
+                sources[f"vehicle.constants.{key.split('.')[-1]}"] = layer.source
+        files |= sources
     return tree, Sources(path, files)
 
 

@@ -83,8 +83,9 @@ def generated(tree: Tree, source: str | Sources) -> Tree:
             raise InputError(f"{path}: track.{key} has no effect with track.generate")
     if not isinstance(track["generate"], dict):
         allowed = f"a mapping of {', '.join(RandomTrack.model_fields)}"
-        given = short(track["generate"])
-        raise InputError(f"{path}: track.generate is {given}, allowed: {allowed}")
+        raise InputError(
+            f"{path}: track.generate is {short(track['generate'])}, allowed: {allowed}"
+        )
     settings = build(RandomTrack, track["generate"], source, "track.generate.")
     with prefixed(path):
         values = generate(settings)
@@ -133,10 +134,10 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
         InputError: an unreadable file, no known model in it, or invalid constants.
     """
     path = find_file(str(file), Path(), "vehicles")
-    known = list(file_values("vehicle", path)["vehicle"]["models"])
-    names = [model] if model else [name for name in known if name in MODELS]
+    models = list(file_values("vehicle", path)["vehicle"]["models"])
+    names = [model] if model else [name for name in models if name in MODELS]
     if not names:
-        raise InputError(f"{file}: has {', '.join(known) or 'no model'}; name its VehicleModel")
+        raise InputError(f"{file}: has {', '.join(models) or 'no model'}; name its VehicleModel")
     configs = []
     for name in names:
         tree = {"vehicle": {"file": str(file), "model": name, "width": 0.0}}  # no check of gates
@@ -200,21 +201,21 @@ def _without_retired(tree: Tree) -> Tree:
 def _with_constants(vehicle: Tree) -> Tree:
     """The vehicle section with the constants of its model, complete."""
     models, name = vehicle.get("models", {}), vehicle.get("model", "motor")
-    given = vehicle.get("constants", {})
+    values = vehicle.get("constants", {})
     if not isinstance(name, str):
         refuse("vehicle.model", name, "text")
-    sections = {"vehicle.models": models, "vehicle.constants": given}
+    sections = {"vehicle.models": models, "vehicle.constants": values}
     if isinstance(models, dict):
         sections |= {f"vehicle.models.{key}": values for key, values in models.items()}
-    for key, values in sections.items():
-        if not isinstance(values, dict):
-            refuse(key, values, "a mapping of constants")
+    for key, section in sections.items():
+        if not isinstance(section, dict):
+            refuse(key, section, "a mapping of constants")
     model = vehicle_model(name)
     names = model.constant_names
     # A vehicle file names an own model by its name, not by its module.
     constants: Tree = {}
-    for values in (models.get(model.name, {}), models.get(name, {}), given):
-        constants |= for_each_rotor(values, names)
+    for section in (models.get(model.name, {}), models.get(name, {}), values):
+        constants |= for_each_rotor(section, names)
     for key in constants:
         if key not in names:
             hint, listed = close_match(key, names), ", ".join(names)
@@ -224,8 +225,8 @@ def _with_constants(vehicle: Tree) -> Tree:
             )
     for key in names:
         if constants.get(key) is None:
-            known = f"{vehicle.get('name')} has constants of: {', '.join(models) or 'no model'}"
-            raise BadValue("vehicle.file", f"vehicle.constants.{key} is missing; {known}")
+            others = f"{vehicle.get('name')} has constants of: {', '.join(models) or 'no model'}"
+            raise BadValue("vehicle.file", f"vehicle.constants.{key} is missing; {others}")
     return {
         **vehicle,
         "constants": {key: constants[key] for key in names},

@@ -36,23 +36,23 @@ class KeyInfo(NamedTuple):
 
 def describe(schema: type[Section], prefix: str = "") -> list[KeyInfo]:
     """Every key of a section and of those in it, in order, for help and reference pages."""
-    found: list[KeyInfo] = []
+    keys: list[KeyInfo] = []
     document = schema.model_json_schema()
     for name, field in schema.model_fields.items():
         key = f"{prefix}{field.alias or name}"
         if is_section(field.annotation):
-            found += describe(field.annotation, f"{key}.")
+            keys += describe(field.annotation, f"{key}.")
         else:
             default = None if field.is_required() else field.get_default(call_default_factory=True)
             allowed = _values(document["properties"][field.alias or name])
-            found.append(KeyInfo(key, allowed, default, field.description or ""))
-    return found
+            keys.append(KeyInfo(key, allowed, default, field.description or ""))
+    return keys
 
 
 def _values(node: Mapping[str, Any]) -> str:
     """The values that a JSON schema allows, as text: "a whole number, at least 1, or null"."""
     if "anyOf" in node:
-        text = " or ".join(_values(each) for each in node["anyOf"])
+        text = " or ".join(_values(option) for option in node["anyOf"])
         return text.replace(" or null", ", or null")
     if "enum" in node or "const" in node:
         return "one of " + ", ".join(map(str, node.get("enum", [node.get("const")])))
@@ -62,8 +62,8 @@ def _values(node: Mapping[str, Any]) -> str:
         text, inner = f"a list of {len(inner)}", inner[0]
         node = {}
     if isinstance(inner, Mapping):
-        each = _values(inner)
-        text += f" of ({each})" if ", " in each else f" of {each}"
+        items = _values(inner)
+        text += f" of ({items})" if ", " in items else f" of {items}"
     bounds = [text.format(_number(node[key])) for key, text in BOUNDS.items() if key in node]
     return ", ".join([text, *bounds])
 

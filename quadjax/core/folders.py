@@ -79,8 +79,8 @@ def check_free(folder: Path | str, kind: str, files: Iterable[str]) -> None:
     Raises:
         InputError: with the files' names.
     """
-    if kind_of(folder) is None and (found := present_files(folder, files)):
-        names = ", ".join(path.name for path in found[:3]) + (", .." if found[3:] else "")
+    if kind_of(folder) is None and (present := present_files(folder, files)):
+        names = ", ".join(path.name for path in present[:3]) + (", .." if present[3:] else "")
         raise InputError(
             f"{folder} holds no {kind}, but {names}: choose another folder, or replace these files "
             "(overwrite=True)"
@@ -107,9 +107,9 @@ def check_kind(folder: Path | str, kind: str) -> None:
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file, expected a folder")
-    found = kind_of(folder)
-    if found not in (None, kind):
-        raise InputError(f"{folder} holds {_a(found)}, not {_a(kind)}: choose another name")
+    present = kind_of(folder)
+    if present not in (None, kind):
+        raise InputError(f"{folder} holds {_a(present)}, not {_a(kind)}: choose another name")
 
 
 def _a(kind: str | None) -> str:

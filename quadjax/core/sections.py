@@ -244,7 +244,7 @@ def _bad_value(
 
 def _location(error: Mapping[str, Any], tree: object) -> tuple[str | int, ...]:
     """Keys and indices of an error, without the names of a union's members."""
-    found: list[str | int] = []
+    location: list[str | int] = []
     for part in error["loc"]:
         if isinstance(tree, Mapping) and part in tree:
             tree = tree[part]
@@ -252,8 +252,8 @@ def _location(error: Mapping[str, Any], tree: object) -> tuple[str | int, ...]:
             tree = tree[part]
         elif error["type"] != "missing" or part != error["loc"][-1]:
             continue
-        found.append(part)
-    return tuple(found)
+        location.append(part)
+    return tuple(location)
 
 
 def _allowed(error: Mapping[str, Any]) -> str:
@@ -319,11 +319,11 @@ def value_at(section: Section, key: str, missing: object = 1.0) -> object:
         rest = ".".join(parts[index:])
         if isinstance(node, Mapping) and (rest in node or ":" in rest):  # "module.of.mine:function"
             return node.get(rest, missing)
-        known = node if isinstance(node, Mapping) else getattr(node, "__dict__", {})
-        if part not in known and not isinstance(node, Mapping):
-            hint = close_match(part, list(known))
-            raise InputError(f"{key}: unknown key{hint}; allowed there: {', '.join(known)}")
-        node = known.get(part, missing)
+        values = node if isinstance(node, Mapping) else getattr(node, "__dict__", {})
+        if part not in values and not isinstance(node, Mapping):
+            hint = close_match(part, list(values))
+            raise InputError(f"{key}: unknown key{hint}; allowed there: {', '.join(values)}")
+        node = values.get(part, missing)
     if isinstance(node, Section):
         raise InputError(f"{key}: is a section of the keys {', '.join(vars(node))}")
     return node

@@ -164,12 +164,12 @@ def merge_layers(layers: Sequence[tuple[str, Tree]], path: str) -> tuple[Tree, S
 
 def files_of(tree: Tree, file: str) -> dict[str, str]:
     """A file, by the dotted key of each of its values and sections."""
-    found: dict[str, str] = {}
+    files: dict[str, str] = {}
     for key in flatten(tree):
         while key:
-            found[key] = file
+            files[key] = file
             key = key.rpartition(".")[0]
-    return found
+    return files
 
 
 def find_file(name: str, folder: Path, kind: str = ".") -> Path:
@@ -184,11 +184,11 @@ def find_file(name: str, folder: Path, kind: str = ".") -> Path:
     places = [folder, folder / kind, CONFIGS / kind]
     with reading(short(name)):
         for place in places:
-            for each in names:
-                if (place / each).exists() and not (place / each).is_dir():
-                    return place / each
-    known = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
-    hint = close_match(Path(name).stem, known)
+            for file in names:
+                if (place / file).exists() and not (place / file).is_dir():
+                    return place / file
+    stems = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
+    hint = close_match(Path(name).stem, stems)
     shipped = f"; {kind} of quadjax: {', '.join(preset_names(kind))}" if kind != "." else ""
     raise InputError(f"{short(name)}: no such file in {folder} or {CONFIGS / kind}{hint}{shipped}")
 

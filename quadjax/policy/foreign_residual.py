@@ -30,13 +30,13 @@ def import_residual(
         InputError: a file that cannot be read, or networks of other sizes; in one line.
     """
     meta = {"rpm_min": rpm_range[0], "rpm_max": rpm_range[1], "thrust_sign": thrust_sign}
-    found: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     for name, path in (("thrust", thrust), ("moment", moment)):
         layers = _c_layers(path) if is_c(path) else linear_layers(path, read_state_dict(path))
         check_shape(path, name, layers)
         for index, (kernel, bias) in enumerate(layers):
-            found |= {f"{name}_kernel_{index}": kernel, f"{name}_bias_{index}": bias}
-    return from_arrays(thrust, found, meta)
+            arrays |= {f"{name}_kernel_{index}": kernel, f"{name}_bias_{index}": bias}
+    return from_arrays(thrust, arrays, meta)
 
 
 def _c_layers(path: Path | str) -> Layers:
