@@ -98,10 +98,11 @@ def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
         for folder in folders:
             if (folder / f"{stem}.yaml").is_file():
                 return folder / f"{stem}.yaml"
-    stems = preset_names("parts")
-    names = {stem.removeprefix(f"{preset}_") for stem in stems for preset in (*presets, "")}
-    hint = close_match(name, sorted(names))
-    raise InputError(f"+{name}: no such part{hint}; parts of quadjax: {', '.join(stems)}")
+    names = set(preset_names("parts"))
+    for preset in presets:
+        names = {part.removeprefix(f"{preset}_") for part in names}
+    hint, listed = close_match(name, sorted(names)), ", ".join(sorted(names))
+    raise InputError(f"+{name}: no such part{hint}; parts of quadjax: {listed}")
 
 
 def default_layers(files: Sequence[tuple[Path, Tree]]) -> list[Layer]:
