@@ -28,22 +28,12 @@ def check(config: Config) -> None:
     _check_observation(config)
     last = at_end(config)
     for race in (_with_scheduled(config, 0), last):
-        _check_drone(race)
+        check_drone(race)
         _check_gates(race)
         _check_random_tracks(race)
         _check_race_start(race)
         _check_start(race)
     _check_gate_penalty(last)
-
-
-def _check_drone(config: Config) -> None:
-    try:
-        check_drone(config)
-    except BadValue:
-        raise
-    except InputError as error:
-        key = str(error).removeprefix("unknown key ").partition(" ")[0]
-        raise BadValue(key, str(error)) from None
 
 
 def with_body(config: Config, radius: float) -> Config:

@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from quadjax.config.schema import Config
-from quadjax.core.errors import InputError
-from quadjax.core.sections import refuse
+from quadjax.core.sections import BadValue, refuse
 from quadjax.core.yaml_files import close_match
 from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import VehicleModel
@@ -43,9 +42,8 @@ def check_drone(config: Config) -> None:
 
 def _check_name(key: str, name: str, names: Sequence[str]) -> None:
     if name not in names:
-        raise InputError(
-            f"unknown key {key}{close_match(name, names)}; allowed there: {', '.join(names)}"
-        )
+        allowed = f"allowed there: {', '.join(names)}"
+        raise BadValue(key, f"unknown key {key}{close_match(name, names)}; {allowed}")
 
 
 def _check_population(config: Config, model: VehicleModel, spread: Values) -> None:
@@ -100,7 +98,8 @@ def _check_thrust(model: VehicleModel, values: Values, origin: str) -> None:
     if least is None or most is None:
         return
     if not least < 1 < most <= MAX_THRUST:
-        raise InputError(
+        raise BadValue(
+            "vehicle.constants",
             f"vehicle.constants{origin} give a thrust of {least:.3g} to {most:.3g} times the "
-            f"weight, allowed: a range around 1, up to {MAX_THRUST:g}, so that the drone can hover"
+            f"weight, allowed: a range around 1, up to {MAX_THRUST:g}, so that the drone can hover",
         )

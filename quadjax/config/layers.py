@@ -177,7 +177,8 @@ def merged(layers: Sequence[Layer], path: str) -> tuple[Tree, Sources]:
         sources = files_of(layer.tree, layer.source)
         for key in list(sources):  # constants are in vehicle.models until the model is known
             if key.startswith("vehicle.models."):
-                sources[f"vehicle.constants.{key.split('.')[-1]}"] = layer.source
+                sources["vehicle.constants"] = layer.source
+                sources[f"vehicle.constants.{key.rpartition('.')[2]}"] = layer.source
         files |= sources
     return tree, Sources(path, files)
 

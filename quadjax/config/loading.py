@@ -28,7 +28,11 @@ from quadjax.vehicle.vehicle_file import for_each_rotor
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
 # Former keys, by the value that had no effect; None: any value.
-RETIRED = {("learner", "revisit"): 0.0, ("run", "shards"): None}
+RETIRED: dict[str, tuple[float, ...] | None] = {
+    "learner.revisit": (0.0,),
+    "randomization.tracks.drawn_by": None,
+    "run.shards": None,
+}
 
 
 def load_config(
@@ -189,13 +193,15 @@ def stored_config(tree: Tree, file: str) -> Config:
     return config_of(tree, source)
 
 
-def _without_retired(tree: Tree) -> Tree:
+def _without_retired(tree: Tree, prefix: str = "") -> Tree:
     """The tree without keys of earlier versions, where their value had no effect."""
-    for (section, key), value in RETIRED.items():
-        values = tree.get(section)
-        if isinstance(values, dict) and value in (None, values.get(key)):
-            tree = {**tree, section: {k: v for k, v in values.items() if k != key}}
-    return tree
+    rest: Tree = {}
+    for key, value in tree.items():
+        allowed = RETIRED.get(f"{prefix}{key}", ())
+        if allowed is None or value in allowed:
+            continue
+        rest[key] = _without_retired(value, f"{prefix}{key}.") if isinstance(value, dict) else value
+    return rest
 
 
 def _with_constants(vehicle: Tree) -> Tree:
