@@ -16,9 +16,9 @@ BAD_INPUT = 2  # exit status after bad input and after system errors
 MAX_WORD, MAX_LINE = 200, 1000  # characters of a word and of a line that a command prints
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
 PACKAGE = str(Path(__file__).resolve().parent.parent) + os.sep
-OWN_ERRORS = (Exception, SystemExit)  # what a user's own code may raise, apart from Ctrl-C
+USER_ERRORS = (Exception, SystemExit)  # what a user's own code may raise, apart from Ctrl-C
 OPTIONS = {"config=CONFIG": "--race CONFIG"}  # of the command line, by the argument of a function
-OWN_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_object`` has imported
+USER_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_object`` has imported
 
 
 class InputError(ValueError):
@@ -102,18 +102,18 @@ def _middle_out(text: str, most: int) -> str:
     return f"{text[: most // 2]}...{text[-most // 2 :]}"
 
 
-def own_error(error: BaseException) -> str:
+def user_error(error: BaseException) -> str:
     """An exception in a user's own code: its kind, the start of its message, and the line."""
     message = (str(error).splitlines() or [""])[0][:200]
-    lines = own_lines(error)
+    lines = user_lines(error)
     where = f" ({lines[-1]}; {DEBUG}=1 shows the traceback)" if lines else ""
     return f"{type(error).__name__}: {message}{where}"
 
 
-def own_lines(error: BaseException) -> list[str]:
+def user_lines(error: BaseException) -> list[str]:
     """File and number of the lines of a user's modules that an exception passed through."""
     frames = traceback.extract_tb(error.__traceback__)
-    return [f"{frame.filename}:{frame.lineno}" for frame in frames if frame.filename in OWN_FILES]
+    return [f"{frame.filename}:{frame.lineno}" for frame in frames if frame.filename in USER_FILES]
 
 
 def as_options(text: str) -> str:
@@ -137,11 +137,11 @@ def error_line(error: BaseException) -> str | None:
         return f"not enough memory ({text})" if text else "not enough memory"
     if type(error).__name__ in ("JaxRuntimeError", "XlaRuntimeError"):
         return f"not enough memory ({text[:160]})" if "RESOURCE_EXHAUSTED" in text else None
-    return own_error(error) if _is_own(error) else None
+    return user_error(error) if _in_user_module(error) else None
 
 
-def _is_own(error: BaseException) -> bool:
+def _in_user_module(error: BaseException) -> bool:
     """Whether an exception is raised in a user's module, or in a library that it calls."""
     files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
-    files = [file for file in files if file in OWN_FILES or file.startswith(PACKAGE)]
+    files = [file for file in files if file in USER_FILES or file.startswith(PACKAGE)]
     return bool(files) and not files[-1].startswith(PACKAGE)

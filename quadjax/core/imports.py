@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from quadjax.core.errors import OWN_ERRORS, OWN_FILES, InputError, own_error
+from quadjax.core.errors import USER_ERRORS, USER_FILES, InputError, user_error
 
 
 def load_object(path: str, key: str) -> object:
@@ -26,18 +26,17 @@ def load_object(path: str, key: str) -> object:
     if not (colon and name and all(part.isidentifier() for part in module_name.split("."))):
         raise InputError(f'{key} is {path!r}, allowed: "module:name"')
     try:
-        found = _import(module_name)
-    except OWN_ERRORS as error:
+        value = _import(module_name)
+    except USER_ERRORS as error:
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise InputError(f"{key}: module {module_name} cannot be imported ({reason})") from error
-    if own_file := getattr(found, "__file__", None):
-        OWN_FILES.add(own_file)
-    for part in name.split("."):
-        if not hasattr(found, part):
-            where = getattr(found, "__file__", module_name)
-            raise InputError(f"{key} is {path!r}, but {where} has no {part!r}")
-        found = getattr(found, part)
-    return found
+    file = getattr(value, "__file__", None) or module_name
+    USER_FILES.add(file)
+    for attribute in name.split("."):
+        if not hasattr(value, attribute):
+            raise InputError(f"{key} is {path!r}, but {file} has no {attribute!r}")
+        value = getattr(value, attribute)
+    return value
 
 
 def _import(module_name: str) -> object:
@@ -57,7 +56,7 @@ def name_of(function: Callable[..., Any]) -> str:
     return f"{getattr(function, '__module__', '')}:{name}"
 
 
-def own_numbers(
+def user_numbers(
     label: str, function: Callable[[Any], Any], argument: object, size: int | None = None
 ) -> list[Any]:
     """The result of a user's own function, checked to consist of scalars.
@@ -77,8 +76,8 @@ def own_numbers(
         shapes = [_shape(value) for value in values]
     except InputError:
         raise
-    except OWN_ERRORS as error:
-        raise InputError(f"{label}: {own_error(error)}") from error
+    except USER_ERRORS as error:
+        raise InputError(f"{label}: {user_error(error)}") from error
     wanted = "one number" if size in (None, 1) else f"{size} numbers"
     if size is not None and len(values) != size:
         raise InputError(f"{label} gives {len(values)} numbers, expected {wanted} (its size)")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quadjax.core.errors import OWN_ERRORS, InputError, own_error
+from quadjax.core.errors import USER_ERRORS, InputError, user_error
 from quadjax.core.imports import load_object
 from quadjax.fitting import blackbox, px4, tii
 from quadjax.fitting.columns import PAPARAZZI, PLAIN
@@ -85,8 +85,8 @@ class LogFormat:
             return self.adjust(quantities, settings)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        except OWN_ERRORS as error:
-            raise InputError(f"{path}: {own_error(error)}") from error
+        except USER_ERRORS as error:
+            raise InputError(f"{path}: {user_error(error)}") from error
 
 
 def table_of_columns(
@@ -123,8 +123,8 @@ def _own_columns(
         columns = read(Path(path))
     except InputError:
         raise
-    except OWN_ERRORS as error:
-        raise InputError(f"{path}: {own_error(error)}") from error
+    except USER_ERRORS as error:
+        raise InputError(f"{path}: {user_error(error)}") from error
     if not isinstance(columns, Mapping):
         raise InputError(f"{path}: the reader gives {columns!r:.40}, expected columns by name")
     return columns

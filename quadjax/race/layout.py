@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.core.imports import own_numbers
+from quadjax.core.imports import user_numbers
 from quadjax.race.step import Step
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -59,7 +59,7 @@ class Field:
     def numbers(self, step: Step) -> list[jax.Array]:
         """The field's network inputs, after scaling."""
         assert self.value is not None, self.name
-        values = own_numbers(f"observation field {self.name!r}", self.value, step, self.size)
+        values = user_numbers(f"observation field {self.name!r}", self.value, step, self.size)
         if self.scale is None:
             return values
         low, high = self.scale(step.model, step.params)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from quadjax.core.gradients import Scalar
-from quadjax.core.imports import own_numbers
+from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.trigonometry import arctan2
@@ -190,7 +190,7 @@ def user_term(name: str, term: Callable[[Step], jax.Array]) -> Term:
     """A user's own term as an entry of the rewards, checked to give one number."""
 
     def value(step: Step) -> jax.Array:
-        number = own_numbers(f"reward term {name}", term, step)[0]
+        number = user_numbers(f"reward term {name}", term, step)[0]
         return jnp.asarray(number, step.time_step.dtype)
 
     return Term(value)

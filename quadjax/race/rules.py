@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.gradients import Scalar
-from quadjax.core.imports import own_numbers
+from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import Traced, register
 from quadjax.core.vectors import Vec3, safe_norm
@@ -325,7 +325,7 @@ TERMINATIONS: Mapping[str, Callable[[Step], jax.Array | None]] = {
 
 def user_rule(name: str, rule: Callable[[Step], jax.Array]) -> Callable[[Step], jax.Array]:
     """A user's own rule as an entry of the terminations, checked to give one flag."""
-    return lambda step: jnp.asarray(own_numbers(f"rule {name}", rule, step)[0], bool)
+    return lambda step: jnp.asarray(user_numbers(f"rule {name}", rule, step)[0], bool)
 
 
 def judge(step: Step, terminations: Mapping[str, Callable[[Step], jax.Array | None]]) -> Outcome:

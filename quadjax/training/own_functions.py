@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.schema import Config
-from quadjax.core.errors import OWN_ERRORS, InputError, own_error
-from quadjax.core.imports import own_numbers
+from quadjax.core.errors import USER_ERRORS, InputError, user_error
+from quadjax.core.imports import user_numbers
 from quadjax.learners import sharding as parallel
 from quadjax.learners.state import Learner, TrainState
 from quadjax.race import environment
@@ -45,7 +45,7 @@ def check_functions(choices: Choices, params: RaceParams, extra: int) -> None:
         step = dataclasses.replace(seen, after=following.drone, outcome=outcome, action=action)
         for name, term in choices.terms:
             label = f"reward term {name}"
-            values[label] = own_numbers(label, term, step)
+            values[label] = user_numbers(label, term, step)
         return values
 
     values = jax.jit(jax.vmap(first_step))(jax.random.split(jax.random.key(0), STARTS))
@@ -74,8 +74,8 @@ def check_learner(config: Config, learner: Learner, params: RaceParams) -> Train
             parallel.check_update(learner, params, shapes)
     except InputError:
         raise
-    except OWN_ERRORS as error:
-        raise InputError(f"{name}: {own_error(error)}") from error
+    except USER_ERRORS as error:
+        raise InputError(f"{name}: {user_error(error)}") from error
     if part == "init":
         raise InputError(f"{name}: init gives {shapes!r:.60}, expected a quadjax.TrainState")
     return shapes
