@@ -1,9 +1,9 @@
 """A lower bound of the time of a flight, by duality; docs/design/limits.md has the proof.
 
-The vehicle is relaxed to a point mass ``p'' = g + f - drag * p'`` with ``|f| <= force``. The time
-of a leg plus the multipliers' terms has a minimum over all flights of the relaxation; the sum of
-these minima over the legs is a lower bound for any multipliers. The largest such bound is found by
-smooth maximization, and then evaluated with a bound of every approximation.
+The vehicle is relaxed to a point mass. The time of a leg plus the multipliers' terms has a minimum
+over all flights of the relaxation; the sum of these minima over the legs is a lower bound for any
+multipliers. The largest such bound is found by smooth maximization, and then evaluated with a bound
+of every approximation.
 
 The bound holds up to rounding, for flights below a given speed, where consecutive openings are
 apart from each other. Models without a function in ``LARGEST_FORCES``, and those with a residual,
@@ -129,11 +129,6 @@ def _rate(c: Constants, speed: float, drag: float) -> float:
     return float(np.sqrt((side * (speed**2 - vertical**2) + (drag * vertical + thrust) ** 2).max()))
 
 
-def _rotor_thrust(c: Constants, speed: float, drag: float) -> float:
-    """Thrust alone."""
-    return 4.0 * c["thrust_max"] / c["mass"] + drag * speed
-
-
 def _rotors(c: Constants, speed: float, drag: float) -> float:
     """The terms of ``motor``, ``racing`` and ``a2rl``, in cells of rotor speeds and velocity.
 
@@ -176,7 +171,7 @@ def _rotors(c: Constants, speed: float, drag: float) -> float:
 
 LARGEST_FORCES: dict[str, Callable[[Constants, float, float], float]] = {
     "rate": _rate,
-    "rotor_thrust": _rotor_thrust,
+    "rotor_thrust": lambda c, speed, drag: 4.0 * c["thrust_max"] / c["mass"] + drag * speed,
     "motor": _rotors,
     "racing": _rotors,
     "a2rl": _rotors,
@@ -186,16 +181,7 @@ LARGEST_FORCES: dict[str, Callable[[Constants, float, float], float]] = {
 def maximize(
     course: Course, mass: PointMass, longest: float, start: np.ndarray | None = None
 ) -> tuple[float, np.ndarray]:
-    """The largest bound over the multipliers.
-
-    Args:
-        course: the points to pass.
-        mass: the relaxation.
-        longest: s, as of ``lower_bound``.
-        start: (variables,) first multipliers, a result of this function.
-
-    Returns:
-        The bound, s, and the multipliers.
+    """The largest bound, s, at most ``longest``, and its multipliers; ``start`` are the first ones.
 
     Raises:
         InputError: two consecutive openings touch, so that a leg may have any short duration.

@@ -19,19 +19,14 @@ POINTS = 50  # of a leg
 class Comparison:
     """A flight against the best known one, leg by leg.
 
-    Attributes:
-        best, flown: (legs,) s, the legs' times.
-        length: (legs,) m, of the best known flight.
-        distance: (points,) m, along the best known flight.
-        lost: (points,) s, time lost up to that point. Within a leg, both flights are compared at
-            equal fractions of their lengths.
+    Within a leg, both flights are compared at equal fractions of their lengths.
     """
 
-    best: np.ndarray
-    flown: np.ndarray
-    length: np.ndarray
-    distance: np.ndarray
-    lost: np.ndarray
+    best: np.ndarray  # (legs,) s, the legs' times
+    flown: np.ndarray  # (legs,) s
+    length: np.ndarray  # (legs,) m, of the best known flight
+    distance: np.ndarray  # (points,) m, along the best known flight
+    lost: np.ndarray  # (points,) s, time lost up to that point
 
     @property
     def gap(self) -> float:

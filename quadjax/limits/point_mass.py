@@ -1,7 +1,6 @@
 """The time-optimal flight of a point mass with limited force and jerk, for initial guesses.
 
-The relaxation has neither attitude nor actuators, so the solver finds its flight quickly from a
-spline through the gates.
+It has neither attitude nor actuators, so the solver finds it quickly from a spline.
 """
 
 import dataclasses
@@ -30,29 +29,6 @@ class Path:
     position: np.ndarray  # (nodes, 3) m
     velocity: np.ndarray  # (nodes, 3) m/s
     force: np.ndarray  # (nodes, 3) m/s^2, world: the thrust per mass
-
-
-@dataclasses.dataclass(frozen=True)
-class Mass:
-    """The point mass: ``p'' = gravity + f - drag p'``."""
-
-    force: float  # m/s^2, largest
-    drag: float  # 1/s
-    gravity: np.ndarray  # (3,)
-
-
-def mass_of(problem: Problem) -> Mass:
-    """Largest thrust at rest, and drag of level flight at 3 m/s."""
-    still, fast, full = problem.level, problem.level.copy(), problem.level.copy()
-    fast[VELOCITY] = [3.0, 0.0, 0.0]
-    full[ACTUATORS] = problem.actuator_range[1]
-    force = problem.specific_force
-    drag = (force(still)[0] - force(fast)[0]) / 3.0
-    return Mass(
-        USED_FORCE * float(np.linalg.norm(force(full))),
-        drag,
-        np.array([0.0, 0.0, float(problem.params.vehicle.constants.g)]),
-    )
 
 
 def spline(problem: Problem, intervals: int, speed: float, seed: int = 0) -> Path:
@@ -86,12 +62,13 @@ def optimize(problem: Problem, first: Path, effort: Effort) -> Path:
 
     Where the problem limits the pitch, the force points upward. Otherwise it has any direction.
     """
-    mass, legs, nodes = mass_of(problem), len(first.leg_times), len(first.position)
+    largest, drag, gravity = _mass(problem)
+    legs, nodes = len(first.leg_times), len(first.position)
     program = casadi.Opti()
     t = program.variable(legs)
     p, v, f = (program.variable(3, nodes) for _ in range(3))
     bound(program, t, 0.02, 60.0)
-    smooth = _add_equations(program, mass, t, p, v, f)
+    smooth = _add_equations(program, (largest, drag, gravity), t, p, v, f)
     add_rules(program, problem, p, v, MARGIN, 0.0)
     if problem.periodic:
         ends = casadi.vertcat(*(x[:, -1] - x[:, 0] for x in (p, v, f)))
@@ -99,13 +76,13 @@ def optimize(problem: Problem, first: Path, effort: Effort) -> Path:
     else:
         bound(program, p[:, 0], first.position[0][:, None], first.position[0][:, None])
         bound(program, v[:, 0], 0.0, 0.0)
-    force = first.force + mass.drag * first.velocity - mass.gravity
+    force = first.force + drag * first.velocity - gravity
     if math.isfinite(problem.pitch_limit):
-        upright = -UPRIGHT * mass.force
+        upright = -UPRIGHT * largest
         bound(program, f[2, :], -np.inf, upright)
         force[:, 2] = np.minimum(force[:, 2], upright)
     size = np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-6)
-    force = force * np.minimum(1.0, mass.force / size)
+    force = force * np.minimum(1.0, largest / size)
     for variable, value in ((p, first.position), (v, first.velocity), (f, force)):
         program.set_initial(variable, value.T)
     program.set_initial(t, first.leg_times)
@@ -115,18 +92,33 @@ def optimize(problem: Problem, first: Path, effort: Effort) -> Path:
     return Path(leg_times.ravel(), *(table.T for table in tables))
 
 
-def _add_equations(program: Any, mass: Mass, t: Any, p: Any, v: Any, f: Any) -> Any:
-    """Motion, limits of force and jerk; returns the integral of the squared relative jerk, s."""
-    nodes = p.shape[1]
+def _mass(problem: Problem) -> tuple[float, float, np.ndarray]:
+    """Largest force, m/s^2, drag, 1/s, of level flight at 3 m/s, and gravity (3,), m/s^2."""
+    still, fast, full = problem.level, problem.level.copy(), problem.level.copy()
+    fast[VELOCITY], full[ACTUATORS] = [3.0, 0.0, 0.0], problem.actuator_range[1]
+    forces = [problem.specific_force(state) for state in (still, fast, full)]
+    gravity = np.array([0.0, 0.0, float(problem.params.vehicle.constants.g)])
+    return USED_FORCE * float(np.linalg.norm(forces[2])), (forces[0] - forces[1])[0] / 3.0, gravity
+
+
+def _add_equations(
+    program: Any, mass: tuple[float, float, np.ndarray], t: Any, p: Any, v: Any, f: Any
+) -> Any:
+    """``p'' = gravity + f - drag p'``, and limits of force and jerk.
+
+    Returns:
+        The integral of the squared relative jerk, s.
+    """
+    (largest, drag, gravity), nodes = mass, p.shape[1]
     count = (nodes - 1) // t.numel()
     step = casadi.reshape(casadi.repmat(t.T / count, count, 1), 1, -1)
     h = casadi.repmat(step, 3, 1)
-    slope = f - mass.drag * v + casadi.repmat(casadi.DM(mass.gravity), 1, nodes)
+    slope = f - drag * v + casadi.repmat(casadi.DM(gravity), 1, nodes)
     change = 0.5 * h * (v[:, 1:] + v[:, :-1]) - h * h / 12.0 * (slope[:, 1:] - slope[:, :-1])
     bound(program, p[:, 1:] - p[:, :-1] - change, 0.0, 0.0)
     bound(program, v[:, 1:] - v[:, :-1] - 0.5 * h * (slope[:, 1:] + slope[:, :-1]), 0.0, 0.0)
-    jerk = (f[:, 1:] - f[:, :-1]) / (TILTING * mass.force)
+    jerk = (f[:, 1:] - f[:, :-1]) / (TILTING * largest)
     bound(program, jerk - h, -np.inf, 0.0)
     bound(program, -jerk - h, -np.inf, 0.0)
-    bound(program, casadi.sum1(f**2) / mass.force**2, -np.inf, 1.0)
+    bound(program, casadi.sum1(f**2) / largest**2, -np.inf, 1.0)
     return casadi.sum2(casadi.sum1(jerk**2) / step)

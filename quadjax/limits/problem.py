@@ -34,57 +34,36 @@ Tree = TypeVar("Tree")
 
 @dataclasses.dataclass(frozen=True)
 class Flight:
-    """What is flown, in place of a periodic lap.
+    """What is flown, in place of a periodic lap."""
 
-    Attributes:
-        gates: gates of a flight from the start; None: a periodic lap, or ``laps``.
-        laps: laps of a flight from the start; None: a periodic lap, or ``gates``.
-        stops: whether it ends at rest in the center of the last gate.
-        clearance: m from the edges of the openings; None: through the centers.
-        speed: m/s, the speed limit; None: ``fitted_speed``, or ``SPEED`` where it is unknown.
-        fitted_speed: m/s, highest speed of the flights that the model is fitted to; None: unknown.
-    """
-
-    gates: int | None = None
-    laps: int | None = None
-    stops: bool = False
-    clearance: float | None = 0.0
-    speed: float | None = None
-    fitted_speed: float | None = None
+    gates: int | None = None  # of a flight from the start; None: a periodic lap, or ``laps``
+    laps: int | None = None  # of a flight from the start
+    stops: bool = False  # ends at rest in the center of the last gate
+    clearance: float | None = 0.0  # m from the edges of the openings; None: through the centers
+    speed: float | None = None  # m/s, the limit; None: ``fitted_speed``, or ``SPEED``
+    fitted_speed: float | None = None  # m/s, highest of the flights that the model is fitted to
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
     """A flight whose time is to be as small as possible.
 
-    Attributes:
-        choices: of the race: RK4, and gates passed where the path crosses their planes.
-        params: numbers of the race without training limits, in float64, with steps of 1 ms.
-        flight: its length, end and clearance.
-        gates: of the track, smaller by the radius of the drone.
-        order: indices of the gates to pass, one for each leg.
-        periodic: whether the flight ends, in the last gate, in the state in which it starts;
-            otherwise it is from the start of timed laps, at rest.
-        bounds: lowest and highest position, m, (2, 3).
-        rate_limit: largest body rates about x, y and z, rad/s, (3,).
-        speed_limit: m/s.
-        pitch_limit: rad; inf where the attitude is a quaternion in the race, too.
-        landing: the height, m, below which flight is slower than a speed, m/s; None: no such rule.
-        frame_depth: m, of the solid frames and the drone, on each side of a gate; None: no frames.
+    A periodic flight ends, in the last gate, in the state in which it starts. Another one is from
+    the start of timed laps, at rest.
     """
 
-    choices: Choices
-    params: RaceParams
+    choices: Choices  # of the race: RK4, and gates passed where the path crosses their planes
+    params: RaceParams  # without training limits, in float64, with steps of 1 ms
     flight: Flight
-    gates: Gates
-    order: np.ndarray
+    gates: Gates  # of the track, smaller by the radius of the drone
+    order: np.ndarray  # (legs,) indices of the gates to pass
     periodic: bool
-    bounds: np.ndarray
-    rate_limit: np.ndarray
-    speed_limit: float
-    pitch_limit: float
-    landing: tuple[float, float] | None
-    frame_depth: float | None
+    bounds: np.ndarray  # (2, 3) lowest and highest position, m
+    rate_limit: np.ndarray  # (3,) largest body rates, rad/s
+    speed_limit: float  # m/s
+    pitch_limit: float  # rad; inf where the attitude is a quaternion in the race, too
+    landing: tuple[float, float] | None  # m, below which flight is slower than a speed, m/s
+    frame_depth: float | None  # m, of solid frames and the drone, on each side of a gate
 
     @property
     def model(self) -> VehicleModel:

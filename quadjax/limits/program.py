@@ -20,19 +20,12 @@ BEYOND = 1e-5  # m beyond the gate's plane, at the end of a leg; much less than 
 
 @dataclasses.dataclass(frozen=True)
 class Effort:
-    """When IPOPT ends.
+    """When IPOPT ends."""
 
-    Attributes:
-        seconds: limit of wall-clock time.
-        warm: the first values are close to a solution, as from a coarser mesh.
-        stop: if set, the current iterate is returned.
-        report: called at each iteration with the objective.
-    """
-
-    seconds: float = 300.0
-    warm: bool = False
-    stop: threading.Event = dataclasses.field(default_factory=threading.Event)
-    report: Callable[[float], object] = lambda value: None
+    seconds: float = 300.0  # limit of wall-clock time
+    warm: bool = False  # the first values are close to a solution, as from a coarser mesh
+    stop: threading.Event = dataclasses.field(default_factory=threading.Event)  # if set
+    report: Callable[[float], object] = lambda value: None  # called with the objective
 
 
 def minimize(program: Any, effort: Effort) -> tuple[bool, str]:

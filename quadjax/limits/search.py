@@ -30,23 +30,14 @@ STAGES = (  # divisor of the mesh, smoothness in s, reserve of the commands
 
 @dataclasses.dataclass(frozen=True)
 class BestKnown:
-    """A verified flight. Its time is an upper bound of the shortest time; it may not be optimal.
-
-    Attributes:
-        trajectory: states and commands at the nodes.
-        check: the flight by the commands.
-        guess: where the solver started.
-        mesh_change: relative change of the time between the last two meshes.
-        attempts: what became of each initial guess, by its name.
-        seconds: wall-clock time of the search.
-    """
+    """A verified flight. Its time is an upper bound of the shortest time; it may not be optimal."""
 
     trajectory: Trajectory
-    check: Check
-    guess: str
-    mesh_change: float
-    attempts: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    seconds: float = 0.0
+    check: Check  # the flight by the commands
+    guess: str  # where the solver started
+    mesh_change: float  # relative change of the time between the last two meshes
+    attempts: Mapping[str, str] = dataclasses.field(default_factory=dict)  # by guess, its result
+    seconds: float = 0.0  # wall-clock time of the search
 
     @property
     def total(self) -> float:

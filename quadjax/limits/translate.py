@@ -1,8 +1,4 @@
-"""JAX functions as CasADi expressions: a vehicle's equations are written once, in JAX.
-
-``translate`` traces a function to its jaxpr and evaluates that with CasADi symbols. Arrays are
-NumPy arrays of objects: symbols and numbers.
-"""
+"""JAX functions as CasADi expressions: a vehicle's equations are written once, in JAX."""
 
 import operator
 from collections.abc import Callable, Sequence
@@ -93,7 +89,7 @@ def _evaluate(
     def read(atom: Any) -> Scalars:
         return _numbers(atom.val) if isinstance(atom, Literal) else values[atom]
 
-    for equation in _needed(jaxpr):
+    for equation in jaxpr.eqns:
         outputs = _apply(equation, [read(atom) for atom in equation.invars])
         values |= dict(zip(equation.outvars, outputs, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
@@ -102,17 +98,6 @@ def _evaluate(
 def _numbers(value: Any) -> Scalars:
     """A constant of a jaxpr as an array of Python numbers."""
     return np.asarray(value).astype(object)
-
-
-def _needed(jaxpr: Jaxpr) -> list[JaxprEqn]:
-    """The equations that the results depend on."""
-    wanted = {atom for atom in jaxpr.outvars if not isinstance(atom, Literal)}
-    needed = []
-    for equation in reversed(jaxpr.eqns):
-        if wanted.intersection(equation.outvars):
-            needed.append(equation)
-            wanted |= {atom for atom in equation.invars if not isinstance(atom, Literal)}
-    return needed[::-1]
 
 
 def _apply(equation: JaxprEqn, inputs: list[Scalars]) -> list[Scalars]:
@@ -137,20 +122,19 @@ def _apply(equation: JaxprEqn, inputs: list[Scalars]) -> list[Scalars]:
 
 def _move(equation: JaxprEqn, inputs: list[Scalars]) -> Scalars:
     """A primitive that only moves entries: applied to their indices, it says where they go."""
-    ends = np.cumsum([0, *(array.size for array in inputs)])
-    pairs = zip(ends[:-1], inputs, strict=True)
-    indices = [start + np.arange(array.size).reshape(array.shape) for start, array in pairs]
-    moved = equation.primitive.bind(*map(jax.numpy.asarray, indices), **equation.params)
     entries = np.concatenate([array.ravel() for array in inputs])
+    parts = np.split(np.arange(len(entries)), np.cumsum([array.size for array in inputs])[:-1])
+    indices = [part.reshape(array.shape) for part, array in zip(parts, inputs, strict=True)]
+    moved = equation.primitive.bind(*map(jax.numpy.asarray, indices), **equation.params)
     return _elementwise(lambda place: entries[place], np.asarray(moved))
 
 
 def _elementwise(function: Callable[..., Scalar], *arrays: Scalars) -> Scalars:
-    """A function of scalars on arrays of objects of one shape, or of none."""
-    shape = np.broadcast_shapes(*(array.shape for array in arrays))
-    result = np.empty(shape, object)
-    for index in np.ndindex(shape):
-        result[index] = function(*(np.broadcast_to(array, shape)[index] for array in arrays))
+    """A function of scalars on arrays of one shape, or of none."""
+    arrays = tuple(np.broadcast_arrays(*arrays))
+    result = np.empty(arrays[0].shape, object)
+    for index in np.ndindex(result.shape):
+        result[index] = function(*(array[index] for array in arrays))
     return result
 
 

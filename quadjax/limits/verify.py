@@ -30,26 +30,16 @@ COMMAND = 0.1  # fraction of the range: tolerance of the commands
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """The result of flying a solution in the race.
+    """The result of flying a solution in the race."""
 
-    Attributes:
-        error: why the solution is rejected; "" if it is verified.
-        leg_times: (legs,) s, between the gates.
-        clearance: smallest ``Problem.leeway`` of a passage, m; negative where a gate is missed.
-        margin: smallest distance from the bounds and the ground, m; negative: outside.
-        feedback: whether a regulator corrected the solution's commands.
-        position, velocity: (steps + 1, 3) m, m/s, world.
-        commands: (steps, commands) that it flew.
-    """
-
-    error: str
-    leg_times: np.ndarray
-    clearance: float
-    margin: float
-    feedback: bool
-    position: np.ndarray
-    velocity: np.ndarray
-    commands: np.ndarray
+    error: str  # why the solution is rejected; "" if it is verified
+    leg_times: np.ndarray  # (legs,) s, between the gates
+    clearance: float  # m, smallest ``Problem.leeway`` of a passage; negative: a gate is missed
+    margin: float  # m, smallest distance from the bounds and the ground; negative: outside
+    feedback: bool  # whether a regulator corrected the solution's commands
+    position: np.ndarray  # (steps + 1, 3) m, world
+    velocity: np.ndarray  # (steps + 1, 3) m/s, world
+    commands: np.ndarray  # (steps, commands) that it flew
 
     @property
     def total(self) -> float:
