@@ -5,30 +5,38 @@ and commands at the nodes are the variables; commands are linear within an inter
 of motion hold at the ends and the middle of each interval.
 """
 
+import contextlib
 import dataclasses
+import io
 import math
+import threading
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadjax.limits.problem import ATTITUDE, POSITION, RATES, VELOCITY, Problem
-from quadjax.limits.program import Effort, add_rules, bound, minimize
+from quadjax.limits.rules import add_rules, bound
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.translate import casadi, translate
 
 SMOOTHNESS = 1e-4  # s, weight of the squared command differences, relative to the command range
 LOWEST = 1e-3  # of a command's range, left out: a motor map may have no slope at its lowest command
 LEG_SECONDS = (0.02, 60.0)
+ITERATIONS = 500  # of IPOPT, at most
 UNLIMITED = 500.0  # rad/s, body rates that no drone reaches
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """What is solved, in addition to the flight's own rules."""
+    """What is solved, in addition to the flight's own rules, and when IPOPT ends."""
 
     margin: float = 0.0  # m, further distance from the edges of the openings and the bounds
-    reserve: float = 0.0  # fraction of the ranges of commands, rates and speed that is not used
+    reserve: float = 0.0  # fraction of the ranges of commands that is not used
+    turning: float = 1.0  # fraction of the body rates' limits
     smoothness: float = SMOOTHNESS  # s, weight of the squared command differences
+    seconds: float = 300.0  # limit of wall-clock time
+    warm: bool = False  # the guess is close to a solution, as from a coarser mesh
 
 
 class Solution(NamedTuple):
@@ -60,7 +68,12 @@ class Dynamics:
 
 
 def solve(
-    problem: Problem, dynamics: Dynamics, guess: Trajectory, settings: Settings, effort: Effort
+    problem: Problem,
+    dynamics: Dynamics,
+    guess: Trajectory,
+    settings: Settings,
+    stop: threading.Event,
+    report: Callable[[float], object],
 ) -> Solution:
     """Solve the nonlinear program on the mesh of an initial guess.
 
@@ -68,8 +81,9 @@ def solve(
         problem: the flight.
         dynamics: of the problem.
         guess: the initial guess, with the same number of intervals for each leg.
-        settings: margins and weights.
-        effort: when the solver ends.
+        settings: margins, weights and limits.
+        stop: if set, the solver ends with its current iterate.
+        report: called at each iteration with the objective, s.
     """
     program, (low, high), count = casadi.Opti(), problem.command_range, guess.intervals
     span, reserve = np.where(high > low, high - low, 1.0), settings.reserve
@@ -92,8 +106,8 @@ def solve(
     moving = np.flatnonzero(~dynamics.still)
     bound(program, defect[moving.tolist(), :] / scales[0][moving], 0.0, 0.0)
     _add_ends(program, problem, dynamics.still, guess, x, u)
-    add_rules(program, problem, x[POSITION, :], x[VELOCITY, :], settings.margin, reserve)
-    limit = (1.0 - reserve) * problem.rate_limit
+    add_rules(program, problem, x[POSITION, :], x[VELOCITY, :], settings.margin)
+    limit = settings.turning * problem.rate_limit
     for axis in np.flatnonzero(limit < UNLIMITED):
         rates = casadi.horzcat(x[RATES, 1:], between)[int(axis), :]
         bound(program, rates, -limit[axis], limit[axis])
@@ -103,7 +117,7 @@ def solve(
         bound(program, 2.0 * (q0 * q2 - q1 * q3), -steepest, steepest)
     smooth = casadi.sumsqr((u[:, 1:] - u[:, :-1]) / span)
     program.minimize(casadi.sum1(durations) + settings.smoothness * smooth)
-    converged, status = minimize(program, effort)
+    converged, status = _minimize(program, settings, stop, report)
     leg_times, states, commands = (np.array(program.debug.value(v)).T for v in (durations, x, u))
     return Solution(
         Trajectory(leg_times.ravel(), states, np.clip(commands, *ends)), converged, status
@@ -131,3 +145,36 @@ def _add_ends(
     bound(program, (x[:, -1] - sign * x[:, 0])[np.flatnonzero(closed).tolist()], 0.0, 0.0)
     bound(program, u[:, -1] - u[:, 0], 0.0, 0.0)
     bound(program, casadi.sumsqr(x[ATTITUDE, 0]), 1.0, 1.0)
+
+
+def _minimize(
+    program: Any, settings: Settings, stop: threading.Event, report: Callable[[float], object]
+) -> tuple[bool, str]:
+    """Whether IPOPT converged, and its status; then ``debug.value`` gives the last iterate."""
+    options = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": 1e-6,
+        "acceptable_tol": 1e-5,
+        "max_iter": ITERATIONS,
+        "max_wall_time": max(0.1, settings.seconds),
+        "mu_init": 1e-4 if settings.warm else 1e-2,
+        "bound_relax_factor": 0.0,  # a motor map has no slope beyond its lowest command
+    }
+    if settings.warm:
+        options |= {"bound_push": 1e-5, "bound_frac": 1e-5}
+    quiet = {"print_time": False, "show_eval_warnings": False, "detect_simple_bounds": True}
+    program.solver("ipopt", quiet, options)
+    with contextlib.ExitStack() as silence:
+
+        def iteration(_: int) -> None:
+            report(float(program.debug.value(program.f)))
+            if stop.is_set():  # an exception ends IPOPT; CasADi would print it
+                silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
+                raise KeyboardInterrupt
+
+        program.callback(iteration)
+        with contextlib.suppress(RuntimeError):  # the status says why
+            program.solve()
+    stats = program.stats()
+    return bool(stats["success"]), str(stats["return_status"])

@@ -1,18 +1,16 @@
-"""Initial guesses: a recorded flight, divided at its gates, or the flight of a point mass."""
+"""Initial guesses: a recorded flight, divided at its gates, or a spline through the gates."""
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
-from quadjax.limits.point_mass import Path, optimize, spline
-from quadjax.limits.problem import ACTUATORS, Problem, euler_of
-from quadjax.limits.program import Effort
+from quadjax.limits.problem import ACTUATORS, POSITION, Problem, euler_of
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import passages
 from quadjax.race.environment import Choices, RaceParams
@@ -24,8 +22,9 @@ INTERVALS = 20  # of a leg, on the first mesh
 POLICY_LAPS = 4
 RECORDED = ("position", "velocity", "euler", "rates", "actuators", "command")  # of a flight
 FASTEST_RATES = 12.0  # rad/s, body rates of a guess at most
-SPEEDS = (4.0, 8.0, 2.5, 6.0)  # m/s, of the splines that flights of point masses start from
-FIT_STEPS = 3  # least-squares steps to the commands of a guess
+SPEEDS = (8.0, 4.0, 6.0, 2.5)  # m/s, means along the splines
+SPREAD = 0.8  # fraction of the openings, within which random points are
+UPRIGHT = 0.15  # smallest vertical part of the force, where the pitch is limited
 
 
 def policy_laps(
@@ -92,86 +91,59 @@ def from_flight(
     return laps
 
 
-def from_point_mass(
-    problem: Problem, index: int = 0, effort: Effort | None = None, intervals: int = INTERVALS
-) -> Trajectory:
-    """A guess along the time-optimal flight of a point mass.
+def from_spline(problem: Problem, index: int = 0, intervals: int = INTERVALS) -> Trajectory:
+    """A guess along a spline through the gates, with the thrust along the force that it needs.
 
-    The nose of the second and of every other guess is along the velocity. All but the first two
-    start from a spline through random points of the openings.
+    The actuators are those of a hover. The nose of the second and of every other guess is along the
+    velocity. All but the first two go through random points of the openings.
     """
-    first = spline(problem, intervals, SPEEDS[index % len(SPEEDS)], max(index - 1, 0))
-    return from_path(problem, optimize(problem, first, effort or Effort()), index % 2 == 1)
-
-
-def from_path(problem: Problem, path: Path, along: bool = False) -> Trajectory:
-    """States and commands along a path: tilted along the force, with its thrust.
-
-    Args:
-        problem: the flight.
-        path: of a point mass.
-        along: whether the nose is along the velocity; otherwise each attitude follows from the one
-            before by the shortest turn, up to a constant yaw rate that closes a periodic flight.
-    """
-    intervals = (len(path.position) - 1) // len(path.leg_times)
-    steps = np.repeat(path.leg_times / intervals, intervals)
-    rotations = _attitudes(problem, path, along)
-    turned = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / steps[:, None]
+    gates, order, speed = problem.gates, problem.order, SPEEDS[index % len(SPEEDS)]
+    sides = np.random.default_rng(index).uniform(-1.0, 1.0, gates.half_size.shape)
+    sides = SPREAD * (index > 1) * sides * gates.half_size
+    points = gates.position + np.einsum("gs,gsi->gi", sides, gates.axes[:, 1:])
+    points = points[np.concatenate([order[-1:], order])]
+    if not problem.periodic:
+        points[0] = problem.start[POSITION]
+    lengths = np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.5)
+    times = np.concatenate([[0.0], np.cumsum(lengths / speed)])
+    rest, free = (1, np.zeros(3)), (2, np.zeros(3))
+    ends = "periodic" if problem.periodic else (rest, rest if problem.flight.stops else free)
+    curve = CubicSpline(times, points, bc_type=ends)
+    legs = np.arange(len(order) * intervals + 1) / intervals
+    nodes = np.interp(legs, np.arange(len(times)), times)
+    rotations = _attitudes(problem, curve(nodes, 1), curve(nodes, 2), index % 2 == 1)
+    turned = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / np.diff(nodes)[:, None]
     fastest = np.minimum(FASTEST_RATES, 0.9 * problem.rate_limit)
     rates = np.clip(np.vstack([turned, turned[-1:]]), -fastest, fastest)
-    actuators = _actuators(problem, np.linalg.norm(path.force, axis=1))
-    euler = rotations.as_euler("ZYX")[:, ::-1]
-    states = problem.vectors((path.position, path.velocity, euler, rates), actuators)
+    motion = curve(nodes), curve(nodes, 1), rotations.as_euler("ZYX")[:, ::-1], rates
+    states = problem.vectors(motion, np.tile(problem.start[ACTUATORS], (len(nodes), 1)))
     if not problem.periodic:
         states[0] = problem.start
-    return Trajectory(path.leg_times, states, _commands(problem, states, steps))
+    middle = np.mean(problem.command_range, axis=0)
+    return Trajectory(np.diff(times), states, np.tile(middle, (len(nodes), 1)))
 
 
-def _attitudes(problem: Problem, path: Path, along: bool) -> Rotation:
-    """Body-to-world rotations (n,) with the thrust along the force; see ``from_path``."""
-    down, axis = -path.force, np.array([0.0, 0.0, 1.0])
-    yaw = 0.0 if problem.periodic else float(euler_of(problem.start[None])[0, 2])
-    turns = [
-        Rotation.align_vectors(*pair)[0] for pair in zip(down, [axis, *down[:-1]], strict=True)
-    ]
+def _attitudes(
+    problem: Problem, velocity: np.ndarray, acceleration: np.ndarray, along: bool
+) -> Rotation:
+    """Body-to-world rotations (n,) with the thrust along the force that an acceleration needs.
+
+    With ``along`` the nose is along the velocity. Otherwise each attitude follows from the one
+    before by the shortest turn, up to a constant yaw rate that closes a periodic flight.
+    """
+    axis = np.array([0.0, 0.0, 1.0])
+    down = float(problem.params.vehicle.constants.g) * axis - acceleration
+    if math.isfinite(problem.pitch_limit):
+        down[:, 2] = np.maximum(down[:, 2], UPRIGHT * np.linalg.norm(down, axis=1))
+    pairs = zip(down, [axis, *down[:-1]], strict=True)
+    turns = [Rotation.align_vectors(*pair)[0] for pair in pairs]
     attitudes = list(itertools.accumulate(turns, lambda attitude, turn: turn * attitude))
+    yaw = 0.0 if problem.periodic else float(euler_of(problem.start[None])[0, 2])
     levels = Rotation.concatenate(attitudes) * Rotation.from_rotvec(yaw * axis)
     angle = np.zeros(len(down))
     if along:
-        forward, right, _ = levels.inv().apply(path.velocity).T
+        forward, right, _ = levels.inv().apply(velocity).T
         angle = np.unwrap(np.arctan2(right, forward))
     elif problem.periodic:
         angle = np.linspace(0.0, (levels[-1].inv() * levels[0]).as_rotvec()[2], len(down))
     return levels * Rotation.from_rotvec(angle[:, None] * axis)
-
-
-def _actuators(problem: Problem, thrust: np.ndarray) -> np.ndarray:
-    """Equal fractions of the actuators' ranges (n, actuators) that give a thrust (n,), m/s^2."""
-    (low, high), fractions = problem.actuator_range, np.linspace(0.0, 1.0, 41)
-    state, thrusts = problem.level.copy(), []
-    for fraction in fractions:
-        state[ACTUATORS] = low + fraction * (high - low)
-        thrusts.append(-problem.specific_force(state)[2])
-    return low + np.interp(thrust, thrusts, fractions)[:, None] * (high - low)
-
-
-def _commands(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Commands (nodes, commands) whose derivatives fit the change of the states best."""
-    low, high = problem.command_range
-    scale = np.maximum(np.abs(states).max(axis=0), 1.0)
-    changes = np.diff(states, axis=0) / steps[:, None] / scale
-
-    def fit(state: jax.Array, change: jax.Array) -> jax.Array:
-        slope = lambda command: problem.slope(state, command) / scale  # noqa: E731
-        command = jnp.asarray(0.5 * (low + high))
-        for _ in range(FIT_STEPS):
-            jacobian = jax.jacfwd(slope)(command) * (high - low)
-            size = jnp.sum(jacobian**2) + 1e-12
-            square = jacobian.T @ jacobian + 1e-4 * size * jnp.eye(len(low))
-            move = jnp.linalg.solve(square, jacobian.T @ (change - slope(command)))
-            command = jnp.clip(command + (high - low) * move, low, high)
-        return command
-
-    with jax.enable_x64(True):
-        commands = np.asarray(jax.jit(jax.vmap(fit))(states[:-1], changes))
-    return np.vstack([commands, commands[-1:]])

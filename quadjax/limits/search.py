@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from quadjax.limits.collocation import SMOOTHNESS, Dynamics, Settings, Solution, solve
-from quadjax.limits.guess import from_point_mass
-from quadjax.limits.problem import Problem
-from quadjax.limits.program import Effort
+from quadjax.limits.guess import from_spline
+from quadjax.limits.problem import BELOW_RULE, Problem
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import Check, verify
 
@@ -20,6 +19,7 @@ MARGIN = 1e-4  # m, first distance from the edges; more where the flight drifts
 WIDENINGS, WIDER = 4, 5e-4  # times that the margin is increased, and by how much at first, m
 RESERVE, FIRM_RESERVE = 0.002, 0.01  # of the commands, kept for the regulator of a rejected flight
 SMALL, LARGE = 0.01, 0.05  # m, misses that are removed before refinement, that need FIRM_RESERVE
+LARGEST_EXCESS = 1.2  # of a body rate, up to which its limit is lowered
 SHARE = 0.4  # of the time that is left, for each of the stages
 STAGES = (  # divisor of the mesh, smoothness in s, reserve of the commands
     (2, 1e-2, 0.02),
@@ -91,7 +91,7 @@ class Search:
         self.rejected: tuple[Trajectory, str] | None = None  # the last, and why
 
     def run(self, guesses: Mapping[str, Trajectory] | None = None, starts: int = 1) -> BestKnown:
-        """Solve from each guess by name, then from ``starts`` flights of a point mass.
+        """Solve from each guess by name, then from ``starts`` splines.
 
         Raises:
             NotFoundError: no guess led to a verified flight.
@@ -115,13 +115,11 @@ class Search:
         for index in range(starts):
             if self._left() <= 0.0:
                 return
-            self.report(name := f"point mass {index + 1}")
-            effort = Effort(0.3 * self._left(), stop=self.stop)
-            yield name, from_point_mass(self.problem, index, effort)
+            yield f"spline {index + 1}", from_spline(self.problem, index)
 
     def _attempt(self, name: str, guess: Trajectory) -> str:
         """Solve from one guess; a verified guess is a result, too."""
-        if self.best is None and not name.startswith("point mass"):
+        if self.best is None and not name.startswith("spline"):
             self._keep(name, guess, np.inf)
         flight, settings = self._approach(name, guess)
         if flight is None:
@@ -137,26 +135,22 @@ class Search:
         """
         flight, used, warm, intervals = None, Settings(), False, guess.intervals
         for divisor, smoothness, reserve in STAGES:
-            settings = Settings(MARGIN, reserve, smoothness)
-            mesh = guess.resample(intervals // divisor)
-            guess, warm, _ = self._solve(name, mesh, settings, SHARE, warm)
+            seconds = SHARE * self._left()
+            settings = Settings(MARGIN, reserve, smoothness, seconds, warm)
+            guess, warm, _ = self._solve(name, guess.resample(intervals // divisor), settings)
             if warm and divisor == 1:
                 flight, used = guess, settings
             elif flight is not None:
                 break
         return flight, used
 
-    def _solve(
-        self, name: str, mesh: Trajectory, settings: Settings, share: float = 1.0, warm: bool = True
-    ) -> Solution:
-        """Solve in at most a share of the time that is left."""
+    def _solve(self, name: str, mesh: Trajectory, settings: Settings) -> Solution:
         if self._left() <= 0.0:
             return Solution(mesh, False, "no time")
         best = "" if self.best is None else f", best {self.best.total:.4f} s"
         text = f"{name}, {mesh.intervals} intervals a leg{best}"
         report = lambda value: self.report(f"{text}: {value:.4f} s")  # noqa: E731
-        effort = Effort(share * self._left(), warm, self.stop, report)
-        return solve(self.problem, self.dynamics, mesh, settings, effort)
+        return solve(self.problem, self.dynamics, mesh, settings, self.stop, report)
 
     def _refine(self, name: str, flight: Trajectory, settings: Settings) -> str:
         """Refine the mesh until the time converges and the flight is verified.
@@ -177,6 +171,7 @@ class Search:
                 widenings += 1
             else:
                 mesh = flight.resample(2 * flight.intervals, self.problem)
+            settings = dataclasses.replace(settings, seconds=self._left(), warm=True)
             solution = self._solve(name, mesh, settings)
             if not solution.converged:
                 self._keep(name, solution.trajectory, np.inf)
@@ -202,8 +197,13 @@ class Search:
 
 
 def _wider(settings: Settings, check: Check, widenings: int) -> Settings:
-    """More distance from the edges; for a large miss also a reserve for the regulator."""
-    margin, reserve = settings.margin + 1.2 * check.miss + WIDER * 4.0**widenings, settings.reserve
-    if check.miss == 0.0 or check.miss > SMALL:
+    """More distance from the edges, slower turns, or a reserve of commands for the regulator."""
+    margin, reserve, turning = settings.margin, settings.reserve, settings.turning
+    excess = check.turning * BELOW_RULE  # of a body rate over its limit
+    if 1.0 < excess < LARGEST_EXCESS:
+        turning *= BELOW_RULE / excess
+    elif check.miss == 0.0 or check.miss > SMALL:
         reserve = max(2.0 * reserve, RESERVE if check.miss < LARGE else FIRM_RESERVE)
-    return Settings(margin, reserve, settings.smoothness)
+    if check.miss > 0.0:
+        margin += 1.2 * check.miss + WIDER * 4.0**widenings
+    return dataclasses.replace(settings, margin=margin, reserve=reserve, turning=turning)

@@ -18,6 +18,7 @@ from quadjax.limits.gates import Gates
 from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP, VELOCITY, Problem
 from quadjax.limits.trajectory import Trajectory
 from quadjax.race.environment import Choices, RaceParams, RaceState, transition
+from quadjax.vehicle.protocol import State
 
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
 STEPS = 1000  # the number of steps is a multiple: each number is compiled anew
@@ -36,6 +37,7 @@ class Check:
     leg_times: np.ndarray  # (legs,) s, between the gates
     clearance: float  # m, smallest ``Problem.leeway`` of a passage; negative: a gate is missed
     margin: float  # m, smallest distance from the bounds and the ground; negative: outside
+    turning: float  # largest body rate, relative to ``Problem.rate_limit``
     feedback: bool  # whether a regulator corrected the solution's commands
     position: np.ndarray  # (steps + 1, 3) m, world
     velocity: np.ndarray  # (steps + 1, 3) m/s, world
@@ -64,7 +66,11 @@ def verify(problem: Problem, trajectory: Trajectory) -> Check:
     check = _check(problem, trajectory, commands, False)
     if not check.error:
         return check
-    corrected = _check(problem, trajectory, _follow(problem, trajectory, states, commands), True)
+    weight = TOLERANCES[2] * np.maximum(np.abs(trajectory.states).max(axis=0), 0.1)
+    weight[POSITION], weight[VELOCITY] = TOLERANCES[:2]
+    with jax.enable_x64(True):
+        commands = np.asarray(_follow(problem, states, commands, weight))
+    corrected = _check(problem, trajectory, commands, True)
     better = (bool(corrected.error), corrected.miss) < (bool(check.error), check.miss)
     return corrected if better else check
 
@@ -124,15 +130,19 @@ def passages(
 @functools.partial(jax.jit, static_argnames=("choices",))
 def _fly(
     choices: Choices, params: RaceParams, start: RaceState, actions: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Position and velocity (steps, 3), and whether a rule is broken (steps,), of actions."""
+) -> tuple[jax.Array, ...]:
+    """Position, velocity, body rates (steps + 1, 3), and whether a rule is broken (steps + 1,)."""
+
+    def motion(drone: State) -> tuple[jax.Array, ...]:
+        read = choices.model.position, choices.model.velocity, choices.model.rates
+        return tuple(function(drone).array() for function in read)
 
     def advance(state: RaceState, action: jax.Array) -> tuple[RaceState, tuple]:
         after, _, outcome = transition(choices, params, state, action)
-        place, speed = choices.model.position(after.drone), choices.model.velocity(after.drone)
-        return after, (place.array(), speed.array(), outcome.terminated)
+        return after, (*motion(after.drone), outcome.terminated)
 
-    return jax.lax.scan(advance, start, actions)[1]
+    rows, first = jax.lax.scan(advance, start, actions)[1], (*motion(start.drone), False)
+    return jax.tree.map(lambda x, row: jnp.concatenate([jnp.asarray(x)[None], row]), first, rows)
 
 
 def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedback: bool) -> Check:
@@ -142,14 +152,11 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
     """
     low, high = problem.command_range
     actions = 2.0 * (commands - low) / np.where(high > low, high - low, 1.0) - 1.0
-    first = trajectory.states[0]
-    state = dataclasses.replace(problem.race_start, drone=problem.state(first))
+    start = dataclasses.replace(problem.race_start, drone=problem.state(trajectory.states[0]))
     with jax.enable_x64(True):
-        rows = map(np.asarray, _fly(problem.choices, problem.params, state, actions))
-    start = first[POSITION], first[VELOCITY], False
-    position, velocity, broken = (
-        np.concatenate([np.asarray(x)[None], row]) for x, row in zip(start, rows, strict=True)
-    )
+        position, velocity, rates, broken = map(
+            np.asarray, _fly(problem.choices, problem.params, start, actions)
+        )
     order = problem.order[: len(problem.order) - problem.flight.stops]
     times, places = passages(problem.gates, order, position, TIME_STEP, MISSED)
     leeways = [problem.leeway(*pair) for pair in zip(order, places, strict=False)]
@@ -157,62 +164,43 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
         leeways.append(-MISSED)
     elif problem.flight.stops:
         times = np.append(times, trajectory.total)
-    last = min(int(np.ceil(times.max(initial=0.0) / TIME_STEP)), len(commands))
-    inside, (lowest, highest) = position[1 : last + 1], problem.bounds
-    margin = min((inside - lowest).min(initial=np.inf), (highest - inside).min(initial=np.inf))
-    check = Check(
-        error="",
-        leg_times=np.diff(times, prepend=0.0),
-        clearance=float(min(leeways)),
-        margin=float(margin),
-        feedback=feedback,
-        position=position[: last + 1],
-        velocity=velocity[: last + 1],
-        commands=commands[:last],
-    )
-    error = _error(problem, trajectory, check, leeways, broken[: last + 1])
-    return dataclasses.replace(check, error=error)
-
-
-def _error(
-    problem: Problem, trajectory: Trajectory, check: Check, leeways: list[float], broken: np.ndarray
-) -> str:
-    """Why a flight is rejected; "" if it is not."""
-    if check.clearance < 0.0:
+    end = 1 + min(int(np.ceil(times.max(initial=0.0) / TIME_STEP)), len(commands))
+    (lowest, highest), inside = problem.bounds, position[1:end]
+    margin = np.concatenate([inside - lowest, highest - inside]).min(initial=np.inf)
+    turning = float(np.max(np.abs(rates[:end]) / problem.rate_limit))
+    legs, clearance, path = np.diff(times, prepend=0.0), min(leeways), position[:end]
+    error, total = "", float(legs.sum())
+    if clearance < 0.0:
         gate = problem.order[np.argmin(leeways)] + 1
-        return f"it misses gate {gate} by {-1e3 * check.clearance:.1f} mm"
-    if check.margin < 0.0:
-        return f"it leaves the bounds of the race by {-1e3 * check.margin:.1f} mm"
-    if broken.any():
-        return f"it breaks a rule of the race at {np.argmax(broken) * TIME_STEP:.3f} s"
-    if problem.flight.stops:
-        away = np.linalg.norm(check.position[-1] - problem.gates.position[problem.order[-1]])
-        speed = np.linalg.norm(check.velocity[-1])
-        if away > AT_REST[0] or speed > AT_REST[1]:
-            return f"it ends {away:.3f} m from the last gate at {speed:.2f} m/s"
-    if abs(check.total - trajectory.total) > TIME_TOLERANCE * trajectory.total:
-        return f"it takes {check.total:.3f} s instead of {trajectory.total:.3f} s"
-    return ""
+        error = f"it misses gate {gate} by {-1e3 * clearance:.1f} mm"
+    elif margin < 0.0:
+        error = f"it leaves the bounds of the race by {-1e3 * margin:.1f} mm"
+    elif broken[:end].any():
+        error = f"it breaks a rule of the race at {np.argmax(broken) * TIME_STEP:.3f} s"
+    elif problem.flight.stops:
+        error = _at_rest(problem, path[-1], velocity[end - 1])
+    if not error and abs(total - trajectory.total) > TIME_TOLERANCE * trajectory.total:
+        error = f"it takes {total:.3f} s instead of {trajectory.total:.3f} s"
+    motion = path, velocity[:end], commands[: end - 1]
+    return Check(error, legs, float(clearance), float(margin), turning, feedback, *motion)
 
 
-def _follow(
-    problem: Problem, trajectory: Trajectory, states: np.ndarray, commands: np.ndarray
-) -> np.ndarray:
-    """Commands (steps, commands) of a regulator that follows a reference, within their range."""
-    low, high = problem.command_range
-    weight = TOLERANCES[2] * np.maximum(np.abs(trajectory.states).max(axis=0), 0.1)
-    weight[POSITION], weight[VELOCITY] = TOLERANCES[:2]
-    effort = COMMAND * np.where(high > low, high - low, 1.0)
-    with jax.enable_x64(True):
-        return np.asarray(_regulate(problem, states, commands, weight, effort))
+def _at_rest(problem: Problem, position: np.ndarray, velocity: np.ndarray) -> str:
+    away = np.linalg.norm(position - problem.gates.position[problem.order[-1]])
+    speed = np.linalg.norm(velocity)
+    if away <= AT_REST[0] and speed <= AT_REST[1]:
+        return ""
+    return f"it ends {away:.3f} m from the last gate at {speed:.2f} m/s"
 
 
 @functools.partial(jax.jit, static_argnames=("problem",))
-def _regulate(
-    problem: Problem, states: jax.Array, commands: jax.Array, weight: jax.Array, effort: jax.Array
+def _follow(
+    problem: Problem, states: jax.Array, commands: jax.Array, weight: jax.Array
 ) -> jax.Array:
-    cost, effort_cost = jnp.diag(1.0 / weight**2), jnp.diag(1.0 / effort**2)
+    """Commands (steps, commands) of a regulator that follows a reference, within their range."""
     low, high = problem.command_range
+    cost, effort = jnp.diag(1.0 / weight**2), COMMAND * np.where(high > low, high - low, 1.0)
+    effort_cost = jnp.diag(1.0 / effort**2)
 
     def step(state: jax.Array, command: jax.Array) -> jax.Array:
         after = rk4_loop_step(lambda x: problem.slope(x, command), state, TIME_STEP)

@@ -16,11 +16,10 @@ def _problem(*overrides):
 
 def test_a_slower_leg_is_where_the_time_is_lost():
     from quadjax.limits.compare import compare
-    from quadjax.limits.point_mass import spline
+    from quadjax.limits.guess import from_spline
     from quadjax.limits.trajectory import Trajectory
 
-    path = spline(_problem(), 10, 4.0)
-    best = Trajectory(path.leg_times, path.position, np.zeros((41, 4)))
+    best = from_spline(_problem(), 1, 10)
     slower = best.leg_times + np.array([0.0, 0.3, 0.0, 0.0])
     result = compare(best, Trajectory(slower, best.states, best.commands))
     assert result.gap == pytest.approx(0.3 / best.total)
@@ -31,13 +30,12 @@ def test_a_slower_leg_is_where_the_time_is_lost():
 
 
 def test_laps_are_cut_from_a_recorded_flight():
-    from quadjax.limits.guess import from_flight
-    from quadjax.limits.point_mass import spline
+    from quadjax.limits.guess import from_flight, from_spline
 
     problem = _problem()
-    path = spline(problem, 50, 4.0)
-    zero = np.zeros_like(path.position)
-    motion = [np.tile(x[:-1], (3, 1)) for x in (path.position, path.velocity, zero, zero)]
+    states = from_spline(problem, 1, 50).states[:-1]
+    parts = states[:, POSITION], states[:, VELOCITY], *np.zeros((2, 200, 3))
+    motion = [np.tile(x, (3, 1)) for x in parts]
     motion[2][:, 2] = np.linspace(0.0, 9.0, 600) % (2.0 * np.pi)
     columns = [*motion, np.full((600, 1), 9.0), np.zeros((600, 4))]
     (lap, *_) = from_flight(problem, columns, 0.01, 10)

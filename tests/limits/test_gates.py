@@ -8,7 +8,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.vectors import Vec3
 from quadjax.limits.gates import gates_of
-from quadjax.limits.problem import Flight, make_problem
+from quadjax.limits.problem import POSITION, Flight, make_problem
 from quadjax.limits.verify import passages
 from quadjax.race.rules import inside_square
 from quadjax.race.track import gate_at, make_track, to_opening_frame
@@ -53,40 +53,30 @@ def test_the_corners_contain_the_opening():
             assert np.all(np.array(clear) @ ways.T <= reached + 1e-9)
 
 
-def _crossing(*gate):
-    """Where a point mass passes a gate that is above and beside the way, in the gate's frame."""
-    pytest.importorskip("casadi")
-    from quadjax.limits.point_mass import optimize, spline
-    from quadjax.limits.program import Effort
-
-    race = race_of(load_config("e2e", list(gate)))
-    problem = make_problem(*race, Flight(gates=2, stops=True))
-    path = optimize(problem, spline(problem, 6, 3.0), Effort(20.0))
-    gates = problem.gates
-    return gates.axes[0] @ (path.position[6] - gates.position[0]), gates.half_size[0]
-
-
 GATES = (
     "track={name: two, start: {position: [0, 0, -1], yaw_deg: 0}, gates: ["
     "{position: [3, 1.5, -2.5], yaw_deg: 0, size: [1, 1]%s}, "
     "{position: [6, 0, -1], yaw_deg: 0, size: [1, 1]}]}"
 )
-KEPT = 0.01  # m, margin of a guess
+MARGIN = 0.01  # m
 
 
-def test_a_round_gate_is_passed_at_its_edge():
-    place, half = _crossing(GATES % ", shape: circle")
-    assert np.hypot(*place[1:]) == pytest.approx(half[0] - KEPT, abs=1e-3)
-    assert min(abs(place[1:])) > 0.1  # inside of the square's corner
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["", ", shape: circle", ", roll_deg: 45"])
+def test_a_gate_beside_the_way_is_passed_at_its_edge(shape):
+    import threading
 
+    pytest.importorskip("casadi")
+    from quadjax.limits.collocation import Dynamics, Settings, solve
+    from quadjax.limits.guess import from_spline
 
-def test_a_tilted_gate_is_passed_at_its_edge():
-    upright, half = _crossing(GATES % "")
-    np.testing.assert_allclose(upright[1:], [KEPT - half[0], half[1] - KEPT], atol=1e-3)
-    tilted, _ = _crossing(GATES % ", roll_deg: 45")  # a corner to the side
-    assert max(abs(tilted[1:])) == pytest.approx(half[0] - KEPT, abs=1e-3)
-    world = np.array([(tilted[1] - tilted[2]), (tilted[1] + tilted[2])]) / np.sqrt(2.0)
-    assert abs(world).sum() == pytest.approx(np.sqrt(2.0) * (half[0] - KEPT), abs=0.05)
+    race = race_of(load_config("indi", [GATES % shape]))
+    problem = make_problem(*race, Flight(gates=2, stops=True))
+    guess, settings = from_spline(problem, 1, 8), Settings(MARGIN, smoothness=1e-3)
+    arguments = Dynamics(problem), guess, settings, threading.Event(), lambda _: None
+    flight = solve(problem, *arguments).trajectory
+    place = flight.states[8, POSITION]
+    assert problem.gates.clearance(0, place) == pytest.approx(MARGIN, abs=1e-3)
 
 
 def test_a_body_radius_narrows_openings_bounds_and_ground():

@@ -11,7 +11,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
-from quadjax.limits.problem import ATTITUDE, Flight, make_problem
+from quadjax.limits.problem import ATTITUDE, VELOCITY, Flight, make_problem
 from tests.commands import run
 
 pytest.importorskip("casadi")
@@ -63,14 +63,16 @@ def _stub(monkeypatch, clearance):
 
     tried, rows = [], np.zeros((2, 3))
 
-    def solve(problem, dynamics, mesh, settings, effort):
+    def solve(problem, dynamics, mesh, settings, *others):
         tried.append((mesh.intervals, settings.margin))
         return module.Solution(mesh, True, "")
 
     def verify(problem, trajectory):
         inside = clearance(tried[-1][1] if tried else 0.0)
         error = "" if inside >= 0.0 else "late"
-        return Check(error, np.full(4, trajectory.total / 4), inside, 1.0, True, rows, rows, rows)
+        return Check(
+            error, np.full(4, trajectory.total / 4), inside, 1.0, 0.0, True, rows, rows, rows
+        )
 
     monkeypatch.setattr(module, "verify", verify)
     monkeypatch.setattr(module, "solve", solve)
@@ -126,7 +128,7 @@ def test_ctrl_c_keeps_the_best_flight(capfd):
     search = Search(_problem(), stop=stop, report=report)
     best = search.run(starts=2)
     assert best.check.error == "" and best.check.clearance >= 0.0
-    assert "User_Requested_Stop" in best.attempts["point mass 1"]
+    assert "User_Requested_Stop" in best.attempts["spline 1"]
     assert len(best.attempts) == 1 and "InternalOptiCallback" not in capfd.readouterr().err
 
 
@@ -161,7 +163,7 @@ def test_the_lap_on_square4_is_verified_and_other_commands_are_refused():
 
 
 @pytest.mark.slow
-def test_a_lap_with_a_split_s_is_found_from_the_flight_of_a_point_mass():
+def test_a_lap_with_a_split_s_is_found_from_a_spline():
     from quadjax.limits.search import Search
 
     race = race_of(load_config("e2e +fastest", ["vehicle=5inch", "track=split_s"]))
@@ -173,20 +175,21 @@ def test_a_lap_with_a_split_s_is_found_from_the_flight_of_a_point_mass():
     assert best.check.error == "" and best.check.clearance >= 0.0 and best.check.margin >= 0.0
 
 
-@pytest.mark.parametrize("along", [False, True])
-def test_the_nose_of_a_guess_closes_the_lap(along):
-    from quadjax.limits.guess import from_path
-    from quadjax.limits.point_mass import Path
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_a_guess_closes_the_lap_and_its_thrust_is_along_the_force(index):
+    from quadjax.limits.guess import from_spline
 
     problem = make_problem(*race_of(load_config("e2e +fastest", ["vehicle=5inch"])))
-    angle = np.linspace(0.0, 2.0 * np.pi, 17)
-    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(17)], axis=1)
-    velocity = np.stack([-np.sin(angle), np.cos(angle), np.zeros(17)], axis=1)
-    force = 20.0 * circle - [0.0, 0.0, 9.81]
-    guess = from_path(problem, Path(np.ones(4), circle, velocity, force), along)
+    guess = from_spline(problem, index)
     quaternion = guess.states[:, ATTITUDE]
     assert abs(quaternion[0] @ quaternion[-1]) == pytest.approx(1.0, abs=1e-6)
     assert np.sum(quaternion[1:] * quaternion[:-1], axis=1).min() > 0.9
+    np.testing.assert_allclose(np.linalg.norm(quaternion, axis=1), 1.0)
+    acceleration = np.gradient(guess.states[:, VELOCITY], guess.times, axis=0)
+    force, (w, x, y, z) = acceleration - [0.0, 0.0, 9.81], quaternion.T
+    down = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=1)
+    force /= np.linalg.norm(force, axis=1, keepdims=True)
+    assert np.sum(force * -down, axis=1)[1:-1].min() > 0.95
 
 
 @pytest.mark.slow

@@ -1,10 +1,5 @@
-"""Nonlinear programs of flights: rules of a race as constraints, and the solution by IPOPT."""
+"""The rules of a race as constraints of a nonlinear program."""
 
-import contextlib
-import dataclasses
-import io
-import threading
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,54 +8,8 @@ from quadjax.limits.problem import Problem
 from quadjax.limits.translate import casadi
 from quadjax.race.rules import BENEATH
 
-ITERATIONS = 500  # of IPOPT, at most
 SLOWEST_PASSAGE = 0.2  # m/s, smallest speed through a gate
 BEYOND = 1e-5  # m beyond the gate's plane, at the end of a leg; much less than any margin
-
-
-@dataclasses.dataclass(frozen=True)
-class Effort:
-    """When IPOPT ends."""
-
-    seconds: float = 300.0  # limit of wall-clock time
-    warm: bool = False  # the first values are close to a solution, as from a coarser mesh
-    stop: threading.Event = dataclasses.field(default_factory=threading.Event)  # if set
-    report: Callable[[float], object] = lambda value: None  # called with the objective
-
-
-def minimize(program: Any, effort: Effort) -> tuple[bool, str]:
-    """Solve an ``Opti`` program; ``program.debug.value`` gives the solution, or the last iterate.
-
-    Returns:
-        Whether IPOPT converged, and its status.
-    """
-    options = {
-        "print_level": 0,
-        "sb": "yes",
-        "tol": 1e-6,
-        "acceptable_tol": 1e-5,
-        "max_iter": ITERATIONS,
-        "max_wall_time": max(0.1, effort.seconds),
-        "mu_init": 1e-4 if effort.warm else 1e-2,
-        "bound_relax_factor": 0.0,  # a motor map has no slope beyond its lowest command
-    }
-    if effort.warm:
-        options |= {"bound_push": 1e-5, "bound_frac": 1e-5}
-    quiet = {"print_time": False, "show_eval_warnings": False, "detect_simple_bounds": True}
-    program.solver("ipopt", quiet, options)
-    with contextlib.ExitStack() as silence:
-
-        def iteration(_: int) -> None:
-            effort.report(float(program.debug.value(program.f)))
-            if effort.stop.is_set():  # an exception ends IPOPT; CasADi would print it
-                silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
-                raise KeyboardInterrupt
-
-        program.callback(iteration)
-        with contextlib.suppress(RuntimeError):  # the status says why
-            program.solve()
-    stats = program.stats()
-    return bool(stats["success"]), str(stats["return_status"])
 
 
 def bound(program: Any, expression: Any, low: Any, high: Any) -> None:
@@ -70,9 +19,7 @@ def bound(program: Any, expression: Any, low: Any, high: Any) -> None:
     program.subject_to(program.bounded(low, casadi.vec(expression), high))
 
 
-def add_rules(
-    program: Any, problem: Problem, position: Any, velocity: Any, margin: float, reserve: float
-) -> None:
+def add_rules(program: Any, problem: Problem, position: Any, velocity: Any, margin: float) -> None:
     """Gates at the ends of the legs; bounds, ground and speed at all nodes.
 
     Args:
@@ -81,13 +28,11 @@ def add_rules(
         position: (3, nodes) m.
         velocity: (3, nodes) m/s.
         margin: m, further distance from the edges of the openings, the bounds and the ground.
-        reserve: fraction of the speed limit that is not used.
     """
     stops, nodes, legs = problem.flight.stops, position.shape[1], len(problem.order)
     count, (low, high) = (nodes - 1) // legs, problem.bounds[..., None]
     bound(program, position[:, 1 : nodes - stops], low + margin, high - margin)
-    fastest = (1.0 - reserve) * problem.speed_limit
-    bound(program, casadi.sum1(velocity[:, 1:] ** 2), -np.inf, fastest**2)
+    bound(program, casadi.sum1(velocity[:, 1:] ** 2), -np.inf, problem.speed_limit**2)
     if problem.landing is not None:
         _add_ground(program, problem, position, velocity, margin)
     for leg, gate in enumerate(problem.order, 1):
