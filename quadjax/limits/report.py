@@ -1,5 +1,6 @@
 """Results of a search as text, as JSON, and as a file of the flight."""
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,7 +93,11 @@ def to_json(
     policy_path: str | None,
 ) -> dict[str, Any]:
     """The result, with the settings that it was computed with."""
-    check, compared = best.check, None if policy is None else compare(best.trajectory, policy)
+    check, compared = best.check, None
+    if policy is not None:
+        result = compare(best.trajectory, policy)
+        compared = {"leg_times": result.flown.tolist(), "gap": result.gap}
+        compared["lost_per_meter"] = result.lost_per_meter.tolist()
     return {
         "best_known": best.total,
         "lower_bound": bound.time,
@@ -102,24 +107,18 @@ def to_json(
         "top_speed": check.top_speed,
         "clearance": check.clearance,
         "closure": float(np.linalg.norm(check.position[-1] - check.position[0])),
+        "feedback": check.feedback,
         "mesh_change": best.mesh_change if np.isfinite(best.mesh_change) else None,
         "intervals": best.trajectory.intervals,
         "guess": best.guess,
         "attempts": dict(best.attempts),
-        "notes": notes_on(problem, best),
         "seconds": best.seconds,
-        "gates": len(problem.order),
+        "notes": notes_on(problem, best),
         "start": "periodic" if problem.periodic else "hover",
-        "stops": problem.flight.stops,
-        "feedback": check.feedback,
-        "required_clearance": problem.flight.clearance,
+        "gates": len(problem.order),
         "speed_limit": problem.speed_limit,
-        "policy": compared
-        and {
-            "leg_times": compared.flown.tolist(),
-            "gap": compared.gap,
-            "lost_per_meter": compared.lost_per_meter.tolist(),
-        },
+        "flight": dataclasses.asdict(problem.flight),
+        "policy": compared,
         "provenance": provenance(config, policy_path),
     }
 
