@@ -136,7 +136,7 @@ class Search:
         flight, used, warm, intervals = None, Settings(), False, guess.intervals
         for divisor, smoothness, reserve in STAGES:
             seconds = SHARE * self._left()
-            settings = Settings(MARGIN, reserve, smoothness, seconds, warm)
+            settings = Settings(MARGIN, reserve, smoothness=smoothness, seconds=seconds, warm=warm)
             guess, warm, _ = self._solve(name, guess.resample(intervals // divisor), settings)
             if warm and divisor == 1:
                 flight, used = guess, settings

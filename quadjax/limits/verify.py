@@ -131,7 +131,7 @@ def passages(
 def _fly(
     choices: Choices, params: RaceParams, start: RaceState, actions: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """Position, velocity, body rates (steps + 1, 3), and whether a rule is broken (steps + 1,)."""
+    """Position, velocity, body rates (steps + 1, 3), and numbers of broken rules (steps + 1,)."""
 
     def motion(drone: State) -> tuple[jax.Array, ...]:
         read = choices.model.position, choices.model.velocity, choices.model.rates
@@ -139,9 +139,9 @@ def _fly(
 
     def advance(state: RaceState, action: jax.Array) -> tuple[RaceState, tuple]:
         after, _, outcome = transition(choices, params, state, action)
-        return after, (*motion(after.drone), outcome.terminated)
+        return after, (*motion(after.drone), outcome.crash)
 
-    rows, first = jax.lax.scan(advance, start, actions)[1], (*motion(start.drone), False)
+    rows, first = jax.lax.scan(advance, start, actions)[1], (*motion(start.drone), 0)
     return jax.tree.map(lambda x, row: jnp.concatenate([jnp.asarray(x)[None], row]), first, rows)
 
 
@@ -154,7 +154,7 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
     actions = 2.0 * (commands - low) / np.where(high > low, high - low, 1.0) - 1.0
     start = dataclasses.replace(problem.race_start, drone=problem.state(trajectory.states[0]))
     with jax.enable_x64(True):
-        position, velocity, rates, broken = map(
+        position, velocity, rates, crashes = map(
             np.asarray, _fly(problem.choices, problem.params, start, actions)
         )
     order = problem.order[: len(problem.order) - problem.flight.stops]
@@ -175,8 +175,11 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
         error = f"it misses gate {gate} by {-1e3 * clearance:.1f} mm"
     elif margin < 0.0:
         error = f"it leaves the bounds of the race by {-1e3 * margin:.1f} mm"
-    elif broken[:end].any():
-        error = f"it breaks a rule of the race at {np.argmax(broken) * TIME_STEP:.3f} s"
+    elif crashes[:end].any():
+        step = int(np.argmax(crashes > 0))
+        error = (
+            f"{list(problem.choices.terminations)[crashes[step] - 1]} at {step * TIME_STEP:.3f} s"
+        )
     elif problem.flight.stops:
         error = _at_rest(problem, path[-1], velocity[end - 1])
     if not error and abs(total - trajectory.total) > TIME_TOLERANCE * trajectory.total:
