@@ -176,6 +176,7 @@ def flight(config):
     return [np.asarray(x) for x in (seen * jnp.array(input_scale(config)), *others)]
 
 
+@pytest.mark.slow
 def test_a_race_scaled_in_length_and_time_trains_alike(tmp_path):
     """Four times the lengths and twice the times: a learner gets the same numbers."""
     places = ((8, -6, 45), (8, 6, 135), (-8, 6, 225), (-8, -6, 315))
