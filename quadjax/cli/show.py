@@ -13,6 +13,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import (
     CONFIGS,
+    REMOVED,
     find_policy,
     policy_names,
     preset_names,
@@ -104,6 +105,8 @@ def _kind_of(what: str) -> str:
         for kind, shipped in names.items():
             if Path(what).with_suffix("").name in shipped:
                 return kind
+        if what in REMOVED:
+            raise InputError(f"{what}: no such preset, write: {REMOVED[what]}")
         hint = close_match(what, [name for shipped in names.values() for name in shipped])
         raise InputError(f"{what}: no such name or file{hint}; quadjax show lists the names")
     tree = read_tree_with_bases(what)
