@@ -1,7 +1,5 @@
 """Logs of other autopilots: what is read, what is refused, and the constants that they give."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import yaml
@@ -14,6 +12,7 @@ from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.prepare import prepare
 from quadjax.fitting.racing_fit import read_racing_vehicle, run_racing_fit, with_common
 from quadjax.fitting.racing_report import racing_tables
+from quadjax.vehicle.constants import replaced, values_of
 from tests.commands import run
 
 from . import racing_logs
@@ -61,8 +60,9 @@ def test_every_constant_is_recovered(form, drone, flight, tmp_path):
     path = _write(form, flight, tmp_path, variant=drone == "5inch")
     base = read_racing_vehicle(f"{drone}.yaml")
     known = ("g", "w_max", "k", *(f"turning{i}" for i in ROTOR_ORDER))
-    names = [field.name for field in dataclasses.fields(base) if field.name not in known]
-    wrong = base.replace(**{name: 1.3 * getattr(base, name) for name in names}, k=0.5)
+    true = values_of(base)
+    names = [name for name in true if name not in known]
+    wrong = replaced(base, {name: 1.3 * true[name] for name in names} | {"k": 0.5})
     if form != "tii":
         wrong = wrong.replace(w_max=1.3 * base.w_max)
     config = FitConfig(logs={"files": [str(path)], "format": form})
@@ -71,7 +71,7 @@ def test_every_constant_is_recovered(form, drone, flight, tmp_path):
     named = [line.partition(":")[0].partition(" ")[0] for line in result.warnings]
     assert named == [] if form != "tii" else "w_max" in named
     for name in [*names, "w_max", "k"]:
-        np.testing.assert_allclose(getattr(result.constants, name), getattr(base, name), 0.02)
+        np.testing.assert_allclose(values_of(result.constants)[name], true[name], 0.02)
 
 
 @pytest.mark.parametrize("form", ["blackbox", "tii", "ulog"])
@@ -109,9 +109,9 @@ def test_what_a_hover_does_not_excite_is_named(tmp_path):
     config = FitConfig(logs={"files": [str(path)], "format": "blackbox"})
     result = run_racing_fit(config, tmp_path, base.replace(k_x=1e-5, k=0.5, w_max=4000.0))
     text = "\n".join(result.warnings)
-    for field in dataclasses.fields(base):
-        found, true = (float(getattr(c, field.name)) for c in (result.constants, base))
-        assert abs(found / true - 1.0) < 0.02 or f"{field.name}" in text, field.name
+    for name, true in values_of(base).items():
+        found = float(values_of(result.constants)[name])
+        assert abs(found / true - 1.0) < 0.02 or name in text, name
     assert "k_r1 (Mz): " in text and "w_min: little excited" in text
 
 
@@ -122,8 +122,8 @@ def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short
     own, other = (read_racing_vehicle(f"{drone}.yaml") for drone in ("5inch", "3inch"))
     start = with_common(prepare([log], other, PrepareConfig(), 2.0), other)
     for name in ("k_p", "k_q", "k_r", "k_rd"):
-        values = [float(getattr(start, f"{name}{rotor}")) for rotor in ROTOR_ORDER]
-        mean = np.mean([getattr(own, f"{name}{rotor}") for rotor in ROTOR_ORDER])
+        values = getattr(start, name).components()
+        mean = np.mean(getattr(own, name).components())
         assert len(set(values)) == 1 and 0.6 < values[0] / mean < 1.4, name
 
 
