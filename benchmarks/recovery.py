@@ -15,7 +15,7 @@ from quadjax.fitting.nominal import AXES
 from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.studies import recovery as study
 from quadjax.vehicle.protocol import VehicleParams
-from quadjax.vehicle.residual_file import read_residual
+from quadjax.vehicle.residual import read_residual
 
 
 def recovery(

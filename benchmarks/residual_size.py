@@ -17,8 +17,7 @@ from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.evaluation.recording import Recording
-from quadjax.vehicle.residual import residual_force_moment
-from quadjax.vehicle.residual_file import read_residual
+from quadjax.vehicle.residual import read_residual, residual_force_moment
 
 
 def nominal_flight() -> Recording:

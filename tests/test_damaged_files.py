@@ -18,7 +18,7 @@ from quadjax.plant.config import load_plant_config
 from quadjax.policy.file import Policy
 from quadjax.sweeps.sweep import load_sweep
 from quadjax.training.metrics import read_metrics
-from quadjax.vehicle.residual_file import read_residual
+from quadjax.vehicle.residual import read_residual
 from tests.sweeps.support import sweep_file
 from tests.test_files import POLICY_META, RESIDUAL_META, policy_arrays, residual_arrays, save
 

@@ -15,7 +15,7 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz, whole_file, write_json, write_text
 from quadjax.policy.file import Policy
-from quadjax.vehicle.residual_file import read_residual, write_residual
+from quadjax.vehicle.residual import read_residual, write_residual
 from tests import reference as ref
 from tests.convert import residual_of
 

@@ -69,7 +69,7 @@ def import_(
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.policy.foreign import policy_of
-        from quadjax.vehicle.residual_file import write_residual
+        from quadjax.vehicle.residual import write_residual
 
     race = load_config(config, [text for text in files if opt.is_override(text)])
     networks, deviations = _networks([text for text in files if not opt.is_override(text)], std)

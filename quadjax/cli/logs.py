@@ -112,7 +112,7 @@ def _excite(
         from quadjax.fitting.simulate import random_residual, simulate_flight
         from quadjax.fitting.vehicle_file import read_vehicle
         from quadjax.vehicle.protocol import VehicleParams
-        from quadjax.vehicle.residual_file import read_residual, write_residual
+        from quadjax.vehicle.residual import read_residual, write_residual
 
     extra: Residual | None = read_residual(residual) if residual else None
     if random is not None:

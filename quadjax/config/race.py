@@ -25,8 +25,7 @@ from quadjax.vehicle.constants import replaced
 from quadjax.vehicle.estimator import EstimatorParams, estimator_params
 from quadjax.vehicle.protocol import Constants, VehicleModel, VehicleParams
 from quadjax.vehicle.registry import model
-from quadjax.vehicle.residual import scale_residual
-from quadjax.vehicle.residual_file import read_residual
+from quadjax.vehicle.residual import read_residual, scale_residual
 
 
 def vehicle_model_of(config: Config) -> VehicleModel:

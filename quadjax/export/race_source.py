@@ -16,7 +16,7 @@ from quadjax.policy.race import preset_of, race_of_policy
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.observations import ESTIMATED, HIGHEST_RPM
 from quadjax.vehicle.protocol import Constants, VehicleModel
-from quadjax.vehicle.residual_file import located
+from quadjax.vehicle.residual import located
 
 CONFIG_FILE = "config.yaml"  # of a training run or an exported folder
 RESIDUAL_FILE = "residual.npz"  # of an exported folder

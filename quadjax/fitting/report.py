@@ -17,7 +17,7 @@ from quadjax.fitting.split import TEST
 from quadjax.fitting.vehicle_file import write_vehicle
 from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants
-from quadjax.vehicle.residual_file import write_residual
+from quadjax.vehicle.residual import write_residual
 
 RESIDUAL_AXES = AXES[2:]
 FILES = ("config.yaml", "vehicle.yaml", "residual.npz", "report.json", "report.txt")

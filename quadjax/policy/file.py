@@ -5,7 +5,7 @@ Arrays: ``kernel_0..`` (in, out), ``bias_0..``, ``log_std`` (actions,) and optio
 JSON string with ``format: "quadjax-policy/2"``, ``vehicle``, ``activation``, ``noise_on``,
 ``command_low``, ``command_high``, ``layout`` (the fields of the observation, see
 ``quadjax.race.layout``), ``source`` and ``config``, the full training config. The file also has
-the residual that the policy was trained with, as in ``quadjax.vehicle.residual_file``. Files of
+the residual that the policy was trained with, as in ``quadjax.vehicle.residual``. Files of
 ``quadjax-policy/1`` have ``observation`` instead of ``layout`` and no ``config``.
 """
 
@@ -23,8 +23,7 @@ from quadjax.policy import foreign, inference
 from quadjax.policy.release1 import layout_of_release_1
 from quadjax.race.layout import Layout
 from quadjax.race.observations import DISTURBANCES
-from quadjax.vehicle import residual_file
-from quadjax.vehicle.residual import Residual
+from quadjax.vehicle.residual import Residual, from_arrays, to_arrays
 
 if TYPE_CHECKING:
     from quadjax.config.schema import Config
@@ -123,7 +122,7 @@ class Policy:
         source, own = meta.get("source") or {}, meta.get("config")
         own, residual = own if isinstance(own, dict) else None, None
         if "residual" in meta:
-            residual = residual_file.from_arrays(path, arrays, meta["residual"])
+            residual = from_arrays(path, arrays, meta["residual"])
             if own and isinstance(own.get("vehicle"), dict):  # the residual is read from this file
                 own["vehicle"]["residual"] = str(path)
         return cls(
@@ -150,7 +149,7 @@ class Policy:
                 arrays[f"{prefix}bias_{index}"] = np.asarray(bias, np.float32)
         meta = self.meta
         if self.residual is not None:
-            more, meta["residual"] = residual_file.to_arrays(self.residual)
+            more, meta["residual"] = to_arrays(self.residual)
             arrays |= more
         write_npz(path, arrays, meta)
 

@@ -7,8 +7,7 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.policy.c_arrays import is_c, read_c_network
 from quadjax.policy.torch_files import Layers, linear_layers, read_state_dict
-from quadjax.vehicle.residual import Residual
-from quadjax.vehicle.residual_file import check_shape, from_arrays
+from quadjax.vehicle.residual import Residual, check_shape, from_arrays
 
 
 def import_residual(

@@ -27,7 +27,7 @@ from quadjax.race.environment import (
 )
 from quadjax.race.recorded_starts import read_states
 from quadjax.vehicle.registry import model as vehicle_model
-from quadjax.vehicle.residual_file import is_shipped, read_residual
+from quadjax.vehicle.residual import is_shipped, read_residual
 
 REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
 

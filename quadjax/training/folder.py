@@ -12,7 +12,7 @@ from quadjax.core.folders import check_kind, kind_of, remove_files
 from quadjax.core.sections import value_at
 from quadjax.core.yaml_files import flatten, parse_yaml, read_yaml
 from quadjax.training.result import is_finished
-from quadjax.vehicle.residual_file import is_shipped
+from quadjax.vehicle.residual import is_shipped
 
 KIND = "training"
 FREE = ("run.devices", "run.checkpoint_seconds", "run.tensorboard", "run.compilation_cache")

@@ -17,8 +17,8 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.traced import with_leaves
 from quadjax.race.environment import exact_rules
-from quadjax.vehicle import residual_file
 from quadjax.vehicle.registry import model
+from quadjax.vehicle.residual import digest
 
 LAPS = 6
 
@@ -44,7 +44,7 @@ PUBLISHED = (
 )
 
 E2E_ROW, INDI_ROW = PUBLISHED[:2]
-# SHA-256 of the numbers of the authors' residual: quadjax.vehicle.residual_file.digest.
+# SHA-256 of the numbers of the authors' residual: quadjax.vehicle.residual.digest.
 RESIDUAL = "72ee30a56a78da8d792491e80bce910f08c002f554d222bbbf349cdd1ceb1eab"
 
 
@@ -61,7 +61,7 @@ def is_e2e_table1(config: Config) -> bool:
         residual = build_vehicle(config).residual
     except InputError:  # a run whose residual was removed
         return False
-    return residual is not None and residual_file.digest(residual) == RESIDUAL
+    return residual is not None and digest(residual) == RESIDUAL
 
 
 def is_indi_table1(config: Config) -> bool:

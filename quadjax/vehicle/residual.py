@@ -1,17 +1,34 @@
-"""Residual thrust and moment networks on top of the nominal model.
+"""Residual thrust and moment networks on top of the nominal model, and their files.
 
 N_T has seven inputs (four propeller speeds, body velocity) and one output, a specific force in
 m/s^2; N_M has ten (the same and the body rates) and three outputs in N m. Propeller speeds enter
 scaled to [-1, 1], the others in SI (Ferede et al., arXiv 2311.16948).
+
+A residual file has ``thrust_kernel_0`` (7, n), ``thrust_bias_0`` .., ``moment_kernel_0`` (10, n)
+.., and ``meta`` with ``format: "quadjax-residual/1"``, ``rpm_min``, ``rpm_max``, ``thrust_sign``
+(+1: added to the body-z specific force; -1: subtracted) and what it was fitted on. A policy file
+can hold the same arrays, and the numbers under the key ``residual`` of its ``meta``.
 """
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from quadjax.core import mlp
+from quadjax.core.errors import InputError, reading
+from quadjax.core.files import read_layers, read_npz, write_npz
+from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
 
+FORMAT, POLICY_FORMAT = FORMATS = ("quadjax-residual/1", "quadjax-policy/2")
+SHAPES = {"thrust": (7, 1), "moment": (10, 3)}
 Layers = tuple[tuple[jax.Array, jax.Array], ...]  # (kernel (in, out), bias (out,)) per layer
 
 
@@ -56,3 +73,112 @@ def residual_force_moment(
     force_z = residual.thrust_sign * mlp.apply(residual.thrust, thrust_inputs)[0]
     moment_inputs = jnp.concatenate([thrust_inputs, body_rates.array()])
     return force_z, Vec3.of(mlp.apply(residual.moment, moment_inputs))
+
+
+def write_residual(path: Path | str, residual: Residual, source: dict) -> None:
+    """Write a residual file atomically; ``source`` describes the data of the fit."""
+    arrays, numbers = to_arrays(residual)
+    write_npz(path, arrays, {"format": FORMAT, **numbers, "source": source})
+
+
+def to_arrays(residual: Residual) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """A residual as the arrays and the numbers of a file."""
+    arrays: dict[str, np.ndarray] = {}
+    for name in SHAPES:
+        for index, (kernel, bias) in enumerate(getattr(residual, name)):
+            arrays[f"{name}_kernel_{index}"] = np.asarray(kernel, np.float32)
+            arrays[f"{name}_bias_{index}"] = np.asarray(bias, np.float32)
+    numbers = {
+        "rpm_min": float(residual.rpm_min),
+        "rpm_max": float(residual.rpm_max),
+        "thrust_sign": int(residual.thrust_sign),
+    }
+    return arrays, numbers
+
+
+def digest(residual: Residual) -> str:
+    """SHA-256 of a residual's numbers as 32-bit floats, whatever file they come from."""
+    arrays, numbers = to_arrays(residual)
+    content = hashlib.sha256(json.dumps(numbers, sort_keys=True).encode())
+    for name in sorted(arrays):
+        content.update(f"{name}{arrays[name].shape}".encode())
+        content.update(arrays[name].astype("<f4").tobytes())
+    return content.hexdigest()
+
+
+def located(path: Path | str) -> Path:
+    """The file of a path, or, of a bare name that is no file, the shipped file of that name."""
+    path, shipped = Path(path), PRETRAINED / Path(path).name
+    bare = path.parent == Path(".") and not path.exists()
+    return shipped if bare and shipped.exists() else path
+
+
+def is_shipped(path: Path | str) -> bool:
+    """Whether a residual comes with the package, by its name."""
+    return located(path).parent == PRETRAINED
+
+
+def read_residual(path: Path | str) -> Residual:
+    """Read and check a residual file, a shipped one by its name, or that of a policy file.
+
+    Raises:
+        InputError: a missing, damaged or inconsistent file, in one line.
+    """
+    with reading(path):
+        path = located(path)
+        exists = path.exists()
+    if not exists:
+        raise InputError(
+            f"{path}: no such file, expected a residual: quadjax import e2e_paper THRUST MOMENT "
+            f"--thrust-sign 1 --output {path} writes one of two networks, quadjax fit one of logs"
+        )
+    arrays, meta = read_npz(path, FORMATS)
+    return from_arrays(path, arrays, meta if meta["format"] == FORMAT else meta.get("residual"))
+
+
+def check_shape(path: Path | str, name: str, layers: Sequence[tuple[Any, Any]]) -> None:
+    """Raise an ``InputError`` unless layers have the inputs and outputs of the named network."""
+    expected, found = SHAPES[name], (layers[0][0].shape[0], layers[-1][0].shape[1])
+    if found != expected:
+        raise InputError(
+            f"{path}: the {name} network maps {found[0]} inputs to {found[1]} outputs, "
+            f"expected {expected[0]} to {expected[1]}"
+        )
+
+
+def from_arrays(path: Path | str, arrays: dict[str, np.ndarray], meta: object) -> Residual:
+    """The residual of a file's arrays and of its ``meta``.
+
+    Raises:
+        InputError: no residual, or a damaged or inconsistent one.
+    """
+    if not isinstance(meta, dict):
+        raise InputError(f"{path}: a policy file without a residual")
+    networks = {}
+    for name in SHAPES:
+        layers = read_layers(path, arrays, f"{name}_")
+        check_shape(path, name, layers)
+        networks[name] = tuple(
+            (jnp.asarray(k, jnp.float32), jnp.asarray(b, jnp.float32)) for k, b in layers
+        )
+    rpm_min, rpm_max = _number(path, meta, "rpm_min"), _number(path, meta, "rpm_max")
+    if not rpm_min < rpm_max:
+        raise InputError(f"{path}: meta 'rpm_min' {rpm_min} is not below 'rpm_max' {rpm_max}")
+    if isinstance(meta.get("thrust_sign"), bool) or meta.get("thrust_sign") not in (1, -1):
+        raise InputError(
+            f"{path}: meta 'thrust_sign' is {meta.get('thrust_sign')!r}, allowed: [1, -1]"
+        )
+    return Residual(
+        thrust=networks["thrust"],
+        moment=networks["moment"],
+        rpm_min=jnp.float32(rpm_min),
+        rpm_max=jnp.float32(rpm_max),
+        thrust_sign=jnp.float32(meta["thrust_sign"]),
+    )
+
+
+def _number(path: Path | str, meta: dict, key: str) -> float:
+    value = meta.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise InputError(f"{path}: meta {key!r} is {value!r}, expected a finite number")
+    return float(value)

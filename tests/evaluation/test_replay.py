@@ -16,7 +16,7 @@ from quadjax.studies.replay.logged import Logged, disturbances_of
 from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
-from quadjax.vehicle.residual_file import write_residual
+from quadjax.vehicle.residual import write_residual
 from tests.commands import run
 from tests.fitting import racing_logs
 

@@ -27,8 +27,7 @@ from quadjax.race.laps import Laps
 from quadjax.race.observations import HIGHEST_RPM, fields_of
 from quadjax.training.build import build_networks, policy_of
 from quadjax.vehicle import motor
-from quadjax.vehicle.residual import Residual
-from quadjax.vehicle.residual_file import write_residual
+from quadjax.vehicle.residual import Residual, write_residual
 
 DISTURBANCE = {"moment_x": 0.03, "moment_y": 0.03, "moment_z": 0.01, "force_z": 0.5}
 WIDE = {"position": 32.0, "velocity": 64.0, "rates": 1024.0, "next_position": 8.0}

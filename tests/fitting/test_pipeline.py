@@ -12,7 +12,7 @@ from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.pipeline import run_fit
 from quadjax.fitting.report import tables
 from quadjax.fitting.vehicle_file import read_vehicle
-from quadjax.vehicle.residual_file import read_residual
+from quadjax.vehicle.residual import read_residual
 from tests.commands import run
 
 from .conftest import REPOSITORY

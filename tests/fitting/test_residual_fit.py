@@ -14,8 +14,7 @@ from quadjax.fitting.selection import FoldMoments, select
 from quadjax.fitting.simulate import random_residual
 from quadjax.fitting.split import NOWHERE, TEST, make_split
 from quadjax.fitting.tasks import NETWORKS, mirrored
-from quadjax.vehicle.residual import residual_force_moment
-from quadjax.vehicle.residual_file import read_residual, write_residual
+from quadjax.vehicle.residual import read_residual, residual_force_moment, write_residual
 
 FAST = ResidualConfig(seeds=2, epochs=12, distill_epochs=40, batch=256)
 

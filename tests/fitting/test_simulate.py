@@ -5,8 +5,7 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.simulate import random_residual
-from quadjax.vehicle.residual import residual_force_moment
-from quadjax.vehicle.residual_file import read_residual, write_residual
+from quadjax.vehicle.residual import read_residual, residual_force_moment, write_residual
 from tests.commands import run, run_script
 
 from .conftest import REPOSITORY

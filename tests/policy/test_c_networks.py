@@ -18,8 +18,7 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.policy.file import Policy
 from quadjax.policy.inference import mean_action, policy_params
 from quadjax.training import paper
-from quadjax.vehicle.residual import residual_force_moment
-from quadjax.vehicle.residual_file import digest, read_residual
+from quadjax.vehicle.residual import digest, read_residual, residual_force_moment
 from tests.commands import run
 from tests.policy.torch_writer import linear
 

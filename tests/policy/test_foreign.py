@@ -12,7 +12,7 @@ from quadjax.policy.file import Policy
 from quadjax.policy.foreign import policy_of
 from quadjax.policy.foreign_residual import import_residual
 from quadjax.policy.torch_files import LEGACY, read_state_dict
-from quadjax.vehicle.residual_file import read_residual
+from quadjax.vehicle.residual import read_residual
 from tests.commands import run
 from tests.policy.torch_writer import archive, linear, sb3_model, sb3_tensors, state_dict
 

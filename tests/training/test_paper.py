@@ -15,7 +15,7 @@ from quadjax.evaluation.evaluation import evaluate
 from quadjax.race.laps import starting_states
 from quadjax.training import paper
 from quadjax.training.result import write_summary
-from quadjax.vehicle.residual_file import digest, read_residual, write_residual
+from quadjax.vehicle.residual import digest, read_residual, write_residual
 from tests.evaluation.support import random_policy
 from tests.race.support import BLANK
 

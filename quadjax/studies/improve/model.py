@@ -24,7 +24,7 @@ from quadjax.fitting.tasks import nominal_error
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants
-from quadjax.vehicle.residual_file import read_residual
+from quadjax.vehicle.residual import read_residual
 
 SPEEDS = "rpm"
 LEAST_GAIN = 0.01  # least decrease of the mean error for a model to be accepted
