@@ -1,5 +1,6 @@
 """Loading a training config: the merge of its layers, its sections, and one check."""
 
+import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from quadjax.vehicle.registry import MODELS
 from quadjax.vehicle.vehicle_file import for_each_rotor
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
+WORDS = re.compile(r" +(?=\+|[\w.]+=)")  # between a preset, its parts and overrides
 # Former keys, by the value that had no effect; None: any value.
 RETIRED: dict[str, tuple[float, ...] | None] = {
     "learner.revisit": (0.0,),
@@ -54,8 +56,8 @@ def load_config(
     Raises:
         InputError: one line that names the file, the key, the value and what is allowed.
     """
-    name, *words = str(config).split(" ") if " +" in str(config) else [config]
-    words = [*map(str, words), *overrides]
+    name, *words = WORDS.split(str(config)) if " +" in str(config) else [str(config)]
+    words = [*words, *overrides]
     path = find_config(name)
     parts = [word[1:] for word in words if word.startswith("+")]
     changes = [word for word in words if not word.startswith("+")]
