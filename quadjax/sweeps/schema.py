@@ -92,7 +92,10 @@ class SweepFile(Section):
     """A sweep file."""
 
     name: FolderName = Field("sweep", description="of the study")
-    config: str = Field(description="base config: a file next to the sweep file, or a preset")
+    config: str = Field(
+        description="base config: a file next to the sweep file, or a preset; with parts, if any: "
+        "e2e +fastest"
+    )
     overrides: dict[str, Any] = Field(
         {}, max_length=1000, description="changes to it, the same for every trial"
     )

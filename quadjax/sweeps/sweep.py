@@ -194,11 +194,14 @@ def load_sweep(path: Path | str, overrides: Sequence[str] = ()) -> Sweep:
             tree["space"] = flatten(tree["space"], ENTRIES)
     file = build(SweepFile, merge_trees(*trees), str(path))
     with prefixed(str(path)):
-        return _checked(file, find_file(file.config, path.parent))
+        return _checked(file, path.parent)
 
 
-def _checked(file: SweepFile, base: Path) -> Sweep:
+def _checked(file: SweepFile, folder: Path) -> Sweep:
+    name, *parts = file.config.split(" +")
+    base = find_file(name, folder)
     fixed = tuple(override(key, value) for key, value in file.overrides.items())
+    fixed = (*(f"+{part}" for part in parts), *fixed)
     config = load_config(base, fixed)
     dimensions = tuple(read_dimension(key, given, config) for key, given in file.space.items())
     race = {d.key: value_at(config, d.key) for d in dimensions if d.key.split(".")[0] in RACE}
