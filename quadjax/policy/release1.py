@@ -13,10 +13,10 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.race.layout import Field, Layout
-from quadjax.race.observations import DISTURBANCES, Observation, make_layout
+from quadjax.race.observations import DISTURBANCES, Observation, Source, make_layout
 from quadjax.vehicle.registry import MODELS
 
-SOURCES = {"true": "ground_truth", "estimated": "estimated", "none": "none"}
+SOURCES: dict[str, Source] = {"true": "ground_truth", "estimated": "estimated", "none": "none"}
 
 
 def layout_of_release_1(

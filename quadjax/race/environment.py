@@ -136,13 +136,13 @@ class RaceState(struct.PyTreeNode):
 
 def _opaque_true(params: RaceParams) -> jax.Array:
     """A flag that is true but unknown to the compiler; see ``quadjax.core.materialize``."""
-    return params.training_limits.episode_steps > 0
+    return jnp.asarray(params.training_limits.episode_steps) > 0
 
 
 def _vehicle_params(params: RaceParams, state: RaceState) -> VehicleParams:
     if state.constants is None:
         return params.vehicle
-    return params.vehicle.replace(constants=state.constants)
+    return dataclasses.replace(params.vehicle, constants=state.constants)
 
 
 def on_track(params: RaceParams, track: Track | None) -> RaceParams:
@@ -165,7 +165,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     drone, target = _drawn_start(choices, params, constants, draws, key)
     zero = clock = jnp.zeros((), jnp.int32)
     if params.start.stagger_clocks:
-        steps = params.training_limits.episode_steps.astype(draws.clock.dtype)
+        steps = jnp.asarray(params.training_limits.episode_steps, draws.clock.dtype)
         clock = (0.5 * (draws.clock + 1.0) * steps).astype(jnp.int32)
     action = no_action(choices, params)
     state = RaceState(drone, target, clock, zero, constants, action=action, track=track)
@@ -226,6 +226,7 @@ def _drawn_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -
         return drawn
     if choices.population is None:
         return starts.draw_constants(constants, params.randomization, numbers)
+    assert params.population_width is not None
     drone = choices.model.populations[choices.population](constants, numbers)
     return starts.towards(constants, drone, params.population_width)
 
@@ -332,7 +333,7 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
     opaque_true = _opaque_true(params)
     # A step of Euler's method starts from the carry of a loop, which is in memory already.
     begin = materialize_cotangent if choices.integrator == "euler" else materialize
-    vehicle = vehicle.replace(opaque_true=opaque_true)
+    vehicle = dataclasses.replace(vehicle, opaque_true=opaque_true)
     after = INTEGRATORS[choices.integrator](
         lambda drone: model.derivative(vehicle, begin(drone, opaque_true), held),
         state.drone,
@@ -401,7 +402,7 @@ def _estimate(
     choices: Choices, params: RaceParams, state: RaceState, drone: State
 ) -> Estimate | None:
     """The estimate after this step's measurement; no gradient flows through the filter."""
-    if state.estimate is None:
+    if state.estimate is None or params.estimator is None:
         return None
     measured = choices.model.measure(_vehicle_params(params, state), drone)
     measured = jax.lax.stop_gradient(measured)

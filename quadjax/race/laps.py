@@ -12,6 +12,7 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
+from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race import environment, starts
 from quadjax.race.environment import Choices, RaceParams, RaceState
@@ -176,13 +177,15 @@ def _step_one(
     return scored.replace(speeds=_recorded(race, following, speed, params.rules.time_step))
 
 
-def _recorded(race: LapState, following: RaceState, speed: jax.Array, dt: jax.Array) -> Speeds:
+def _recorded(race: LapState, following: RaceState, speed: jax.Array, dt: Scalar) -> Speeds:
     """The speeds of one drone's race after a step."""
     own = race.speeds
     assert own is not None
     passed = (own.first_gate == 0.0) & (following.gates_passed > 0)
     new = Speeds(
-        first_gate=jnp.where(passed, following.step.astype(dt.dtype) * dt, own.first_gate),
+        first_gate=jnp.where(
+            passed, jnp.asarray(following.step, jnp.result_type(dt)) * dt, own.first_gate
+        ),
         highest=jnp.maximum(own.highest, speed),
         above=own.above + dt * (speed > own.counted),
         counted=own.counted,
@@ -194,7 +197,7 @@ def score(
     race: LapState,
     following: RaceState,
     outcome: Outcome,
-    dt: jax.Array,
+    dt: Scalar,
     gates: int,
     last: int | None = None,
 ) -> LapState:
@@ -218,7 +221,7 @@ def score(
         complete, lap = outcome.finished, jnp.zeros_like(lap)
     ended = (passed > 0) & complete & ~race.over
     # A start in the middle of the track has its lap where its gates add up to one.
-    now = following.step.astype(dt.dtype) * dt
+    now = jnp.asarray(following.step, jnp.result_type(dt)) * dt
     lap_end = jnp.where(ended & (jnp.arange(laps) == lap), now, race.lap_end)
     crashed = outcome.terminated & ~race.over
     crash = jnp.where(crashed, outcome.crash, race.crash)
@@ -299,7 +302,7 @@ def stepper(
 
 
 def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Array) -> Trace:
-    drone, model = race.state.drone, choices.model
+    drone, model, battery = race.state.drone, choices.model, race.state.battery
 
     def rows(vector: Vec3) -> jax.Array:
         return jnp.stack(jax.tree.leaves(vector))
@@ -316,7 +319,7 @@ def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Arr
         command=command,
         target=race.state.target,
         over=race.over,
-        highest_rpm=race.state.battery and race.state.battery.estimate.highest,
+        highest_rpm=None if battery is None else battery.estimate.highest,
     )
 
 

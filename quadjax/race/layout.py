@@ -160,29 +160,26 @@ def _with_span(field: Field, model: VehicleModel, params: "RaceParams") -> Field
 
 def _field_of(item: object, where: str) -> Field:
     """A field of a file, checked."""
-    known = {"name": str, "size": int, "unit": str, "frame": str, "range": float, "source": str}
-    item = (
-        {"unit": "", "frame": "", "range": 8.0, "source": ""} | item
-        if isinstance(item, dict)
-        else {}
-    )
-    for key, kind in known.items():
+    kinds = {"name": str, "size": int, "unit": str, "frame": str, "range": float, "source": str}
+    defaults = {"unit": "", "frame": "", "range": 8.0, "source": ""}
+    values: dict[str, Any] = {**defaults, **item} if isinstance(item, dict) else {}
+    for key, kind in kinds.items():
         allowed = (int, float) if kind is float else kind
-        if not isinstance(item.get(key), allowed) or isinstance(item.get(key), bool):
-            raise InputError(f"{where}.{key} is {item.get(key)!r:.80}, expected a {kind.__name__}")
-    if not 1 <= item["size"] <= 4096:
-        raise InputError(f"{where}.size is {item['size']}, allowed: 1 to 4096")
-    span = item.get("span")
+        if not isinstance(values.get(key), allowed) or isinstance(values.get(key), bool):
+            raise InputError(f"{where}.{key} is {values.get(key)!r:.80}, expected a {kind.__name__}")
+    if not 1 <= values["size"] <= 4096:
+        raise InputError(f"{where}.size is {values['size']}, allowed: 1 to 4096")
+    span = values.get("span")
     if span is not None:
         try:
             pairs = np.asarray(span, np.float64)
         except (TypeError, ValueError):
             pairs = np.zeros(0)
-        fine = pairs.shape == (item["size"], 2) and np.all(np.isfinite(pairs))
+        fine = pairs.shape == (values["size"], 2) and np.all(np.isfinite(pairs))
         if not fine or np.any(pairs[:, 0] > pairs[:, 1]):
             raise InputError(f"{where}.span is {span!r:.80}, expected a [low, high] per number")
         span = tuple((low, high) for low, high in pairs.tolist())
-    return Field(**{key: item[key] for key in known}, span=span)
+    return Field(**{key: values[key] for key in kinds}, span=span)
 
 
 def split_name(name: str) -> tuple[str, int]:

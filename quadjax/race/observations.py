@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 HIGHEST_RPM, CONSTANTS, MOST_AHEAD = "highest_rpm", "constants", 4
 ACTUATORS = "actuators"  # in a history: the field of the model's actuators, whatever its name
 GROUND_TRUTH, ESTIMATED, NONE = "ground_truth", "estimated", "none"
+Source = Literal["ground_truth", "estimated", "none"]  # of an observed disturbance or limit
 
 
 class History(Section):
@@ -63,12 +64,12 @@ class History(Section):
 class Observation(Section):
     """What the policy observes."""
 
-    disturbance: Literal["ground_truth", "estimated", "none"] = Key(
+    disturbance: Source = Key(
         "ground_truth",
         description="source of the observed external disturbance: the simulator, the onboard "
         "estimator, or zeros",
     )
-    highest_rpm: Literal["ground_truth", "estimated", "none"] = Key(
+    highest_rpm: Source = Key(
         "estimated",
         description="source of the observed limit of the propeller speeds, with a battery: as of "
         "disturbance; none: it is not observed",

@@ -191,7 +191,7 @@ def user_term(name: str, term: Callable[[Step], jax.Array]) -> Term:
 
     def value(step: Step) -> jax.Array:
         number = user_numbers(f"reward term {name}", term, step)[0]
-        return jnp.asarray(number, step.time_step.dtype)
+        return jnp.asarray(number, jnp.result_type(step.time_step))
 
     return Term(value)
 
@@ -205,11 +205,17 @@ def reward(step: Step, terms: Mapping[str, Term]) -> jax.Array:
     """
     section, outcome = step.params.reward, step.outcome
     assert outcome is not None
-    weights = {name: getattr(section, name, section.terms.get(name)) for name in terms}
+    weights: dict[str, Scalar | None] = {
+        name: getattr(section, name, section.terms.get(name)) for name in terms
+    }
 
     def total(when: str) -> Scalar:
-        used = [name for name in terms if terms[name].when == when and weights[name] is not None]
-        return sum((weights[name] * terms[name].value(step) for name in used), 0.0)
+        value: Scalar = 0.0
+        for name, term in terms.items():
+            weight = weights[name]
+            if term.when == when and weight is not None:
+                value = value + weight * term.value(step)
+        return value
 
     value = jnp.where(outcome.passed, total("pass"), total("flight"))
     value = jnp.where(outcome.terminated, total("crash"), value)

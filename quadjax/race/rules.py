@@ -149,7 +149,7 @@ class Outcome(struct.PyTreeNode):
         return code
 
 
-def inside_square(relative: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
+def inside_square(relative: Vec3, g: Gate, inflation: Scalar) -> jax.Array:
     """Whether a position in the opening's frame is within the opening; the paper's test."""
     inside = (jnp.abs(relative.y) <= g.half_width + inflation) & (
         jnp.abs(relative.z) <= g.half_height + inflation
@@ -160,7 +160,7 @@ def inside_square(relative: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
     return jnp.where(g.circle, distance <= radius + inflation, inside)
 
 
-def inside_world_box(offset: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
+def inside_world_box(offset: Vec3, g: Gate, inflation: Scalar) -> jax.Array:
     """The test of the authors' code: |dx|, |dy|, |dz| below half a gate in world axes."""
     return (
         (jnp.abs(offset.x) < g.half_width + inflation)
@@ -170,7 +170,7 @@ def inside_world_box(offset: Vec3, g: Gate, inflation: jax.Array) -> jax.Array:
 
 
 def crossing(
-    before: Vec3, after: Vec3, g: Gate, inflation: jax.Array, test: str = "square"
+    before: Vec3, after: Vec3, g: Gate, inflation: Scalar, test: str = "square"
 ) -> tuple[jax.Array, jax.Array]:
     """Whether a step passed the gate, and whether it hit it: two () bools.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core.frames import wrap_angle
+from quadjax.core.gradients import Scalar
 from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.vectors import Vec3, safe_norm
@@ -173,6 +174,11 @@ class Draws(struct.PyTreeNode):
     constants: jax.Array  # (n,)
 
 
+def vector(x: Scalar, y: Scalar, z: Scalar) -> Vec3:
+    """A vector of the numbers of a section."""
+    return Vec3(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))
+
+
 def draw(key: jax.Array, count: int) -> jax.Array:
     """Uniform numbers in [-1, 1], (count,); one call for all, which compiles much faster."""
     return jax.random.uniform(key, (count,), minval=-1.0, maxval=1.0)
@@ -235,7 +241,7 @@ def start_motion(
     """
     position = _way(track, target, jnp.zeros(()) if fraction is None else fraction)
     roll_pitch, yaw = ranges.roll_pitch_deg, ranges.yaw_deg  # rad, as leaves
-    euler = Vec3.of(draws.euler) * Vec3(roll_pitch, roll_pitch, yaw)
+    euler = Vec3.of(draws.euler) * vector(roll_pitch, roll_pitch, yaw)
     if heading is not None:
         euler = euler.replace(z=wrap_angle(euler.z + pick(heading, target)))
     return Motion(
@@ -250,7 +256,7 @@ def start(
     model: VehicleModel,
     c: Constants,
     motion: Motion,
-    thrust: tuple[jax.Array, jax.Array],
+    thrust: tuple[Scalar, Scalar],
     disturbance: Disturbance,
     draws: Draws,
     recorded: RecordedStart | None = None,
@@ -262,11 +268,12 @@ def start(
     actuators = draws.actuators
     if recorded is not None:
         motion, actuators = recorded.instead_of(motion, actuators)
-    state = model.start(c, motion, actuators, thrust)
+    low, high = map(jnp.asarray, thrust)
+    state = model.start(c, motion, actuators, (low, high))
     if not model.disturbed:
         return state
-    widths = Vec3(disturbance.moment_x, disturbance.moment_y, disturbance.moment_z)
-    moment = Vec3.of(draws.disturbance[:3]) * widths + Vec3(*disturbance.moment_bias)
+    widths = vector(disturbance.moment_x, disturbance.moment_y, disturbance.moment_z)
+    moment = Vec3.of(draws.disturbance[:3]) * widths + vector(*disturbance.moment_bias)
     force = Vec3.zero().replace(z=draws.disturbance[3] * disturbance.force_z)
     return model.with_disturbance(state, moment, force)
 
@@ -308,6 +315,6 @@ def draw_constants(nominal: Constants, spread: Constants, numbers: jax.Array) ->
 
     ``numbers`` holds one number in [-1, 1] for each constant.
     """
-    structure = jax.tree.structure(nominal)
-    factors = jax.tree.unflatten(structure, [numbers[i] for i in range(structure.num_leaves)])
+    count = len(jax.tree.leaves(nominal))
+    factors = jax.tree.unflatten(jax.tree.structure(nominal), [numbers[i] for i in range(count)])
     return jax.tree.map(lambda x, width, draw: x * (1.0 + width * draw), nominal, spread, factors)

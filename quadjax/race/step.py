@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import jax
 
+from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.track import Gate
 from quadjax.vehicle.protocol import State, VehicleModel
@@ -84,6 +85,6 @@ class Step:
         return safe_norm(self.model.position(self.before) - self.gate.position)
 
     @property
-    def time_step(self) -> jax.Array:
+    def time_step(self) -> Scalar:
         """Duration of the step (), s."""
         return self.params.rules.time_step

@@ -159,7 +159,9 @@ def make_track(
     next_yaw = jnp.roll(yaw, -1) - yaw
     if not closed:
         ahead = AHEAD * jnp.stack([cosine[-1], sine[-1], jnp.zeros_like(sine[-1])])
-        to_next = Vec3(*(x.at[-1].set(own) for x, own in zip(to_next, ahead, strict=True)))
+        to_next = Vec3(
+            *(x.at[-1].set(own) for x, own in zip(to_next.components(), ahead, strict=True))
+        )
         next_yaw = next_yaw.at[-1].set(0.0)
     return Track(
         position=Vec3.of(position),
