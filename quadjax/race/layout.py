@@ -166,7 +166,9 @@ def _field_of(item: object, where: str) -> Field:
     for key, kind in kinds.items():
         allowed = (int, float) if kind is float else kind
         if not isinstance(values.get(key), allowed) or isinstance(values.get(key), bool):
-            raise InputError(f"{where}.{key} is {values.get(key)!r:.80}, expected a {kind.__name__}")
+            raise InputError(
+                f"{where}.{key} is {values.get(key)!r:.80}, expected a {kind.__name__}"
+            )
     if not 1 <= values["size"] <= 4096:
         raise InputError(f"{where}.size is {values['size']}, allowed: 1 to 4096")
     span = values.get("span")

@@ -574,8 +574,7 @@ REFUSED = (
     (["rules.bounds=[[-1, 4], [-2, 2], [-5, 0]]"], "within rules.bounds"),
     (["track.closed=false", "evaluate.laps=1"], "track.start is None, allowed"),
     (COURSE[:2], "evaluate.laps is 6, allowed: 1 with track.closed false"),
-    (["rules.gate_depth=0.2"], "rules.gate_depth is 0.2, allowed: 0.1 without rules.gate_fr"),
-    (["rules.body_radius=0.5"], "allowed: above 1 "),
+    (["rules.body_radius=0.5"], "above 1, of training_limits.gate_inflation and rules.body_radius"),
     (
         [f"track.gates=[{ROUND}]", "rules.gate_test=world_box"],
         "allowed: square, because track.gates[0] is tilted or round",
