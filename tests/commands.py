@@ -1,18 +1,8 @@
-"""Run a subcommand or a script of ``benchmarks/`` in this process, as the command line does."""
-
-import importlib
+"""Run a subcommand in this process, as the command line does."""
 
 from quadjax import cli
-from quadjax.core.errors import run_command
 
 
 def run(*arguments: object) -> int:
     """The exit status of ``quadjax ARGUMENTS``."""
     return cli.run([str(each) for each in arguments])
-
-
-def run_script(name: str, *arguments: object) -> int:
-    """The exit status of ``python -m benchmarks.NAME ARGUMENTS``."""
-    script = getattr(importlib.import_module(f"benchmarks.{name}"), name)
-    words = [str(each) for each in arguments]
-    return run_command(lambda: cli.call(script, f"benchmarks.{name}", words))

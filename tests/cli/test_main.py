@@ -16,7 +16,8 @@ from quadjax.cli import COMMANDS, REMOVED
 from quadjax.core.errors import InputError, error_line, run_command
 from quadjax.core.imports import load_object
 from quadjax.core.resources import policy_names, preset_names
-from tests.commands import run, run_script
+from tests.commands import run
+from tests.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -13,8 +13,8 @@ from quadjax.studies.probe import Samples, fit_probes, probe_table
 from quadjax.training.build import untrained_policy
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.registry import model
-from tests.commands import run_script
 from tests.race.support import BLANK
+from tests.scripts import run_script
 
 DRONES, EACH = 1200, 3
 

@@ -7,7 +7,7 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED
 from quadjax.studies.track_table import BestLap, Case, Row, lap_rows, read_best
-from tests.commands import run_script
+from tests.scripts import run_script
 
 
 def row(**changes):

@@ -6,7 +6,8 @@ from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle.residual import read_residual, residual_force_moment, write_residual
-from tests.commands import run, run_script
+from tests.commands import run
+from tests.scripts import run_script
 
 from .conftest import REPOSITORY
 

@@ -16,8 +16,8 @@ from quadjax.plant.config import (
 )
 from quadjax.plant.covariance import Covariance
 from quadjax.studies.consistency import COMPONENTS, POLICIES, evaluate_filter, tally_ratio
-from tests.commands import run_script
 from tests.plant.support import EXACT, NO_ERRORS, ONLY_LATE, at, correlation, filtered, loop
+from tests.scripts import run_script
 
 DRONES, SECONDS = 48, 3.0
 STANDIN = CONFIGS / "plant" / "standin.yaml"
