@@ -77,7 +77,8 @@ def quantities(model: VehicleModel, constants: Constants) -> dict[str, np.ndarra
     """What the drones can do, (n,) each, of those that differ.
 
     The thrust-to-weight ratio, the largest angular accelerations within 0.1 s of hover (see
-    ``quadjax.vehicle.summary.turns``), the highest rotor speeds or commands of ``VehicleModel.ranges``, and the time constants.
+    ``quadjax.vehicle.summary.turns``), the highest rotor speeds or commands of
+    ``VehicleModel.ranges``, and the time constants.
 
     Args:
         model: of the vehicle.
