@@ -113,10 +113,10 @@ def _check_observation(config: Config) -> None:
     past = observed.history
     if past is None:
         return
-    allowed = remembered_names(model, observed.attitude)
+    fields = remembered_names(model, observed.attitude)
     names = [model.actuators.name if name == ACTUATORS else name for name in past.fields]
-    if not names or len(set(names)) < len(names) or set(past.fields) - set(allowed):
-        listed = f"one or more of {', '.join(allowed)}, each once"
+    if not names or len(set(names)) < len(names) or set(past.fields) - set(fields):
+        listed = f"one or more of {', '.join(fields)}, each once"
         refuse("observation.history.fields", past.fields, listed)
     if past.steps * past.every > LONGEST:
         allowed = f"at most {LONGEST // past.every} with every {past.every}"

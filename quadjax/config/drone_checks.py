@@ -53,7 +53,7 @@ def _check_population(config: Config, model: VehicleModel, spread: Values) -> No
         return
     if population not in model.populations:
         allowed = " or ".join(["null", *model.populations])
-        hint = close_match(population, model.populations)
+        hint = close_match(population, list(model.populations))
         refuse("randomization.population", population, f"{allowed} with model {model.name}{hint}")
     for name, fraction in spread.items():
         if fraction:

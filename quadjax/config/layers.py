@@ -155,7 +155,7 @@ def file_values(section: str, path: Path) -> Tree:
             hint = close_match(key, allowed)
             raise InputError(f"{path}: unknown key {key}{hint}; allowed: {', '.join(allowed)}")
     rules = {"rules": tree.pop("rules")} if "rules" in tree else {}  # of the track's hall
-    gates = {} if "generate" in tree else {"gates": []}
+    gates: Tree = {} if "generate" in tree else {"gates": []}
     return {"track": {"name": path.stem, **gates, **tree}, **rules}
 
 
