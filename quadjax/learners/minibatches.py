@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from quadjax.core.gradients import Scalar
 from quadjax.learners.sharding import AXIS, constrain
 from quadjax.learners.state import Metrics
 
@@ -64,7 +65,7 @@ def _take(blocks: jax.Array, chosen: jax.Array) -> jax.Array:
     return blocks.at[chosen].get(mode="promise_in_bounds").reshape(-1, *blocks.shape[2:])
 
 
-def clip(gradient: Any, limit: jax.Array) -> Any:
+def clip(gradient: Any, limit: Scalar) -> Any:
     """The gradient, scaled to a global norm of at most ``limit``."""
     return optax.clip_by_global_norm(limit).update(gradient, optax.EmptyState())[0]
 

@@ -155,15 +155,17 @@ def _scheduled(learner: Learner, hyper: Scheduled) -> Learner:
 
     def init(hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
         level = None if hyper.climb is None else jnp.zeros(())
-        state = learner.init(*numbers(hyper, params, jnp.zeros((), jnp.int32), level), key)
+        own, params = numbers(hyper, params, jnp.zeros((), jnp.int32), level)
+        state = learner.init(own, params, key)
         return state if level is None else dataclasses.replace(state, level=level)
 
     def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
         level = None if hyper.climb is None else state.level
-        following, metrics = learner.update(*numbers(hyper, params, state.update, level), state)
-        if level is None:
+        own, params = numbers(hyper, params, state.update, level)
+        following, metrics = learner.update(own, params, state)
+        if hyper.pass_rate is None or hyper.climb is None:
             return following, metrics
-        level = next_level(hyper, level, metrics)
+        level = next_level(state.level, metrics, hyper.pass_rate, hyper.climb)
         return dataclasses.replace(following, level=level), metrics | {"level": level}
 
     return dataclasses.replace(learner, init=init, update=update, hyper=hyper)
@@ -184,7 +186,9 @@ def apply_schedules(
     return jax.tree.unflatten(structure, leaves)
 
 
-def next_level(hyper: Scheduled, level: jax.Array, metrics: Metrics) -> jax.Array:
+def next_level(
+    level: jax.Array, metrics: Metrics, pass_rate: jax.Array, climb: jax.Array
+) -> jax.Array:
     """The level after an update: it rises while enough parts of the task are completed.
 
     Raises:
@@ -192,7 +196,7 @@ def next_level(hyper: Scheduled, level: jax.Array, metrics: Metrics) -> jax.Arra
     """
     if "pass_rate" not in metrics:
         raise InputError("schedules by pass_rate: the learner reports no metric pass_rate")
-    step = jnp.where(metrics["pass_rate"] >= hyper.pass_rate, hyper.climb, -hyper.climb)
+    step = jnp.where(metrics["pass_rate"] >= pass_rate, climb, -climb)
     return jnp.clip(level + step, 0.0, 1.0)
 
 

@@ -1,5 +1,6 @@
 """From a config to a learner on the racing environment."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ from quadjax.config.scales import race_scales
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
-from quadjax.core.mlp import Layers
+from quadjax.core.mlp import Layer
 from quadjax.learners.loop import Plan, plan_chunks
 from quadjax.learners.networks import ActorCritic, Networks
 from quadjax.learners.schedules import schedule_learner
@@ -29,6 +30,7 @@ from quadjax.race.recorded_starts import read_states
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.residual import is_shipped, read_residual
 
+Weights = Sequence[tuple[jax.Array | np.ndarray, jax.Array | np.ndarray]]  # kernels and biases
 REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and the Bebop 1
 
 
@@ -160,7 +162,7 @@ def with_params(state: TrainState, params: ActorCritic) -> TrainState:
         for name in ("target", "ema")
         if getattr(state, name) is not None
     }
-    return state.replace(params=params, **copies)
+    return dataclasses.replace(state, params=params, **copies)
 
 
 def reward_scale(config: Config) -> float:
@@ -214,21 +216,25 @@ def with_policy(
     if policy.value is not None and policy.value[0][0].shape == value[0][0].shape:
         value = _with_inputs(_scaled(policy.value, scale), inverse)
     own = _with_inputs(policy.layers, inverse)
-    return params.replace(policy=own, log_std=log_std, value=value)
+    return dataclasses.replace(params, policy=own, log_std=log_std, value=value)
 
 
-def _scaled(layers: Layers, factor: float) -> Layers:
+def _scaled(layers: Weights, factor: float) -> Weights:
     """The layers of a network whose outputs are ``factor`` times as large."""
     kernel, bias = layers[-1]
     return (*layers[:-1], (factor * kernel, factor * bias))
 
 
-def _with_inputs(layers: Layers, factors: Sequence[float]) -> Layers:
+def _with_inputs(layers: Weights, factors: Sequence[float]) -> tuple[Layer, ...]:
     """The layers of a network of which each input has a factor; none where there are no factors."""
     kernel, bias = layers[0]
     if factors:
-        kernel = jnp.asarray(factors, jnp.float32)[:, None] * kernel
+        kernel = jnp.asarray(factors, jnp.float32)[:, None] * jnp.asarray(kernel)
     return tuple((jnp.asarray(k), jnp.asarray(b)) for k, b in ((kernel, bias), *layers[1:]))
+
+
+def _on_host(layers: Weights) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    return tuple((np.asarray(kernel), np.asarray(bias)) for kernel, bias in layers)
 
 
 def network_policy(config: Config, params: ActorCritic) -> PolicyParams:
@@ -251,11 +257,11 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
     inputs = input_scale(config)
     value = None
     if not privileged_names(config):
-        value = _with_inputs(_scaled(params.value, 1.0 / reward_scale(config)), inputs)
-    layers = _with_inputs(params.policy, inputs)
+        scaled = _scaled(params.value, 1.0 / reward_scale(config))
+        value = _on_host(_with_inputs(scaled, inputs))
     residual = config.vehicle.residual
     return Policy(
-        layers=tuple((np.asarray(k), np.asarray(b)) for k, b in layers),
+        layers=_on_host(_with_inputs(params.policy, inputs)),
         log_std=np.asarray(params.log_std),
         vehicle=model.name,
         activation=config.network.activation,
@@ -264,7 +270,7 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
         command_high=high,
         layout=choices.layout.with_spans(model, build_params(config)),
         source=source,
-        value=value and tuple((np.asarray(k), np.asarray(b)) for k, b in value),
+        value=value,
         config=config.model_dump(mode="json", by_alias=True),
         residual=read_residual(residual) if residual and not is_shipped(residual) else None,
     )

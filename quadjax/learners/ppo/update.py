@@ -1,5 +1,6 @@
 """One PPO update: collect a rollout, estimate advantages, take gradient steps on minibatches."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -38,7 +39,9 @@ def _init(
 ) -> TrainState:
     network_key, reset_key, key = jax.random.split(key, 3)
     params = networks.init(network_key)
-    params = params.replace(log_std=jnp.full_like(params.log_std, hyper.initial_log_std))
+    params = dataclasses.replace(
+        params, log_std=jnp.full_like(params.log_std, hyper.initial_log_std)
+    )
     return TrainState(
         params=params,
         optimizer=_optimizer(hyper).init(params),
@@ -62,7 +65,8 @@ def _update(
     params, optimizer, metrics = _optimize(networks, hyper, state, batch, shuffle_key)
     metrics |= step_metrics(steps, jnp.mean(batch.advantage**2), target)
     metrics["std"] = jnp.mean(jnp.exp(state.params.log_std))
-    following = state.replace(
+    following = dataclasses.replace(
+        state,
         params=params,
         optimizer=optimizer,
         environment=environment_state,

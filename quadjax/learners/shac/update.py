@@ -1,5 +1,6 @@
 """One SHAC update: a policy gradient through the simulator, then the critic."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -44,7 +45,7 @@ def _init(
 ) -> TrainState:
     network_key, reset_key, key = jax.random.split(key, 3)
     params = networks.init(network_key)
-    params = params.replace(log_std=jnp.full_like(params.log_std, jnp.log(hyper.std)))
+    params = dataclasses.replace(params, log_std=jnp.full_like(params.log_std, jnp.log(hyper.std)))
     adam = _adam(hyper, 0.0)
     return TrainState(
         params=params,
@@ -68,7 +69,8 @@ def _update(
     value, value_optimizer, critic_metrics = fit_critic(networks, hyper, state, steps, shuffle_key)
     log_std = jnp.full_like(state.params.log_std, jnp.log(hyper.std))
     params = ActorCritic(policy=policy, log_std=log_std, value=value)
-    following = state.replace(
+    following = dataclasses.replace(
+        state,
         params=params,
         optimizer=(policy_optimizer, value_optimizer),
         target=optax.incremental_update(params, state.target, hyper.target_update_rate),
@@ -101,7 +103,13 @@ def collect_gradient(
     fresh, noise = draw(environment, env_params, key, shape)
 
     def differentiate(
-        hyper: SHAC, env_params: Any, params: ActorCritic, target: ActorCritic, *states: Any
+        hyper: SHAC,
+        env_params: Any,
+        params: ActorCritic,
+        target: ActorCritic,
+        state: Any,
+        fresh: Any,
+        noise: jax.Array,
     ) -> tuple[Any, Any]:
         """The sums over environments of loss and gradient; states and steps."""
 
@@ -109,11 +117,11 @@ def collect_gradient(
             return scale_and_clip_cotangent(state, hyper.cotangent_decay, hyper.cotangent_clip)
 
         def loss(policy: Any) -> tuple[jax.Array, tuple[Any, Steps]]:
-            actor = params.replace(policy=policy)
-            state, steps = rollout(
-                environment, networks, env_params, actor, target, *states, through=through
+            actor = dataclasses.replace(params, policy=policy)
+            end, steps = rollout(
+                environment, networks, env_params, actor, target, state, fresh, noise, through
             )
-            return -total_return(steps, hyper), (state, steps)
+            return -total_return(steps, hyper), (end, steps)
 
         (value, found), gradient = jax.value_and_grad(loss, has_aux=True)(params.policy)
         return (value, gradient), found
@@ -191,7 +199,7 @@ def fit_critic(
     adam = _adam(hyper, hyper.critic_learning_rate)
 
     def loss(value: Any, observation: jax.Array, target: jax.Array) -> jax.Array:
-        predicted = networks.value(state.params.replace(value=value), observation)
+        predicted = networks.value(dataclasses.replace(state.params, value=value), observation)
         return jnp.mean((predicted - target) ** 2)
 
     def step(carry: Any, rows: tuple[jax.Array, jax.Array]) -> tuple[Any, Metrics]:
@@ -216,4 +224,4 @@ def _moving_average(hyper: SHAC, state: TrainState, params: ActorCritic) -> Acto
     """
     rate = jnp.maximum(hyper.ema_rate, EMA_FRACTION / (EMA_FRACTION + state.update))
     average = optax.incremental_update(params, state.ema, rate)
-    return average.replace(log_std=params.log_std)
+    return dataclasses.replace(average, log_std=params.log_std)
