@@ -23,9 +23,10 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.errors import InputError
+from quadjax.core.vectors import Rotors, Vec3
 
 Scalar = jax.Array | float
-Sample = TypeVar("Sample")  # an array, a Vec3 or Rotors
+Sample = TypeVar("Sample", jax.Array, Vec3, Rotors)
 SQRT2 = float(np.sqrt(2.0))
 
 
@@ -92,8 +93,8 @@ def advance(
     def total(terms: list[Sample]) -> Sample:
         return functools.reduce(operator.add, terms)
 
-    output = total([*taps(0), memory[0]])
-    first = total([memory[1], *taps(1)]) - output * feedback[0]
+    output = total(taps(0) + [memory[0]])
+    first = total([memory[1]] + taps(1)) - output * feedback[0]
     return output, (first, total(taps(2)) - output * feedback[1])
 
 

@@ -1,5 +1,7 @@
 """3 x 3 matrices as separate scalars; see ``quadjax.core.vectors`` for the reason."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -69,7 +71,8 @@ class Sym3:
 
     def plus(self, value: jax.Array) -> "Sym3":
         """``value`` added to the diagonal."""
-        return self.replace(xx=self.xx + value, yy=self.yy + value, zz=self.zz + value)
+        diagonal = {"xx": self.xx + value, "yy": self.yy + value, "zz": self.zz + value}
+        return dataclasses.replace(self, **diagonal)
 
 
 def transpose(m: Mat3) -> Mat3:

@@ -6,7 +6,7 @@ concatenation inside a fused loop is a branch per element.
 """
 
 import dataclasses
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -17,14 +17,17 @@ class _Components:
     """Arithmetic, component by component, with another of the kind or with a scalar."""
 
     if TYPE_CHECKING:  # of flax dataclasses
+        __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
 
         def replace(self, **changes: jax.Array) -> Self: ...
 
-    def _zip(self, other: "_Components | jax.Array | float") -> list[tuple[jax.Array, jax.Array]]:
-        own = self.components()
+    def _zip(
+        self, other: "_Components | jax.Array | float"
+    ) -> list[tuple[jax.Array, jax.Array | float]]:
+        components = self.components()
         if isinstance(other, _Components):
-            return list(zip(own, other.components(), strict=True))
-        return [(component, other) for component in own]
+            return list(zip(components, other.components(), strict=True))
+        return [(component, other) for component in components]
 
     def components(self) -> tuple[jax.Array, ...]:
         """The components in order."""
