@@ -1,17 +1,16 @@
 """A lower bound of the time of a flight, by duality; docs/design/limits.md has the proof.
 
-The vehicle is relaxed to a point mass. The time of a leg plus the multipliers' terms has a minimum
-over all flights of the relaxation; the sum of these minima over the legs is a lower bound for any
-multipliers. The largest such bound is found by smooth maximization, and then evaluated with a bound
-of every approximation.
+The vehicle is relaxed to a point mass. The minima of the legs' times plus the multipliers' terms
+add up to a lower bound for any multipliers. The largest is found by smooth maximization, and then
+evaluated with a bound of every approximation.
 
-The bound holds up to rounding, for flights below a given speed, where consecutive openings are
-apart from each other. Models without a function in ``LARGEST_FORCES``, and those with a residual,
-have none.
+It holds up to rounding, for flights below a given speed, where consecutive openings are apart from
+each other. Models without a function in ``LARGEST_FORCES``, and those with a residual, have none.
 """
 
 import collections
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -32,7 +31,6 @@ DRAGS = (1e-3, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4)  # 1/s, tried
 TOUCHING = 1e-6  # m, distance of openings below which a leg has no shortest duration
 CELLS = (200, 1000)  # of rotor speeds, and of vertical velocity
 ROUNDING = 1.0 + 1e-9  # covers the rounding of some hundred operations in float64
-
 Constants = Mapping[str, float]
 
 
@@ -72,15 +70,14 @@ def lower_bound(problem: Problem, speed: float, longest: float) -> LowerBound:
         speed: m/s.
         longest: s, a time that some flight achieves; the bound is at most this.
     """
-    vehicle, name = problem.params.vehicle, problem.model.name
+    vehicle, name, stops = problem.params.vehicle, problem.model.name, problem.flight.stops
     if vehicle.residual is not None or name not in LARGEST_FORCES:
         return LowerBound(None, speed, "the largest force of this vehicle model has no bound")
     values = vars(vehicle.constants).items()
     constants = {key: float(x) for key, x in values if not dataclasses.is_dataclass(x)}
-    gates, stops = problem.gates, problem.flight.stops
-    points = [gates.corners(index, problem.flight.clearance) for index in problem.order]
+    points = [problem.gates.corners(gate, problem.flight.clearance) for gate in problem.order]
     if stops:
-        points[-1] = gates.position[problem.order[-1]][None]
+        points[-1] = problem.gates.corners(problem.order[-1], None)
     course = make_course(points, None if problem.periodic else problem.start[POSITION], stops)
     best, multipliers, gravity = 0.0, None, np.array([0.0, 0.0, constants["g"]])
     for drag in DRAGS:
@@ -122,7 +119,7 @@ def largest_force(name: str, constants: Constants, speed: float, drag: float) ->
 
 
 def _rate(c: Constants, speed: float, drag: float) -> float:
-    """Linear drag along x and y, and thrust: a quadratic function of the vertical velocity."""
+    """Linear drag along x and y: a quadratic function of the vertical velocity."""
     side, thrust = max(abs(drag - c["d_x"]), abs(drag - c["d_y"])) ** 2, c["thrust_max"]
     concave = max(side - drag**2, 1e-300)
     vertical = np.array([0.0, min(drag * thrust / concave, speed), speed])
@@ -130,24 +127,18 @@ def _rate(c: Constants, speed: float, drag: float) -> float:
 
 
 def _rotors(c: Constants, speed: float, drag: float) -> float:
-    """The terms of ``motor``, ``racing`` and ``a2rl``, in cells of rotor speeds and velocity.
-
-    The cells are of the sum of the rotor speeds and of the vertical velocity. The sum of squares is
-    at most linear in the sum, since each speed is within its range.
-    """
+    """The terms of ``motor``, ``racing`` and ``a2rl``, in cells of rotor speeds and velocity."""
     k = collections.defaultdict(float, c)  # terms that a model lacks are zero
     low, high = (c.get(f"w_{end}", c.get(f"rpm_{end}", 0.0)) for end in ("min", "max"))
     totals = np.linspace(4.0 * low, 4.0 * high, CELLS[0] + 1)[:, None]
     speeds = np.linspace(0.0, speed, CELLS[1] + 1)
     total, vertical = (totals[:-1], totals[1:]), (speeds[:-1], speeds[1:])  # ends of the cells
     square = speed**2 - vertical[0] ** 2  # of the horizontal speed, at most
-    slopes = [
-        np.abs(drag - k[linear] * t - k[quadratic] * horizontal)
-        for linear, quadratic in (("k_x", "k_x2"), ("k_y", "k_y2"))
-        for t in total
-        for horizontal in (np.zeros(1), np.sqrt(square))
-    ]
+    axes = (k["k_x"], k["k_x2"]), (k["k_y"], k["k_y2"])
+    rows = itertools.product(axes, total, (np.zeros(1), np.sqrt(square)))
+    slopes = [np.abs(drag - linear * t - quadratic * h) for (linear, quadratic), t, h in rows]
     side = np.maximum.reduce(np.broadcast_arrays(*slopes)) ** 2 * square
+    # Each rotor's speed is in its range: the sum of squares is at most linear in the sum.
     thrust = k["k_w"] * ((low + high) * total[1] - 4.0 * low * high)
     tip = [0.25 * k["rotor_radius"] * t + 1e-300 for t in total]
     advance = k["k_hor"] * np.arctan2(square, tip[0] ** 2)
@@ -156,12 +147,8 @@ def _rotors(c: Constants, speed: float, drag: float) -> float:
         angles = [sign * k["k_angle"] * np.arctan2(v, t) for v in vertical for t in tip]
         gain = 1.0 + np.maximum.reduce(angles) + np.maximum(advance, 0.0)
         loss = -1.0 - np.minimum.reduce(angles) - np.minimum(advance, 0.0)
-        others = [
-            sign * (k["k_z"] * t + k["k_v2"] * v - drag) * w
-            for v in vertical
-            for w in vertical
-            for t in total
-        ]
+        rows = itertools.product(total, vertical, vertical)
+        others = [sign * (k["k_z"] * t + k["k_v2"] * v - drag) * w for t, v, w in rows]
         up = thrust * np.maximum(gain, 0.0) + np.maximum.reduce(others)
         down = thrust * np.maximum(loss, 0.0) - np.minimum.reduce(others)
         along = np.maximum(up, down) + abs(k["k_h"]) * square
@@ -212,9 +199,9 @@ def maximize(
 
 
 def _distance(before: np.ndarray, after: np.ndarray) -> float:
-    """A lower bound of the distance between two openings, m: the widest gap between their corners.
+    """A lower bound of the distance between two openings, m.
 
-    The gap is measured along the axes and along the lines that join two corners.
+    The widest gap between their corners along the axes and the lines that join two corners.
     """
     ways = (after[:, None] - before[None]).reshape(-1, 3)
     ways = np.concatenate([np.eye(3), -np.eye(3), ways[np.linalg.norm(ways, axis=1) > TOUCHING]])
@@ -231,27 +218,24 @@ def _first(course: Course, mass: PointMass) -> np.ndarray:
         ways[-1] = before[-1] - here[-1]
         ways = np.concatenate([ways, (here - before)[:1]])
     side = np.sqrt(max(mass.force**2 - mass.gravity @ mass.gravity, 1.0))
-    size = np.linalg.norm(ways, axis=1, keepdims=True)
-    force = ways / np.maximum(size, 1e-6) * side - mass.gravity
+    ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-6)
+    force = side * ways - mass.gravity
     rows = -0.5 / mass.force * force / np.linalg.norm(force, axis=1, keepdims=True)
-    count = len(here)
-    return np.concatenate([rows[:count].ravel(), np.zeros(3 * count), rows[count:].ravel()])
+    velocity, start = rows[: len(here)], rows[len(here) :]
+    return np.concatenate([velocity.ravel(), np.zeros(velocity.size), start.ravel()])
 
 
 def _multipliers(course: Course, x: jax.Array) -> tuple[jax.Array, ...]:
     """Multipliers (legs, 3): velocity at each leg's start and end, position at start and end."""
     count = len(course.starts)
     velocity, position = x[: 6 * count].reshape(2, count, 3)
-    firsts = velocity[-1], position[-1]
+    first_velocity, first_position = velocity[-1], position[-1]
     if not course.periodic:
-        firsts = x[6 * count :], jnp.zeros(3)
+        first_velocity, first_position = x[6 * count :], jnp.zeros(3)
         position = position.at[-1].set(0.0)
         velocity = velocity if course.stops else velocity.at[-1].set(0.0)
-    before = (
-        jnp.concatenate([first[None], table[:-1]])
-        for first, table in zip(firsts, (velocity, position), strict=True)
-    )
-    start_velocity, start_position = before
+    start_velocity = jnp.concatenate([first_velocity[None], velocity[:-1]])
+    start_position = jnp.concatenate([first_position[None], position[:-1]])
     return start_velocity, velocity, start_position, position
 
 

@@ -92,20 +92,9 @@ class Problem:
             return np.asarray(self.vector(self.race_start.drone))
 
     @functools.cached_property
-    def level(self) -> np.ndarray:
-        """The state of ``start``, level and with the nose to the north."""
-        return np.concatenate([self.start[:6], np.eye(4)[0], self.start[10:]])
-
-    @functools.cached_property
     def command_range(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest command."""
         low, high = self.model.command_range(self.params.vehicle.constants)
-        return numbers(low), numbers(high)
-
-    @functools.cached_property
-    def actuator_range(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest state of the actuators."""
-        low, high = self.model.actuator_range(self.params.vehicle.constants)
         return numbers(low), numbers(high)
 
     @functools.cached_property
@@ -137,16 +126,10 @@ class Problem:
         scale the thrust.
         """
         low, _ = self.model.command_range(self.params.vehicle.constants)
-        held = jax.tree.unflatten(
-            jax.tree.structure(low), [command[i] for i in range(command.shape[0])]
-        )
+        numbers = [command[index] for index in range(command.shape[0])]
+        held = jax.tree.unflatten(jax.tree.structure(low), numbers)
         state = self.model.hold(self.model.wrap(self.state(vector)), held)
         return self.vector(self.model.derivative(self.params.vehicle, state, held))
-
-    def specific_force(self, vector: np.ndarray) -> np.ndarray:
-        """The specific force (3,), m/s^2, body."""
-        with jax.enable_x64(True):
-            return numbers(self.model.specific_force(self.params.vehicle, self.state(vector)))
 
     def vectors(self, motion: Sequence[np.ndarray], actuators: np.ndarray) -> np.ndarray:
         """States (n, 13 + actuators) without jumps of a quaternion's sign.
@@ -204,6 +187,7 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
     radius = 0.0 if rules.body_radius is None else float(rules.body_radius)
     gates = gates_of(params.track, radius)
     count = len(gates.position)
+    ground = rules.ground_speed
     rates = math.inf if rules.body_rate_limit is None else rules.body_rate_limit
     fastest = math.inf if rules.speed_limit is None else float(rules.speed_limit)
     narrowest = int(np.argmin(gates.half_size.min(axis=1)))
@@ -224,10 +208,8 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
         rate_limit=BELOW_RULE * np.broadcast_to(np.asarray(rates, np.float64), 3),
         speed_limit=min(flight.speed or flight.fitted_speed or SPEED, BELOW_RULE * fastest),
         pitch_limit=math.inf if limits.pitch_deg is None else float(limits.pitch_deg),  # rad
-        landing=None
-        if rules.ground_speed is None
-        else (float(rules.ground_height), float(rules.ground_speed)),
-        frame_depth=None if rules.gate_frame is None else 0.5 * float(rules.gate_depth) + radius,
+        landing=ground and (float(rules.ground_height), float(ground)),
+        frame_depth=rules.gate_frame and 0.5 * float(rules.gate_depth) + radius,
     )
 
 

@@ -61,8 +61,7 @@ class NotFoundError(Exception):
         tried = "; ".join(f"{guess}: {status}" for guess, status in attempts.items()) or "no time"
         text = f"no flight was found ({tried}); try more time (--seconds)"
         if flight is not None:
-            text += f"; a solution of {flight.total:.3f} s with {flight.intervals} intervals a leg "
-            text += f"is not verified: {error}"
+            text += f"; a solution of {flight.total:.3f} s is not verified: {error}"
         super().__init__(text)
 
 

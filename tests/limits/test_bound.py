@@ -11,7 +11,7 @@ from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.limits.bound import PointMass, largest_force, lower_bound, make_course, maximize
-from quadjax.limits.problem import ACTUATORS, VELOCITY, make_problem
+from quadjax.limits.problem import ACTUATORS, ATTITUDE, VELOCITY, make_problem, numbers
 
 FREE = PointMass(force=10.0, drag=1e-3, gravity=np.zeros(3), speed=100.0)
 
@@ -63,11 +63,12 @@ def test_no_sampled_force_exceeds_the_largest(words):
     speed, drag, rng = 6.0, 1.0, np.random.default_rng(0)
     constants = {name: x for name, x in vars(problem.params.vehicle.constants).items()}
     largest = largest_force(problem.model.name, constants, speed, drag)
-    low, high = problem.actuator_range
+    ends = problem.model.actuator_range(problem.params.vehicle.constants)
+    low, high = (numbers(end) for end in ends)
     velocity = rng.normal(size=(300, 3))
     velocity *= speed / np.linalg.norm(velocity, axis=1, keepdims=True)
-    states = np.tile(problem.level, (300, 1))
-    states[:, VELOCITY] = velocity
+    states = np.tile(problem.start, (300, 1))
+    states[:, ATTITUDE], states[:, VELOCITY] = [1.0, 0.0, 0.0, 0.0], velocity
     states[:, ACTUATORS] = np.where(rng.random((300, len(low))) < 0.9, high, low)
 
     def force(state, velocity):

@@ -6,7 +6,6 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
-from quadjax.core.vectors import Rotors
 from quadjax.limits.problem import (
     ATTITUDE,
     RATES,
@@ -16,7 +15,6 @@ from quadjax.limits.problem import (
     make_problem,
     numbers,
 )
-from quadjax.vehicle.racing import motor_map
 
 casadi = pytest.importorskip("casadi")
 RACES = {
@@ -67,16 +65,6 @@ def test_a_quaternion_has_the_accelerations_of_the_race_with_euler_angles(name):
         slope = model.derivative(vehicle, state.replace(euler=vec(roll, pitch, yaw)), held)
     np.testing.assert_allclose(found[VELOCITY], numbers(model.velocity(slope)), rtol=1e-6)
     np.testing.assert_allclose(found[RATES], numbers(model.rates(slope)), rtol=1e-9)
-
-
-def test_the_specific_force_is_in_double_precision_after_a_simulation_in_single():
-    choices, params = race_of(load_config("e2e_race", ["vehicle=5inch"]))
-    jax.eval_shape(lambda c: motor_map(c, Rotors(*(c.k,) * 4)), params.vehicle.constants)
-    problem = make_problem(choices, params)
-    speeds, state = np.array([1000.0, 1500.0, 2000.0, 2500.0]), problem.level.copy()
-    state[13:] = speeds
-    expected = [0.0, 0.0, -np.float64(np.float32(2.49e-06)) * np.sum(speeds**2)]
-    np.testing.assert_allclose(problem.specific_force(state), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_an_unknown_operation_is_named():
