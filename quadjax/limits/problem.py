@@ -65,6 +65,10 @@ class Problem:
     landing: tuple[float, float] | None  # m, below which flight is slower than a speed, m/s
     frame_depth: float | None  # m, of solid frames and the drone, on each side of a gate
 
+    def __post_init__(self) -> None:
+        """Compute the start outside of traced functions."""
+        _ = self.start
+
     @property
     def model(self) -> VehicleModel:
         """The vehicle model, with a quaternion."""

@@ -61,7 +61,6 @@ GATES = (
 MARGIN = 0.01  # m
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["", ", shape: circle", ", roll_deg: 45"])
 def test_a_gate_beside_the_way_is_passed_at_its_edge(shape):
     import threading
