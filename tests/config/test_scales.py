@@ -177,7 +177,6 @@ def flight(config):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_a_race_scaled_in_length_and_time_trains_alike(tmp_path):
     """Four times the lengths and twice the times: a learner gets the same numbers."""
     places = ((8, -6, 45), (8, 6, 135), (-8, 6, 225), (-8, -6, 315))
