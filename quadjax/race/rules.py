@@ -309,7 +309,7 @@ def flies_too_fast(step: Step) -> jax.Array | None:
 
 
 # What ends an episode as a crash, by the text that says why: the first that applies is reported.
-# A function gives None where the race has no such rule. The order of a user's own: after these.
+# A function gives None where the race has no such rule. The rules of a user come after these.
 NOT_FINITE = "not finite"
 TERMINATIONS: Mapping[str, Callable[[Step], jax.Array | None]] = {
     "hit a gate": hits_a_gate,
