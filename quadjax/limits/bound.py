@@ -135,8 +135,8 @@ def _rotors(c: Constants, speed: float, drag: float) -> float:
     total, vertical = (totals[:-1], totals[1:]), (speeds[:-1], speeds[1:])  # ends of the cells
     square = speed**2 - vertical[0] ** 2  # of the horizontal speed, at most
     axes = (k["k_x"], k["k_x2"]), (k["k_y"], k["k_y2"])
-    rows = itertools.product(axes, total, (np.zeros(1), np.sqrt(square)))
-    slopes = [np.abs(drag - linear * t - quadratic * h) for (linear, quadratic), t, h in rows]
+    cases = itertools.product(total, (np.zeros(1), np.sqrt(square)))
+    slopes = [np.abs(drag - one * t - two * h) for t, h in cases for one, two in axes]
     side = np.maximum.reduce(np.broadcast_arrays(*slopes)) ** 2 * square
     # Each rotor's speed is in its range: the sum of squares is at most linear in the sum.
     thrust = k["k_w"] * ((low + high) * total[1] - 4.0 * low * high)
