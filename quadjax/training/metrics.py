@@ -98,12 +98,24 @@ def _read_table(path: Path | str) -> tuple[list[str], np.ndarray]:
     text = read_text(path)
     try:
         names, *rows = list(csv.reader(io.StringIO(text, newline=""))) or [[]]
-        if rows and len(rows[-1]) < len(names):
-            rows.pop()
-        for line, row in enumerate(rows, start=2):
-            if len(row) != len(names):
-                raise ValueError(f"line {line}: {len(row)} cells, expected {len(names)}")
-        numbers = [float(cell.strip() or "nan") for row in rows for cell in row]
-    except (csv.Error, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({short(str(error))})") from error
+    except csv.Error as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    if rows and len(rows[-1]) < len(names):
+        rows.pop()
+    numbers = [_numbers(f"{path} line {line}", names, row) for line, row in enumerate(rows, 2)]
     return names, np.reshape(numbers, (len(rows), len(names)))
+
+
+def _numbers(where: str, names: list[str], row: list[str]) -> list[float]:
+    """The numbers of a row; an empty cell is NaN."""
+    if len(row) != len(names):
+        raise InputError(f"{where}: {len(row)} cells, expected {len(names)}")
+    numbers = []
+    for name, cell in zip(names, row, strict=True):
+        try:
+            numbers.append(float(cell.strip() or "nan"))
+        except ValueError:
+            raise InputError(
+                f"{where}: {short(name)} is {short(cell)}, expected a number"
+            ) from None
+    return numbers

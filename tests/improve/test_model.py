@@ -36,6 +36,7 @@ def logs(tmp_path_factory):
     return [drone_log(folder / f"flight_{seed}.csv", seed) for seed in range(3)]
 
 
+@pytest.mark.slow
 def test_a_model_that_holds_is_accepted_and_once_more_it_is_refused(logs, tmp_path):
     battery = BatteryFit(0.06, 1000.0, 1.0, {"a": 9500.0}, {"a": 9400.0})
     present = dataclasses.replace(Model.of(race()), battery=battery)
