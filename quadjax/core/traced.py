@@ -25,8 +25,9 @@ def register(section: type[SectionType]) -> type[SectionType]:
     """Register a section as a pytree whose leaves are its numbers.
 
     These are the fields of floats, of tuples and mappings of floats, and of whole numbers marked
-    ``Traced``. A value of None has no leaf. The static part (sizes, flags, names) is compared as a
-    whole: sections that differ in it are different programs.
+    ``Traced``. The path of a leaf is the name of its field. A value of None has no leaf. The static
+    part (sizes, flags, names) is compared as a whole: sections that differ in it are different
+    programs.
     """
     leaves = _traced_names(section)
     static = [name for name in section.model_fields if name not in leaves]
@@ -35,11 +36,16 @@ def register(section: type[SectionType]) -> type[SectionType]:
         children = [getattr(value, name) for name in leaves]
         return children, tuple(getattr(value, name) for name in static)
 
+    def flatten_with_keys(value: SectionType) -> tuple[list, tuple]:
+        children, fixed = flatten(value)
+        keys = [jax.tree_util.GetAttrKey(name) for name in leaves]
+        return list(zip(keys, children, strict=True)), fixed
+
     def unflatten(fixed: tuple, children: list) -> SectionType:
         named = dict(zip(static, fixed, strict=True)) | dict(zip(leaves, children, strict=True))
         return cast(SectionType, section.model_construct(**named))
 
-    jax.tree_util.register_pytree_node(section, flatten, unflatten)
+    jax.tree_util.register_pytree_with_keys(section, flatten_with_keys, unflatten, flatten)
     return section
 
 

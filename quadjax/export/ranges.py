@@ -18,6 +18,7 @@ from quadjax.race.observations import (
 from quadjax.vehicle.registry import MODELS
 
 SMALLEST, LARGEST = 2.0**-20, 2.0**20
+ROUNDING = 1.0 + 2.0**-20  # of a scaled input, in single precision; the C clips it to its range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +65,8 @@ class InputBox:
         for name in self.layout.names:  # the range of a history is that of its field
             base = split_name(name)[0]
             sizes[base] = max(sizes[name], sizes.get(base, 0.0))
-        beyond = {name: size for name, size in sizes.items() if not size <= self.limit(name)}
+        limits = {name: self.limit(name) * ROUNDING for name in sizes}
+        beyond = {name: size for name, size in sizes.items() if not size <= limits[name]}
         if beyond:
             problems = (
                 f"{name} reaches {size:.4g} {self._unit(name)}, declared +-{self.limit(name):g}"

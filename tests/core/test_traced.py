@@ -41,3 +41,9 @@ def test_the_rest_is_static():
     same, other = (jax.tree.structure(as_leaves(Numbers(count=count))) for count in (4, 5))
     assert same == jax.tree.structure(as_leaves(Numbers(speed=9.0))) != other
     assert float(with_leaves(leaves, speed=np.float32(1e9)).speed) == 1e9  # not validated
+
+
+def test_the_path_of_a_leaf_is_the_name_of_its_field():
+    paths = [path for path, _ in jax.tree_util.tree_leaves_with_path(as_leaves(Numbers()))]
+    names = [jax.tree_util.keystr(path, simple=True, separator=".") for path in paths]
+    assert names == ["speed", "yaw_deg", "steps", "box.0", "box.1", "weights.a"]
