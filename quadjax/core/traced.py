@@ -4,7 +4,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Annotated, Any, TypeVar, cast
 
 import jax
@@ -41,7 +41,7 @@ def register(section: type[SectionType]) -> type[SectionType]:
         keys = [jax.tree_util.GetAttrKey(name) for name in leaves]
         return list(zip(keys, children, strict=True)), fixed
 
-    def unflatten(fixed: tuple, children: list) -> SectionType:
+    def unflatten(fixed: tuple, children: Iterable) -> SectionType:
         named = dict(zip(static, fixed, strict=True)) | dict(zip(leaves, children, strict=True))
         return cast(SectionType, section.model_construct(**named))
 
