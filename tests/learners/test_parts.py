@@ -1,5 +1,7 @@
 """The pieces of the learners against loops written out by hand."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import optax
@@ -11,7 +13,9 @@ from quadjax.core.errors import InputError
 from quadjax.learners.devices import choose_devices
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.minibatches import clip, descend, run_epochs
-from quadjax.learners.ppo.update import log_probability, normalize, reset_interval
+from quadjax.learners.networks import ActorCritic
+from quadjax.learners.ppo.hyperparameters import PPO
+from quadjax.learners.ppo.update import Batch, log_probability, loss, normalize, reset_interval
 from quadjax.learners.rollout import Steps, td_lambda
 
 TIME, COUNT = 30, 7
@@ -101,6 +105,32 @@ def test_advantages_are_normalized():
     values = np.random.default_rng(2).normal(3.0, 5.0, (4, 100)).astype(np.float32)
     found = jax.jit(normalize)(values)
     np.testing.assert_allclose(found, (values - values.mean()) / values.std(), atol=1e-4)
+
+
+def test_the_loss_of_a_minibatch_follows_its_equation():
+    """In float64, with ratios on both sides of the clip range and advantages of both signs."""
+    draw = np.random.default_rng(1)
+    observation, noise = draw.normal(size=(2, 200, 2))
+    old, advantage, target = draw.normal(size=(3, 200))
+    action, log_std = observation + noise, np.array([-0.3, 0.2])
+    std, hyper = np.exp(log_std), PPO(clip_range=0.2, entropy_coefficient=0.01)
+    now = scipy.stats.norm.logpdf(action, 0.9 * observation, std).sum(axis=1)
+    old = now + 0.5 * old  # of the policy that sampled the actions
+    params = ActorCritic(policy=np.float32(0.9), log_std=np.float32(log_std), value=0.5)
+    networks = SimpleNamespace(
+        mean=lambda params, x: params.policy * x, value=lambda params, x: params.value * x[:, 0]
+    )
+    batch = Batch(*map(np.float32, (observation, action, old, advantage, target)))
+    total, _ = loss(params, networks, hyper, batch)
+    ratio = np.exp(now - old)
+    scaled = (advantage - advantage.mean()) / advantage.std()
+    clipped = np.clip(ratio, 0.8, 1.2)
+    assert (ratio > 1.2).any() and (ratio < 0.8).any()
+    policy_loss = -np.minimum(ratio * scaled, clipped * scaled).mean()
+    value_loss = ((0.5 * observation[:, 0] - target) ** 2).mean()
+    entropy = scipy.stats.norm.entropy(scale=std).sum()
+    expected = policy_loss + hyper.value_coefficient * value_loss - 0.01 * entropy
+    np.testing.assert_allclose(total, expected, rtol=1e-5)
 
 
 def test_a_gradient_is_scaled_to_a_norm():
