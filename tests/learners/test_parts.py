@@ -17,6 +17,8 @@ from quadjax.learners.networks import ActorCritic
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.ppo.update import Batch, log_probability, loss, normalize, reset_interval
 from quadjax.learners.rollout import Steps, td_lambda
+from quadjax.learners.shac.hyperparameters import SHAC
+from quadjax.learners.shac.update import total_return
 
 TIME, COUNT = 30, 7
 
@@ -90,6 +92,23 @@ def test_td_lambda_targets(steps, discount, lam):
     found = targets(reward, next_value, terminated, truncated, discount, lam)
     wanted = returns(reward, next_value, terminated, truncated, discount, lam)
     np.testing.assert_allclose(found, wanted, atol=2e-5)
+
+
+def test_the_return_of_short_horizons(steps):
+    """What SHAC maximizes: discounting starts again after an end, values follow truncations."""
+    reward, _, next_value, terminated, truncated = steps
+    hyper = SHAC(discount=0.9, reward_scale=0.5)
+    found = total_return(Steps(None, None, reward, next_value, terminated, truncated, None), hyper)
+    expected = 0.0
+    for n in range(COUNT):
+        gamma = 1.0
+        for t in range(TIME):
+            expected += gamma * 0.5 * reward[t, n]
+            ended = terminated[t, n] or truncated[t, n]
+            if truncated[t, n] or (t == TIME - 1 and not ended):
+                expected += gamma * 0.9 * next_value[t, n]
+            gamma = 1.0 if ended else 0.9 * gamma
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
 def test_log_probability():
