@@ -1,4 +1,5 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.config import LogsConfig, PrepareConfig
 from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.lag import fit_motor_lag
-from quadjax.fitting.least_squares import check_signs, fit_nominal, with_fit
+from quadjax.fitting.least_squares import check_signs, fit_axis, fit_nominal, with_fit
 from quadjax.fitting.nominal import (
     AXES,
     CONSTANTS,
@@ -35,6 +36,25 @@ def test_the_model_is_that_of_the_independent_reference(bebop):
     motion = ModelInputs(rows[:, ref.RPM], slope[:, ref.RPM], rows[:, ref.V], rates)
     expected = np.concatenate([force, moment], axis=1)
     np.testing.assert_allclose(nominal(bebop, motion), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_constant_of_an_impossible_sign_keeps_its_value_and_the_others_account_for_it(bebop):
+    draw = np.random.default_rng(0)
+    names, columns = CONSTANTS["az"], draw.normal(size=(2000, len(CONSTANTS["az"])))
+    columns += columns[:, :1]  # correlated
+    truth = np.array([-0.2 if name == "k_z" else 2.0 for name in names])
+    measured = np.zeros((2000, 6))
+    measured[:, AXES.index("az")] = columns @ truth + 0.1 * draw.normal(size=2000)
+    noise = {"az": np.zeros_like(columns)}
+    samples = SimpleNamespace(regressors={"az": columns}, noise=noise, measured=measured)
+    base = replace(bebop, k_z=0.4)
+    fit = fit_axis("az", samples, np.arange(2000) // 50, base)
+    others = np.array([name != "k_z" for name in names])
+    remainder = measured[:, AXES.index("az")] - 0.4 * columns[:, ~others][:, 0]
+    expected = np.linalg.lstsq(columns[:, others], remainder, rcond=None)[0]
+    np.testing.assert_allclose(fit.values[~others], 0.4)
+    np.testing.assert_allclose(fit.values[others], expected, rtol=1e-9)
+    assert any("k_z" in line and "impossible" in line for line in fit.warnings)
 
 
 def test_the_model_is_the_sum_of_its_regressors(bebop):
