@@ -8,7 +8,16 @@ import pytest
 from quadjax.core.errors import InputError
 from quadjax.export.verify.toolchain import host
 from quadjax.sil.faults import Channel, Faults, parse_nan
-from quadjax.sil.message import DTYPES, HEADER, Kind, MessageError, new, pack, unpack
+from quadjax.sil.message import (
+    DTYPES,
+    HEADER,
+    RPM_PER_RAD_S,
+    Kind,
+    MessageError,
+    new,
+    pack,
+    unpack,
+)
 from quadjax.sil.source import header_text
 
 
@@ -100,3 +109,7 @@ def test_a_wrong_nan_option_is_one_line():
             parse_nan([text])
     with pytest.raises(InputError, match="position has two"):
         parse_nan(["position=0.1", "velocity=0.1", "position=0.2"])
+
+
+def test_a_turn_per_second_is_60_rpm():
+    assert abs(RPM_PER_RAD_S * 2.0 * 3.141592653589793 - 60.0) < 1e-12
