@@ -61,6 +61,9 @@ def load_config(
     path = find_config(name)
     parts = [word[1:] for word in words if word.startswith("+")]
     changes = [word for word in words if not word.startswith("+")]
+    for key in (word.partition("=")[0] for word in changes):
+        if RETIRED.get(key, ()) is None:  # stored configs may have it, a user's words may not
+            raise InputError(f"overrides: unknown key {key}")
     layers = config_layers(path, parts, changes)
     tree, sources = merged(layers, str(path))
     tree = with_opening(generated(tree, sources), sources)

@@ -633,3 +633,11 @@ def test_one_opening_for_all_gates():
         InputError, match="track.opening is 3.0, allowed: null with rules.gate_frame"
     ):
         load_config("e2e_race", ["track=grand_challenge", "track.opening=3"])
+
+
+def test_a_former_key_is_read_from_a_file_and_refused_as_an_override(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("base: e2e\nrun: {shards: 4}\n")
+    assert load_config(path).learner == load_config("e2e").learner
+    with pytest.raises(InputError, match="unknown key run.shards"):
+        load_config("e2e", ["run.shards=4"])
