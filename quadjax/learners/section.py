@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from quadjax.core.sections import LARGEST, Field, Section
+from quadjax.core.sections import LARGEST, Field, Section, Unit
 
 if TYPE_CHECKING:  # JAX is imported when it is used
     from quadjax.core.environment import Environment
@@ -14,9 +14,23 @@ if TYPE_CHECKING:  # JAX is imported when it is used
     from quadjax.learners.train import TrainResult
 
 MAX_ENVS = 1_000_000
-MAX_UPDATE_STEPS = 250_000_000  # environment steps of an update, all of which are in memory at once
 Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Width = Annotated[int, Field(ge=1, le=8192)]
+Count = Annotated[int, Field(ge=1, le=100_000)]
+NumEnvs = Annotated[
+    int,
+    Unit("environments"),
+    Field(ge=1, le=MAX_ENVS, description="number of environments simulated in parallel"),
+]
+Discount = Annotated[
+    float, Unit("decay"), Field(ge=0, lt=1, description="discount factor per step")
+]
+RewardScale = Annotated[
+    float, Field(gt=0, le=LARGEST, description="factor on the reward in training")
+]
+Warmup = Annotated[
+    int, Field(ge=0, le=10**9, description="updates at the start that train the value only")
+]
 
 
 class Network(Section):
@@ -142,3 +156,9 @@ class LearnerSection(Section):
         from quadjax.learners.train import train
 
         return train(self, environment, params, steps, seed, network, schedules, progress)
+
+
+def check_divisor(name: str, value: int, total: int, of: str) -> None:
+    """Raise a ``ValueError`` if a hyperparameter does not divide ``total``, the number ``of``."""
+    if total % value:
+        raise ValueError(f"{name} is {value}, allowed: a divisor of {total} ({of})")
