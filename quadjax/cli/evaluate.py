@@ -309,9 +309,9 @@ def _protocols(
         from quadjax.core.provenance import provenance
         from quadjax.evaluation.evaluation import evaluate
         from quadjax.evaluation.protocols import fly_protocols, protocol_table
+        from quadjax.evaluation.published import published_sampled
         from quadjax.policy.file import Policy
         from quadjax.policy.race import policy_path
-        from quadjax.training.paper import published_sampled
         from quadjax.training.progress import bar
 
     race = load_config(config, overrides) if config is not None else None

@@ -113,8 +113,8 @@ def _present(run: "Run") -> None:
         from quadjax.core.plotting import save_figure
         from quadjax.evaluation.curves import training_figure
         from quadjax.evaluation.evaluation import evaluate, lap_table
+        from quadjax.evaluation.published import published_total
         from quadjax.training.advice import no_lap
-        from quadjax.training.paper import published_total
 
     config, folder, name = run.config, run.folder, str(run.folder / "policy.npz")
     with steps() as report:
@@ -131,7 +131,7 @@ def _present(run: "Run") -> None:
     if not len(metrics["steps"]):
         print(f"{folder / 'metrics.csv'}: no rows, so there are no curves of the training")
     print(lap_table({result.label(): result for result in (sampled, steady)}))
-    print(_summary(run))
+    print(_summary(run, published_total(config)))
     if run.summary["best_lap_total"] is None:
         print(no_lap((*sampled.laps.crashes, *steady.laps.crashes), run.summary["steps"]))
 
@@ -140,19 +140,21 @@ def _amount(number: int) -> str:
     return f"{number / 1e6:.1f} million" if number >= 1e5 else f"{number:,}"
 
 
-def _summary(run: "Run") -> str:
-    """Steps, time, memory and the folder of a run, as text."""
+def _summary(run: "Run", published: tuple[str, float] | None) -> str:
+    """Steps, time, memory and the folder of a run, as text; a published time if it was reached."""
+    from quadjax.evaluation.published import first_under
+
     summary, devices = run.summary, run.summary["devices"]
-    first, memory = summary.get("first_under"), summary.get("peak_memory_mib")
+    memory = summary.get("peak_memory_mib")
     line = (
         f"trained {_amount(summary['steps'])} steps in {summary['seconds']:.0f} s on "
         f"{devices} device{'' if devices == 1 else 's'}"
     )
     lines = [line if memory is None else f"{line}, {memory:.0f} MiB at most"]
-    if first and first["seconds"] is not None:
+    if published and (first := first_under(run.metrics, published[1])):
+        seconds, steps = first
         lines.append(
-            f"first under {first['total']:.2f} s after {first['seconds']:.0f} s and "
-            f"{_amount(first['steps'])} steps"
+            f"first under {published[1]:.2f} s after {seconds:.0f} s and {_amount(steps)} steps"
         )
     return "\n".join([*lines, f"policy, figures and metrics are in {run.folder}"])
 

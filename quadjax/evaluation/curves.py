@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
+from quadjax.evaluation.published import published_total
 from quadjax.evaluation.tables import counted
 from quadjax.training.metrics import read_metrics
-from quadjax.training.paper import published_total
 
 Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)
 ACROSS = {"seconds": ("wall time (s)", 1.0), "steps": ("environment steps (millions)", 1e-6)}

@@ -21,6 +21,7 @@ from quadjax.core.provenance import provenance
 from quadjax.evaluation import viewing
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
 from quadjax.evaluation.figures_3d import attitude_figure, space_figure
+from quadjax.evaluation.published import published_flight
 from quadjax.evaluation.recording import (
     Recording,
     choose,
@@ -30,11 +31,10 @@ from quadjax.evaluation.recording import (
     write_states,
     write_table,
 )
-from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
+from quadjax.evaluation.tables import Row, counted, describe_crashes, format_table, lap_row
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps, Trace
-from quadjax.training.paper import Row, published_flight
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.view.notebook import show
 

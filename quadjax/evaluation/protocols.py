@@ -8,8 +8,8 @@ import numpy as np
 
 from quadjax.core.markdown import table
 from quadjax.evaluation.evaluation import Evaluation
+from quadjax.evaluation.tables import Row
 from quadjax.race.laps import Laps
-from quadjax.training.paper import Row
 
 STARTS = {"hover": 1, "random": 2}  # with the seed of noise, disturbances and starts
 TITLES = ("policy", "noise", "mean", "sampled", "ratio", "mean, random", "sampled, random")

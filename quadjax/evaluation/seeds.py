@@ -12,8 +12,9 @@ from quadjax.config.loading import load_config
 from quadjax.core.markdown import table
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.evaluation.protocols import Protocols, fly_protocols, protocol_table
+from quadjax.evaluation.published import first_under, published_sampled, published_total
 from quadjax.policy.file import Policy
-from quadjax.training.paper import published_sampled, published_total
+from quadjax.training.metrics import read_metrics
 from quadjax.training.result import read_summary
 
 
@@ -52,16 +53,16 @@ def evaluate_seed(run: Path, runs: int, code: Collection[str] = ()) -> SeedResul
     fly = functools.partial(evaluate, policy, config, runs=runs)
     flights = fly_protocols(fly, run.name, policy.log_std, published_sampled(config))
     published = published_total(config)
-    first = {"total": None, "seconds": None, "steps": None}
-    if published and (summary["first_under"] or first)["total"] == published[1]:
-        first = summary["first_under"]
+    reference = None if published is None else published[1]
+    first = reference and first_under(read_metrics(run / "metrics.csv"), reference)
+    first_seconds, first_steps = first or (None, None)
     return SeedResult(
         seed=summary["seed"],
         seconds=summary["seconds"],
         steps=summary["steps"],
-        reference=first["total"],
-        first_seconds=first["seconds"],
-        first_steps=first["steps"],
+        reference=reference,
+        first_seconds=first_seconds,
+        first_steps=first_steps,
         last=summary["last_lap_total"],
         best=summary["best_lap_total"],
         flying_lap=_lowest(flights.mean["hover"].lap_times),

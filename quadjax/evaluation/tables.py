@@ -1,16 +1,29 @@
 """The lap table: one line per policy, with a column per lap, the total, the best, the finishers."""
 
+import dataclasses
 import textwrap
 from collections.abc import Sequence
 
 import numpy as np
 
 from quadjax.race.laps import Laps
-from quadjax.training.paper import Row
 
 WIDTH = 80  # columns of a terminal
 LISTED = 8  # runs of one kind
 NARROW = 18  # columns of the labels, where all numbers fit next to them
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One line of a lap table; times in seconds, NaN where there is none."""
+
+    label: str
+    laps: tuple[float, ...]
+    total: float
+    best: float
+    finished: int | None = None  # runs that completed every lap
+    runs: int | None = None
+    last_gates: int = 0  # gates of the last lap where it is a part of one
 
 
 def lap_row(label: str, laps: Laps) -> Row:

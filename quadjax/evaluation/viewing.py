@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from quadjax.config.schema import Gate
 from quadjax.evaluation.figures import flight_title
 from quadjax.evaluation.recording import Recording, distinct
-from quadjax.training.paper import Row
+from quadjax.evaluation.tables import Row
 from quadjax.vehicle.protocol import Signal, VehicleModel
 from quadjax.view.data import Scene
 from quadjax.view.flight import MOTORS, Flight, Marker, Strip, passages, strip

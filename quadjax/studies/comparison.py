@@ -10,7 +10,7 @@ import numpy as np
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.evaluation.tables import lap_row
+from quadjax.evaluation.tables import Row, lap_row
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights, fly_plan
 from quadjax.policy import pilot
@@ -19,7 +19,6 @@ from quadjax.race.laps import Laps, Trace
 from quadjax.studies.ablation import RESIDUAL, Variant
 from quadjax.studies.drawn_plants import OnPlants, conditions, drawn
 from quadjax.studies.plant_races import plan_race, race_config
-from quadjax.training.paper import Row
 
 FLIGHTS = 5  # number of flights of the paper's mean and best
 Report = Callable[[str], None]

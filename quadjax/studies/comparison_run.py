@@ -11,7 +11,7 @@ from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
 from quadjax.evaluation.recording import recordings as simulated_recordings
-from quadjax.evaluation.tables import format_table, lap_row
+from quadjax.evaluation.tables import Row, format_table, lap_row
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import recordings
 from quadjax.race.laps import Laps
@@ -38,7 +38,6 @@ from quadjax.studies.drawn_plants import (
 )
 from quadjax.studies.report.flights import KINDS, Flight, make_flight
 from quadjax.studies.report.run import fastest_signals, write_report
-from quadjax.training.paper import Row
 
 PARTS = ("table", "plants", "ablation")
 FILES = ("table.txt", "compare.json", "config.yaml", "report/*")

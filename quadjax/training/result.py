@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,9 @@ from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, write_json
 from quadjax.core.provenance import provenance
-from quadjax.learners.loop import Row
 from quadjax.policy.file import Policy
 from quadjax.training.checkpoint import Position
 from quadjax.training.metrics import read_metrics, saved_rows
-from quadjax.training.paper import published_total
 
 NUMBER, MAYBE = (int, float), (int, float, type(None))
 SUMMARY: dict[
@@ -34,7 +31,6 @@ SUMMARY: dict[
     "best_lap_total": MAYBE,
     "best_steps": MAYBE,
     "last_lap_total": MAYBE,
-    "first_under": (dict, type(None)),
     "peak_memory_mib": MAYBE,
 }
 
@@ -133,23 +129,11 @@ def write_summary(
         "best_lap_total": _number(position.best_score),
         "best_steps": position.best_steps,
         "last_lap_total": _number(rows[-1]["lap_total"] if rows else math.inf),
-        "first_under": _first_under(config, rows),
         "peak_memory_mib": peak_memory_mib(),
         "provenance": provenance(config, folder / "policy.npz"),
     }
     write_json(folder / "summary.json", summary)
     return summary
-
-
-def _first_under(config: Config, rows: Sequence[Row]) -> dict[str, float | None] | None:
-    """When laps were first faster than the published ones; None where they are not comparable."""
-    published = published_total(config)
-    if published is None:
-        return None
-    under = [row for row in rows if row["lap_total"] < published[1]]
-    seconds = round(under[0]["seconds"], 1) if under else None
-    steps = int(under[0]["steps"]) if under else None
-    return {"total": published[1], "seconds": seconds, "steps": steps}
 
 
 def _number(value: float) -> float | None:

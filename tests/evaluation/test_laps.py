@@ -4,10 +4,9 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.evaluation import tables
+from quadjax.evaluation import published, tables
 from quadjax.evaluation.recording import choose, distinct, recordings
 from quadjax.race.laps import Laps, fly_laps
-from quadjax.training import paper
 from tests.evaluation.support import rate_race, script, scripted
 from tests.race.support import BLANK
 
@@ -113,7 +112,7 @@ def test_the_table_has_published_times(flown):
     _, laps, _ = flown
     own = tables.lap_row("own", laps)
     assert own.total == pytest.approx(laps.totals.mean())
-    text = tables.format_table([own], [paper.INDI_ROW])
+    text = tables.format_table([own], [published.INDI])
     assert "2/2" in text and "17.14" in text and "15.75" not in text
 
 
@@ -125,7 +124,8 @@ def test_six_laps_and_their_sum_are_one_block_of_80_columns(label):
     times[3, 4:] = np.nan
     crashes = tuple("hit a gate" if run == 3 else "" for run in range(100))
     laps = Laps(times, crashes, np.full(100, 15.0), 48.0)
-    lines = tables.format_table([tables.lap_row(label, laps)], paper.PUBLISHED).splitlines()
+    rows = [published.E2E, published.INDI]
+    lines = tables.format_table([tables.lap_row(label, laps)], rows).splitlines()
     assert max(map(len, lines)) <= tables.WIDTH == 80
     assert [line for line in lines if line.split()[-9:-3] == ["2.50"] * 6] and "lap 6" in lines[0]
     assert "15.00" in "".join(lines) and "99/100" in "".join(lines)

@@ -7,8 +7,8 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.evaluation.protocols import Protocols, protocol_table
+from quadjax.evaluation.published import published_sampled
 from quadjax.race.laps import Laps
-from quadjax.training.paper import published_sampled
 from tests.commands import run
 from tests.evaluation.support import random_policy
 

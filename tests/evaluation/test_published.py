@@ -1,6 +1,5 @@
 """Published times are shown only next to flights of the same race and protocol."""
 
-import dataclasses
 import functools
 
 import jax
@@ -10,14 +9,11 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_text
+from quadjax.evaluation import published
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.race.laps import starting_states
-from quadjax.training import paper
-from quadjax.training.result import write_summary
 from quadjax.vehicle.residual import digest, read_residual, write_residual
 from tests.evaluation.support import random_policy
-from tests.race.support import BLANK
 
 SAMPLED = {"deterministic": False, "from_hover": True}
 
@@ -27,7 +23,7 @@ def residual(tmp_path, monkeypatch):
     """A residual that takes the place of the authors', as an override."""
     own = read_residual("standin_residual.npz").replace(rpm_max=np.float32(11500.0))
     write_residual(tmp_path / "theirs.npz", own, {})
-    monkeypatch.setattr(paper, "RESIDUAL", digest(own))
+    monkeypatch.setattr(published, "RESIDUAL", digest(own))
     return f"vehicle.residual={tmp_path / 'theirs.npz'}"
 
 
@@ -35,43 +31,41 @@ def e2e(*overrides, preset="e2e_table1"):
     return load_config(preset, overrides)
 
 
-def indi(*overrides, preset="indi_table1"):
-    return load_config(preset, overrides)
+def indi(*overrides):
+    return load_config("indi_table1", overrides)
 
 
 def total(config, laps=6, gates=None, **how):
-    row = paper.published_flight(config, laps, gates, **SAMPLED | how)
+    row = published.published_flight(config, laps, gates, **SAMPLED | how)
     return row and row.total
 
 
 def test_each_row_has_the_race_of_its_preset(residual):
-    assert paper.is_e2e_table1(e2e(residual)) and not paper.is_indi_table1(e2e(residual))
-    assert paper.is_indi_table1(indi()) and not paper.is_e2e_table1(indi())
     assert (total(e2e(residual)), total(indi())) == (15.75, 17.14)
-    for row in paper.PUBLISHED:
+    for row in (published.E2E, published.INDI):
         assert sum(row.laps) == pytest.approx(row.total, abs=0.03)
 
 
 OTHER_E2E = [
-    ["rules.time_step=0.005"],
-    ["rules.gate_test=world_box"],
-    ["rules.position_limit=20"],
-    ["rules.body_rate_limit=10"],
-    ["track.file=figure8.yaml"],
-    ["track.opening=1.001"],
-    ["vehicle.constants.k_w=4.4e-8"],
-    ["vehicle.constants.k_p=1.42e-9"],
-    ["vehicle.integrator=rk4"],
-    ["vehicle.quaternion=true"],
-    ["vehicle.residual_gain=0.99"],
-    ["vehicle.residual=standin_residual.npz"],
-    ["vehicle.residual=null"],
-    ["vehicle.residual=removed.npz"],
-    ["vehicle.mismatch={k_w: 0.96}"],
-    ["randomization.inertia=0.1"],
-    ["disturbance.force_z=0.1"],
-    ["disturbance.moment_bias=[0, 0.01, 0]"],
-    ["battery={}"],
+    "rules.time_step=0.005",
+    "rules.gate_test=world_box",
+    "rules.position_limit=20",
+    "rules.body_rate_limit=10",
+    "track.file=figure8.yaml",
+    "track.opening=1.001",
+    "vehicle.constants.k_w=4.4e-8",
+    "vehicle.constants.k_p=1.42e-9",
+    "vehicle.integrator=rk4",
+    "vehicle.quaternion=true",
+    "vehicle.residual_gain=0.99",
+    "vehicle.residual=standin_residual.npz",
+    "vehicle.residual=null",
+    "vehicle.residual=removed.npz",
+    "vehicle.mismatch={k_w: 0.96}",
+    "randomization.inertia=0.1",
+    "disturbance.force_z=0.1",
+    "disturbance.moment_bias=[0, 0.01, 0]",
+    "battery={}",
 ]
 OTHER_INDI = (
     "vehicle.constants.thrust_max=15",
@@ -82,13 +76,13 @@ OTHERS = ("e2e +residual", "e2e", "e2e_ppo", "indi +fastest", "indi", "indi_pape
 
 
 def test_any_other_race_has_no_published_time(residual):
-    for words in OTHER_E2E:
-        assert total(e2e(residual, *words)) is None, words
+    for word in OTHER_E2E:
+        assert total(e2e(residual, word)) is None, word
     for word in OTHER_INDI:
         assert total(indi(word)) is None, word
     for preset in OTHERS:
         config = load_config(preset)
-        assert total(config) is None and paper.published_total(config) is None, preset
+        assert total(config) is None and published.published_total(config) is None, preset
 
 
 def test_the_printed_limits_are_another_race_than_the_flown_ones():
@@ -103,7 +97,7 @@ def test_training_does_not_matter_to_timed_flights(residual):
     assert total(indi(*own)) == 17.14
     assert total(e2e(residual, preset="e2e")) == 15.75
     gates = [gate.replace(yaw_deg=gate.yaw_deg - 360.0) for gate in indi().track.gates]
-    assert paper.is_indi_table1(indi().replace(track=indi().track.replace(gates=gates)))
+    assert total(indi().replace(track=indi().track.replace(gates=gates))) == 17.14
     plain, moved = (race_of(indi(*words)) for words in ([], own))
 
     def drones(choices, params):
@@ -118,21 +112,18 @@ def test_another_protocol_has_no_published_time():
     assert total(indi(), from_hover=False) is None
     assert total(indi(), laps=5) is None
     assert total(indi(), gates=24) is None
-    assert paper.published_sampled(indi("evaluate.laps=5")) is None
-    assert paper.published_sampled(indi()).label == "INDI simulated, sampled"
+    assert published.published_sampled(indi("evaluate.laps=5")) is None
+    assert published.published_sampled(indi()).label == "INDI simulated, sampled"
 
 
-def test_training_compares_sampled_scores_only(tmp_path):
-    write_text(tmp_path / "metrics.csv", "steps,seconds,lap_total\n500,2,18.0\n900,3,17.0\n")
-    position = dataclasses.make_dataclass("P", ["seconds", "best_score", "best_steps"])(3, 17, 9)
-
-    def first(config):
-        return write_summary(config, tmp_path, position, {"steps": 900}, True)["first_under"]
-
-    assert indi().run.score == "mean" and first(indi()) is None
-    assert first(load_config("e2e")) is None
-    found = first(indi("run.score=sampled"))
-    assert found == {"total": 17.14, "seconds": 3.0, "steps": 900}
+def test_training_compares_sampled_scores_only():
+    assert indi().run.score == "mean" and published.published_total(indi()) is None
+    assert published.published_total(load_config("e2e")) is None
+    _, time = published.published_total(indi("run.score=sampled"))
+    metrics = {"lap_total": np.array([np.inf, 18.0, 17.0, 16.0])}
+    metrics |= {"seconds": np.arange(4.0), "steps": 500.0 * np.arange(4)}
+    assert published.first_under(metrics, time) == (2.0, 1000)
+    assert published.first_under(metrics, 10.0) is None
 
 
 @pytest.mark.slow
@@ -140,14 +131,14 @@ def test_evaluate_prints_the_row_of_sampled_flights(residual):
     for other, deterministic in ((), False), ((), True), (("disturbance.force_z=0.1",), False):
         config = e2e(residual, *other)
         table = evaluate(random_policy(), config, runs=2, deterministic=deterministic).table()
-        published = not other and not deterministic
-        assert ("15.75" in table) == ("published" in table) == published
+        expected = not other and not deterministic
+        assert ("15.75" in table) == ("published" in table) == expected
         assert "17.14" not in table
 
 
-def test_no_module_that_a_config_names_is_imported(residual):
+def test_no_module_that_a_config_names_is_imported():
     terms = indi().reward.replace(terms={"no_such_module:term": 1.0})
-    assert paper.is_indi_table1(indi().replace(reward=terms))
+    assert total(indi().replace(reward=terms)) == 17.14
 
 
 def test_a_residual_that_is_not_there_says_how_to_import_it(tmp_path, monkeypatch):
@@ -155,4 +146,3 @@ def test_a_residual_that_is_not_there_says_how_to_import_it(tmp_path, monkeypatc
     with pytest.raises(InputError, match=r"bebop1_residual.npz: no such file.*quadjax import") as e:
         evaluate(random_policy(), load_config("e2e_table1"), runs=1)
     assert "\n" not in str(e.value)
-    assert load_config(BLANK).vehicle.residual is None
