@@ -3,9 +3,6 @@
 import dataclasses
 import io
 import json
-import os
-import subprocess
-import sys
 import zipfile
 
 import jax
@@ -374,23 +371,3 @@ def test_a_header_of_thousands_of_digits_is_a_short_message(tmp_path, read):
         data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
         archive.writestr("kernel_0.npy", data)
     assert len(refusal(read, path)) < 400 + len(str(path))
-
-
-def test_stale_temporary_files_are_removed(tmp_path):
-    """Those of killed processes, by the next write; not those of running ones or of others."""
-    code = (
-        "import os, sys; from quadjax.core.files import whole_file\n"
-        f"with whole_file('{tmp_path}/a.txt'): os.kill(os.getpid(), 9)"
-    )
-    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
-    (killed,) = tmp_path.iterdir()
-    elsewhere, old = tmp_path / ".writing-other-1-x.csv", tmp_path / ".writing-x.csv"
-    for path in (elsewhere, old, tmp_path / "notes.txt"):
-        path.write_text("half")
-    os.utime(old, (0, 0))
-    with whole_file(tmp_path / "a.txt") as running:
-        write_text(tmp_path / "b.txt", "whole")
-        assert not killed.exists() and not old.exists()
-        assert running.exists() and elsewhere.exists()
-    names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"a.txt", "b.txt", "notes.txt", elsewhere.name}

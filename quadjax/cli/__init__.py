@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from quadjax.core.errors import INTERRUPTED, InputError, run_command
+from quadjax.core.errors import INTERRUPTED, InputError, close_match, run_command
 from quadjax.core.interruptions import loading
 
 if TYPE_CHECKING:
@@ -97,8 +97,6 @@ def _run(argv: list[str]) -> int | None:
     if argv[0] in REMOVED:
         raise InputError(f"{argv[0]!r} is not a subcommand any more; use: {REMOVED[argv[0]]}")
     if argv[0] not in COMMANDS:
-        from quadjax.core.yaml_files import close_match
-
         hint = close_match(argv[0], list(COMMANDS))
         raise InputError(f"{argv[0]!r} is not a subcommand{hint}; allowed: {', '.join(COMMANDS)}")
     with loading():

@@ -8,7 +8,6 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps
-from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
@@ -35,7 +34,7 @@ def fit(
     """
     started = time.monotonic()
     with loading():
-        from quadjax.core.folders import claim, present_files, replacement
+        from quadjax.core.folders import results
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.figures import write_figures
         from quadjax.fitting.flight_log import find_logs
@@ -48,22 +47,17 @@ def fit(
     settings = load_fit_config(path, [*overrides, *([f"name={name}"] if name else [])], allow_code)
     folder = output / settings.name
     find_logs(settings.logs, path.parent)  # before the folder is created
-    with claim(folder, "fit", PATTERNS, overwrite), steps() as report:
-        if present_files(folder, PATTERNS) and not overwrite:
-            raise InputError(
-                f"{folder} holds a fit already: replace it (--overwrite) or choose another name"
-            )
+    with results(folder, "fit", PATTERNS, overwrite) as new, steps() as report:
         racing = read_racing_vehicle(settings.vehicle, path.parent)
         if racing is not None:
             quadcopter = run_racing_fit(settings, path.parent, racing, report)
         else:
             result = run_fit(settings, path.parent, report)
         report("writing")
-        with replacement(folder, PATTERNS) as new:
-            if racing is not None:
-                written, text = write_racing_results(quadcopter, new), racing_tables(quadcopter)
-            else:
-                written, text = write_results(result, new), tables(result)
-                written += write_figures(result, new) if settings.figures else []
+        if racing is not None:
+            written, text = write_racing_results(quadcopter, new), racing_tables(quadcopter)
+        else:
+            written, text = write_results(result, new), tables(result)
+            written += write_figures(result, new) if settings.figures else []
     print(text)
     print(f"wrote {len(written)} files to {folder}/ in {time.monotonic() - started:.1f} s")

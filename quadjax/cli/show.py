@@ -9,11 +9,10 @@ from cyclopts import Parameter
 
 from quadjax.cli.options import Flag, Overrides, Picture, check_writable
 from quadjax.cli.output import wrote
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, close_match
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import (
     CONFIGS,
-    REMOVED,
     find_policy,
     policy_names,
     preset_names,
@@ -93,7 +92,7 @@ def show(
 def _kind_of(what: str) -> str:
     """Whether a name or a file is a config, a track, a vehicle or a policy."""
     with loading():
-        from quadjax.core.yaml_files import close_match, read_tree_with_bases
+        from quadjax.core.yaml_files import read_tree_with_bases
         from quadjax.vehicle.registry import MODELS
 
     if Path(what).suffix == ".npz":
@@ -105,8 +104,6 @@ def _kind_of(what: str) -> str:
         for kind, shipped in names.items():
             if Path(what).with_suffix("").name in shipped:
                 return kind
-        if what in REMOVED:
-            raise InputError(f"{what}: no such preset, write: {REMOVED[what]}")
         hint = close_match(what, [name for shipped in names.values() for name in shipped])
         raise InputError(f"{what}: no such name or file{hint}; quadjax show lists the names")
     tree = read_tree_with_bases(what)
@@ -217,11 +214,12 @@ def _write_vehicle(path: Path, data: Sequence[str]) -> None:
 
 def _write_track(path: Path, settings: Sequence[str]) -> None:
     with loading():
-        from quadjax.config.loading import generated
+        from quadjax.config.tracks import generated
         from quadjax.core.files import write_text
-        from quadjax.core.yaml_files import parse_overrides, to_yaml
+        from quadjax.core.yaml_files import Sources, parse_overrides, to_yaml
 
-    tree = generated({"track": {"generate": parse_overrides(settings)}}, "settings")
+    tree = {"track": {"generate": parse_overrides(settings)}}
+    tree = generated(tree, Sources("settings", {}))
     gates = {"name": path.stem, "rules": tree["rules"], "gates": tree["track"]["gates"]}
     head = "# World NED: meters, z down; yaw in degrees; size: width and height in meters."
     write_text(path, f"# Random track: {' '.join(settings)}\n{head}\n{to_yaml(gates)}")

@@ -48,7 +48,7 @@ def sweep(
         overwrite: Remove the trials first.
     """
     with loading():
-        from quadjax.core.folders import check_free, check_kind, claim, remove_files
+        from quadjax.core.folders import check_kind, claim, remove_files
         from quadjax.sweeps import study as studies
         from quadjax.sweeps.report import write_report
         from quadjax.sweeps.sweep import load_sweep
@@ -60,9 +60,7 @@ def sweep(
         print(f"{config}: {plan.trials} trials of {plan.file.objective.seeds} seeds can run")
         return 0
     if report:
-        check_kind(folder, "sweep")
-        if not overwrite:
-            check_free(folder, "sweep", FILES)
+        check_kind(folder, "sweep", () if overwrite else FILES)
         print(write_report(studies.open_study(plan, folder, run=False), plan, folder))
         return 0
     from quadjax.sweeps.run import make_executor, run_sweep

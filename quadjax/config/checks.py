@@ -5,9 +5,8 @@ from collections.abc import Sequence
 
 from quadjax.config.drone_checks import check_drone
 from quadjax.config.schema import Config, Randomization, Schedule
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, short
 from quadjax.core.sections import BadValue, refuse, value_at
-from quadjax.core.yaml_files import short
 from quadjax.race.layout import LONGEST
 from quadjax.race.observations import ACTUATORS, remembered_names
 from quadjax.vehicle.registry import model as vehicle_model

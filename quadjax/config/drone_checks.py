@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 from quadjax.config.schema import Config
+from quadjax.core.errors import close_match
 from quadjax.core.sections import BadValue, refuse
-from quadjax.core.yaml_files import close_match
 from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import model as vehicle_model

@@ -1,48 +1,34 @@
-"""The layers of a training config, and their merge.
+"""The layers of a training config, and what stays of one below another.
 
-A layer is what one file sets. In the order of their merge they are: the default drone and track,
-the bases of the config, the config, its parts, and the overrides. A layer that names a vehicle or
-track file has the values of this file below it.
+A layer is a source, a file or the overrides, and the values that it sets. In the order of their
+merge they are: the default drone and track, the bases of the config, the config, its parts, and
+the overrides. Below a layer that names a vehicle or track file is a layer of this file's values.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-from quadjax.core.errors import InputError, prefixed, reading
-from quadjax.core.resources import CONFIGS, preset_names
+from quadjax.core.errors import InputError, close_match, prefixed, short
+from quadjax.core.resources import CONFIGS, find_file, preset_names
 from quadjax.core.yaml_files import (
-    Sources,
     Tree,
-    close_match,
-    files_of,
-    find_file,
+    Whole,
     flatten,
     merge_trees,
     parse_overrides,
     read_layers,
     read_tree_with_bases,
-    short,
 )
 from quadjax.learners.section import Schedule
 from quadjax.vehicle.vehicle_file import vehicle_values
 
-FROM_FILE = {  # keys that a vehicle or track file sets, also where it leaves them out
-    "vehicle": ("file", "name", "width", "constants", "models"),
-    "track": ("file", "generate", "name", "gates", "start", "closed"),
-}
-DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"), ("run", "start_states"))  # .npz
+Layer = tuple[Path | str, Tree]
+OVERRIDES = "overrides"  # the source of the last layer
 DEFAULTS = {"vehicle": "bebop1.yaml", "track": "square4.yaml"}
+VEHICLE = {"file": None, "width": 0.0, "fitted_speed": None, "constants": Whole()}
+TRACK = {"file": None, "generate": None, "gates": [], "start": None, "closed": True}
+DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"), ("run", "start_states"))  # .npz
 SCHEDULE_KEYS = [field.alias or name for name, field in Schedule.model_fields.items()]
-
-
-class Layer(NamedTuple):
-    """What a file, or a command line, sets."""
-
-    source: str
-    tree: Tree
-    replaces: str = ""  # the section whose keys ``FROM_FILE`` it replaces
-    with_model: bool = False  # the layer above it sets the vehicle's model
 
 
 def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) -> list[Layer]:
@@ -59,24 +45,17 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
     files = read_layers(path)
     if not any(tree for _, tree in files):
         raise InputError(f"{path}: empty; write at least the preset to start from, as base: e2e")
-    files += _part_files(parts, path, files)
-    layers = [x for file, tree in files for x in with_files(str(file), tree, file.parent)]
-    over = parse_overrides([_expand(override) for override in overrides])
-    here = Path() if _exists(over, Path()) else path.parent
-    return [*default_layers(files), *layers, *with_files("overrides", over, here)]
-
-
-def _part_files(
-    parts: Sequence[str], path: Path, files: Sequence[tuple[Path, Tree]]
-) -> list[tuple[Path, Tree]]:
-    """The layers of parts, and one for the name of the run: ``e2e_residual``."""
     presets = [file.stem for file, _ in reversed(files)]
-    names = [tree["name"] for _, tree in files if "name" in tree] or ["run"]
-    layers: list[tuple[Path, Tree]] = []
+    names = [str(tree["name"]) for _, tree in files if "name" in tree] or ["run"]
     for part in parts:
-        layers += read_layers(find_part(part, path, presets))
-    stems = [part.rpartition("/")[2].removesuffix(".yaml") for part in parts]
-    return [*layers, (path, {"name": "_".join([str(names[-1]), *stems])})] if parts else []
+        files += read_layers(find_part(part, path, presets))
+    if parts:  # the name of the run: e2e_residual
+        stems = [part.rpartition("/")[2].removesuffix(".yaml") for part in parts]
+        files.append((path, {"name": "_".join([names[-1], *stems])}))
+    layers = [x for file, tree in files for x in with_files(file, tree, [file.parent])]
+    over = parse_overrides([_expand(override) for override in overrides])
+    over_layers = with_files(OVERRIDES, over, [Path(), path.parent])
+    return [*default_layers([tree for _, tree in files]), *layers, *over_layers]
 
 
 def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
@@ -92,7 +71,7 @@ def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
         InputError: no such part; with the names of those of quadjax.
     """
     if name.endswith(".yaml") or "/" in name:
-        return find_file(name, Path(), "parts")
+        return find_file(name, [Path()], "parts")
     folders = [config.parent / "parts", Path("parts"), CONFIGS / "parts"]
     for stem in (*(f"{preset}_{name}" for preset in presets), name):
         for folder in folders:
@@ -105,149 +84,108 @@ def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
     raise InputError(f"+{name}: no such part{hint}; parts of quadjax: {listed}")
 
 
-def default_layers(files: Sequence[tuple[Path, Tree]]) -> list[Layer]:
-    """The default vehicle and track, unless a file has the constants or all gates itself."""
+def default_layers(trees: Sequence[Tree]) -> list[Layer]:
+    """The default vehicle and track, unless a tree has the constants or all gates itself."""
     layers: list[Layer] = []
     for section, file in DEFAULTS.items():
-        trees = [tree.get(section) for _, tree in files]
-        keys = {key for tree in trees if isinstance(tree, dict) for key in tree}
-        if not {"models", "gates", "generate"} & keys:
-            layers += with_files("defaults", {section: {"file": file}}, CONFIGS)
+        if not {"models", "gates", "generate"} & {key for x in trees for key in _part(x, section)}:
+            layers += with_files("defaults", {section: {"file": file}}, [CONFIGS])
     return layers
 
 
-def with_files(source: str, tree: Tree, folder: Path) -> list[Layer]:
-    """The layer of a file, above those of the vehicle and track files that it names."""
+def with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list[Layer]:
+    """The layer of a file, above those of the vehicle and track files that it names.
+
+    Args:
+        source: the file.
+        tree: its values.
+        folders: where the files are that it names.
+    """
     for section, key in DATA_FILES:
-        values = tree.get(section)
-        name = values.get(key) if isinstance(values, dict) else None
-        if source != "overrides" and isinstance(name, str) and (folder / name).is_file():
-            tree = merge_trees(tree, {section: {key: str(folder / name)}})
+        name = _part(tree, section).get(key)
+        if source != OVERRIDES and isinstance(name, str) and (folders[0] / name).is_file():
+            tree = merge_trees(tree, {section: {key: str(folders[0] / name)}})
     if isinstance(tree.get("schedules"), dict):  # schedules: {learner: {std: ..}} is meant too
         tree = {**tree, "schedules": flatten(tree["schedules"], SCHEDULE_KEYS)}
     layers: list[Layer] = []
-    for section in FROM_FILE:
-        values = tree.get(section)
-        values = {"file": values} if isinstance(values, str) else values
-        if not isinstance(values, dict) or values.get("file") is None:
+    for section in DEFAULTS:
+        named = tree.get(section)
+        values = {"file": named} if isinstance(named, str) else _part(tree, section)
+        if (file := values.get("file")) is None:
             continue
-        if not isinstance(values["file"], str):
-            raise InputError(f"{section}.file is {short(values['file'])}, allowed: name of a file")
+        if not isinstance(file, str):
+            raise InputError(f"{section}.file is {short(file)}, allowed: name of a file")
         with prefixed(f"{source}: {section}.file"):
-            path = find_file(values["file"], folder, f"{section}s")
-        with_model = "model" in values
-        config = file_values(section, path)
-        if values.get("generate") is not None and "gates" in config[section]:
+            path = find_file(file, folders, f"{section}s")
+        of_file = file_values(section, path)
+        if "model" in values:
+            of_file[section].pop("model", None)
+        if values.get("generate") is not None and "gates" in of_file[section]:
             raise InputError(f"{source}: track.gates has no effect with track.generate")
-        layers.append(Layer(str(path), config, section, with_model))
+        layers.append((path, of_file))
         tree = {**tree, section: {**values, "file": None}}
-    return [*layers, Layer(source, tree)]
+    return [*layers, (source, tree)]
 
 
 def file_values(section: str, path: Path) -> Tree:
-    """The config that a track or vehicle file stands for."""
-    tree = read_tree_with_bases(path)
+    """What a vehicle or track file sets; keys that it leaves out have their defaults."""
+    tree, rules = read_tree_with_bases(path), {}
     if section == "vehicle":
-        return {"vehicle": vehicle_values(path, tree)}
-    allowed = sorted((*FROM_FILE["track"][1:], "rules"))
-    for key in tree:
-        if key not in allowed:
-            hint = close_match(key, allowed)
-            raise InputError(f"{path}: unknown key {key}{hint}; allowed: {', '.join(allowed)}")
-    rules = {"rules": tree.pop("rules")} if "rules" in tree else {}  # of the track's hall
-    gates: Tree = {} if "generate" in tree else {"gates": []}
-    return {"track": {"name": path.stem, **gates, **tree}, **rules}
+        values = VEHICLE | vehicle_values(path, tree)
+    else:
+        allowed = sorted({"name", "rules", *TRACK} - {"file"})
+        for key in tree:
+            if key not in allowed:
+                hint = close_match(key, allowed)
+                raise InputError(f"{path}: unknown key {key}{hint}; allowed: {', '.join(allowed)}")
+        rules = {"rules": tree.pop("rules")} if "rules" in tree else {}  # of the track's hall
+        values = ({} if "generate" in tree else TRACK) | {"name": path.stem} | tree
+    values = {key: Whole(x) if isinstance(x, dict) else x for key, x in values.items()}
+    return {section: values, **rules}
 
 
-def merged(layers: Sequence[Layer], path: str) -> tuple[Tree, Sources]:
-    """The tree of layers, and the file of each value.
+def below(tree: Tree, over: Tree, source: str) -> Tree:
+    """What stays of a tree below a layer.
 
-    A vehicle or track file replaces the name, constants or gates below it; another algorithm
-    replaces the hyperparameters below it.
+    Constants stay with the model that they are of. Gates replace a random track, and the other
+    way around. Another algorithm replaces the hyperparameters and their schedules.
 
     Raises:
-        InputError: a vehicle file with a model of another level of control.
+        InputError: a vehicle file that would turn a race of body rates into one of rotor commands.
     """
-    tree: Tree = {}
-    files: dict[str, str] = {}
-    for layer in layers:
-        if layer.replaces == "vehicle" and not layer.with_model:
-            _check_level(tree, layer)
-        tree = merge_trees(_below(tree, layer), layer.tree)
-        sources = files_of(layer.tree, layer.source)
-        for key in list(sources):  # constants are in vehicle.models until the model is known
-            if key.startswith("vehicle.models."):
-                sources["vehicle.constants"] = layer.source
-                sources[f"vehicle.constants.{key.rpartition('.')[2]}"] = layer.source
-        files |= sources
-    return tree, Sources(path, files)
-
-
-def _below(tree: Tree, layer: Layer) -> Tree:
-    """What stays of a tree below a layer."""
-    tree, over = dict(tree), layer.tree
-    if layer.replaces:
-        keys = FROM_FILE[layer.replaces]
-        values = tree.get(layer.replaces)
-        if isinstance(values, dict):
-            tree[layer.replaces] = {key: values[key] for key in values if key not in keys}
-    _switch_model(tree, over)
-    _switch_gates(tree, over)
-    learner, lower = over.get("learner"), tree.get("learner", {})
-    if isinstance(learner, dict) and "algorithm" in learner:
-        if isinstance(lower, dict) and lower.get("algorithm") != learner["algorithm"]:
-            tree["learner"] = {}
-            schedules = tree.get("schedules") or {}
-            tree["schedules"] = {k: v for k, v in schedules.items() if "learner." not in k}
+    tree, lower = dict(tree), _part(tree, "vehicle")
+    model, new = lower.get("model", "motor"), _part(over, "vehicle").get("model")
+    if new not in (None, model):
+        if model == "rate" and isinstance(_part(over, "vehicle").get("models"), Whole):
+            raise InputError(
+                f"vehicle.file {source} has the model {new}, the config the model rate; "
+                f"allowed: a file with constants of rate, or vehicle.model={new} for rotor commands"
+            )
+        if constants := lower.get("constants"):
+            models = merge_trees(_part(lower, "models"), {str(model): constants})
+            tree["vehicle"] = {**lower, "constants": {}, "models": models}
+    lower, values = _part(tree, "track"), _part(over, "track")
+    if values.get("generate") is not None:
+        tree["track"] = {key: x for key, x in lower.items() if key not in {"name", *TRACK}}
+    elif "gates" in values:
+        replaced = {"generate"} if "name" in values else {"generate", "name"}
+        tree["track"] = {key: x for key, x in lower.items() if key not in replaced}
+    algorithm = _part(tree, "learner").get("algorithm")
+    if _part(over, "learner").get("algorithm", algorithm) != algorithm:
+        schedules = _part(tree, "schedules").items()
+        tree["schedules"] = {key: x for key, x in schedules if "learner." not in key}
+        tree["learner"] = {}
     return tree
 
 
-def _check_level(under: Tree, layer: Layer) -> None:
-    """Refuse a vehicle file that would turn a race of body rates into one of rotor commands."""
-    model = layer.tree["vehicle"].get("model")
-    lower = under.get("vehicle")
-    if isinstance(lower, dict) and lower.get("model") == "rate" and model not in (None, "rate"):
-        raise InputError(
-            f"vehicle.file {layer.source} has the model {model}, the config the model rate; "
-            f"allowed: a file with constants of rate, or vehicle.model={model} for rotor commands"
-        )
-
-
-def _switch_model(under: Tree, over: Tree) -> None:
-    """Keep the constants below with the other models, where ``over`` has another one."""
-    lower, values = under.get("vehicle"), over.get("vehicle")
-    if not (isinstance(lower, dict) and isinstance(values, dict) and "model" in values):
-        return
-    model, constants = lower.get("model", "motor"), lower.get("constants")
-    if values["model"] != model and isinstance(constants, dict):
-        lower = {key: value for key, value in lower.items() if key != "constants"}
-        under["vehicle"] = merge_trees(lower, {"models": {model: constants}})
-
-
-def _switch_gates(under: Tree, over: Tree) -> None:
-    """Drop the gates below where ``over`` asks for a random track, and the other way around."""
-    lower, values = under.get("track"), over.get("track")
-    if not (isinstance(lower, dict) and isinstance(values, dict)):
-        return
-    replaced: tuple[str, ...] = ()
-    if values.get("generate") is not None:
-        replaced = tuple(key for key in FROM_FILE["track"] if key != "generate")
-    elif "gates" in values:
-        replaced = ("generate",) if "name" in values else ("generate", "name")
-    under["track"] = {key: value for key, value in lower.items() if key not in replaced}
+def _part(tree: Tree, section: str) -> Tree:
+    """A section of a tree; empty where it has none, or another value in its place."""
+    values = tree.get(section)
+    return values if isinstance(values, dict) else {}
 
 
 def _expand(override: str) -> str:
     """``track=figure8`` as ``track.file=figure8``; any other override as it is."""
     key, equals, value = override.partition("=")
-    short_form = equals and key in FROM_FILE and isinstance(parse_overrides([override])[key], str)
+    short_form = equals and key in DEFAULTS and isinstance(parse_overrides([override])[key], str)
     return f"{key}.file={value}" if short_form else override
-
-
-def _exists(over: Tree, folder: Path) -> bool:
-    """Whether a vehicle or track file of the overrides is in ``folder``."""
-    sections = [over.get(name) for name in FROM_FILE]
-    names = [s.get("file") if isinstance(s, dict) else s for s in sections]
-    files = [name for name in names if isinstance(name, str)]
-    with reading(", ".join(files)):
-        return any((folder / name).is_file() for name in files)

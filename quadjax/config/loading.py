@@ -4,27 +4,30 @@ import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from quadjax.config.checks import check, vehicle_model
+from quadjax.config.checks import check
 from quadjax.config.code import refuse_code
 from quadjax.config.layers import (
+    OVERRIDES,
+    Layer,
+    below,
     config_layers,
     default_layers,
     file_values,
-    merged,
     with_files,
 )
 from quadjax.config.scales import in_plain_units
-from quadjax.config.schema import Config, Rules, Track
-from quadjax.core.errors import InputError, prefixed
+from quadjax.config.schema import Config
+from quadjax.config.tracks import generated, with_opening
+from quadjax.core.errors import InputError, close_match
 from quadjax.core.imports import load_object
-from quadjax.core.resources import find_config
+from quadjax.core.resources import find_config, find_file
 from quadjax.core.sections import BadValue, build, one_line_errors, refuse
-from quadjax.core.yaml_files import Sources, Tree, close_match, find_file, merge_trees, short
+from quadjax.core.yaml_files import Sources, Tree, merge_layers
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac.hyperparameters import SHAC
-from quadjax.race.random_track import RandomTrack, generate
 from quadjax.vehicle.registry import MODELS
+from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.vehicle_file import for_each_rotor
 
 LEARNERS: dict[str, type[LearnerSection]] = {"ppo": PPO, "shac": SHAC}
@@ -63,9 +66,8 @@ def load_config(
     changes = [word for word in words if not word.startswith("+")]
     for key in (word.partition("=")[0] for word in changes):
         if RETIRED.get(key, ()) is None:  # stored configs may have it, a user's words may not
-            raise InputError(f"overrides: unknown key {key}")
-    layers = config_layers(path, parts, changes)
-    tree, sources = merged(layers, str(path))
+            raise InputError(f"{OVERRIDES}: unknown key {key}")
+    tree, sources = merged(config_layers(path, parts, changes), path)
     tree = with_opening(generated(tree, sources), sources)
     if code is not None:
         refuse_code(tree, str(path), code)
@@ -75,61 +77,13 @@ def load_config(
 load = load_config  # its name in the public interface
 
 
-def generated(tree: Tree, source: str | Sources) -> Tree:
-    """A tree with the gates and the rules of the random track that it asks for, if it does.
-
-    Rules of the tree have precedence.
-
-    Raises:
-        InputError: settings that are not allowed, or for which no track was found.
-    """
-    track = tree.get("track")
-    if not isinstance(track, dict) or track.get("generate") is None:
-        return tree
-    path = source if isinstance(source, str) else source.of("track.generate")
-    for key in ("gates", "start", "closed"):
-        if key in track:
-            raise InputError(f"{path}: track.{key} has no effect with track.generate")
-    if not isinstance(track["generate"], dict):
-        allowed = f"a mapping of {', '.join(RandomTrack.model_fields)}"
-        raise InputError(
-            f"{path}: track.generate is {short(track['generate'])}, allowed: {allowed}"
-        )
-    settings = build(RandomTrack, track["generate"], source, "track.generate.")
-    with prefixed(path):
-        values = generate(settings)
-    name = track.get("name") or f"random_{settings.gates}_{settings.seed}"
-    track = {**track, "generate": None, "name": name, "gates": values["gates"]}
-    rules = merge_trees(values["rules"], tree.get("rules") or {})
-    return {**tree, "track": track, "rules": rules}
-
-
-def with_opening(tree: Tree, source: str | Sources) -> Tree:
-    """A tree whose gates have the size ``track.opening``, if there is one.
-
-    Frames around gates of one size keep their outer edges.
-
-    Raises:
-        InputError: a value that is not allowed, or frames around gates of several sizes.
-    """
-    section = tree.get("track")
-    if not isinstance(section, dict) or section.get("opening") is None:
-        return tree
-    track = build(Track, section, source, "track.")
-    assert track.opening is not None
-    gates = [{**gate, "size": [track.opening, track.opening]} for gate in section["gates"]]
-    tree = {**tree, "track": {**section, "gates": gates, "opening": None}}
-    rules = tree.get("rules") or {}
-    frame = build(Rules, rules, source, "rules.").gate_frame
-    if frame == 0.0:
-        return tree
-    sizes = {side for gate in track.gates for side in gate.size}
-    wider = frame + 0.5 * (min(sizes) - track.opening)
-    if len(sizes) > 1 or wider < 0.0:
-        allowed = f"null with rules.gate_frame {frame:g} around gates of sizes {sorted(sizes)}"
-        with one_line_errors(source):
-            refuse("track.opening", track.opening, allowed)
-    return {**tree, "rules": {**rules, "gate_frame": wider}}
+def merged(layers: Sequence[Layer], path: Path | str) -> tuple[Tree, Sources]:
+    """The tree of layers, and the file of each value."""
+    tree, sources = merge_layers(layers, path, below)
+    for key, file in list(sources.files.items()):
+        if key.startswith("vehicle.models."):  # where constants are until the model is known
+            sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)
+    return tree, sources
 
 
 def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
@@ -142,7 +96,7 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
     Raises:
         InputError: an unreadable file, no known model in it, or invalid constants.
     """
-    path = find_file(str(file), Path(), "vehicles")
+    path = find_file(str(file), [Path()], "vehicles")
     models = list(file_values("vehicle", path)["vehicle"]["models"])
     names = [model] if model else [name for name in models if name in MODELS]
     if not names:
@@ -150,8 +104,8 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
     configs = []
     for name in names:
         tree = {"vehicle": {"file": str(file), "model": name, "width": 0.0}}  # no check of gates
-        layers = [*default_layers([]), *with_files(str(file), tree, Path())]
-        configs.append(config_of(*merged(layers, str(file))))
+        layers = [*default_layers([]), *with_files(file, tree, [Path()])]
+        configs.append(config_of(*merged(layers, file)))
     return configs
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from quadjax.config.schema import Config, Location, Rules, Track, Vehicle, WithUnit
-from quadjax.core.sections import LARGEST, BadValue, Section, Unit, build, dotted, field_at, refuse
+from quadjax.core.sections import LARGEST, BadValue, Section, Unit, build, dotted, fields_at, refuse
 from quadjax.core.yaml_files import Tree
 from quadjax.vehicle.registry import model as vehicle_model
 
@@ -143,7 +143,8 @@ def _unit_of(location: Location, learner: type[Section]) -> str | None:
     schema: type[Section] = Config
     if location[0] == "learner":
         schema, location = learner, location[1:]
-    field = field_at(schema, [part for part in location if isinstance(part, str)])
+    keys = [part for part in location if isinstance(part, str)]
+    field = fields_at(schema, keys[:-1]).get(keys[-1]) if keys else None
     units = [item.name for item in (field.metadata if field else ()) if isinstance(item, Unit)]
     return units[0] if units else None
 

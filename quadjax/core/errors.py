@@ -1,12 +1,13 @@
 """The exception for bad input, and the reporting of errors by commands."""
 
 import contextlib
+import difflib
 import os
 import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from quadjax.core.secrets import redact
@@ -27,6 +28,21 @@ class InputError(ValueError):
     def __init__(self, message: str) -> None:
         """The message, without the passwords of URLs and of ``password=...``."""
         super().__init__(redact(message))
+
+
+def short(value: object, most: int = 60, text: Callable[[object], str] = repr) -> str:
+    """A value as text of a limited length, also a number with thousands of digits."""
+    try:
+        whole = text(list(value) if isinstance(value, tuple) else value)
+    except ValueError:
+        return "a number of thousands of digits"
+    return whole if len(whole) <= most else f"{whole[: most - 3]}..."
+
+
+def close_match(name: str, allowed: Sequence[str]) -> str:
+    """``"; did you mean X?"`` for the allowed name closest to ``name``, or nothing."""
+    near = difflib.get_close_matches(name, allowed, n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 @contextlib.contextmanager

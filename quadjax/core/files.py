@@ -6,23 +6,20 @@ import errno
 import json
 import math
 import os
-import platform
 import re
+import shutil
 import stat
 import tempfile
-import time
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 
 from quadjax.core.errors import InputError, reading, writing
 
-TEMPORARY = ".writing-"  # prefix of temporary files, with the machine and the process
-STALE_SECONDS = 86_400.0  # age after which another machine's temporary file is not in use
+TEMPORARY = ".writing-"  # prefix of temporary files
 ARRAYS = re.compile(r"(\w+_)?(kernel|bias)_\d{1,3}|log_std")  # that an .npz file may hold
 MAX_WEIGHT = 1e6  # of a network: products over some layers stay finite in single precision
 MAX_BYTES = 2**28  # of one array of an .npz file, and of a text file
@@ -32,41 +29,25 @@ MAX_BYTES = 2**28  # of one array of an .npz file, and of a text file
 def whole_file(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path of the same suffix; on success it becomes ``path``.
 
-    Temporary files that killed processes left in the folder are removed. A link is followed.
+    A link is followed. The next write replaces a temporary file that a killed process left.
 
     Raises:
         InputError: a system error: disk full, no permission, a name that is too long; a directory,
             a pipe or a device.
     """
     path = Path(os.path.realpath(path))
+    temporary = path.with_name(f"{TEMPORARY}{path.name}")
     with writing(path):
         if path.exists():
             check_file(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove_stale(path.parent)
-        own = f"{TEMPORARY}{platform.node()}-{os.getpid()}-"
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=own, suffix=path.suffix)
-        os.close(handle)
-        temporary = Path(name)
         try:
             yield temporary
-            mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
-            os.chmod(temporary, mode)
+            if path.exists():
+                shutil.copymode(path, temporary)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
-
-
-def remove_stale(folder: Path | str) -> None:
-    """Remove the temporary files that killed processes left in a folder."""
-    own = f"{TEMPORARY}{platform.node()}-"
-    for path in Path(folder).glob(f"{TEMPORARY}*"):
-        process = path.name.removeprefix(own).partition("-")[0]
-        alive = process.isdigit() and psutil.pid_exists(int(process))
-        with contextlib.suppress(FileNotFoundError):  # another process removes it too
-            old = time.time() - path.stat().st_mtime > STALE_SECONDS
-            if old or (path.name.startswith(own) and not alive):
-                path.unlink()
 
 
 def check_space(folder: Path | str, size: int) -> None:
@@ -85,12 +66,6 @@ def check_space(folder: Path | str, size: int) -> None:
         except OSError as error:
             if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):  # the file system cannot
                 raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def write_text(path: Path | str, text: str) -> None:

@@ -1,4 +1,4 @@
-"""Folders of results: each has a kind, a lock while a process writes to it, and known files.
+"""Folders of results: each has a kind, a lock while a process writes to it, and files by pattern.
 
 The kind (training, fit, sweep, export, comparison, report, replay, flight, logs, improvement) is in
 the file ``.quadjax.json``. A program writes only to a folder of the same kind, and removes only the
@@ -14,7 +14,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from quadjax.core.errors import InputError, writing
-from quadjax.core.files import check_file, read_json, remove_stale, write_json
+from quadjax.core.files import check_file, read_json, write_json
 
 MARKER = ".quadjax.json"
 LOCK = ".lock"
@@ -28,27 +28,23 @@ def claim(
 ) -> Iterator[None]:
     """Create a folder, or take one of the same kind, and lock it for the duration of the block.
 
-    The operating system releases the lock when the process ends. Temporary files that a killed
-    process left are removed. If the block fails in a new folder before it has results, the folder
-    is removed.
+    The operating system releases the lock when the process ends. If the block fails in a new
+    folder before it has results, the folder is removed.
 
     Args:
         folder: created if needed.
         kind: of the program: ``training``, ``fit``, ..
-        files: patterns of the files that the block writes; see ``check_free``.
+        files: patterns of the files that the block writes; see ``check_kind``.
         overwrite: accept such files in a folder without a kind.
 
     Raises:
-        InputError: the folder is of another kind, has files of the user that the block would
-            replace, cannot be written, or is locked.
+        InputError: as ``check_kind``; a folder that cannot be written, or is locked.
     """
     folder = Path(folder)
-    check_kind(folder, kind)
-    if not overwrite:
-        check_free(folder, kind, files)
+    check_kind(folder, kind, () if overwrite else files)
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
     lock = FileLock(folder / LOCK, timeout=0)
     with writing(folder):
-        new = [path for path in (folder, *folder.parents) if not path.exists()]
         folder.mkdir(parents=True, exist_ok=True)
         try:
             lock.acquire()
@@ -57,9 +53,7 @@ def claim(
                 f"{folder} is in use by another process: choose another name"
             ) from None
     try:
-        check_kind(folder, kind)
-        remove_stale(folder)
-        if not (folder / MARKER).exists():
+        if kind_of(folder) is None:
             write_json(folder / MARKER, {"kind": kind})
         yield
     except BaseException:
@@ -73,14 +67,20 @@ def claim(
         lock.release()
 
 
-def check_free(folder: Path | str, kind: str, files: Iterable[str]) -> None:
-    """Refuse a folder without a kind that has files which a program of this kind would replace.
+def check_kind(folder: Path | str, kind: str, files: Iterable[str] = ()) -> None:
+    """Refuse a folder of another kind, and one without a kind that has files of these patterns.
 
     Raises:
-        InputError: with the files' names.
+        InputError: with the kind, or the names of the files.
     """
-    if kind_of(folder) is None and (present := present_files(folder, files)):
-        names = ", ".join(path.name for path in present[:3]) + (", .." if present[3:] else "")
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file, expected a folder")
+    present = kind_of(folder)
+    if present not in (None, kind):
+        raise InputError(f"{folder} holds {_a(present)}, not {_a(kind)}: choose another name")
+    if present is None and (paths := _matching(folder, files)):
+        names = ", ".join(path.name for path in paths[:3]) + (", .." if paths[3:] else "")
         raise InputError(
             f"{folder} holds no {kind}, but {names}: choose another folder, or replace these files "
             "(overwrite=True)"
@@ -102,36 +102,21 @@ def kind_of(folder: Path | str) -> str | None:
     return kind
 
 
-def check_kind(folder: Path | str, kind: str) -> None:
-    """Raise an ``InputError`` for a folder that belongs to a program of another kind."""
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file, expected a folder")
-    present = kind_of(folder)
-    if present not in (None, kind):
-        raise InputError(f"{folder} holds {_a(present)}, not {_a(kind)}: choose another name")
-
-
 def _a(kind: str | None) -> str:
     return f"{'an' if str(kind)[0] in 'aeiou' else 'a'} {kind}"
 
 
-def present_files(folder: Path | str, patterns: Iterable[str]) -> list[Path]:
-    """The files and subfolders of a folder whose names match any of the patterns."""
-    return [path for pattern in patterns for path in sorted(Path(folder).glob(pattern))]
+def _matching(folder: Path, patterns: Iterable[str]) -> list[Path]:
+    return [path for pattern in patterns for path in sorted(folder.glob(pattern))]
 
 
 def remove_files(folder: Path | str, patterns: Iterable[str]) -> None:
     """Remove the files and subfolders that match a pattern; everything else stays."""
-    for path in present_files(folder, patterns):
-        _remove(path)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+    for path in _matching(Path(folder), patterns):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -150,7 +135,7 @@ def results(
         InputError: also where there are earlier results, before the block.
     """
     with claim(folder, kind, files, overwrite):
-        if present_files(folder, files) and not overwrite:
+        if _matching(Path(folder), files) and not overwrite:
             raise InputError(
                 f"{folder} holds {_a(kind)} already: replace it (overwrite=True) or choose another "
                 "name"
@@ -165,34 +150,25 @@ def replacement(folder: Path | str, patterns: Iterable[str]) -> Iterator[Path]:
 
     Args:
         folder: of the results.
-        patterns: of files that are removed from it unless they are replaced; see ``remove_files``.
+        patterns: of files that are removed from it first; see ``remove_files``.
 
     Raises:
         InputError: a directory, a pipe or a device in the place of a file.
     """
     folder = Path(folder)
-    for stale in folder.glob(f"{NEW}*"):  # of a killed process
-        shutil.rmtree(stale)
+    remove_files(folder, [f"{NEW}*"])  # of a killed process
     with writing(folder):
         temporary = Path(tempfile.mkdtemp(dir=folder, prefix=NEW))
     try:
         yield temporary
+        files = [path.relative_to(temporary) for path in temporary.rglob("*") if path.is_file()]
         with writing(folder):
-            _move(temporary, folder, patterns)
+            for file in files:
+                if (folder / file).exists():
+                    check_file(folder / file)
+            remove_files(folder, patterns)
+            for file in files:
+                (folder / file).parent.mkdir(parents=True, exist_ok=True)
+                (temporary / file).replace(folder / file)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _move(source: Path, folder: Path, patterns: Iterable[str]) -> None:
-    """Move the files of a folder into another one, and remove other files of the patterns."""
-    files = [path.relative_to(source) for path in source.rglob("*") if not path.is_dir()]
-    for file in files:
-        if (folder / file).exists():
-            check_file(folder / file)
-        (folder / file).parent.mkdir(parents=True, exist_ok=True)
-    for file in files:
-        (source / file).replace(folder / file)
-    kept = {folder / file for file in files}
-    for path in present_files(folder, patterns):
-        if path not in kept and not any(path in other.parents for other in kept):
-            _remove(path)

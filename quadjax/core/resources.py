@@ -3,31 +3,16 @@
 In a checkout ``configs/`` is at the top of the repository; in a wheel it is inside the package.
 """
 
-import difflib
+from collections.abc import Sequence
 from pathlib import Path
 
-from quadjax.core.errors import InputError, reading
+from quadjax.core.errors import InputError, close_match, reading, short
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _BUNDLED = _PACKAGE / "configs"
 
 CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
-REMOVED = {  # presets of earlier versions, and the same race now
-    "authors_code": "e2e_paper +authors_code",
-    "e2e_adaptive": "e2e +residual +disturbance",
-    "e2e_clear": "e2e +fastest +clear",
-    "e2e_disturbed": "e2e +disturbance",
-    "e2e_estimated": "e2e +estimated",
-    "e2e_fastest": "e2e +fastest",
-    "e2e_fastest_disturbed": "e2e +fastest +disturbance",
-    "e2e_ppo_residual": "e2e_ppo +residual",
-    "e2e_race_adaptive": "e2e_race_robust +history",
-    "e2e_robust": "e2e +robust",
-    "e2e_shac": "e2e",
-    "indi_fastest": "indi +fastest",
-    "indi_shac": "indi",
-}
 
 
 def preset_names(folder: str = "") -> list[str]:
@@ -60,13 +45,30 @@ def find_config(name: Path | str, folder: str = "") -> Path:
             return preset
         if path.exists() or path.is_symlink():
             return path
-    names = preset_names(folder)
-    if path.name in REMOVED:
-        raise InputError(f"{name}: no such preset, write: {REMOVED[path.name]}")
-    near = difflib.get_close_matches(path.stem, names, 1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    kind = "file" if path.suffix else "preset or file"
+    names, kind = preset_names(folder), "file" if path.suffix else "preset or file"
+    hint = close_match(path.stem, names)
     raise InputError(f"{name}: no such {kind}{hint}; presets: {', '.join(names)}")
+
+
+def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:
+    """A file that a config names: in one of the folders, or in a folder ``kind`` next to it.
+
+    The last folder that is searched is ``configs/kind``. The suffix ``.yaml`` may be left out.
+
+    Raises:
+        InputError: no such file.
+    """
+    names = [name] if Path(name).suffix == ".yaml" else [name, f"{name}.yaml"]
+    places = [place for folder in folders for place in (folder, folder / kind)]
+    places.append(CONFIGS / kind)
+    with reading(short(name)):
+        for path in (place / file for place in places for file in names):
+            if path.exists() and not path.is_dir():
+                return path
+    stems = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
+    hint = close_match(Path(name).stem, stems)
+    shipped = f"; {kind} of quadjax: {', '.join(preset_names(kind))}" if kind else ""
+    raise InputError(f"{short(name)}: no such file in {folders[0]} or {places[-1]}{hint}{shipped}")
 
 
 def find_policy(name: Path | str) -> Path:

@@ -20,8 +20,8 @@ A config is a ``Section``; each key is declared once, with default, bounds and d
 
 Sections are frozen and refuse unknown keys. Types are strict: ``"1"`` and ``true`` are not numbers;
 an ``int`` field takes ``2e6``, a ``tuple`` field takes a list (use ``tuple[float, ...]`` rather
-than ``list``, so that sections stay hashable), a ``float`` field takes only numbers that are finite
-in single precision. ``X | None`` takes ``null``. A ``ValueError`` from a validator becomes the
+than ``list``, so that sections stay hashable), a ``float`` field takes only finite numbers.
+``X | None`` takes ``null``. A ``ValueError`` from a validator becomes the
 message of the ``InputError``; start it with the dotted key. ``section.replace(key=value)`` is a
 changed copy, validated again.
 """
@@ -38,23 +38,14 @@ import pydantic
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.fields import FieldInfo
 
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.resources import find_config
-from quadjax.core.yaml_files import (
-    Sources,
-    Tree,
-    close_match,
-    merge_layers,
-    parse_overrides,
-    read_layers,
-    short,
-)
+from quadjax.core.yaml_files import Sources, Tree, merge_layers, parse_overrides, read_layers
 
 __all__ = ["Field", "Section", "build", "load_section", "model_validator"]
 
 LARGEST = 1e9  # default bound of numbers
 MAX_TEXT = 1000  # characters of a text
-MIN_FLOAT, MAX_FLOAT = 1.2e-38, 3.4e38  # single precision
 Positive = Annotated[float, Field(gt=0, le=LARGEST)]
 NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -109,6 +100,7 @@ class Section(pydantic.BaseModel):
         validate_default=True,
         populate_by_name=True,
         hide_input_in_errors=True,
+        str_max_length=MAX_TEXT,
     )
 
     if not typing.TYPE_CHECKING:  # type checkers derive the parameters from the fields
@@ -119,7 +111,7 @@ class Section(pydantic.BaseModel):
             Raises:
                 InputError: as ``build``.
             """
-            with one_line_errors(type(self).__name__), _errors_of(type(self), values):
+            with one_line_errors(type(self).__name__), _errors_of(type(self), values, ""):
                 super().__init__(**_plain(values))
 
         __init__.__pydantic_base_init__ = True  # validation of nested sections does not call it
@@ -154,7 +146,7 @@ def build(
         InputError: one line: source, dotted key, value and what is allowed.
     """
     with one_line_errors(source), _errors_of(schema, tree, prefix):
-        return schema.model_validate(_plain(tree, prefix))
+        return schema.model_validate(_plain(tree))
 
 
 def load_section(
@@ -172,9 +164,8 @@ def load_section(
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
     path = find_config(path, folder)
-    layers = [(str(file), tree) for file, tree in read_layers(path)]
-    tree, sources = merge_layers([*layers, ("overrides", parse_overrides(overrides))], str(path))
-    return build(schema, tree, sources)
+    layers = [*read_layers(path), ("overrides", parse_overrides(overrides))]
+    return build(schema, *merge_layers(layers, path))
 
 
 @contextlib.contextmanager
@@ -188,7 +179,7 @@ def one_line_errors(source: str | Sources) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _errors_of(schema: type[Section], tree: Tree, prefix: str = "") -> Iterator[None]:
+def _errors_of(schema: type[Section], tree: Tree, prefix: str) -> Iterator[None]:
     """Raise ``BadValue`` for errors of pydantic in the block."""
     try:
         yield
@@ -199,23 +190,12 @@ def _errors_of(schema: type[Section], tree: Tree, prefix: str = "") -> Iterator[
         raise BadValue("", "nested too deep") from None
 
 
-def _plain(value: Any, key: str = "") -> Any:
-    """A value of YAML as its field takes it: a tuple for a list, 2000000 for 2e6.
-
-    Raises:
-        BadValue: a number outside the range of single precision, or a long text.
-    """
+def _plain(value: Any) -> Any:
+    """A value of YAML as its field takes it: a tuple for a list, 2000000 for 2e6."""
     if isinstance(value, Mapping):
-        where = f"a key of {key}"
-        return {_plain(k, where): _plain(item, f"{key}{k}.") for k, item in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if type(value) in (list, tuple):
-        return tuple(_plain(item, key) for item in value)
-    key = key.rstrip(".")
-    if isinstance(value, str) and len(value) > MAX_TEXT:
-        text = f"{key} has {len(value)} characters, allowed: up to {MAX_TEXT}"
-        raise BadValue(key, text)
-    if isinstance(value, (int, float)) and value and not MIN_FLOAT <= abs(value) <= MAX_FLOAT:
-        refuse(key, value, "finite numbers in the range of single precision")
+        return tuple(map(_plain, value))
     whole = isinstance(value, float) and value.is_integer() and abs(value) < 1e15
     return int(value) if whole else value
 
@@ -227,8 +207,8 @@ def _bad_value(
     error, location = errors[0], _location(errors[0], tree)
     key = prefix + dotted(location) if location else prefix.rstrip(".")
     if error["type"] == "extra_forbidden":
-        names = _names(_section_at(schema, location[:-1]) or schema)
-        hint, there = close_match(str(location[-1]), names), ", ".join(sorted(names))
+        names = fields_at(schema, location[:-1])
+        hint, there = close_match(str(location[-1]), list(names)), ", ".join(sorted(names))
         return BadValue(key, f"unknown key {key}{hint}; allowed there: {there}")
     if error["type"] in ("value_error", "assertion_error"):
         reason = str(error["ctx"]["error"])
@@ -268,31 +248,16 @@ def dotted(location: Sequence[str | int]) -> str:
     return "".join(parts).removeprefix(".")
 
 
-def _names(schema: type[Section]) -> list[str]:
-    return [field.alias or name for name, field in schema.model_fields.items()]
-
-
-def _section_at(schema: type[Section] | None, location: Sequence[str | int]) -> Any:
-    """The class of the section at a location; None if there is another value."""
-    for part in location:
-        if schema is None:
-            return None
-        field = field_of(schema, str(part))
-        if field is not None:
-            schema = next((s for s in _types(field.annotation) if is_section(s)), None)
-    return schema
-
-
-def field_of(schema: type[Section], key: str) -> FieldInfo | None:
-    """The field of a section's key."""
-    fields = schema.model_fields.items()
-    return next((field for name, field in fields if key in (name, field.alias)), None)
-
-
-def field_at(schema: type[Section], location: Sequence[str | int]) -> FieldInfo | None:
-    """The field of a key in sections of sections; None if there is none."""
-    section = _section_at(schema, location[:-1])
-    return field_of(section, str(location[-1])) if section else None
+def fields_at(schema: type[Section], location: Sequence[str | int] = ()) -> dict[str, FieldInfo]:
+    """The fields, by key, of the section at a location; none where there is another value."""
+    fields = {field.alias or name: field for name, field in schema.model_fields.items()}
+    if not location:
+        return fields
+    key, *rest = location
+    if str(key) not in fields:  # an index of a list, or a key of a mapping
+        return fields_at(schema, rest)
+    section = next(filter(is_section, _types(fields[str(key)].annotation)), None)
+    return fields_at(section, rest) if section else {}
 
 
 def _types(hint: object) -> Iterator[object]:
@@ -316,14 +281,13 @@ def value_at(section: Section, key: str, missing: object = 1.0) -> object:
     node: object = section
     parts = key.split(".")
     for index, part in enumerate(parts):
-        rest = ".".join(parts[index:])
-        if isinstance(node, Mapping) and (rest in node or ":" in rest):  # "module.of.mine:function"
-            return node.get(rest, missing)
-        values = node if isinstance(node, Mapping) else getattr(node, "__dict__", {})
-        if part not in values and not isinstance(node, Mapping):
+        if isinstance(node, Mapping):  # its keys may have dots
+            return node.get(".".join(parts[index:]), missing)
+        values = vars(node) if isinstance(node, Section) else {}
+        if part not in values:
             hint = close_match(part, list(values))
             raise InputError(f"{key}: unknown key{hint}; allowed there: {', '.join(values)}")
-        node = values.get(part, missing)
+        node = values[part]
     if isinstance(node, Section):
         raise InputError(f"{key}: is a section of the keys {', '.join(vars(node))}")
     return node

@@ -1,12 +1,11 @@
 """YAML 1.2 files, ``key=value`` overrides and their composition, as plain dictionaries."""
 
 import dataclasses
-import difflib
 import io
 import json
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +14,23 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.representer import RoundTripRepresenter
 
-from quadjax.core.errors import InputError, prefixed, reading
+from quadjax.core.errors import InputError, prefixed, short
 from quadjax.core.files import read_text
-from quadjax.core.resources import CONFIGS, preset_names
+from quadjax.core.resources import find_file
 
 WIDTH = 79  # of comments, characters
+MAX_DEPTH = 20  # of dotted keys, and of files that name a base
 Tree = dict[str, Any]
-
-MAX_BYTES = 2**20  # of one file
-MAX_VALUES = 100_000  # of one file, aliases counted each time they are used
-MAX_DEPTH = 20  # of nested values, and of files that name a base
 
 
 def read_yaml(path: Path | str) -> Tree:
     """The mapping that a YAML 1.2 file holds.
 
     Raises:
-        InputError: not a regular file, unreadable, over 1 MiB, not YAML (with the line), a
-            repeated key, nested too deep, or not a mapping.
+        InputError: not a regular file, unreadable, not YAML (with the line), a repeated key,
+            nested too deep, or not a mapping.
     """
-    tree = parse_yaml(read_text(path, MAX_BYTES), str(path))
+    tree = parse_yaml(read_text(path), str(path))
     if tree is None:
         return {}
     if not isinstance(tree, dict):
@@ -48,20 +44,17 @@ def parse_yaml(text: str, source: str) -> object:
     Raises:
         InputError: it starts with ``source`` and, where it is known, the line.
     """
+    where, reason = "", "nested too deep"
     try:
-        value = _loader().load(text)
+        return json.loads(json.dumps(_loader().load(text)))  # only plain values pass
+    except RecursionError:
+        pass
     except MarkedYAMLError as error:
         where = f" line {error.problem_mark.line + 1}:" if error.problem_mark else ""
-        reason = " ".join(str(error.problem).split())
-        raise InputError(f"{source}:{where} {_short(reason, 120)}") from error
-    except RecursionError:
-        raise InputError(f"{source}: nested deeper than {MAX_DEPTH} levels") from None
-    except (YAMLError, ValueError) as error:
-        raise InputError(
-            f"{source}: not YAML ({_short(' '.join(str(error).split()), 120)})"
-        ) from error
-    _check_plain(value, source, 0, [0])
-    return value
+        reason = str(error.problem)
+    except (YAMLError, ValueError, TypeError) as error:
+        reason = f"not YAML of plain values ({error})"
+    raise InputError(f"{source}:{where} {short(' '.join(reason.split()), 160, str)}")
 
 
 def _loader() -> YAML:
@@ -70,23 +63,6 @@ def _loader() -> YAML:
     for first, entries in resolvers.items():  # a date such as 2026-01-31 is plain text
         resolvers[first] = [entry for entry in entries if "timestamp" not in entry[0]]
     return loader
-
-
-def _check_plain(value: object, source: str, depth: int, count: list[int]) -> None:
-    count[0] += 1
-    if depth > MAX_DEPTH or count[0] > MAX_VALUES:
-        limit = f"{MAX_DEPTH} levels" if depth > MAX_DEPTH else f"{MAX_VALUES} values"
-        raise InputError(f"{source}: more than {limit}")
-    if isinstance(value, dict):
-        for key, item in value.items():
-            if not isinstance(key, str):
-                raise InputError(f"{source}: the key {short(key)} is not text")
-            _check_plain(item, source, depth + 1, count)
-    elif isinstance(value, list):
-        for item in value:
-            _check_plain(item, source, depth + 1, count)
-    elif not (value is None or isinstance(value, (bool, int, float, str))):
-        raise InputError(f"{source}: {short(value)} is not a plain value")
 
 
 def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[tuple[Path, Tree]]:
@@ -114,7 +90,7 @@ def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[tuple[Pa
     layers: list[tuple[Path, Tree]] = []
     for name in names:
         with prefixed(f"{path}: base"):
-            base = find_file(name, path.parent)
+            base = find_file(name, [path.parent])
         if base.resolve() in chain:
             raise InputError(f"{path}: base {name} leads back to itself")
         layers += read_layers(base, chain)
@@ -123,7 +99,7 @@ def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[tuple[Pa
 
 def read_tree_with_bases(path: Path | str) -> Tree:
     """A YAML mapping merged over its bases; see ``read_layers``."""
-    return merge_layers([(str(file), tree) for file, tree in read_layers(path)], str(path))[0]
+    return merge_layers(read_layers(path), path)[0]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,59 +123,41 @@ class Sources:
         return self.files.get(key, self.path)
 
 
-def merge_layers(layers: Sequence[tuple[str, Tree]], path: str) -> tuple[Tree, Sources]:
+class Whole(Tree):
+    """A mapping that replaces the one below it in a merge."""
+
+
+def merge_layers(
+    layers: Sequence[tuple[Path | str, Tree]],
+    path: Path | str,
+    below: Callable[[Tree, Tree, str], Tree] = lambda tree, over, source: tree,
+) -> tuple[Tree, Sources]:
     """Trees merged in their order, and the source of each value.
 
     Args:
         layers: source and tree of each.
         path: of the config.
+        below: what stays of a tree below another one and its source.
     """
     tree: Tree = {}
     files: dict[str, str] = {}
     for source, over in layers:
-        tree = merge_trees(tree, over)
-        files |= files_of(over, source)
-    return tree, Sources(path, files)
-
-
-def files_of(tree: Tree, file: str) -> dict[str, str]:
-    """A file, by the dotted key of each of its values and sections."""
-    files: dict[str, str] = {}
-    for key in flatten(tree):
-        while key:
-            files[key] = file
-            key = key.rpartition(".")[0]
-    return files
-
-
-def find_file(name: str, folder: Path, kind: str = ".") -> Path:
-    """A file named in a config: in ``folder``, in its subfolder ``kind``, or in ``configs/kind``.
-
-    The suffix ``.yaml`` may be left out.
-
-    Raises:
-        InputError: no such file.
-    """
-    names = [name] if Path(name).suffix == ".yaml" else [name, f"{name}.yaml"]
-    places = [folder, folder / kind, CONFIGS / kind]
-    with reading(short(name)):
-        for place in places:
-            for file in names:
-                if (place / file).exists() and not (place / file).is_dir():
-                    return place / file
-    stems = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
-    hint = close_match(Path(name).stem, stems)
-    shipped = f"; {kind} of quadjax: {', '.join(preset_names(kind))}" if kind != "." else ""
-    raise InputError(f"{short(name)}: no such file in {folder} or {CONFIGS / kind}{hint}{shipped}")
+        tree = merge_trees(below(tree, over, str(source)), over)
+        for key in flatten(over):
+            files = {name: file for name, file in files.items() if not name.startswith(f"{key}.")}
+            while key:
+                files[key] = str(source)
+                key = key.rpartition(".")[0]
+    return tree, Sources(str(path), files)
 
 
 def merge_trees(under: Tree, over: Tree) -> Tree:
     """``over`` on top of ``under``: mappings merge, every other value is replaced."""
     merged = dict(under)
     for key, value in over.items():
-        below = merged.get(key)
-        if isinstance(value, dict) and isinstance(below, dict):
-            value = merge_trees(below, value)
+        lower = merged.get(key)
+        if isinstance(value, dict) and isinstance(lower, dict) and not isinstance(value, Whole):
+            value = merge_trees(lower, value)
         merged[key] = value
     return merged
 
@@ -296,21 +254,3 @@ def _flow(value: object) -> object:
         return value
     node.fa.set_flow_style()
     return node
-
-
-def short(value: object) -> str:
-    """``repr`` of a value, at most 60 characters, also of a number with thousands of digits."""
-    try:
-        return _short(repr(list(value) if isinstance(value, tuple) else value), 60)
-    except ValueError:
-        return "a number of thousands of digits"
-
-
-def _short(text: str, most: int) -> str:
-    return text if len(text) <= most else f"{text[: most - 3]}..."
-
-
-def close_match(name: str, allowed: Sequence[str]) -> str:
-    """``"; did you mean X?"`` for the allowed name closest to ``name``, or nothing."""
-    found = difflib.get_close_matches(name, allowed, n=1)
-    return f"; did you mean {found[0]}?" if found else ""

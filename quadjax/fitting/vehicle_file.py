@@ -12,7 +12,8 @@ from pathlib import Path
 
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_text
-from quadjax.core.yaml_files import Tree, find_file, read_tree_with_bases
+from quadjax.core.resources import find_file
+from quadjax.core.yaml_files import Tree, read_tree_with_bases
 from quadjax.fitting.config import BodyConfig
 from quadjax.vehicle.constants import constant_names, values_of
 from quadjax.vehicle.motor import MotorConstants
@@ -39,7 +40,7 @@ def vehicle_tree(name: str, folder: Path = Path()) -> tuple[Path, Tree]:
     Raises:
         InputError: a missing file, or a value of the wrong kind.
     """
-    path = find_file(name, folder, "vehicles")
+    path = find_file(name, [folder], "vehicles")
     tree = read_tree_with_bases(path)
     mass = {"mass": tree["mass"]} if tree.get("mass") is not None else {}
     return path, vehicle_values(path, tree) | mass

@@ -10,10 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.environment import Environment
-from quadjax.core.errors import InputError
+from quadjax.core.errors import InputError, close_match
 from quadjax.core.limits import MAX_SEED, check_integer
 from quadjax.core.sections import build
-from quadjax.core.yaml_files import close_match
 from quadjax.learners.devices import choose_devices
 from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
 from quadjax.learners.networks import ActorCritic, Networks

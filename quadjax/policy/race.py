@@ -7,12 +7,28 @@ from pathlib import Path
 from quadjax.config.loading import load_config, stored_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS, REMOVED, preset_names
+from quadjax.core.resources import CONFIGS, preset_names
 from quadjax.core.yaml_files import override
 from quadjax.policy.file import Policy
 
 DEFAULT_CONFIG = CONFIGS / "e2e.yaml"  # with which the file of another track is read
-OLD = {**REMOVED, "e2e": "e2e +residual", "indi": "indi +fastest"}  # names in files without config
+OLD = {  # names in files without config, and the same race now
+    "authors_code": "e2e_paper +authors_code",
+    "e2e": "e2e +residual",
+    "e2e_adaptive": "e2e +residual +disturbance",
+    "e2e_clear": "e2e +fastest +clear",
+    "e2e_disturbed": "e2e +disturbance",
+    "e2e_estimated": "e2e +estimated",
+    "e2e_fastest": "e2e +fastest",
+    "e2e_fastest_disturbed": "e2e +fastest +disturbance",
+    "e2e_ppo_residual": "e2e_ppo +residual",
+    "e2e_race_adaptive": "e2e_race_robust +history",
+    "e2e_robust": "e2e +robust",
+    "e2e_shac": "e2e",
+    "indi": "indi +fastest",
+    "indi_fastest": "indi +fastest",
+    "indi_shac": "indi",
+}
 
 
 def race_of_policy(

@@ -13,15 +13,9 @@ import numpy as np
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
+from quadjax.core.resources import find_file
 from quadjax.core.sections import build, value_at
-from quadjax.core.yaml_files import (
-    find_file,
-    flatten,
-    merge_trees,
-    override,
-    parse_overrides,
-    read_yaml,
-)
+from quadjax.core.yaml_files import flatten, merge_trees, override, parse_overrides, read_yaml
 from quadjax.plant.config import load_plant_config
 from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
@@ -199,7 +193,7 @@ def load_sweep(path: Path | str, overrides: Sequence[str] = ()) -> Sweep:
 
 def _checked(file: SweepFile, folder: Path) -> Sweep:
     name, *parts = file.config.split(" +")
-    base = find_file(name, folder)
+    base = find_file(name, [folder])
     fixed = tuple(override(key, value) for key, value in file.overrides.items())
     fixed = (*(f"+{part}" for part in parts), *fixed)
     config = load_config(base, fixed)

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.core.errors import InputError, writing
+from quadjax.core.errors import InputError, short, writing
 from quadjax.core.files import read_text, write_csv
-from quadjax.core.yaml_files import short
 from quadjax.learners.loop import Row
 
 

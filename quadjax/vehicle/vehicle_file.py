@@ -3,8 +3,8 @@
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from quadjax.core.errors import InputError
-from quadjax.core.yaml_files import Tree, short, to_yaml
+from quadjax.core.errors import InputError, short
+from quadjax.core.yaml_files import Tree, to_yaml
 from quadjax.vehicle.constants import rotor_names
 
 KEYS = ("name", "mass", "width", "fitted_speed", "model", "rotors")  # in addition to the models

@@ -9,7 +9,7 @@ import pytest
 from quadjax.config.loading import config_of, load_config
 from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
-from quadjax.core.resources import CONFIGS, REMOVED, preset_names
+from quadjax.core.resources import CONFIGS, preset_names
 from quadjax.core.yaml_files import read_yaml
 from quadjax.fitting.config import load_fit_config
 from quadjax.sweeps.sweep import load_sweep
@@ -184,12 +184,6 @@ def test_parts_are_merged_over_a_preset_and_below_overrides(tmp_path, monkeypatc
     assert "gate_edge" in refusal("e2e_race +nosuch")
 
 
-def test_a_preset_of_earlier_versions_is_refused_with_its_present_words():
-    assert "write: e2e +residual +disturbance" in refusal("e2e_adaptive")
-    for words in REMOVED.values():
-        assert load_config(words)
-
-
 def test_a_vehicle_and_a_track_next_to_the_config(tmp_path):
     text = (CONFIGS / "vehicles" / "bebop1.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(text.split("rate:")[0].replace("g: 9.81", "g: 9.7"))
@@ -319,7 +313,6 @@ REFUSED = [
     ("track.gates=[{position: [1e30, 0, -1]}]", "track.gates[0].position[0] is 1e+30, allowed"),
     ("disturbance.moment_bias=[1e30, 0, 0]", "disturbance.moment_bias[0] is 1e+30, allowed"),
     ("vehicle.constants.tau=0.005", "vehicle.constants.tau is 0.005, allowed: above 0.005 s"),
-    ("vehicle.constants.k_x=1e39", "vehicle.constants.k_x is 1e+39, allowed: finite numbers"),
     ("vehicle.mismatch.k_z2=1.1", "unknown key vehicle.mismatch.k_z2; did you mean k_z?"),
     ("vehicle.mismatch.k_w=0", "vehicle.mismatch.k_w is 0, allowed: greater than 0"),
     ("vehicle.residual_gain=0.5", "vehicle.residual_gain is 0.5, allowed: 1.0 without vehicle.res"),
@@ -356,7 +349,7 @@ REFUSED = [
         "observation.disturbance=true",
         "observation.disturbance is True, allowed: 'ground_truth', 'estimated' or 'none",
     ),
-    ("reward.time=.inf", "reward.time is inf, allowed: finite numbers"),
+    ("reward.time=.inf", "reward.time is inf, allowed: a finite number"),
     ("reward.gate_edge=-1", "reward.gate_edge is -1, allowed: greater than or equal to 0"),
     ("start.thrust=[8, 7]", "start.thrust is [8.0, 7.0], allowed: [lowest, highest]"),
     ("randomization.drag=1", "randomization.drag is 1, allowed: less than or equal to 0.9"),

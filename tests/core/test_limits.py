@@ -65,9 +65,8 @@ class Anything(Section):
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
-        ({"text": "x" * 1001}, "f: text has 1001 characters, allowed: up to 1000"),
-        ({"names": {"a": "x" * 9999}}, "f: names.a has 9999 characters, allowed: up to 1000"),
-        ({"names": {"x" * 1001: "a"}}, "f: a key of names has 1001 characters, allowed: up to"),
+        ({"text": "x" * 1001}, "f: text is 'x+..., allowed: at most 1000 characters"),
+        ({"names": {"a": "x" * 9999}}, "f: names.a is 'x+..., allowed: at most 1000 characters"),
     ],
 )
 def test_texts_are_bounded_in_every_section(tree, message):

@@ -18,7 +18,7 @@ IMPOSSIBLE_SPACES = {
     "no choices": ({EPOCHS: {"choices": []}}, [f"space.{EPOCHS}", "choices"]),
     "a choice twice": ({EPOCHS: {"choices": [3, 3]}}, ["3", "twice"]),
     "text for a bound": ({CLIP: {"range": ["a", 1]}}, [f"space.{CLIP}", "range"]),
-    "infinite": ({CLIP: {"range": [0.1, 1e99]}}, [f"space.{CLIP}", "finite"]),
+    "infinite": ({CLIP: {"range": [0.1, 1e99]}}, [f"space.{CLIP}", "1e+99"]),
     "half an epoch": ({EPOCHS: {"range": [1, 2.5]}}, ["2.5", "whole number"]),
     "a log from zero": ({CLIP: {"log": [0, 1]}}, [f"space.{CLIP}", "low > 0"]),
     "a range of texts": ({ACTIVATION: {"range": [0, 1]}}, [ACTIVATION, "choices"]),

@@ -1,7 +1,6 @@
 """The folder of a run: locked, of one kind, and never cleared of other people's files."""
 
 import json
-import platform
 import shutil
 import subprocess
 import sys
@@ -121,15 +120,6 @@ def test_a_file_where_the_folder_should_be_is_refused(tmp_path):
     with pytest.raises(InputError, match="is a file, expected a folder"):
         with claim(tmp_path / "run", "training"):
             pass
-
-
-def test_claiming_removes_what_a_killed_process_left_and_nothing_else(tmp_path):
-    (tmp_path / f".writing-{platform.node()}-999999999-abc.csv").write_text("half")
-    (tmp_path / ".hidden").write_text("mine")
-    with claim(tmp_path, "training"):
-        pass
-    names = {path.name for path in tmp_path.iterdir()}
-    assert names == {".hidden", ".lock", ".quadjax.json"}
 
 
 @pytest.mark.parametrize("patterns", [TRAINING_FILES, FIT_FILES, SWEEP_FILES])
