@@ -131,7 +131,7 @@ def test_a_number_out_of_range_is_one_line():
     for learner, values, message in (
         ("SHAC", {"horizon": 0}, "SHAC: horizon is 0, allowed: greater than or equal to 1"),
         ("PPO", {"typo": 1}, "PPO: unknown key typo"),
-        ("PPO", {"learning_rate": float("nan")}, "PPO: learning_rate is nan, allowed: a finite number"),
+        ("PPO", {"learning_rate": float("nan")}, "PPO: learning_rate is nan, allowed: a finite"),
         ("Network", {"hidden": []}, "Network: hidden is "),
     ):
         with pytest.raises(quadjax.InputError, match=message) as error:
