@@ -21,7 +21,8 @@ from quadjax.policy.pilot import command_ranges
 from quadjax.race import environment, rules
 from quadjax.race.environment import Estimate, RaceState
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM, Past
+from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM
+from quadjax.race.step import Past
 from quadjax.race.track import gate
 from quadjax.vehicle.battery import Battery, BatteryState, battery_at_start
 from quadjax.vehicle.protocol import State

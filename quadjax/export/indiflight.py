@@ -16,7 +16,7 @@ from quadjax.export.race_tables import RaceTables
 from quadjax.export.render import render
 from quadjax.export.targets import check_model
 from quadjax.policy.file import Policy
-from quadjax.race import environment
+from quadjax.race import episode
 
 MOST_GATES = 255  # of target_gate_index, a uint8_t
 # INDIflight's number of the motors front-left, front-right, rear-right, rear-left.
@@ -91,7 +91,7 @@ def _inlined(text: str, origin: Provenance) -> str:
 def _track(own: OwnRace) -> Values:
     """Gates and the start, as floats: m and rad, north-east-down."""
     model, track = own.choices.model, own.params.track
-    drone = environment.hover_start(own.choices, own.params).drone
+    drone = episode.hover_start(own.choices, own.params).drone
     return {
         "gate_positions": np.stack([np.asarray(x) for x in track.position.components()], axis=1),
         "gate_yaws": np.asarray(track.yaw),

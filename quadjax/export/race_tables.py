@@ -24,7 +24,7 @@ from quadjax.export.integers import ONE
 from quadjax.export.ranges import InputBox, next_power
 from quadjax.export.scaling import Rescale, Spans, spans_of
 from quadjax.policy.file import Policy
-from quadjax.race import environment
+from quadjax.race import episode
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.layout import LAST_ACTION, Layout, split_name
 from quadjax.race.observations import AHEAD, DISTURBANCES, HIGHEST_RPM
@@ -214,7 +214,7 @@ def _attitude(values: dict[str, list[jax.Array]], as_quaternion: bool) -> list[j
 
 def example_state(choices: Choices, params: RaceParams) -> State:
     """A vehicle's state as shapes."""
-    return jax.eval_shape(functools.partial(environment.hover_start, choices), params).drone
+    return jax.eval_shape(functools.partial(episode.hover_start, choices), params).drone
 
 
 def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RaceParams) -> RaceTables:

@@ -14,7 +14,7 @@ from flax import struct
 
 from quadjax.config.race import make_race
 from quadjax.config.schema import Config
-from quadjax.core.environment import Environment, where_done
+from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.errors import InputError
 from quadjax.race.environment import RaceParams, RaceState
 
@@ -54,18 +54,8 @@ class Outcome:
     gates_passed: jax.Array  # (n,) int32, of the step's episode
 
 
-def reset_all(
-    environment: Environment, n: int, params: RaceParams, key: jax.Array
-) -> tuple[RaceState, jax.Array]:
-    """``n`` fresh states and their observations (n, observation_size)."""
-    state = jax.vmap(environment.reset, in_axes=(None, 0), out_axes=-1)(
-        params, jax.random.split(key, n)
-    )
-    return state, jax.vmap(environment.observe, in_axes=(None, -1))(params, state)
-
-
 def step_all(
-    environment: Environment,
+    environments: Environment,
     mode: AutoresetMode,
     params: RaceParams,
     batch: Batch,
@@ -76,11 +66,7 @@ def step_all(
     ``SAME_STEP`` resets within the step that ends an episode. ``NEXT_STEP`` resets in the step
     after it, whose action, reward and flags have no effect. ``DISABLED`` leaves it to the caller.
     """
-    n = action.shape[0]
-    following, reward, terminated, truncated = jax.vmap(
-        environment.step, in_axes=(None, -1, 0), out_axes=(-1, 0, 0, 0)
-    )(params, batch.state, action)
-    observe = jax.vmap(environment.observe, in_axes=(None, -1))
+    following, reward, terminated, truncated = environments.step(params, batch.state, action)
     key, reset_key = jax.random.split(batch.key)
     late = batch.over & (mode == AutoresetMode.NEXT_STEP)
     reward = jnp.where(late, 0.0, reward)
@@ -91,14 +77,15 @@ def step_all(
         AutoresetMode.NEXT_STEP: late,
         AutoresetMode.DISABLED: jnp.zeros_like(done),
     }[mode]
-    begun = jax.lax.cond(
-        resets.any(),
-        lambda: where_done(resets, reset_all(environment, n, params, reset_key)[0], following),
-        lambda: following,
-    )
+
+    def fresh() -> RaceState:
+        keys = jax.random.split(reset_key, action.shape[0])
+        return where_done(resets, environments.reset(params, keys), following)
+
+    begun = jax.lax.cond(resets.any(), fresh, lambda: following)
     outcome = Outcome(
-        observation=observe(params, begun),
-        final=observe(params, following),
+        observation=environments.observe(params, begun),
+        final=environments.observe(params, following),
         reward=reward,
         terminated=terminated,
         truncated=truncated,
@@ -139,8 +126,10 @@ class RaceVectorEnv(VectorEnv):
         self.num_envs, self._mode = num_envs, AutoresetMode(autoreset_mode)
         self._params = params
         self.metadata = {"autoreset_mode": self._mode, "render_modes": []}
-        self._reset = jax.jit(functools.partial(reset_all, environment, num_envs))
-        self._step = jax.jit(functools.partial(step_all, environment, self._mode))
+        environments = vectorize(environment)
+        self._reset = jax.jit(environments.reset)
+        self._observe = jax.jit(environments.observe)
+        self._step = jax.jit(functools.partial(step_all, environments, self._mode))
         size = environment.observation_size
         self.single_observation_space = _box(np.inf, (size,))
         self.single_action_space = _box(1.0, (environment.action_size,))
@@ -158,7 +147,8 @@ class RaceVectorEnv(VectorEnv):
         if seed is not None:
             self._key = jax.random.key(seed)
         self._key, reset_key, key = jax.random.split(self._key, 3)
-        state, observation = self._reset(self._params, reset_key)
+        state = self._reset(self._params, jax.random.split(reset_key, self.num_envs))
+        observation = self._observe(self._params, state)
         mask = (options or {}).get("reset_mask")
         over = np.zeros(self.num_envs, bool)
         found = np.asarray(observation)

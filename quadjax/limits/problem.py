@@ -19,7 +19,8 @@ from quadjax.core.errors import InputError
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.traced import with_leaves
 from quadjax.limits.gates import Gates, gates_of
-from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules, hover_start
+from quadjax.race.environment import Choices, RaceParams, RaceState, exact_rules
+from quadjax.race.episode import hover_start
 from quadjax.race.rules import BENEATH
 from quadjax.vehicle.protocol import State, VehicleModel
 

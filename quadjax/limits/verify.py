@@ -18,6 +18,7 @@ from quadjax.limits.gates import Gates
 from quadjax.limits.problem import ATTITUDE, POSITION, TIME_STEP, VELOCITY, Problem
 from quadjax.limits.trajectory import Trajectory
 from quadjax.race.environment import Choices, RaceParams, RaceState, transition
+from quadjax.race.rules import terminations_of
 from quadjax.vehicle.protocol import State
 
 TIME_TOLERANCE = 0.005  # relative to the time of the solution
@@ -177,9 +178,8 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
         error = f"it leaves the bounds of the race by {-1e3 * margin:.1f} mm"
     elif crashes[:end].any():
         step = int(np.argmax(crashes > 0))
-        error = (
-            f"{list(problem.choices.terminations)[crashes[step] - 1]} at {step * TIME_STEP:.3f} s"
-        )
+        reason = list(terminations_of(problem.choices.rules))[crashes[step] - 1]
+        error = f"{reason} at {step * TIME_STEP:.3f} s"
     elif problem.flight.stops:
         error = _at_rest(problem, path[-1], velocity[end - 1])
     if not error and abs(total - trajectory.total) > TIME_TOLERANCE * trajectory.total:

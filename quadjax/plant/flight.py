@@ -20,8 +20,10 @@ from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.policy.pilot import Pilot, fly
 from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
+from quadjax.race.episode import hover, no_action
 from quadjax.race.observations import begin_past, push_past
-from quadjax.race.starts import hover
+from quadjax.race.rules import evaluate_rules
+from quadjax.race.step import Step
 from quadjax.race.track import gate, gate_count
 from quadjax.vehicle import motor
 from quadjax.vehicle.battery import BatteryState
@@ -90,7 +92,7 @@ def begin(
         first, rest = drawn[: gusts.START_DRAWS], drawn[gusts.START_DRAWS :]
         state = plant.begin(params.plant, body, left, first)
         computers = onboard.begin(choices.onboard, params.onboard, params.plant, state, rest)
-        zero, action = jnp.zeros((), jnp.int32), environment.no_action(choices.race, params.race)
+        zero, action = jnp.zeros((), jnp.int32), no_action(choices.race, params.race)
         known = _known_motion(choices, computers)
         race = RaceState(body, zero, zero, zero, None, action=action)
         past = begin_past(choices.race.layout, race.replace(drone=known))
@@ -128,7 +130,8 @@ def sample(
     )
     before, body = flight.race.state, state.physics.body
     g = gate(params.race.track, before.target)
-    outcome = environment.evaluate_rules(choices.race, params.race, before, body, g)
+    step = Step(choices.race.model, params.race, before, g, body)
+    outcome = evaluate_rules(step, choices.race.rules)
     following = environment.progressed(params.race, before, body, outcome)
     gates = gate_count(params.race.track)
     race = laps.score(flight.race, following, outcome, params.plant.step, gates)

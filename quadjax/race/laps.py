@@ -13,10 +13,10 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.gradients import Scalar
-from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race import environment, starts
+from quadjax.core.vectors import Vec3
+from quadjax.race import environment, episode
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.rules import Outcome
+from quadjax.race.rules import Outcome, terminations_of
 from quadjax.race.track import Track, gate_count
 
 Actor = Callable[[Any, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)
@@ -103,15 +103,6 @@ class Laps:
         }
 
 
-class Speeds(struct.PyTreeNode):
-    """Speeds of drones in a race, (runs,) each, and when they pass the first gate."""
-
-    first_gate: jax.Array  # s since the start; 0 before
-    highest: jax.Array  # m/s
-    above: jax.Array  # s faster than ``counted``
-    counted: jax.Array  # m/s
-
-
 class LapState(struct.PyTreeNode):
     """Drones in timed laps, batched along the last axis."""
 
@@ -119,7 +110,6 @@ class LapState(struct.PyTreeNode):
     lap_end: jax.Array  # (laps, runs) s since the start; 0 where not completed
     over: jax.Array  # (runs,) bool
     crash: jax.Array  # (runs,) 0, or the number of a termination from 1
-    speeds: Speeds | None = None  # where they are recorded
 
 
 Carry = tuple[LapState, jax.Array]  # drones and the key of the next noise
@@ -158,8 +148,8 @@ def starting_states(
         if not from_hover:
             zero = jnp.zeros((), jnp.int32)
             return drawn.replace(step=zero, gates_passed=zero)
-        moved = starts.draw(jax.random.fold_in(key, 6), 3) if around else None
-        return environment.hover_start(choices, params, drawn, moved)
+        moved = episode.draw(jax.random.fold_in(key, 6), 3) if around else None
+        return episode.hover_start(choices, params, drawn, moved)
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 
@@ -170,27 +160,7 @@ def _step_one(
     """One step of one drone; a race that is over does not change."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
     gates = gate_count(params.track)
-    scored = score(race, following, outcome, params.rules.time_step, gates, last)
-    if race.speeds is None:
-        return scored
-    speed = safe_norm(choices.model.velocity(following.drone))
-    return scored.replace(speeds=_recorded(race, following, speed, params.rules.time_step))
-
-
-def _recorded(race: LapState, following: RaceState, speed: jax.Array, dt: Scalar) -> Speeds:
-    """The speeds of one drone's race after a step."""
-    own = race.speeds
-    assert own is not None
-    passed = (own.first_gate == 0.0) & (following.gates_passed > 0)
-    new = Speeds(
-        first_gate=jnp.where(
-            passed, jnp.asarray(following.step, jnp.result_type(dt)) * dt, own.first_gate
-        ),
-        highest=jnp.maximum(own.highest, speed),
-        above=own.above + dt * (speed > own.counted),
-        counted=own.counted,
-    )
-    return jax.tree.map(lambda now, old: jnp.where(race.over, old, now), new, own)
+    return score(race, following, outcome, params.rules.time_step, gates, last)
 
 
 def score(
@@ -227,19 +197,14 @@ def score(
     crash = jnp.where(crashed, outcome.crash, race.crash)
     over = race.over | crashed | (lap_end[-1] > 0)
     state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
-    return LapState(state, lap_end, over, crash, race.speeds)
+    return LapState(state, lap_end, over, crash)
 
 
-def begin(state: RaceState, laps: int, counted: jax.Array | None = None) -> LapState:
-    """Drones before a race of some laps, batched along the last axis.
-
-    With ``counted``, () m/s, their speeds are recorded, and the time in which they are faster.
-    """
+def begin(state: RaceState, laps: int) -> LapState:
+    """Drones before a race of some laps, batched along the last axis."""
     runs = state.step.shape[-1]
-    none = jnp.zeros(runs)
-    speeds = None if counted is None else Speeds(none, none, none, jnp.full(runs, counted))
     over, crash = jnp.zeros(runs, bool), jnp.zeros(runs, jnp.int32)
-    return LapState(state, jnp.zeros((laps, runs)), over, crash, speeds)
+    return LapState(state, jnp.zeros((laps, runs)), over, crash)
 
 
 @functools.partial(jax.jit, static_argnames=("choices", "actor", "laps", "steps", "trace", "last"))
@@ -254,7 +219,6 @@ def fly_race(
     state: RaceState,
     key: jax.Array,
     last: int | None = None,
-    counted: jax.Array | None = None,
 ) -> tuple[LapState, Trace | None]:
     """Fly from given states for at most ``steps`` steps; see ``fly_laps`` and ``begin``."""
     one = stepper(choices, actor, params, policy, last)
@@ -263,7 +227,7 @@ def fly_race(
         following, action = one(carry)
         return following, _trace(choices, params, carry[0], action)
 
-    carry = (begin(state, laps, counted), key)
+    carry = (begin(state, laps), key)
     if trace:
         (race, _), kept = jax.lax.scan(record, carry, None, steps)
         return race, kept
@@ -400,7 +364,7 @@ def laps_of(choices: Choices, race: LapState, dt: float, limit: float) -> Laps:
     ends = np.asarray(race.lap_end, np.float64).T
     completed = np.where(ends > 0, ends, np.nan)
     times = np.diff(completed, axis=1, prepend=0.0)
-    reasons = ("", *choices.terminations)
+    reasons = ("", *terminations_of(choices.rules))
     crashes = [reasons[code] for code in np.asarray(race.crash)]
     for run in np.flatnonzero(~np.isfinite(completed[:, -1])):
         crashes[run] = crashes[run] or OUT_OF_TIME

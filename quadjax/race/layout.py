@@ -2,19 +2,18 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from pydantic import ConfigDict
 
 from quadjax.core.errors import InputError
 from quadjax.core.imports import user_numbers
-from quadjax.race.step import Step
+from quadjax.core.sections import Field as Key
+from quadjax.core.sections import Section, build, model_validator
+from quadjax.race.step import RaceParams, Step
 from quadjax.vehicle.protocol import VehicleModel
-
-if TYPE_CHECKING:
-    from quadjax.race.environment import RaceParams
 
 Numbers = Sequence[jax.Array]  # each ()
 Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
@@ -45,7 +44,7 @@ class Field:
     frame: str
     range: float = 8.0
     value: Callable[[Step], Numbers] | None = None
-    scale: Callable[[VehicleModel, "RaceParams"], Bounds] | None = None
+    scale: Callable[[VehicleModel, RaceParams], Bounds] | None = None
     source: str = ""
     span: tuple[tuple[float, float], ...] | None = None
 
@@ -75,6 +74,27 @@ def scale_to_unit(value: jax.Array, low: jax.Array, high: jax.Array) -> jax.Arra
     """Map [low, high] to [-1, 1]; zero if the range has no width."""
     width = high - low
     return (2.0 * value - low - high) / jnp.where(width == 0, jnp.inf, width)
+
+
+class StoredField(Section):
+    """The form of a ``Field`` in a file, without its functions."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    name: str
+    size: int = Key(ge=1, le=4096)
+    unit: str = ""
+    frame: str = ""
+    range: float = 8.0
+    source: str = ""
+    span: tuple[tuple[float, float], ...] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        span = self.span or ()
+        if self.span is not None and len(span) != self.size or any(x > y for x, y in span):
+            raise ValueError(f"span is {span}, allowed: [low, high] of {self.size} numbers")
+        return self
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,13 +145,22 @@ class Layout:
         """All numbers of one observation, each ()."""
         return [number for field in self.fields for number in field.numbers(step)]
 
-    def with_spans(self, model: VehicleModel, params: "RaceParams") -> "Layout":
+    def with_spans(self, model: VehicleModel, params: RaceParams) -> "Layout":
         """The layout with the numbers of every scale."""
-        return Layout(tuple(_with_span(field, model, params) for field in self.fields))
+
+        def spans(field: Field) -> Field:
+            if field.scale is None:
+                return field
+            low, high = field.scale(model, params)
+            highs = [float(x) for x in jax.tree.leaves(high)]
+            lows = [-x for x in highs] if low is None else [float(x) for x in jax.tree.leaves(low)]
+            return dataclasses.replace(field, span=tuple(zip(lows, highs, strict=True)))
+
+        return Layout(tuple(map(spans, self.fields)))
 
     def to_meta(self) -> list[dict[str, object]]:
         """The layout as JSON takes it; ``from_meta`` reads it back."""
-        keys = ("name", "size", "unit", "frame", "range", "source", "span")
+        keys = StoredField.model_fields
         return [{key: getattr(field, key) for key in keys} for field in self.fields]
 
     @staticmethod
@@ -143,45 +172,11 @@ class Layout:
         """
         if not isinstance(value, list) or not value:
             raise InputError(f"{where} is {value!r:.80}, expected a list of fields")
-        layout = Layout(tuple(_field_of(item, f"{where}[{i}]") for i, item in enumerate(value)))
+        stored = (build(StoredField, item, f"{where}[{i}]") for i, item in enumerate(value))
+        layout = Layout(tuple(Field(**dict(field)) for field in stored))
         if len(set(layout.names)) != len(layout.names):
             raise InputError(f"{where}: two fields have the same name")
         return layout
-
-
-def _with_span(field: Field, model: VehicleModel, params: "RaceParams") -> Field:
-    if field.scale is None:
-        return field
-    low, high = field.scale(model, params)
-    highs = [float(x) for x in jax.tree.leaves(high)]
-    lows = [-x for x in highs] if low is None else [float(x) for x in jax.tree.leaves(low)]
-    return dataclasses.replace(field, span=tuple(zip(lows, highs, strict=True)))
-
-
-def _field_of(item: object, where: str) -> Field:
-    """A field of a file, checked."""
-    kinds = {"name": str, "size": int, "unit": str, "frame": str, "range": float, "source": str}
-    defaults = {"unit": "", "frame": "", "range": 8.0, "source": ""}
-    values: dict[str, Any] = {**defaults, **item} if isinstance(item, dict) else {}
-    for key, kind in kinds.items():
-        allowed = (int, float) if kind is float else kind
-        if not isinstance(values.get(key), allowed) or isinstance(values.get(key), bool):
-            raise InputError(
-                f"{where}.{key} is {values.get(key)!r:.80}, expected a {kind.__name__}"
-            )
-    if not 1 <= values["size"] <= 4096:
-        raise InputError(f"{where}.size is {values['size']}, allowed: 1 to 4096")
-    span = values.get("span")
-    if span is not None:
-        try:
-            pairs = np.asarray(span, np.float64)
-        except (TypeError, ValueError):
-            pairs = np.zeros(0)
-        fine = pairs.shape == (values["size"], 2) and np.all(np.isfinite(pairs))
-        if not fine or np.any(pairs[:, 0] > pairs[:, 1]):
-            raise InputError(f"{where}.span is {span!r:.80}, expected a [low, high] per number")
-        span = tuple((low, high) for low, high in pairs.tolist())
-    return Field(**{key: values[key] for key in kinds}, span=span)
 
 
 def split_name(name: str) -> tuple[str, int]:

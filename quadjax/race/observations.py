@@ -12,11 +12,10 @@ after a gate. At the start of an episode all earlier states are the first one.
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
@@ -24,13 +23,10 @@ from quadjax.core.sections import Field as Key
 from quadjax.core.sections import Section
 from quadjax.core.vectors import Vec3, between
 from quadjax.race.layout import LAST_ACTION, MARK, Bounds, Field, Layout, Numbers, split_name
-from quadjax.race.step import Step
+from quadjax.race.step import Past, RaceParams, RaceState, Step
 from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame
 from quadjax.vehicle.battery import LOWEST, highest_rpm
-from quadjax.vehicle.protocol import State, VehicleModel
-
-if TYPE_CHECKING:
-    from quadjax.race.environment import RaceParams, RaceState
+from quadjax.vehicle.protocol import VehicleModel
 
 HIGHEST_RPM, CONSTANTS, MOST_AHEAD = "highest_rpm", "constants", 4
 ACTUATORS = "actuators"  # in a history: the field of the model's actuators, whatever its name
@@ -122,6 +118,8 @@ class Observation(Section):
     )
 
 
+PUBLISHED = Observation()
+
 # Values: functions of the step, whose state and gate are those that are observed.
 
 
@@ -175,6 +173,10 @@ def _beyond(count: int) -> tuple[Field, Field]:
     )
 
 
+def _actuators(step: Step) -> Numbers:
+    return jax.tree.leaves(step.model.actuator_state(step.drone))
+
+
 def _last_action(step: Step) -> Numbers:
     """The command of the step before, which ``_command_bounds`` scales to the action."""
     assert step.state.action is not None
@@ -224,34 +226,32 @@ def _highest_rpm(source: str, step: Step) -> Numbers:
 # Scales: of the nominal drone, as drawn constants are not known to a policy.
 
 
-def _actuator_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
-    return model.actuator_range(params.vehicle.constants)
-
-
-def _fixed_bounds(span: tuple[float, float], model: VehicleModel, params: "RaceParams") -> Bounds:
+def _actuator_bounds(span: Span | None, model: VehicleModel, params: RaceParams) -> Bounds:
+    if span is None:
+        return model.actuator_range(params.vehicle.constants)
     low, high = ((jnp.float32(end),) * model.actuators.size for end in span)
     return low, high
 
 
-def _command_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+def _command_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
     return model.command_range(params.vehicle.constants)
 
 
-def _limit_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+def _limit_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
     highest = jax.tree.leaves(_command_bounds(model, params)[1])[0]
     return (LOWEST * highest,), (highest,)
 
 
-def _moment_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+def _moment_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
     width = params.observed_disturbance
     return None, (width.moment_x, width.moment_y, width.moment_z)
 
 
-def _force_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+def _force_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
     return None, (params.observed_disturbance.force_z,)
 
 
-def _constant_bounds(model: VehicleModel, params: "RaceParams") -> Bounds:
+def _constant_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
     """The nominal constants minus and plus the drawn differences.
 
     Of a population, whose limits are not known, the constants minus and plus their size.
@@ -285,53 +285,31 @@ DISTURBANCES = {"moment_ext": ("moment_x", "moment_y", "moment_z"), "force_ext":
 
 
 @functools.cache
-def fields_of(
-    model: VehicleModel,
-    disturbance: str = GROUND_TRUTH,
-    highest_rpm: str = ESTIMATED,
-    actuator_range: tuple[float, float] | None = None,
-) -> Mapping[str, Field]:
+def fields_of(model: VehicleModel, observed: Observation = PUBLISHED) -> Mapping[str, Field]:
     """Every field that a race of a vehicle model can give, by name.
 
     Args:
         model: its actuators are one field.
-        disturbance: source of the disturbances.
-        highest_rpm: source of the battery's limit.
-        actuator_range: actuator states that are observed as -1 and 1; None: the nominal range.
+        observed: sources of the disturbances and of the battery's limit, range of the actuators.
     """
-    signal, bounds = model.actuators, _actuator_bounds
-    if actuator_range is not None:
-        bounds = functools.partial(_fixed_bounds, actuator_range)
-    of_source = functools.partial
+    signal, source, of = model.actuators, observed.disturbance, functools.partial
+    highest, actuators = of(_highest_rpm, observed.highest_rpm), observed.actuator_range
+    moment, force = of(_moment, source), of(_force, source)
+    constants = len(model.constant_names)
     fields = [
-        Field(
-            *(signal.name, signal.size, signal.unit, "body", 2.0),
-            value=lambda step: jax.tree.leaves(step.model.actuator_state(step.drone)),
-            scale=bounds,
-        ),
+        Field(*signal, "body", 2.0, _actuators, of(_actuator_bounds, actuators)),
         Field(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_bounds),
-        Field(
-            *(HIGHEST_RPM, 1, "rpm", "body", 2.0),
-            value=of_source(_highest_rpm, highest_rpm),
-            scale=_limit_bounds,
-        ),
-        Field(
-            *(CONSTANTS, len(model.constant_names), "", "", 8.0),
-            value=_constants,
-            scale=_constant_bounds,
-        ),
-    ]
-    moment, force = (of_source(value, disturbance) for value in (_moment, _force))
-    fields += [
-        Field("moment_ext", 3, "N m", "body", 2.0, moment, _moment_bounds, disturbance),
-        Field("force_ext", 1, "m/s^2", "body", 2.0, force, _force_bounds, disturbance),
+        Field(HIGHEST_RPM, 1, "rpm", "body", 2.0, highest, _limit_bounds),
+        Field(CONSTANTS, constants, "", "", 8.0, _constants, _constant_bounds),
+        Field("moment_ext", 3, "N m", "body", 2.0, moment, _moment_bounds, source),
+        Field("force_ext", 1, "m/s^2", "body", 2.0, force, _force_bounds, source),
     ]
     return {**OBSERVATIONS, **{field.name: field for field in fields}}
 
 
 def make_layout(
     model: VehicleModel,
-    observed: Observation | None = None,
+    observed: Observation = PUBLISHED,
     extra: Sequence[Field] = (),
     battery: bool = False,
 ) -> Layout:
@@ -339,16 +317,14 @@ def make_layout(
 
     Args:
         model: its actuators are one field; a model without external disturbances observes none.
-        observed: the section of the config; None: the published observation.
+        observed: the section of the config; by default that of the publication.
         extra: further fields, at the end, in place of ``observed.extra``.
         battery: whether the race has a battery, whose limit is observed.
 
     Raises:
         InputError: two fields of one name.
     """
-    observed = observed or Observation()
-    sources = observed.disturbance, observed.highest_rpm
-    fields = fields_of(model, *sources, observed.actuator_range)
+    fields = fields_of(model, observed)
     names = [
         *("position", "velocity", _attitude_of(observed.attitude), "rates"),
         *([model.actuators.name] if observed.actuators else []),
@@ -397,7 +373,8 @@ def arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> 
     Raises:
         InputError: the race has no such field, or one of another size.
     """
-    fields = dict(fields_of(model, NONE, NONE))  # no disturbance; full speed without a battery
+    none = Observation(disturbance=NONE, highest_rpm=NONE)  # full speed without a battery
+    fields = dict(fields_of(model, none))
     if model.actuators.name not in layout:  # of a drone that does not measure them
         del fields[model.actuators.name]
     fields |= {field.name: field for field in layout.fields}
@@ -417,13 +394,6 @@ def arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> 
 # The history: what the last observations were computed from.
 
 
-class Past(struct.PyTreeNode):
-    """Earlier states of one drone, the latest first."""
-
-    drone: State  # of the vehicle model, each leaf (depth,)
-    action: tuple[jax.Array, ...] | None  # of the step before each, (depth,), where it is observed
-
-
 @functools.cache
 def delayed(field: Field, lag: int) -> Field:
     """A field as it was ``lag`` steps before."""
@@ -438,13 +408,13 @@ def delayed(field: Field, lag: int) -> Field:
     return dataclasses.replace(field, name=f"{field.name}{MARK}{lag}", value=earlier)
 
 
-def begin_past(layout: Layout, state: "RaceState") -> Past | None:
+def begin_past(layout: Layout, state: RaceState) -> Past | None:
     """A history that is full of one state; None where no field needs one."""
     past, size = Past(state.drone, state.action), layout.depth
     return jax.tree.map(lambda x: jnp.full((size,), x), past) if size else None
 
 
-def push_past(past: Past | None, state: "RaceState") -> Past | None:
+def push_past(past: Past | None, state: RaceState) -> Past | None:
     """The history one step later, with the state (and the action before it) of the step."""
     if past is None:
         return None

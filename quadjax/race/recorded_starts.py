@@ -36,30 +36,13 @@ class RecordedStarts(struct.PyTreeNode):
     part: jax.Array  # () of the episodes that start in one of them
 
 
-class RecordedStart(struct.PyTreeNode):
-    """The state drawn for one episode, and whether it is used."""
-
-    motion: Motion
-    actuators: jax.Array  # (k,)
-    target: jax.Array  # () int32
-    used: jax.Array  # () bool
-
-    def instead_of(self, motion: Motion, actuators: jax.Array) -> tuple[Motion, jax.Array]:
-        """This state where it is used, else the motion and the numbers (m,) of the actuators."""
-        chosen = jax.tree.map(lambda own, x: jnp.where(self.used, own, x), self.motion, motion)
-        count = self.actuators.shape[0]
-        own = jnp.where(self.used, self.actuators, actuators[:count])
-        return chosen, jnp.concatenate([own, actuators[count:]])
-
-
-def draw_recorded(starts: RecordedStarts, key: jax.Array) -> RecordedStart:
-    """One of the states, with equal chances, for a part of the episodes."""
+def draw_recorded(starts: RecordedStarts, key: jax.Array) -> tuple[jax.Array, RecordedStarts]:
+    """Whether an episode starts in a recorded state, a () bool, and one of them, all as likely."""
     which, whether = jax.random.uniform(key, (2,))
     count = starts.target.shape[0]
     index = jnp.minimum((which * count).astype(jnp.int32), count - 1)
-    motion = jax.tree.map(lambda values: values[index], starts.motion)
-    used = whether < starts.part
-    return RecordedStart(motion, starts.actuators[index], starts.target[index], used)
+    one = jax.tree.map(lambda values: values[index], starts.replace(part=None))
+    return whether < starts.part, one
 
 
 @dataclass(frozen=True)

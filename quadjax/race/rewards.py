@@ -14,7 +14,7 @@ from quadjax.core.traced import register
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.rules import body_radius
-from quadjax.race.step import Step
+from quadjax.race.step import Step, UserFunctions
 from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
 
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -169,7 +169,7 @@ class Term(NamedTuple):
     optional: bool = False  # not computed in a race where its weight is always zero
 
 
-REWARDS: Mapping[str, Term] = {  # by the name of the weight
+REWARDS: dict[str, Term] = {  # by the name of the weight
     # Ferede et al., arXiv 2311.16948, with the sign that makes progress positive.
     "progress": Term(lambda step: step.distance_before - step.distance, "flight"),
     "gate": Term(lambda step: 1.0, "pass"),
@@ -186,24 +186,27 @@ REWARDS: Mapping[str, Term] = {  # by the name of the weight
 }
 
 
-def user_term(name: str, term: Callable[[Step], jax.Array]) -> Term:
-    """A user's own term as an entry of the rewards, checked to give one number."""
+def terms_of(own: UserFunctions) -> Mapping[str, Term]:
+    """``REWARDS`` and a user's own terms, each checked to give one number."""
 
-    def value(step: Step) -> jax.Array:
-        number = user_numbers(f"reward term {name}", term, step)[0]
-        return jnp.asarray(number, jnp.result_type(step.time_step))
+    def checked(name: str, term: Callable[[Step], jax.Array]) -> Term:
+        def value(step: Step) -> jax.Array:
+            number = user_numbers(f"reward term {name}", term, step)[0]
+            return jnp.asarray(number, jnp.result_type(step.time_step))
 
-    return Term(value)
+        return Term(value)
+
+    return REWARDS | {name: checked(name, term) for name, term in own}
 
 
-def reward(step: Step, terms: Mapping[str, Term]) -> jax.Array:
+def reward(step: Step, own: UserFunctions = ()) -> jax.Array:
     """The reward () of one step: the sum of its weighted terms; see ``Term``.
 
     Args:
         step: with its outcome and its action.
-        terms: ``REWARDS`` and a user's own. A term whose weight is None is not computed.
+        own: a user's terms, in addition to ``REWARDS``. A term without a weight is not computed.
     """
-    section, outcome = step.params.reward, step.outcome
+    section, outcome, terms = step.params.reward, step.outcome, terms_of(own)
     assert outcome is not None
     weights: dict[str, Scalar | None] = {
         name: getattr(section, name, section.terms.get(name)) for name in terms

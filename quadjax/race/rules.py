@@ -14,7 +14,7 @@ from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import Traced, register
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.step import Step
+from quadjax.race.step import Step, UserFunctions
 from quadjax.race.track import Gate, Span, Track, gate_at, gate_count, to_opening_frame
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -311,7 +311,8 @@ def flies_too_fast(step: Step) -> jax.Array | None:
 # What ends an episode as a crash, by the text that says why: the first that applies is reported.
 # A function gives None where the race has no such rule. The rules of a user come after these.
 NOT_FINITE = "not finite"
-TERMINATIONS: Mapping[str, Callable[[Step], jax.Array | None]] = {
+Termination = Callable[[Step], jax.Array | None]
+TERMINATIONS: dict[str, Termination] = {
     "hit a gate": hits_a_gate,
     "hit the ground": hits_the_ground,
     "out of bounds": leaves_the_bounds,
@@ -323,19 +324,18 @@ TERMINATIONS: Mapping[str, Callable[[Step], jax.Array | None]] = {
 }
 
 
-def user_rule(name: str, rule: Callable[[Step], jax.Array]) -> Callable[[Step], jax.Array]:
-    """A user's own rule as an entry of the terminations, checked to give one flag."""
-    return lambda step: jnp.asarray(user_numbers(f"rule {name}", rule, step)[0], bool)
+def terminations_of(rules: UserFunctions) -> Mapping[str, Termination]:
+    """``TERMINATIONS`` and a user's own rules, each checked to give one flag."""
+
+    def checked(name: str, rule: Callable[[Step], jax.Array]) -> Termination:
+        return lambda step: jnp.asarray(user_numbers(f"rule {name}", rule, step)[0], bool)
+
+    return TERMINATIONS | {f"ended by {name}": checked(name, rule) for name, rule in rules}
 
 
-def judge(step: Step, terminations: Mapping[str, Callable[[Step], jax.Array | None]]) -> Outcome:
-    """The events of a step, before any reset.
-
-    Args:
-        step: with the vehicle's state after it.
-        terminations: the rules by their names.
-    """
-    params, state = step.params, step.state
+def evaluate_rules(step: Step, rules: UserFunctions = ()) -> Outcome:
+    """The events of a step, before any reset, by ``TERMINATIONS`` and a user's own rules."""
+    params, state, terminations = step.params, step.state, terminations_of(rules)
     flags = {name: rule(step) for name, rule in terminations.items()}
     crashes = {name: flag for name, flag in flags.items() if flag is not None}
     truncated = state.step + 1 >= params.training_limits.episode_steps

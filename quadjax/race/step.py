@@ -1,23 +1,123 @@
-"""``Step``: the argument of every reward term, termination and field of the observation."""
+"""What a race is, ``Choices``, ``RaceParams`` and ``RaceState``, and one ``Step`` of it.
+
+``Choices`` are static (they choose code); ``RaceParams`` are traced (they are numbers).
+"""
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import jax
+import jax.numpy as jnp
+from flax import struct
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.track import Gate
-from quadjax.vehicle.protocol import State, VehicleModel
+from quadjax.race.track import Gate, Track
+from quadjax.vehicle.battery import Battery, BatteryState
+from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
+from quadjax.vehicle.protocol import Constants, State, VehicleModel, VehicleParams
 
-if TYPE_CHECKING:
-    from quadjax.race.environment import RaceParams, RaceState
-    from quadjax.race.rules import Outcome
+if TYPE_CHECKING:  # what is declared next to the functions of a step
+    from quadjax.race.layout import Layout
+    from quadjax.race.recorded_starts import RecordedStarts
+    from quadjax.race.rewards import Reward
+    from quadjax.race.rules import Outcome, Rules, TrainingLimits
+    from quadjax.race.starts import Disturbance, Start
+
+# A user's functions of a step, with their names.
+UserFunctions = tuple[tuple[str, Callable[["Step"], jax.Array]], ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Step:
+class Choices:
+    """What chooses code: known when the environment is built."""
+
+    model: VehicleModel
+    layout: "Layout"  # of the observation
+    integrator: str = "euler"  # "euler" | "rk4"
+    randomize: bool = False  # draw new constants for every episode
+    population: str | None = None  # of the model, that they are drawn from
+    terms: UserFunctions = ()  # a user's reward terms, in addition to REWARDS
+    rules: UserFunctions = ()  # a user's rules, in addition to TERMINATIONS
+    report_passes: bool = False  # to the learner: gates passed, for curricula
+
+
+class RaceParams(struct.PyTreeNode):
+    """Every number of the race. Sections of the config are as leaves, with angles in rad."""
+
+    vehicle: VehicleParams
+    track: Track
+    reward: "Reward"
+    rules: "Rules"
+    training_limits: "TrainingLimits"
+    start: "Start"
+    disturbance: "Disturbance"
+    randomization: Constants  # largest relative error of each constant
+    tracks: Track | None = None  # (tracks, gates) of each number: drawn for every episode
+    heading: jax.Array | None = None  # (gates,) rad, center of a start's yaw; None: north
+    recorded: "RecordedStarts | None" = None  # states in which a part of the episodes starts
+    population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
+    mismatch: Constants | None = None  # factors on the constants of the simulated drone
+    estimator: EstimatorParams | None = None  # where the observation is estimated
+    battery: Battery | None = None  # where it limits the commands
+    # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
+    # that it was trained with.
+    disturbance_scale: "Disturbance | None" = None
+
+    @property
+    def observed_disturbance(self) -> "Disturbance":
+        """Half-widths that scale the observed disturbances."""
+        return self.disturbance if self.disturbance_scale is None else self.disturbance_scale
+
+    @property
+    def opaque_true(self) -> jax.Array:
+        """A flag that is true but unknown to the compiler; see ``quadjax.core.materialize``."""
+        return jnp.asarray(self.training_limits.episode_steps) > 0
+
+    def on_track(self, track: Track | None) -> "RaceParams":
+        """The race on the track of one episode, if it has its own."""
+        return self if track is None else self.replace(track=track)
+
+    def vehicle_of(self, state: "RaceState") -> VehicleParams:
+        """The vehicle of one episode, with the constants that were drawn for it."""
+        if state.constants is None:
+            return self.vehicle
+        return dataclasses.replace(self.vehicle, constants=state.constants)
+
+
+class Estimate(struct.PyTreeNode):
+    """The onboard estimate of the external disturbance."""
+
+    filter: EstimatorState
+    moment: Vec3  # N m, body
+    force: Vec3  # m/s^2, body
+
+
+class Past(struct.PyTreeNode):
+    """Earlier states of one drone, the latest first."""
+
+    drone: State  # of the vehicle model, each leaf (depth,)
+    action: tuple[jax.Array, ...] | None  # of the step before each, (depth,), where it is observed
+
+
+class RaceState(struct.PyTreeNode):
+    """One drone in its race."""
+
+    drone: State  # of the vehicle model
+    target: jax.Array  # () int32, index of the gate to pass next
+    step: jax.Array  # () int32, steps since the episode began
+    gates_passed: jax.Array  # () int32
+    constants: Constants | None  # of this episode, where they are drawn; else None
+    estimate: Estimate | None = None  # where the observation is estimated; else None
+    action: tuple[jax.Array, ...] | None = None  # of the step before, each (), where it is used
+    battery: BatteryState | None = None  # where the race has one
+    track: Track | None = None  # of this episode, where it is drawn; else None
+    past: Past | None = None  # where a history is observed
+
+
+class Step(struct.PyTreeNode):
     """One step of one drone in its race. World NED, body FRD, SI units, rad.
 
     A reward term is a function of it that returns a () float, added to the step's reward with its
@@ -36,9 +136,9 @@ class Step:
         action: (action_size,) as the policy gave it, for a reward term; None for others.
     """
 
-    model: VehicleModel
-    params: "RaceParams"
-    state: "RaceState"
+    model: VehicleModel = struct.field(pytree_node=False)
+    params: RaceParams
+    state: RaceState
     gate: Gate
     after: State | None = None
     outcome: "Outcome | None" = None

@@ -5,6 +5,7 @@ start, with x and y within 0.5 m of it and the yaw within 45 deg.
 """
 
 import dataclasses
+import functools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -16,12 +17,15 @@ import numpy as np
 
 from quadjax.config.schema import Config
 from quadjax.core.markdown import table
+from quadjax.core.vectors import safe_norm
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race import laps
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.studies.robustness import drawn_races
 
+# Time until the first gate (0 before), s; highest speed, m/s; seconds above a speed: (runs,) each.
+Speeds = tuple[jax.Array, jax.Array, jax.Array]
 TITLES = ("constants", "finished", "median", "first to last gate", "highest speed")
 
 
@@ -112,26 +116,14 @@ def _fly(
     begin = jax.jit(laps.starting_states, static_argnums=(0, 3, 4, 5))
     states = begin(choices, params, key, runs, True, True)
     own = pilot.make_pilot(choices, params, policy, deterministic=True)
-    race, _ = laps.fly_race(
-        choices,
-        pilot.fly,
-        math.ceil(length),
-        laps.step_limit(params, length),
-        False,
-        params,
-        own,
-        states,
-        noise,
-        laps.last_gate(params.track, gates),
-        jnp.float32(math.inf if speed is None else speed),
+    steps, last = laps.step_limit(params, length), laps.last_gate(params.track, gates)
+    drones, above_limit = (laps.begin(states, math.ceil(length)), noise), speed or math.inf
+    race, speeds = fly_with_speeds(
+        choices, pilot.fly, steps, last, params, own, drones, above_limit
     )
     limit = laps.time_limit(params.track, length)
     result = laps.laps_of(choices, race, float(params.rules.time_step), limit)
-    assert race.speeds is not None
-    first, highest, above = (
-        np.asarray(getattr(race.speeds, name), np.float64)
-        for name in ("first_gate", "highest", "above")
-    )
+    first, highest, above = (np.asarray(x, np.float64) for x in speeds)
     done = np.isfinite(result.totals)
     return RaceFlights(
         label,
@@ -144,6 +136,38 @@ def _fly(
         speed,
         dict(Counter(reason for reason in result.crashes if reason)),
     )
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def fly_with_speeds(
+    choices: Choices,
+    actor: laps.Actor,
+    steps: int,
+    last: int | None,
+    params: RaceParams,
+    policy: object,
+    drones: laps.Carry,
+    limit: float,
+) -> tuple[laps.LapState, Speeds]:
+    """Fly given drones for at most ``steps`` steps, with the time above a speed ``limit``, m/s."""
+    one, dt = laps.stepper(choices, actor, params, policy, last), params.rules.time_step
+
+    def going_on(carry: tuple[jax.Array, laps.Carry, Speeds]) -> jax.Array:
+        return (carry[0] < steps) & ~jnp.all(carry[1][0].over)
+
+    def step(carry: tuple[jax.Array, laps.Carry, Speeds]) -> tuple:
+        count, (before, key), (first, highest, above) = carry
+        (race, key), _ = one((before, key))
+        passed = (first == 0.0) & (race.state.gates_passed > 0)
+        now = safe_norm(choices.model.velocity(race.state.drone))
+        clock = jnp.asarray(race.state.step, jnp.result_type(dt)) * dt
+        first = jnp.where(passed, clock, first)
+        fast = (now > limit) & ~before.over
+        return count + 1, (race, key), (first, jnp.maximum(highest, now), above + dt * fast)
+
+    none = jnp.zeros(drones[0].over.shape)
+    _, (race, _), speeds = jax.lax.while_loop(going_on, step, (0, drones, (none, none, none)))
+    return race, speeds
 
 
 def _median(values: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from quadjax.core.limits import MAX_LAPS, check_integer
 from quadjax.core.markdown import table
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.race import environment, laps
+from quadjax.race import environment, episode, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.random_track import RandomTracks
 from quadjax.race.track import Track
@@ -94,5 +94,5 @@ def fly_random_tracks(
 
 def _hover(choices: Choices, params: RaceParams, track: Track) -> RaceState:
     """Hover at the last gate of a track."""
-    params = environment.on_track(params, track)
-    return environment.hover_start(choices, params).replace(track=track)
+    params = params.on_track(track)
+    return episode.hover_start(choices, params).replace(track=track)

@@ -22,7 +22,7 @@ from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.starts import draw_start, start_gate
+from quadjax.race.episode import draw_start, start_gate, with_memory
 from quadjax.race.track import gate
 from quadjax.vehicle.protocol import Motion
 
@@ -155,7 +155,7 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     drone = model.start(state.constants, motion, drawn.actuators, params.start.thrust)
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
-    return environment.with_memory(choices, params, fresh)
+    return with_memory(choices, params, fresh)
 
 
 def spread_table(flights: Sequence[Flights], name: str) -> str:

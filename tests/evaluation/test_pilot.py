@@ -11,7 +11,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.policy import pilot
 from quadjax.policy.inference import mean_action, policy_params
-from quadjax.race import environment
+from quadjax.race import environment, episode
 from quadjax.race.layout import Field, Layout
 from quadjax.training.build import initial_policy
 from tests.evaluation.support import random_policy
@@ -59,7 +59,7 @@ def test_disturbances_are_seen_in_the_policys_scale():
     policy = random_policy(observation={"disturbance": widths})
     for overrides in ([], ["disturbance.moment_x=0.04", "disturbance.moment_z=0.01"]):
         choices, params, _ = make(policy, *overrides)
-        state = environment.hover_start(choices, params)
+        state = episode.hover_start(choices, params)
         moment = Vec3.of(jnp.array([0.04, -0.01, 0.005]))
         met = state.drone.replace(moment_ext=moment, force_ext=moment.replace(z=jnp.array(-0.5)))
         observed = environment.observe(choices, params, state.replace(drone=met))
@@ -77,7 +77,7 @@ def test_the_observation_is_made_as_the_policy_was_trained():
     choices, params, _ = make(random_policy(observation=seen))
     # The source of the disturbance is the race's choice: it is what a drone can measure.
     assert choices.layout["moment_ext"].source == "ground_truth"
-    state = environment.hover_start(choices, params).replace(target=jnp.int32(3))
+    state = episode.hover_start(choices, params).replace(target=jnp.int32(3))
     shown = environment.observe(choices, params, state)[choices.layout.slice("next_yaw_unwrapped")]
     assert float(shown[0]) == pytest.approx(-1.5 * np.pi)
 
@@ -144,7 +144,7 @@ def test_a_policy_with_its_fields_in_another_order_flies_the_same():
         policy, layout=Layout(tuple(fields)), layers=((kernel[columns], bias), *policy.layers[1:])
     )
     other, other_params, other_ready = make(turned)
-    state = environment.hover_start(choices, params)
+    state = episode.hover_start(choices, params)
     first = pilot.fly(ready, environment.observe(choices, params, state), jnp.zeros(4))
     shown = environment.observe(other, other_params, state)
     np.testing.assert_allclose(pilot.fly(other_ready, shown, jnp.zeros(4)), first, atol=1e-6)

@@ -13,9 +13,9 @@ from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.core.resources import PRETRAINED
 from quadjax.policy import pilot
-from quadjax.race.laps import fly_race, starting_states
+from quadjax.race.laps import begin, fly_race, starting_states
 from quadjax.studies import robustness
-from quadjax.studies.race_flights import RaceFlights, race_table
+from quadjax.studies.race_flights import RaceFlights, fly_with_speeds, race_table
 from quadjax.studies.robustness import Flights, fly_spreads, spread_table, start_before_gate
 from tests import reference as ref
 from tests.evaluation.support import random_policy, rate_race, script, scripted
@@ -101,16 +101,17 @@ def test_more_drones_crash_with_larger_errors(tmp_path, capsys):
 def test_the_speeds_of_a_race_are_those_of_its_flight():
     _, choices, params = rate_race()
     states = starting_states(choices, params, jax.random.key(0), 2, True, around=True)
-    key, counted = jax.random.key(1), jnp.float32(2.0)
-    race, trace = fly_race(
-        choices, scripted, 1, 250, True, params, script(), states, key, None, counted
-    )
+    key = jax.random.key(1)
+    _, trace = fly_race(choices, scripted, 1, 250, True, params, script(), states, key)
+    drones = begin(states, 1), key
+    _, found = fly_with_speeds(choices, scripted, 250, None, params, script(), drones, 2.0)
+    to_first, highest, above = found
     speed = np.linalg.norm(trace.velocity, axis=1)[1:]  # after each step but the last
-    np.testing.assert_allclose(race.speeds.highest, speed.max(axis=0), rtol=1e-3)
+    np.testing.assert_allclose(highest, speed.max(axis=0), rtol=1e-3)
     seconds = 0.01 * (speed > 2.0).sum(axis=0)
-    np.testing.assert_allclose(race.speeds.above, seconds, atol=0.011)
+    np.testing.assert_allclose(above, seconds, atol=0.011)
     first = 0.01 * (trace.target == 0).sum(axis=0)
-    np.testing.assert_allclose(race.speeds.first_gate, first, atol=1e-5)
+    np.testing.assert_allclose(to_first, first, atol=1e-5)
     assert np.all((seconds > 0.2) & (first > 0.2)) and abs(first[0] - first[1]) > 0.01
 
 

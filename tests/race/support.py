@@ -14,7 +14,7 @@ import numpy as np
 from quadjax.config.loading import load_config
 from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
-from quadjax.race import environment
+from quadjax.race import environment, episode
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.laps import LapState, begin, score
 from quadjax.race.rules import Outcome
@@ -117,7 +117,7 @@ def first_score(
 
 def hover_state(race: tuple[Choices, RaceParams]) -> RaceState:
     """The start of timed laps."""
-    start = functools.partial(environment.hover_start, race[0])
+    start = functools.partial(episode.hover_start, race[0])
     return jax.tree.map(np.asarray, jax.jit(start, compiler_options=QUICK)(race[1]))
 
 

@@ -15,6 +15,7 @@ from quadjax.race import environment
 from quadjax.race.laps import Laps, fly_race, lap_length, starting_states, time_limit
 from quadjax.race.layout import Field, Layout
 from quadjax.race.observations import make_layout
+from quadjax.race.rules import terminations_of
 from quadjax.vehicle.motor import MODEL
 from quadjax.vehicle.protocol import Signal
 from quadjax.vehicle.rate import Rate
@@ -71,7 +72,8 @@ def test_a_rule_ends_the_episode_as_a_collision_does(races):
     np.testing.assert_allclose(value[1], -10.0 + terms[1], atol=1e-5)
     assert not np.any(step(races[0], rows)[2].terminated)
     crashes = first_score(rows, 0, following, outcome).crash
-    assert [("", *races[1][0].terminations)[code] for code in crashes] == ["", "ended by ceiling"]
+    reasons = ("", *terminations_of(races[1][0].rules))
+    assert [reasons[code] for code in crashes] == ["", "ended by ceiling"]
 
 
 class FiveCommands(Rate):

@@ -7,7 +7,7 @@ import pytest
 
 from quadjax.config.race import build_params
 from quadjax.config.schema import Randomization
-from quadjax.race.starts import towards
+from quadjax.race.episode import interpolate
 from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import A2RL
 from tests.race.support import make_config
@@ -60,7 +60,7 @@ def test_the_width_scales_every_draw():
     assert float(spread.k_x) == pytest.approx(0.1)
     one, other = ({"a": jnp.float32(x)} for x in (2.0, 6.0))
     for width, value in ((0.0, 2.0), (0.25, 3.0), (1.0, 6.0)):
-        assert float(towards(one, other, width)["a"]) == value
+        assert float(interpolate(one, other, width)["a"]) == value
     whole = make_config(*A2RL_RACE, "randomization.population=monorace_fastest")
     assert float(build_params(whole).population_width) == 1.0
     curriculum = make_config(

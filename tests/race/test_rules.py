@@ -373,7 +373,7 @@ def _paid(params, target, before, after, passed):
     state = RaceState(drone.replace(position=before), zero, zero, zero, None)
     outcome = rules.Outcome(passed, {GATE: jnp.zeros((), bool)}, jnp.zeros((), bool))
     g, after = gate(params.track, target), drone.replace(position=after)
-    return rewards.reward(Step(MODEL, params, state, g, after, outcome), REWARDS)
+    return rewards.reward(Step(MODEL, params, state, g, after, outcome))
 
 
 _payment = by_rows(_paid)

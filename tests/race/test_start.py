@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from quadjax.config.race import choices_of
 from quadjax.core.errors import InputError
+from quadjax.race.episode import draw_constants
 from quadjax.race.recorded_starts import MOTION, States
-from quadjax.race.starts import draw_constants
 from quadjax.race.track import inside_turn
 from quadjax.training.build import training_params
 from quadjax.vehicle.registry import MODELS

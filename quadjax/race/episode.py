@@ -1,0 +1,278 @@
+"""How an episode begins: at random around the track, or as a timed race does."""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from quadjax.core.errors import InputError
+from quadjax.core.frames import wrap_angle
+from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.race.layout import LAST_ACTION, split_name
+from quadjax.race.observations import begin_past
+from quadjax.race.recorded_starts import draw_recorded
+from quadjax.race.step import Choices, Estimate, RaceParams, RaceState
+from quadjax.race.track import Track, gate, gate_count, pick
+from quadjax.vehicle import estimator
+from quadjax.vehicle.battery import BatteryState, battery_at_start, draw_battery
+from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
+
+AROUND_START, YAW_OF_START = 0.5, math.pi / 4.0  # half-widths of x and y, m, and of the yaw, rad
+
+
+class Draws(struct.PyTreeNode):
+    """The random numbers of one start, each in [-1, 1]."""
+
+    gate: jax.Array  # ()
+    clock: jax.Array  # ()
+    position: jax.Array  # (3,)
+    velocity: jax.Array  # (3,)
+    euler: jax.Array  # (3,)
+    rates: jax.Array  # (3,)
+    actuators: jax.Array  # (at least 4,)
+    disturbance: jax.Array  # (4,) of the moment and the force
+    constants: jax.Array  # (n,)
+
+
+def draw(key: jax.Array, count: int) -> jax.Array:
+    """Uniform numbers in [-1, 1], (count,); one call for all, which compiles much faster."""
+    return jax.random.uniform(key, (count,), minval=-1.0, maxval=1.0)
+
+
+def draw_start(model: VehicleModel, key: jax.Array, constants: int = 0) -> Draws:
+    """The random numbers of a start, with those of a number of constants."""
+    sizes = (1, 1, 3, 3, 3, 3, max(4, model.actuators.size), 4, constants)
+    gate, clock, *others = jnp.split(draw(key, sum(sizes)), np.cumsum(sizes)[:-1])
+    return Draws(gate[0], clock[0], *others)
+
+
+def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
+    """A random start.
+
+    Raises:
+        InputError: ``params`` has both random tracks and headings of the starts, which are those of
+            ``params.track``.
+    """
+    track = _draw_track(params, jax.random.fold_in(key, 3))
+    params = params.on_track(track)
+    model, ranges = choices.model, params.start
+    size = len(jax.tree.leaves(params.vehicle.constants)) if choices.randomize else 0
+    draws = draw_start(model, key, size)
+    constants = _draw_constants(choices, params, draws.constants)
+    nominal = params.vehicle.constants if constants is None else constants
+    drone, target = _draw_drone(model, params, nominal, draws, key)
+    battery, clock = None, jnp.zeros((), jnp.int32)
+    if params.battery is not None:
+        rpm = model.actuator_state(drone)
+        battery = draw_battery(params.battery, rpm, jax.random.fold_in(key, 2))
+    if ranges.stagger_clocks:
+        steps = jnp.asarray(params.training_limits.episode_steps, draws.clock.dtype)
+        clock = (0.5 * (draws.clock + 1.0) * steps).astype(jnp.int32)
+    state = _begin(choices, params, drone, target, constants, battery)
+    if ranges.race is not None:
+        race_key, used_key = jax.random.split(jax.random.fold_in(key, 5))
+        race = hover_start(choices, params, state, draw(race_key, 3))
+        used = functools.partial(jnp.where, jax.random.uniform(used_key) < ranges.race)
+        state = jax.tree.map(used, race, state)
+    return state.replace(step=clock, track=track)
+
+
+def _draw_track(params: RaceParams, key: jax.Array) -> Track | None:
+    """One of the random tracks, all with the same chance; None where there are none."""
+    tracks = params.tracks
+    if tracks is None:
+        return None
+    if params.heading is not None:
+        raise InputError("params.heading is set, allowed: None with params.tracks")
+    index = jax.random.randint(key, (), 0, tracks.yaw.shape[0])
+    return jax.tree.map(lambda numbers: numbers[index], tracks)
+
+
+def _draw_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> Constants | None:
+    """The constants of one episode, of numbers (n,) in [-1, 1]; None: those of ``params``."""
+    constants, drawn = params.vehicle.constants, None
+    if params.mismatch is not None:
+        drawn = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
+    if not choices.randomize:
+        return drawn
+    if choices.population is None:
+        return draw_constants(constants, params.randomization, numbers)
+    assert params.population_width is not None
+    drone = choices.model.populations[choices.population](constants, numbers)
+    return interpolate(constants, drone, params.population_width)
+
+
+def interpolate(nominal: Constants, drone: Constants, width: jax.Array) -> Constants:
+    """Constants between the nominal ones (width 0) and those of a drone (width 1)."""
+    return jax.tree.map(lambda x, other: x + width * (other - x), nominal, drone)
+
+
+def draw_constants(nominal: Constants, spread: Constants, numbers: jax.Array) -> Constants:
+    """Constants of one episode: each scaled by its own draw from 1 +- its fraction in ``spread``.
+
+    ``numbers`` holds one number in [-1, 1] for each constant.
+    """
+    count = len(jax.tree.leaves(nominal))
+    factors = jax.tree.unflatten(jax.tree.structure(nominal), [numbers[i] for i in range(count)])
+    return jax.tree.map(lambda x, width, draw: x * (1.0 + width * draw), nominal, spread, factors)
+
+
+def _draw_drone(
+    model: VehicleModel, params: RaceParams, c: Constants, draws: Draws, key: jax.Array
+) -> tuple[State, jax.Array]:
+    """The vehicle's state at a random start with its disturbances, and the gate to pass next.
+
+    Motion and actuators are recorded ones in a part of the episodes, else around a point of the way
+    to the gate.
+    """
+    starts, target, fraction = params.start, jnp.zeros((), jnp.int32), jnp.zeros(())
+    if starts.gate == "random":
+        target = start_gate(params.track, draws.gate)
+    if params.recorded is not None:
+        used, recorded = draw_recorded(params.recorded, jax.random.fold_in(key, 4))
+        target = jnp.where(used, recorded.target, target)
+    if starts.along_leg is not None:
+        fraction = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, 1))
+    motion, actuators = _motion(params, target, fraction, draws), draws.actuators
+    if params.recorded is not None:
+        motion = jax.tree.map(functools.partial(jnp.where, used), recorded.motion, motion)
+        count = recorded.actuators.shape[0]
+        first = jnp.where(used, recorded.actuators, actuators[:count])
+        actuators = jnp.concatenate([first, actuators[count:]])
+    low, high = map(jnp.asarray, starts.thrust)
+    state = model.start(c, motion, actuators, (low, high))
+    if not model.disturbed:
+        return state, target
+    ranges = params.disturbance
+    widths = Vec3(ranges.moment_x, ranges.moment_y, ranges.moment_z)
+    moment = Vec3.of(draws.disturbance[:3]) * widths + Vec3(*ranges.moment_bias)
+    force = Vec3.zero().replace(z=draws.disturbance[3] * ranges.force_z)
+    return model.with_disturbance(state, moment, force), target
+
+
+def start_gate(track: Track, number: jax.Array) -> jax.Array:
+    """Index () of a gate, any with equal chance, of a number drawn from [-1, 1]."""
+    count = gate_count(track)
+    return jnp.minimum((0.5 * (number + 1.0) * count).astype(jnp.int32), count - 1)
+
+
+def _motion(params: RaceParams, target: jax.Array, fraction: jax.Array, draws: Draws) -> Motion:
+    """The motion of a start around the point at a ``fraction`` () of the way to a target gate."""
+    ranges = params.start
+    roll_pitch, yaw = ranges.roll_pitch_deg, ranges.yaw_deg  # rad, as leaves
+    euler = Vec3.of(draws.euler) * Vec3(roll_pitch, roll_pitch, yaw)
+    if params.heading is not None:
+        euler = euler.replace(z=wrap_angle(euler.z + pick(params.heading, target)))
+    return Motion(
+        _way(params.track, target, fraction) + Vec3.of(draws.position) * ranges.position,
+        Vec3.of(draws.velocity) * ranges.velocity,
+        euler,
+        Vec3.of(draws.rates) * ranges.body_rates,
+    )
+
+
+def _way(track: Track, target: jax.Array, fraction: jax.Array) -> Vec3:
+    """The point, m, at a ``fraction`` () of the way from the gate before to the target gate.
+
+    The way is a cubic Hermite curve with the horizontal headings of both gates and the length of
+    the leg as the length of its tangents. Its height lies between those of the gates. The curve
+    from the start of a course has no tangent there.
+    """
+    count = gate_count(track)
+    before, after = gate(track, (target + count - 1) % count), gate(track, target)
+    begin, heading = before.position, Vec3(before.cos_yaw, before.sin_yaw, jnp.zeros_like(fraction))
+    if not track.closed and track.start is not None:
+        first = functools.partial(jnp.where, target == 0)
+        begin = jax.tree.map(first, track.start.position, begin)
+        heading = jax.tree.map(first, Vec3.zero(), heading)
+    leg = after.position - begin
+    length, left = safe_norm(leg), 1.0 - fraction
+    leave, enter = length * fraction * left**2, -length * fraction**2 * left
+    arrival = Vec3(after.cos_yaw, after.sin_yaw, jnp.zeros_like(fraction))
+    return begin + leg * (fraction**2 * (3.0 - 2.0 * fraction)) + heading * leave + arrival * enter
+
+
+def hover(model: VehicleModel, c: Constants, track: Track, moved: jax.Array | None = None) -> State:
+    """At rest and level at the track's start, or the last gate, nose towards the first gate.
+
+    On the ground the actuators are at their lowest, elsewhere those of a hover. ``moved`` (3,) in
+    [-1, 1] moves x, y and the yaw by ``AROUND_START`` and ``YAW_OF_START``, as the ground starts
+    of MonoRace (arXiv 2601.15222); None: exactly there.
+    """
+    if track.start is not None:
+        position, yaw = track.start.position, track.start.yaw
+    else:
+        first, position = (jax.tree.map(lambda x, i=i: x[i], track.position) for i in (0, -1))
+        yaw = jnp.arctan2(first.y - position.y, first.x - position.x)
+    if moved is not None:
+        aside = Vec3(moved[0], moved[1], jnp.zeros_like(moved[2])) * AROUND_START
+        position, yaw = position + aside, yaw + YAW_OF_START * moved[2]
+    motion = Motion(position, Vec3.zero(), Vec3.zero().replace(z=wrap_angle(yaw)), Vec3.zero())
+    if track.start is None or not track.start.on_ground:
+        return model.hover(c, motion)
+    lowest = -jnp.ones(max(4, model.actuators.size))
+    return model.start(c, motion, lowest, (jnp.zeros(()), jnp.zeros(())))
+
+
+def hover_start(
+    choices: Choices,
+    params: RaceParams,
+    start: RaceState | None = None,
+    moved: jax.Array | None = None,
+) -> RaceState:
+    """The start of a timed race: hover at the track's start, or the last gate.
+
+    Args:
+        choices: of the race.
+        params: of the race.
+        start: its constants, disturbances and battery are used; None: nothing is drawn, and the
+            battery has the highest charge.
+        moved: (3,) numbers of a start around that place; see ``hover``.
+    """
+    model, constants = choices.model, None if start is None else start.constants
+    drone = hover(model, constants or params.vehicle.constants, params.track, moved)
+    if start is not None and model.disturbed:
+        drone = model.with_disturbance(drone, *model.disturbance(start.drone))
+    battery = None
+    if params.battery is not None:
+        charged = None if start is None else start.battery
+        battery = battery_at_start(params.battery, model.actuator_state(drone), charged)
+    return _begin(choices, params, drone, jnp.zeros((), jnp.int32), constants, battery)
+
+
+def _begin(
+    choices: Choices,
+    params: RaceParams,
+    drone: State,
+    target: jax.Array,
+    constants: Constants | None,
+    battery: BatteryState | None,
+) -> RaceState:
+    zero, action = jnp.zeros((), jnp.int32), no_action(choices, params)
+    state = RaceState(drone, target, zero, zero, constants, action=action, battery=battery)
+    return with_memory(choices, params, state)
+
+
+def no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | None:
+    """The action before the first, where the observation or the reward needs it."""
+    observed = LAST_ACTION in (split_name(name)[0] for name in choices.layout.names)
+    if not observed and params.reward.action_change is None:
+        return None
+    return tuple(jnp.zeros(()) for _ in range(choices.model.action_size))
+
+
+def with_memory(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
+    """The state with what is kept on board as it is at a start.
+
+    A fresh estimate of the disturbance, where the race has an estimator; a history full of this
+    state, where one is observed.
+    """
+    state = state.replace(past=begin_past(choices.layout, state))
+    if params.estimator is None:
+        return state
+    measured = choices.model.measure(params.vehicle_of(state), state.drone)
+    fresh = estimator.init(params.estimator, measured)
+    return state.replace(estimate=Estimate(fresh, Vec3.zero(), Vec3.zero()))
