@@ -12,12 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from quadjax.config.loading import load_config
-from quadjax.config.race import race_of
 from quadjax.core.files import read_json, write_json
-from quadjax.limits.bound import lower_bound
-from quadjax.limits.problem import Flight, make_problem
-from quadjax.limits.report import read_guess, to_json, write_flight, write_unverified
-from quadjax.limits.search import NotFoundError, Search
+from quadjax.limits.result import best_known, save_unverified
+from quadjax.limits.search import NotFoundError
 
 TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s", "grand_challenge")
 DRONES = {  # by name: a preset and overrides
@@ -32,22 +29,16 @@ DRONES = {  # by name: a preset and overrides
 def compute(track: str, drone: str, path: Path, seconds: float, starts: int) -> dict[str, Any]:
     """The result of one pair, as of ``quadjax limit --json``; an ``error`` where there is none."""
     preset, *overrides = DRONES[drone]
-    config = load_config(preset, [f"track={track}", *overrides])
-    fitted = config.vehicle.fitted_speed
-    problem = make_problem(*race_of(config), Flight(fitted_speed=fitted))
-    flight = path.with_suffix(".npz")
-    guesses = {"earlier flight": read_guess(problem, str(flight))} if flight.exists() else {}
+    config, flight = load_config(preset, [f"track={track}", *overrides]), path.with_suffix(".npz")
+    guesses = [flight] if flight.exists() else []
     try:
-        best = Search(problem, seconds).run(guesses, starts)
+        result = best_known(config, guesses=guesses, starts=starts, seconds=seconds).bounded()
     except NotFoundError as error:
         if not guesses:
-            write_unverified(flight, error)
+            save_unverified(flight, error)
         return {"error": str(error)}
-    top = best.check.top_speed
-    bound = lower_bound(problem, max(top, min(1.2 * top, problem.speed_limit)), best.total)
-    result = to_json(config, problem, best, bound, None, None)
-    write_flight(flight, config, problem, best, result)
-    return result
+    result.save(flight)
+    return result.to_json()
 
 
 def row(name: str, result: dict[str, Any]) -> str:

@@ -15,10 +15,10 @@ from cyclopts import Parameter
 
 from quadjax.cli import script
 from quadjax.cli.options import Config, Folder, Overrides, PolicyFile, Runs
-from quadjax.cli.train import train_once
 from quadjax.config.schema import Config as TrainingConfig
 from quadjax.core.files import read_json, write_json, write_text
 from quadjax.core.provenance import provenance
+from quadjax.evaluation.seeds import train_once
 from quadjax.studies.track_table import (
     RESULT,
     Case,

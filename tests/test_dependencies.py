@@ -18,7 +18,7 @@ ALLOWED = {
     "evaluation": CONFIG | {"config", "policy", "training", "view"},
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle"},
-    "limits": {"core", "vehicle", "race", "config", "policy"},
+    "limits": {"core", "vehicle", "race", "config", "policy", "evaluation"},
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},

@@ -41,28 +41,6 @@ COMMANDS = {  # by name, which is that of the module: one line of help
     "show": "list presets, parts, policies, tracks and vehicles, or print one of them",
 }
 
-REMOVED = {  # earlier names of subcommands: what does the same
-    "seeds": "quadjax train CONFIG --seeds 0 1 2",
-    "results": "quadjax evaluate --policy FILE",
-    "report": "quadjax evaluate CONFIG --flights FILE",
-    "watch": "quadjax view RUN",
-    "plant-logs": "quadjax logs PLANT --policy FILE",
-    "simulate-logs": "quadjax logs",
-    "config": "quadjax show CONFIG",
-    "presets": "quadjax show",
-    "vehicle": "quadjax show FILE.yaml",
-    "track": "quadjax show FILE.yaml",
-    "specialize": "quadjax.policy.specialize.specialize in Python",
-    "drones": "python -m benchmarks.drones",
-    "adaptation": "python -m benchmarks.adaptation",
-    "probe": "python -m benchmarks.probe",
-    "recovery": "python -m benchmarks.recovery",
-    "consistency": "python -m benchmarks.consistency",
-    "identify": "python -m benchmarks.identify",
-    "limit-table": "python -m benchmarks.limits",
-    "benchmark": "python -m benchmarks.speed",
-}
-
 
 def main(command: str | None = None, arguments: Sequence[str] | None = None) -> NoReturn:
     """Run a subcommand and exit with its status.
@@ -94,8 +72,6 @@ def _run(argv: list[str]) -> int | None:
 
         print(f"quadjax {__version__}")
         return 0
-    if argv[0] in REMOVED:
-        raise InputError(f"{argv[0]!r} is not a subcommand any more; use: {REMOVED[argv[0]]}")
     if argv[0] not in COMMANDS:
         hint = close_match(argv[0], list(COMMANDS))
         raise InputError(f"{argv[0]!r} is not a subcommand{hint}; allowed: {', '.join(COMMANDS)}")
@@ -119,7 +95,7 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
     with loading():
         from cyclopts import CycloptsError
 
-        from quadjax.cli.options import check_outputs
+        from quadjax.cli.options import GIVEN, check_outputs
         from quadjax.cli.output import ARGUMENTS
 
     app = application(command, name)
@@ -137,6 +113,7 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
             text = f"Invalid value for {error.argument.name}: {text}"
         raise InputError(f"{text} (try --help)") from error
     check_outputs(command, bound.arguments)
+    GIVEN.set(frozenset(bound.arguments))
     ARGUMENTS.set([*name.split()[1:], *argv])
     return command(*bound.args, **bound.kwargs)
 

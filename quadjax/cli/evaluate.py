@@ -1,8 +1,8 @@
 """``quadjax evaluate``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
@@ -13,9 +13,7 @@ from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED, policy_names
 
 if TYPE_CHECKING:
-    from quadjax.config.schema import Config as TrainingConfig
     from quadjax.evaluation.evaluation import Evaluation
-    from quadjax.policy.file import Policy
 
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
@@ -26,20 +24,6 @@ States = Annotated[
 Animation = Annotated[
     Path | None, opt.Output((".gif",)), Parameter(metavar="FILE.gif", group=opt.FILES)
 ]
-Study = Literal["laps", "protocols", "spread", "races", "random-tracks"]
-USED: Mapping[str, set[str]] = {  # options that have an effect on each study, apart from laps
-    "protocols": {"runs", "json"},
-    "spread": {"runs", "seconds", "seed", "json"},
-    "races": {"runs", "laps", "gates", "seed", "json"},
-    "random-tracks": {"runs", "laps", "json"},
-    "flights": {"flights", "logs", "allow_code", "report", "overwrite"},
-}
-FIGURES = {  # methods of an evaluation by the options that write their figures
-    "figure": "plot",
-    "figure_3d": "plot_3d",
-    "signals": "plot_signals",
-    "attitude": "plot_attitude",
-}
 
 
 def evaluate(
@@ -47,7 +31,7 @@ def evaluate(
     /,
     *overrides: opt.Overrides,
     policy: list[opt.PolicyFile] | None = None,
-    study: Study | None = None,
+    study: Literal["laps", "protocols", "spread", "races", "random-tracks"] | None = None,
     laps: opt.Laps | None = None,
     gates: opt.Gates | None = None,
     runs: opt.Runs | None = None,
@@ -60,8 +44,7 @@ def evaluate(
     seconds: opt.Count | None = None,
     offsets: opt.Flag = False,
     flights: Annotated[list[str] | None, Parameter(metavar="[LABEL=]FILE", group=RECORDED)] = None,
-    logs: Annotated[opt.FitConfig | None, Parameter(group=RECORDED)] = None,
-    allow_code: Annotated[opt.AllowCode, Parameter(group=RECORDED)] = False,
+    logs: Annotated[opt.Logs, Parameter(group=RECORDED)] = opt.PLAIN_LOGS,
     report: Annotated[Path, Parameter(metavar="DIR", group=RECORDED)] = Path("runs/report"),
     overwrite: Annotated[opt.Overwrite, Parameter(group=RECORDED)] = False,
     json: opt.AnyFile = None,
@@ -97,7 +80,7 @@ def evaluate(
     Example: quadjax evaluate e2e --policy e2e_nominal --laps 6 --figure lap.png
 
     Args:
-        policy: Policy file, folder of a run, or name of a shipped policy.
+        policy: Policy file, folder of a run, or name of a shipped policy; may be repeated.
         study: Which flights are simulated (default: laps, of several policies protocols).
         laps: Laps of a run (default: evaluate.laps).
         gates: Gates of a run, in place of laps.
@@ -111,7 +94,6 @@ def evaluate(
         seconds: Of a flight of the study spread.
         offsets: Print the distances from the gates' centers.
         flights: A group of flights, with its label; may be repeated.
-        logs: Fit config whose section logs describes the columns of flight logs.
         report: Folder of the tables and figures.
         json: Write the laps, or the numbers of a study.
         states: Write all trajectories.
@@ -121,220 +103,88 @@ def evaluate(
         attitude: Draw height and attitude over time.
         animation: Animate the flight.
     """
-    options = {key: value for key, value in locals().items() if key not in ("config", "overrides")}
     if flights is not None:
-        _refuse_others("flights", options)
-        columns = (logs, allow_code)
-        _report(config or "e2e", overrides, flights, columns, report, overwrite)
-        return
-    if laps is not None and gates is not None:
-        raise InputError("--laps and --gates exclude each other")
+        opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
+        return _report(config or "e2e", overrides, flights, logs, report, overwrite)
+    opt.refuse("without --flights", "logs", "report", "overwrite")
+    opt.exclude("laps", "gates")
     if range_ and not fixed_point:
         raise InputError("--range is allowed only with --fixed-point")
     if policy is None and config is not None:
         raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
-    files = policy or [PRETRAINED / f"{name}.npz" for name in policy_names()]
+    options, files = locals(), policy or [PRETRAINED / f"{name}.npz" for name in policy_names()]
     study = study or ("laps" if len(files) == 1 else "protocols")
-    if study == "laps":
-        _refuse_others("laps", options)
-    else:
-        _refuse_others(study, {**options, "policy": None, "study": None})
-    if study == "protocols":
-        _protocols(files, config, overrides, runs or 100, json)
-    elif len(files) > 1:
+    if len(files) > 1 and study != "protocols":
         raise InputError(f"--policy: {len(files)} policies, allowed: 1 with --study {study}")
-    else:
-        _evaluate(files[0], config, overrides, study, options)
-
-
-def _refuse_others(study: str, options: Mapping[str, Any]) -> None:
-    """Refuse options that have no effect on the flights of a study."""
-    used = USED.get(study) or set(options) - USED["flights"] - {"seconds"}
-    defaults = ("hover", 0, Path("runs/report"))
-    for name, value in options.items():
-        if name in used or value is None or value is False or value in defaults:
-            continue
-        kind = "--flights" if study == "flights" else f"--study {study}"
-        raise InputError(f"--{name.strip('_').replace('_', '-')} is not allowed with {kind}")
-
-
-def _evaluate(
-    file: Path,
-    config: str | None,
-    overrides: Sequence[str],
-    study: str,
-    options: Mapping[str, Any],
-) -> None:
-    """The laps, or another study of one policy."""
     with loading():
-        from quadjax.config.race import race_of
-        from quadjax.evaluation.evaluation import lap_table
-        from quadjax.policy import pilot
-        from quadjax.policy.race import policy_path
-
-    file = policy_path(file)
-    race, policy = _race(file, config, overrides)
-    pilot.fit_race(*race_of(race), policy, str(file))
-    with steps() as report:
-        report("compiling and simulating")
-        if study == "laps":
-            evaluations = _laps(race, policy, file, options)
-            text = lap_table(evaluations)
-        else:
-            text, record = _study(study, race, policy, file, options)
-    print(text)
-    if study == "laps":
-        _write(next(iter(evaluations.values())), options)
-    else:
         from quadjax.core.provenance import provenance
+        from quadjax.evaluation.evaluation import lap_table
+        from quadjax.studies import of_policies
 
-        write_record(options["json"], record, provenance(race, str(file), options["seed"]))
-
-
-def _race(
-    file: Path, config: str | None, overrides: Sequence[str]
-) -> tuple["TrainingConfig", "Policy"]:
-    """A policy and the race that it flies: that of the config, or its own."""
-    from quadjax.config.loading import load_config
-    from quadjax.policy.file import Policy
-
-    if config is None:
-        policy = Policy.load(file)
-        return _own_race(policy, file), policy
-    race = load_config(config, overrides)
-    return race, Policy.load(file, race)
-
-
-def _own_race(policy: "Policy", file: Path) -> "TrainingConfig":
-    """The race in which a policy was trained."""
-    from quadjax.policy.race import race_of_policy
-
+    why, drawn = f"with --study {study}", study not in ("laps", "protocols")
+    if study == "laps":
+        opt.refuse(why, "seconds")
+    else:
+        fly = of_policies.STUDIES[study]
+        used = opt.given(fly, options, why, "policy", "study", "json")
     try:
-        return race_of_policy(policy, file, report=note)[0]
+        entries = [of_policies.Entry.read(file, config, overrides, note) for file in files]
     except InputError as error:
-        raise InputError(str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")) from None
+        text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
+        raise InputError(text) from None
+    race = entries[0].race if config or drawn else None
+    with steps() as show:
+        show("compiling and simulating")
+        if study == "laps":
+            how = {key: options[key] for key in ("runs", "laps", "gates", "start", "seed")}
+            ranges = (range_ or []) if fixed_point else None
+            lines = of_policies.laps(entries[0], deterministic, ranges, body_radius=body, **how)
+            text = lap_table(lines)
+        else:
+            text, record = fly(entries, show, **used)
+    print(text)
+    if study != "laps":
+        write_record(json, record, provenance(race, str(entries[0].file) if drawn else None, seed))
+        return
+    evaluation = next(iter(lines.values()))
+    if offsets:
+        print(of_policies.offsets_text(evaluation))
+    drawings = {"": figure, "_3d": figure_3d, "_signals": signals, "_attitude": attitude}
+    _write(evaluation, json, states, drawings, animation)
 
 
-def _study(
-    study: str, race: "TrainingConfig", policy: "Policy", file: Path, options: Mapping[str, Any]
-) -> tuple[str, dict[str, Any]]:
-    """The table and the numbers of a study."""
-    from quadjax.race.random_track import RandomTracks
-    from quadjax.studies.race_flights import fly_races, race_table
-    from quadjax.studies.random_tracks import fly_random_tracks
-    from quadjax.studies.robustness import fly_spreads, spread_table
-
-    name, seed, laps = str(file), options["seed"], options["laps"]
-    if study == "spread":
-        seconds = options["seconds"] or 12
-        spreads = fly_spreads(policy, race, options["runs"] or 1000, seconds, seed, name)
-        rows = [row.to_json() for row in spreads]
-        return spread_table(spreads, file.stem), {"seconds": seconds, "flights": rows}
-    if study == "races":
-        races = fly_races(policy, race, options["runs"] or 1000, laps, options["gates"], seed, name)
-        return race_table(races), {"flights": [row.to_json() for row in races]}
-    if laps == 1:
-        raise InputError("--laps is 1, allowed: at least 2 with --study random-tracks")
-    trained = race.randomization.tracks or RandomTracks()
-    tracks = trained.replace(seed=trained.seed + trained.count, count=options["runs"] or 100)
-    flown = fly_random_tracks(policy, race, tracks, laps or 3, name)
-    return flown.table(), flown.to_json()
-
-
-def _laps(
-    race: "TrainingConfig", policy: "Policy", file: Path, options: Mapping[str, Any]
-) -> "dict[str, Evaluation]":
-    """Every line of the table by its label; the first is the one to save."""
-    from quadjax.config.race import race_of
-    from quadjax.evaluation.evaluation import evaluate
-
-    common = {key: options[key] for key in ("runs", "laps", "gates", "start", "seed")}
-    common |= {"name": str(file), "body_radius": options["body"]}
-    if options["fixed_point"]:
-        from quadjax.export.actor import fixed_point_fly
-        from quadjax.export.race_tables import track_ranges
-        from quadjax.export.ranges import parse_overrides
-
-        _, params = race_of(race)
-        ranges = track_ranges(policy.layout, params.track)
-        actor = fixed_point_fly(policy, ranges | parse_overrides(options["range_"] or []))
-        fixed = evaluate(policy, race, deterministic=True, actor=actor, **common)
-        return {"fixed point, mean": fixed}
-    evaluations = {}
-    for deterministic in (True,) if options["deterministic"] else (False, True):
-        result = evaluate(policy, race, deterministic=deterministic, **common)
-        evaluations[result.label()] = result
-    return evaluations
-
-
-def _write(evaluation: "Evaluation", options: Mapping[str, Any]) -> None:
-    """Write the JSON file, the figures and the animation that were asked for."""
-    import numpy as np
+def _write(
+    evaluation: "Evaluation",
+    json: Path | None,
+    states: Path | None,
+    figures: dict[str, Path | None],
+    animation: Path | None,
+) -> None:
+    """Write the files of an evaluation; the figures by the suffixes of its methods ``plot``."""
+    import itertools
 
     from quadjax.core.files import write_json
     from quadjax.core.plotting import save_figure
 
-    if options["offsets"] and evaluation.gate_offsets.size:
-        mean, wide = evaluation.gate_offsets.mean(), np.percentile(evaluation.gate_offsets, 95.0)
-        print(f"distance from the gates' centers: mean {mean:.3f} m, 95% within {wide:.3f} m")
-    if options["json"]:
-        write_json(options["json"], evaluation.to_json())
-    if options["states"]:
-        evaluation.save_states(options["states"])
-    for option, method in FIGURES.items():
-        if options[option]:
-            save_figure(getattr(evaluation, method)(), options[option])
-    if options["animation"]:
-        from quadjax.evaluation.animation import frame_count
-        from quadjax.training.progress import bar
-
-        with bar() as progress:
-            task = progress.add_task("animation", total=frame_count(evaluation.flights))
-            evaluation.animate(options["animation"], lambda: progress.advance(task))
-    wrote(*(options[option] for option in ("json", "states", *FIGURES, "animation")))
-
-
-def _protocols(
-    files: Sequence[Path],
-    config: str | None,
-    overrides: Sequence[str],
-    runs: int,
-    json: Path | None,
-) -> None:
-    """One table of several policies: mean and sampled, from hover and from random starts."""
-    with loading():
-        import functools
-
-        from quadjax.config.loading import load_config
-        from quadjax.core.provenance import provenance
-        from quadjax.evaluation.evaluation import evaluate
-        from quadjax.evaluation.protocols import fly_protocols, protocol_table
-        from quadjax.evaluation.published import published_sampled
-        from quadjax.policy.file import Policy
-        from quadjax.policy.race import policy_path
-        from quadjax.training.progress import bar
-
-    race = load_config(config, overrides) if config is not None else None
-    results = []
-    with bar(counted=True) as progress:
-        task = progress.add_task("", total=len(files))
-        for path in files:
-            progress.update(task, description=path.name)
-            policy = Policy.load(file := policy_path(path))
-            flown = race or _own_race(policy, file)
-            fly = functools.partial(evaluate, policy, flown, runs=runs, name=str(file))
-            label = path.name if path.is_dir() else path.stem
-            results.append(fly_protocols(fly, label, policy.log_std, published_sampled(flown)))
-            progress.advance(task)
-    print(protocol_table(results))
-    write_record(json, {"results": [row.to_json() for row in results]}, provenance(race))
+    if json:
+        write_json(json, evaluation.to_json())
+    if states:
+        evaluation.save_states(states)
+    for suffix, path in figures.items():
+        if path:
+            save_figure(getattr(evaluation, f"plot{suffix}")(), path)
+    if animation:
+        frames = itertools.count(1)
+        with steps() as show:
+            evaluation.animate(animation, lambda: show(f"animation, frame {next(frames)}"))
+    wrote(json, states, *figures.values(), animation)
 
 
 def _report(
     config: str,
     overrides: Sequence[str],
     flights: Sequence[str],
-    columns: tuple[str | None, bool],
+    logs: opt.Logs,
     folder: Path,
     overwrite: bool,
 ) -> None:
@@ -342,15 +192,12 @@ def _report(
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.core.folders import results
-        from quadjax.fitting.config import load_fit_config
         from quadjax.studies.report.flights import find_flights
         from quadjax.studies.report.run import FILES as REPORT_FILES
         from quadjax.studies.report.run import write_report
 
     race = load_config(config, overrides)
-    fit, allow_code = columns
-    logs = None if fit is None else load_fit_config(fit, allow_code=allow_code).logs
-    groups = find_flights(flights, race.track, logs)
+    groups = find_flights(flights, race.track, logs.columns() if logs.logs else None)
     with results(folder, "report", REPORT_FILES, overwrite) as new:
         text = write_report(groups, race, new)
     print(text)

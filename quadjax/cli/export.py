@@ -6,6 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
+from quadjax.cli.output import wrote
 from quadjax.core.interruptions import loading
 from quadjax.export.targets import DEFAULT_TARGET, TARGETS
 
@@ -22,8 +23,8 @@ def export(
     race: Annotated[str | None, Parameter(name=["--race", "--config"], metavar="CONFIG")] = None,
     sample_rate: float | None = None,
     cutoff: float | None = None,
-    allow_unfinished: opt.Flag = False,
-    allow_other_race: opt.Flag = False,
+    allow_unfinished: opt.AllowUnfinished = False,
+    allow_other_race: opt.AllowOtherRace = False,
     overwrite: opt.Flag = False,
 ) -> None:
     """Convert a policy file to fixed-point C.
@@ -45,9 +46,6 @@ def export(
             the preset that it names).
         sample_rate: Of the estimators, Hz (default: 512).
         cutoff: Of the disturbance estimator's low-pass, Hz (default: 8).
-        allow_unfinished: Export a policy of which less than 90% of the simulated flights
-            finish.
-        allow_other_race: Export for a race that differs from the one in the policy file.
         overwrite: Write to a folder that no export made, and replace its files of the same
             names.
     """
@@ -70,7 +68,8 @@ def export(
         overwrite=overwrite,
     )
     print(result.text)
-    print(f"Written to {output}. Next: {verification(output, allow_unfinished, allow_other_race)}")
+    wrote(f"{output}/")
+    print(f"Next: {verification(output, allow_unfinished, allow_other_race)}")
 
 
 def verification(output: Path, allow_unfinished: bool, allow_other_race: bool) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
-from quadjax.cli.output import steps
+from quadjax.cli.output import steps, wrote
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import find_config
 
@@ -51,13 +51,11 @@ def fit(
         racing = read_racing_vehicle(settings.vehicle, path.parent)
         if racing is not None:
             quadcopter = run_racing_fit(settings, path.parent, racing, report)
-        else:
-            result = run_fit(settings, path.parent, report)
-        report("writing")
-        if racing is not None:
             written, text = write_racing_results(quadcopter, new), racing_tables(quadcopter)
         else:
+            result = run_fit(settings, path.parent, report)
+            report("writing")
             written, text = write_results(result, new), tables(result)
             written += write_figures(result, new) if settings.figures else []
     print(text)
-    print(f"wrote {len(written)} files to {folder}/ in {time.monotonic() - started:.1f} s")
+    wrote(f"{len(written)} files to {folder}/ in {time.monotonic() - started:.1f} s")

@@ -1,23 +1,14 @@
 """``quadjax import``."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import wrote
-from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.policy.c_arrays import is_c, read_c_std
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from quadjax.config.schema import Config as TrainingConfig
-    from quadjax.vehicle.residual import Residual
 
 Motors = Annotated[
     tuple[int, int, int, int],
@@ -68,62 +59,26 @@ def import_(
     """
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.policy.foreign import policy_of
+        from quadjax.policy.foreign import policy_of, sort_files
+        from quadjax.policy.foreign_residual import residual_of
         from quadjax.vehicle.residual import write_residual
 
     race = load_config(config, [text for text in files if opt.is_override(text)])
-    networks, deviations = _networks([text for text in files if not opt.is_override(text)], std)
+    networks, deviations = sort_files([text for text in files if not opt.is_override(text)], std)
+    sign = None if thrust_sign is None else int(thrust_sign)
     if len(networks) == 2:
-        options = {"activation": activation, "std": std, "motors": motors}
-        _refuse({**options, "actuator-range": actuator_range}, "a residual")
-        write_residual(output, _residual(race, networks, thrust_sign), {"imported": networks})
+        opt.refuse("on a residual", "activation", "std", "motors", "actuator_range")
+        write_residual(output, residual_of(race.vehicle, networks, sign), {"imported": networks})
+        wrote(output)
+        return
+    residual = None
+    if len(networks) == 1:
+        opt.refuse("on a policy", "thrust_sign")
     else:
-        residual = None
-        if len(networks) == 1:
-            _refuse({"thrust-sign": thrust_sign}, "a policy")
-        else:
-            residual = _residual(race, networks[1:], thrust_sign)
-            vehicle = race.vehicle.replace(residual=None, residual_gain=1.0)  # the files' instead
-            race = race.replace(vehicle=vehicle)
-        policy = policy_of(networks[0], race, activation, deviations, motors, actuator_range)
-        sizes = [policy.layers[0][0].shape[0], *(len(bias) for _, bias in policy.layers)]
-        print(f"policy of {race.name}: {'-'.join(map(str, sizes))}, {policy.activation}")
-        dataclasses.replace(policy, residual=residual).save(output)
+        residual = residual_of(race.vehicle, networks[1:], sign)
+        vehicle = race.vehicle.replace(residual=None, residual_gain=1.0)  # the files' instead
+        race = race.replace(vehicle=vehicle)
+    policy = policy_of(networks[0], race, activation, deviations, motors, actuator_range)
+    print(f"policy of {race.name}: {policy.describe()}")
+    dataclasses.replace(policy, residual=residual).save(output)
     wrote(output)
-
-
-def _networks(
-    files: Sequence[str], std: float | None
-) -> tuple[list[str], "np.ndarray | float | None"]:
-    """The files of networks, and the standard deviations in the file that has only these."""
-    stds = {name: read_c_std(name) for name in files if is_c(name)}
-    of_std = [name for name, values in stds.items() if values is not None]
-    networks = [name for name in files if name not in of_std]
-    if len(of_std) > 1 or (of_std and len(networks) == 2) or not 1 <= len(networks) <= 3:
-        raise InputError(
-            f"{len(networks)} networks and {len(of_std)} files with output_std, allowed: a policy "
-            "(and output_std), thrust and moment, or policy, thrust and moment (and output_std)"
-        )
-    if of_std and std is not None:
-        raise InputError(f"--std has no effect, {of_std[0]} has output_std")
-    return networks, stds[of_std[0]] if of_std else std
-
-
-def _refuse(options: Mapping[str, object], kind: str) -> None:
-    """Refuse options that have no effect."""
-    for name, value in options.items():
-        if value is not None:
-            raise InputError(f"--{name} has no effect on {kind}")
-
-
-def _residual(config: "TrainingConfig", networks: Sequence[str], sign: str | None) -> "Residual":
-    from quadjax.policy.foreign_residual import import_residual
-
-    if sign is None:
-        raise InputError("--thrust-sign is missing, allowed: 1 (added) or -1 (subtracted)")
-    constants = config.vehicle.constants
-    if "rpm_min" not in constants:
-        raise InputError(f"{config.name}: vehicle.model is {config.vehicle.model}, expected motor")
-    span = (constants["rpm_min"], constants["rpm_max"])
-    print(f"residual over {span[0]:g} to {span[1]:g} rpm, thrust sign {int(sign):+d}")
-    return import_residual(networks[0], networks[1], span, int(sign))

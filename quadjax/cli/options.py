@@ -4,13 +4,16 @@ A command is a function whose signature cyclopts reads. A type of this module sa
 an argument becomes a value, which values are allowed, and what the help prints.
 """
 
+import contextvars
 import dataclasses
+import functools
+import inspect
 import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from cyclopts import Group, Parameter, Token
 
@@ -20,44 +23,76 @@ from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
 from quadjax.core.resources import find_policy, preset_names
 from quadjax.core.sections import FOLDER_NAME
 
+if TYPE_CHECKING:
+    from quadjax.fitting.config import LogsConfig
+
 PICTURES = (".png", ".svg", ".pdf")
-FILE_OVERRIDE = re.compile(  # the key of an override whose value is a file
-    r"^([\w.]+\.)?(vehicle|track|file|residual|initial_policy|start_states|config)="
-)
 Converter = Callable[[object, Sequence[Token]], Any]
+GIVEN: contextvars.ContextVar[frozenset[str]] = contextvars.ContextVar("GIVEN", default=frozenset())
 
 
-def whole(low: int, high: int) -> Converter:
-    """A converter of text to an integer from ``low`` to ``high``."""
+def refuse(why: str, *names: str) -> None:
+    """Refuse options on the command line that have no effect.
 
-    def convert(_: object, tokens: Sequence[Token]) -> int:
-        text = tokens[0].value
-        digits = text.isascii() and text.isdigit() and len(text) < 19
-        if not digits or not low <= int(text) <= high:
-            raise ValueError(f"{text!r}, allowed: an integer, {low} to {high}")
-        return int(text)
+    Args:
+        why: text after "has no effect", such as "with --seeds".
+        names: of the arguments of the command.
+    """
+    for name in names:
+        if name in GIVEN.get():
+            raise InputError(f"{_option(name)} has no effect {why}")
 
-    return convert
+
+def refuse_others(why: str, *names: str) -> None:
+    """Refuse all options on the command line but those that have an effect; see ``refuse``."""
+    refuse(why, *sorted(GIVEN.get() - {*names, "config", "overrides"}))
 
 
-def number(low: float, high: float, other: Mapping[str, Any] | None = None) -> Converter:
-    """A converter of text to a number from ``low`` to ``high``, or one of other texts."""
-    others = other or {}
-    words = "".join(f"{word}, or " for word in others)
+def given(
+    function: Callable[..., object], values: Mapping[str, Any], why: str, *others: str
+) -> dict[str, Any]:
+    """The options on the command line that a function takes.
+
+    Args:
+        function: its parameters have the names of options.
+        values: of the options.
+        why: see ``refuse``.
+        others: options that have an effect, too; all but these and the function's are refused.
+    """
+    taken = set(inspect.signature(function).parameters)
+    refuse_others(why, *taken, *others)
+    return {name: values[name] for name in GIVEN.get() & taken}
+
+
+def exclude(*names: str) -> None:
+    """Refuse more than one of some options on the command line."""
+    given = [_option(name) for name in names if name in GIVEN.get()]
+    if len(given) > 1:
+        raise InputError(f"{' and '.join(given)} exclude each other")
+
+
+def _option(name: str) -> str:
+    return f"--{name.strip('_').replace('_', '-')}"
+
+
+def number(low: float, high: float, kind: type[int] | type[float] = float) -> Converter:
+    """A converter of text to a number from ``low`` to ``high``."""
 
     def convert(_: object, tokens: Sequence[Token]) -> float:
         text = tokens[0].value
-        if text in others:
-            return others[text]
         try:
-            value = float(text)
+            value = kind(text)
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            raise ValueError(f"{text!r}, allowed: {words}a number, {low:g} to {high:g}")
+            what = "an integer" if kind is int else "a number"
+            raise ValueError(f"{text!r}, allowed: {what}, {low:g} to {high:g}")
         return value
 
     return convert
+
+
+whole = functools.partial(number, kind=int)
 
 
 def _run_name(_: object, tokens: Sequence[Token]) -> str:
@@ -88,15 +123,15 @@ def several(convert: Converter) -> Parameter:
 
 
 Flag = Annotated[bool, Parameter(show_default=False)]
-Overwrite = Annotated[
-    bool, Parameter(show_default=False, help="Replace earlier results of the same name.")
-]
+Overwrite = Annotated[Flag, Parameter(help="Replace earlier results of the same name.")]
 AllowCode = Annotated[
-    bool,
-    Parameter(
-        show_default=False,
-        help="Import the reader of logs that the fit config names as module:OBJECT.",
-    ),
+    Flag, Parameter(help="Import the reader of logs that the fit config names as module:OBJECT.")
+]
+AllowUnfinished = Annotated[
+    Flag, Parameter(help="Accept a policy of which less than 90% of the simulated flights finish.")
+]
+AllowOtherRace = Annotated[
+    Flag, Parameter(help="Accept a race that differs from the one in the policy file.")
 ]
 Config = Annotated[str, Parameter(name="CONFIG", help="A preset's name or a YAML file.")]
 Overrides = Annotated[
@@ -117,6 +152,26 @@ Gates = Annotated[int, Parameter(converter=whole(1, MAX_GATES))]
 Runs = Annotated[int, Parameter(converter=whole(1, MAX_RUNS))]
 Count = Annotated[int, Parameter(converter=whole(1, 10**6))]
 Positive = Annotated[float, Parameter(converter=number(1e-6, 50.0))]
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True)
+class Logs:
+    """How flight logs are read."""
+
+    logs: Annotated[FitConfig | None, Parameter(help="Their columns, of a fit config.")] = None
+    allow_code: AllowCode = False
+
+    def columns(self) -> "LogsConfig":
+        """The section ``logs`` of the fit config; plain columns without one."""
+        from quadjax.fitting.config import LogsConfig, load_fit_config
+
+        if self.logs is None:
+            return LogsConfig()
+        return load_fit_config(self.logs, allow_code=self.allow_code).logs
+
+
+PLAIN_LOGS = Logs()
 FILES = Group("Output files", sort_key=3)
 
 
@@ -167,15 +222,17 @@ def check_outputs(command: Callable[..., Any], arguments: Mapping[str, Any]) -> 
         for other, value in arguments.items():
             for text in value if isinstance(value, (list, tuple)) else [value]:
                 if other != name and isinstance(text, (str, Path)) and _same_file(path, text):
-                    option = f"--{name.replace('_', '-')}"
-                    raise InputError(f"{option} {path}: is also {other}, allowed: another file")
+                    raise InputError(
+                        f"{_option(name)} {path}: is also {other}, allowed: another file"
+                    )
 
 
 def _same_file(path: Path, text: str | Path) -> bool:
-    """Whether an argument, or the file of an override, is the file ``path``."""
-    file = FILE_OVERRIDE.sub("", str(text))
+    """Whether an argument, or the value of an override other than a name, is the file ``path``."""
+    key, equals, value = str(text).partition("=")
+    changes = equals and is_override(str(text)) and key.split(".")[-1] != "name"
     with writing(path):
-        return bool(file) and os.path.realpath(file) == os.path.realpath(path)
+        return os.path.realpath(value if changes else text) == os.path.realpath(path)
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = (), overwrite: bool = True) -> None:

@@ -16,8 +16,7 @@ def replay(
     /,
     *,
     policy: opt.PolicyFile | None = None,
-    logs: opt.FitConfig | None = None,
-    allow_code: opt.AllowCode = False,
+    logs: opt.Logs = opt.PLAIN_LOGS,
     race: opt.Race = None,
     track: str | None = None,
     vehicle: opt.InputFile | None = None,
@@ -44,7 +43,6 @@ def replay(
     Args:
         log: A flight log.
         policy: Policy file, or a shipped one's name.
-        logs: Columns of the log, of a fit config (default: plain columns).
         race: Race of the policy (default: its file's).
         track: Track that was flown (default: the race's).
         vehicle: Vehicle file of the model (default: the race's).
@@ -55,15 +53,14 @@ def replay(
     """
     if policy is None and vehicle is None:
         raise InputError("--policy or --vehicle is required (try --help)")
-    if residual is not None and vehicle is None:
-        raise InputError("--residual needs --vehicle")
+    if vehicle is None:
+        opt.refuse("without --vehicle", "residual")
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.core.files import write_json, write_text
         from quadjax.core.folders import results
         from quadjax.core.provenance import provenance
         from quadjax.export.race_source import own_race
-        from quadjax.fitting.config import LogsConfig, load_fit_config
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
         from quadjax.policy.race import race_of_policy
@@ -81,7 +78,7 @@ def replay(
         changes += [f"vehicle.residual={residual}"] if residual not in (None, "none") else []
         drone = load_config(race or "e2e +fastest", changes)
     assert drone is not None
-    columns = LogsConfig() if logs is None else load_fit_config(logs, allow_code=allow_code).logs
+    columns = logs.columns()
     folder = output / name
     with results(folder, "replay", run.FILES, overwrite) as new, steps() as report:
         flight = read_log(log, columns)

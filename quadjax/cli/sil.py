@@ -33,10 +33,10 @@ def sil(
     *overrides: opt.Overrides,
     listen: Address | None = None,
     race: opt.Race = None,
-    plant: opt.PlantConfig | None = None,
+    plant: opt.PlantConfig = "standin",
     simulator: opt.Flag = False,
     speed: Annotated[
-        float | None, Parameter(converter=opt.number(0.01, 1000.0, {"max": None}), metavar="X")
+        float | None, Parameter(converter=opt.number(0.01, 1000.0), metavar="X")
     ] = None,
     laps: opt.Laps | None = None,
     runs: opt.Runs = 1,
@@ -45,8 +45,8 @@ def sil(
     drop: Probability = 0.0,
     late: Probability = 0.0,
     delay: Annotated[
-        float | None, Parameter(converter=opt.number(0.0, 10_000.0), metavar="MS", group=FAULTS)
-    ] = None,
+        float, Parameter(converter=opt.number(0.0, 10_000.0), metavar="MS", group=FAULTS)
+    ] = 20.0,
     damage: Probability = 0.0,
     nan: Annotated[list[str] | None, Parameter(metavar="FIELD=P", group=FAULTS)] = None,
     wrong_unit: Annotated[list[str] | None, Parameter(metavar="FIELD=UNIT", group=FAULTS)] = None,
@@ -73,15 +73,14 @@ def sil(
         listen: Wait there for your own autopilot, at most 120 s.
         race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
         simulator: Fly in the simulator of the training.
-        speed: Times real time; max: wait for every command, as fast as possible (default:
-            max).
+        speed: Times real time (default: wait for every command, as fast as possible).
         laps: Laps of a run (default: evaluate.laps).
         runs: Number of runs.
         seed: Of drones and faults.
         timeout: Seconds without an answer.
         drop: Messages that are dropped.
         late: Messages that are late.
-        delay: Milliseconds of late messages (default: 20).
+        delay: Milliseconds of late messages.
         damage: Messages with one bit flipped.
         nan: A number of a state's field is NaN; may be repeated.
         wrong_unit: Of the states: attitude=deg, rates=deg/s, position=mm, velocity=cm/s,
@@ -91,12 +90,11 @@ def sil(
     if listen is None and not source.is_dir():
         hint = "an autopilot of your own needs --listen HOST:PORT"
         raise InputError(f"{source}: no such folder of quadjax export; {hint}")
-    if race is not None and not source.is_dir():
-        raise InputError(f"--race has no effect: {source} is a race itself")
-    if delay is not None and not late:
-        raise InputError("--delay has no effect without --late")
-    if simulator and plant is not None:
-        raise InputError("--plant and --simulator exclude each other")
+    opt.exclude("plant", "simulator")
+    if not source.is_dir():
+        opt.refuse(f"with {source}, which is a race itself", "race")
+    if not late:
+        opt.refuse("without --late", "delay")
     if simulator and overrides:
         raise InputError(f"{overrides[0]} has no effect with --simulator")
     with loading():
@@ -110,10 +108,9 @@ def sil(
     for unit in wrong_unit or ():
         if unit not in WRONG_UNITS:
             raise InputError(f"--wrong-unit {unit}, allowed: {', '.join(WRONG_UNITS)}")
-    late_seconds = (20.0 if delay is None else delay) / 1000.0
     nans, units = parse_nan(nan or []), tuple(wrong_unit or ())
-    faults = Faults(drop, late, late_seconds, damage, nans, units)
-    drone = None if simulator else load_plant_config(plant or "standin", overrides)
+    faults = Faults(drop, late, delay / 1000.0, damage, nans, units)
+    drone = None if simulator else load_plant_config(plant, overrides)
     timing = Timing(speed, timeout)
     setting = Setting(source, drone, listen, laps, runs, seed, timing, faults, race)
     folder = output / name

@@ -7,24 +7,23 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from quadjax.cli.options import Flag, JsonFile, Race, whole
+from quadjax.cli import options as opt
 from quadjax.cli.output import write_record
-from quadjax.core.errors import InputError, as_options
+from quadjax.core.errors import as_options
 from quadjax.core.interruptions import loading
-from quadjax.core.limits import MAX_RUNS
 
 
 def verify(
     folder: Annotated[Path, Parameter(name="DIR")],
     /,
     *,
-    vectors: Annotated[int, Parameter(converter=whole(100, 10**6))] = 5_000,
-    runs: Annotated[int, Parameter(converter=whole(1, MAX_RUNS))] = 0,
-    allow_unfinished: Flag = False,
-    allow_other_race: Flag = False,
-    mutations: Annotated[int, Parameter(converter=whole(1, 10**7))] = 2_000,
-    race: Race = None,
-    json: JsonFile = None,
+    vectors: Annotated[int, Parameter(converter=opt.whole(100, 10**6))] = 5_000,
+    runs: opt.Runs = 0,
+    allow_unfinished: opt.AllowUnfinished = False,
+    allow_other_race: opt.AllowOtherRace = False,
+    mutations: Annotated[int, Parameter(converter=opt.whole(1, 10**7))] = 2_000,
+    race: opt.Race = None,
+    json: opt.JsonFile = None,
 ) -> int:
     """Build and run an exported folder with the compilers of this machine.
 
@@ -41,22 +40,12 @@ def verify(
         folder: Folder of quadjax export, or FILE.qjp.
         vectors: Vectors for every build.
         runs: Runs of the closed loop.
-        allow_unfinished: Accept a policy that was exported with --allow-unfinished.
-        allow_other_race: Accept an export for a race that differs from the one in the
-            policy file.
         mutations: Mutated .qjp files that are tried.
         race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
         json: Write the table.
     """
-    options = {
-        "--runs": runs,
-        "--allow-unfinished": allow_unfinished,
-        "--allow-other-race": allow_other_race,
-        "--race": race,
-    }
-    for option, value in options.items():
-        if folder.suffix == ".qjp" and value:
-            raise InputError(f"{option} has no effect on a .qjp file")
+    if folder.suffix == ".qjp":
+        opt.refuse("on a .qjp file", "runs", "allow_unfinished", "allow_other_race", "race")
     with loading():
         from quadjax.core.provenance import provenance
         from quadjax.export.verify.file import verify_file

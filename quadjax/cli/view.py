@@ -25,8 +25,7 @@ def view(
     runs: opt.Runs = 1,
     sampled: opt.Flag = False,
     seed: opt.Seed = 0,
-    logs: opt.FitConfig | None = None,
-    allow_code: opt.AllowCode = False,
+    logs: opt.Logs = opt.PLAIN_LOGS,
     open_: Annotated[opt.Flag, Parameter(name="--open")] = False,
 ) -> None:
     """Write flights as an interactive 3D page that opens without a server or network.
@@ -51,7 +50,6 @@ def view(
         runs: Of each policy.
         sampled: Sampled actions of policies.
         seed: Of the noise.
-        logs: Columns and frames of flight logs, of a fit config.
         open_: Open the page in the browser.
     """
     names = name or []
@@ -63,12 +61,10 @@ def view(
         from quadjax.config.loading import load_config
         from quadjax.core.files import write_json
         from quadjax.dashboard.sources import Options, scene_record
-        from quadjax.fitting.config import LogsConfig, load_fit_config
         from quadjax.view.page import write_page
 
     config = load_config(race) if race else None
-    columns = LogsConfig() if logs is None else load_fit_config(logs, allow_code=allow_code).logs
-    reading = Options(config, laps, runs, sampled, seed, columns, report=note)
+    reading = Options(config, laps, runs, sampled, seed, logs.columns(), report=note)
     title = title or (config.track.name if config else "") or "Flights"
     with steps() as report:
         reading = dataclasses.replace(reading, progress=report)

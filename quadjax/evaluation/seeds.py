@@ -2,20 +2,30 @@
 
 import dataclasses
 import functools
-from collections.abc import Collection, Sequence
+import subprocess
+import sys
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from quadjax.config.code import names_of_code
 from quadjax.config.loading import load_config
+from quadjax.config.schema import Config
+from quadjax.core.errors import INTERRUPTED, InputError
+from quadjax.core.files import write_json
 from quadjax.core.markdown import table
+from quadjax.core.plotting import save_figure
+from quadjax.core.provenance import provenance
+from quadjax.evaluation.curves import check_lengths, learning_figure
 from quadjax.evaluation.evaluation import evaluate
 from quadjax.evaluation.protocols import Protocols, fly_protocols, protocol_table
 from quadjax.evaluation.published import first_under, published_sampled, published_total
 from quadjax.policy.file import Policy
+from quadjax.training.folder import check_same
 from quadjax.training.metrics import read_metrics
-from quadjax.training.result import read_summary
+from quadjax.training.result import is_finished, read_summary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +47,94 @@ class SeedResult:
     def to_json(self) -> dict[str, Any]:
         """The result as JSON takes it."""
         return vars(self) | {"flights": self.flights.to_json()}
+
+
+def configs_of(files: Sequence[str], overrides: Sequence[str]) -> dict[str, Config]:
+    """Configs by their names.
+
+    Raises:
+        InputError: a config that cannot be used, two of one name, or lap times that cannot
+            be compared.
+    """
+    configs = [load_config(file, overrides) for file in files]
+    by_name = {config.name: config for config in configs}
+    if len(by_name) < len(configs):
+        names = [config.name for config in configs]
+        double = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"two of the configs are named {double}, expected names that differ")
+    check_lengths({name: config.evaluate.length for name, config in by_name.items()})
+    return by_name
+
+
+def train_seeds(
+    files: Sequence[str],
+    overrides: Sequence[str],
+    seeds: Iterable[int],
+    runs: int,
+    output: Path,
+    figure: Path | None = None,
+    overwrite: bool = False,
+) -> Iterator[tuple[str, Path]]:
+    """Train each config with each seed, draw the learning curves, and tabulate.
+
+    Args:
+        files: presets or files of configs.
+        overrides: of all of them.
+        seeds: of the trainings, which run one after the other.
+        runs: flights of each kind in the tables.
+        output: folder of the runs.
+        figure: of the learning curves; ``NAMES_seeds.png`` in ``output`` if not given.
+        overwrite: train finished runs again.
+
+    Yields:
+        The figure, then for each config its tables and the file of their numbers.
+
+    Raises:
+        InputError: as ``configs_of`` and ``train_once``.
+    """
+    configs = configs_of(files, overrides)
+    groups: dict[str, list[Path]] = {}
+    for file, name in zip(files, configs, strict=True):
+        words = [[*overrides, f"seed={seed}", f"name={name}_seed{seed}"] for seed in seeds]
+        groups[name] = [train_once(file, each, output, overwrite) for each in words]
+    code = [name for config in configs.values() for name in names_of_code(config)]
+    figure = figure or output / f"{'_and_'.join(configs)}_seeds.png"
+    save_figure(learning_figure(groups, code), figure)
+    yield "", figure
+    for name, folders in groups.items():
+        results = [evaluate_seed(folder, runs, code) for folder in folders]
+        record = {"results": [result.to_json() for result in results]}
+        path = output / f"{name}_seeds.json"
+        write_json(path, record | {"provenance": provenance(configs[name])})
+        yield f"\n{name}\n\n{format_seeds(results)}\n", path
+
+
+def train_once(
+    config: str, overrides: Sequence[str], output: Path, overwrite: bool = False
+) -> Path:
+    """Train in a separate process; returns the folder of the run.
+
+    Resumes a run that was stopped, and leaves a finished one of the same config as it is.
+
+    Raises:
+        InputError: there is a run of that name with another config, or the training failed (its
+            message has been printed).
+        KeyboardInterrupt: the training was interrupted; it has saved.
+    """
+    settings = load_config(config, overrides)
+    folder = output / settings.name
+    if not overwrite:
+        check_same(settings, folder)
+        if is_finished(folder):
+            return folder
+    how = "--overwrite" if overwrite else "--resume"
+    command = [sys.executable, "-m", "quadjax", "train", config, *overrides, how]
+    status = subprocess.run([*command, "--output", str(output)], check=False).returncode
+    if status == INTERRUPTED:
+        raise KeyboardInterrupt
+    if status:
+        raise InputError(f"training {settings.name} failed with status {status}")
+    return folder
 
 
 def evaluate_seed(run: Path, runs: int, code: Collection[str] = ()) -> SeedResult:

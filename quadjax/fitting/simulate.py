@@ -5,8 +5,10 @@ between samples and the motion in between is integrated by Runge-Kutta steps, so
 of a continuous flight.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +19,7 @@ from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.fitting.columns import paparazzi_columns
+from quadjax.fitting.flight_log import write_log
 from quadjax.vehicle import motor
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Layers, Residual, residual_force_moment
@@ -81,6 +84,41 @@ def simulate_flight(
             "acceleration_bias": bias,
         }
     )
+
+
+def write_flights(
+    vehicle: VehicleParams,
+    folder: Path,
+    flights: int,
+    seconds: float,
+    seed: int,
+    report: Callable[[str], object] = lambda line: None,
+) -> list[Path]:
+    """Simulate flights and write each one's log to ``folder/flight_RUN.csv``.
+
+    Args:
+        vehicle: constants, and residual if any.
+        folder: of the logs.
+        flights: number of flights.
+        seconds: of each flight.
+        seed: of the first flight; the others have those that follow.
+        report: called with the progress.
+
+    Raises:
+        InputError: a flight that is not finite.
+    """
+    paths = []
+    for index in range(flights):
+        report(f"flight {index + 1} of {flights}")
+        columns = simulate_flight(vehicle, seed + index, seconds)
+        if not all(np.isfinite(values).all() for values in columns.values()):
+            raise InputError(
+                f"flight {index} with seed {seed + index} is not finite; is the residual too "
+                "strong for the motors?"
+            )
+        paths.append(folder / f"flight_{index}.csv")
+        write_log(paths[-1], columns)
+    return paths
 
 
 def _wandering(random: np.random.Generator, count: int, sample_rate: float) -> np.ndarray:

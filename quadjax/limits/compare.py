@@ -2,13 +2,15 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quadjax.core.plotting import INK, MUTED, SERIES, new_figure, tidy
-from quadjax.limits.gates import Gates
+from quadjax.config.schema import Gate
+from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
+from quadjax.evaluation.figures import draw_gate, gate_labels, label_places, same_place
 from quadjax.limits.problem import POSITION, VELOCITY, Problem, euler_of
 from quadjax.limits.trajectory import Trajectory
 
@@ -38,6 +40,25 @@ class Comparison:
         """Time lost per meter of track (legs,), s/m."""
         return (self.flown - self.best) / self.length
 
+    def table(self, name: str) -> str:
+        """The times of the legs as text; ``name`` is that of the policy."""
+        lines = [
+            f"{name}: {self.flown.sum():.4f} s, {100 * self.gap:.1f}% above best known",
+            f"{'leg':>5} {'best known':>11} {'policy':>8} {'lost':>8} {'lost per meter':>15}",
+        ]
+        rows = zip(self.best, self.flown, self.lost_per_meter, strict=True)
+        lines += [
+            f"{leg:>5} {ours:>9.3f} s {theirs:>6.3f} s {theirs - ours:>6.3f} s "
+            f"{1e3 * per_meter:>10.1f} ms/m"
+            for leg, (ours, theirs, per_meter) in enumerate(rows, 1)
+        ]
+        return "\n".join(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """The times of the policy's legs, s, the gap, and the time lost per meter, s/m."""
+        lost = self.lost_per_meter.tolist()
+        return {"leg_times": self.flown.tolist(), "gap": self.gap, "lost_per_meter": lost}
+
 
 def compare(best: Trajectory, flown: Trajectory) -> Comparison:
     """Compare a flight with the best known one."""
@@ -56,37 +77,47 @@ def _progress(flight: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return legs.sum(axis=1), np.cumsum([0.0, *fractions.ravel()])
 
 
-def figure(problem: Problem, flights: dict[str, Trajectory]) -> Figure:
+def flights_figure(
+    problem: Problem, gates: Sequence[Gate], flights: dict[str, Trajectory]
+) -> Figure:
     """Path, speed, attitude and commands of flights by name; where one loses time to the other.
 
     The first flight is the best known one. The time lost is drawn if there are two.
     """
     whole, two = new_figure(11.0, 9.0), len(flights) > 1
     layout = whole.add_gridspec(4, 2, width_ratios=[1.1, 1.0])
-    path = whole.add_subplot(layout[: 3 if two else 4, 0])
+    path = whole.add_subplot(layout[: 3 if two else 4, 0], aspect="equal")
     axes = [whole.add_subplot(layout[row, 1]) for row in range(4)]
     for (name, flight), color in zip(flights.items(), SERIES, strict=False):
         label, (x, y, _) = f"{name}, {flight.total:.3f} s", flight.states[:, POSITION].T
         path.plot(x, y, color=color, label=label)
         _draw(problem, flight, axes, color)
-    _gates(problem.gates, path)
+    reach = 0.055 * float(np.ptp([gate.position for gate in gates], axis=0).max())
+    for gate in gates:
+        draw_gate(path, gate, reach)
+    places = label_places(gates, reach)
+    for group in same_place(places):
+        label, _ = gate_labels(gates, group)
+        path.annotate(label, tuple(places[group[0]]), ha="center", va="center", color=MUTED)
+    path.invert_yaxis()
+    path.set(xlabel="x, north [m]", ylabel="y, east [m]")
     labels = ("speed [m/s]", "roll [deg]", "pitch [deg]", "commands")
     for axis, label in zip(axes, labels, strict=True):
-        axis.set_ylabel(label, color=INK)
-    axes[-1].set_xlabel("time [s]", color=INK)
-    path.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+        axis.set_ylabel(label)
+    axes[-1].set_xlabel("time [s]")
     if two:
         result, axis = compare(*list(flights.values())[:2]), whole.add_subplot(layout[3, 0])
         axis.plot(result.distance, 1e3 * result.lost, color=SERIES[1])
-        axis.set_ylabel("time lost [ms]", color=INK)
-        axis.set_xlabel("distance along the best known flight [m]", color=INK)
-        for gate in np.cumsum(result.length)[:-1]:
-            axis.axvline(gate, color=MUTED, linewidth=0.7, linestyle=":")
+        axis.set(xlabel="distance along the best known flight [m]", ylabel="time lost [ms]")
+        for end in np.cumsum(result.length)[:-1]:
+            axis.axvline(end, color=MUTED, linewidth=0.7, linestyle=":")
     for axis in whole.axes:
         tidy(axis)
-    names = [
-        name.replace("_", " ") for name, size, _ in problem.model.commands for _ in range(size)
-    ]
+        axis.xaxis.label.set_color(INK)
+        axis.yaxis.label.set_color(INK)
+    head(path, columns=2)
+    signals = [(signal[0].replace("_", " "), signal[1]) for signal in problem.model.commands]
+    names = [name for name, size in signals for _ in range(size)]
     axes[-1].set_yticks(0.5 - np.arange(len(names)), names, fontsize="x-small")
     return whole
 
@@ -100,26 +131,6 @@ def _draw(problem: Problem, flight: Trajectory, axes: Sequence[Axes], color: str
         times = np.insert(flight.times, jumps, np.nan)
         axis.plot(times, np.insert(angle, jumps, np.nan), color=color)
     low, high = problem.command_range
-    shares = (flight.commands - low) / np.where(high > low, high - low, 1.0)
-    for index, row in enumerate(shares.T):
+    fractions = (flight.commands - low) / np.where(high > low, high - low, 1.0)
+    for index, row in enumerate(fractions.T):
         command.plot(flight.times, 0.1 + 0.8 * row - index, color=color, linewidth=0.9)
-
-
-def _gates(gates: Gates, path: Axes) -> None:
-    """Gates from above with their numbers; those at one place have one label."""
-    labels: dict[tuple[float, ...], list[str]] = {}
-    places: dict[tuple[float, ...], np.ndarray] = {}
-    for index, center in enumerate(gates.position):
-        side = gates.axes[index, 1] * gates.half_size[index, 0]
-        x, y, _ = np.stack([center - side, center + side]).T
-        path.plot(x, y, color=INK, linewidth=2.5)
-        key = tuple(center[:2].round(1))
-        labels.setdefault(key, []).append(str(index + 1))
-        places.setdefault(key, center + 1.3 * side)
-    for key, numbers in labels.items():
-        x, y, _ = places[key]
-        path.annotate(", ".join(numbers), (x, y), ha="center", va="center", color=MUTED)
-    path.set_aspect("equal")
-    path.invert_yaxis()
-    path.set_xlabel("x, north [m]", color=INK)
-    path.set_ylabel("y, east [m]", color=INK)

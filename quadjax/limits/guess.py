@@ -3,53 +3,49 @@
 import itertools
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from quadjax.config.race import race_of
+from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.evaluation.recording import SIGNALS, recordings
 from quadjax.limits.problem import ACTUATORS, POSITION, Problem, euler_of
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import passages
-from quadjax.race.environment import Choices, RaceParams
-
-if TYPE_CHECKING:
-    from quadjax.policy.file import Policy
+from quadjax.policy import pilot
+from quadjax.policy.file import Policy
 
 INTERVALS = 20  # of a leg, on the first mesh
 POLICY_LAPS = 4
-RECORDED = ("position", "velocity", "euler", "rates", "actuators", "command")  # of a flight
 FASTEST_RATES = 12.0  # rad/s, body rates of a guess at most
 SPEEDS = (8.0, 4.0, 6.0, 2.5)  # m/s, means along the splines
 SPREAD = 0.8  # fraction of the openings, within which random points are
 UPRIGHT = 0.15  # smallest vertical part of the force, where the pitch is limited
 
 
-def policy_laps(
-    problem: Problem, choices: Choices, params: RaceParams, policy: "Policy", name: str
-) -> list[Trajectory]:
+def policy_laps(problem: Problem, config: Config, policy: Path | str) -> list[Trajectory]:
     """Laps of a policy in a race as trajectories, the fastest first.
 
     Raises:
         InputError: the policy completes no lap.
     """
-    from quadjax.policy import pilot
-
-    laps = (
-        POLICY_LAPS if problem.periodic else -(-len(problem.order) // len(problem.gates.position))
-    )
-    result, trace = pilot.fly_policy(
-        choices, params, policy, laps=laps, runs=1, deterministic=True, trace=True, name=name
-    )
+    choices, params = race_of(config)
+    laps = -(-len(problem.order) // len(problem.gates.position))
+    network, count = Policy.load(policy, config), POLICY_LAPS if problem.periodic else laps
+    how: dict[str, Any] = {"laps": count, "runs": 1, "deterministic": True, "name": str(policy)}
+    result, trace = pilot.fly_policy(choices, params, network, trace=True, **how)
     assert trace is not None
     time_step = float(params.rules.time_step)
-    steps = round(float(result.seconds[0]) / time_step)
-    columns = [np.asarray(getattr(trace, x), np.float64)[:steps, :, 0] for x in RECORDED]
+    (flight,) = recordings(trace, result, time_step)
+    columns = [getattr(flight, name) for name in SIGNALS]
     recorded = from_flight(problem, columns, time_step)
     if not recorded:
-        raise InputError(f"{name}: no whole lap to compare ({result.crashes[0] or 'too few laps'})")
+        raise InputError(f"{policy}: no whole lap to compare ({flight.crash or 'too few laps'})")
     return recorded
 
 
@@ -60,7 +56,7 @@ def from_flight(
 
     Args:
         problem: the flight to be optimized.
-        columns: the arrays (steps, n) of ``RECORDED``: m, m/s, rad, rad/s, the actuators' state,
+        columns: the arrays (steps, n) of ``SIGNALS``: m, m/s, rad, rad/s, the actuators' state,
             and the commands, each held for a time step.
         time_step: s.
         intervals: of a leg.

@@ -6,7 +6,8 @@ import jax
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from quadjax.limits.problem import Problem
+from quadjax.evaluation.recording import SIGNALS
+from quadjax.limits.problem import ACTUATORS, POSITION, RATES, VELOCITY, Problem, euler_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,6 +33,13 @@ class Trajectory:
         """Times of the nodes (nodes,), s."""
         steps = np.repeat(self.leg_times / self.intervals, self.intervals)
         return np.concatenate([[0.0], np.cumsum(steps)])
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The flight as a file has it: times, s, signals by name with Euler angles, leg times."""
+        x = self.states
+        motion = x[:, POSITION], x[:, VELOCITY], euler_of(x), x[:, RATES], x[:, ACTUATORS]
+        signals = dict(zip(SIGNALS, (*motion, self.commands), strict=True))
+        return {"time": self.times, **signals, "leg_times": self.leg_times}
 
     def curve(self, problem: Problem) -> CubicHermiteSpline:
         """The states as a function of time, with the slopes that the equations give."""

@@ -111,10 +111,11 @@ def _apply(equation: JaxprEqn, inputs: list[Scalars]) -> list[Scalars]:
     if name == "integer_pow":
         return [_elementwise(lambda x: x ** params["y"], *inputs)]
     if name == "reduce_sum":
-        return [_boxed(np.add.reduce(inputs[0], axis=params["axes"]))]
+        total = np.add.reduce(inputs[0], axis=params["axes"], keepdims=True)
+        return [total.squeeze(axis=params["axes"])]
     if name == "dot_general" and not any(params["dimension_numbers"][1]):
         left, right = inputs
-        return [_boxed(np.tensordot(left, right, axes=params["dimension_numbers"][0]))]
+        return [np.tensordot(left, right, axes=params["dimension_numbers"][0])]
     if name not in OPERATIONS:
         raise InputError(f"the vehicle model uses {name}, which time-optimal laps do not support")
     return [_elementwise(OPERATIONS[name], *inputs)]
@@ -131,13 +132,5 @@ def _move(equation: JaxprEqn, inputs: list[Scalars]) -> Scalars:
 
 def _elementwise(function: Callable[..., Scalar], *arrays: Scalars) -> Scalars:
     """A function of scalars on arrays of one shape, or of none."""
-    arrays = tuple(np.broadcast_arrays(*arrays))
-    result = np.empty(arrays[0].shape, object)
-    for index in np.ndindex(result.shape):
-        result[index] = function(*(array[index] for array in arrays))
-    return result
-
-
-def _boxed(value: Scalar | Scalars) -> Scalars:
-    """An array of a reduction, which returns the bare scalar for no dimensions."""
-    return value if isinstance(value, np.ndarray) else _elementwise(lambda _: value, np.zeros(()))
+    result = np.empty(np.broadcast_shapes(*(array.shape for array in arrays)), object)
+    return np.frompyfunc(function, len(arrays), 1)(*arrays, out=result)

@@ -140,6 +140,11 @@ class Policy:
             residual=residual,
         )
 
+    def describe(self) -> str:
+        """The widths of the layers and the activation, such as ``24-64-64-4, relu``."""
+        sizes = [self.layers[0][0].shape[0], *(len(bias) for _, bias in self.layers)]
+        return f"{'-'.join(map(str, sizes))}, {self.activation}"
+
     def save(self, path: Path | str) -> None:
         """Write a policy file atomically."""
         arrays: dict[str, np.ndarray] = {"log_std": np.asarray(self.log_std, np.float32)}

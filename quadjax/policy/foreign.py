@@ -123,6 +123,27 @@ def _sb3_activation(path: Path | str) -> str | None:
     return named.group(1).lower() if named else None
 
 
+def sort_files(
+    files: Sequence[str], std: float | None
+) -> tuple[list[str], np.ndarray | float | None]:
+    """The files of networks, and the standard deviations, of the file that has only these.
+
+    Raises:
+        InputError: another number of files, or standard deviations twice.
+    """
+    stds = {name: c_arrays.read_c_std(name) for name in files if c_arrays.is_c(name)}
+    of_std = [name for name, values in stds.items() if values is not None]
+    networks = [name for name in files if name not in of_std]
+    if len(of_std) > 1 or (of_std and len(networks) == 2) or not 1 <= len(networks) <= 3:
+        raise InputError(
+            f"{len(networks)} networks and {len(of_std)} files with output_std, allowed: a policy "
+            "(and output_std), thrust and moment, or policy, thrust and moment (and output_std)"
+        )
+    if of_std and std is not None:
+        raise InputError(f"--std has no effect, {of_std[0]} has output_std")
+    return networks, stds[of_std[0]] if of_std else std
+
+
 def policy_of(
     path: Path | str,
     config: "Config | Path | str",

@@ -1,13 +1,30 @@
 """Residuals of other projects: PyTorch state dicts, C arrays."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from quadjax.config.schema import Vehicle
 from quadjax.core.errors import InputError
 from quadjax.policy.c_arrays import is_c, read_c_network
 from quadjax.policy.torch_files import Layers, linear_layers, read_state_dict
 from quadjax.vehicle.residual import Residual, check_shape, from_arrays
+
+
+def residual_of(vehicle: Vehicle, networks: Sequence[Path | str], sign: int | None) -> Residual:
+    """A residual from the networks of thrust and moment, over the propeller speeds of a vehicle.
+
+    Raises:
+        InputError: as ``import_residual``; a vehicle without propeller speeds, or no sign.
+    """
+    if sign is None:
+        raise InputError("--thrust-sign is missing, allowed: 1 (added) or -1 (subtracted)")
+    constants = vehicle.constants
+    if "rpm_min" not in constants:
+        raise InputError(f"vehicle.model is {vehicle.model}, expected motor")
+    thrust, moment = networks
+    return import_residual(thrust, moment, (constants["rpm_min"], constants["rpm_max"]), sign)
 
 
 def import_residual(

@@ -3,10 +3,23 @@
 from pathlib import Path
 
 from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
 from quadjax.learners.section import Schedule
+from quadjax.policy.file import Policy
 
 FIRST_RATE = 0.3  # of the config's learning rates, at the start
 RATES = ("learning_rate", "critic_learning_rate")
+
+
+def check_policy(config: Config, policy: Path | str) -> None:
+    """Refuse a policy without a critic, and a config with another initial policy."""
+    if config.run.initial_policy is not None:
+        raise InputError("--fine-tune and run.initial_policy exclude each other")
+    if Policy.load(policy).value is None:
+        raise InputError(
+            f"--fine-tune: {policy} has no critic, allowed: a policy with one; "
+            f"run.initial_policy={policy} starts with an untrained critic"
+        )
 
 
 def fine_tuning(config: Config, policy: Path | str) -> Config:

@@ -12,7 +12,7 @@ import pytest
 from ruamel.yaml.representer import RepresenterError
 
 import quadjax
-from quadjax.cli import COMMANDS, REMOVED
+from quadjax.cli import COMMANDS
 from quadjax.core.errors import InputError, error_line, run_command
 from quadjax.core.imports import load_object
 from quadjax.core.resources import policy_names, preset_names
@@ -111,17 +111,6 @@ def test_a_name_or_a_file_is_shown_by_its_kind(words, says, tmp_path, capsys):
 def test_the_keys_of_a_file_to_write_are_listed(kind, capsys):
     assert run("show", "--write", kind) == 0
     assert len(capsys.readouterr().out.splitlines()) > 4
-
-
-@pytest.mark.parametrize("name", REMOVED)
-def test_an_earlier_name_is_answered_with_the_present_one(name, capsys):
-    assert run(name, "--help") == 2
-    error = capsys.readouterr().err
-    assert REMOVED[name] in error and error.count("\n") == 1
-    if REMOVED[name].startswith("quadjax "):
-        assert REMOVED[name].split()[1] in COMMANDS
-    elif REMOVED[name].startswith("python"):
-        assert (ROOT / f"{REMOVED[name].split()[-1].replace('.', '/')}.py").is_file()
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)

@@ -193,7 +193,10 @@ def test_a_racing_quadcopter_without_rotor_speeds(tmp_path, capsys):
     ("arguments", "says"),
     [
         (["LOG"], "--policy or --vehicle is required"),
-        (["LOG", "--policy", "e2e", "--residual", "x.npz"], "--residual needs --vehicle"),
+        (
+            ["LOG", "--policy", "e2e", "--residual", "x.npz"],
+            "--residual has no effect without --vehicle",
+        ),
         (["LOG", "--policy", "e2e", "--drive", "wind"], "--drive"),
         (["nowhere.csv", "--policy", "e2e"], "nowhere.csv"),
         (["LOG", "--policy", "e2e", "--json", "x.txt"], "suffix is '.txt'"),

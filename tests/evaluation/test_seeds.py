@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from quadjax.cli.train import configs_of, train_once
 from quadjax.core.errors import InputError
 from quadjax.evaluation import seeds
+from quadjax.evaluation.seeds import configs_of, train_once
 from tests.evaluation.test_protocols import protocols
 from tests.surface.short import OF_EACH, OF_LEARNER
 from tests.test_training import CONFIGS
@@ -46,11 +46,11 @@ def test_a_training_that_fails_is_one_line(tmp_path):
         train_once(CONFIG, [*TINY, "run.initial_policy=none.npz"], tmp_path)
 
 
-def test_configs_and_overrides_are_separated():
+def test_configs_have_names_that_differ():
     files = [str(CONFIGS / name) for name in ("e2e_ppo.yaml", "indi_ppo.yaml")]
-    configs, overrides = configs_of([files[0], "learner.num_epochs=2", files[1]])
-    assert configs == dict(zip(("e2e_ppo", "indi_ppo"), files, strict=True))
-    assert overrides == ["learner.num_epochs=2"]
-    assert list(configs_of(["e2e", "e2e +fastest name=other"])[0]) == ["e2e", "other"]
+    configs = configs_of(files, ["learner.num_epochs=2"])
+    assert list(configs) == ["e2e_ppo", "indi_ppo"]
+    assert all(config.learner.num_epochs == 2 for config in configs.values())
+    assert list(configs_of(["e2e", "e2e +fastest name=other"], [])) == ["e2e", "other"]
     with pytest.raises(InputError, match="named mine"):
-        configs_of([*files, "name=mine"])
+        configs_of(files, ["name=mine"])

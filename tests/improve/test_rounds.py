@@ -106,10 +106,10 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     base = ("improve", BLANK, *TINY, "--policy", policy, "--output", tmp_path / "out")
     for more, says in (
         (("--logs", "none.csv"), "none.csv: no such file"),
-        (("--logs", "a.csv", "--plant-seed", "1"), "--logs and --plant-seed exclude each other"),
-        (("--logs", "a.csv", "--plants", "2"), "--logs and --plants exclude each other"),
+        (("--logs", "a.csv", "--plant-seed", "1"), "--plant-seed has no effect with --logs"),
+        (("--logs", "a.csv", "--plants", "2"), "--plants has no effect with --logs"),
         (("--check", "0", "--reference"), "--reference needs flights to compare"),
-        (("--logs", "a.csv", "--seed", "0"), "--logs and --seed exclude each other"),
+        (("--logs", "a.csv", "--seed", "0"), "--seed has no effect with --logs"),
         (("--rounds", "0"), "--rounds: '0', allowed: an integer, 1 to 100"),
         (("vehicle.model=rate",), "vehicle.model is rate, allowed: motor"),
         (("network.hidden=[9]",), "has hidden widths [8], the config has [9]"),

@@ -48,17 +48,18 @@ def test_laps_are_cut_from_a_recorded_flight():
 
 
 def test_gates_at_one_place_have_one_label():
-    from quadjax.limits.compare import figure
+    from quadjax.limits.compare import flights_figure
     from quadjax.limits.trajectory import Trajectory
 
-    problem = _problem("track=split_s")
+    config = load_config("indi +fastest", ["track=split_s"])
+    problem = make_problem(*race_of(config))
     states = np.random.default_rng(0).normal(size=(29, 14))
     flights = {
         name: Trajectory(np.full(7, seconds), states, np.zeros((29, 4)))
         for name, seconds in (("best known", 0.5), ("policy", 0.6))
     }
-    path, *others = figure(problem, flights).axes
-    assert [x.get_text() for x in path.texts] == ["1", "2", "3", "4, 5", "6", "7"]
+    path, *others = flights_figure(problem, config.track.gates, flights).axes
+    assert [text for x in path.texts if (text := x.get_text())] == ["1", "2", "3", "4, 5", "6", "7"]
     assert [axes for axes in others if axes.get_ylabel() == "time lost [ms]"]
     (commands,) = [axes for axes in others if axes.get_ylabel() == "commands"]
     assert len(commands.get_yticklabels()) == 4

@@ -99,7 +99,7 @@ def test_a_search_that_finds_nothing_exits_with_1_and_keeps_the_last_solution(
     tmp_path, monkeypatch, capsys
 ):
     from quadjax.limits import search as module
-    from quadjax.limits.report import read_guess
+    from quadjax.limits.result import read_guess
 
     def interrupted(*arguments, **options):
         raise module.NotFoundError({"a": "stopped"}, _trajectory(1.0), "misses gate 1 by 3.0 mm")

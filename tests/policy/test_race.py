@@ -5,15 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from quadjax.config import race as config_race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
 from quadjax.dashboard import sources
-from quadjax.evaluation import evaluation
 from quadjax.export import convert, race_source
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
+from quadjax.studies import of_policies
 from tests.commands import run
 from tests.export.support import made_policy
 
@@ -40,10 +39,9 @@ def races(monkeypatch):
 
     for module, name in (
         (sources, "evaluate"),
-        (evaluation, "evaluate"),
+        (of_policies, "race_of"),
         (convert, "own_race"),
         (race_source, "own_race"),
-        (config_race, "race_of"),
     ):
         monkeypatch.setattr(module, name, stop)
     return found

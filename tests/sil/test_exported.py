@@ -175,7 +175,7 @@ BAD = {
     "no_c --simulator effects.gusts=0": "no effect with --simulator",
     "no_c --wrong-unit rates=turns": "--wrong-unit rates=turns, allowed:",
     "no_c --drop 2": "allowed: a number, 0 to 1",
-    "no_c --speed 0": "allowed: max, or a number, 0.01",
+    "no_c --speed 0": "allowed: a number, 0.01",
     "no_c wings=2": "wings",
 }
 

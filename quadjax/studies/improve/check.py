@@ -11,16 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.core.files import write_json
+from quadjax.core.files import write_json, write_text
 from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.fitting.flight_log import read_log
 from quadjax.studies.drawn_plants import drawn
 from quadjax.studies.improve.figures import improvement_figure
 from quadjax.studies.improve.flights import Flown, fly
+from quadjax.studies.improve.model import Model, constant_lines, error_lines
 from quadjax.studies.improve.reference import plant_model
-from quadjax.studies.improve.rounds import Round
-from quadjax.studies.improve.run import Progress, Report, Setting, improve, start, tune
+from quadjax.studies.improve.rounds import Round, rounds_table
+from quadjax.studies.improve.run import (
+    Progress,
+    Report,
+    Setting,
+    improve,
+    learn,
+    start,
+    tune,
+)
 
 CHECK_SEED = 10_000  # of flights that are learned from by no round
 REFERENCE = "reference"
@@ -69,6 +78,29 @@ class Result:
         ]
         check = {name: dataclasses.asdict(flown) for name, flown in self.check.items()}
         return {"plant": self.seed, "rounds": rounds, "check": check}
+
+
+def results_of(setting: Setting, plants: int | None, folder: Path, report: Report) -> str:
+    """The rounds on one plant or several, or the fit of real logs, as text and ``table.txt``.
+
+    Raises:
+        StoppedError: a training was interrupted; it is saved.
+        InputError: logs or a policy that cannot be used.
+    """
+    if setting.logs:
+        learned = learn(setting, folder, report)
+        lines = [*constant_lines(Model.of(setting.race), learned.model), "", *error_lines(learned)]
+        refused = learned.refused
+        text = "\n".join(
+            [*lines, "", f"rejected: {refused}" if refused else "accepted; policy.npz"]
+        )
+    elif plants:
+        text = plants_table(improve_plants(setting, folder, plants, report))
+    else:
+        rounds = improve(setting, folder, report)
+        text = rounds_table(rounds, checked(setting, rounds, folder, report))
+    write_text(folder / "table.txt", text + "\n")
+    return text
 
 
 def checked(

@@ -1,0 +1,182 @@
+"""Presets, parts, policies, tracks and vehicles as text, and files of new tracks and vehicles."""
+
+import itertools
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.config.loading import load_config, vehicle_configs
+from quadjax.config.reference import commented_yaml
+from quadjax.config.reference import describe as keys_of
+from quadjax.config.schema import Config, Gate, Track
+from quadjax.config.tracks import generated
+from quadjax.core.errors import InputError, close_match
+from quadjax.core.files import write_text
+from quadjax.core.resources import CONFIGS, find_policy, policy_names, preset_names
+from quadjax.core.sections import build
+from quadjax.core.yaml_files import Sources, parse_overrides, read_tree_with_bases, to_yaml
+from quadjax.policy.file import Policy
+from quadjax.race.random_track import RandomTrack
+from quadjax.vehicle.airframe import Airframe
+from quadjax.vehicle.registry import MODELS, model
+from quadjax.vehicle.summary import describe as describe_vehicle
+from quadjax.vehicle.summary import summarize, warnings
+from quadjax.vehicle.vehicle_file import vehicle_text
+
+KINDS = {  # folders of configs
+    "presets": "",
+    "parts of presets (+NAME; with a prefix e2e_ or indi_ those of that preset)": "parts",
+    "tracks": "tracks",
+    "vehicles": "vehicles",
+}
+PRESET = "e2e"  # whose rules check a track that has none of its own
+COMMENT = "docs/guide/vehicle.md has the formulas. Fit flight logs for better constants."
+
+
+def listing() -> str:
+    """Names and descriptions of what comes with the package."""
+    lines = []
+    for kind, folder in KINDS.items():
+        names = preset_names(folder)
+        width = max(map(len, names))
+        lines += [f"{kind}:"]
+        for name in names:
+            start = f"  {name:<{width}}  "
+            text = _description(CONFIGS / folder / f"{name}.yaml")
+            lines.append(textwrap.fill(start + text, 79, subsequent_indent=" " * len(start)))
+        lines.append("")
+    policies = textwrap.fill(", ".join(policy_names()), 77)
+    return "\n".join([*lines, "policies:", textwrap.indent(policies, "  ")])
+
+
+def _description(path: Path) -> str:
+    """The first sentence of the comment at the top of a file."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
+    return " ".join(line.lstrip("# ") for line in comment).split(". ")[0].removesuffix(".")
+
+
+def kind_of(what: str) -> str:
+    """Whether a name or a file is a config, a track, a vehicle or a policy.
+
+    Raises:
+        InputError: no such name or file.
+    """
+    if Path(what).suffix == ".npz":
+        return "policy"
+    if Path(what).is_file():
+        keys = set(read_tree_with_bases(what))
+        is_vehicle = keys & {"models", *MODELS}
+        return "track" if "gates" in keys else "vehicle" if is_vehicle else "config"
+    kinds = {"config": "", "track": "tracks", "vehicle": "vehicles"}
+    names = {kind: preset_names(folder) for kind, folder in kinds.items()}
+    names["policy"] = policy_names()
+    for kind, shipped in names.items():
+        if Path(what).with_suffix("").name in shipped:
+            return kind
+    hint = close_match(what, [name for shipped in names.values() for name in shipped])
+    raise InputError(f"{what}: no such name or file{hint}; quadjax show lists the names")
+
+
+def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = None) -> str:
+    """A config, a track, a vehicle or a policy as text.
+
+    Args:
+        what: a name, or a file.
+        overrides: of a config.
+        model_name: a ``module:OBJECT`` of a vehicle model; None: those in the vehicle file.
+
+    Raises:
+        InputError: no such name or file, one that cannot be read, or overrides of another kind.
+    """
+    kind = "vehicle" if model_name else kind_of(what)
+    if kind == "config":
+        return commented_yaml(load_config(what, overrides)).rstrip("\n")
+    if overrides:
+        raise InputError(f"{overrides[0]}: {what} is a {kind}; overrides change a config")
+    if kind == "track":
+        return track_text(read_track(what))
+    if kind == "policy":
+        policy, path = Policy.load(what), find_policy(what)
+        network = f"network {policy.describe()}"
+        return f"{path}: {policy.vehicle} vehicle\n{network}\nsource: {policy.source}"
+    return "\n".join(_vehicle_text(config) for config in vehicle_configs(what, model_name))
+
+
+def read_track(name: str) -> Track:
+    """A track by its name or file."""
+    one = "evaluate.laps=1"  # all that a course has
+    return load_config(PRESET, [f"track.file={name}", one]).track
+
+
+def _vehicle_text(config: Config) -> str:
+    """Hover, thrust, rates and time constants of a vehicle, and implausible values."""
+    vehicle = config.vehicle
+    kind = model(vehicle.model)
+    summary = summarize(kind, vehicle.constants)
+    lines = [f"{vehicle.name}, model {vehicle.model}", describe_vehicle(kind, summary)]
+    lines += [f"  warning: {text}" for text in warnings(kind, summary, vehicle.constants)]
+    return "\n".join(lines)
+
+
+def keys_text(kind: str) -> str:
+    """The settings of a random track, or the data of an airframe, that ``write`` takes."""
+    keys = keys_of(RandomTrack if kind == "track" else Airframe)
+    return "\n".join(f"{key.key:<20}{key.description} ({key.default})" for key in keys)
+
+
+def write_vehicle(path: Path, data: Sequence[str]) -> None:
+    """Write the file of a vehicle from data of its airframe, ``KEY=VALUE``."""
+    airframe = build(Airframe, parse_overrides(data), "data")
+    motor = {name: float(f"{value:.6g}") for name, value in airframe.motor_constants().items()}
+    head = {"name": path.stem, "mass": airframe.mass, "width": round(airframe.width, 4)}
+    comment = f"From {' '.join(data)}\n{COMMENT}"
+    write_text(path, vehicle_text(head, {"motor": motor}, comment))
+
+
+def write_track(path: Path, settings: Sequence[str]) -> None:
+    """Write the file of a random track from settings, ``KEY=VALUE``."""
+    tree = {"track": {"generate": parse_overrides(settings)}}
+    tree = generated(tree, Sources("settings", {}))
+    gates = {"name": path.stem, "rules": tree["rules"], "gates": tree["track"]["gates"]}
+    head = "# World NED: meters, z down; yaw in degrees; size: width and height in meters."
+    write_text(path, f"# Random track: {' '.join(settings)}\n{head}\n{to_yaml(gates)}")
+
+
+def track_text(track: Track) -> str:
+    """The gates of a track as a table, with its length."""
+    places = np.array([gate.position for gate in track.gates])
+    before = np.roll(places, 1, axis=0)
+    if not track.closed and track.start is not None:
+        before[0] = track.start.position
+    legs = places - before
+    length, flat = np.linalg.norm(legs, axis=1), np.linalg.norm(legs[:, :2], axis=1)
+    heading = np.degrees(np.arctan2(legs[:, 1], legs[:, 0]))
+    turn = np.mod(np.roll(heading, -1) - heading + 180.0, 360.0) - 180.0
+    kind = "a lap" if track.closed else "a course"
+    lines = [
+        f"{track.name}: {len(places)} gates, {kind} of {length.sum():.1f} m between centers",
+        f"{'gate':>4} {'north':>7} {'east':>7} {'height':>7} {'yaw':>7} {'leg':>7} {'slope':>7} "
+        f"{'turn':>7}  opening",
+        f"{'':>4} {'m':>7} {'m':>7} {'m':>7} {'deg':>7} {'m':>7} {'deg':>7} {'deg':>7}  m",
+    ]
+    for index, gate in enumerate(track.gates):
+        x, y, z = gate.position
+        slope = np.degrees(np.arctan2(-legs[index, 2], flat[index]))
+        apart = flat[index] > 0.01 and np.roll(flat, -1)[index] > 0.01
+        end = f"{round(turn[index]):>7}" if apart else f"{'-':>7}"  # of a leg straight up or down
+        lines.append(
+            f"{index + 1:>4} {x:>7.2f} {y:>7.2f} {-z:>7.2f} {round(gate.yaw_deg):>7} "
+            f"{length[index]:>7.2f} {round(slope):>7} {end}  {_opening(gate)}"
+        )
+    return "\n".join(lines)
+
+
+def _opening(gate: Gate) -> str:
+    """Size, shape and tilt of a gate."""
+    width, height = gate.size
+    size = f"{width:g} x {height:g}" if gate.shape == "rectangle" else f"{width:g} {gate.shape}"
+    tilts = {"pitch": gate.pitch_deg, "roll": gate.roll_deg}
+    return ", ".join([size, *(f"{name} {value:g} deg" for name, value in tilts.items() if value)])

@@ -1,0 +1,220 @@
+"""The best known flight of a race: the search for it, its text, its JSON, and its file."""
+
+import dataclasses
+import functools
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from quadjax.config.race import race_of
+from quadjax.config.schema import Config, Disturbance, Randomization
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_npz, write_npz
+from quadjax.core.provenance import provenance
+from quadjax.evaluation.recording import SIGNALS
+from quadjax.limits.bound import LowerBound, lower_bound
+from quadjax.limits.compare import Comparison, compare, flights_figure
+from quadjax.limits.guess import policy_laps
+from quadjax.limits.problem import TIME_STEP, Flight, Problem, make_problem
+from quadjax.limits.search import MESH_CHANGE, BestKnown, NotFoundError, Search
+from quadjax.limits.trajectory import Trajectory
+from quadjax.race.recorded_starts import LIMIT
+
+FASTER = 1.2  # times the top speed of the best known flight: default of the bound's speed
+ARRAYS = (*SIGNALS, "leg_times")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Result:
+    """The best known flight of a race.
+
+    Attributes:
+        config: of the race.
+        problem: what was solved.
+        best: the flight.
+        policy: a policy's fastest lap, to compare; None: there is none.
+        name: of the policy's file.
+        bound: of the time of every flight below a speed; see ``bounded``.
+    """
+
+    config: Config
+    problem: Problem
+    best: BestKnown
+    policy: Trajectory | None = None
+    name: str | None = None
+    bound: LowerBound = LowerBound(None, 0.0, "not computed")
+
+    def bounded(self, speed: float | None = None) -> "Result":
+        """With the lower bound for flights below a speed, m/s.
+
+        The default is 1.2 times the top speed of the flight, and at most the speed limit.
+        """
+        top = self.best.check.top_speed
+        speed = speed or max(top, min(FASTER * top, self.problem.speed_limit))
+        return dataclasses.replace(self, bound=lower_bound(self.problem, speed, self.best.total))
+
+    @functools.cached_property
+    def comparison(self) -> Comparison | None:
+        """The policy's lap against the best known one."""
+        return None if self.policy is None else compare(self.best.trajectory, self.policy)
+
+    def notes(self) -> list[str]:
+        """Remarks on the result, one sentence each."""
+        check, notes, fitted = self.best.check, [], self.problem.flight.fitted_speed or np.inf
+        if check.top_speed > 0.99 * self.problem.speed_limit:
+            notes.append(
+                f"the flight reaches the speed limit of {self.problem.speed_limit:g} m/s; the "
+                "vehicle model may not hold there"
+            )
+        above = TIME_STEP * np.sum(np.linalg.norm(check.velocity, axis=1) > fitted)
+        if above > 0.0:
+            notes.append(
+                f"for {above:.2f} s the flight is faster than {fitted:g} m/s, the highest speed of "
+                "the flights that the model is fitted to"
+            )
+        if self.best.mesh_change > MESH_CHANGE:
+            notes.append("the mesh was not refined until the time converged")
+        return notes
+
+    def table(self) -> str:
+        """The result in a few lines of text, with the times of the legs if there is a policy."""
+        best, bound = self.best, self.bound
+        lines = [
+            f"best known: {best.total:.4f} s, top speed {best.check.top_speed:.1f} m/s, from the "
+            f"{best.guess} ({best.seconds:.0f} s of computing)"
+        ]
+        if bound.time is None:
+            lines.append(f"lower bound: none ({bound.error})")
+        else:
+            wide = 100.0 * (best.total - bound.time) / best.total
+            lines.append(
+                f"lower bound: {bound.time:.4f} s, up to rounding, for flights below "
+                f"{bound.speed:.1f} m/s; the bracket is {wide:.1f}% wide"
+            )
+        if self.comparison is not None:
+            lines += [self.comparison.table(self.name or "policy")]
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes())])
+
+    def to_json(self) -> dict[str, Any]:
+        """The result, with the settings that it was computed with."""
+        best, check, problem = self.best, self.best.check, self.problem
+        return {
+            "best_known": best.total,
+            "lower_bound": self.bound.time,
+            "lower_bound_below_speed": self.bound.speed,
+            "lower_bound_error": self.bound.error or None,
+            "leg_times": check.leg_times.tolist(),
+            "top_speed": check.top_speed,
+            "clearance": check.clearance,
+            "closure": float(np.linalg.norm(check.position[-1] - check.position[0])),
+            "feedback": check.feedback,
+            "mesh_change": best.mesh_change if np.isfinite(best.mesh_change) else None,
+            "intervals": best.trajectory.intervals,
+            "guess": best.guess,
+            "attempts": dict(best.attempts),
+            "seconds": best.seconds,
+            "notes": self.notes(),
+            "start": "periodic" if problem.periodic else "hover",
+            "gates": len(problem.order),
+            "speed_limit": problem.speed_limit,
+            "flight": dataclasses.asdict(problem.flight),
+            "policy": self.comparison and self.comparison.to_json(),
+            "provenance": provenance(self.config, self.name),
+        }
+
+    def plot(self) -> Figure:
+        """Path, speed, attitude and commands, and where the policy loses time."""
+        flights = {"best known": self.best.trajectory}
+        flights |= {} if self.policy is None else {"policy": self.policy}
+        return flights_figure(self.problem, self.config.track.gates, flights)
+
+    def save(self, path: Path | str) -> None:
+        """Write the flight as an ``.npz`` file, with the entries of ``to_json`` in ``meta``.
+
+        Its arrays: ``time`` (n,) s, of the nodes of the mesh; ``position``, ``velocity`` (n, 3) m,
+        m/s, world NED; ``euler``, ``rates`` (n, 3) rad, rad/s; ``actuators`` (n, actuators);
+        ``command`` (n, commands); ``leg_times`` (legs,) s; ``flown_position`` (m + 1, 3) and
+        ``flown_command`` (m, commands), of the verification, each command held for 1 ms.
+        """
+        check, track = self.best.check, self.config.track.gates
+        flown = {"flown_position": check.position, "flown_command": check.commands}
+        meta = {
+            "format": LIMIT,
+            "vehicle": self.config.vehicle.model,
+            "track": [gate.model_dump(mode="json") for gate in track],
+        }
+        write_npz(path, self.best.trajectory.arrays() | flown, self.to_json() | meta)
+
+
+def best_known(
+    config: Config,
+    flight: Flight | None = None,
+    *,
+    policy: Path | str | None = None,
+    guesses: Sequence[Path | str] = (),
+    starts: int = 2,
+    seconds: float = 300.0,
+    stop: threading.Event | None = None,
+    report: Callable[[str], object] = lambda text: None,
+) -> Result:
+    """Search the fastest flight of a race and verify it.
+
+    Args:
+        config: of the race; its disturbances, randomization and model mismatch are ignored.
+        flight: what is flown; None: a periodic lap.
+        policy: a policy's file; its fastest lap is compared, and is an initial guess.
+        guesses: files of ``Result.save``, which are initial guesses.
+        starts: number of other initial guesses.
+        seconds: limit of wall-clock time.
+        stop: if set, the search ends with the best so far.
+        report: called with one line on the progress.
+
+    Raises:
+        InputError: a rule that is not supported, or a file that cannot be used.
+        NotFoundError: no initial guess led to a verified flight.
+    """
+    vehicle = config.vehicle.replace(mismatch={})
+    steady = {"disturbance": Disturbance(), "randomization": Randomization(), "schedules": {}}
+    config = config.replace(vehicle=vehicle, **steady)
+    flight = dataclasses.replace(flight or Flight(), fitted_speed=vehicle.fitted_speed)
+    problem = make_problem(*race_of(config), flight)
+    trajectories, flown = {str(path): read_guess(problem, path) for path in guesses}, None
+    report("compiling")
+    if policy is not None:
+        flown, *_ = policy_laps(problem, config, policy)
+        trajectories["policy's lap"] = flown
+    best = Search(problem, seconds, stop, report).run(trajectories, starts)
+    return Result(config, problem, best, flown, None if policy is None else str(policy))
+
+
+def read_guess(problem: Problem, path: Path | str) -> Trajectory:
+    """The flight in a file of ``Result.save``, as an initial guess.
+
+    Raises:
+        InputError: the file cannot be read, or its flight is not through these gates.
+    """
+    arrays, _ = read_npz(path, LIMIT, ARRAYS)
+    legs, nodes = len(problem.order), len(arrays.get("position", ()))
+    sizes = 3, 3, 3, 3, len(problem.start) - 13, len(problem.command_range[0])
+    shapes = {name: (nodes, size) for name, size in zip(SIGNALS, sizes, strict=True)}
+    for name, shape in (shapes | {"leg_times": (legs,)}).items():
+        actual = arrays[name].shape if name in arrays else None
+        if actual != shape or nodes < 2 or (nodes - 1) % legs:
+            raise InputError(
+                f"{path}: {name} has the shape {actual}, expected {shape}, {legs} legs"
+            )
+        if not np.isfinite(arrays[name]).all() or (arrays["leg_times"] <= 0.0).any():
+            raise InputError(f"{path}: {name} is not finite, or a leg's time is not above 0")
+    *motion, actuators, commands, leg_times = (arrays[name] for name in ARRAYS)
+    return Trajectory(leg_times, problem.vectors(motion, actuators), commands)
+
+
+def save_unverified(path: Path | str, error: NotFoundError) -> bool:
+    """Write the last solution of a search that failed, for ``read_guess``, if there is one."""
+    if error.flight is not None:
+        write_npz(path, error.flight.arrays(), {"format": LIMIT, "not_verified": error.error})
+    return error.flight is not None
