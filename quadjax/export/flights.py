@@ -204,7 +204,7 @@ def _estimate(own: OwnRace, drone: State) -> Estimate | None:
     model = own.choices.model
     if own.params.estimator is None or not model.disturbed:
         return None
-    return Estimate(None, *model.disturbance(drone))
+    return Estimate(None, *drone.disturbance)
 
 
 def check_finished(laps: Laps | None, own: OwnRace, who: str) -> str:

@@ -90,11 +90,11 @@ def _inlined(text: str, origin: Provenance) -> str:
 
 def _track(own: OwnRace) -> Values:
     """Gates and the start, as floats: m and rad, north-east-down."""
-    model, track = own.choices.model, own.params.track
+    track = own.params.track
     drone = episode.hover_start(own.choices, own.params).drone
     return {
         "gate_positions": np.stack([np.asarray(x) for x in track.position.components()], axis=1),
         "gate_yaws": np.asarray(track.yaw),
-        "start_position": np.array([float(x) for x in model.position(drone).components()]),
-        "start_yaw": float(model.euler(drone).z),
+        "start_position": np.array([float(x) for x in drone.position.components()]),
+        "start_yaw": float(drone.angles.z),
     }

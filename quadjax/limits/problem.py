@@ -106,11 +106,11 @@ class Problem:
     def _places(self) -> list[int]:
         """Which leaves of the model's state the entries of a vector are, by field."""
         leaves, structure = jax.tree.flatten(self.race_start.drone)
-        indices, model = jax.tree.unflatten(structure, range(len(leaves))), self.model
+        indices = jax.tree.unflatten(structure, range(len(leaves)))
         nodes = jax.tree.leaves(indices, is_leaf=lambda node: isinstance(node, Quaternion))
         (attitude,) = (node for node in nodes if isinstance(node, Quaternion))
-        fields = model.position(indices), model.velocity(indices), attitude, model.rates(indices)
-        return jax.tree.leaves((*fields, model.actuator_state(indices)))
+        fields = indices.position, indices.velocity, attitude, indices.rates
+        return jax.tree.leaves((*fields, indices.actuators))
 
     def state(self, vector: np.ndarray | jax.Array) -> State:
         """The model's state of a vector; its disturbances are zero."""
@@ -133,7 +133,7 @@ class Problem:
         low, _ = self.model.command_range(self.params.vehicle.constants)
         numbers = [command[index] for index in range(command.shape[0])]
         held = jax.tree.unflatten(jax.tree.structure(low), numbers)
-        state = self.model.hold(self.model.wrap(self.state(vector)), held)
+        state = self.model.hold(self.state(vector).wrapped(), held)
         return self.vector(self.model.derivative(self.params.vehicle, state, held))
 
     def vectors(self, motion: Sequence[np.ndarray], actuators: np.ndarray) -> np.ndarray:

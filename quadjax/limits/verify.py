@@ -135,8 +135,7 @@ def _fly(
     """Position, velocity, body rates (steps + 1, 3), and numbers of broken rules (steps + 1,)."""
 
     def motion(drone: State) -> tuple[jax.Array, ...]:
-        read = choices.model.position, choices.model.velocity, choices.model.rates
-        return tuple(function(drone).array() for function in read)
+        return drone.position.array(), drone.velocity.array(), drone.rates.array()
 
     def advance(state: RaceState, action: jax.Array) -> tuple[RaceState, tuple]:
         after, _, outcome = transition(choices, params, state, action)
@@ -207,7 +206,7 @@ def _follow(
 
     def step(state: jax.Array, command: jax.Array) -> jax.Array:
         after = rk4_loop_step(lambda x: problem.slope(x, command), state, TIME_STEP)
-        return problem.vector(problem.model.wrap(problem.state(after)))
+        return problem.vector(problem.state(after).wrapped())
 
     slopes = jax.vmap(jax.jacfwd(step, argnums=(0, 1)))(states[:-1], commands)
 

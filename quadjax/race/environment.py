@@ -56,7 +56,7 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
     low, high = model.command_range(vehicle.constants)
     held = jax.tree.map(clip_inward, command(choices, params, action), low, high)
     if params.battery is not None and state.battery is not None:
-        rpm = model.actuator_state(state.drone)
+        rpm = state.drone.actuators
         held = limit_command(params.battery, state.battery, rpm, held)
     opaque_true = params.opaque_true
     # A step of Euler's method starts from the carry of a loop, which is in memory already.
@@ -67,7 +67,7 @@ def _simulate(choices: Choices, params: RaceParams, state: RaceState, action: ja
         state.drone,
         params.rules.time_step,
     )
-    return model.wrap(model.hold(after, held))
+    return model.hold(after, held).wrapped()
 
 
 def transition(
@@ -90,7 +90,7 @@ def transition(
     value = reward(Step(model, params, state, g, drone, outcome, action), choices.terms)
     following = progressed(params, state, drone, outcome)
     if params.battery is not None and state.battery is not None:
-        rpm, sent = model.actuator_state(drone), command(choices, params, action)
+        rpm, sent = drone.actuators, command(choices, params, action)
         charged = advance_battery(params.battery, state.battery, rpm, sent)
         following = following.replace(battery=charged)
     following = following.replace(

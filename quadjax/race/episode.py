@@ -10,6 +10,7 @@ from flax import struct
 
 from quadjax.core.errors import InputError
 from quadjax.core.frames import wrap_angle
+from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.layout import LAST_ACTION, split_name
 from quadjax.race.observations import begin_past
@@ -66,7 +67,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     drone, target = _draw_drone(model, params, nominal, draws, key)
     battery, clock = None, jnp.zeros((), jnp.int32)
     if params.battery is not None:
-        rpm = model.actuator_state(drone)
+        rpm = drone.actuators
         battery = draw_battery(params.battery, rpm, jax.random.fold_in(key, 2))
     if ranges.stagger_clocks:
         steps = jnp.asarray(params.training_limits.episode_steps, draws.clock.dtype)
@@ -147,10 +148,15 @@ def _draw_drone(
     if not model.disturbed:
         return state, target
     ranges = params.disturbance
-    widths = Vec3(ranges.moment_x, ranges.moment_y, ranges.moment_z)
-    moment = Vec3.of(draws.disturbance[:3]) * widths + Vec3(*ranges.moment_bias)
+    widths = _vector(ranges.moment_x, ranges.moment_y, ranges.moment_z)
+    moment = Vec3.of(draws.disturbance[:3]) * widths + _vector(*ranges.moment_bias)
     force = Vec3.zero().replace(z=draws.disturbance[3] * ranges.force_z)
-    return model.with_disturbance(state, moment, force), target
+    return state.replace(moment_ext=moment, force_ext=force), target
+
+
+def _vector(x: Scalar, y: Scalar, z: Scalar) -> Vec3:
+    """A vector of the numbers of a section."""
+    return Vec3(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))
 
 
 def start_gate(track: Track, number: jax.Array) -> jax.Array:
@@ -163,7 +169,7 @@ def _motion(params: RaceParams, target: jax.Array, fraction: jax.Array, draws: D
     """The motion of a start around the point at a ``fraction`` () of the way to a target gate."""
     ranges = params.start
     roll_pitch, yaw = ranges.roll_pitch_deg, ranges.yaw_deg  # rad, as leaves
-    euler = Vec3.of(draws.euler) * Vec3(roll_pitch, roll_pitch, yaw)
+    euler = Vec3.of(draws.euler) * _vector(roll_pitch, roll_pitch, yaw)
     if params.heading is not None:
         euler = euler.replace(z=wrap_angle(euler.z + pick(params.heading, target)))
     return Motion(
@@ -235,11 +241,12 @@ def hover_start(
     model, constants = choices.model, None if start is None else start.constants
     drone = hover(model, constants or params.vehicle.constants, params.track, moved)
     if start is not None and model.disturbed:
-        drone = model.with_disturbance(drone, *model.disturbance(start.drone))
+        moment, force = start.drone.disturbance
+        drone = drone.replace(moment_ext=moment, force_ext=force)
     battery = None
     if params.battery is not None:
         charged = None if start is None else start.battery
-        battery = battery_at_start(params.battery, model.actuator_state(drone), charged)
+        battery = battery_at_start(params.battery, drone.actuators, charged)
     return _begin(choices, params, drone, jnp.zeros((), jnp.int32), constants, battery)
 
 

@@ -154,10 +154,14 @@ def starting_states(
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 
 
-def _step_one(
-    choices: Choices, params: RaceParams, race: LapState, action: jax.Array, last: int | None
+def advance(
+    choices: Choices,
+    params: RaceParams,
+    race: LapState,
+    action: jax.Array,
+    last: int | None = None,
 ) -> LapState:
-    """One step of one drone; a race that is over does not change."""
+    """One step of one drone; a race that is over does not change. ``last``: see ``score``."""
     following, _, outcome = environment.transition(choices, params, race.state, action)
     gates = gate_count(params.track)
     return score(race, following, outcome, params.rules.time_step, gates, last)
@@ -250,7 +254,7 @@ def stepper(
     observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
     act = jax.vmap(actor, in_axes=(None, 0, 0))
     step = jax.vmap(
-        lambda race, action: _step_one(choices, params, race, action, last),
+        lambda race, action: advance(choices, params, race, action, last),
         in_axes=(-1, 0),
         out_axes=-1,
     )
@@ -266,7 +270,7 @@ def stepper(
 
 
 def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Array) -> Trace:
-    drone, model, battery = race.state.drone, choices.model, race.state.battery
+    drone, battery = race.state.drone, race.state.battery
 
     def rows(vector: Vec3) -> jax.Array:
         return jnp.stack(jax.tree.leaves(vector))
@@ -275,11 +279,11 @@ def _trace(choices: Choices, params: RaceParams, race: LapState, action: jax.Arr
         lambda a: jnp.stack(jax.tree.leaves(environment.command(choices, params, a))), out_axes=-1
     )(action)
     return Trace(
-        position=rows(model.position(drone)),
-        velocity=rows(model.velocity(drone)),
-        euler=rows(model.euler(drone)),
-        rates=rows(model.rates(drone)),
-        actuators=rows(model.actuator_state(drone)),
+        position=rows(drone.position),
+        velocity=rows(drone.velocity),
+        euler=rows(drone.angles),
+        rates=rows(drone.rates),
+        actuators=rows(drone.actuators),
         command=command,
         target=race.state.target,
         over=race.over,

@@ -30,8 +30,9 @@ from quadjax.vehicle.protocol import VehicleModel
 
 HIGHEST_RPM, CONSTANTS, MOST_AHEAD = "highest_rpm", "constants", 4
 ACTUATORS = "actuators"  # in a history: the field of the model's actuators, whatever its name
-GROUND_TRUTH, ESTIMATED, NONE = "ground_truth", "estimated", "none"
 Source = Literal["ground_truth", "estimated", "none"]  # of an observed disturbance or limit
+ESTIMATED: Source = "estimated"
+NONE: Source = "none"
 
 
 class History(Section):
@@ -146,7 +147,7 @@ def _rotation(step: Step) -> Numbers:
         Vec3(-g.sin_yaw, g.cos_yaw, zero),
         Vec3(zero, zero, one),
     )
-    seen = [step.model.to_body(step.drone, axis) for axis in axes]
+    seen = [step.drone.to_body(axis) for axis in axes]
     return [axis.x for axis in seen] + [axis.z for axis in seen]
 
 
@@ -174,7 +175,7 @@ def _beyond(count: int) -> tuple[Field, Field]:
 
 
 def _actuators(step: Step) -> Numbers:
-    return jax.tree.leaves(step.model.actuator_state(step.drone))
+    return jax.tree.leaves(step.drone.actuators)
 
 
 def _last_action(step: Step) -> Numbers:
@@ -200,7 +201,7 @@ def _disturbance(source: str, step: Step) -> tuple[Vec3, Vec3]:
     if source == ESTIMATED:
         assert step.state.estimate is not None
         return step.state.estimate.moment, step.state.estimate.force
-    return (Vec3.zero(), Vec3.zero()) if source == NONE else step.model.disturbance(step.drone)
+    return (Vec3.zero(), Vec3.zero()) if source == NONE else step.drone.disturbance
 
 
 def _moment(source: str, step: Step) -> Numbers:
@@ -219,7 +220,7 @@ def _highest_rpm(source: str, step: Step) -> Numbers:
     assert battery is not None and params is not None
     if source == ESTIMATED:
         return (battery.estimate.highest,)
-    limit = highest_rpm(params.cells, step.model.actuator_state(step.drone), battery.charge)
+    limit = highest_rpm(params.cells, step.drone.actuators, battery.charge)
     return (jnp.minimum(limit, params.estimator.highest),)
 
 

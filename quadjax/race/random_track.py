@@ -7,7 +7,6 @@ distance is allowed (position-based dynamics, Mueller et al. 2007). World NED, m
 """
 
 import math
-from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -113,14 +112,6 @@ class RandomTracks(RandomTrack):
 
     seed: int = Field(0, ge=0, le=2**30, description="seed of the first track; then one higher")
     count: int = Field(256, ge=1, le=4096, description="number of tracks")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_retired(cls, values: object) -> object:
-        """Drop ``drawn_by`` of older files: all tracks are drawn with the same chance."""
-        if isinstance(values, Mapping):
-            return {key: value for key, value in values.items() if key != "drawn_by"}
-        return values
 
     @property
     def each(self) -> list[RandomTrack]:

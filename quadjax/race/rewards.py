@@ -136,7 +136,7 @@ def perception(step: Step) -> jax.Array:
     passes the gate has none.
     """
     weights = step.params.reward
-    seen = step.model.to_body(step.drone, step.gate.position - step.position)
+    seen = step.drone.to_body(step.gate.position - step.position)
     cosine, sine = jnp.cos(weights.camera_deg), jnp.sin(weights.camera_deg)  # rad, as leaves
     along = cosine * seen.x - sine * seen.z
     aside = Vec3(seen.y, sine * seen.x + cosine * seen.z, jnp.zeros_like(seen.y))

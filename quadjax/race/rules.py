@@ -236,7 +236,7 @@ def pass_or_hit(step: Step) -> tuple[jax.Array, jax.Array]:
     """Whether a step passes its target gate, and whether it crosses the plane outside of it."""
     inflation, radius = step.params.training_limits.gate_inflation, step.params.rules.body_radius
     opening = inflation if radius is None else inflation - radius
-    before, test = step.model.position(step.before), step.params.rules.gate_test
+    before, test = step.before.position, step.params.rules.gate_test
     return crossing(before, step.position, step.gate, opening, test)
 
 

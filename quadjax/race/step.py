@@ -157,22 +157,22 @@ class Step(struct.PyTreeNode):
     @property
     def position(self) -> Vec3:
         """Position of ``drone``, m, world."""
-        return self.model.position(self.drone)
+        return self.drone.position
 
     @property
     def velocity(self) -> Vec3:
         """Velocity of ``drone``, m/s, world."""
-        return self.model.velocity(self.drone)
+        return self.drone.velocity
 
     @property
     def euler(self) -> Vec3:
         """Roll, pitch and yaw of ``drone``, rad."""
-        return self.model.euler(self.drone)
+        return self.drone.angles
 
     @property
     def body_rates(self) -> Vec3:
         """Body rates of ``drone``, rad/s."""
-        return self.model.rates(self.drone)
+        return self.drone.rates
 
     @functools.cached_property
     def distance(self) -> jax.Array:
@@ -182,7 +182,7 @@ class Step(struct.PyTreeNode):
     @functools.cached_property
     def distance_before(self) -> jax.Array:
         """Distance () to the center of the target gate before the step, m."""
-        return safe_norm(self.model.position(self.before) - self.gate.position)
+        return safe_norm(self.before.position - self.gate.position)
 
     @property
     def time_step(self) -> Scalar:

@@ -12,7 +12,6 @@ from quadjax.policy.pilot import command_ranges
 from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Laps, LapState
-from quadjax.race.track import gate_count
 from quadjax.sil.message import RPM_PER_RAD_S
 from quadjax.sil.worlds import Now, Seen, numbers, scaled
 from quadjax.vehicle.protocol import VehicleModel
@@ -82,12 +81,7 @@ def _begin_in_simulator(
 def _advance_simulator(
     choices: Choices, params: RaceParams, race: LapState, action: jax.Array
 ) -> tuple[LapState, Seen]:
-    gates = gate_count(params.track)
-
-    def one(race: LapState) -> LapState:
-        following, _, outcome = environment.transition(choices, params, race.state, action)
-        return laps.score(race, following, outcome, params.rules.time_step, gates)
-
+    one = functools.partial(laps.advance, choices, params, action=action)
     race = jax.vmap(one, -1, -1)(race)
     return race, _see_simulator(choices, params, race)
 
@@ -99,13 +93,13 @@ def _see_simulator(choices: Choices, params: RaceParams, race: LapState) -> Seen
     if one.state.estimate is not None:
         moment, force = one.state.estimate.moment, one.state.estimate.force
     else:
-        moment, force = model.disturbance(drone) if model.disturbed else (zero, zero)
-    actuators = model.actuator_state(drone)
+        moment, force = drone.disturbance if model.disturbed else (zero, zero)
+    actuators = drone.actuators
     still = Rotors.same(jnp.zeros(()))
     unit = 1.0 / RPM_PER_RAD_S if model.actuators.unit == "rpm" else 1.0
     rotors = scaled(actuators, unit) if model.actuators.size == 4 else still
     thrust = actuators if model.actuators.size == 1 else jnp.zeros(())
-    motion = (model.position(drone), model.velocity(drone), model.euler(drone), model.rates(drone))
+    motion = (drone.position, drone.velocity, drone.angles, drone.rates)
     shown = numbers(
         *(motion[0], motion[1], measured.body_velocity, motion[2], motion[3], rotors, thrust),
         *(measured.gyro, measured.specific_force, moment, force),

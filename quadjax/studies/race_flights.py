@@ -159,7 +159,7 @@ def fly_with_speeds(
         count, (before, key), (first, highest, above) = carry
         (race, key), _ = one((before, key))
         passed = (first == 0.0) & (race.state.gates_passed > 0)
-        now = safe_norm(choices.model.velocity(race.state.drone))
+        now = safe_norm(race.state.drone.velocity)
         clock = jnp.asarray(race.state.step, jnp.result_type(dt)) * dt
         first = jnp.where(passed, clock, first)
         fast = (now > limit) & ~before.over

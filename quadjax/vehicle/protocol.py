@@ -17,16 +17,14 @@ import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
-from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body, wrap_angle
+from quadjax.core.frames import attitude, body_to_world, euler_rates, world_to_body
 from quadjax.core.materialize import call_materialized_forward
-from quadjax.core.quaternion import Quaternion
-from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, between
 from quadjax.vehicle.constants import constant_names, declarations, from_values
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 Constants = Any  # a flax dataclass of scalars; see ``quadjax.vehicle.constants``
-State = Any  # a pytree of scalars; a ``RigidBodyState``, unless a model has another
+State = RigidBodyState
 Command = Any  # a pytree of scalars, in the order of ``VehicleModel.commands``
 Actuators = Any  # a pytree of scalars: propeller speeds, thrust, ...
 Population = Callable[[Constants, jax.Array], Constants]
@@ -177,7 +175,7 @@ class VehicleModel:
         rate = self.actuator_rate(c, actuators, command)
         body = BodyState(velocity, state.rates, actuators, rate)
         force, moment = self.force_moment(params, body)
-        if state.moment_ext is not None:
+        if state.moment_ext is not None and state.force_ext is not None:
             force, moment = force + state.force_ext, moment + state.moment_ext
         acceleration = body_to_world(a, force)
         return RigidBodyState(
@@ -192,7 +190,7 @@ class VehicleModel:
 
     def specific_force(self, params: VehicleParams, state: State) -> Vec3:
         """What an ideal accelerometer measures, m/s^2, body."""
-        velocity = world_to_body(attitude(state.euler), state.velocity)
+        velocity = state.to_body(state.velocity)
         force, _ = self.force_moment(params, _steady(velocity, state.rates, state.actuators))
         return force if state.force_ext is None else force + state.force_ext
 
@@ -213,9 +211,8 @@ class VehicleModel:
 
     def measure(self, params: VehicleParams, state: State) -> Measurement:
         """What the drone measures, without noise."""
-        velocity = self.to_body(state, self.velocity(state))
-        force = self.specific_force(params, state)
-        return Measurement(self.rates(state), force, self.actuator_state(state), velocity)
+        force, velocity = self.specific_force(params, state), state.to_body(state.velocity)
+        return Measurement(state.rates, force, state.actuators, velocity)
 
     def start(
         self, c: Constants, motion: Motion, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
@@ -239,46 +236,6 @@ class VehicleModel:
         external = (Vec3.zero(), Vec3.zero()) if self.disturbed else (None, None)
         body = (motion.position, motion.velocity, euler, motion.rates, actuators)
         return RigidBodyState(*body, *external)
-
-    def position(self, state: State) -> Vec3:
-        """Position, m, world."""
-        return state.position
-
-    def velocity(self, state: State) -> Vec3:
-        """Velocity, m/s, world."""
-        return state.velocity
-
-    def euler(self, state: State) -> Vec3:
-        """Roll, pitch and yaw, rad."""
-        is_angles = not isinstance(state.euler, Quaternion)
-        return state.euler if is_angles else quaternion.to_euler(state.euler, arctan2)
-
-    def rates(self, state: State) -> Vec3:
-        """Body rates p, q, r, rad/s."""
-        return state.rates
-
-    def actuator_state(self, state: State) -> Actuators:
-        """The actuators' state."""
-        return state.actuators
-
-    def to_body(self, state: State, vector: Vec3) -> Vec3:
-        """A world-frame vector in the body frame."""
-        return world_to_body(attitude(state.euler), vector)
-
-    def wrap(self, state: State) -> State:
-        """The state with angles wrapped or the quaternion normalized, after each step."""
-        euler = state.euler
-        if isinstance(euler, Quaternion):
-            return state.replace(euler=quaternion.normalized(euler))
-        return state.replace(euler=euler.replace(x=wrap_angle(euler.x), z=wrap_angle(euler.z)))
-
-    def disturbance(self, state: State) -> tuple[Vec3, Vec3]:
-        """External moment, ``moment_unit``, and specific force, m/s^2, body."""
-        return state.moment_ext, state.force_ext
-
-    def with_disturbance(self, state: State, moment: Vec3, force: Vec3) -> State:
-        """The state with an external moment and force, as of ``disturbance``."""
-        return state.replace(moment_ext=moment, force_ext=force)
 
     @property
     def pitch_limit(self) -> float:

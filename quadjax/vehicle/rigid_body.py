@@ -1,10 +1,13 @@
 """State of a rigid body with actuators, in the world and in the body frame."""
 
-from typing import Any
+from typing import Any, Self
 
 from flax import struct
 
+from quadjax.core import quaternion
+from quadjax.core.frames import attitude, world_to_body, wrap_angle
 from quadjax.core.quaternion import Quaternion
+from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3
 
 
@@ -18,6 +21,29 @@ class RigidBodyState(struct.PyTreeNode):
     actuators: Any  # a pytree of scalars: rotor speeds, a thrust, ..
     moment_ext: Vec3 | None = None  # external moment, N m or rad/s^2, body
     force_ext: Vec3 | None = None  # external specific force, m/s^2, body
+
+    @property
+    def angles(self) -> Vec3:
+        """Roll, pitch and yaw, rad."""
+        euler = self.euler
+        return quaternion.to_euler(euler, arctan2) if isinstance(euler, Quaternion) else euler
+
+    @property
+    def disturbance(self) -> tuple[Vec3, Vec3]:
+        """External moment and specific force of a model that has them."""
+        assert self.moment_ext is not None and self.force_ext is not None
+        return self.moment_ext, self.force_ext
+
+    def to_body(self, vector: Vec3) -> Vec3:
+        """A world-frame vector in the body frame."""
+        return world_to_body(attitude(self.euler), vector)
+
+    def wrapped(self) -> Self:
+        """The state with angles wrapped or the quaternion normalized, after each step."""
+        euler = self.euler
+        if isinstance(euler, Quaternion):
+            return self.replace(euler=quaternion.normalized(euler))
+        return self.replace(euler=euler.replace(x=wrap_angle(euler.x), z=wrap_angle(euler.z)))
 
 
 class BodyState(struct.PyTreeNode):

@@ -48,7 +48,7 @@ def summarize(model: VehicleModel, values: Mapping[str, float]) -> VehicleSummar
     ratio = model.thrust_to_weight(model.make_constants(values))
     accelerations, rates = jax.jit(turns, static_argnums=0)(model, constants)
     return VehicleSummary(
-        hover=_numbers(model.actuator_state(hover)),
+        hover=_numbers(hover.actuators),
         lowest=_numbers(low),
         highest=_numbers(high),
         thrust_to_weight=None if ratio is None else float(ratio),
@@ -98,7 +98,7 @@ def _simulate(
     def step(state: State, _: None) -> tuple[State, jax.Array]:
         change = model.derivative(params, state, command)
         state = jax.tree.map(lambda x, dx: x + dx * (SECONDS / STEPS), state, change)
-        return model.wrap(state), jnp.stack(model.rates(state).components())
+        return state.wrapped(), jnp.stack(state.rates.components())
 
     return jax.lax.scan(step, state, None, STEPS)[1]
 

@@ -33,7 +33,7 @@ def test_full_power_reaches_the_limit_and_the_policy_observes_it():
     assert before == pytest.approx(HIGH)
     for _ in range(70):
         state, *_ = compiled_transition(choices)(params, state, np.ones((1, 4), np.float32))
-    rpm = np.array(jax.tree.leaves(choices.model.actuator_state(state.drone)), np.float64)[:, 0]
+    rpm = np.array(jax.tree.leaves(state.drone.actuators), np.float64)[:, 0]
     limit = _limit(rpm, float(state.battery.charge[0]))
     np.testing.assert_allclose(rpm, limit, rtol=1e-3)
     assert before - 0.01 < state.battery.charge[0] < before

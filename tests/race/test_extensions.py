@@ -112,7 +112,7 @@ def test_timed_laps_of_a_model_with_five_commands():
 
 
 def height(view):
-    return (-view.model.position(view.drone).z,)
+    return (-view.drone.position.z,)
 
 
 HEIGHT = Field("height", 1, "m", "", value=height)

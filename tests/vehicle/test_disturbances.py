@@ -33,13 +33,13 @@ def test_moment_and_force_reach_the_derivative(name):
     choices, params = race(name)
     state = jax.jit(make_environment(choices).reset)(params, jax.random.key(0))
     model, drone = choices.model, state.drone
-    moment, force = model.disturbance(drone)
+    moment, force = drone.disturbance
     assert abs(moment.x) > 0 and abs(force.z) > 0 and force.x == 0
     command = model.command_range(params.vehicle.constants)[1]
     slope = jax.jit(model.derivative)
-    calm = model.with_disturbance(drone, Vec3.zero(), Vec3.zero())
+    calm = drone.replace(moment_ext=Vec3.zero(), force_ext=Vec3.zero())
     with_it, without = (slope(params.vehicle, x, command) for x in (drone, calm))
-    change = model.to_body(drone, with_it.velocity - without.velocity)
+    change = drone.to_body(with_it.velocity - without.velocity)
     np.testing.assert_allclose(change.array(), force.array(), atol=1e-4)
     turn = (with_it.rates - without.rates).array()
     c = params.vehicle.constants
@@ -67,7 +67,7 @@ def test_the_estimate_settles_at_the_disturbance(name):
         return first, jax.lax.scan(step, first, action)[1]
 
     first, estimate = flown(params, jax.random.key(3))
-    moment, force = choices.model.disturbance(first.drone)
+    moment, force = first.drone.disturbance
     late = jax.tree.map(lambda x: np.asarray(x)[-1], (estimate.moment, estimate.force))
     np.testing.assert_allclose(late[0].array(), moment.array(), atol=0.02 * MOMENTS[name])
     np.testing.assert_allclose(late[1].array(), force.array(), atol=0.1)

@@ -214,7 +214,7 @@ def test_gradient_of_a_flight(name):
             command = Rotors.of(action)
             slope = functools.partial(model.derivative, params, command=command)
             after = euler_step(slope, state, 0.01)
-            return model.wrap(model.hold(after, command)), None
+            return model.hold(after, command).wrapped(), None
 
         state, _ = jax.lax.scan(one, state_of(row), actions)
         return jnp.dot(jnp.stack(jax.tree.leaves(state)), weights)
@@ -262,7 +262,7 @@ def test_models_of_euler_angles_with_a_quaternion(kind):
         angles = functools.partial(quaternion.to_euler, arctan2=arctan2)
         _, slope = jax.jvp(angles, (turned.euler,), (found.euler,))
         expected = plain.derivative(params, state, command)
-        return expected, found.replace(euler=slope), model.euler(turned)
+        return expected, found.replace(euler=slope), turned.angles
 
     expected, found, angles = by_rows(slopes)(params, state, turned, command)
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
@@ -279,7 +279,7 @@ def test_accelerometer_measures_the_forces_without_gravity(name):
     def forces(params, state):
         slope = model.derivative(params, state, state.actuators)
         gravity = Vec3.zero().replace(z=params.constants.g)
-        expected = model.to_body(state, slope.velocity - gravity)
+        expected = state.to_body(slope.velocity - gravity)
         return model.specific_force(params, state), expected
 
     found, expected = by_rows(forces)(params_of(name), state)

@@ -2,6 +2,7 @@
 
 import ctypes
 import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,7 +29,6 @@ from quadjax.export.verify.toolchain import (
 from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.laps import Laps, LapState
-from quadjax.race.track import gate_count
 
 WARNINGS = "-std=c99 -Wall -Wextra -Wdouble-promotion -Werror".split()
 RANDOM_STATES, FEW_RUNS, RACE_LAPS = 20_000, 8, 6
@@ -167,14 +167,13 @@ def check_eva(c: Context) -> str:
 
 def _world(own: OwnRace) -> Callable[[RaceState], jax.Array]:
     """A function from a batched race to the firmware's states (n, 16)."""
-    model = own.choices.model
 
     @jax.jit
     def world(state: RaceState) -> jax.Array:
         drone = state.drone
-        parts = (model.position(drone), model.velocity(drone), model.euler(drone))
-        motion = [x for part in (*parts, model.rates(drone)) for x in jax.tree.leaves(part)]
-        rotors = jax.tree.leaves(model.actuator_state(drone))
+        parts = (drone.position, drone.velocity, drone.angles, drone.rates)
+        motion = jax.tree.leaves(parts)
+        rotors = jax.tree.leaves(drone.actuators)
         ordered = [rotors[MOTORS.index(number)] for number in range(4)]
         return jnp.stack([*motion, *ordered], axis=1)
 
@@ -183,13 +182,7 @@ def _world(own: OwnRace) -> Callable[[RaceState], jax.Array]:
 
 def _advance(own: OwnRace) -> Callable[[LapState, jax.Array], LapState]:
     """One step of all drones, by the simulator's rules, with actions (n, 4)."""
-    choices, params = _exact(own)
-    gates = gate_count(params.track)
-
-    def one(race: LapState, action: jax.Array) -> LapState:
-        following, _, outcome = environment.transition(choices, params, race.state, action)
-        return laps.score(race, following, outcome, params.rules.time_step, gates)
-
+    one = functools.partial(laps.advance, *_exact(own))
     return jax.jit(jax.vmap(one, in_axes=(-1, 0), out_axes=-1))
 
 

@@ -5,7 +5,7 @@ or with its rotors at the logged speeds, and compared with the log.
 """
 
 import functools
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -152,23 +152,16 @@ def _roll_out(
     ) -> tuple[State, tuple[jax.Array, ...]]:
         numbers, speed = given
         command = jax.tree.unflatten(structure, [numbers[i] for i in range(numbers.shape[0])])
-        state = state if speed is None else _with_speeds(model, state, speed)
+        state = state if speed is None else state.replace(actuators=Rotors.of(speed))
         state = rk4_step(lambda s: model.derivative(params, s, command), state, dt)
-        state = model.hold(model.wrap(state), command)
-        parts = (model.position, model.velocity, model.euler, model.rates)
-        return state, tuple(part(state).array() for part in parts)
+        state = model.hold(state.wrapped(), command)
+        parts = (state.position, state.velocity, state.angles, state.rates)
+        return state, tuple(part.array() for part in parts)
 
     def window(start: State, inputs: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, ...]:
         return jax.lax.scan(step, start, inputs)[1]
 
     return jax.vmap(window)(first, (jnp.asarray(commands), speeds))
-
-
-def _with_speeds(model: VehicleModel, state: State, speed: jax.Array) -> State:
-    """The state with its rotors at the given speeds."""
-    own = model.actuator_state(state)
-    name = next(field.name for field in fields(state) if getattr(state, field.name) is own)
-    return state.replace(**{name: Rotors.of(speed)})
 
 
 def _commands_of_speeds(
