@@ -22,7 +22,7 @@ from quadjax.cli.output import write_record, wrote
 from quadjax.config.loading import load_config
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
-from quadjax.learners.devices import prepare_devices
+from quadjax.learners.parallel import prepare_devices
 from quadjax.studies import ppo_against_sb3 as study
 from quadjax.training.progress import bar
 

@@ -84,7 +84,7 @@ def speed(*, quick: Flag = False, repeats: Count | None = None, json: JsonFile =
 def measure(job: Job) -> dict[str, Any]:
     """One measurement, in this process."""
     from quadjax.config.loading import load_config
-    from quadjax.learners.devices import prepare_devices
+    from quadjax.learners.parallel import prepare_devices
 
     observed = job.kind == "observed"
     preset, vehicle = (PRESET, [f"vehicle={job.name}"]) if observed else (job.name, [])

@@ -269,7 +269,7 @@ def test_every_shipped_config_has_a_program(name):
     config = load_config(name, STANDIN.get(name, []))
     learner, params = build_learner(config), build_params(config)
     state = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-    training.parallel.check_update(learner, params, state)
+    jax.eval_shape(training.parallel.repeat(learner, 2), learner.hyper, params, state)
 
 
 @pytest.mark.slow

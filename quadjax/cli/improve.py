@@ -77,7 +77,7 @@ def improve(
         from quadjax.core.folders import claim, remove_files
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.flight_log import find_logs
-        from quadjax.learners.devices import prepare_devices
+        from quadjax.learners.parallel import prepare_devices
         from quadjax.plant.config import load_plant_config
         from quadjax.studies.improve import check as checks
         from quadjax.studies.improve import run

@@ -69,7 +69,7 @@ def train(
     opt.refuse("without --seeds", "runs", "figure")
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.learners.devices import prepare_devices
+        from quadjax.learners.parallel import prepare_devices
         from quadjax.training.fine_tuning import check_policy, fine_tuning
 
     settings = load_config(config, named)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.learners.sharding import Chunk
+from quadjax.learners.parallel import Chunk
 from quadjax.learners.state import TrainState
 
 Row = dict[str, float]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from quadjax.core.gradients import Scalar
-from quadjax.learners.sharding import AXIS, constrain
+from quadjax.learners.parallel import AXIS, constrain
 from quadjax.learners.state import Metrics
 
 Carry = TypeVar("Carry")

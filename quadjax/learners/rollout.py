@@ -10,7 +10,7 @@ from flax import struct
 from quadjax.core.environment import Environment, where_done
 from quadjax.core.gradients import Scalar
 from quadjax.learners.networks import ActorCritic, Networks
-from quadjax.learners.sharding import AXIS, constrain
+from quadjax.learners.parallel import AXIS, constrain
 from quadjax.learners.state import Metrics
 
 

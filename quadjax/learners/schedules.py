@@ -45,10 +45,7 @@ class Scheduled:
 
 
 def make_schedule(
-    key: str,
-    knots: np.ndarray,
-    trees: Sequence[Tree],
-    by_level: bool = False,
+    key: str, knots: np.ndarray, trees: Sequence[Tree], by_level: bool = False
 ) -> Knots:
     """A schedule from the run's numbers at each knot.
 
@@ -63,33 +60,29 @@ def make_schedule(
         InputError: no leaf differs, a leaf that cannot be interpolated does, or a leaf's shape or
             the structure does.
     """
-    if any(_program(tree) != _program(trees[0]) for tree in trees[1:]):
+
+    def program(tree: Tree) -> tuple:
+        """What has to be the same at every knot."""
+        leaves, structure = jax.tree.flatten(tree)
+        return structure, [(np.shape(x), jnp.result_type(x)) for x in leaves]
+
+    if any(program(tree) != program(trees[0]) for tree in trees[1:]):
         raise InputError(
             f"schedules: {key} cannot be scheduled: it changes the program, not only numbers"
         )
     rows = zip(*(jax.tree.leaves(jax.device_get(tree)) for tree in trees), strict=True)
-    columns = [np.stack([np.asarray(x) for x in row]) for row in rows]
-    changed = [i for i, column in enumerate(columns) if np.any(column != column[:1])]
+    columns = {i: np.stack([np.asarray(x) for x in row]) for i, row in enumerate(rows)}
+    changed = {i: column for i, column in columns.items() if np.any(column != column[:1])}
     if not changed:
         raise InputError(f"schedules: {key} has no effect: it changes no number of this run")
-    for i in changed:
-        if not (np.issubdtype(columns[i].dtype, np.floating) and np.all(np.isfinite(columns[i]))):
+    for column in changed.values():
+        if not (np.issubdtype(column.dtype, np.floating) and np.all(np.isfinite(column))):
             raise InputError(
                 f"schedules: {key} cannot be scheduled: it changes numbers that are whole or "
                 "infinite, allowed: finite floating-point numbers"
             )
-    return Knots(
-        knots=jnp.asarray(_increasing(knots)),
-        values=tuple(jnp.asarray(columns[i]) for i in changed),
-        leaves=tuple(changed),
-        by_level=by_level,
-    )
-
-
-def _program(tree: Tree) -> tuple:
-    """What has to be the same at every knot: the structure, and the shape and type of each leaf."""
-    leaves, structure = jax.tree.flatten(tree)
-    return structure, [(np.shape(x), jnp.result_type(x)) for x in leaves]
+    values = tuple(jnp.asarray(column) for column in changed.values())
+    return Knots(jnp.asarray(_increasing(knots)), values, tuple(changed), by_level)
 
 
 def _increasing(knots: np.ndarray) -> np.ndarray:
@@ -130,16 +123,19 @@ def schedule_learner(
     """
     if not schedules:
         return learner
-    built = {}
+    built: list[Knots] = []
+    keys: dict[int, str] = {}  # of the schedule of each leaf
     for key, schedule in schedules.items():
         trees = [numbers_at(key, None if x == "value" else x) for x in schedule.linear]
         by_level = schedule.by == "pass_rate"
         knots = np.array(schedule.knots(steps, plan.steps))
         knots = knots if by_level else knots / plan.steps_per_update
-        built[key] = make_schedule(key, knots, trees, by_level)
-    _check_disjoint(built)
-    hyper = Scheduled(learner.hyper, tuple(built.values()))
-    if any(each.by_level for each in built.values()):
+        built.append(make_schedule(key, knots, trees, by_level))
+        for leaf in built[-1].leaves:
+            if (other := keys.setdefault(leaf, key)) != key:
+                raise InputError(f"schedules: {other} and {key} change the same number")
+    hyper = Scheduled(learner.hyper, tuple(built))
+    if any(knots.by_level for knots in built):
         curriculum = curriculum or Curriculum()
         updates = max(1.0, curriculum.duration * steps / plan.steps_per_update)
         pass_rate, climb = jnp.float32(curriculum.pass_rate), jnp.float32(1.0 / updates)
@@ -150,19 +146,18 @@ def schedule_learner(
 def _scheduled(learner: Learner, hyper: Scheduled) -> Learner:
     """The learner that applies the schedules of its hyperparameters."""
 
-    def numbers(hyper: Scheduled, params: Tree, update: jax.Array, level: Any) -> Tree:
-        return apply_schedules((hyper.hyper, params), hyper.schedules, update, level)
-
     def init(hyper: Scheduled, params: Tree, key: jax.Array) -> TrainState:
-        level = None if hyper.climb is None else jnp.zeros(())
-        own, params = numbers(hyper, params, jnp.zeros((), jnp.int32), level)
-        state = learner.init(own, params, key)
-        return state if level is None else dataclasses.replace(state, level=level)
+        level, first = jnp.zeros(()), jnp.zeros((), jnp.int32)
+        numbers, params = apply_schedules((hyper.hyper, params), hyper.schedules, first, level)
+        state = learner.init(numbers, params, key)
+        return state if hyper.climb is None else dataclasses.replace(state, level=level)
 
     def update(hyper: Scheduled, params: Tree, state: TrainState) -> tuple[TrainState, Metrics]:
         level = None if hyper.climb is None else state.level
-        own, params = numbers(hyper, params, state.update, level)
-        following, metrics = learner.update(own, params, state)
+        numbers, params = apply_schedules(
+            (hyper.hyper, params), hyper.schedules, state.update, level
+        )
+        following, metrics = learner.update(numbers, params, state)
         if hyper.pass_rate is None or hyper.climb is None:
             return following, metrics
         level = next_level(state.level, metrics, hyper.pass_rate, hyper.climb)
@@ -198,12 +193,3 @@ def next_level(
         raise InputError("schedules by pass_rate: the learner reports no metric pass_rate")
     step = jnp.where(metrics["pass_rate"] >= pass_rate, climb, -climb)
     return jnp.clip(level + step, 0.0, 1.0)
-
-
-def _check_disjoint(schedules: dict[str, Knots]) -> None:
-    owner: dict[int, str] = {}
-    for key, schedule in schedules.items():
-        for leaf in schedule.leaves:
-            if leaf in owner:
-                raise InputError(f"schedules: {owner[leaf]} and {key} change the same number")
-            owner[leaf] = key

@@ -90,21 +90,18 @@ class Schedule(Section):
     )
 
     def knots(self, run_steps: int, total: int) -> list[float]:
-        """Environment steps of the values.
+        """Environment steps, or levels, of the values.
 
         Args:
             run_steps: ``run.steps``, to which fractions refer.
             total: steps at the end of the run, a whole number of chunks.
         """
-        if self.by == "pass_rate":
-            return [
-                self.start + (self.until - self.start) * i / (len(self.linear) - 1)
-                for i in range(len(self.linear))
-            ]
-        begin, end = (
-            float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)
-            for x in (self.start, self.until)
-        )
+        begin, end = self.start, self.until
+        if self.by == "steps":
+            begin, end = (
+                float(total) if x == 1 else x if x > 1 else min(x * run_steps, total)
+                for x in (begin, end)
+            )
         last = len(self.linear) - 1
         return [begin + (end - begin) * i / last for i in range(last + 1)]
 

@@ -24,9 +24,7 @@ class TrainState:
     environment: Any  # states of all environments, batched along the last axis
     key: jax.Array  # () PRNG key
     update: jax.Array  # () int32, number of updates done
-    ema: Any = (
-        None  # ActorCritic or None: exponential moving average of ``params``, if there is one
-    )
+    ema: Any = None  # ActorCritic or None: exponential moving average of ``params``
     level: Any = None  # () in [0, 1]: position of the schedules by ``pass_rate``, if there are any
 
     @property

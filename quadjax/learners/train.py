@@ -13,12 +13,11 @@ from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.limits import MAX_SEED, check_integer
 from quadjax.core.sections import build
-from quadjax.learners.devices import choose_devices
 from quadjax.learners.loop import Plan, Row, plan_chunks, train_chunks
 from quadjax.learners.networks import ActorCritic, Networks
+from quadjax.learners.parallel import choose_mesh, compile_chunk, place
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.section import LearnerSection, Network, Schedule, Schedules
-from quadjax.learners.sharding import compile_chunk, env_count, make_mesh, place
 from quadjax.learners.state import Learner
 
 CHUNKS = 20  # of a run, at most: how often progress is reported
@@ -46,7 +45,7 @@ def train(
 ) -> TrainResult:
     """Train a policy on an environment.
 
-    On a CPU, call ``quadjax.learners.devices.prepare_devices("auto")`` before JAX computes
+    On a CPU, call ``quadjax.learners.parallel.prepare_devices("auto")`` before JAX computes
     anything, so that a run uses all cores.
 
     Args:
@@ -73,7 +72,7 @@ def train(
     networks = _networks(algorithm, environment, network)
     learner, plan = _make(algorithm, environment, networks, params, steps, schedules or {})
     state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(seed))
-    mesh = make_mesh(choose_devices("auto", env_count(state)))
+    mesh = choose_mesh("auto", state)
     state = place(state, mesh)
     chunk = compile_chunk(learner, mesh, plan.updates_per_chunk, params, state)
     history: list[dict[str, np.ndarray]] = []
@@ -116,19 +115,17 @@ def _make(
     schedules: Schedules,
 ) -> tuple[Learner, Plan]:
     """The learner with its schedules, and the plan of the run."""
-
-    def make(algorithm: LearnerSection, updates: int = 1) -> Learner:
-        return algorithm.make(environment, networks, updates)
+    steps_per_update = algorithm.make(environment, networks, 1).steps_per_update
+    plan = plan_chunks(steps, max(1, steps // CHUNKS), steps_per_update)
+    learner = algorithm.make(environment, networks, plan.updates)
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, Any]:
         name = key.removeprefix("learner.")
         if name in type(algorithm).model_fields:
             changed = algorithm if value is None else algorithm.replace(**{name: value})
-            return make(changed).hyper, params
+            return changed.make(environment, networks, plan.updates).hyper, params
         return learner.hyper, _with_leaf(params, key, value)
 
-    plan = plan_chunks(steps, max(1, steps // CHUNKS), make(algorithm).steps_per_update)
-    learner = make(algorithm, plan.updates)
     sections = {
         key: each if isinstance(each, Schedule) else build(Schedule, {"linear": [*each]}, key)
         for key, each in schedules.items()

@@ -16,8 +16,7 @@ from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.environment import Environment, vectorize, where_done
 from quadjax.core.provenance import processor
-from quadjax.learners import sharding as parallel
-from quadjax.learners.devices import choose_devices, core_count
+from quadjax.learners import parallel
 from quadjax.race.environment import RaceParams, make_environment
 from quadjax.training.build import build_learner, start_state
 from quadjax.vehicle.residual import Residual
@@ -130,7 +129,7 @@ def measure_environment(
     if residual:
         vehicle = params.vehicle.replace(residual=random_residual())
         params = params.replace(vehicle=vehicle)
-    devices = choose_devices("auto", num_envs)
+    devices = parallel.choose_devices("auto", num_envs)
     steps = min(20_000, max(50, STEPS_PER_CALL // num_envs))
     loop, arguments = environment_loop(config, params, num_envs, steps, devices, observed)
     began = time.perf_counter()
@@ -147,8 +146,7 @@ def measure_training(config: Config, repeats: int) -> Speed:
     """Training steps a second of a config, from its first updates."""
     learner, params = build_learner(config), build_params(config)
     state = start_state(config, learner, params)
-    devices = choose_devices(config.run.devices, parallel.env_count(state))
-    mesh = parallel.make_mesh(devices)
+    mesh = parallel.choose_mesh(config.run.devices, state)
     state = parallel.place(state, mesh)
     updates = max(1, round(STEPS_PER_CALL / 10 / learner.steps_per_update))
     began = time.perf_counter()
@@ -160,7 +158,7 @@ def measure_training(config: Config, repeats: int) -> Speed:
         state, _ = jax.block_until_ready(chunk(params, state))
 
     steps = updates * learner.steps_per_update
-    return _speed(call, steps, repeats, config.learner.num_envs, devices, compile_seconds)
+    return _speed(call, steps, repeats, config.learner.num_envs, mesh.size, compile_seconds)
 
 
 def _speed(
@@ -185,7 +183,7 @@ def machine() -> dict[str, str | int | float | None]:
     """What this was measured on: processor, cores, memory, JAX and its device."""
     return {
         "processor": processor(),
-        "cores": core_count(),
+        "cores": parallel.core_count(),
         "memory_gib": _memory_gib(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),

@@ -12,7 +12,7 @@ from quadjax.config.race import make_race
 from quadjax.config.schema import Config
 from quadjax.evaluation.curves import training_figure
 from quadjax.evaluation.evaluation import evaluate
-from quadjax.learners.devices import core_count
+from quadjax.learners.parallel import core_count
 from quadjax.policy.file import Policy
 from quadjax.training.build import untrained_policy
 from quadjax.training.score import score_runs

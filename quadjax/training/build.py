@@ -36,25 +36,22 @@ REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and t
 
 def build_environment(config: Config) -> Environment[RaceParams, RaceState]:
     """The race of training; where the critic observes the drawn constants, they come last."""
-    environment, names = make_environment(choices_of(config)), privileged_names(config)
-    if not names:
-        return environment
-    spread = config.randomization.by_constant(vehicle_model(config.vehicle.model))
-    return with_critic_constants(environment, tuple((name, spread[name] or 1.0) for name in names))
+    environment, constants = make_environment(choices_of(config)), privileged_constants(config)
+    return with_critic_constants(environment, constants) if constants else environment
 
 
-def privileged_names(config: Config) -> tuple[str, ...]:
-    """The constants that only the critic observes."""
+def privileged_constants(config: Config) -> tuple[tuple[str, float], ...]:
+    """The constants that only the critic observes, and how far each is drawn from its value."""
     if not config.observation.critic_constants:
         return ()
     spread = config.randomization.by_constant(vehicle_model(config.vehicle.model))
     every = config.randomization.population is not None
-    return tuple(name for name, part in spread.items() if part or every)
+    return tuple((name, part or 1.0) for name, part in spread.items() if part or every)
 
 
 def build_networks(config: Config) -> Networks:
     """The networks of a config."""
-    environment, privileged = build_environment(config), len(privileged_names(config))
+    environment, privileged = build_environment(config), len(privileged_constants(config))
     scale = input_scale(config)
     return Networks(
         observation_size=environment.observation_size,
@@ -147,22 +144,20 @@ def plan(config: Config, steps_per_update: int) -> Plan:
 def start_state(
     config: Config, learner: Learner, params: RaceParams, initial: Policy | None = None
 ) -> TrainState:
-    """A run's first state, with the policy ``initial`` if there is one."""
+    """A run's first state, with the policy ``initial`` if there is one.
+
+    The target and the moving average of the networks, where there are any, start from it too.
+    """
     state = jax.jit(learner.init)(learner.hyper, params, jax.random.key(config.seed))
     if initial is None:
         return state
-    scales = reward_scale(config), input_scale(config)
-    return with_params(state, with_policy(state.params, initial, *scales))
-
-
-def with_params(state: TrainState, params: ActorCritic) -> TrainState:
-    """The state with other networks; its target and its moving average start from them."""
+    networks = with_policy(state.params, initial, reward_scale(config), input_scale(config))
     copies = {
-        name: jax.tree.map(jnp.copy, params)
+        name: jax.tree.map(jnp.copy, networks)
         for name in ("target", "ema")
         if getattr(state, name) is not None
     }
-    return dataclasses.replace(state, params=params, **copies)
+    return dataclasses.replace(state, params=networks, **copies)
 
 
 def reward_scale(config: Config) -> float:
@@ -211,35 +206,33 @@ def with_policy(
         inputs: factors on the observation in front of the networks in training; (): none.
     """
     inverse = [1.0 / x for x in inputs]
-    log_std = jnp.asarray(policy.log_std, jnp.float32)
     value = params.value
     if policy.value is not None and policy.value[0][0].shape == value[0][0].shape:
-        value = _with_inputs(_scaled(policy.value, scale), inverse)
-    own = _with_inputs(policy.layers, inverse)
-    return dataclasses.replace(params, policy=own, log_std=log_std, value=value)
+        value = _rescaled(policy.value, inverse, scale)
+    return ActorCritic(
+        policy=_rescaled(policy.layers, inverse),
+        log_std=jnp.asarray(policy.log_std, jnp.float32),
+        value=value,
+    )
 
 
-def _scaled(layers: Weights, factor: float) -> Weights:
-    """The layers of a network whose outputs are ``factor`` times as large."""
-    kernel, bias = layers[-1]
-    return (*layers[:-1], (factor * kernel, factor * bias))
-
-
-def _with_inputs(layers: Weights, factors: Sequence[float]) -> tuple[Layer, ...]:
-    """The layers of a network of which each input has a factor; none where there are no factors."""
-    kernel, bias = layers[0]
-    if factors:
-        kernel = jnp.asarray(factors, jnp.float32)[:, None] * jnp.asarray(kernel)
-    return tuple((jnp.asarray(k), jnp.asarray(b)) for k, b in ((kernel, bias), *layers[1:]))
-
-
-def _on_host(layers: Weights) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    return tuple((np.asarray(kernel), np.asarray(bias)) for kernel, bias in layers)
+def _rescaled(
+    layers: Weights, inputs: Sequence[float] = (), output: float = 1.0
+) -> tuple[Layer, ...]:
+    """The layers of a network whose inputs and outputs have factors; ``inputs`` (): none."""
+    scaled = [(jnp.asarray(kernel), jnp.asarray(bias)) for kernel, bias in layers]
+    if inputs:
+        kernel, bias = scaled[0]
+        scaled[0] = (jnp.asarray(inputs, jnp.float32)[:, None] * kernel, bias)
+    if output != 1.0:
+        kernel, bias = scaled[-1]
+        scaled[-1] = (output * kernel, output * bias)
+    return tuple(scaled)
 
 
 def network_policy(config: Config, params: ActorCritic) -> PolicyParams:
     """Networks in training as parameters for inference."""
-    layers = _with_inputs(params.policy, input_scale(config))
+    layers = _rescaled(params.policy, input_scale(config))
     return PolicyParams(layers, params.log_std, config.network.activation, config.learner.noise_on)
 
 
@@ -256,12 +249,11 @@ def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Po
     low, high = (np.array(jax.tree.leaves(end)) for end in model.command_range(constants))
     inputs = input_scale(config)
     value = None
-    if not privileged_names(config):
-        scaled = _scaled(params.value, 1.0 / reward_scale(config))
-        value = _on_host(_with_inputs(scaled, inputs))
+    if not privileged_constants(config):
+        value = jax.device_get(_rescaled(params.value, inputs, 1.0 / reward_scale(config)))
     residual = config.vehicle.residual
     return Policy(
-        layers=_on_host(_with_inputs(params.policy, inputs)),
+        layers=jax.device_get(_rescaled(params.policy, inputs)),
         log_std=np.asarray(params.log_std),
         vehicle=model.name,
         activation=config.network.activation,

@@ -1,20 +1,14 @@
 """The checkpoint of a training run, by Orbax: complete or absent."""
 
-import dataclasses
-import errno
 import logging
 import math
-import os
 from pathlib import Path
-from typing import Any
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 import orbax.checkpoint as ocp
+from flax import struct
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import check_space
 from quadjax.learners.loop import Progress
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.state import TrainState
@@ -23,7 +17,7 @@ from quadjax.learners.state import TrainState
 logging.getLogger("absl").setLevel(logging.CRITICAL)
 
 
-@dataclasses.dataclass(frozen=True)
+@struct.dataclass
 class Position:
     """The progress of a run: what a checkpoint holds."""
 
@@ -44,14 +38,11 @@ class Position:
             score: of its parameters; lower is better, infinite where a flight does not finish.
             seconds: of training.
         """
-        following = dataclasses.replace(
-            self, state=progress.state, chunks=progress.chunks, seconds=seconds
-        )
-        if score > self.best_score and math.isfinite(self.best_score):
-            return following
-        best = jax.device_get(progress.state.evaluated)
-        return dataclasses.replace(
-            following, best=best, best_score=score, best_steps=progress.steps
+        best, best_score, best_steps = self.best, self.best_score, self.best_steps
+        if score <= best_score or math.isinf(best_score):
+            best, best_score, best_steps = progress.state.evaluated, score, progress.steps
+        return Position(
+            progress.state, jax.device_get(best), best_score, best_steps, progress.chunks, seconds
         )
 
 
@@ -67,20 +58,22 @@ class Checkpoints:
         )
         self._manager = ocp.CheckpointManager(path, options=options)
 
+    @property
+    def any(self) -> bool:
+        """Whether there is a checkpoint to resume from."""
+        return self._manager.latest_step() is not None
+
     def save(self, position: Position) -> None:
-        """Save the position: the state, and the best parameters so far.
+        """Save the position.
 
         Raises:
             InputError: it cannot be written; the last checkpoint stays.
         """
-        manager, tree = self._manager, _tree(position)
+        manager = self._manager
         if manager.latest_step() == position.chunks:
             return
-        # Twice the arrays, and the files that describe them.
-        size = 2 * sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(tree)) + 2**17
         try:
-            check_space(manager.directory, size)
-            manager.save(position.chunks, args=ocp.args.StandardSave(tree))
+            manager.save(position.chunks, args=ocp.args.StandardSave(position))
             manager.wait_until_finished()
         except Exception as error:  # Orbax and TensorStore raise many kinds
             raise InputError(
@@ -88,65 +81,30 @@ class Checkpoints:
                 "last one stays"
             ) from error
 
-    @property
-    def any(self) -> bool:
-        """Whether there is a checkpoint to resume from."""
-        return self._manager.latest_step() is not None
-
     def restore(self, like: Position) -> Position:
         """The position of the checkpoint.
 
         Args:
-            like: a fresh position of a run of the same config, for the shapes.
+            like: the first position of a run of the same config, for shapes and devices.
 
         Raises:
             InputError: the checkpoint is damaged.
         """
-        manager = self._manager
-        step = manager.latest_step()
-        shapes = jax.tree.map(
-            lambda x: jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype), _tree(like)
-        )
+        manager, step = self._manager, self._manager.latest_step()
         try:
-            restored: Any = manager.restore(step, args=ocp.args.StandardRestore(shapes))
+            restored: Position = manager.restore(step, args=ocp.args.StandardRestore(like))
         except Exception as error:  # Orbax raises many kinds
             raise InputError(
                 f"{manager.directory}: checkpoint {step} cannot be read ({_reason(error)}): "
                 "replace the run (overwrite=True)"
             ) from error
-        best_score, seconds, best_steps, chunks = restored["numbers"].tolist()
-        state = jax.tree.map(_with_keys, restored["state"], like.state)
-        best = ActorCritic(**vars(restored["best"]))
-        return Position(state, best, best_score, int(best_steps), int(chunks), seconds)
+        return restored
 
     def close(self) -> None:
         """Release Orbax's resources."""
         self._manager.close()
 
 
-def _tree(position: Position) -> dict[str, Any]:
-    """What a checkpoint holds, as NumPy arrays; keys as their integers."""
-    numbers = [position.best_score, position.seconds, position.best_steps, position.chunks]
-    plain = jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, position.state)
-    return {
-        "state": jax.device_get(plain),
-        "best": jax.device_get(position.best),
-        "numbers": np.array(numbers, np.float64),
-    }
-
-
-def _is_key(leaf: object) -> bool:
-    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-
-
-def _with_keys(plain: np.ndarray, like: jax.Array) -> jax.Array:
-    """A restored array, as PRNG keys where ``like`` has them."""
-    restored = jnp.asarray(plain)
-    return jax.random.wrap_key_data(restored) if _is_key(like) else restored
-
-
 def _reason(error: Exception) -> str:
-    """One line: the system's words for a full disk, or the start of the message."""
-    text = str(getattr(error, "strerror", None) or error).strip() or type(error).__name__
-    full = os.strerror(errno.ENOSPC)
-    return full if full in text else text.splitlines()[0][:200]
+    """The start of an error's message, as one line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__

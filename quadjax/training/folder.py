@@ -1,16 +1,15 @@
 """The folder of a training run: checks of the run in it, and the files of training."""
 
 from pathlib import Path
-from typing import Any
 
 from quadjax.config.code import names_of_code
 from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.core.files import check_file, whole_file, write_text
+from quadjax.core.files import check_file, write_bytes, write_text
 from quadjax.core.folders import check_kind, kind_of, remove_files
 from quadjax.core.sections import value_at
-from quadjax.core.yaml_files import flatten, parse_yaml, read_yaml
+from quadjax.core.yaml_files import flatten
 from quadjax.training.result import is_finished
 from quadjax.vehicle.residual import is_shipped
 
@@ -37,6 +36,9 @@ FILES = (
 )
 
 
+REPLACE = "replace the run (overwrite=True) or choose another name"
+
+
 def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) -> Config:
     """Write the config and the files that it names to a run's folder, if it may be used.
 
@@ -56,7 +58,7 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
     contents = _inputs(config)
     if overwrite:
         remove_files(folder, FILES)
-    saved = _has_checkpoint(folder)
+    saved = any((folder / "checkpoints" / "latest").glob("*"))
     if saved or (folder / "policy.npz").exists():
         if not resume:
             raise InputError(
@@ -65,20 +67,11 @@ def prepare_folder(config: Config, folder: Path, resume: bool, overwrite: bool) 
             )
         check_same(config, folder)
         if not saved and not is_finished(folder):
-            raise InputError(
-                f"{folder} has a policy but no checkpoint to resume from: replace the run "
-                "(overwrite=True) or choose another name"
-            )
+            raise InputError(f"{folder} has a policy but no checkpoint to resume from: {REPLACE}")
     for key, content in contents.items():
-        with whole_file(folder / INPUTS[key]) as temporary:
-            temporary.write_bytes(content)
+        write_bytes(folder / INPUTS[key], content)
     write_text(folder / "config.yaml", _with_inputs(config, contents).to_yaml())
     return _with_inputs(config, contents, folder)
-
-
-def _has_checkpoint(folder: Path) -> bool:
-    latest = folder / "checkpoints" / "latest"
-    return latest.exists() and any(latest.iterdir())
 
 
 def _inputs(config: Config) -> dict[str, bytes]:
@@ -107,22 +100,20 @@ def check_same(config: Config, folder: Path) -> None:
         return
     contents = _inputs(config)
     saved = load_config(path, code=names_of_code(config))
-    in_race_units = {".".join(p for p in each if isinstance(p, str)) for each in saved.race_units}
-    own: Any = parse_yaml(_with_inputs(config, contents).with_race_units({}).to_yaml(), "config")
-    complete: Any = parse_yaml(saved.with_race_units({}).to_yaml(), str(path))
-    now = flatten(own)
-    written = {k: v for k, v in flatten(read_yaml(path)).items() if k not in in_race_units}
-    before = {**flatten(complete), **written}  # flatten(complete): keys that were added later
+    before, now = (
+        flatten(each.model_dump(by_alias=True))
+        for each in (saved, _with_inputs(config, contents, folder))
+    )
     for key in [*now, *before]:
         if key not in FREE and before.get(key) != now.get(key):
             raise InputError(
                 f"{path} has {key}: {before.get(key)}, the new config {key}: {now.get(key)}: use "
-                "the same config, replace the run (overwrite=True) or choose another name"
+                f"the same config, {REPLACE}"
             )
     for key, content in contents.items():
         copy = folder / INPUTS[key]
         if copy.exists() and copy.read_bytes() != content:
             raise InputError(
                 f"{copy} differs from {key} of the new config, {value_at(config, key)}: use the "
-                "same file, replace the run (overwrite=True) or choose another name"
+                f"same file, {REPLACE}"
             )

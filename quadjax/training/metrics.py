@@ -1,47 +1,38 @@
-"""The metrics of a training run, as CSV and for TensorBoard."""
+"""The metrics of a training run: ``metrics.csv``, and TensorBoard's events."""
 
-import csv
-import io
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadjax.core.errors import InputError, short, writing
+from quadjax.core.errors import InputError
 from quadjax.core.files import read_text, write_csv
 from quadjax.learners.loop import Row
 
 
-class MetricsFile:
-    """``metrics.csv``: a row per chunk, cut back to the checkpoint when a run is resumed."""
+class Metrics:
+    """The rows of a run's ``metrics.csv``, one for each chunk; written as a whole each time."""
 
-    def __init__(self, directory: Path, steps: int, tensorboard: bool) -> None:
-        """Open ``directory/metrics.csv`` after the last row of at most ``steps`` steps."""
-        self._path = directory / "metrics.csv"
-        self._started = False
+    def __init__(self, folder: Path, steps: int, tensorboard: bool) -> None:
+        """The rows of ``folder/metrics.csv`` up to ``steps`` steps, where the run resumes."""
+        self._path = folder / "metrics.csv"
         self._rows = [row for row in saved_rows(self._path) if row["steps"] <= steps]
-        self._tensorboard = _tensorboard(directory) if tensorboard else None
+        self._events = _event_writer(folder) if tensorboard else None
 
     def write(self, row: Row) -> None:
         """Add a row."""
-        if not self._started:
-            write_csv(self._path, [list(row), *(list(each.values()) for each in self._rows)])
-            self._started = True
-        with (
-            writing(self._path),
-            open(self._path, "a", newline="", encoding="utf-8") as stream,
-        ):
-            csv.DictWriter(stream, list(row)).writerow(row)
-        if self._tensorboard is not None:
+        self._rows.append(row)
+        write_csv(self._path, [list(row), *(list(each.values()) for each in self._rows)])
+        if self._events is not None:
             for name, value in row.items():
                 if math.isfinite(value):
-                    self._tensorboard.add_scalar(name, value, int(row["steps"]))
+                    self._events.add_scalar(name, value, int(row["steps"]))
 
     def close(self) -> None:
         """Close TensorBoard's file."""
-        if self._tensorboard is not None:
-            self._tensorboard.close()
+        if self._events is not None:
+            self._events.close()
 
 
 def check_tensorboard() -> None:
@@ -55,11 +46,10 @@ def check_tensorboard() -> None:
         ) from None
 
 
-def _tensorboard(directory: Path) -> Any:
-    check_tensorboard()
+def _event_writer(folder: Path) -> Any:
     from tensorboardX import SummaryWriter
 
-    return SummaryWriter(str(directory / "tensorboard"))
+    return SummaryWriter(str(folder / "tensorboard"))
 
 
 def saved_rows(path: Path) -> list[Row]:
@@ -68,53 +58,37 @@ def saved_rows(path: Path) -> list[Row]:
     Raises:
         InputError: a damaged file.
     """
-    if not path.exists():
-        return []
-    names, table = _read_table(path)
-    rows = [dict(zip(names, numbers, strict=True)) for numbers in table.tolist()]
-    try:
-        return [row | {"steps": int(row["steps"])} for row in rows]
-    except (KeyError, ValueError):
-        raise InputError(f"{path}: the column steps is missing or not whole numbers") from None
+    rows = _read_rows(path) if path.exists() else []
+    if not all(float(row.get("steps", "nan")).is_integer() for row in rows):
+        raise InputError(f"{path}: the column steps is missing or not whole numbers")
+    return [row | {"steps": int(row["steps"])} for row in rows]
 
 
 def read_metrics(path: Path | str) -> dict[str, np.ndarray]:
     """The columns of a metrics CSV, (rows,) each; an empty cell is NaN.
 
-    A truncated last line, which a killed run can leave, is dropped.
+    A truncated last line is dropped.
 
     Raises:
-        InputError: no such file, no rows, or a cell that is not a number, by line and column.
+        InputError: no such file, no rows, or a cell that is not a number, by its line.
     """
-    names, table = _read_table(path)
-    if not len(table):
+    rows = _read_rows(path)
+    if not rows:
         raise InputError(f"{path}: holds no rows of metrics")
-    return dict(zip(names, table.T, strict=True))
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-def _read_table(path: Path | str) -> tuple[list[str], np.ndarray]:
-    """Names and numbers (rows, columns) of a metrics CSV."""
-    text = read_text(path)
+def _read_rows(path: Path | str) -> list[Row]:
+    names, *lines = [line.split(",") for line in read_text(path).splitlines()] or [[]]
+    if lines and len(lines[-1]) < len(names):
+        lines.pop()
+    return [_row(f"{path} line {line}", names, cells) for line, cells in enumerate(lines, 2)]
+
+
+def _row(where: str, names: list[str], cells: list[str]) -> Row:
+    if len(cells) != len(names):
+        raise InputError(f"{where}: {len(cells)} cells, expected {len(names)}")
     try:
-        names, *rows = list(csv.reader(io.StringIO(text, newline=""))) or [[]]
-    except csv.Error as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
-    if rows and len(rows[-1]) < len(names):
-        rows.pop()
-    numbers = [_numbers(f"{path} line {line}", names, row) for line, row in enumerate(rows, 2)]
-    return names, np.reshape(numbers, (len(rows), len(names)))
-
-
-def _numbers(where: str, names: list[str], row: list[str]) -> list[float]:
-    """The numbers of a row; an empty cell is NaN."""
-    if len(row) != len(names):
-        raise InputError(f"{where}: {len(row)} cells, expected {len(names)}")
-    numbers = []
-    for name, cell in zip(names, row, strict=True):
-        try:
-            numbers.append(float(cell.strip() or "nan"))
-        except ValueError:
-            raise InputError(
-                f"{where}: {short(name)} is {short(cell)}, expected a number"
-            ) from None
-    return numbers
+        return {name: float(cell.strip() or "nan") for name, cell in zip(names, cells, strict=True)}
+    except ValueError as error:
+        raise InputError(f"{where}: {str(error)[:100]}, expected numbers") from None

@@ -9,7 +9,7 @@ import numpy as np
 from quadjax.config.schema import Config
 from quadjax.core.errors import USER_ERRORS, InputError, user_error
 from quadjax.core.imports import user_numbers
-from quadjax.learners import sharding as parallel
+from quadjax.learners.parallel import repeat
 from quadjax.learners.state import Learner, TrainState
 from quadjax.race import environment
 from quadjax.race.environment import Choices, RaceParams
@@ -37,16 +37,13 @@ def check_functions(choices: Choices, params: RaceParams, extra: int) -> None:
 
     def first_step(key: jax.Array) -> dict[str, list[jax.Array]]:
         state = environment.reset(choices, params, key)
-        target = gate(params.track, state.target)
-        seen = Step(choices.model, params, state, target)
-        values = {f"observation field {field.name!r}": field.numbers(seen) for field in fields}
+        before = Step(choices.model, params, state, gate(params.track, state.target))
+        values = {f"observation field {field.name!r}": field.numbers(before) for field in fields}
         action = jnp.zeros(choices.model.action_size)
         following, _, outcome = environment.transition(plain, params, state, action)
-        step = dataclasses.replace(seen, after=following.drone, outcome=outcome, action=action)
-        for name, term in choices.terms:
-            label = f"reward term {name}"
-            values[label] = user_numbers(label, term, step)
-        return values
+        step = dataclasses.replace(before, after=following.drone, outcome=outcome, action=action)
+        terms = ((f"reward term {name}", term) for name, term in choices.terms)
+        return values | {label: user_numbers(label, term, step) for label, term in terms}
 
     values = jax.jit(jax.vmap(first_step))(jax.random.split(jax.random.key(0), STARTS))
     for label, numbers in values.items():
@@ -55,27 +52,22 @@ def check_functions(choices: Choices, params: RaceParams, extra: int) -> None:
 
 
 def check_learner(config: Config, learner: Learner, params: RaceParams) -> TrainState:
-    """The shapes of a learner's state; a user's own learner is checked.
+    """The shapes of a learner's state; two updates of a user's own learner are traced.
 
     Raises:
-        InputError: a learner that raises an error, or whose functions return something else.
+        InputError: a user's learner that raises an error, or whose functions return something else.
     """
-    own, name = ":" in config.learner.algorithm, f"learner.algorithm {config.learner.algorithm}"
-
-    def init() -> TrainState:
-        return jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
-
-    if not own:
-        return init()
+    user, name = ":" in config.learner.algorithm, f"learner.algorithm {config.learner.algorithm}"
     try:
-        shapes, part = init(), "init"
-        if isinstance(shapes, TrainState):
-            part = "update"
-            parallel.check_update(learner, params, shapes)
+        shapes = jax.eval_shape(learner.init, learner.hyper, params, jax.random.key(0))
+        if user and isinstance(shapes, TrainState):
+            jax.eval_shape(repeat(learner, 2), learner.hyper, params, shapes)
     except InputError:
         raise
     except USER_ERRORS as error:
+        if not user:
+            raise
         raise InputError(f"{name}: {user_error(error)}") from error
-    if part == "init":
+    if not isinstance(shapes, TrainState):
         raise InputError(f"{name}: init gives {shapes!r:.60}, expected a quadjax.TrainState")
     return shapes

@@ -27,11 +27,10 @@ MAX_NAME = 16  # letters of the run's name in it
 
 def bar(counted: bool = False, console: Console | None = None) -> Progress:
     """A progress bar for a known number of steps; silent where there is no terminal."""
-    count = [MofNCompleteColumn()] if counted else [TaskProgressColumn()]
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        *count,
+        MofNCompleteColumn() if counted else TaskProgressColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console or Console(stderr=True),
@@ -45,30 +44,27 @@ class TrainingProgress:
         """Prepare the line; nothing is shown yet."""
         self._total, self._name = total_steps, name
         self._console = console or Console(stderr=True)
-        self._live = self._console.is_terminal
         self._console.width = min(self._console.width, MAX_WIDTH)
+        line = Column(no_wrap=True)
         self._bar = Progress(
-            TextColumn("[bold]{task.description}", table_column=Column(no_wrap=True)),
+            TextColumn("[bold]{task.description}", table_column=line),
             BarColumn(bar_width=None, table_column=Column(ratio=1, min_width=5)),
-            TaskProgressColumn(table_column=Column(no_wrap=True)),
-            TimeRemainingColumn(
-                compact=True, elapsed_when_finished=True, table_column=Column(no_wrap=True)
-            ),
-            TextColumn("{task.fields[status]}", table_column=Column(no_wrap=True)),
+            TaskProgressColumn(table_column=line),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True, table_column=line),
+            TextColumn("{task.fields[status]}", table_column=line),
             console=self._console,
             expand=True,
         )
+        short = name if len(name) <= MAX_NAME else f"{name[: MAX_NAME - 1]}…"
+        self._task = self._bar.add_task(short, total=total_steps, status="compiling")
         self._logged = -math.inf
-        self._advised = False
 
     def __enter__(self) -> Self:
         """Start showing."""
-        if self._live:
-            short = self._name if len(self._name) <= MAX_NAME else f"{self._name[: MAX_NAME - 1]}…"
+        if self._console.is_terminal:
             self._bar.start()
-            self._task = self._bar.add_task(short, total=self._total, status="compiling")
         else:
-            print(f"{self._name}: compiling", file=sys.stderr, flush=True)
+            self.note(f"{self._name}: compiling")
         return self
 
     def __exit__(
@@ -78,34 +74,23 @@ class TrainingProgress:
         trace: TracebackType | None,
     ) -> None:
         """Stop showing."""
-        if self._live:
+        if self._console.is_terminal:
             self._bar.stop()
 
     def show(self, row: Row) -> None:
         """Show one row of metrics."""
-        status = describe(row)
-        if self._live:
+        status, now = describe(row), time.monotonic()
+        if self._console.is_terminal:
             self._bar.update(self._task, completed=row["steps"], status=status)
-            return
-        now = time.monotonic()
-        if now - self._logged >= LOG_SECONDS or row["steps"] >= self._total:
+        elif now - self._logged >= LOG_SECONDS or row["steps"] >= self._total:
             self._logged = now
             left = max((self._total - row["steps"]) / row["steps_per_second"], 0.0)
-            done = 100.0 * row["steps"] / self._total
-            line = (
-                f"{self._name}: {done:3.0f}%  {row['seconds']:.0f} s, {left:.0f} s left  {status}"
-            )
-            print(line, file=sys.stderr, flush=True)
-
-    def advise(self, text: str) -> None:
-        """Print lines of advice, the first time that there are any."""
-        if not self._advised:
-            self._advised = True
-            self.note(text)
+            done = f"{100.0 * row['steps'] / self._total:3.0f}%"
+            self.note(f"{self._name}: {done}  {row['seconds']:.0f} s, {left:.0f} s left  {status}")
 
     def note(self, text: str) -> None:
         """Print lines above the progress bar."""
-        if self._live:
+        if self._console.is_terminal:
             self._console.print(text, highlight=False, markup=False)
         else:
             print(text, file=sys.stderr, flush=True)

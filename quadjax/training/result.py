@@ -18,10 +18,8 @@ from quadjax.policy.file import Policy
 from quadjax.training.checkpoint import Position
 from quadjax.training.metrics import read_metrics, saved_rows
 
-NUMBER, MAYBE = (int, float), (int, float, type(None))
-SUMMARY: dict[
-    str, type | tuple[type, ...]
-] = {  # keys of summary.json and the types of their values
+NUMBER, MAYBE = int | float, int | float | None
+SUMMARY = {  # keys of summary.json and the types of their values
     "name": str,
     "seed": int,
     "finished": bool,
@@ -92,7 +90,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / "summary.json"
     summary = read_json(path)
-    wrong = [key for key, kinds in SUMMARY.items() if not isinstance(summary.get(key, ...), kinds)]
+    wrong = [key for key, kind in SUMMARY.items() if not isinstance(summary.get(key, ...), kind)]
     if wrong:
         raise InputError(f"{path}: damaged ({', '.join(wrong)}); remove it and resume the run")
     return summary
@@ -104,19 +102,16 @@ def is_finished(folder: Path) -> bool:
 
 
 def write_summary(
-    config: Config,
-    folder: Path,
-    position: Position,
-    counts: dict[str, int],
-    finished: bool,
-) -> dict[str, Any]:
+    config: Config, folder: Path, position: Position, steps: int, devices: int, finished: bool
+) -> None:
     """Write ``summary.json``.
 
     Args:
         config: of the run.
         folder: of the run.
         position: of the training.
-        counts: environment steps and devices.
+        steps: environment steps so far.
+        devices: number of them.
         finished: whether all steps were trained.
     """
     rows = saved_rows(folder / "metrics.csv")
@@ -124,7 +119,8 @@ def write_summary(
         "name": config.name,
         "seed": config.seed,
         "finished": finished,
-        **counts,
+        "steps": steps,
+        "devices": devices,
         "seconds": round(position.seconds, 1),
         "best_lap_total": _number(position.best_score),
         "best_steps": position.best_steps,
@@ -133,7 +129,6 @@ def write_summary(
         "provenance": provenance(config, folder / "policy.npz"),
     }
     write_json(folder / "summary.json", summary)
-    return summary
 
 
 def _number(value: float) -> float | None:

@@ -5,7 +5,7 @@ import dataclasses
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
@@ -19,11 +19,10 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.folders import claim
 from quadjax.core.interruptions import interruptions
-from quadjax.learners import sharding as parallel
-from quadjax.learners.devices import choose_devices, prepare_devices
+from quadjax.learners import parallel
 from quadjax.learners.loop import Plan, Row, train_chunks
 from quadjax.learners.networks import ActorCritic
-from quadjax.learners.sharding import Chunk
+from quadjax.learners.parallel import Chunk
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams
@@ -38,10 +37,10 @@ from quadjax.training.build import (
 )
 from quadjax.training.checkpoint import Checkpoints, Position
 from quadjax.training.folder import FILES, KIND, prepare_folder
-from quadjax.training.metrics import MetricsFile, check_tensorboard
+from quadjax.training.metrics import Metrics, check_tensorboard
 from quadjax.training.own_functions import check_functions, check_learner
 from quadjax.training.progress import TrainingProgress
-from quadjax.training.result import Run, is_finished, read_summary, write_summary
+from quadjax.training.result import Run, is_finished, write_summary
 from quadjax.training.score import Score
 
 PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
@@ -89,27 +88,19 @@ def train(
     folder = Path("runs") / config.name if folder is None else Path(folder)
     if config.run.compilation_cache:
         enable_compilation_cache()
-    prepare_devices(config.run.devices)
+    parallel.prepare_devices(config.run.devices)
     job = _prepare(config)
     with claim(folder, KIND, FILES, overwrite):
         config = prepare_folder(config, folder, resume, overwrite)
-        job = dataclasses.replace(job, config=config)
-        if is_finished(folder) and (folder / "policy.npz").exists():
-            return Run.load(folder, config)
-        display = TrainingProgress(job.plan.steps, config.name) if progress else None
-        if display is not None:
-            for note in _sizes(config):
-                display.note(f"{config.name}: {note}")
-        with interruptions() as stop, display or contextlib.nullcontext():
-            position = _run(job, folder, resume, started, display, stop, enough)
-        finished = position.chunks >= job.plan.chunks
-        return Run(config, folder, _best_policy(job, position), finished, read_summary(folder))
-
-
-def _sizes(config: Config) -> list[str]:
-    """The number of environments of a learner that has one, as a line."""
-    count = getattr(config.learner, "num_envs", None)
-    return [] if count is None else [f"{count} environments (learner.num_envs)"]
+        if not (is_finished(folder) and (folder / "policy.npz").exists()):
+            job = dataclasses.replace(job, config=config)
+            display = TrainingProgress(job.plan.steps, config.name) if progress else None
+            count = getattr(config.learner, "num_envs", None)
+            if display is not None and count is not None:
+                display.note(f"{config.name}: {count} environments (learner.num_envs)")
+            with interruptions() as stop, display or contextlib.nullcontext():
+                _run(job, folder, resume, started, display, stop, enough)
+        return Run.load(folder, config)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,8 +122,7 @@ def _prepare(config: Config) -> _Job:
     check_functions(choices_of(config), params, len(config.observation.extra))
     learner = build_learner(config)
     shapes = check_learner(config, learner, params)
-    mesh = parallel.make_mesh(choose_devices(config.run.devices, parallel.env_count(shapes)))
-    parallel.check_memory(parallel.tree_bytes(shapes) / mesh.size, mesh)
+    mesh = parallel.choose_mesh(config.run.devices, shapes)
     if config.run.tensorboard:
         check_tensorboard()
     chunks = plan(config, learner.steps_per_update)
@@ -147,50 +137,48 @@ def _run(
     display: TrainingProgress | None,
     stop: threading.Event,
     enough: Callable[[Row], bool] | None,
-) -> Position:
-    """Compile, start or resume, train, and save; returns the final position."""
+) -> None:
+    """Compile, start or resume, train, and save.
+
+    Ends early once ``stop`` is set, or ``enough`` returns True.
+    """
     checkpoints, score = Checkpoints(folder / "checkpoints"), Score(job.config, job.params)
     chunk, first = _compile(job, score, stop)
     position = Position(state=first, best=jax.device_get(first.evaluated))
     if resume and checkpoints.any:
         position = checkpoints.restore(position)
-        placed = parallel.place(position.state, job.mesh)
-        position = dataclasses.replace(position, state=placed)
         started = time.monotonic() - position.seconds
-    done = position.chunks * job.plan.steps_per_chunk
-    metrics = MetricsFile(folder, done, job.config.run.tensorboard)
-
-    def report(row: Row) -> bool:
+    tensorboard, every = job.config.run.tensorboard, job.config.run.checkpoint_seconds
+    metrics = Metrics(folder, _steps(job, position), tensorboard)
+    latest, saved, advised = position, time.monotonic(), False
+    for latest, row in _evaluated(job, chunk, position, started, score, stop):
         metrics.write(row)
         if display is not None:
             display.show(row)
-            if _needs_advice(row, job.plan.steps):
-                display.advise(no_lap(score.crashes, row["steps"]))
-        return stop.is_set() or (enough is not None and enough(row))
-
-    def save(position: Position) -> None:
-        _save(job, folder, checkpoints, position)
-
-    if not stop.is_set():
-        position = _train(job, chunk, position, started, score, report, save)
-    save(position)
+            if not advised and _needs_advice(row, job.plan.steps):
+                advised = True
+                display.note(no_lap(score.crashes, row["steps"]))
+        if enough is not None and enough(row):
+            break
+        if time.monotonic() - saved > every and latest.chunks < job.plan.chunks:
+            _save(job, folder, checkpoints, latest)
+            saved = time.monotonic()
+    _save(job, folder, checkpoints, latest)
     checkpoints.close()
     metrics.close()
-    return position
 
 
-def _train(
+def _evaluated(
     job: _Job,
     chunk: Chunk,
     position: Position,
     started: float,
     score: Score,
-    report: Callable[[Row], bool],
-    save: Callable[[Position], None],
-) -> Position:
-    """Train until the plan is done or ``report`` returns True; checkpoints in between."""
-    saved = time.monotonic()
-    for progress in train_chunks(chunk, job.params, position.state, job.plan, position.chunks):
+    stop: threading.Event,
+) -> Iterator[tuple[Position, Row]]:
+    """Train chunk by chunk until ``stop`` is set; yields each position and its row of metrics."""
+    chunks = train_chunks(chunk, job.params, position.state, job.plan, position.chunks)
+    while not stop.is_set() and (progress := next(chunks, None)) is not None:
         lap_total = score(progress.state.evaluated)
         position = position.after(progress, lap_total, time.monotonic() - started)
         row = {
@@ -200,19 +188,18 @@ def _train(
             "lap_total": lap_total,
             "best_lap_total": position.best_score,
         }
-        if report(row | progress.row | score.metrics):
-            break
-        due = time.monotonic() - saved > job.config.run.checkpoint_seconds
-        if due and position.chunks < job.plan.chunks:
-            save(position)
-            saved = time.monotonic()
-    return position
+        yield position, row | progress.row | score.metrics
 
 
 def _needs_advice(row: Row, steps: int) -> bool:
     """Whether no lap was completed for so long that the config should be changed."""
     late = row["steps"] >= max(ADVISE_AFTER * steps, FEW_STEPS)
     return late and not math.isfinite(row["best_lap_total"])
+
+
+def _steps(job: _Job, position: Position) -> int:
+    """Environment steps of a position."""
+    return position.chunks * job.plan.steps_per_chunk
 
 
 def _policy(job: _Job, params: ActorCritic, steps: int) -> Policy:
@@ -229,20 +216,14 @@ def _policy(job: _Job, params: ActorCritic, steps: int) -> Policy:
     return policy_of(config, params, source)
 
 
-def _best_policy(job: _Job, position: Position) -> Policy:
-    """The best policy so far, or the latest before any completes its laps."""
-    steps = position.best_steps or position.chunks * job.plan.steps_per_chunk
-    return _policy(job, position.best, steps)
-
-
 def _save(job: _Job, folder: Path, checkpoints: Checkpoints, position: Position) -> None:
     """Write the checkpoint, the best and the last policy, and the summary."""
+    steps, last = _steps(job, position), jax.device_get(position.state.evaluated)
     checkpoints.save(position)
-    _best_policy(job, position).save(folder / "policy.npz")
-    steps = position.chunks * job.plan.steps_per_chunk
-    _policy(job, jax.device_get(position.state.evaluated), steps).save(folder / "policy_last.npz")
-    counts = {"steps": steps, "devices": job.mesh.size}
-    write_summary(job.config, folder, position, counts, position.chunks >= job.plan.chunks)
+    _policy(job, position.best, position.best_steps or steps).save(folder / "policy.npz")
+    _policy(job, last, steps).save(folder / "policy_last.npz")
+    finished = position.chunks >= job.plan.chunks
+    write_summary(job.config, folder, position, steps, job.mesh.size, finished)
 
 
 def _compile(job: _Job, score: Score, stop: threading.Event) -> tuple[Chunk, TrainState]:
@@ -262,9 +243,8 @@ def _compile(job: _Job, score: Score, stop: threading.Event) -> tuple[Chunk, Tra
     try:
         first = pool.submit(begin)
         warm_up = pool.submit(lambda: score(first.result().evaluated))
-        abstract = parallel.abstract(job.shapes, mesh)
         updates = job.plan.updates_per_chunk
-        chunk = pool.submit(parallel.compile_chunk, learner, mesh, updates, params, abstract)
+        chunk = pool.submit(parallel.compile_chunk, learner, mesh, updates, params, job.shapes)
         _wait_for((chunk, warm_up), stop)
         return chunk.result(), first.result()
     finally:

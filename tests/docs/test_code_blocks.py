@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import pytest
 import yaml
 
-from quadjax.learners import sharding
+from quadjax.learners import parallel
 from tests.commands import run
 from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
 from tests.docs.smaller import CODE, WIDE, load_short, short_overrides, smaller
@@ -61,9 +61,9 @@ def folder(tmp_path, monkeypatch):
 
 
 def traced_chunk(learner, mesh, updates, params, state):
-    """As ``sharding.compile_chunk``, of updates that change nothing."""
+    """As ``parallel.compile_chunk``, of updates that change nothing."""
     with jax.set_mesh(mesh):
-        many = sharding.repeat(learner, updates)
+        many = parallel.repeat(learner, updates)
         _, metrics = jax.eval_shape(many, learner.hyper, params, state)
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), metrics)
     return lambda _, state: (state, zeros)
@@ -73,7 +73,7 @@ def traced_chunk(learner, mesh, updates, params, state):
 @pytest.mark.parametrize("page", GUIDE, ids=name_of)
 def test_blocks_run(page, folder, monkeypatch):
     if name_of(page) not in TRAINED:
-        monkeypatch.setattr(sharding, "compile_chunk", traced_chunk)
+        monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
     namespace: dict[str, object] = {"__name__": "block", "_load": load_short}
     for block in blocks_of(page):
         if block.setup:

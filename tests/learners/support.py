@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from quadjax.core.traced import as_leaves
-from quadjax.learners import sharding as parallel
+from quadjax.learners import parallel
 from quadjax.learners.networks import Networks
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.shac.hyperparameters import SHAC

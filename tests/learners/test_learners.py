@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.learners import sharding as parallel
+from quadjax.learners import parallel
 from quadjax.learners.loop import NonFiniteError, Plan, check_finite
 from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.section import Schedule

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.learners.sharding import check_memory, make_mesh, program_bytes, tree_bytes
+from quadjax.learners.parallel import check_memory, make_mesh, program_bytes, tree_bytes
 
 
 def test_a_program_counts_its_arguments_its_result_and_what_is_between():

@@ -13,7 +13,7 @@ from quadjax.training.build import (
     build_environment,
     build_networks,
     policy_of,
-    privileged_names,
+    privileged_constants,
     with_policy,
 )
 from tests.race.support import BLANK, make_config
@@ -26,7 +26,7 @@ OWN = ("randomization={thrust: 0.2, lag: 0.1}", "observation.critic_constants=tr
 def test_the_observation_of_training_ends_with_the_drawn_constants():
     config, (plain, params) = make_config(*OWN), race_api(make_config(OWN[0]))
     environment = build_environment(config)
-    assert privileged_names(config) == ("k_w", "tau")
+    assert privileged_constants(config) == (("k_w", 0.2), ("tau", 0.1))
     assert environment.observation_size == plain.observation_size + 2
     state = jax.jit(plain.reset)(params, jax.random.key(1))
     seen = jax.jit(environment.observe)(params, state)
@@ -41,7 +41,7 @@ def test_the_observation_of_training_ends_with_the_drawn_constants():
 def test_a_population_shows_every_constant():
     drawn = "randomization.population=all_racing_drones"
     config = make_config("vehicle=5inch", drawn, OWN[1])
-    assert len(privileged_names(config)) == len(config.vehicle.constants)
+    assert len(privileged_constants(config)) == len(config.vehicle.constants)
 
 
 def test_only_the_value_takes_them():
@@ -75,7 +75,7 @@ def test_it_is_refused_where_nothing_is_drawn():
     for drawn in ((), (scheduled,), ("randomization.all=0.2", "randomization.width=0")):
         with pytest.raises(InputError, match="critic_constants is True, allowed: false where rand"):
             make_config(*drawn, OWN[1])
-    assert privileged_names(make_config("randomization.all=0.2", scheduled, OWN[1]))
+    assert privileged_constants(make_config("randomization.all=0.2", scheduled, OWN[1]))
 
 
 @pytest.mark.slow

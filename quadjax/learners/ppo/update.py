@@ -1,4 +1,10 @@
-"""One PPO update: collect a rollout, estimate advantages, take gradient steps on minibatches."""
+"""One update of proximal policy optimization (Schulman et al., 2017).
+
+1. ``collect`` simulates all environments with sampled actions.
+2. ``td_lambda`` computes the targets of the value; the advantage is target minus value.
+3. ``run_epochs`` goes several times over shuffled minibatches; each is one ``_gradient_step`` down
+   the gradient of ``loss``, which is skipped where the policy has moved too far.
+"""
 
 import dataclasses
 import functools
@@ -62,9 +68,10 @@ def _update(
     value = jax.lax.map(lambda x: networks.value(state.params, x), steps.observation)
     target = td_lambda(steps, hyper.discount, hyper.gae_lambda, hyper.reward_scale)
     batch = Batch(steps.observation, steps.action, log_prob, target - value, target)
-    params, optimizer, metrics = _optimize(networks, hyper, state, batch, shuffle_key)
-    metrics |= step_metrics(steps, jnp.mean(batch.advantage**2), target)
-    metrics["std"] = jnp.mean(jnp.exp(state.params.log_std))
+    step = functools.partial(_gradient_step, networks, hyper, state.update)
+    sizes = (hyper.num_epochs, hyper.num_minibatches, hyper.shuffle_block or hyper.rollout_length)
+    start = (state.params, state.optimizer)
+    (params, optimizer), metrics = run_epochs(step, start, batch, shuffle_key, *sizes)
     following = dataclasses.replace(
         state,
         params=params,
@@ -73,7 +80,13 @@ def _update(
         key=key,
         update=state.update + 1,
     )
-    return following, metrics
+    return following, {
+        **jax.tree.map(jnp.mean, metrics),
+        **step_metrics(steps, jnp.mean(batch.advantage**2), target),
+        "kl_max": jnp.max(metrics["approx_kl"]),
+        "learning_rate": jnp.asarray(hyper.learning_rate),
+        "std": jnp.mean(jnp.exp(state.params.log_std)),
+    }
 
 
 @struct.dataclass
@@ -85,13 +98,6 @@ class Batch:
     log_prob: jax.Array  # (...) of the action under the policy that sampled it
     advantage: jax.Array  # (...) over the value before the update
     target: jax.Array  # (...) value target
-
-
-def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
-    """Log density (...) of an action (..., k) under independent normal distributions."""
-    log_std = jnp.broadcast_to(log_std, action.shape)
-    scaled = (action - mean) * jnp.exp(-log_std)
-    return -0.5 * jnp.sum(scaled**2 + 2.0 * log_std + jnp.log(2.0 * jnp.pi), axis=-1)
 
 
 def reset_interval(steps: int) -> int:
@@ -131,20 +137,6 @@ def collect(
     keys = jax.random.split(key, hyper.rollout_length // length)
     environment_state, found = jax.lax.scan(interval, state.environment, keys)
     return environment_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), found)
-
-
-def _optimize(
-    networks: Networks, hyper: PPO, state: TrainState, batch: Batch, key: jax.Array
-) -> tuple[ActorCritic, optax.OptState, Metrics]:
-    """All epochs of all minibatches."""
-    step = functools.partial(_gradient_step, networks, hyper, state.update)
-    sizes = (hyper.num_epochs, hyper.num_minibatches, hyper.shuffle_block or hyper.rollout_length)
-    start = (state.params, state.optimizer)
-    (params, optimizer), metrics = run_epochs(step, start, batch, key, *sizes)
-    reduced = jax.tree.map(jnp.mean, metrics)
-    reduced["kl_max"] = jnp.max(metrics["approx_kl"])
-    reduced["learning_rate"] = jnp.asarray(hyper.learning_rate)
-    return params, optimizer, reduced
 
 
 def _gradient_step(
@@ -210,6 +202,13 @@ def loss(
         "approx_kl": jnp.mean((ratio - 1.0) - log_ratio),
         "clip_fraction": jnp.mean((jnp.abs(ratio - 1.0) > hyper.clip_range).astype(ratio.dtype)),
     }
+
+
+def log_probability(action: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
+    """Log density (...) of an action (..., k) under independent normal distributions."""
+    log_std = jnp.broadcast_to(log_std, action.shape)
+    scaled = (action - mean) * jnp.exp(-log_std)
+    return -0.5 * jnp.sum(scaled**2 + 2.0 * log_std + jnp.log(2.0 * jnp.pi), axis=-1)
 
 
 def normalize(advantage: jax.Array) -> jax.Array:

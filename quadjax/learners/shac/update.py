@@ -14,9 +14,9 @@ from quadjax.core.gradients import Scalar, scale_and_clip_cotangent
 from quadjax.core.traced import as_leaves, register
 from quadjax.learners.minibatches import clip, descend, run_epochs
 from quadjax.learners.networks import ActorCritic, Networks
+from quadjax.learners.parallel import AXIS, SHARED, split_last, sum_over_devices
 from quadjax.learners.rollout import Steps, draw, rollout, step_metrics, td_lambda
 from quadjax.learners.shac.hyperparameters import SHAC
-from quadjax.learners.sharding import AXIS, SHARED, split_last, sum_over_devices
 from quadjax.learners.state import Learner, Metrics, TrainState
 
 EMA_FRACTION = 20.0  # the moving average covers about one part in 20 of the updates so far

@@ -3,9 +3,11 @@
 An update is a function of whole arrays. Compiled over a mesh of devices, each device computes its
 part of the environments, and the compiler inserts the sums over all of them. Random numbers do not
 depend on the number of devices (``jax_threefry_partitionable``, JAX's default), so that a run is
-the same on any number, up to rounding.
+the same on any number, up to rounding. On a CPU there is a device of one thread for each core.
 """
 
+import dataclasses
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -24,37 +26,91 @@ Chunk = Callable[[Any, TrainState], tuple[TrainState, Metrics]]
 Tree = TypeVar("Tree")
 
 
+def core_count() -> int:
+    """The number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def prepare_devices(wanted: str | int) -> None:
+    """Split the CPU into the number of devices that a run may use.
+
+    Call it before JAX computes anything; later it has no effect.
+
+    Args:
+        wanted: ``run.devices``: auto, all, or a number.
+    """
+    count = int(wanted) if str(wanted).isdigit() else core_count()
+    try:
+        jax.config.update("jax_num_cpu_devices", count)
+    except RuntimeError:
+        return
+
+
+def choose_devices(wanted: str | int, num_envs: int) -> int:
+    """The number of devices to train on.
+
+    Args:
+        wanted: ``run.devices``: auto (the most that divide the environments), all, or a number.
+        num_envs: number of environments in the learner's state; 0 if it holds none.
+
+    Raises:
+        InputError: more devices than there are, or a number that does not divide the environments.
+    """
+    available = jax.local_device_count()
+    if wanted == "auto":
+        counts = range(1, min(available, num_envs) + 1)
+        return max((count for count in counts if num_envs % count == 0), default=1)
+    count = available if wanted == "all" else int(wanted)
+    if jax.default_backend() == "cpu":
+        available = min(available, core_count())
+    if count > available:
+        raise InputError(f"run.devices is {wanted}, allowed: at most {available} (devices)")
+    if num_envs % count:
+        raise InputError(
+            f"run.devices is {wanted} ({count}), allowed: a divisor of the {num_envs} environments "
+            "(learner.num_envs)"
+        )
+    return count
+
+
 def make_mesh(count: int) -> Mesh:
     """A mesh of the first ``count`` devices."""
     return Mesh(np.array(jax.devices()[:count]), (AXIS,))
 
 
-def env_count(state: TrainState) -> int:
-    """Number of environments in a learner's state, or in its shapes; 0 if it holds none."""
-    leaves = jax.tree.leaves(state.environment)
-    return int(leaves[0].shape[-1]) if leaves else 0
+def choose_mesh(wanted: str | int, state: TrainState) -> Mesh:
+    """The mesh for the state of a learner, or for its shapes.
+
+    Args:
+        wanted: as in ``choose_devices``.
+        state: whose environments are split over the mesh.
+
+    Raises:
+        InputError: as ``choose_devices``, or the devices have too little memory for the state.
+    """
+    environments = jax.tree.leaves(state.environment)
+    num_envs = int(environments[0].shape[-1]) if environments else 0
+    mesh = make_mesh(choose_devices(wanted, num_envs))
+    check_memory(tree_bytes(state) / mesh.size, mesh)
+    return mesh
 
 
 def split_last(tree: Any) -> Any:
     """A tree of partition specs: every leaf is split along its last axis."""
-    return jax.tree.map(lambda x: PartitionSpec(*(None,) * (x.ndim - 1), AXIS), tree)
+    return jax.tree.map(_split, tree)
+
+
+def _split(leaf: jax.Array) -> PartitionSpec:
+    return PartitionSpec(*(None,) * (leaf.ndim - 1), AXIS)
 
 
 def _shardings(state: TrainState, mesh: Mesh) -> TrainState:
     """How each leaf is laid out: environments are split by their last axis, all else is shared."""
-    specs = jax.tree.map(lambda _: SHARED, state)
-    specs = specs.replace(environment=split_last(state.environment))
-    return jax.tree.map(
-        lambda spec: NamedSharding(mesh, spec),
-        specs,
-        is_leaf=lambda x: isinstance(x, PartitionSpec),
-    )
-
-
-def _strong(leaf: jax.Array) -> jax.Array:
-    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-        return leaf
-    return leaf.astype(leaf.dtype)
+    shared = jax.tree.map(lambda _: NamedSharding(mesh, SHARED), state)
+    split = jax.tree.map(lambda x: NamedSharding(mesh, _split(x)), state.environment)
+    return dataclasses.replace(shared, environment=split)
 
 
 def place(state: TrainState, mesh: Mesh) -> TrainState:
@@ -62,16 +118,12 @@ def place(state: TrainState, mesh: Mesh) -> TrainState:
 
     Weakly typed leaves become strongly typed, as those that the compiled chunk returns.
     """
-    return jax.device_put(jax.tree.map(_strong, state), _shardings(state, mesh))
 
+    def strong(leaf: jax.Array) -> jax.Array:
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return leaf if is_key else leaf.astype(leaf.dtype)
 
-def abstract(state: TrainState, mesh: Mesh) -> TrainState:
-    """Shapes, types and shardings of a placed state, of one from ``jax.eval_shape``."""
-    return jax.tree.map(
-        lambda x, sharding: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding),
-        state,
-        _shardings(state, mesh),
-    )
+    return jax.device_put(jax.tree.map(strong, state), _shardings(state, mesh))
 
 
 def constrain(tree: Tree, *spec: str | None) -> Tree:
@@ -118,6 +170,19 @@ def compile_options() -> dict[str, bool]:
     return {"xla_cpu_multi_thread_eigen": False} if jax.default_backend() == "cpu" else {}
 
 
+def repeat(
+    learner: Learner, count: int
+) -> Callable[[Any, Any, TrainState], tuple[TrainState, Metrics]]:
+    """A number of updates as one function, with the metrics of each, (count,)."""
+
+    def many(hyper: Any, params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
+        return jax.lax.scan(
+            lambda carry, _: learner.update(hyper, params, carry), state, None, count
+        )
+
+    return many
+
+
 def compile_chunk(
     learner: Learner, mesh: Mesh, updates: int, params: Any, state: TrainState
 ) -> Chunk:
@@ -130,16 +195,15 @@ def compile_chunk(
         mesh: the devices.
         updates: in one call.
         params: traced parameters of the environment.
-        state: a placed state, or its ``abstract`` one.
+        state: the state, or its shapes.
 
     Raises:
         InputError: the program needs more memory than a device has.
 
     Returns:
-        A function of the environment's parameters and the state, to the next state and the
+        A function of the environment's parameters and the placed state, to the next state and the
         metrics of every update, each (updates,).
     """
-    check_memory(tree_bytes(state) / mesh.size, mesh)
     shared, split = NamedSharding(mesh, SHARED), _shardings(state, mesh)
     jitted = jax.jit(
         repeat(learner, updates),
@@ -149,32 +213,15 @@ def compile_chunk(
         compiler_options=compile_options(),
     )
     hyper, params = jax.device_put((learner.hyper, params), shared)
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), state)
     with jax.set_mesh(mesh):
-        program = jitted.lower(hyper, params, state).compile()
+        program = jitted.lower(hyper, params, shapes).compile()
     check_memory(program_bytes(program), mesh)
 
     def chunk(params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
         return program(hyper, jax.device_put(params, shared), state)
 
     return chunk
-
-
-def check_update(learner: Learner, params: Any, state: TrainState) -> None:
-    """Trace two updates; nothing is compiled. Arguments as of ``compile_chunk``."""
-    jax.eval_shape(repeat(learner, 2), learner.hyper, params, state)
-
-
-def repeat(
-    learner: Learner, count: int
-) -> Callable[[Any, Any, TrainState], tuple[TrainState, Metrics]]:
-    """A number of updates as one function, with the metrics of each, (count,)."""
-
-    def many(hyper: Any, params: Any, state: TrainState) -> tuple[TrainState, Metrics]:
-        return jax.lax.scan(
-            lambda carry, _: learner.update(hyper, params, carry), state, None, count
-        )
-
-    return many
 
 
 def tree_bytes(shapes: Any) -> int:
