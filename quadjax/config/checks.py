@@ -1,18 +1,22 @@
 """Checks that involve several keys of a config, once of its values and once of its last ones."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from quadjax.config.drone_checks import check_drone
 from quadjax.config.schema import Config, Randomization, Schedule
-from quadjax.core.errors import InputError, short
+from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.sections import BadValue, refuse, value_at
 from quadjax.race.layout import LONGEST
 from quadjax.race.observations import ACTUATORS, remembered_names
+from quadjax.vehicle.constants import declarations
+from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.registry import model as vehicle_model
 
 NOT_GROUPS = ("all", "constants", "population", "width", "tracks")  # keys of randomization
 SMALLEST_LEG = 0.01  # m
+MAX_THRUST = 1000.0  # times the weight
+INERTIA_TOLERANCE = 1.1  # of the triangle inequality, as inertias are measured
+Values = Mapping[str, float]
 
 
 def check(config: Config) -> None:
@@ -21,18 +25,19 @@ def check(config: Config) -> None:
     Raises:
         InputError: one line that names the key, its value and what is allowed.
     """
-    _check_run(config)
     _check_schedules(config)
     _check_effects(config)
     _check_observation(config)
     last = at_end(config)
     for race in (_with_scheduled(config, 0), last):
         check_drone(race)
+        _check_rules(race)
         _check_gates(race)
-        _check_random_tracks(race)
         _check_race_start(race)
-        _check_start(race)
-    _check_gate_penalty(last)
+    reward, inflation = last.reward, last.training_limits.gate_inflation
+    if inflation > 0 and not (reward.gate_edge > 0 or reward.gate_offset > 0):
+        allowed = "at most 0 without reward.gate_edge or reward.gate_offset"
+        refuse("training_limits.gate_inflation", inflation, allowed)
 
 
 def with_body(config: Config, radius: float) -> Config:
@@ -57,15 +62,6 @@ def _with_scheduled(config: Config, index: int) -> Config:
         if schedule.linear[index] != "value":
             config = config.at(key, schedule.linear[index])
     return config
-
-
-def _check_run(config: Config) -> None:
-    low, high = config.start.thrust
-    if low > high:
-        refuse("start.thrust", config.start.thrust, "[lowest, highest]")
-    for low, high in config.rules.bounds or ():
-        if low >= high:
-            refuse("rules.bounds", config.rules.bounds, "[lowest, highest] for each of x, y and z")
 
 
 def _check_schedules(config: Config) -> None:
@@ -126,14 +122,9 @@ def _check_effects(config: Config) -> None:
     """Check that the model has what the config asks for."""
     model, vehicle = vehicle_model(config.vehicle.model), config.vehicle
     with_model = f"with vehicle.model={vehicle.model}"
-    for group in model.groups:
-        if group not in Randomization.model_fields or group in NOT_GROUPS:
-            allowed = [name for name in Randomization.model_fields if name not in NOT_GROUPS]
-            raise BadValue(
-                "vehicle.model",
-                f"vehicle.model is {vehicle.model}: its groups name {group!r}, allowed: the keys "
-                f"of randomization: {', '.join(allowed)}",
-            )
+    groups = [name for name in Randomization.model_fields if name not in NOT_GROUPS]
+    for group in (group for group in model.groups if group not in groups):
+        refuse("vehicle.model", vehicle.model, f"groups {', '.join(groups)}, not {group!r}")
     if config.battery is not None and not model.has_battery:
         refuse("battery.charge", list(config.battery.charge), f"no battery (null) {with_model}")
     if vehicle.residual is not None and not model.has_residual:
@@ -155,6 +146,95 @@ def _check_effects(config: Config) -> None:
         value, default = getattr(config.reward, key), type(config.reward).model_fields[key].default
         if config.rules.speed_limit is None and value != default:
             refuse(f"reward.{key}", value, f"{default} without rules.speed_limit")
+
+
+def check_drone(config: Config) -> None:
+    """Check that the drone can hover, and that the integration of its actuators is stable.
+
+    Raises:
+        InputError: a constant, a factor of the mismatch, or a population with which it cannot.
+    """
+    model, constants = vehicle_model(config.vehicle.model), config.vehicle.constants
+    factors = config.vehicle.mismatch
+    sections = {"randomization.constants": config.randomization.constants}
+    for section, names in (sections | {"vehicle.mismatch": factors}).items():
+        for name in (name for name in names if name not in model.constant_names):
+            hint, listed = close_match(name, model.constant_names), ", ".join(model.constant_names)
+            key = f"{section}.{name}"
+            raise BadValue(key, f"unknown key {key}{hint}; allowed there: {listed}")
+    _check_population(config, model)
+    _check_signs(model, constants)
+    simulated = {name: value * factors.get(name, 1.0) for name, value in constants.items()}
+    _check_thrust(model, constants, "")
+    _check_thrust(model, simulated, " times vehicle.mismatch")
+    step = config.rules.time_step
+    for name in model.lags:
+        if simulated[name] <= 0.5 * step:
+            key = f"vehicle.constants.{name}{' times its mismatch' if name in factors else ''}"
+            unstable = f"half of rules.time_step {step} s (integration is unstable below)"
+            refuse(key, simulated[name], f"above {0.5 * step:g} s, {unstable}")
+
+
+def _check_population(config: Config, model: VehicleModel) -> None:
+    """Check that the model has the population, and that no fraction is drawn besides it."""
+    population = config.randomization.population
+    if population is None:
+        return
+    if population not in model.populations:
+        allowed = " or ".join(["null", *model.populations])
+        hint = close_match(population, list(model.populations))
+        refuse("randomization.population", population, f"{allowed} with model {model.name}{hint}")
+    for name, fraction in config.randomization.by_constant(model).items():
+        if fraction:
+            here = f"null with fractions (here {fraction:g} of {name})"
+            refuse("randomization.population", population, f"{here}, or randomization.all=0")
+
+
+def _check_signs(model: VehicleModel, constants: Values) -> None:
+    """Check the signs of the constants, and the triangle inequality of moments of inertia."""
+    for name, declared in declarations(model.constants).items():
+        if declared.sign == "positive" and constants[name] <= 0:
+            refuse(f"vehicle.constants.{name}", constants[name], "a positive number")
+        if declared.sign == "nonnegative" and constants[name] < 0:
+            refuse(f"vehicle.constants.{name}", constants[name], "at least 0")
+    inertia = {name: constants[name] for name in model.groups.get("inertia", ())}
+    if len(inertia) == 3:
+        name, largest = max(inertia.items(), key=lambda item: item[1])
+        others = sum(inertia.values()) - largest
+        if largest > INERTIA_TOLERANCE * others:
+            allowed = f"at most {others:g}, the sum of the other moments of inertia"
+            refuse(f"vehicle.constants.{name}", largest, allowed)
+
+
+def _check_thrust(model: VehicleModel, values: Values, origin: str) -> None:
+    """Check that the commands reach from below to above the weight."""
+    idle = {**values, **{high: values[low] for low, high in model.ranges}}
+    least, most = (model.thrust_to_weight(model.make_constants(x)) for x in (idle, values))
+    if least is None or most is None:
+        return
+    if not least < 1 < most <= MAX_THRUST:
+        raise BadValue(
+            "vehicle.constants",
+            f"vehicle.constants{origin} give a thrust of {least:.3g} to {most:.3g} times the "
+            f"weight, allowed: a range around 1, up to {MAX_THRUST:g}, so that the drone can hover",
+        )
+
+
+def _check_rules(config: Config) -> None:
+    """Check ranges, and that random tracks have the rules and starts of any track."""
+    rules, start = config.rules, config.start
+    if start.thrust[0] > start.thrust[1]:
+        refuse("start.thrust", start.thrust, "[lowest, highest]")
+    if any(low >= high for low, high in rules.bounds or ()):
+        refuse("rules.bounds", rules.bounds, "[lowest, highest] for each of x, y and z")
+    if config.randomization.tracks is None:
+        return
+    if start.heading == "inside_turn":
+        refuse("start.heading", start.heading, "north with randomization.tracks")
+    of_one_track = {"rules.bounds": rules.bounds, "run.start_states": config.run.start_states}
+    for key, value in of_one_track.items():
+        if value is not None:
+            refuse(key, value, "null with randomization.tracks")
 
 
 def _within(config: Config, position: Sequence[float], ground: bool = False) -> bool:
@@ -192,26 +272,6 @@ def _check_gates(config: Config) -> None:
             refuse(f"{key}.position", gate.position, allowed)
 
 
-def _check_random_tracks(config: Config) -> None:
-    """Check that the random tracks of training fit the starts and the rules."""
-    tracks, frame = config.randomization.tracks, config.rules.gate_frame
-    if tracks is None:
-        return
-    if frame > tracks.frame:
-        refuse("rules.gate_frame", frame, f"at most {tracks.frame:g}, randomization.tracks.frame")
-    if config.start.position >= tracks.height[0]:
-        lowest = f"below {tracks.height[0]:g}, the lowest gate of randomization.tracks"
-        refuse("start.position", config.start.position, lowest)
-    if config.start.heading == "inside_turn":
-        refuse("start.heading", config.start.heading, "north with randomization.tracks")
-    for key, value in (
-        ("rules.bounds", config.rules.bounds),
-        ("run.start_states", config.run.start_states),
-    ):
-        if value is not None:
-            refuse(key, value, "null with randomization.tracks")
-
-
 def _check_race_start(config: Config) -> None:
     """Check that timed laps start in the air and within the bounds."""
     start = config.track.start
@@ -228,36 +288,3 @@ def _check_race_start(config: Config) -> None:
     if not _within(config, start.position, on_ground):
         allowed = "above ground (on it with rules.ground_speed) and within the rules' limits"
         refuse("track.start.position", start.position, allowed)
-
-
-def _check_start(config: Config) -> None:
-    """Check that starts are within the limits."""
-    start, training, gates = config.start, config.training_limits, config.track.gates
-    limit, rates = config.rules.position_limit, min(config.rules.largest_body_rates)
-    pitch = training.largest_pitch_deg(vehicle_model(config.vehicle.model))
-    for index in range(len(gates)) if start.gate == "random" else [len(gates) - 1]:
-        x, y, z = gates[index].position
-        room = -z if limit is None else min(-z, limit - abs(x), limit - abs(y))
-        if start.position >= room:
-            places = f"between track.gates[{index}] and the ground or rules.position_limit"
-            refuse("start.position", start.position, f"below {room:g}, the room {places}")
-    for key, value, name, limit in (
-        ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.pitch_deg", pitch),
-        ("roll_pitch_deg", start.roll_pitch_deg, "training_limits.roll_deg", training.roll_deg),
-        ("body_rates", start.body_rates, "rules.body_rate_limit", rates),
-        ("body_rates", start.body_rates, "training_limits.yaw_rate", training.yaw_rate),
-    ):
-        if limit is not None and value >= limit:
-            refuse(f"start.{key}", value, f"below {name} {limit:g}")
-
-
-def _check_gate_penalty(config: Config) -> None:
-    """Check that widened gates have a penalty, which depends on the distance to the edge."""
-    reward, inflation = config.reward, config.training_limits.gate_inflation
-    if inflation > 0 and not (reward.gate_edge > 0 or reward.gate_offset > 0):
-        allowed = "at most 0 without reward.gate_edge or reward.gate_offset"
-        refuse("training_limits.gate_inflation", inflation, allowed)
-    half = 0.5 * min(size for gate in config.track.gates for size in gate.size)
-    half -= config.rules.body_radius
-    if reward.gate_edge > 0 and reward.gate_edge_margin >= half:
-        refuse("reward.gate_edge_margin", reward.gate_edge_margin, f"below {half:g}")

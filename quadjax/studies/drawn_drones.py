@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from quadjax.config.drone_checks import check_drone
+from quadjax.config.checks import check_drone
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Randomization
 from quadjax.core.errors import InputError

@@ -18,7 +18,6 @@ from tests import reference as ref
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 BLANK = Path(__file__).parent.parent / "blank.yaml"
 OWN_GROUP = "vehicle.model=tests.config.models:OWN_GROUP"
-NO_THRUST = "vehicle.model=tests.config.models:NO_THRUST"
 
 
 def refusal(path, *overrides):
@@ -262,12 +261,8 @@ def test_a_file_or_section_that_a_config_names_wrongly(tmp_path, text, says):
 
 REFUSED = [
     ("sede=1", "unknown key sede; did you mean seed?"),
-    ("learner.rate=1", "unknown key learner.rate"),
-    ("learner.horizon=3", "unknown key learner.horizon"),
     ("learner.algorithm=sac", "learner.algorithm is 'sac', allowed: ppo, shac or module:Class"),
     ("learner=3", "learner is 3, allowed: a mapping"),
-    ("learner.clip_range=0", "learner.clip_range is 0, allowed: greater than 0"),
-    ("learner.num_epochs=1e20", "learner.num_epochs is 1e+20, allowed: a whole number"),
     (
         "learner.num_envs=10000000",
         "learner.num_envs is 10000000, allowed: less than or equal to 1000000",
@@ -275,7 +270,6 @@ REFUSED = [
     ("learner.num_minibatches=7", "learner: num_minibatches is 7, allowed: a divisor"),
     ("vehicle.constants.k_q2=1", "unknown key vehicle.constants.k_q2; did you mean k_q"),
     ("vehicle.model=boat", "vehicle.model is 'boat', allowed: motor, rate"),
-    ("vehicle.integrator=heun", "vehicle.integrator is 'heun', allowed: 'euler' or 'rk4'"),
     ("vehicle.file=none.yaml", "'none.yaml': no such file"),
     ("vehicle.models=null", "vehicle.models is None, allowed: a mapping"),
     ("vehicle.models={rate: 5}", "vehicle.models.rate is 5, allowed: a mapping of constants"),
@@ -283,12 +277,6 @@ REFUSED = [
     ("vehicle.constants.k_w=heavy", "vehicle.constants.k_w is 'heavy', allowed: a number"),
     ("vehicle.constants.k_w=0", "vehicle.constants.k_w is 0.0, allowed: a positive number"),
     ("vehicle.constants.k_w=2e-8", "vehicle.constants give a thrust of"),
-    ("vehicle.constants.rpm_min=9000", "vehicle.constants give a thrust of"),
-    (
-        "vehicle.constants.rpm_min=12000",
-        "vehicle.constants.rpm_min is 12000.0, allowed: at least",
-    ),
-    ("vehicle.constants.k_w=1e-30", "vehicle.constants give a thrust of"),
     ("vehicle.constants.k_w=1", "give a thrust of 3.67e+06 to 4.93e+07 times the weight, allowed"),
     (
         "vehicle.constants.k_x=1e10",
@@ -303,26 +291,15 @@ REFUSED = [
         "track.gates=[{position: [9.6, 0, -1]}]",
         "track.gates[0].position is [9.6, 0.0, -1.0], allowed: another place than the g",
     ),
-    ("start.position=1.5", "start.position is 1.5, allowed: below 1.5, the room between track.ga"),
-    ("training_limits.pitch_deg=40", "start.roll_pitch_deg is 40.0, allowed: below training_limit"),
-    ("training_limits.roll_deg=30", "start.roll_pitch_deg is 40.0, allowed: below training_limits"),
     ("reward.overspeed=3", "reward.overspeed is 3.0, allowed: 20.0 without rules.speed_limit"),
-    ("track.opening=0", "track.opening is 0, allowed: greater than 0"),
-    ("rules.body_rate_limit=1", "start.body_rates is 1.0, allowed: below rules.body_rate_limit 1"),
-    ("training_limits.yaw_rate=1", "start.body_rates is 1.0, allowed: below training_limits.yaw_"),
-    ("track.gates=[{position: [1e30, 0, -1]}]", "track.gates[0].position[0] is 1e+30, allowed"),
-    ("disturbance.moment_bias=[1e30, 0, 0]", "disturbance.moment_bias[0] is 1e+30, allowed"),
     ("vehicle.constants.tau=0.005", "vehicle.constants.tau is 0.005, allowed: above 0.005 s"),
     ("vehicle.mismatch.k_z2=1.1", "unknown key vehicle.mismatch.k_z2; did you mean k_z?"),
-    ("vehicle.mismatch.k_w=0", "vehicle.mismatch.k_w is 0, allowed: greater than 0"),
     ("vehicle.residual_gain=0.5", "vehicle.residual_gain is 0.5, allowed: 1.0 without vehicle.res"),
     ("track=3", "track is 3, allowed: a mapping"),
     ("track.file=3", "track.file is 3, allowed: name of a file"),
     ("track.gates=[]", "track.gates is [], allowed: at least 1 item"),
     ("track.gates=[1]", "track.gates[0] is 1, allowed: a mapping"),
     ("track.gates=[{position: [0, 0]}]", "track.gates[0].position[2] is missing"),
-    ("track.gates=[{place: [0, 0, 0]}]", "unknown key track.gates[0].place"),
-    ("track.gates=[{position: [0, 0, -1], size: [0, 1]}]", "track.gates[0].size[0] is 0, allowed"),
     (
         "track.gates=[{position: [0, 0, 1]}]",
         "track.gates[0].position is [0.0, 0.0, 1.0], allowed",
@@ -339,25 +316,9 @@ REFUSED = [
         "training_limits.gate_inflation=-0.5",
         "track.gates[0].size is [1.0, 1.0], allowed: above vehicle.width 0.32 and above",
     ),
-    ("rules.time_step=5", "rules.time_step is 5, allowed: less than or equal to 0.1"),
-    (
-        "training_limits.pitch_deg=90",
-        "training_limits.pitch_deg is 90, allowed: less than or equal to 89",
-    ),
-    ("training_limits.episode_steps=3e9", "training_limits.episode_steps is 3000000000, allowed"),
-    (
-        "observation.disturbance=true",
-        "observation.disturbance is True, allowed: 'ground_truth', 'estimated' or 'none",
-    ),
     ("reward.time=.inf", "reward.time is inf, allowed: a finite number"),
-    ("reward.gate_edge=-1", "reward.gate_edge is -1, allowed: greater than or equal to 0"),
     ("start.thrust=[8, 7]", "start.thrust is [8.0, 7.0], allowed: [lowest, highest]"),
-    ("randomization.drag=1", "randomization.drag is 1, allowed: less than or equal to 0.9"),
-    ("randomization.limits=0.9", "vehicle.constants.rpm_min is 3000.0, allowed: at least 0 and"),
     ("vehicle.constants.k_p=0", "vehicle.constants.k_p is 0.0, allowed: a positive number"),
-    ("vehicle.constants.k_p=-1e-9", "vehicle.constants.k_p is -1e-09, allowed: a positive number"),
-    ("vehicle.constants.k_q=0", "vehicle.constants.k_q is 0.0, allowed: a positive number"),
-    ("vehicle.constants.k_r1=0", "vehicle.constants.k_r1 is 0.0, allowed: a positive number"),
     ("vehicle.constants.i_zz=1.0", "vehicle.constants.i_zz is 1.0, allowed: at most 0.002148, the"),
     ("vehicle.constants.k_x=-1e-4", "vehicle.constants.k_x is -0.0001, allowed: at least 0"),
     ("vehicle.mismatch={k_w: 0.1}", "vehicle.constants times vehicle.mismatch give a thrust of"),
@@ -367,20 +328,9 @@ REFUSED = [
         "track.gates[0].position is [0.0, 0.0, -1.0], allowed: another place than the gate before",
     ),
     ("track.gates=[{position: [0, 0, -1]}]", "another place than the gate before it (itself)"),
-    (
-        "track.gates=[{position: [0, 0, -1], size: [1000, 1]}]",
-        "track.gates[0].size[0] is 1000, allowed: less than or equal to 100",
-    ),
-    ("network.hidden=[]", "network.hidden is [], allowed: at least 1 item"),
-    ("network.hidden=[1e8]", "network.hidden[0] is 100000000, allowed: less than or equal to 8192"),
-    ("network.activation=gelu", "network.activation is 'gelu', allowed: 'relu' or 'tanh'"),
     ("name=a/b", "name is 'a/b', allowed: match pattern '^[A-Za-z0-9_][A-Za-z0-9._-]{0,99}$'"),
-    ("name=..", "name is '..', allowed: match pattern '^[A-Za-z0-9_][A-Za-z0-9._-]{0,99}$'"),
     (f"name={'x' * 300}", "name is 'xxx"),
-    ("run.devices=none", "run.devices is 'none', allowed: 'auto' or 'all' or a whole number"),
     ("run.devices=0", "run.devices is 0, allowed: 'auto' or 'all' or greater than or equal to 1"),
-    ("run.steps=2.5", "run.steps is 2.5, allowed: a whole number"),
-    ("evaluate.runs=1e6", "evaluate.runs is 1000000, allowed: less than or equal to 100000"),
     (
         "schedules.reward.gates.linear=[0, 1]",
         "schedules: reward.gates: unknown key; did you mean gate?; allowed there",
@@ -411,15 +361,10 @@ REFUSED = [
         "track.gates[0].size is [1.0, 1.0], allowed: above vehicle.width 0.32 and above",
     ),
     (
-        "schedules.randomization.limits={linear: [0, 0.9]}",
-        "vehicle.constants.rpm_min is 3000.0, allowed: at least 0 and below rpm_max 110",
-    ),
-    (
         "schedules.vehicle.mismatch.k_w={linear: [1, 0.9]}",
         "schedules.vehicle.mismatch.k_w is None, allowed: the key of a number",
     ),
     ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
-    ("learner.clip_range", "'learner.clip_range' is not of the form key=value"),
     ("rules.bounds=[[9, -9], [-9, 9], [-6, 0]]", "allowed: [lowest, highest] for each of x, y"),
     ("vehicle=bebp1", "overrides: vehicle.file: 'bebp1': no such file in"),
     ("track=figure9", "tracks; did you mean figure8?"),
@@ -469,12 +414,11 @@ def test_refused(override, message):
     ("overrides", "message"),
     [
         (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
-        (["reward.gate_edge_margin=0.5", "reward.gate_edge=1"], "gate_edge_margin is 0.5, allowed"),
         (
             ["vehicle.model=rate", "vehicle.residual=file.npz"],
             "vehicle.residual is 'file.npz', allowed: null with vehicle.model=rate",
         ),
-        ([OWN_GROUP], "OWN_GROUP: its groups name 'wings', allowed: the keys of randomization: gr"),
+        ([OWN_GROUP], "OWN_GROUP', allowed: groups gravity, inertia, thrust, drag, moment, velo"),
         (["vehicle.model=rate", "disturbance.moment_bias=[0.01,0,0]"], "disturbance.moment_bias"),
         (["vehicle.model=rate", "disturbance.force_z=1"], "disturbance.force_z is 1.0"),
         (["vehicle.model=rate", "observation.disturbance=estimated"], "observation.disturbance is"),
