@@ -11,6 +11,7 @@ from pathlib import Path
 from quadjax.core.errors import InputError, close_match, prefixed, short
 from quadjax.core.resources import CONFIGS, find_file, preset_names
 from quadjax.core.yaml_files import (
+    Layer,
     Tree,
     Whole,
     flatten,
@@ -22,11 +23,10 @@ from quadjax.core.yaml_files import (
 from quadjax.learners.section import Schedule
 from quadjax.vehicle.vehicle_file import vehicle_values
 
-Layer = tuple[Path | str, Tree]
 OVERRIDES = "overrides"  # the source of the last layer
 DEFAULTS = {"vehicle": "bebop1.yaml", "track": "square4.yaml"}
-VEHICLE = {"file": None, "width": 0.0, "fitted_speed": None, "constants": Whole()}
-TRACK = {"file": None, "generate": None, "gates": [], "start": None, "closed": True}
+VEHICLE: Tree = {"file": None, "width": 0.0, "fitted_speed": None, "constants": Whole()}
+TRACK: Tree = {"file": None, "generate": None, "gates": [], "start": None, "closed": True}
 DATA_FILES = (("vehicle", "residual"), ("run", "initial_policy"), ("run", "start_states"))  # .npz
 SCHEDULE_KEYS = [field.alias or name for name, field in Schedule.model_fields.items()]
 
@@ -45,14 +45,14 @@ def config_layers(path: Path, parts: Sequence[str], overrides: Sequence[str]) ->
     files = read_layers(path)
     if not any(tree for _, tree in files):
         raise InputError(f"{path}: empty; write at least the preset to start from, as base: e2e")
-    presets = [file.stem for file, _ in reversed(files)]
+    presets = [Path(file).stem for file, _ in reversed(files)]
     names = [str(tree["name"]) for _, tree in files if "name" in tree] or ["run"]
     for part in parts:
         files += read_layers(find_part(part, path, presets))
     if parts:  # the name of the run: e2e_residual
         stems = [part.rpartition("/")[2].removesuffix(".yaml") for part in parts]
         files.append((path, {"name": "_".join([names[-1], *stems])}))
-    layers = [x for file, tree in files for x in with_files(file, tree, [file.parent])]
+    layers = [x for file, tree in files for x in with_files(file, tree, [Path(file).parent])]
     over = parse_overrides([_expand(override) for override in overrides])
     over_layers = with_files(OVERRIDES, over, [Path(), path.parent])
     return [*default_layers([tree for _, tree in files]), *layers, *over_layers]
@@ -166,7 +166,8 @@ def below(tree: Tree, over: Tree, source: str) -> Tree:
             tree["vehicle"] = {**lower, "constants": {}, "models": models}
     lower, values = _part(tree, "track"), _part(over, "track")
     if values.get("generate") is not None:
-        tree["track"] = {key: x for key, x in lower.items() if key not in {"name", *TRACK}}
+        replaced = {"name", *TRACK} - {"generate"}
+        tree["track"] = {key: x for key, x in lower.items() if key not in replaced}
     elif "gates" in values:
         replaced = {"generate"} if "name" in values else {"generate", "name"}
         tree["track"] = {key: x for key, x in lower.items() if key not in replaced}

@@ -8,7 +8,6 @@ from quadjax.config.checks import check
 from quadjax.config.code import refuse_code
 from quadjax.config.layers import (
     OVERRIDES,
-    Layer,
     below,
     config_layers,
     default_layers,
@@ -22,7 +21,7 @@ from quadjax.core.errors import InputError, close_match
 from quadjax.core.imports import load_object
 from quadjax.core.resources import find_config, find_file
 from quadjax.core.sections import BadValue, build, one_line_errors, refuse
-from quadjax.core.yaml_files import Sources, Tree, merge_layers
+from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac.hyperparameters import SHAC

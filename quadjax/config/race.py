@@ -11,12 +11,12 @@ from quadjax.config.schema import Config
 from quadjax.core.environment import Environment
 from quadjax.core.errors import InputError
 from quadjax.core.imports import load_object
-from quadjax.core.traced import as_leaves
+from quadjax.core.traced import SectionType, as_leaves
 from quadjax.race.environment import Choices, RaceParams, make_environment
 from quadjax.race.layout import Field
 from quadjax.race.observations import make_layout
 from quadjax.race.rewards import REWARDS, Reward
-from quadjax.race.rules import Rules, TrainingLimits
+from quadjax.race.rules import Rules
 from quadjax.race.starts import FROM_GROUND, Disturbance, Start
 from quadjax.race.track import Track, build_track, build_tracks, inside_turn
 from quadjax.vehicle import motor
@@ -96,6 +96,8 @@ def build_vehicle(config: Config) -> VehicleParams:
 def build_params(config: Config) -> RaceParams:
     """Every number of the race in training."""
     vehicle, track = build_vehicle(config), build_track(config.track)
+    limits = config.training_limits
+    pitch = limits.largest_pitch_deg(vehicle_model_of(config))
     tracks, limit = None, 0.0
     if config.randomization.tracks is not None:
         tracks, limit = build_tracks(config.randomization.tracks)
@@ -106,7 +108,7 @@ def build_params(config: Config) -> RaceParams:
         track=track,
         reward=_reward(config),
         rules=_rules(config.rules, limit),
-        training_limits=_training_limits(config),
+        training_limits=as_leaves(limits.replace(pitch_deg=pitch)),
         start=_start(config.start, track),
         disturbance=as_leaves(config.disturbance),
         randomization=_constants(config, spread),
@@ -119,34 +121,31 @@ def build_params(config: Config) -> RaceParams:
     )
 
 
+def _leaves(section: SectionType, optional: Iterable[str]) -> SectionType:
+    """The section as leaves; optional numbers that are zero become None: nothing is computed."""
+    return as_leaves(section, [key for key in optional if getattr(section, key) == 0.0])
+
+
 def _reward(config: Config) -> Reward:
-    """The weights; None for optional terms whose weight is zero, also in every schedule."""
+    """The weights; optional terms have none if it is zero in every schedule too."""
     optional = [key for key, term in REWARDS.items() if term.optional]
     scheduled = {key.removeprefix("reward.") for key in config.schedules}
-    zero = [key for key in optional if getattr(config.reward, key) == 0.0]
-    return as_leaves(config.reward, [key for key in zero if key not in scheduled])
+    return _leaves(config.reward, [key for key in optional if key not in scheduled])
 
 
 def _rules(rules: Rules, limit: float) -> Rules:
     """The rules with room for random tracks, which need a position limit of ``limit``, m."""
     if rules.position_limit is not None:
         rules = rules.replace(position_limit=max(rules.position_limit, limit))
-    return as_leaves(rules, [k for k in ("body_radius", "gate_frame") if getattr(rules, k) == 0.0])
-
-
-def _training_limits(config: Config) -> TrainingLimits:
-    limits = config.training_limits
-    pitch = limits.largest_pitch_deg(vehicle_model_of(config))
-    return as_leaves(limits.replace(pitch_deg=pitch))
+    return _leaves(rules, ("body_radius", "gate_frame"))
 
 
 def _start(start: Start, track: Track) -> Start:
-    """The starts; what is zero is not computed."""
-    race = start.race
-    if race is None:
-        race = FROM_GROUND if track.start is not None and track.start.on_ground else 0.0
-    start = start.replace(race=race)
-    return as_leaves(start, [key for key in ("along_leg", "race") if getattr(start, key) == 0.0])
+    """The starts, by default from the ground where the race starts there."""
+    if start.race is None:
+        on_ground = track.start is not None and track.start.on_ground
+        start = start.replace(race=FROM_GROUND if on_ground else 0.0)
+    return _leaves(start, ("along_leg", "race"))
 
 
 def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:

@@ -8,13 +8,21 @@ unit of its number, and takes only units of the race of the same dimension.
 import dataclasses
 import math
 import re
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from quadjax.config.schema import Config, Location, Rules, Track, Vehicle, WithUnit
-from quadjax.core.sections import LARGEST, BadValue, Section, Unit, build, dotted, fields_at, refuse
+from quadjax.core.sections import (
+    LARGEST,
+    BadValue,
+    Section,
+    build,
+    dotted,
+    fields_at,
+    refuse,
+    unit_of,
+)
 from quadjax.core.yaml_files import Tree
 from quadjax.vehicle.registry import model as vehicle_model
 
@@ -48,26 +56,19 @@ class Scales:
         """The leg time, s: in it, the drone accelerates from rest over half a leg."""
         return math.sqrt(self.leg / self.acceleration)
 
-
-LENGTHS: dict[str, Callable[[Scales], float]] = {
-    "legs": lambda s: s.leg,
-    "half gates": lambda s: s.half_gate,
-}
-PER_LENGTH: dict[str, Callable[[Scales], float]] = {
-    "per leg": lambda s: 1.0 / s.leg,
-    "per half gate": lambda s: 1.0 / s.half_gate,
-}
-TIMES: dict[str, Callable[[Scales], float]] = {"leg times": lambda s: s.time}
-PER_TIME: dict[str, Callable[[Scales], float]] = {"per leg time": lambda s: 1.0 / s.time}
-UNITS: dict[str, dict[str, Callable[[Scales], float]]] = {  # of a race, by the field's unit
-    "m": LENGTHS,
-    "1/m": PER_LENGTH,
-    "1/s": PER_TIME,
-    "m/s": {"legs per leg time": lambda s: s.leg / s.time},
-    "steps": TIMES,
-    "decay": TIMES,
-    "environments": PER_TIME,
-}
+    def units(self, unit: str) -> dict[str, float]:
+        """The units of the race for a field of a unit, and their sizes in SI units."""
+        per_length = {"per leg": 1.0 / self.leg, "per half gate": 1.0 / self.half_gate}
+        times, per_time = {"leg times": self.time}, {"per leg time": 1.0 / self.time}
+        return {
+            "m": {"legs": self.leg, "half gates": self.half_gate},
+            "1/m": per_length,
+            "1/s": per_time,
+            "m/s": {"legs per leg time": self.leg / self.time},
+            "steps": times,
+            "decay": times,
+            "environments": per_time,
+        }.get(unit, {})
 
 
 def race_scales(track: Track, vehicle: Vehicle, time_step: float) -> Scales:
@@ -124,11 +125,11 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
             return [convert(item, (*location, index)) for index, item in enumerate(node)]
         match = _WITH_UNIT.fullmatch(node) if isinstance(node, str) else None
         unit = _unit_of(location, learner) if match else None
-        if match is None or unit not in UNITS:
+        if match is None or unit in (None, "deg"):
             return node
-        factor = _factor(dotted(location), match, unit)
         scales[:] = scales or [_scales_of(tree)]
-        value = float(match["number"]) * factor(scales[0])
+        size = _size(dotted(location), match, unit, scales[0].units(unit))
+        value = float(match["number"]) * size
         written[location] = (node, _in_unit(value, unit, scales[0].time_step))
         return written[location][1]
 
@@ -145,20 +146,19 @@ def _unit_of(location: Location, learner: type[Section]) -> str | None:
         schema, location = learner, location[1:]
     keys = [part for part in location if isinstance(part, str)]
     field = fields_at(schema, keys[:-1]).get(keys[-1]) if keys else None
-    units = [item.name for item in (field.metadata if field else ()) if isinstance(item, Unit)]
-    return units[0] if units else None
+    return unit_of(field) if field else None
 
 
-def _factor(key: str, match: re.Match, unit: str) -> Callable[[Scales], float]:
+def _size(key: str, match: re.Match, unit: str, units: dict[str, float]) -> float:
     """The size of a unit of the race, which has to be of the same dimension as the key's."""
     positive = unit in ("steps", "decay", "environments")
     number, name = float(match["number"]), match["unit"]
-    if name not in UNITS[unit] or abs(number) > LARGEST or (positive and number <= 0.0):
+    if name not in units or abs(number) > LARGEST or (positive and number <= 0.0):
         text = f"{key} is {match['number']} {name}"[:100]
         span = f"number{' above 0' if positive else ''}, at most {LARGEST:g},"
-        units = " or ".join(UNITS[unit])
-        raise BadValue(key, f"{text}, allowed: a plain number, or a {span} with the unit {units}")
-    return UNITS[unit][name]
+        listed = " or ".join(units)
+        raise BadValue(key, f"{text}, allowed: a plain number, or a {span} with the unit {listed}")
+    return units[name]
 
 
 def _scales_of(tree: Tree) -> Scales:

@@ -14,9 +14,8 @@ from quadjax.core.secrets import redact
 
 INTERRUPTED = 130  # exit status after Ctrl-C
 BAD_INPUT = 2  # exit status after bad input and after system errors
-MAX_WORD, MAX_LINE = 200, 1000  # characters of a word and of a line that a command prints
+MAX_LINE = 1000  # characters of a message that a command prints
 DEBUG = "QUADJAX_DEBUG"  # environment variable: if set, a command prints the traceback too
-PACKAGE = str(Path(__file__).resolve().parent.parent) + os.sep
 USER_ERRORS = (Exception, SystemExit)  # what a user's own code may raise, apart from Ctrl-C
 OPTIONS = {"config=CONFIG": "--race CONFIG"}  # of the command line, by the argument of a function
 USER_FILES: set[str] = set()  # of a user's modules that ``core.imports.load_object`` has imported
@@ -82,8 +81,8 @@ def run_command(main: Callable[[], int | None]) -> int:
     """Run the main function of a command and return its exit status.
 
     Bad input and system errors (disk full, no permission, no memory) are printed as one line on
-    stderr, and so is an error in a user's own module. Every other exception is a fault of the
-    program and is raised, with its traceback.
+    stderr. Every other exception is a fault of the program, or of a user's own module, and is
+    raised with its traceback.
     """
     # JAX compiles where its cache cannot be read or written, which needs no message.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
@@ -104,32 +103,18 @@ def run_command(main: Callable[[], int | None]) -> int:
         line = error_line(error)
         if line is None or os.environ.get(DEBUG):
             raise
-        print(f"error: {_cut(as_options(line))}", file=sys.stderr)
+        line = re.sub(r"\S{201,}", lambda word: f"{word[0][:50]}...{word[0][-50:]}", line)
+        print(f"error: {short(as_options(line), MAX_LINE, str)}", file=sys.stderr)
         return BAD_INPUT
-
-
-def _cut(line: str) -> str:
-    """The line without the middles of long words, such as values, and of a long whole."""
-    words = re.sub(rf"\S{{{MAX_WORD + 1},}}", lambda word: _middle_out(word[0], 100), line)
-    return _middle_out(words, MAX_LINE) if len(words) > MAX_LINE else words
-
-
-def _middle_out(text: str, most: int) -> str:
-    return f"{text[: most // 2]}...{text[-most // 2 :]}"
 
 
 def user_error(error: BaseException) -> str:
     """An exception in a user's own code: its kind, the start of its message, and the line."""
     message = (str(error).splitlines() or [""])[0][:200]
-    lines = user_lines(error)
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [f"{frame.filename}:{frame.lineno}" for frame in frames if frame.filename in USER_FILES]
     where = f" ({lines[-1]}; {DEBUG}=1 shows the traceback)" if lines else ""
     return f"{type(error).__name__}: {message}{where}"
-
-
-def user_lines(error: BaseException) -> list[str]:
-    """File and number of the lines of a user's modules that an exception passed through."""
-    frames = traceback.extract_tb(error.__traceback__)
-    return [f"{frame.filename}:{frame.lineno}" for frame in frames if frame.filename in USER_FILES]
 
 
 def as_options(text: str) -> str:
@@ -142,7 +127,7 @@ def as_options(text: str) -> str:
 
 
 def error_line(error: BaseException) -> str | None:
-    """One line for bad input, a system error or one in a user's module; None for other faults."""
+    """One line for bad input or a system error; None for faults of the program."""
     text = " ".join(str(error).split())
     if isinstance(error, InputError):
         return text
@@ -153,11 +138,4 @@ def error_line(error: BaseException) -> str | None:
         return f"not enough memory ({text})" if text else "not enough memory"
     if type(error).__name__ in ("JaxRuntimeError", "XlaRuntimeError"):
         return f"not enough memory ({text[:160]})" if "RESOURCE_EXHAUSTED" in text else None
-    return user_error(error) if _in_user_module(error) else None
-
-
-def _in_user_module(error: BaseException) -> bool:
-    """Whether an exception is raised in a user's module, or in a library that it calls."""
-    files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
-    files = [file for file in files if file in USER_FILES or file.startswith(PACKAGE)]
-    return bool(files) and not files[-1].startswith(PACKAGE)
+    return None

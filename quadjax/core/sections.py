@@ -40,7 +40,7 @@ from pydantic.fields import FieldInfo
 
 from quadjax.core.errors import InputError, close_match, short
 from quadjax.core.resources import find_config
-from quadjax.core.yaml_files import Sources, Tree, merge_layers, parse_overrides, read_layers
+from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers, parse_overrides, read_layers
 
 __all__ = ["Field", "Section", "build", "load_section", "model_validator"]
 
@@ -164,7 +164,7 @@ def load_section(
         InputError: an unknown key, a wrong type, an impossible value or an unreadable file.
     """
     path = find_config(path, folder)
-    layers = [*read_layers(path), ("overrides", parse_overrides(overrides))]
+    layers: list[Layer] = [*read_layers(path), ("overrides", parse_overrides(overrides))]
     return build(schema, *merge_layers(layers, path))
 
 
@@ -258,6 +258,11 @@ def fields_at(schema: type[Section], location: Sequence[str | int] = ()) -> dict
         return fields_at(schema, rest)
     section = next(filter(is_section, _types(fields[str(key)].annotation)), None)
     return fields_at(section, rest) if section else {}
+
+
+def unit_of(field: FieldInfo) -> str | None:
+    """The unit that a field declares."""
+    return next((item.name for item in field.metadata if isinstance(item, Unit)), None)
 
 
 def _types(hint: object) -> Iterator[object]:

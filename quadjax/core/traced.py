@@ -1,6 +1,7 @@
 """Sections as pytrees: floats are leaves, which a program takes as numbers; the rest is static."""
 
 import dataclasses
+import functools
 import math
 import types
 import typing
@@ -11,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from pydantic.fields import FieldInfo
 
-from quadjax.core.sections import Section, Unit
+from quadjax.core.sections import Section, unit_of
 
 SectionType = TypeVar("SectionType", bound=Section)
 
@@ -56,19 +57,17 @@ def as_leaves(section: SectionType, unused: Collection[str] = ()) -> SectionType
         section: of a registered class; a field with the unit ``deg`` is in deg.
         unused: names of fields that become None: the program is without them.
     """
-    fields = type(section).model_fields
     changes = {}
     for name in _traced_names(type(section)):
-        in_deg = any(
-            isinstance(item, Unit) and item.name == "deg" for item in fields[name].metadata
-        )
-
-        def leaf(number: Any, in_deg: bool = in_deg) -> jax.Array:
-            kind = jnp.int32 if isinstance(number, int) else jnp.float32
-            return jnp.asarray(math.radians(number) if in_deg else number, kind)
-
+        in_deg = unit_of(type(section).model_fields[name]) == "deg"
+        leaf = functools.partial(_leaf, in_deg=in_deg)
         changes[name] = None if name in unused else jax.tree.map(leaf, getattr(section, name))
     return with_leaves(section, **changes)
+
+
+def _leaf(number: Any, in_deg: bool) -> jax.Array:
+    kind = jnp.int32 if isinstance(number, int) else jnp.float32
+    return jnp.asarray(math.radians(number) if in_deg else number, kind)
 
 
 def with_leaves(section: SectionType, **changes: Any) -> SectionType:

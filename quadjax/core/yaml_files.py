@@ -21,6 +21,7 @@ from quadjax.core.resources import find_file
 WIDTH = 79  # of comments, characters
 MAX_DEPTH = 20  # of dotted keys, and of files that name a base
 Tree = dict[str, Any]
+Layer = tuple[Path | str, Tree]  # a file, or "overrides", and the values that it sets
 
 
 def read_yaml(path: Path | str) -> Tree:
@@ -65,7 +66,7 @@ def _loader() -> YAML:
     return loader
 
 
-def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[tuple[Path, Tree]]:
+def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[Layer]:
     """A YAML mapping and those of the files that its key ``base`` names, the lowest first.
 
     A base is a path relative to the file that names it, or the name of a file in ``configs/``,
@@ -87,7 +88,7 @@ def read_layers(path: Path | str, chain: tuple[Path, ...] = ()) -> list[tuple[Pa
     chain = (*chain, path.resolve())
     if len(chain) > MAX_DEPTH:
         raise InputError(f"{path}: a chain of more than {MAX_DEPTH} bases")
-    layers: list[tuple[Path, Tree]] = []
+    layers: list[Layer] = []
     for name in names:
         with prefixed(f"{path}: base"):
             base = find_file(name, [path.parent])
@@ -128,7 +129,7 @@ class Whole(Tree):
 
 
 def merge_layers(
-    layers: Sequence[tuple[Path | str, Tree]],
+    layers: Sequence[Layer],
     path: Path | str,
     below: Callable[[Tree, Tree, str], Tree] = lambda tree, over, source: tree,
 ) -> tuple[Tree, Sources]:

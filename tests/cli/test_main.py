@@ -9,12 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from ruamel.yaml.representer import RepresenterError
 
 import quadjax
 from quadjax.cli import COMMANDS
 from quadjax.core.errors import InputError, error_line, run_command
-from quadjax.core.imports import load_object
+from quadjax.core.imports import load_object, user_numbers
 from quadjax.core.resources import policy_names, preset_names
 from tests.commands import run
 from tests.scripts import run_script
@@ -196,19 +195,14 @@ def test_faults_of_the_program_are_raised(monkeypatch, kind):
         run_command(raising(InputError("x")))
 
 
-def test_an_error_in_a_user_s_module_is_one_line(tmp_path, monkeypatch, capsys):
-    """One in quadjax is not, also when it is called by a user's module."""
-    (tmp_path / "blames.py").write_text(
-        "from quadjax.core.yaml_files import to_yaml\n"
-        "def wrong():\n    return 1 / 0\n"
-        "def calls():\n    return to_yaml({1: {}, 'a': object()})\n"
-    )
+def test_an_error_in_a_user_s_module_names_its_line(tmp_path, monkeypatch):
+    (tmp_path / "blames.py").write_text("def wrong(step):\n    return 1 / 0\n")
     monkeypatch.chdir(tmp_path)
-    assert run_command(load_object("blames:wrong", "key")) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and f"{tmp_path / 'blames.py'}:3; QUADJAX_DEBUG=1" in error
-    with pytest.raises(RepresenterError):
-        run_command(load_object("blames:calls", "key"))
+    wrong = load_object("blames:wrong", "key")
+    with pytest.raises(InputError, match=f"{tmp_path / 'blames.py'}:2; QUADJAX_DEBUG=1"):
+        user_numbers("term", wrong, None)
+    with pytest.raises(ZeroDivisionError):
+        run_command(lambda: wrong(None))
 
 
 def test_an_interrupt_is_one_word_and_status_130(capsys):

@@ -126,7 +126,7 @@ def test_settings_come_from_files_and_overrides(tmp_path):
 
 
 IMPOSSIBLE = (
-    (["track.generate=3"], "track.generate is 3, allowed: a mapping of seed, gates"),
+    (["track.generate=3"], "track.generate is 3, allowed: a mapping"),
     (["track.generate.sed=3"], "unknown key track.generate.sed; did you mean seed?"),
     (["track.generate.gates=2"], "track.generate.gates is 2, allowed: greater than or equal to 3"),
     (["track.generate.leg=[5, 3]"], "leg is [5.0, 3.0], allowed: [lowest, highest]"),
