@@ -1,10 +1,11 @@
-"""Settings of the test session: quick compilation, a cache of it, and eight host devices.
+"""Settings of the test session: quick compilation, a cache of it, and four host devices.
 
 Tests that take more than a few seconds have the marker ``slow``: ``make test`` leaves them out and
 ``make test-all`` runs them.
 """
 
 import os
+import signal
 from pathlib import Path
 
 # JAX and XLA read these variables when they are imported; every worker and every process that a
@@ -32,5 +33,7 @@ from tests.cpu_time import pytest_runtest_call  # noqa: E402, F401
 from tests.skips import pytest_sessionfinish, pytest_terminal_summary  # noqa: E402, F401
 
 # Started at once: a training in this process would ask for a device for each core.
-jax.config.update("jax_num_cpu_devices", 8)
+jax.config.update("jax_num_cpu_devices", 4)
 jax.devices()
+# A shell starts what it runs in the background with Ctrl-C ignored, and processes inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -17,8 +17,10 @@ from tests.docs.notebooks import (  # noqa: E402
     stamp,
     stamped,
 )
+from tests.surface.short import OF_EACH  # noqa: E402
 
 MAX_BYTES = 2_000_000
+SHORT = [word for word in OF_EACH if not word.startswith("run.steps=")]  # of any learner
 SMALL = {
     "adaptation": [
         "ROLL, PITCH, THRUST, CHARGES = (0.0,), (0.03,), (1.0,), ()",
@@ -27,14 +29,14 @@ SMALL = {
     ],
     "e2e_vs_indi": [
         "RUNS, LAPS, SEED, SHOWN_SECONDS = 2, 1, 0, 0.5",
-        'CHANGES = {"E2E": ("without battery",), "INDI": ()}',
+        'CHANGES = {"E2E": (), "INDI": ()}',
     ],
     "fixed_point": ['POLICY, FLIGHTS, LAPS, VECTORS = "e2e.npz", 4, 1, 200'],
     "reproduce_paper": [
         'PRESETS = {"SHAC": "e2e", "PPO": "e2e_ppo"}',
-        'STEPS = {"SHAC": 25_000, "PPO": 25_000}',
+        'STEPS = {"SHAC": 512, "PPO": 512}',
         'SHIPPED = {"INDI, SHAC, whole preset": ("indi", "indi_shac.npz")}',
-        'OVERRIDES = ["run.evaluate_every=12500", "run.devices=1"]',
+        f"OVERRIDES = {SHORT}",
         "RUNS, SEED = 2, 0",
     ],
     "residual_fit": [
@@ -43,9 +45,9 @@ SMALL = {
         'OVERRIDES = ["residual={" + SMALL + "}"]',
     ],
     "train_and_tune": [
-        "STEPS, SEED, RUNS = 25_000, 0, 2",
-        'CHANGE = ("narrow", ["network.hidden=[32,32]"])',
-        'OVERRIDES = ["run.evaluate_every=12500", "run.devices=1"]',
+        "STEPS, SEED, RUNS = 512, 0, 2",
+        'CHANGE = ("slow", ["learner.learning_rate=1e-4"])',
+        f"OVERRIDES = {SHORT}",
     ],
 }
 by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -86,8 +86,15 @@ def test_a_run_writes_its_files_and_runs_again_to_the_same_bits(tmp_path, monkey
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ["e2e", "e2e_ppo", "indi", "indi_ppo"])
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize(
+    ("preset", "end"),
+    [  # both vehicles, and both ends of each learner
+        ("e2e", signal.SIGKILL),
+        ("e2e_ppo", signal.SIGINT),
+        ("indi", signal.SIGINT),
+        ("indi_ppo", signal.SIGKILL),
+    ],
+)
 def test_a_run_that_was_stopped_resumes_to_the_same_bits(tmp_path, preset, end):
     arguments = short(preset, "run.steps=4096")
     whole = quadjax.train(short_config(preset, "run.steps=4096"), tmp_path / "runs/whole")
