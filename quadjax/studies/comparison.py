@@ -65,6 +65,22 @@ def contender(name: str, file: str) -> Contender:
     return Contender(name, Policy.load(file), file)
 
 
+def read_contenders(e2e: Path, indi: Path) -> tuple[Contender, Contender]:
+    """The policy files of E2E and INDI.
+
+    Raises:
+        InputError: a file that cannot be read, or a policy for another vehicle.
+    """
+    pair = contender("E2E", str(e2e)), contender("INDI", str(indi))
+    for side, kind in zip(pair, ("motor", "rate"), strict=True):
+        if side.policy.vehicle != kind:
+            raise InputError(
+                f"{side.file}: a policy for the {side.policy.vehicle} vehicle, expected {kind} for "
+                f"--{side.name.lower()}"
+            )
+    return pair
+
+
 def compare_one(setting: Setting, own: Contender, report: Report) -> Compared:
     """Evaluate one contender in the simulator and on the plant."""
     report(f"{own.name}: simulator")

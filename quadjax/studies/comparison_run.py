@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from quadjax.core.compilation_cache import enable_compilation_cache
+from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
@@ -52,11 +53,14 @@ class Wanted:
     folder: Path
     conditions: tuple[str, ...] = tuple(conditions(PlantConfig()))  # of the part plants
 
-    def steps(self) -> int:
-        """Number of calls of ``report``."""
-        own = 4 + 1 if "table" in self.parts else 0
-        own += 2 * len(self.conditions) if "plants" in self.parts else 0
-        return own + (len(present(self.ablation)[0]) if "ablation" in self.parts else 0)
+    def __post_init__(self) -> None:
+        """Refuse conditions that there are not, and a folder that cannot be read."""
+        if "ablation" in self.parts:
+            present(self.ablation)
+        for name in self.conditions:
+            if name not in Wanted.conditions:
+                allowed = ", ".join(Wanted.conditions)
+                raise InputError(f"--conditions: {name!r}, allowed: {allowed}")
 
 
 def run_comparison(

@@ -62,13 +62,11 @@ def test_a_name_of_another_kind_is_unknown():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_examples_name_presets_and_policies_that_exist(command, capsys):
-    text = help_of(command, capsys).partition("Example")[2].partition("\n\n")[0]
-    for example in re.findall(r"quadjax [\w-]+ .*", " ".join(text.split())):
-        assert example.split()[1] == command and unknown(example) == []
-
-
-def test_there_are_examples(capsys):
-    assert sum("Example" in help_of(command, capsys) for command in COMMANDS) == len(COMMANDS)
+    text = help_of(command, capsys)
+    assert f"Usage: quadjax {command} " in text
+    text = text.partition("Example")[2].partition("\n\n")[0]
+    examples = re.findall(r"quadjax [\w-]+ .*", " ".join(text.split()))
+    assert examples and examples[0].split()[1] == command and unknown(examples[0]) == []
 
 
 @pytest.mark.parametrize("command", [name for name in KINDS if name != "view"])
