@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import pytest
 import yaml
 
-from quadjax.cli import train
+from quadjax.evaluation import training
 from quadjax.learners import parallel
 from quadjax.studies import comparison_run
 from quadjax.training.score import Score
@@ -82,7 +82,7 @@ def test_blocks_run(page, folder, monkeypatch):
     if name_of(page) not in TRAINED:
         monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
         monkeypatch.setattr(Score, "__call__", lambda *_: math.nan)
-        monkeypatch.setattr(train, "_present", lambda run: None)
+        monkeypatch.setattr(training, "present", lambda run: "")
     namespace: dict[str, object] = {"__name__": "block", "_load": load_short}
     for block in blocks_of(page):
         if block.setup:
