@@ -117,7 +117,7 @@ def _vehicle_text(config: Config) -> str:
     kind = model(vehicle.model)
     summary = summarize(kind, vehicle.constants)
     lines = [f"{vehicle.name}, model {vehicle.model}", describe_vehicle(kind, summary)]
-    lines += [f"  warning: {text}" for text in warnings(kind, summary, vehicle.constants)]
+    lines += [f"  warning: {text}" for text in warnings(summary)]
     return "\n".join(lines)
 
 

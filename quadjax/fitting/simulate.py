@@ -23,7 +23,7 @@ from quadjax.fitting.flight_log import write_log
 from quadjax.vehicle import motor
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Layers, Residual, residual_force_moment
-from quadjax.vehicle.rigid_body import RigidBodyState
+from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 SUBSTEPS = 2
 # The flight envelope of the Bebop 1 for random residuals.
@@ -148,8 +148,8 @@ def _fly(
     ) -> tuple[RigidBodyState, tuple[RigidBodyState, Rotors, Vec3]]:
         command = _control(vehicle, state, target)
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
-        steady = Rotors.same(jnp.zeros(()))
-        force, _ = motor.force_moment(vehicle, state.actuators, steady, body_velocity, state.rates)
+        steady = BodyState.steady(body_velocity, state.rates, state.actuators)
+        force, _ = motor.MODEL.force_moment(vehicle, steady)
         record = (state, command, force)
         state = jax.lax.fori_loop(
             0,

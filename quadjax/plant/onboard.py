@@ -7,10 +7,8 @@ One sample goes from the true motion to the state that a policy observes. With `
 import dataclasses
 
 import jax
-import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, gusts, indi, plant, sensors
 from quadjax.plant.ekf import EkfState
@@ -25,7 +23,7 @@ from quadjax.vehicle.battery import LimitEstimatorParams, LimitEstimatorState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
 from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
-from quadjax.vehicle.rigid_body import RigidBodyState
+from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 DRAWS = sensors.DRAWS + gusts.DRAWS
 
@@ -148,7 +146,7 @@ def _estimate(
         gyro, accelerometer = measured.gyro, measured.accelerometer
         gyro_bias, force_bias = now.gyro_bias, now.accelerometer_bias
     motion = RigidBodyState(now.position, now.velocity, now.euler, now.rates, rpm, none, none)
-    velocity = world_to_body(attitude(motion.euler), motion.velocity)
+    velocity = motion.to_body(motion.velocity)
     measurement = Measurement(gyro - gyro_bias, accelerometer - force_bias, rpm, velocity)
     return StateEstimate(motion, measurement, gyro, accelerometer, force_bias)
 
@@ -156,10 +154,8 @@ def _estimate(
 def unmodeled(params: OnboardParams, body: PlantParams, state: PlantState) -> tuple[Vec3, Vec3]:
     """True moment, N m, and specific force, m/s^2, body, that the onboard model lacks."""
     true = state.physics.body
-    velocity = world_to_body(attitude(true.euler), true.velocity)
-    steady = Rotors.same(jnp.zeros(()))
-    model = params.estimator.vehicle
-    force, moment = motor.force_moment(model, true.actuators, steady, velocity, true.rates)
+    steady = BodyState.steady(true.to_body(true.velocity), true.rates, true.actuators)
+    force, moment = motor.MODEL.force_moment(params.estimator.vehicle, steady)
     own_force, own_moment = plant.loads(body, state)
     return own_moment - moment, own_force - force
 

@@ -26,7 +26,7 @@ from quadjax.plant.sensors import GroundTruth
 from quadjax.vehicle import motor
 from quadjax.vehicle.battery import charge_rate, highest_rpm
 from quadjax.vehicle.protocol import VehicleParams
-from quadjax.vehicle.rigid_body import RigidBodyState
+from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 
 @struct.dataclass
@@ -102,7 +102,8 @@ def forces(
     """
     body, c = physics.body, params.vehicle.constants
     rpm = body.actuators * params.rotor_factor
-    force, moment = motor.force_moment(params.vehicle, rpm, rpm_rate, air_velocity, body.rates)
+    in_air = BodyState(air_velocity, body.rates, rpm, rpm_rate)
+    force, moment = motor.MODEL.force_moment(params.vehicle, in_air)
     lost = effects.advance_loss(params.rotors, c, air_velocity)
     lift = effects.ground_gain(params.rotors, c, rpm, air_velocity, -body.position.z)
     flapping = effects.flapping_moment(params.rotors, c, rpm, air_velocity, body.rates)

@@ -160,15 +160,6 @@ def inside_square(relative: Vec3, g: Gate, inflation: Scalar) -> jax.Array:
     return jnp.where(g.circle, distance <= radius + inflation, inside)
 
 
-def inside_world_box(offset: Vec3, g: Gate, inflation: Scalar) -> jax.Array:
-    """The test of the authors' code: |dx|, |dy|, |dz| below half a gate in world axes."""
-    return (
-        (jnp.abs(offset.x) < g.half_width + inflation)
-        & (jnp.abs(offset.y) < g.half_width + inflation)
-        & (jnp.abs(offset.z) < g.half_height + inflation)
-    )
-
-
 def crossing(
     before: Vec3, after: Vec3, g: Gate, inflation: Scalar, test: str = "square"
 ) -> tuple[jax.Array, jax.Array]:
@@ -176,8 +167,9 @@ def crossing(
 
     A gate is crossed when the position goes from behind its plane to in front of it within one
     step. It is passed if a point is within the opening: the first sample past the plane
-    (``square``, as in the paper, and ``world_box``, as in the authors' code), or the point where
-    the straight line between the two samples meets the plane (``interpolated``).
+    (``square``, as in the paper, and ``world_box``, as in the authors' code: |dx|, |dy|, |dz| below
+    half a gate in world axes), or the point where the straight line between the two samples meets
+    the plane (``interpolated``).
 
     Args:
         before: position before the step, m, world.
@@ -190,7 +182,9 @@ def crossing(
     behind = to_opening_frame(g, before - g.position)
     crossed = (behind.x < 0) & (relative.x >= 0)
     if test == "world_box":
-        inside = inside_world_box(after - g.position, g, inflation)
+        offset, width = after - g.position, g.half_width + inflation
+        inside = (jnp.abs(offset.x) < width) & (jnp.abs(offset.y) < width)
+        inside = inside & (jnp.abs(offset.z) < g.half_height + inflation)
     elif test == "interpolated":
         fraction = -behind.x / jnp.where(crossed, relative.x - behind.x, 1.0)
         inside = inside_square(behind + fraction * (relative - behind), g, inflation)

@@ -78,21 +78,6 @@ def nominal_moment(
     )
 
 
-def force_moment(
-    params: VehicleParams, rpm: Rotors, rpm_rate: Rotors, body_velocity: Vec3, body_rates: Vec3
-) -> tuple[Vec3, Vec3]:
-    """Specific force, m/s^2, and moment, N m, body frame, with the residual if there is one."""
-    force = nominal_force(params.constants, rpm, body_velocity)
-    moment = nominal_moment(params.constants, rpm, rpm_rate, body_velocity, body_rates)
-    if params.residual is not None:
-        extra_force_z, extra_moment = residual_force_moment(
-            params.residual, rpm, body_velocity, body_rates
-        )
-        force = force.replace(z=force.z + extra_force_z)
-        moment = moment + extra_moment
-    return force, moment
-
-
 def angular_acceleration(c: MotorConstants, moment: Vec3, rates: Vec3) -> Vec3:
     """``I^-1 (M - Omega x I Omega)``, rad/s^2, body frame, of a moment, N m, and rates, rad/s."""
     p, q, r = rates.x, rates.y, rates.z
@@ -128,9 +113,14 @@ class Motor(VehicleModel):
         return (command - actuators) / c.tau
 
     def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
-        """Specific force, m/s^2, and moment, N m; see ``force_moment`` of this module."""
-        speeds = (body.actuators, body.actuator_rate)
-        return force_moment(params, *speeds, body.velocity, body.rates)
+        """Specific force, m/s^2, and moment, N m, with the residual if there is one."""
+        c, rpm, velocity, rates = params.constants, body.actuators, body.velocity, body.rates
+        force = nominal_force(c, rpm, velocity)
+        moment = nominal_moment(c, rpm, body.actuator_rate, velocity, rates)
+        if params.residual is None:
+            return force, moment
+        extra_z, extra_moment = residual_force_moment(params.residual, rpm, velocity, rates)
+        return force.replace(z=force.z + extra_z), moment + extra_moment
 
     def angular_acceleration(
         self, c: MotorConstants, moment: Vec3, rates: Vec3, command: Rotors

@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
-import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
@@ -191,7 +190,8 @@ class VehicleModel:
     def specific_force(self, params: VehicleParams, state: State) -> Vec3:
         """What an ideal accelerometer measures, m/s^2, body."""
         velocity = state.to_body(state.velocity)
-        force, _ = self.force_moment(params, _steady(velocity, state.rates, state.actuators))
+        body = BodyState.steady(velocity, state.rates, state.actuators)
+        force, _ = self.force_moment(params, body)
         return force if state.force_ext is None else force + state.force_ext
 
     def balance(self, params: VehicleParams, measured: Measurement) -> tuple[Vec3, Vec3, Vec3]:
@@ -205,7 +205,7 @@ class VehicleModel:
         actuators, rates = measured.rpm, measured.gyro
         momentum, gyroscopic = self.angular_momentum(params.constants, actuators, rates)
         # The moment of rotor acceleration is differentiated by the filter, not here.
-        body = _steady(measured.body_velocity, rates, actuators)
+        body = BodyState.steady(measured.body_velocity, rates, actuators)
         force, moment = self.force_moment(params, body)
         return momentum, gyroscopic - moment, measured.specific_force - force
 
@@ -286,8 +286,3 @@ def _once(params: VehicleParams, function: Callable[..., Any], *arguments: Any) 
     if params.opaque_true is None:
         return function(*arguments)
     return call_materialized_forward(function, params.opaque_true, *arguments)
-
-
-def _steady(velocity: Vec3, rates: Vec3, actuators: Actuators) -> BodyState:
-    """A body whose actuators do not change."""
-    return BodyState(velocity, rates, actuators, jax.tree.map(jnp.zeros_like, actuators))

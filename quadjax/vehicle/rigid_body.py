@@ -2,6 +2,8 @@
 
 from typing import Any, Self
 
+import jax
+import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
@@ -53,3 +55,8 @@ class BodyState(struct.PyTreeNode):
     rates: Vec3  # p, q, r, rad/s, body
     actuators: Any  # as in ``RigidBodyState``
     actuator_rate: Any  # their derivative, 1/s
+
+    @classmethod
+    def steady(cls, velocity: Vec3, rates: Vec3, actuators: Any) -> Self:
+        """A body whose actuators do not change."""
+        return cls(velocity, rates, actuators, jax.tree.map(jnp.zeros_like, actuators))

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.vectors import Vec3
-from quadjax.vehicle.constants import declarations
 from quadjax.vehicle.protocol import Command, Constants, Motion, State, VehicleModel, VehicleParams
 
 AXES = ("roll", "pitch", "yaw")
@@ -125,10 +124,8 @@ def _span(values: np.ndarray, form: str) -> str:
     return " to ".join(ends)
 
 
-def warnings(
-    model: VehicleModel, summary: VehicleSummary, values: Mapping[str, float]
-) -> list[str]:
-    """Implausible values, which are probably in a wrong unit or of a wrong sign."""
+def warnings(summary: VehicleSummary) -> list[str]:
+    """Implausible values, which are probably in a wrong unit."""
     found = []
     ratio = summary.thrust_to_weight
     if ratio is not None and not 1.3 <= ratio <= 20.0:
@@ -142,10 +139,4 @@ def warnings(
             found.append(
                 f"{axis}: {rate:.3g} rad/s within {SECONDS:g} s: typical are {least:g} to {most:g}"
             )
-    inertia = [values[name] for name in model.groups.get("inertia", ())]
-    if len(inertia) == 3 and 2.0 * max(inertia) > 1.001 * sum(inertia):
-        found.append("inertia: one moment exceeds the sum of the others, which is impossible")
-    for name, declared in declarations(model.constants).items():
-        if declared.sign != "any" and values[name] < 0:
-            found.append(f"{name} {values[name]:g}: at least 0 in the frame of the model")
     return found

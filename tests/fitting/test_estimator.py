@@ -14,7 +14,7 @@ from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle import estimator, motor
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import Measurement, VehicleParams
-from quadjax.vehicle.rigid_body import RigidBodyState
+from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 from tests.estimator_reference import estimate
 
 BEBOP = MotorConstants(
@@ -68,8 +68,8 @@ def _fly(rate, substeps, euler):
         on = jnp.where(time >= ONSET - 1e-6, 1.0, 0.0)
         state = state.replace(moment_ext=Vec3.of(MOMENT) * on, force_ext=Vec3.of(FORCE) * on)
         body_velocity = world_to_body(attitude(state.euler), state.velocity)
-        steady = Rotors.same(jnp.zeros(()))
-        force, _ = motor.force_moment(DRONE, state.actuators, steady, body_velocity, state.rates)
+        steady = BodyState.steady(body_velocity, state.rates, state.actuators)
+        force, _ = motor.MODEL.force_moment(DRONE, steady)
         measured = Measurement(
             gyro=state.rates,
             specific_force=force + state.force_ext,

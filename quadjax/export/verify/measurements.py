@@ -12,8 +12,9 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.export.integers import enable_x64
 from quadjax.race.laps import Trace
 from quadjax.vehicle import battery, estimator, motor
-from quadjax.vehicle.motor import MotorConstants, force_moment
+from quadjax.vehicle.motor import MODEL, MotorConstants
 from quadjax.vehicle.protocol import Measurement, VehicleParams
+from quadjax.vehicle.rigid_body import BodyState
 
 # Standard deviation of the noise: gyro, rad/s; accelerometer, m/s^2; rpm; body velocity, m/s.
 NOISE = np.array([0.1] * 3 + [0.5] * 3 + [20.0] * 4 + [0.02] * 3)
@@ -61,7 +62,7 @@ def _measure(vehicle: VehicleParams, state: jax.Array) -> jax.Array:
     velocity, euler, rates = (Vec3.of(state[i : i + 3]) for i in (0, 3, 6))
     rpm = Rotors.of(state[9:13])
     seen = world_to_body(attitude(euler), velocity)
-    force, _ = force_moment(vehicle, rpm, Rotors.same(jnp.zeros(())), seen, rates)
+    force, _ = MODEL.force_moment(vehicle, BodyState.steady(seen, rates, rpm))
     force = force + Vec3(*(jnp.float32(x) for x in PUSH))
     numbers = [rates, force, rpm, seen]
     return jnp.stack([x for vector in numbers for x in vector.components()])
