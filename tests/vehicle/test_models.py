@@ -102,16 +102,6 @@ def test_residual_networks(motor_rows, motor_slope, sign):
     np.testing.assert_allclose(body[:, :2], 0.0, atol=1e-12)
 
 
-def test_residual_sign_turns_the_thrust_and_not_the_moment(motor_rows, motor_slope):
-    base = motor_slope(ref.MOTOR, *motor_rows)
-    up, down = (
-        motor_slope(ref.MOTOR, *motor_rows, ref.random_residual(sign)) - base
-        for sign in (1.0, -1.0)
-    )
-    np.testing.assert_allclose(up[:, 3:6], -down[:, 3:6], atol=1e-12)
-    np.testing.assert_allclose(up[:, 9:12], down[:, 9:12], atol=1e-12)
-
-
 def test_residual_input_order(motor_slope):
     """One linear unit for each input in turn: propellers scaled, then velocity, then rates."""
     rows = ref.random_states("motor", 1)
