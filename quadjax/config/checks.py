@@ -1,11 +1,12 @@
 """Checks that involve several keys of a config, once of its values and once of its last ones."""
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 
 from quadjax.config.schema import Config, Randomization, Schedule
 from quadjax.core.errors import InputError, close_match, short
-from quadjax.core.sections import BadValue, refuse, value_at
+from quadjax.core.sections import BadValue, fields_at, refuse, value_at
 from quadjax.race.layout import LONGEST
 from quadjax.race.observations import ACTUATORS, remembered_names
 from quadjax.vehicle.constants import declarations
@@ -119,33 +120,37 @@ def _check_observation(config: Config) -> None:
 
 
 def _check_effects(config: Config) -> None:
-    """Check that the model has what the config asks for."""
-    model, vehicle = vehicle_model(config.vehicle.model), config.vehicle
-    with_model = f"with vehicle.model={vehicle.model}"
+    """Check that each key has an effect, and that the model has what the config asks for."""
+    model = vehicle_model(config.vehicle.model)
     groups = [name for name in Randomization.model_fields if name not in NOT_GROUPS]
     for group in (group for group in model.groups if group not in groups):
-        refuse("vehicle.model", vehicle.model, f"groups {', '.join(groups)}, not {group!r}")
-    if config.battery is not None and not model.has_battery:
-        refuse("battery.charge", list(config.battery.charge), f"no battery (null) {with_model}")
-    if vehicle.residual is not None and not model.has_residual:
-        refuse("vehicle.residual", vehicle.residual, f"null {with_model}")
-    if vehicle.residual is None and "vehicle.residual_gain" in config.schedules:
-        raise BadValue(
-            "schedules.vehicle.residual_gain",
-            "schedules: vehicle.residual_gain has no effect without vehicle.residual; write "
-            "schedules.vehicle.residual_gain=null",
-        )
-    if vehicle.residual is None and vehicle.residual_gain != 1.0:
-        refuse("vehicle.residual_gain", vehicle.residual_gain, "1.0 without vehicle.residual")
-    for key, value in config.disturbance.model_dump().items():
-        if not model.can_be_disturbed and value != type(config.disturbance)().model_dump()[key]:
-            refuse(f"disturbance.{key}", value, f"0 {with_model}")
+        refuse("vehicle.model", config.vehicle.model, f"groups {', '.join(groups)}, not {group!r}")
     if config.observation.disturbance == "estimated" and not model.can_be_disturbed:
-        refuse("observation.disturbance", "estimated", f"ground_truth or none {with_model}")
-    for key in ("overspeed", "overspeed_margin"):
-        value, default = getattr(config.reward, key), type(config.reward).model_fields[key].default
-        if config.rules.speed_limit is None and value != default:
-            refuse(f"reward.{key}", value, f"{default} without rules.speed_limit")
+        allowed = f"ground_truth or none with vehicle.model={config.vehicle.model}"
+        refuse("observation.disturbance", "estimated", allowed)
+    for reason, keys in _without_effect(config, model).items():
+        for key in keys:
+            *location, name = key.split(".")
+            if key in config.schedules:
+                reason = f"has no effect {reason}; write schedules.{key}=null"
+                raise BadValue(f"schedules.{key}", f"schedules: {key} {reason}")
+            value = getattr(functools.reduce(getattr, location, config), name)
+            default = fields_at(Config, location)[name].default
+            if value != default:
+                refuse(key, value, f"{'null' if default is None else short(default)} {reason}")
+
+
+def _without_effect(config: Config, model: VehicleModel) -> dict[str, list[str]]:
+    """Keys of which only the default is allowed, by the reason."""
+    has = {"battery": model.has_battery, "vehicle.residual": model.has_residual}
+    has |= {f"disturbance.{key}": model.can_be_disturbed for key in vars(config.disturbance)}
+    with_model = [key for key, used in has.items() if not used]
+    keys = {f"with vehicle.model={config.vehicle.model}": with_model}
+    if config.vehicle.residual is None:
+        keys["without vehicle.residual"] = ["vehicle.residual_gain"]
+    if config.rules.speed_limit is None:
+        keys["without rules.speed_limit"] = ["reward.overspeed", "reward.overspeed_margin"]
+    return keys
 
 
 def check_drone(config: Config) -> None:

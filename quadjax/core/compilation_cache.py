@@ -8,6 +8,8 @@ from pathlib import Path
 
 import jax
 
+from quadjax.core.provenance import cpu_info, processor
+
 MAX_BYTES = 2 * 2**30  # of the folder; the least recently used entries are removed
 MIN_SECONDS = 0.5  # programs that compile faster are not saved
 
@@ -48,12 +50,6 @@ def cache_folder() -> Path:
 
 def _machine() -> str:
     """A name for the processor: its programs may not run on another one with the same home."""
-    text = platform.machine() + platform.processor()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        text += "".join(
-            sorted({line for line in lines if line.startswith(("model name", "flags"))})
-        )
-    except OSError:
-        pass
+    info = cpu_info()
+    text = "".join([platform.machine(), processor(), info.get("flags", "")])
     return hashlib.sha256(text.encode()).hexdigest()[:12]

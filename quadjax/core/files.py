@@ -2,14 +2,12 @@
 
 import contextlib
 import csv
-import errno
 import json
 import math
 import os
 import re
 import shutil
 import stat
-import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -48,24 +46,6 @@ def whole_file(path: Path | str) -> Iterator[Path]:
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
-
-
-def check_space(folder: Path | str, size: int) -> None:
-    """Check that a file of ``size`` bytes fits on the disk, where the system can tell.
-
-    For libraries that report a full disk late, or from several threads.
-
-    Raises:
-        OSError: no space, or another system error.
-    """
-    if not hasattr(os, "posix_fallocate"):
-        return
-    with tempfile.TemporaryFile(dir=folder, prefix=TEMPORARY) as file:
-        try:
-            os.posix_fallocate(file.fileno(), 0, size)
-        except OSError as error:
-            if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):  # the file system cannot
-                raise
 
 
 def write_text(path: Path | str, text: str) -> None:

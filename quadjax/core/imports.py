@@ -73,7 +73,6 @@ def user_numbers(
     try:
         result = function(argument)
         values = [result] if size is None else list(result)
-        shapes = [_shape(value) for value in values]
     except InputError:
         raise
     except USER_ERRORS as error:
@@ -81,14 +80,9 @@ def user_numbers(
     wanted = "one number" if size in (None, 1) else f"{size} numbers"
     if size is not None and len(values) != size:
         raise InputError(f"{label} gives {len(values)} numbers, expected {wanted} (its size)")
-    for value, shape in zip(values, shapes, strict=True):
+    for value in values:
+        shape = getattr(value, "shape", () if isinstance(value, (bool, int, float)) else None)
         if shape != ():
             what = f"{value!r:.40}" if shape is None else f"an array of shape {shape}"
             raise InputError(f"{label} gives {what}, expected {wanted} of shape ()")
     return values
-
-
-def _shape(value: object) -> tuple[int, ...] | None:
-    """The shape of a number or an array; None for anything else."""
-    shape = getattr(value, "shape", () if isinstance(value, (bool, int, float)) else None)
-    return tuple(shape) if shape is not None else None

@@ -82,8 +82,13 @@ def hash_of_file(path: Path | str) -> str | None:
 
 def processor() -> str:
     """The name of this machine's processor."""
+    return cpu_info().get("model name") or platform.processor() or "unknown"
+
+
+def cpu_info() -> dict[str, str]:
+    """What Linux says about the processor; empty on other systems."""
     with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or "unknown"
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        pairs = (line.partition(":") for line in lines)
+        return {name.strip(): value.strip() for name, _, value in pairs}
+    return {}

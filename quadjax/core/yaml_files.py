@@ -246,12 +246,8 @@ def _block(tree: Mapping[str, object], prefix: str, comments: Mapping[str, str])
 
 def _flow(value: object) -> object:
     """A value in flow style: on one line."""
-    node: CommentedMap | CommentedSeq
-    if isinstance(value, Mapping):
-        node = CommentedMap((key, _flow(item)) for key, item in value.items())
-    elif isinstance(value, (list, tuple)):
-        node = CommentedSeq(_flow(item) for item in value)
-    else:
+    if not isinstance(value, (Mapping, list, tuple)):
         return value
+    node = CommentedMap(value) if isinstance(value, Mapping) else CommentedSeq(value)
     node.fa.set_flow_style()
     return node

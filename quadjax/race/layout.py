@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -10,12 +10,13 @@ from pydantic import ConfigDict
 
 from quadjax.core.errors import InputError
 from quadjax.core.imports import user_numbers
+from quadjax.core.sections import LARGEST, Section, build, model_validator
 from quadjax.core.sections import Field as Key
-from quadjax.core.sections import Section, build, model_validator
 from quadjax.race.step import RaceParams, Step
 from quadjax.vehicle.protocol import VehicleModel
 
 Numbers = Sequence[jax.Array]  # each ()
+Number = Annotated[float, Key(ge=-LARGEST, le=LARGEST)]
 Bounds = tuple[Any, Any]  # pytrees of scalars: lowest (None: minus the highest) and highest
 LAST_ACTION = "last_action"
 MARK, LONGEST = "@", 64  # between a field's name and the number of steps before; the most steps
@@ -85,9 +86,9 @@ class StoredField(Section):
     size: int = Key(ge=1, le=4096)
     unit: str = ""
     frame: str = ""
-    range: float = 8.0
+    range: Number = 8.0
     source: str = ""
-    span: tuple[tuple[float, float], ...] | None = None
+    span: tuple[tuple[Number, Number], ...] | None = Key(None, max_length=4096)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

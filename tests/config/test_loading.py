@@ -10,7 +10,7 @@ from quadjax.config.loading import config_of, load_config
 from quadjax.config.schema import Reward
 from quadjax.core.errors import InputError
 from quadjax.core.resources import CONFIGS, preset_names
-from quadjax.core.yaml_files import read_yaml
+from quadjax.core.yaml_files import flatten, read_layers
 from quadjax.fitting.config import load_fit_config
 from quadjax.sweeps.sweep import load_sweep
 from tests import reference as ref
@@ -68,24 +68,9 @@ def test_constants_of_a_fit_load():
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_no_preset_changes_what_it_inherits(path):
     """Each key below the top level is set once along the bases of a preset."""
-
-    def leaves(tree, prefix=""):
-        for key, value in tree.items():
-            if isinstance(value, dict) and "linear" not in value:
-                yield from leaves(value, f"{prefix}{key}.")
-            else:
-                yield f"{prefix}{key}"
-
-    def files(path):
-        tree = read_yaml(path)
-        bases = tree.pop("base", [])
-        for base in [bases] if isinstance(bases, str) else bases:
-            near, preset = path.parent / f"{base}.yaml", CONFIGS / f"{base}.yaml"
-            yield from files(near if near.is_file() else preset)
-        yield tree
-
-    found = [key for tree in files(path) for key in leaves(tree) if key != "name"]
-    assert found and len(found) == len(set(found)), sorted(k for k in found if found.count(k) > 1)
+    keys = [key for _, tree in read_layers(path) for key in flatten(tree, ["linear"])]
+    keys = [key for key in keys if key != "name"]
+    assert keys and len(keys) == len(set(keys)), sorted(k for k in keys if keys.count(k) > 1)
 
 
 def test_presets_that_are_published_have_the_published_reward():
