@@ -2,19 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
-from quadjax.cli.output import note, steps, write_record, wrote
+from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED, policy_names
 
-if TYPE_CHECKING:
-    from quadjax.evaluation.evaluation import Evaluation
-
+DRAWINGS = ("states", "figure", "figure_3d", "signals", "attitude", "animation")
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
     Path | None,
@@ -108,8 +106,6 @@ def evaluate(
         return _report(config or "e2e", overrides, flights, logs, report, overwrite)
     opt.refuse("without --flights", "logs", "report", "overwrite")
     opt.exclude("laps", "gates")
-    if range_ and not fixed_point:
-        raise InputError("--range is allowed only with --fixed-point")
     if policy is None and config is not None:
         raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
     options, files = locals(), policy or [PRETRAINED / f"{name}.npz" for name in policy_names()]
@@ -117,67 +113,26 @@ def evaluate(
     if len(files) > 1 and study != "protocols":
         raise InputError(f"--policy: {len(files)} policies, allowed: 1 with --study {study}")
     with loading():
-        from quadjax.core.provenance import provenance
-        from quadjax.evaluation.evaluation import lap_table
-        from quadjax.studies import of_policies
+        from quadjax.core.files import write_json
+        from quadjax.studies.of_policies import STUDIES, Entry, write_files
 
-    why, drawn = f"with --study {study}", study not in ("laps", "protocols")
-    if study == "laps":
-        opt.refuse(why, "seconds")
-    else:
-        fly = of_policies.STUDIES[study]
-        used = opt.given(fly, options, why, "policy", "study", "json")
+    others = ("policy", "study", "json", *(DRAWINGS if study == "laps" else ()))
+    used = opt.given(STUDIES[study], options, f"with --study {study}", *others)
     try:
-        entries = [of_policies.Entry.read(file, config, overrides, note) for file in files]
+        entries = [Entry.read(file, config, overrides, note) for file in files]
     except InputError as error:
         text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
         raise InputError(text) from None
-    race = entries[0].race if config or drawn else None
+    drawings = {option: options[option] for option in DRAWINGS if options[option] is not None}
     with steps() as show:
         show("compiling and simulating")
-        if study == "laps":
-            how = {key: options[key] for key in ("runs", "laps", "gates", "start", "seed")}
-            ranges = (range_ or []) if fixed_point else None
-            lines = of_policies.laps(entries[0], deterministic, ranges, body_radius=body, **how)
-            text = lap_table(lines)
-        else:
-            text, record = fly(entries, show, **used)
-    print(text)
-    if study != "laps":
-        write_record(json, record, provenance(race, str(entries[0].file) if drawn else None, seed))
-        return
-    evaluation = next(iter(lines.values()))
-    if offsets:
-        print(of_policies.offsets_text(evaluation))
-    drawings = {"": figure, "_3d": figure_3d, "_signals": signals, "_attitude": attitude}
-    _write(evaluation, json, states, drawings, animation)
-
-
-def _write(
-    evaluation: "Evaluation",
-    json: Path | None,
-    states: Path | None,
-    figures: dict[str, Path | None],
-    animation: Path | None,
-) -> None:
-    """Write the files of an evaluation; the figures by the suffixes of its methods ``plot``."""
-    import itertools
-
-    from quadjax.core.files import write_json
-    from quadjax.core.plotting import save_figure
-
-    if json:
-        write_json(json, evaluation.to_json())
-    if states:
-        evaluation.save_states(states)
-    for suffix, path in figures.items():
-        if path:
-            save_figure(getattr(evaluation, f"plot{suffix}")(), path)
-    if animation:
-        frames = itertools.count(1)
-        with steps() as show:
-            evaluation.animate(animation, lambda: show(f"animation, frame {next(frames)}"))
-    wrote(json, states, *figures.values(), animation)
+        result = STUDIES[study](entries, show, **used)
+        if json is not None:
+            write_json(json, result.record)
+        if result.evaluation is not None:
+            write_files(result.evaluation, drawings, show)
+    print(result.text)
+    wrote(json, *drawings.values())
 
 
 def _report(

@@ -94,3 +94,4 @@ def logs(
         if extra is not None and random_residual is not None:
             source = {"random": True, "seed": random_residual}
             write_residual(output / "residual.npz", extra, source)
+            wrote(output / "residual.npz")

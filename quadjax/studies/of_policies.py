@@ -2,16 +2,20 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config
-from quadjax.evaluation.evaluation import Evaluation, evaluate
+from quadjax.core.errors import InputError
+from quadjax.core.plotting import save_figure
+from quadjax.core.provenance import provenance
+from quadjax.evaluation.evaluation import Evaluation, evaluate, lap_table
 from quadjax.evaluation.protocols import fly_protocols, protocol_table
 from quadjax.evaluation.published import published_sampled
 from quadjax.export.actor import fixed_point_fly
@@ -26,7 +30,14 @@ from quadjax.studies.random_tracks import fly_random_tracks
 from quadjax.studies.robustness import fly_spreads, spread_table
 
 Report = Callable[[str], object]
-Study = tuple[str, dict[str, Any]]  # the table, and the numbers
+
+
+class Study(NamedTuple):
+    """The result of a study."""
+
+    text: str  # the table
+    record: dict[str, Any]  # the numbers and their provenance, for JSON
+    evaluation: Evaluation | None = None  # that is drawn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,46 +74,82 @@ class Entry:
         pilot.fit_race(*race_of(race), policy, str(file))
         return cls(file, label, policy, race)
 
+    def origin(self, seed: int) -> dict[str, Any]:
+        """The provenance of flights with a seed."""
+        return provenance(self.race, str(self.file), seed)
+
 
 def laps(
-    entry: Entry, deterministic: bool, ranges: Sequence[str] | None, **how: Any
-) -> dict[str, Evaluation]:
-    """Timed laps: every line of the table by its label; the first is the one to save.
+    entries: Sequence[Entry],
+    report: Report,
+    *,
+    deterministic: bool = False,
+    fixed_point: bool = False,
+    range_: Sequence[str] | None = None,
+    body: float | None = None,
+    offsets: bool = False,
+    runs: int | None = None,
+    laps: int | None = None,
+    gates: int | None = None,
+    start: Literal["hover", "random"] = "hover",
+    seed: int = 0,
+) -> Study:
+    """Timed laps of one policy, sampled and with the mean action; see ``evaluate``.
 
-    Args:
-        entry: the policy in its race.
-        deterministic: the mean action alone, without sampled ones.
-        ranges: those that exported C is given; with them its fixed-point arithmetic is used.
-        how: the other arguments of ``evaluate``.
+    The first line of the table is the one that is saved. With ``fixed_point`` the arithmetic is
+    that of C which is exported with the ranges ``range_``; ``offsets`` adds a line on the distances
+    from the gates' centers.
     """
-    fly = functools.partial(evaluate, entry.policy, entry.race, name=str(entry.file), **how)
-    if ranges is not None:
+    (entry,) = entries
+    if range_ and not fixed_point:
+        raise InputError("--range is allowed only with --fixed-point")
+    how: dict[str, Any] = {"runs": runs, "laps": laps, "gates": gates, "start": start, "seed": seed}
+    how |= {"name": str(entry.file), "body_radius": body}
+    fly = functools.partial(evaluate, entry.policy, entry.race, **how)
+    if fixed_point:
         _, params = race_of(entry.race)
-        spans = track_ranges(entry.policy.layout, params.track) | parse_overrides(ranges)
-        actor = fixed_point_fly(entry.policy, spans)
-        return {"fixed point, mean": fly(deterministic=True, actor=actor)}
-    results = [fly(deterministic=mean) for mean in ((True,) if deterministic else (False, True))]
-    return {result.label(): result for result in results}
+        ranges = track_ranges(entry.policy.layout, params.track) | parse_overrides(range_ or [])
+        actor = fixed_point_fly(entry.policy, ranges)
+        results = {"fixed point, mean": fly(deterministic=True, actor=actor)}
+    else:
+        flown = [fly(deterministic=mean) for mean in ((True,) if deterministic else (False, True))]
+        results = {result.label(): result for result in flown}
+    first, text = next(iter(results.values())), lap_table(results)
+    if offsets and first.gate_offsets.size:
+        mean, wide = first.gate_offsets.mean(), np.percentile(first.gate_offsets, 95.0)
+        text += f"\ndistance from the gates' centers: mean {mean:.3f} m, 95% within {wide:.3f} m"
+    return Study(text, first.to_json(), first)
 
 
-def offsets_text(evaluation: Evaluation) -> str:
-    """The distances from the gates' centers, at which the gates are passed."""
-    offsets = evaluation.gate_offsets
-    if not offsets.size:
-        return "distance from the gates' centers: no gate is passed"
-    mean, wide = offsets.mean(), np.percentile(offsets, 95.0)
-    return f"distance from the gates' centers: mean {mean:.3f} m, 95% within {wide:.3f} m"
+def write_files(evaluation: Evaluation, files: Mapping[str, Path], report: Report) -> None:
+    """Write the states, the figures and the animation of an evaluation, by their options."""
+    figures = {
+        "figure": evaluation.plot,
+        "figure_3d": evaluation.plot_3d,
+        "signals": evaluation.plot_signals,
+        "attitude": evaluation.plot_attitude,
+    }
+    frames = itertools.count(1)
+    for option, path in files.items():
+        if option == "states":
+            evaluation.save_states(path)
+        elif option == "animation":
+            evaluation.animate(path, lambda: report(f"animation, frame {next(frames)}"))
+        else:
+            save_figure(figures[option](), path)
 
 
 def protocols(entries: Sequence[Entry], report: Report, *, runs: int = 100) -> Study:
     """Mean and sampled flights from hover and from random starts, of any number of policies."""
-    rows = []
+    rows, race = [], entries[0].race
     for number, entry in enumerate(entries, 1):
         report(f"{entry.label}, {number} of {len(entries)}")
         fly = functools.partial(evaluate, entry.policy, entry.race, runs=runs, name=str(entry.file))
         published = published_sampled(entry.race)
         rows.append(fly_protocols(fly, entry.label, entry.policy.log_std, published))
-    return protocol_table(rows), {"results": [row.to_json() for row in rows]}
+    shared = race if all(entry.race == race for entry in entries) else None
+    record = {"results": [row.to_json() for row in rows], "provenance": provenance(shared)}
+    return Study(protocol_table(rows), record)
 
 
 def spread(
@@ -111,8 +158,9 @@ def spread(
     """Flights from before the gates, with drawn constants, of one policy."""
     (entry,) = entries
     flights = fly_spreads(entry.policy, entry.race, runs, seconds, seed, str(entry.file))
-    record = {"seconds": seconds, "flights": [row.to_json() for row in flights]}
-    return spread_table(flights, entry.label), record
+    rows = [row.to_json() for row in flights]
+    record = {"seconds": seconds, "flights": rows, "provenance": entry.origin(seed)}
+    return Study(spread_table(flights, entry.label), record)
 
 
 def races(
@@ -127,7 +175,8 @@ def races(
     """Whole races from around the track's start, with drawn constants, of one policy."""
     (entry,) = entries
     flights = fly_races(entry.policy, entry.race, runs, laps, gates, seed, str(entry.file))
-    return race_table(flights), {"flights": [row.to_json() for row in flights]}
+    rows = [row.to_json() for row in flights]
+    return Study(race_table(flights), {"flights": rows, "provenance": entry.origin(seed)})
 
 
 def random_tracks(
@@ -138,10 +187,11 @@ def random_tracks(
     trained = entry.race.randomization.tracks or RandomTracks()
     tracks = trained.replace(seed=trained.seed + trained.count, count=runs)
     flown = fly_random_tracks(entry.policy, entry.race, tracks, laps, str(entry.file))
-    return flown.table(), flown.to_json()
+    return Study(flown.table(), flown.to_json() | {"provenance": entry.origin(0)})
 
 
 STUDIES: dict[str, Callable[..., Study]] = {
+    "laps": laps,
     "protocols": protocols,
     "spread": spread,
     "races": races,
