@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from quadjax.learners import parallel
-from quadjax.learners.loop import NonFiniteError, Plan, check_finite
-from quadjax.learners.schedules import schedule_learner
-from quadjax.learners.section import Schedule
+from quadjax.learners.loop import NonFiniteError, check_finite
 from tests.learners.probes import observations, probe
 from tests.learners.support import UPDATES, Run, make, plain
 
@@ -210,31 +208,6 @@ def test_the_moving_average_follows_the_parameters():
         assert changed(first.params.policy, found.params.policy)
         assert changed(found.evaluated.policy, found.params.policy) == (expected < 1)
     assert Run("ppo", probe()).state.ema is None
-
-
-@BOTH
-@pytest.mark.slow
-def test_a_schedule_reaches_the_hyperparameters(name):
-    scheduled = ["learning_rate"] if name == "ppo" else ["learning_rate", "std"]
-    plain_params, per_update = probe(best=1.0), make(name).steps_per_update
-    learner = schedule_learner(
-        make(name),
-        {key: Schedule(linear=(0.2, 0.1), until=4 * per_update) for key in scheduled},
-        lambda key, value: (make(name, **{key: value}).hyper, plain_params),
-        Plan(6, 1, per_update),
-        6 * per_update,
-    )
-    mesh = parallel.make_mesh(1)
-    begin = jax.jit(learner.init)(learner.hyper, plain_params, jax.random.key(0))
-    first_std = np.exp(begin.params.log_std)
-    state = parallel.place(begin, mesh)
-    chunk = parallel.compile_chunk(learner, mesh, 6, plain_params, state)
-    state, metrics = chunk(plain_params, state)
-    for key in scheduled:
-        np.testing.assert_allclose(metrics[key], [0.2, 0.175, 0.15, 0.125, 0.1, 0.1], rtol=1e-6)
-    if name == "shac":
-        np.testing.assert_allclose(first_std, 0.2, rtol=1e-6)
-        np.testing.assert_allclose(np.exp(state.params.log_std), 0.1, rtol=1e-6)
 
 
 def test_metrics_count_ends():

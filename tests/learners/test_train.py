@@ -23,7 +23,10 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NETWORK = Network(hidden=(16, 16), activation="tanh")
 
 
-SCHEDULES = {"ppo": [1e-2, 1e-3], "shac": Schedule(linear=("value", 1e-3))}
+SCHEDULES = {
+    "ppo": {"learner.learning_rate": [1e-2, 1e-3]},
+    "shac": {"learning_rate": Schedule(linear=("value", 1e-3)), "std": [0.2, 0.1]},
+}
 
 
 @pytest.mark.slow
@@ -37,7 +40,7 @@ def test_training_finds_the_best_action(name, caplog):
             probe(best=1.0),
             steps=40_000,
             network=NETWORK,
-            schedules={"learner.learning_rate": SCHEDULES[name]},
+            schedules=SCHEDULES[name],
             progress=rows.append,
         )
     compiled = [r for r in caplog.records if "Finished XLA compilation" in r.getMessage()]
@@ -51,6 +54,10 @@ def test_training_finds_the_best_action(name, caplog):
     rates = result.metrics["learning_rate"]
     np.testing.assert_allclose(rates[0], 1e-2 if name == "ppo" else 5e-3, rtol=1e-5)
     assert np.all(np.diff(rates) < 0) and rates[-1] == pytest.approx(1e-3, rel=0.2)
+    if name == "shac":
+        last = 0.2 - 0.1 * (updates - 1) / updates
+        np.testing.assert_allclose(result.metrics["std"][[0, -1]], [0.2, last], rtol=1e-5)
+        np.testing.assert_allclose(np.exp(result.parameters.log_std), last, rtol=1e-5)
     assert rows[-1]["steps"] == result.steps and len(rows) <= 21
     assert np.mean(result.metrics["reward"][-5:]) > np.mean(result.metrics["reward"][:5])
     assert result.parameters.policy[0][0].shape == (3, 16)

@@ -80,31 +80,6 @@ def test_constants_and_randomization_can_be_scheduled():
     assert float(params.randomization.k_x) == pytest.approx(0.1)
 
 
-@pytest.mark.slow
-def test_another_schedule_compiles_nothing():
-    first = build_learner(tiny("e2e"))
-    overrides = [
-        "schedules.start.yaw_deg={linear: [10, value], from: 0.0, until: 0.9}",
-        "learner.std=0.2",
-    ]
-    second = build_learner(tiny("e2e", *overrides, "schedules.reward.pitch_up.until=0.6"))
-    traced = []
-
-    @jax.jit
-    def program(*arguments):
-        traced.append(1)
-        return first.init(*arguments)
-
-    params, key = build_params(tiny("e2e")), jax.random.key(0)
-    yaws = []
-    for learner in (first, second):
-        yaw = program(learner.hyper, params, key).environment.drone.euler.z
-        off = np.asarray(yaw)[:, None] - np.radians([90.0, 180.0, -90.0, 0.0])
-        yaws.append(np.abs(np.angle(np.exp(1j * off))).min(axis=1).max())
-    assert len(traced) == 1
-    assert yaws[0] < 1e-5 < 0.05 < yaws[1] <= np.radians(10.1)
-
-
 @pytest.mark.parametrize(
     ("schedule", "message"),
     [
