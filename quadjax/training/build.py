@@ -241,6 +241,19 @@ def untrained_policy(config: Config) -> Policy:
     return policy_of(config, build_networks(config).init(jax.random.key(config.seed)), {})
 
 
+def trained_policy(config: Config, params: ActorCritic, steps: int) -> Policy:
+    """Networks after a number of environment steps of a training as a policy."""
+    source = {
+        "project": "quadjax",
+        "config": config.name,
+        "algorithm": config.learner.algorithm,
+        "seed": config.seed,
+        "residual": config.vehicle.residual,
+        "steps": steps,
+    }
+    return policy_of(config, params, source)
+
+
 def policy_of(config: Config, params: ActorCritic, source: dict[str, Any]) -> Policy:
     """Networks in training as a policy."""
     choices = choices_of(config)

@@ -26,13 +26,14 @@ from quadjax.learners.parallel import Chunk
 from quadjax.learners.state import Learner, TrainState
 from quadjax.policy.file import Policy
 from quadjax.race.environment import RaceParams
+from quadjax.race.laps import Laps
 from quadjax.training.advice import FEW_STEPS, no_lap
 from quadjax.training.build import (
     build_learner,
     initial_policy,
     plan,
-    policy_of,
     start_state,
+    trained_policy,
     training_params,
 )
 from quadjax.training.checkpoint import Checkpoints, Position
@@ -41,7 +42,7 @@ from quadjax.training.metrics import Metrics, check_tensorboard
 from quadjax.training.own_functions import check_functions, check_learner
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, write_summary
-from quadjax.training.score import Score
+from quadjax.training.score import gap, make_flights
 
 PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
 POLL = 0.2  # s
@@ -142,8 +143,9 @@ def _run(
 
     Ends early once ``stop`` is set, or ``enough`` returns True.
     """
-    checkpoints, score = Checkpoints(folder / "checkpoints"), Score(job.config, job.params)
-    chunk, first = _compile(job, score, stop)
+    checkpoints = Checkpoints(folder / "checkpoints")
+    fly = make_flights(job.config, job.params)
+    chunk, first = _compile(job, fly, stop)
     position = Position(state=first, best=jax.device_get(first.evaluated))
     if resume and checkpoints.any:
         position = checkpoints.restore(position)
@@ -151,13 +153,13 @@ def _run(
     tensorboard, every = job.config.run.tensorboard, job.config.run.checkpoint_seconds
     metrics = Metrics(folder, _steps(job, position), tensorboard)
     latest, saved, advised = position, time.monotonic(), False
-    for latest, row in _evaluated(job, chunk, position, started, score, stop):
+    for latest, row, laps in _evaluated(job, chunk, position, started, fly, stop):
         metrics.write(row)
         if display is not None:
             display.show(row)
             if not advised and _needs_advice(row, job.plan.steps):
                 advised = True
-                display.note(no_lap(score.crashes, row["steps"]))
+                display.note(no_lap(laps.crashes, row["steps"]))
         if enough is not None and enough(row):
             break
         if time.monotonic() - saved > every and latest.chunks < job.plan.chunks:
@@ -173,22 +175,25 @@ def _evaluated(
     chunk: Chunk,
     position: Position,
     started: float,
-    score: Score,
+    fly: Callable[[ActorCritic], Laps],
     stop: threading.Event,
-) -> Iterator[tuple[Position, Row]]:
-    """Train chunk by chunk until ``stop`` is set; yields each position and its row of metrics."""
+) -> Iterator[tuple[Position, Row, Laps]]:
+    """Train chunk by chunk until ``stop`` is set.
+
+    Yields each position, its row of metrics, and the flights that score it.
+    """
     chunks = train_chunks(chunk, job.params, position.state, job.plan, position.chunks)
     while not stop.is_set() and (progress := next(chunks, None)) is not None:
-        lap_total = score(progress.state.evaluated)
-        position = position.after(progress, lap_total, time.monotonic() - started)
+        laps = fly(progress.state.evaluated)
+        position = position.after(progress, laps.score, time.monotonic() - started)
         row = {
             "steps": progress.steps,
             "seconds": position.seconds,
             "steps_per_second": progress.steps_per_second,
-            "lap_total": lap_total,
+            "lap_total": laps.score,
             "best_lap_total": position.best_score,
         }
-        yield position, row | progress.row | score.metrics
+        yield position, row | progress.row | gap(job.config, laps), laps
 
 
 def _needs_advice(row: Row, steps: int) -> bool:
@@ -202,31 +207,20 @@ def _steps(job: _Job, position: Position) -> int:
     return position.chunks * job.plan.steps_per_chunk
 
 
-def _policy(job: _Job, params: ActorCritic, steps: int) -> Policy:
-    """Networks after a number of environment steps as a policy file's content."""
-    config = job.config
-    source = {
-        "project": "quadjax",
-        "config": config.name,
-        "algorithm": config.learner.algorithm,
-        "seed": config.seed,
-        "residual": config.vehicle.residual,
-        "steps": steps,
-    }
-    return policy_of(config, params, source)
-
-
 def _save(job: _Job, folder: Path, checkpoints: Checkpoints, position: Position) -> None:
     """Write the checkpoint, the best and the last policy, and the summary."""
     steps, last = _steps(job, position), jax.device_get(position.state.evaluated)
     checkpoints.save(position)
-    _policy(job, position.best, position.best_steps or steps).save(folder / "policy.npz")
-    _policy(job, last, steps).save(folder / "policy_last.npz")
+    best = trained_policy(job.config, position.best, position.best_steps or steps)
+    best.save(folder / "policy.npz")
+    trained_policy(job.config, last, steps).save(folder / "policy_last.npz")
     finished = position.chunks >= job.plan.chunks
     write_summary(job.config, folder, position, steps, job.mesh.size, finished)
 
 
-def _compile(job: _Job, score: Score, stop: threading.Event) -> tuple[Chunk, TrainState]:
+def _compile(
+    job: _Job, fly: Callable[[ActorCritic], Laps], stop: threading.Event
+) -> tuple[Chunk, TrainState]:
     """The compiled chunk and the first state; the evaluation is compiled at the same time.
 
     Compilation runs in threads, so that this one receives signals.
@@ -242,7 +236,7 @@ def _compile(job: _Job, score: Score, stop: threading.Event) -> tuple[Chunk, Tra
     pool = ThreadPoolExecutor(3)
     try:
         first = pool.submit(begin)
-        warm_up = pool.submit(lambda: score(first.result().evaluated))
+        warm_up = pool.submit(lambda: fly(first.result().evaluated))
         updates = job.plan.updates_per_chunk
         chunk = pool.submit(parallel.compile_chunk, learner, mesh, updates, params, job.shapes)
         _wait_for((chunk, warm_up), stop)

@@ -20,6 +20,6 @@ def test_the_flights_of_a_score(kind, count, monkeypatch):
     monkeypatch.setattr(score, "fly_laps", fly)
     monkeypatch.setattr(score, "network_policy", lambda config, params: params)
     config = short_config("e2e", f"run.score={kind}")
-    assert score.Score(config, params=None)(params=np.zeros(1)) == 2.0
+    assert score.make_flights(config, params=None)(np.zeros(1)).score == 2.0
     expected = {"mean": score.act_deterministic, "sampled": score.act_sampled}
     assert calls == [(expected[kind], count)]
