@@ -37,7 +37,6 @@ class Networks:
     hidden: tuple[int, ...]
     activation: str = "relu"
     clip_mean: bool = False  # clip the mean action to [-1, 1] before noise is added
-    input_scale: tuple[float, ...] = ()  # factors on the observation; (): ones
     privileged_size: int = 0  # last numbers of the observation, which only the value takes
 
     def init(self, key: jax.Array) -> ActorCritic:
@@ -60,16 +59,13 @@ class Networks:
         Where ``clip_mean`` is set, gradients pass the clip if they point inwards; see
         ``quadjax.core.gradients.clip_inward``.
         """
-        inputs = self._inputs(observation)[..., : self.policy_size]
+        inputs = observation[..., : self.policy_size]
         mean = mlp.apply(params.policy, inputs, self.activation)
         return clip_inward(mean, -1.0, 1.0) if self.clip_mean else mean
 
-    def _inputs(self, observation: jax.Array) -> jax.Array:
-        return observation * jnp.array(self.input_scale) if self.input_scale else observation
-
     def value(self, params: ActorCritic, observation: jax.Array) -> jax.Array:
         """Value (...) of an observation (..., observation_size)."""
-        return mlp.apply(params.value, self._inputs(observation), self.activation)[..., 0]
+        return mlp.apply(params.value, observation, self.activation)[..., 0]
 
 
 def _layers(key: jax.Array, sizes: tuple[int, ...], last_scale: float) -> tuple[Layer, ...]:

@@ -35,8 +35,17 @@ REFERENCE_LEG, REFERENCE_TIME = 3.5, 0.43  # m and s, of the paper's track and t
 
 
 def build_environment(config: Config) -> Environment[RaceParams, RaceState]:
-    """The race of training; where the critic observes the drawn constants, they come last."""
-    environment, constants = make_environment(choices_of(config)), privileged_constants(config)
+    """The race of training.
+
+    The observation has the factors of ``input_scale``. Where the critic observes the drawn
+    constants, they come last.
+    """
+    environment, scale = make_environment(choices_of(config)), input_scale(config)
+    constants, observe = privileged_constants(config), environment.observe
+    if scale:
+        environment = dataclasses.replace(
+            environment, observe=lambda params, state: observe(params, state) * jnp.array(scale)
+        )
     return with_critic_constants(environment, constants) if constants else environment
 
 
@@ -51,21 +60,19 @@ def privileged_constants(config: Config) -> tuple[tuple[str, float], ...]:
 
 def build_networks(config: Config) -> Networks:
     """The networks of a config."""
-    environment, privileged = build_environment(config), len(privileged_constants(config))
-    scale = input_scale(config)
+    environment = build_environment(config)
     return Networks(
         observation_size=environment.observation_size,
         action_size=environment.action_size,
         hidden=config.network.hidden,
         activation=config.network.activation,
         clip_mean=config.learner.noise_on == "clipped_mean",
-        input_scale=(*scale, *(1.0,) * privileged) if scale else (),
-        privileged_size=privileged,
+        privileged_size=len(privileged_constants(config)),
     )
 
 
 def input_scale(config: Config) -> tuple[float, ...]:
-    """Factors on the observation in front of the networks in training; (): none.
+    """Factors on the observation in training; (): none.
 
     With ``network.normalize``, they make lengths, velocities and rates what they are on the track
     and the drone of the default race.
@@ -203,7 +210,7 @@ def with_policy(
         params: of networks of the policy's widths.
         policy: a policy file's content.
         scale: of the reward: the unit of the values.
-        inputs: factors on the observation in front of the networks in training; (): none.
+        inputs: factors on the observation in training; (): none.
     """
     inverse = [1.0 / x for x in inputs]
     value = params.value

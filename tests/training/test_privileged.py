@@ -12,6 +12,7 @@ from quadjax.policy.file import Policy
 from quadjax.training.build import (
     build_environment,
     build_networks,
+    input_scale,
     policy_of,
     privileged_constants,
     with_policy,
@@ -57,7 +58,7 @@ def test_only_the_value_takes_them():
     policy = policy_of(config, params, {})
     assert policy.layers[0][0].shape[0] == policy.layout.size == networks.observation_size - 2
     assert policy.value is None
-    action = policy.mean(seen[:-2])
+    action = policy.mean(seen[:-2] / np.float32(input_scale(config)))
     np.testing.assert_allclose(action, np.clip(mean(params, seen), -1, 1), atol=1e-5)
 
 
