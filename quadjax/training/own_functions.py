@@ -1,51 +1,41 @@
 """Checks of a user's own functions on the first step of a race, before anything is written."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadjax.config.race import choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import USER_ERRORS, InputError, user_error
-from quadjax.core.imports import user_numbers
 from quadjax.learners.parallel import repeat
 from quadjax.learners.state import Learner, TrainState
-from quadjax.race import environment
-from quadjax.race.environment import Choices, RaceParams
-from quadjax.race.step import Step
-from quadjax.race.track import gate
+from quadjax.race.environment import RaceParams, make_environment
 
 STARTS = 8  # random starts whose first step is computed
 
 
-def check_functions(choices: Choices, params: RaceParams, extra: int) -> None:
-    """Compute reward terms, rules and observation fields on the first step from random starts.
-
-    Args:
-        choices: of the race.
-        params: its numbers.
-        extra: the number of fields at the end of the observation that are the user's own.
+def check_functions(config: Config, params: RaceParams) -> None:
+    """Compute the first step from random starts, where a config names functions of the user's.
 
     Raises:
-        InputError: one that raises an error, or returns no scalar or a number that is not finite.
+        InputError: a reward term, a rule or an observation field that raises an error, or returns
+            no scalar or a number that is not finite.
     """
-    if not (choices.terms or choices.rules or extra):
+    terms, choices = config.reward.terms, choices_of(config)
+    if not (terms or config.rules.extra or config.observation.extra):
         return
-    plain = dataclasses.replace(choices, terms=())
-    fields = choices.layout.fields[len(choices.layout.fields) - extra :]
+    environment = make_environment(choices)
 
-    def first_step(key: jax.Array) -> dict[str, list[jax.Array]]:
-        state = environment.reset(choices, params, key)
-        before = Step(choices.model, params, state, gate(params.track, state.target))
-        values = {f"observation field {field.name!r}": field.numbers(before) for field in fields}
-        action = jnp.zeros(choices.model.action_size)
-        following, _, outcome = environment.transition(plain, params, state, action)
-        step = dataclasses.replace(before, after=following.drone, outcome=outcome, action=action)
-        terms = ((f"reward term {name}", term) for name, term in choices.terms)
-        return values | {label: user_numbers(label, term, step) for label, term in terms}
+    def first_step(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        state = environment.reset(params, key)
+        action = jnp.zeros(environment.action_size)
+        return environment.observe(params, state), environment.step(params, state, action)[1]
 
-    values = jax.jit(jax.vmap(first_step))(jax.random.split(jax.random.key(0), STARTS))
+    keys = jax.random.split(jax.random.key(0), STARTS)
+    observed, reward = jax.jit(jax.vmap(first_step))(keys)
+    layout, values = choices.layout, {f"reward term {' or '.join(terms)}": reward}
+    for name in layout.names:
+        values[f"observation field {name!r}"] = observed[:, layout.slice(name)]
     for label, numbers in values.items():
         if not np.all(np.isfinite(numbers)):
             raise InputError(f"{label} is not finite after a random start, expected finite numbers")

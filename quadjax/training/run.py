@@ -13,7 +13,6 @@ import jax
 from jax.sharding import Mesh
 
 from quadjax.config.loading import load_config
-from quadjax.config.race import choices_of
 from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
@@ -120,7 +119,7 @@ class _Job:
 def _prepare(config: Config) -> _Job:
     """Prepare a run; bad input is rejected here, before anything is written."""
     params = training_params(config)
-    check_functions(choices_of(config), params, len(config.observation.extra))
+    check_functions(config, params)
     learner = build_learner(config)
     shapes = check_learner(config, learner, params)
     mesh = parallel.choose_mesh(config.run.devices, shapes)
