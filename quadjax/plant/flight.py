@@ -21,7 +21,7 @@ from quadjax.policy.pilot import Pilot, fly
 from quadjax.race import environment, laps
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.episode import hover, no_action
-from quadjax.race.observations import begin_past, push_past
+from quadjax.race.layout import begin_past, push_past
 from quadjax.race.rules import evaluate_rules
 from quadjax.race.step import Step
 from quadjax.race.track import gate, gate_count

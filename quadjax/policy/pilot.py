@@ -20,8 +20,15 @@ from quadjax.policy.file import Policy
 from quadjax.policy.inference import PolicyParams, act_sampled, policy_params
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.laps import Actor, Laps, Trace, fly_laps
-from quadjax.race.layout import Layout
-from quadjax.race.observations import DISTURBANCES, arranged
+from quadjax.race.layout import Layout, delayed, split_name
+from quadjax.race.observations import (
+    DISTURBANCES,
+    NONE,
+    Observation,
+    fields_of,
+    is_of_motion,
+)
+from quadjax.vehicle.protocol import VehicleModel
 
 Ranges = tuple[np.ndarray, np.ndarray]  # lowest and highest
 
@@ -68,10 +75,40 @@ def fit_race(
             f"{name}: commands {len(policy.command_low)} numbers, the vehicle takes "
             f"{choices.model.action_size}"
         )
-    layout = arranged(choices.layout, policy.layout, choices.model, name)
+    layout = _arranged(choices.layout, policy.layout, choices.model, name)
     widths = {name: jnp.float32(value) for name, value in policy.disturbance_widths.items()}
     scale = with_leaves(params.observed_disturbance, **widths)
     return dataclasses.replace(choices, layout=layout), params.replace(disturbance_scale=scale)
+
+
+def _arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> Layout:
+    """The layout with the fields of another one, in its order.
+
+    Args:
+        layout: of a race.
+        wanted: of a policy.
+        model: of the vehicle.
+        name: the policy's file, for the message.
+
+    Raises:
+        InputError: the race has no such field, or one of another size.
+    """
+    none = Observation(disturbance=NONE, highest_rpm=NONE)  # full speed without a battery
+    fields = dict(fields_of(model, none))
+    if model.actuators.name not in layout:  # of a drone that does not measure them
+        del fields[model.actuators.name]
+    fields |= {field.name: field for field in layout.fields}
+    for base, lag in map(split_name, wanted.names):
+        if lag and base in fields and is_of_motion(base):
+            past = delayed(fields[base], lag)
+            fields[past.name] = past
+    for field in wanted.fields:
+        if field.name not in fields or fields[field.name].size != field.size:
+            raise InputError(
+                f"{name}: observes {field.name!r} ({field.size}), which the race lacks; "
+                f"it has {', '.join(f'{f.name} ({f.size})' for f in layout.fields)}"
+            )
+    return Layout(tuple(fields[field.name] for field in wanted.fields))
 
 
 def command_ranges(choices: Choices, params: RaceParams) -> Ranges:

@@ -21,7 +21,7 @@ from quadjax.core.materialize import (
 )
 from quadjax.core.traced import with_leaves
 from quadjax.race.episode import reset
-from quadjax.race.observations import push_past
+from quadjax.race.layout import push_past
 from quadjax.race.rewards import reward
 from quadjax.race.rules import NOT_FINITE, Outcome, evaluate_rules
 from quadjax.race.step import Choices, Estimate, RaceParams, RaceState, Step

@@ -1,6 +1,7 @@
 """Layouts: the named fields of an observation, in order, and their form in files."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Self
 
@@ -12,7 +13,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.imports import user_numbers
 from quadjax.core.sections import LARGEST, Section, build, model_validator
 from quadjax.core.sections import Field as Key
-from quadjax.race.step import RaceParams, Step
+from quadjax.race.step import Past, RaceParams, RaceState, Step
 from quadjax.vehicle.protocol import VehicleModel
 
 Numbers = Sequence[jax.Array]  # each ()
@@ -186,3 +187,34 @@ def split_name(name: str) -> tuple[str, int]:
     if not base or not lag.isdecimal() or not 1 <= int(lag[:6]) <= LONGEST:
         return name, 0
     return base, int(lag)
+
+
+# The history: what the last observations were computed from.
+
+
+@functools.cache
+def delayed(field: Field, lag: int) -> Field:
+    """A field as it was ``lag`` steps before."""
+    value = field.value
+    assert value is not None, field.name
+
+    def earlier(step: Step) -> Numbers:
+        past = jax.tree.map(lambda x: x[lag - 1], step.state.past)
+        state = step.state.replace(drone=past.drone, action=past.action)
+        return value(dataclasses.replace(step, state=state))
+
+    return dataclasses.replace(field, name=f"{field.name}{MARK}{lag}", value=earlier)
+
+
+def begin_past(layout: Layout, state: RaceState) -> Past | None:
+    """A history that is full of one state; None where no field needs one."""
+    past, size = Past(state.drone, state.action), layout.depth
+    return jax.tree.map(lambda x: jnp.full((size,), x), past) if size else None
+
+
+def push_past(past: Past | None, state: RaceState) -> Past | None:
+    """The history one step later, with the state (and the action before it) of the step."""
+    if past is None:
+        return None
+    now = Past(state.drone, state.action)
+    return jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), past, now)

@@ -9,7 +9,6 @@ seen from the present target gate: all fields of an observation have one frame, 
 after a gate. At the start of an episode all earlier states are the first one.
 """
 
-import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Literal
@@ -22,8 +21,8 @@ from quadjax.core.frames import wrap_angle
 from quadjax.core.sections import Field as Key
 from quadjax.core.sections import Section
 from quadjax.core.vectors import Vec3, between
-from quadjax.race.layout import LAST_ACTION, MARK, Bounds, Field, Layout, Numbers, split_name
-from quadjax.race.step import Past, RaceParams, RaceState, Step
+from quadjax.race.layout import LAST_ACTION, Bounds, Field, Layout, Numbers, delayed
+from quadjax.race.step import RaceParams, Step
 from quadjax.race.track import Span, gates_ahead, pick, to_gate_frame
 from quadjax.vehicle.battery import LOWEST, highest_rpm
 from quadjax.vehicle.protocol import VehicleModel
@@ -204,14 +203,6 @@ def _disturbance(source: str, step: Step) -> tuple[Vec3, Vec3]:
     return (Vec3.zero(), Vec3.zero()) if source == NONE else step.drone.disturbance
 
 
-def _moment(source: str, step: Step) -> Numbers:
-    return _disturbance(source, step)[0].components()
-
-
-def _force(source: str, step: Step) -> Numbers:
-    return (_disturbance(source, step)[1].z,)
-
-
 def _highest_rpm(source: str, step: Step) -> Numbers:
     """The highest propeller speed (), rpm, that the battery permits; full speed for ``none``."""
     battery, params = step.state.battery, step.params.battery
@@ -295,7 +286,13 @@ def fields_of(model: VehicleModel, observed: Observation = PUBLISHED) -> Mapping
     """
     signal, source, of = model.actuators, observed.disturbance, functools.partial
     highest, actuators = of(_highest_rpm, observed.highest_rpm), observed.actuator_range
-    moment, force = of(_moment, source), of(_force, source)
+
+    def moment(step: Step) -> Numbers:
+        return _disturbance(source, step)[0].components()
+
+    def force(step: Step) -> Numbers:
+        return (_disturbance(source, step)[1].z,)
+
     constants = len(model.constant_names)
     fields = [
         Field(*signal, "body", 2.0, _actuators, of(_actuator_bounds, actuators)),
@@ -360,64 +357,3 @@ def remembered_names(model: VehicleModel, attitude: str) -> tuple[str, ...]:
 def is_of_motion(name: str) -> bool:
     """Whether a field depends on the vehicle's motion and actions, so that it has a history."""
     return name not in (*DISTURBANCES, HIGHEST_RPM, CONSTANTS) and not name.startswith("next")
-
-
-def arranged(layout: Layout, wanted: Layout, model: VehicleModel, name: str) -> Layout:
-    """The layout with the fields of another one, in its order.
-
-    Args:
-        layout: of a race.
-        wanted: of a policy.
-        model: of the vehicle.
-        name: the policy's file, for the message.
-
-    Raises:
-        InputError: the race has no such field, or one of another size.
-    """
-    none = Observation(disturbance=NONE, highest_rpm=NONE)  # full speed without a battery
-    fields = dict(fields_of(model, none))
-    if model.actuators.name not in layout:  # of a drone that does not measure them
-        del fields[model.actuators.name]
-    fields |= {field.name: field for field in layout.fields}
-    for base, lag in map(split_name, wanted.names):
-        if lag and base in fields and is_of_motion(base):
-            past = delayed(fields[base], lag)
-            fields[past.name] = past
-    for field in wanted.fields:
-        if field.name not in fields or fields[field.name].size != field.size:
-            raise InputError(
-                f"{name}: observes {field.name!r} ({field.size}), which the race lacks; "
-                f"it has {', '.join(f'{f.name} ({f.size})' for f in layout.fields)}"
-            )
-    return Layout(tuple(fields[field.name] for field in wanted.fields))
-
-
-# The history: what the last observations were computed from.
-
-
-@functools.cache
-def delayed(field: Field, lag: int) -> Field:
-    """A field as it was ``lag`` steps before."""
-    value = field.value
-    assert value is not None, field.name
-
-    def earlier(step: Step) -> Numbers:
-        past = jax.tree.map(lambda x: x[lag - 1], step.state.past)
-        state = step.state.replace(drone=past.drone, action=past.action)
-        return value(dataclasses.replace(step, state=state))
-
-    return dataclasses.replace(field, name=f"{field.name}{MARK}{lag}", value=earlier)
-
-
-def begin_past(layout: Layout, state: RaceState) -> Past | None:
-    """A history that is full of one state; None where no field needs one."""
-    past, size = Past(state.drone, state.action), layout.depth
-    return jax.tree.map(lambda x: jnp.full((size,), x), past) if size else None
-
-
-def push_past(past: Past | None, state: RaceState) -> Past | None:
-    """The history one step later, with the state (and the action before it) of the step."""
-    if past is None:
-        return None
-    now = Past(state.drone, state.action)
-    return jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), past, now)

@@ -15,7 +15,7 @@ from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import Traced, register
 from quadjax.core.vectors import Vec3, safe_norm
 from quadjax.race.step import Step, UserFunctions
-from quadjax.race.track import Gate, Span, Track, gate_at, gate_count, to_opening_frame
+from quadjax.race.track import Gate, Span, Track, gate, gate_count, to_opening_frame
 from quadjax.vehicle.protocol import VehicleModel
 
 Rate = Annotated[float, Field(gt=0, le=1e6)]
@@ -213,7 +213,7 @@ def inside_frame(
     """
     hit = jnp.zeros((), bool)
     for index in range(gate_count(track)):
-        g = gate_at(track, index)
+        g = gate(track, index)
         relative = to_opening_frame(g, position - g.position)
         solid = ~inside_square(relative, g, inflation - radius)
         solid = solid & inside_square(relative, g, width + radius)

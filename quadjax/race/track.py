@@ -2,7 +2,6 @@
 
 import functools
 import math
-from collections.abc import Callable
 from typing import Annotated, Literal
 
 import jax
@@ -222,30 +221,24 @@ def gate_count(track: Track) -> int:
     return track.yaw.shape[0]
 
 
-def pick(table: jax.Array, index: jax.Array) -> jax.Array:
+def pick(table: jax.Array, index: jax.Array | int) -> jax.Array:
     """The entry () of a table (gates,) at ``index`` (), by selects rather than a gather.
 
     A gather is a scalar loop on a CPU; selects over a handful of gates vectorize over the drones.
     """
+    if isinstance(index, int):
+        return table[index]
     value = table[0]
     for other in range(1, table.shape[0]):
         value = jnp.where(index == other, table[other], value)
     return value
 
 
-def gate(track: Track, index: jax.Array) -> Gate:
+def gate(track: Track, index: jax.Array | int) -> Gate:
     """The gate at ``index`` ()."""
-    return _gate(track, lambda table: pick(table, index))
-
-
-def gate_at(track: Track, index: int) -> Gate:
-    """The gate at a static index."""
-    return _gate(track, lambda table: table[index])
-
-
-def _gate(track: Track, of: Callable[[jax.Array], jax.Array]) -> Gate:
     names = Gate.__dataclass_fields__
-    return Gate(**{name: jax.tree.map(of, getattr(track, name)) for name in names})
+    pick_each = functools.partial(pick, index=index)
+    return Gate(**{name: jax.tree.map(pick_each, getattr(track, name)) for name in names})
 
 
 def gates_ahead(track: Track, count: int) -> tuple[Vec3, jax.Array]:

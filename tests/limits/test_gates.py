@@ -11,7 +11,7 @@ from quadjax.limits.gates import gates_of
 from quadjax.limits.problem import POSITION, Flight, make_problem
 from quadjax.limits.verify import passages
 from quadjax.race.rules import inside_square
-from quadjax.race.track import gate_at, make_track, to_opening_frame
+from quadjax.race.track import gate, make_track, to_opening_frame
 
 
 def _track():
@@ -28,7 +28,7 @@ def test_a_place_has_clearance_where_the_rules_let_it_pass():
     track, rng = _track(), np.random.default_rng(0)
     gates = gates_of(track)
     for index in range(3):
-        g = gate_at(track, index)
+        g = gate(track, index)
         across = rng.uniform(-1.2, 1.2, (300, 2))
         places = gates.position[index] + across @ gates.axes[index, 1:]
         with jax.enable_x64(True):

@@ -9,7 +9,7 @@ import pytest
 from quadjax.config.race import choices_of
 from quadjax.core.errors import InputError
 from quadjax.race import environment
-from quadjax.race.observations import push_past
+from quadjax.race.layout import push_past
 from quadjax.race.step import Step
 from tests.promotion import QUICK
 from tests.race.support import compiled_reset, make_config, make_race
