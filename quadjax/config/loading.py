@@ -3,6 +3,7 @@
 import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Any
 
 from quadjax.config.checks import check
 from quadjax.config.code import refuse_code
@@ -10,18 +11,16 @@ from quadjax.config.layers import (
     OVERRIDES,
     below,
     config_layers,
-    default_layers,
     file_values,
-    with_files,
 )
 from quadjax.config.scales import in_plain_units
-from quadjax.config.schema import Config
+from quadjax.config.schema import Config, Vehicle
 from quadjax.config.tracks import generated, with_opening
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.imports import load_object
 from quadjax.core.resources import find_config, find_file
 from quadjax.core.sections import BadValue, build, one_line_errors, refuse
-from quadjax.core.yaml_files import Layer, Sources, Tree, merge_layers
+from quadjax.core.yaml_files import Sources, Tree, merge_layers, override
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.section import LearnerSection
 from quadjax.learners.shac.hyperparameters import SHAC
@@ -66,7 +65,10 @@ def load_config(
     for key in (word.partition("=")[0] for word in changes):
         if RETIRED.get(key, ()) is None:  # stored configs may have it, a user's words may not
             raise InputError(f"{OVERRIDES}: unknown key {key}")
-    tree, sources = merged(config_layers(path, parts, changes), path)
+    tree, sources = merge_layers(config_layers(path, parts, changes), path, below)
+    for key, file in list(sources.files.items()):
+        if key.startswith("vehicle.models."):  # where constants are until the model is known
+            sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)
     tree = with_opening(generated(tree, sources), sources)
     if code is not None:
         refuse_code(tree, str(path), code)
@@ -74,15 +76,6 @@ def load_config(
 
 
 load = load_config  # its name in the public interface
-
-
-def merged(layers: Sequence[Layer], path: Path | str) -> tuple[Tree, Sources]:
-    """The tree of layers, and the file of each value."""
-    tree, sources = merge_layers(layers, path, below)
-    for key, file in list(sources.files.items()):
-        if key.startswith("vehicle.models."):  # where constants are until the model is known
-            sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)
-    return tree, sources
 
 
 def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
@@ -100,12 +93,8 @@ def vehicle_configs(file: Path | str, model: str | None = None) -> list[Config]:
     names = [model] if model else [name for name in models if name in MODELS]
     if not names:
         raise InputError(f"{file}: has {', '.join(models) or 'no model'}; name its VehicleModel")
-    configs = []
-    for name in names:
-        tree = {"vehicle": {"file": str(file), "model": name, "width": 0.0}}  # no check of gates
-        layers = [*default_layers([]), *with_files(file, tree, [Path()])]
-        configs.append(config_of(*merged(layers, file)))
-    return configs
+    only = [override("vehicle.file", str(path)), "vehicle.width=0"]  # without a check of gates
+    return [load_config("e2e", [*only, override("vehicle.model", name)]) for name in names]
 
 
 def config_of(tree: Tree, source: str | Sources) -> Config:
@@ -119,12 +108,10 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
         InputError: a key or a value that is not allowed.
     """
     with one_line_errors(source):
-        for section in ("vehicle", "learner"):
-            if not isinstance(tree.get(section, {}), dict):
-                refuse(section, tree[section], "a mapping")
         tree = _without_retired(tree)
         schema = _learner_schema(tree.get("learner", {}))
-        tree = {**tree, "vehicle": _with_constants(tree.get("vehicle", {}))}
+        vehicle = build(Vehicle, tree.get("vehicle", {}), source, prefix="vehicle.")
+        tree = {**tree, "vehicle": _with_constants(vehicle)}
         tree, written = in_plain_units(tree, schema)
         schedules = {} if tree.get("schedules") is None else tree["schedules"]
         if isinstance(schedules, dict):  # null removes a schedule; schedules=null removes all
@@ -162,44 +149,31 @@ def _without_retired(tree: Tree, prefix: str = "") -> Tree:
     return rest
 
 
-def _with_constants(vehicle: Tree) -> Tree:
-    """The vehicle section with the constants of its model, complete."""
-    models, name = vehicle.get("models", {}), vehicle.get("model", "motor")
-    values = vehicle.get("constants", {})
-    if not isinstance(name, str):
-        refuse("vehicle.model", name, "text")
-    sections = {"vehicle.models": models, "vehicle.constants": values}
-    if isinstance(models, dict):
-        sections |= {f"vehicle.models.{key}": values for key, values in models.items()}
-    for key, section in sections.items():
-        if not isinstance(section, dict):
-            refuse(key, section, "a mapping of constants")
-    model = vehicle_model(name)
+def _with_constants(vehicle: Vehicle) -> Vehicle:
+    """The vehicle with the constants of its model, complete."""
+    name, models, model = vehicle.model, vehicle.models, vehicle_model(vehicle.model)
     names = model.constant_names
     # A vehicle file names an own model by its name, not by its module.
     constants: Tree = {}
-    for section in (models.get(model.name, {}), models.get(name, {}), values):
-        constants |= for_each_rotor(section, names)
-    for key in constants:
-        if key not in names:
-            hint, listed = close_match(key, names), ", ".join(names)
-            allowed = f"allowed with vehicle.model={name}: {listed}"
-            raise BadValue(
-                f"vehicle.constants.{key}", f"unknown key vehicle.constants.{key}{hint}; {allowed}"
-            )
-    for key in names:
-        if constants.get(key) is None:
-            others = f"{vehicle.get('name')} has constants of: {', '.join(models) or 'no model'}"
-            raise BadValue("vehicle.file", f"vehicle.constants.{key} is missing; {others}")
-    return {
-        **vehicle,
-        "constants": {key: constants[key] for key in names},
-        "models": {k: values for k, values in models.items() if k not in (name, model.name)},
-    }
+    for values in (models.get(model.name, {}), models.get(name, {}), vehicle.constants):
+        constants |= for_each_rotor(values, names)
+    for key in (f"vehicle.constants.{key}" for key in constants if key not in names):
+        hint, listed = close_match(key.rpartition(".")[2], names), ", ".join(names)
+        allowed = f"allowed with vehicle.model={name}: {listed}"
+        raise BadValue(key, f"unknown key {key}{hint}; {allowed}")
+    for key in (key for key in names if key not in constants):
+        others = f"{vehicle.name} has constants of: {', '.join(models) or 'no model'}"
+        raise BadValue("vehicle.file", f"vehicle.constants.{key} is missing; {others}")
+    return vehicle.replace(
+        constants={key: constants[key] for key in names},
+        models={key: x for key, x in models.items() if key not in (name, model.name)},
+    )
 
 
-def _learner_schema(learner: Tree) -> type[LearnerSection]:
+def _learner_schema(learner: Any) -> type[LearnerSection]:
     """The class of the learner section, which its algorithm names."""
+    if not isinstance(learner, dict):
+        refuse("learner", learner, "a mapping")
     name = learner.get("algorithm", "ppo")
     if isinstance(name, str) and ":" in name:
         schema = load_object(name, "learner.algorithm")

@@ -87,21 +87,13 @@ def commented_yaml(config: Config) -> str:
 
 def training_sections() -> list[tuple[str, list[KeyInfo]]]:
     """Every key of a training config, by the title of its table."""
-    sections = [("The run", [info for info in describe(Config) if "." not in info.key])]
-    for name, field in Config.model_fields.items():
-        schema = field.annotation
-        if isinstance(schema, type) and issubclass(schema, Section) and name != "learner":
-            sections.append((f"`{name}`", describe(schema, f"{name}.")))
-            if name == "track":
-                sections.append(("Items of `track.gates`", describe(Gate)))
-        elif name == "learner":
-            for learner in LEARNERS:
-                default = learner.model_fields["algorithm"].default
-                title = f"`learner` with `learner.algorithm: {default}`"
-                sections.append((title, describe(learner, "learner.")))
-        elif name == "schedules":
-            sections.append(("Values of `schedules`", describe(Schedule)))
-    return sections
+    tables = [table for table in sections_of(Config, "The run") if table[0] != "`learner`"]
+    for learner in LEARNERS:
+        title = f"`learner` with `learner.algorithm: {learner.model_fields['algorithm'].default}`"
+        tables.append((title, describe(learner, "learner.")))
+    tables.append(("Items of `track.gates`", describe(Gate)))
+    tables.append(("Values of `schedules`", describe(Schedule)))
+    return tables
 
 
 def sections_of(schema: type[Section], title: str) -> list[tuple[str, list[KeyInfo]]]:

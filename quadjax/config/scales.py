@@ -6,6 +6,7 @@ unit of its number, and takes only units of the race of the same dimension.
 """
 
 import dataclasses
+import functools
 import math
 import re
 from typing import Any
@@ -106,7 +107,7 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
     """The tree of a config with a plain number in place of each number with a unit.
 
     Args:
-        tree: of a whole config, with the constants of the vehicle.
+        tree: of a whole config, with a ``Vehicle`` that has its constants.
         learner: the class of its section ``learner``.
 
     Returns:
@@ -115,8 +116,13 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
     Raises:
         InputError: a unit that is not one of the key's unit, or an invalid track or vehicle.
     """
-    scales: list[Scales] = []
     written: WithUnit = {}
+
+    @functools.cache
+    def scales() -> Scales:
+        rules = build(Rules, tree.get("rules", {}), "rules", "rules.")
+        track = build(Track, tree.get("track", {}), "track", "track.")
+        return race_scales(track, tree["vehicle"], rules.time_step)
 
     def convert(node: Any, location: Location) -> Any:
         if isinstance(node, dict):
@@ -127,10 +133,8 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
         unit = _unit_of(location, learner) if match else None
         if match is None or unit in (None, "deg"):
             return node
-        scales[:] = scales or [_scales_of(tree)]
-        size = _size(dotted(location), match, unit, scales[0].units(unit))
-        value = float(match["number"]) * size
-        written[location] = (node, _in_unit(value, unit, scales[0].time_step))
+        value = float(match["number"]) * _size(dotted(location), match, unit, scales())
+        written[location] = (node, _in_unit(value, unit, scales().time_step))
         return written[location][1]
 
     keys = sorted((k for k in tree if k not in ("track", "vehicle")), key=lambda k: k != "rules")
@@ -149,23 +153,16 @@ def _unit_of(location: Location, learner: type[Section]) -> str | None:
     return unit_of(field) if field else None
 
 
-def _size(key: str, match: re.Match, unit: str, units: dict[str, float]) -> float:
+def _size(key: str, match: re.Match, unit: str, scales: Scales) -> float:
     """The size of a unit of the race, which has to be of the same dimension as the key's."""
     positive = unit in ("steps", "decay", "environments")
-    number, name = float(match["number"]), match["unit"]
+    number, name, units = float(match["number"]), match["unit"], scales.units(unit)
     if name not in units or abs(number) > LARGEST or (positive and number <= 0.0):
         text = f"{key} is {match['number']} {name}"[:100]
         span = f"number{' above 0' if positive else ''}, at most {LARGEST:g},"
         listed = " or ".join(units)
         raise BadValue(key, f"{text}, allowed: a plain number, or a {span} with the unit {listed}")
     return units[name]
-
-
-def _scales_of(tree: Tree) -> Scales:
-    rules = build(Rules, tree.get("rules", {}), "rules", "rules.")
-    track = build(Track, tree.get("track", {}), "track", "track.")
-    vehicle = build(Vehicle, tree["vehicle"], "vehicle", "vehicle.")
-    return race_scales(track, vehicle, rules.time_step)
 
 
 def _in_unit(value: float, unit: str, time_step: float) -> float | int:

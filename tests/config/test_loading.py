@@ -257,7 +257,7 @@ REFUSED = [
     ("vehicle.model=boat", "vehicle.model is 'boat', allowed: motor, rate"),
     ("vehicle.file=none.yaml", "'none.yaml': no such file"),
     ("vehicle.models=null", "vehicle.models is None, allowed: a mapping"),
-    ("vehicle.models={rate: 5}", "vehicle.models.rate is 5, allowed: a mapping of constants"),
+    ("vehicle.models={rate: 5}", "vehicle.models.rate is 5, allowed: a mapping"),
     ("vehicle.constants=3", "vehicle.constants is 3, allowed: a mapping"),
     ("vehicle.constants.k_w=heavy", "vehicle.constants.k_w is 'heavy', allowed: a number"),
     ("vehicle.constants.k_w=0", "vehicle.constants.k_w is 0.0, allowed: a positive number"),
@@ -513,7 +513,7 @@ def test_vehicle_file_with_a_model_and_constants_of_rotors(tmp_path):
         ("[ccw, cw, ccw, cw]", "[left, cw, ccw, cw]", "allowed: cw or ccw for each"),
         ("k_q: 5.0e-6", "k_qq: 5", "unknown key vehicle.constants.k_qq"),
         ("k_q: 5.0e-6", "k_q1: 5", "vehicle.constants.k_q2 is missing"),
-        ("k_q: 5.0e-6", "k_q: [5, 5, 5, a]", "vehicle.constants.k_q1 is 'a', allowed"),
+        ("k_q: 5.0e-6", "k_q: [5, 5, 5, a]", "vehicle.models.racing.k_q1 is 'a', allowed"),
         ("model: racing", "model: fast", "vehicle.model is 'fast', allowed: motor, rate"),
         (
             "model: racing",
