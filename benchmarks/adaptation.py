@@ -10,14 +10,13 @@ observation. The table is in docs/design/adaptation.md.
 
 from quadjax.cli import script
 from quadjax.cli.options import JsonFile, Overrides, PolicyFile, Runs, Seed
-from quadjax.cli.output import write_record
+from quadjax.cli.output import steps, write_record
 from quadjax.config.loading import load_config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.resources import PRETRAINED
 from quadjax.policy.file import Policy
 from quadjax.studies.adaptation import CONDITIONS, Study, format_rows, to_json
-from quadjax.training.progress import bar
 
 
 def adaptation(
@@ -43,12 +42,10 @@ def adaptation(
     study = Study(config, Policy.load(policy), Policy.load(without), runs, seed)
     enable_compilation_cache()
     rows = []
-    with bar(counted=True) as progress:
-        task = progress.add_task("", total=len(CONDITIONS))
+    with steps() as report:
         for condition in CONDITIONS:
-            progress.update(task, description=condition.label)
+            report(condition.label)
             rows.append(study.fly(condition))
-            progress.advance(task)
     print(format_rows(rows))
     files = {"adaptive": file_record(policy), "without": file_record(without)}
     origin = provenance(config, seed=seed) | {"policies": files}

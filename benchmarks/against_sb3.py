@@ -16,15 +16,13 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from quadjax.cli import script
+from quadjax.cli import output, script
 from quadjax.cli.options import Count, JsonFile, Picture, whole
-from quadjax.cli.output import write_record, wrote
 from quadjax.config.loading import load_config
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
 from quadjax.learners.parallel import prepare_devices
 from quadjax.studies import ppo_against_sb3 as study
-from quadjax.training.progress import bar
 
 PRESET = "e2e_paper"
 
@@ -46,13 +44,11 @@ def against_sb3(
         json: Write the numbers.
     """
     sides = []
-    with bar(counted=True) as progress:
-        task = progress.add_task("", total=2)
+    with output.steps() as report:
         for kind in ("quadjax", "sb3"):
-            progress.update(task, description=kind)
+            report(kind)
             with multiprocessing.get_context("spawn").Pool(1) as pool:
                 sides.append(pool.apply(train_side, (kind, seconds, steps or 0, time.monotonic())))
-            progress.advance(task)
     limits = f"{seconds} s of wall time" + (f" or {steps:,} steps" if steps else "")
     run = (
         f"{PRESET}, seed {study.SEED}, {limits} each from the start of the process; laps of the "
@@ -61,9 +57,9 @@ def against_sb3(
     print(study.format_sides(sides, run))
     if figure is not None:
         save_figure(study.curves_figure(sides, f"{PRESET}, seed {study.SEED}"), figure)
-        wrote(figure)
+        output.wrote(figure)
     record = {"run": run, "sides": [dataclasses.asdict(side) for side in sides]}
-    write_record(json, record, provenance(load_config(PRESET), seed=study.SEED))
+    output.write_record(json, record, provenance(load_config(PRESET), seed=study.SEED))
 
 
 def train_side(kind: str, seconds: int, steps: int, started: float) -> study.Side:

@@ -14,9 +14,8 @@ from typing import Any
 
 from quadjax.cli import script
 from quadjax.cli.options import Count, Flag, JsonFile
-from quadjax.cli.output import write_record
+from quadjax.cli.output import steps, write_record
 from quadjax.core.provenance import provenance
-from quadjax.training.progress import bar
 
 NUM_ENVS = tuple(4**power for power in range(9))  # 1 to 65,536
 QUICK_NUM_ENVS = (1, 64, 4096, 65_536)
@@ -60,13 +59,11 @@ def speed(*, quick: Flag = False, repeats: Count | None = None, json: JsonFile =
     jobs += [Job("training", preset, 0, few) for preset in PRESETS]
     jobs += [Job("training", PRESET, 0, few, devices="1")]
     rows = []
-    with bar(counted=True) as progress:
-        task = progress.add_task("measuring", total=len(jobs))
-        for job in jobs:
-            progress.update(task, description=f"{job.name} {job.kind} {job.num_envs or ''}")
+    with steps() as report:
+        for number, job in enumerate(jobs, 1):
+            report(f"{job.name} {job.kind} {job.num_envs or ''}, {number} of {len(jobs)}")
             with multiprocessing.get_context("spawn").Pool(1) as pool:
                 rows.append(pool.apply(measure, (job,)))
-            progress.advance(task)
     machine = rows[0]["machine"]
     print(", ".join(f"{key} {value}" for key, value in machine.items()))
     for kind in dict.fromkeys(job.kind for job in jobs):

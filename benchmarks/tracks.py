@@ -15,6 +15,7 @@ from cyclopts import Parameter
 
 from quadjax.cli import script
 from quadjax.cli.options import Config, Folder, Overrides, PolicyFile, Runs
+from quadjax.cli.output import steps
 from quadjax.config.schema import Config as TrainingConfig
 from quadjax.core.files import read_json, write_json, write_text
 from quadjax.core.provenance import provenance
@@ -28,7 +29,6 @@ from quadjax.studies.track_table import (
     lap_rows,
     read_best,
 )
-from quadjax.training.progress import bar
 
 TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s")
 DRONES = ("bebop1", "5inch")
@@ -60,14 +60,12 @@ def tracks(
     cases = [Case(track, drone) for drone in drones for track in tracks]
     configs = {case: case_config(config, case, overrides) for case in cases}
     rows = []
-    with bar(counted=True) as progress:
-        task = progress.add_task("tracks", total=len(cases))
-        for case in cases:
-            progress.update(task, description=case.name)
+    with steps() as report:
+        for number, case in enumerate(cases, 1):
+            report(f"{case.name}, {number} of {len(cases)}")
             words = [*case.overrides, *overrides, f"name={case.name}"]
             file = policy or train_once(config, words, output) / "policy.npz"
             rows.append(_row(case, configs[case], file, runs, output / case.name))
-            progress.advance(task)
     text = lap_rows(rows, laps)
     print(text)
     write_text(output / "tracks.md", f"{text}\n")

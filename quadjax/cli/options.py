@@ -85,8 +85,8 @@ def number(low: float, high: float, kind: type[int] | type[float] = float) -> Co
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            what = "an integer" if kind is int else "a number"
-            raise ValueError(f"{text!r}, allowed: {what}, {low:g} to {high:g}")
+            what, form = ("an integer", "") if kind is int else ("a number", "g")
+            raise ValueError(f"{text!r}, allowed: {what}, {low:{form}} to {high:{form}}")
         return value
 
     return convert

@@ -9,11 +9,9 @@ from typing import Self
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     TaskProgressColumn,
     TextColumn,
-    TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.table import Column
@@ -23,18 +21,6 @@ from quadjax.learners.loop import Row
 LOG_SECONDS = 10.0  # between lines where there is no terminal
 MAX_WIDTH = 100  # columns of the training's line
 MAX_NAME = 16  # letters of the run's name in it
-
-
-def bar(counted: bool = False, console: Console | None = None) -> Progress:
-    """A progress bar for a known number of steps; silent where there is no terminal."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn() if counted else TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console or Console(stderr=True),
-    )
 
 
 class TrainingProgress:
