@@ -208,30 +208,23 @@ def read_layers(
             ``MAX_WEIGHT``, by name.
     """
     layers: list[tuple[np.ndarray, np.ndarray]] = []
-    while f"{prefix}kernel_{len(layers)}" in arrays:
-        k_name, b_name = f"{prefix}kernel_{len(layers)}", f"{prefix}bias_{len(layers)}"
-        kernel = arrays[k_name]
-        if b_name not in arrays:
-            raise InputError(f"{path}: {b_name} is missing")
-        bias = arrays[b_name]
-        if kernel.ndim != 2 or 0 in kernel.shape:
-            raise InputError(f"{path}: {k_name} has shape {kernel.shape}, expected (in, out)")
-        if layers and layers[-1][0].shape[1] != kernel.shape[0]:
-            raise InputError(
-                f"{path}: {k_name} takes {kernel.shape[0]} inputs, but the layer before it "
-                f"has {layers[-1][0].shape[1]} outputs"
-            )
-        if bias.shape != (kernel.shape[1],):
-            raise InputError(
-                f"{path}: {b_name} has shape {bias.shape}, expected ({kernel.shape[1]},)"
-            )
-        for name, array in ((k_name, kernel), (b_name, bias)):
-            check_finite(path, name, array, layer=len(layers))
-            if (largest := np.abs(array).max()) > MAX_WEIGHT:
+    inputs: int | None = None
+    while not layers or f"{prefix}kernel_{len(layers)}" in arrays:
+        names = [f"{prefix}{kind}_{len(layers)}" for kind in ("kernel", "bias")]
+        if missing := [name for name in names if name not in arrays]:
+            raise InputError(f"{path}: {missing[0]} is missing")
+        kernel, bias = (arrays[name] for name in names)
+        if kernel.ndim != 2 or 0 in kernel.shape or inputs not in (None, kernel.shape[0]):
+            expected = f"({inputs or 'in'}, out)"
+            raise InputError(f"{path}: {names[0]} has shape {kernel.shape}, expected {expected}")
+        inputs = kernel.shape[1]
+        if bias.shape != (inputs,):
+            raise InputError(f"{path}: {names[1]} has shape {bias.shape}, expected ({inputs},)")
+        for name in names:
+            check_finite(path, name, arrays[name], layer=len(layers))
+            if (largest := np.abs(arrays[name]).max()) > MAX_WEIGHT:
                 raise InputError(f"{path}: {name} has {largest:g}, allowed: up to {MAX_WEIGHT:g}")
         layers.append((kernel, bias))
-    if not layers:
-        raise InputError(f"{path}: {prefix}kernel_0 is missing")
     return layers
 
 
