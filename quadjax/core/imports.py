@@ -50,12 +50,6 @@ def _import(module_name: str) -> object:
         sys.path.remove(here)
 
 
-def name_of(function: Callable[..., Any]) -> str:
-    """``module:name`` of a function, or its class."""
-    name = getattr(function, "__qualname__", type(function).__qualname__)
-    return f"{getattr(function, '__module__', '')}:{name}"
-
-
 def user_numbers(
     label: str, function: Callable[[Any], Any], argument: object, size: int | None = None
 ) -> list[Any]:

@@ -1,6 +1,5 @@
 """The style of all figures: colors, axes, and figures that need not be closed."""
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -29,18 +28,6 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout=layout, facecolor=PAPER)
     FigureCanvasAgg(figure)
     return figure
-
-
-def show_figure(figure: Figure) -> None:
-    """Show a figure in a notebook, or in a window until it is closed; nothing without a display."""
-    import matplotlib.pyplot as plt
-
-    plt.figure(FigureClass=lambda **_: figure)  # type: ignore[arg-type]
-    with warnings.catch_warnings():  # of a backend without windows
-        warnings.filterwarnings("ignore", "Figure.* is non-interactive", UserWarning)
-        plt.show()
-    if not plt.isinteractive():
-        plt.close(figure)
 
 
 def save_figure(figure: Figure, path: Path | str, dpi: int = 150) -> None:
