@@ -109,6 +109,6 @@ def test_flights_on_new_tracks_are_counted(tmp_path, capsys):
         for crash, lap in zip(found["crashes"], found["lap"], strict=True)
     )
     assert f"{len(done)} of 4" in capsys.readouterr().out
-    for option, says in (("--gates", "--gates has no effect"), ("--laps", "--laps is 1, allowed")):
+    for option, says in (("--gates", "--gates has no effect"), ("--laps", "laps is 1, allowed")):
         assert run(*arguments[:6], option, "1") == 2
         assert says in capsys.readouterr().err
