@@ -214,13 +214,13 @@ def _check_signs(model: VehicleModel, constants: Values) -> None:
 def _check_thrust(model: VehicleModel, values: Values, origin: str) -> None:
     """Check that the commands reach from below to above the weight."""
     idle = {**values, **{high: values[low] for low, high in model.ranges}}
-    least, most = (model.thrust_to_weight(model.make_constants(x)) for x in (idle, values))
-    if least is None or most is None:
+    lowest, highest = (model.thrust_to_weight(model.make_constants(x)) for x in (idle, values))
+    if lowest is None or highest is None:
         return
-    if not least < 1 < most <= MAX_THRUST:
+    if not lowest < 1 < highest <= MAX_THRUST:
         raise BadValue(
             "vehicle.constants",
-            f"vehicle.constants{origin} give a thrust of {least:.3g} to {most:.3g} times the "
+            f"vehicle.constants{origin} give a thrust of {lowest:.3g} to {highest:.3g} times the "
             f"weight, allowed: a range around 1, up to {MAX_THRUST:g}, so that the drone can hover",
         )
 

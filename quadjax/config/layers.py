@@ -88,7 +88,8 @@ def default_layers(trees: Sequence[Tree]) -> list[Layer]:
     """The default vehicle and track, unless a tree has the constants or all gates itself."""
     layers: list[Layer] = []
     for section, file in DEFAULTS.items():
-        if not {"models", "gates", "generate"} & {key for x in trees for key in _part(x, section)}:
+        keys = {key for tree in trees for key in _section(tree, section)}
+        if not keys & {"models", "gates", "generate"}:
             layers += with_files("defaults", {section: {"file": file}}, [CONFIGS])
     return layers
 
@@ -102,7 +103,7 @@ def with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list[
         folders: where the files are that it names.
     """
     for section, key in DATA_FILES:
-        name = _part(tree, section).get(key)
+        name = _section(tree, section).get(key)
         if source != OVERRIDES and isinstance(name, str) and (folders[0] / name).is_file():
             tree = merge_trees(tree, {section: {key: str(folders[0] / name)}})
     if isinstance(tree.get("schedules"), dict):  # schedules: {learner: {std: ..}} is meant too
@@ -110,7 +111,7 @@ def with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list[
     layers: list[Layer] = []
     for section in DEFAULTS:
         named = tree.get(section)
-        values = {"file": named} if isinstance(named, str) else _part(tree, section)
+        values = {"file": named} if isinstance(named, str) else _section(tree, section)
         if (file := values.get("file")) is None:
             continue
         if not isinstance(file, str):
@@ -153,33 +154,33 @@ def below(tree: Tree, over: Tree, source: str) -> Tree:
     Raises:
         InputError: a vehicle file that would turn a race of body rates into one of rotor commands.
     """
-    tree, lower = dict(tree), _part(tree, "vehicle")
-    model, new = lower.get("model", "motor"), _part(over, "vehicle").get("model")
+    tree, lower = dict(tree), _section(tree, "vehicle")
+    model, new = lower.get("model", "motor"), _section(over, "vehicle").get("model")
     if new not in (None, model):
-        if model == "rate" and isinstance(_part(over, "vehicle").get("models"), Whole):
+        if model == "rate" and isinstance(_section(over, "vehicle").get("models"), Whole):
             raise InputError(
                 f"vehicle.file {source} has the model {new}, the config the model rate; "
                 f"allowed: a file with constants of rate, or vehicle.model={new} for rotor commands"
             )
         if constants := lower.get("constants"):
-            models = merge_trees(_part(lower, "models"), {str(model): constants})
+            models = merge_trees(_section(lower, "models"), {str(model): constants})
             tree["vehicle"] = {**lower, "constants": {}, "models": models}
-    lower, values = _part(tree, "track"), _part(over, "track")
+    lower, values = _section(tree, "track"), _section(over, "track")
     if values.get("generate") is not None:
         replaced = {"name", *TRACK} - {"generate"}
         tree["track"] = {key: x for key, x in lower.items() if key not in replaced}
     elif "gates" in values:
         replaced = {"generate"} if "name" in values else {"generate", "name"}
         tree["track"] = {key: x for key, x in lower.items() if key not in replaced}
-    algorithm = _part(tree, "learner").get("algorithm")
-    if _part(over, "learner").get("algorithm", algorithm) != algorithm:
-        schedules = _part(tree, "schedules").items()
+    algorithm = _section(tree, "learner").get("algorithm")
+    if _section(over, "learner").get("algorithm", algorithm) != algorithm:
+        schedules = _section(tree, "schedules").items()
         tree["schedules"] = {key: x for key, x in schedules if "learner." not in key}
         tree["learner"] = {}
     return tree
 
 
-def _part(tree: Tree, section: str) -> Tree:
+def _section(tree: Tree, section: str) -> Tree:
     """A section of a tree; empty where it has none, or another value in its place."""
     values = tree.get(section)
     return values if isinstance(values, dict) else {}

@@ -80,7 +80,7 @@ def commented_yaml(config: Config) -> str:
     keys = describe(Config) + describe(type(config.learner), "learner.")
     comments = {info.key: f"{info.description} [{info.allowed}]" for info in keys}
     for location, (text, number) in config.race_units.items():
-        key = ".".join(part for part in location if isinstance(part, str))
+        key = ".".join(step for step in location if isinstance(step, str))
         comments[key] = f"{comments.get(key, '')} {text}: {number:g}".lstrip()
     return to_yaml(config.to_tree(), comments)
 

@@ -148,7 +148,7 @@ def _unit_of(location: Location, learner: type[Section]) -> str | None:
     schema: type[Section] = Config
     if location[0] == "learner":
         schema, location = learner, location[1:]
-    keys = [part for part in location if isinstance(part, str)]
+    keys = [key for key in location if isinstance(key, str)]
     field = fields_at(schema, keys[:-1]).get(keys[-1]) if keys else None
     return unit_of(field) if field else None
 

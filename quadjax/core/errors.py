@@ -29,13 +29,13 @@ class InputError(ValueError):
         super().__init__(redact(message))
 
 
-def short(value: object, most: int = 60, text: Callable[[object], str] = repr) -> str:
+def short(value: object, limit: int = 60, text: Callable[[object], str] = repr) -> str:
     """A value as text of a limited length, also a number with thousands of digits."""
     try:
         whole = text(list(value) if isinstance(value, tuple) else value)
     except ValueError:
         return "a number of thousands of digits"
-    return whole if len(whole) <= most else f"{whole[: most - 3]}..."
+    return whole if len(whole) <= limit else f"{whole[: limit - 3]}..."
 
 
 def close_match(name: str, allowed: Sequence[str]) -> str:
@@ -121,7 +121,7 @@ def as_options(text: str) -> str:
     """A message of a function with its arguments as the options of the command line."""
     return re.sub(
         r"\b(config=CONFIG|(allow_\w+|overwrite|resume)=True)",
-        lambda found: OPTIONS.get(found[1]) or f"--{found[2].replace('_', '-')}",
+        lambda word: OPTIONS.get(word[1]) or f"--{word[2].replace('_', '-')}",
         text,
     )
 

@@ -115,12 +115,12 @@ def check_file(path: Path | str) -> None:
         raise InputError(f"{path}: not a regular file")
 
 
-def read_text(path: Path | str, most: int = MAX_BYTES) -> str:
+def read_text(path: Path | str, limit: int = MAX_BYTES) -> str:
     """The text of a UTF-8 file, with or without a byte-order mark.
 
     Args:
         path: the file.
-        most: largest allowed size, bytes.
+        limit: largest allowed size, bytes.
 
     Raises:
         InputError: not a regular file, unreadable, larger, or not UTF-8.
@@ -128,9 +128,9 @@ def read_text(path: Path | str, most: int = MAX_BYTES) -> str:
     check_file(path)
     with reading(path):
         with open(path, "rb") as stream:
-            data = stream.read(most + 1)
-        if len(data) > most:
-            raise InputError(f"{path}: larger than {most:,} bytes")
+            data = stream.read(limit + 1)
+        if len(data) > limit:
+            raise InputError(f"{path}: larger than {limit:,} bytes")
         return data.decode("utf-8-sig")
 
 
@@ -158,12 +158,12 @@ def read_npz(
         raise InputError(f"{path}: not an .npz file")
     try:
         with zipfile.ZipFile(path) as archive:
-            found = [name.removesuffix(".npy") for name in archive.namelist()]
-            if twice := sorted({name for name in found if found.count(name) > 1}):
+            entries = [name.removesuffix(".npy") for name in archive.namelist()]
+            if twice := sorted({name for name in entries if entries.count(name) > 1}):
                 raise InputError(f"{path}: {twice[0]} is in the file more than once")
             arrays = {
                 name: _read_entry(path, archive, name)
-                for name in found
+                for name in entries
                 if ARRAYS.fullmatch(name) or name in ("meta", *names)
             }
     except InputError:

@@ -225,14 +225,14 @@ def _bad_value(
 def _location(error: Mapping[str, Any], tree: object) -> tuple[str | int, ...]:
     """Keys and indices of an error, without the names of a union's members."""
     location: list[str | int] = []
-    for part in error["loc"]:
-        if isinstance(tree, Mapping) and part in tree:
-            tree = tree[part]
-        elif isinstance(tree, (list, tuple)) and isinstance(part, int) and part < len(tree):
-            tree = tree[part]
-        elif error["type"] != "missing" or part != error["loc"][-1]:
+    for step in error["loc"]:
+        if isinstance(tree, Mapping) and step in tree:
+            tree = tree[step]
+        elif isinstance(tree, (list, tuple)) and isinstance(step, int) and step < len(tree):
+            tree = tree[step]
+        elif error["type"] != "missing" or step != error["loc"][-1]:
             continue
-        location.append(part)
+        location.append(step)
     return tuple(location)
 
 
@@ -244,7 +244,7 @@ def _allowed(error: Mapping[str, Any]) -> str:
 
 def dotted(location: Sequence[str | int]) -> str:
     """A location as text: ``track.gates[0].size``."""
-    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
+    parts = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in location)
     return "".join(parts).removeprefix(".")
 
 
@@ -285,14 +285,14 @@ def value_at(section: Section, key: str, missing: object = 1.0) -> object:
     """
     node: object = section
     parts = key.split(".")
-    for index, part in enumerate(parts):
+    for index, step in enumerate(parts):
         if isinstance(node, Mapping):  # its keys may have dots
             return node.get(".".join(parts[index:]), missing)
         values = vars(node) if isinstance(node, Section) else {}
-        if part not in values:
-            hint = close_match(part, list(values))
+        if step not in values:
+            hint = close_match(step, list(values))
             raise InputError(f"{key}: unknown key{hint}; allowed there: {', '.join(values)}")
-        node = values[part]
+        node = values[step]
     if isinstance(node, Section):
         raise InputError(f"{key}: is a section of the keys {', '.join(vars(node))}")
     return node
