@@ -77,11 +77,11 @@ def train(
     chunk = compile_chunk(learner, mesh, plan.updates_per_chunk, params, state)
     history: list[dict[str, np.ndarray]] = []
     started = time.monotonic()
-    for each in train_chunks(chunk, params, state, plan):
-        state = each.state
-        history.append(each.metrics)
+    for latest in train_chunks(chunk, params, state, plan):
+        state = latest.state
+        history.append(latest.metrics)
         if progress is not None:
-            progress({"seconds": time.monotonic() - started} | each.row)
+            progress({"seconds": time.monotonic() - started} | latest.row)
     parameters = jax.device_get(state.evaluated)
     return TrainResult(
         policy=jax.jit(lambda observation: networks.mean(parameters, observation)),
@@ -127,8 +127,8 @@ def _make(
         return learner.hyper, _with_leaf(params, key, value)
 
     sections = {
-        key: each if isinstance(each, Schedule) else build(Schedule, {"linear": [*each]}, key)
-        for key, each in schedules.items()
+        key: value if isinstance(value, Schedule) else build(Schedule, {"linear": [*value]}, key)
+        for key, value in schedules.items()
     }
     return schedule_learner(learner, sections, numbers_at, plan, steps), plan
 

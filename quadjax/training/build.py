@@ -55,7 +55,7 @@ def privileged_constants(config: Config) -> tuple[tuple[str, float], ...]:
         return ()
     spread = config.randomization.by_constant(vehicle_model(config.vehicle.model))
     every = config.randomization.population is not None
-    return tuple((name, part or 1.0) for name, part in spread.items() if part or every)
+    return tuple((name, size or 1.0) for name, size in spread.items() if size or every)
 
 
 def build_networks(config: Config) -> Networks:
@@ -79,8 +79,8 @@ def input_scale(config: Config) -> tuple[float, ...]:
     """
     if not config.network.normalize:
         return ()
-    own = race_scales(config.track, config.vehicle, config.rules.time_step)
-    length, time = own.leg / REFERENCE_LEG, own.time / REFERENCE_TIME
+    scales = race_scales(config.track, config.vehicle, config.rules.time_step)
+    length, time = scales.leg / REFERENCE_LEG, scales.time / REFERENCE_TIME
     factors = {"m": 1.0 / length, "m/s": time / length, "rad/s": time}
     return tuple(
         factors.get(field.unit, 1.0) if field.scale is None else 1.0
@@ -96,20 +96,20 @@ def build_learner(config: Config) -> Learner[RaceParams]:
         InputError: a schedule of a key that changes no number, or more than numbers.
     """
     environment, networks = build_environment(config), build_networks(config)
-    own = config.learner.make(environment, networks, 1)
-    if not isinstance(own, Learner):
+    learner = config.learner.make(environment, networks, 1)
+    if not isinstance(learner, Learner):
         raise InputError(
-            f"learner.algorithm {config.learner.algorithm}: make() gives a {type(own).__name__}, "
-            "expected a quadjax.Learner"
+            f"learner.algorithm {config.learner.algorithm}: make() gives a "
+            f"{type(learner).__name__}, expected a quadjax.Learner"
         )
-    chunks = plan(config, own.steps_per_update)
+    chunks = plan(config, learner.steps_per_update)
 
     def make(config: Config) -> Learner[RaceParams]:
         return config.learner.make(environment, networks, chunks.updates)
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
-        own = config if value is None else config.at(key, value)
-        return make(own).hyper, training_params(own)
+        changed = config if value is None else config.at(key, value)
+        return make(changed).hyper, training_params(changed)
 
     schedules, steps = config.schedules, config.run.steps
     return schedule_learner(make(config), schedules, numbers_at, chunks, steps, config.curriculum)
@@ -124,19 +124,19 @@ def training_params(config: Config) -> RaceParams:
     params, name = build_params(config), config.run.start_states
     if name is None:
         return params
-    own, states = vehicle_model(config.vehicle.model), read_states(name)
-    found = states.arrays["actuators"].shape[1]
-    if found != own.actuators.size:
+    model, states = vehicle_model(config.vehicle.model), read_states(name)
+    size = states.arrays["actuators"].shape[1]
+    if size != model.actuators.size:
         raise InputError(
-            f"run.start_states: {name} has {found} actuators, the config's vehicle has "
-            f"{own.actuators.size}"
+            f"run.start_states: {name} has {size} actuators, the config's vehicle has "
+            f"{model.actuators.size}"
         )
-    ends = own.actuator_range(params.vehicle.constants)
-    if own.uses_start_thrust:
+    ends = model.actuator_range(params.vehicle.constants)
+    if model.uses_start_thrust:
         ends = config.start.thrust
     low, high = (np.array(jax.tree.leaves(end), np.float64) for end in ends)
-    part, gates = config.run.start_states_part, len(config.track.gates)
-    recorded = states.starts(part, (low, high), gates, f"run.start_states: {name}")
+    share, gates = config.run.start_states_part, len(config.track.gates)
+    recorded = states.starts(share, (low, high), gates, f"run.start_states: {name}")
     return params.replace(recorded=recorded)
 
 
@@ -186,16 +186,16 @@ def initial_policy(config: Config) -> Policy | None:
     critic_widths = (
         wanted if policy.value is None else [int(k.shape[1]) for k, _ in policy.value[:-1]]
     )
-    for name, found, allowed in (
+    for name, value, allowed in (
         ("vehicle", policy.vehicle, vehicle_model(config.vehicle.model).name),
         ("observation", list(policy.layout.names), list(choices_of(config).layout.names)),
         ("hidden widths", widths, wanted),
         ("hidden widths of the value", critic_widths, wanted),
         ("activation", policy.activation, config.network.activation),
     ):
-        if found != allowed:
+        if value != allowed:
             raise InputError(
-                f"run.initial_policy: {config.run.initial_policy} has {name} {found}, the config "
+                f"run.initial_policy: {config.run.initial_policy} has {name} {value}, the config "
                 f"has {allowed}"
             )
     return policy

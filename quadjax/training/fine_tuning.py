@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from quadjax.config.checks import at_end
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.learners.section import Schedule
@@ -32,21 +33,11 @@ def fine_tuning(config: Config, policy: Path | str) -> Config:
         config: of the race in which the policy is to fly.
         policy: its file.
     """
-    own = _at_the_end(config)
-    rates = [name for name in RATES if name in type(own.learner).model_fields]
-    first = {name: FIRST_RATE * getattr(own.learner, name) for name in rates}
-    return own.replace(
-        learner=own.learner.replace(**first),
+    last = at_end(config)
+    rates = [name for name in RATES if name in type(config.learner).model_fields]
+    first = {name: FIRST_RATE * getattr(config.learner, name) for name in rates}
+    return last.replace(
+        learner=last.learner.replace(**first),
         schedules={f"learner.{name}": Schedule(linear=("value", 0.0)) for name in rates},
-        run=own.run.replace(initial_policy=str(policy)),
+        run=last.run.replace(initial_policy=str(policy)),
     )
-
-
-def _at_the_end(config: Config) -> Config:
-    """The config without schedules: each number has its last value, learning rates their own."""
-    own = config
-    for key, schedule in config.schedules.items():
-        last = schedule.linear[-1]
-        if last != "value" and key.removeprefix("learner.") not in RATES:
-            own = own.at(key, last)
-    return own.replace(schedules={})

@@ -101,8 +101,8 @@ def check_same(config: Config, folder: Path) -> None:
     contents = _inputs(config)
     saved = load_config(path, code=names_of_code(config))
     before, now = (
-        flatten(each.model_dump(by_alias=True))
-        for each in (saved, _with_inputs(config, contents, folder))
+        flatten(one.model_dump(by_alias=True))
+        for one in (saved, _with_inputs(config, contents, folder))
     )
     for key in [*now, *before]:
         if key not in FREE and before.get(key) != now.get(key):

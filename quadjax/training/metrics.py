@@ -23,7 +23,7 @@ class Metrics:
     def write(self, row: Row) -> None:
         """Add a row."""
         self._rows.append(row)
-        write_csv(self._path, [list(row), *(list(each.values()) for each in self._rows)])
+        write_csv(self._path, [list(row), *(list(old.values()) for old in self._rows)])
         if self._events is not None:
             for name, value in row.items():
                 if math.isfinite(value):

@@ -86,8 +86,8 @@ def describe(row: Row) -> str:
     """A row of metrics in at most 40 characters: lap times once all laps are completed."""
     speed = f"{row['steps_per_second'] / 1e3:.0f} k/s"
     if not math.isfinite(row["best_lap_total"]):
-        shown = f"{speed}  reward {row['reward']:.3f}" if "reward" in row else speed
+        reward = f"{speed}  reward {row['reward']:.3f}" if "reward" in row else speed
         crashes = f"  crashes {100.0 * row['crash_rate']:.0f}%" if "crash_rate" in row else ""
-        return shown + crashes
+        return reward + crashes
     laps = f"{row['lap_total']:.2f}" if math.isfinite(row["lap_total"]) else "-"
     return f"{speed}  laps {laps} s, best {row['best_lap_total']:.2f} s"

@@ -249,8 +249,8 @@ def _wait_for(futures: Sequence[Future], stop: threading.Event) -> None:
     left = PATIENCE
     while True:
         done, running = wait(futures, POLL, FIRST_EXCEPTION)
-        for each in done:
-            each.result()
+        for future in done:
+            future.result()
         if not running:
             return
         left -= POLL * stop.is_set()

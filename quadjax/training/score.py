@@ -36,12 +36,12 @@ def score_runs(config: Config) -> int:
     One run where every run is the same; 16 where noise, disturbances or charges are drawn; 128
     where constants are, because the drones of the flights differ.
     """
-    drawn = any(value > 0 for value in config.disturbance.half_widths.values())
+    disturbed = any(value > 0 for value in config.disturbance.half_widths.values())
     charge = (1.0, 1.0) if config.battery is None else config.battery.charge
     sampled = config.run.score == "sampled" or charge[0] < charge[1]
     if choices_of(config).randomize:
         return 128
-    return 16 if sampled or drawn else 1
+    return 16 if sampled or disturbed else 1
 
 
 def gap(config: Config, laps: Laps) -> dict[str, float]:

@@ -135,8 +135,8 @@ def collect(
         return state, (steps, log_probability(scaled, jnp.zeros(shape), params.log_std))
 
     keys = jax.random.split(key, hyper.rollout_length // length)
-    environment_state, found = jax.lax.scan(interval, state.environment, keys)
-    return environment_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), found)
+    environment_state, steps = jax.lax.scan(interval, state.environment, keys)
+    return environment_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), steps)
 
 
 def _gradient_step(

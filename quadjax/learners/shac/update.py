@@ -1,4 +1,12 @@
-"""One SHAC update: a policy gradient through the simulator, then the critic."""
+"""One update of short-horizon actor-critic (Xu et al., 2022).
+
+1. ``collect_gradient`` simulates all environments over a short horizon, and differentiates their
+   discounted return through the simulator.
+2. ``_policy_step`` moves the policy along this gradient.
+3. ``fit_critic`` fits the value to TD(lambda) targets of the same steps.
+
+A target critic and the moving average that is evaluated follow the parameters.
+"""
 
 import dataclasses
 import functools
@@ -123,8 +131,8 @@ def collect_gradient(
             )
             return -total_return(steps, hyper), (end, steps)
 
-        (value, found), gradient = jax.value_and_grad(loss, has_aux=True)(params.policy)
-        return (value, gradient), found
+        (value, rest), gradient = jax.value_and_grad(loss, has_aux=True)(params.policy)
+        return (value, gradient), rest
 
     split, time_first = split_last(state.environment), PartitionSpec(None, AXIS)
     specs = (SHARED, SHARED, SHARED, SHARED, split, split, time_first)
