@@ -61,7 +61,6 @@ class Progress:
     """A run after a chunk of updates."""
 
     state: TrainState
-    chunks: int  # of the run that are done
     steps: int  # environment steps of the run that are done
     metrics: dict[str, np.ndarray]  # (updates,) each, of this chunk
     steps_per_second: float  # of this chunk
@@ -85,27 +84,28 @@ def train_chunks(
         params: traced parameters of the environment.
         state: where to start.
         plan: of the whole run.
-        done: chunks of the run that led to ``state``.
+        done: environment steps of the run that led to ``state``: whole chunks.
 
     Raises:
         NonFiniteError: a metric is not finite; that chunk is not yielded.
     """
-    for index in range(done, plan.chunks):
+    for steps in range(done, plan.steps, plan.steps_per_chunk):
         started = time.monotonic()
         state, metrics = chunk(params, state)
         values = {name: np.asarray(value) for name, value in metrics.items()}
-        check_finite(values, index * plan.updates_per_chunk)
+        check_finite(values, steps // plan.steps_per_update)
         speed = plan.steps_per_chunk / (time.monotonic() - started)
-        yield Progress(state, index + 1, (index + 1) * plan.steps_per_chunk, values, speed)
+        yield Progress(state, steps + plan.steps_per_chunk, values, speed)
 
 
 def check_finite(metrics: dict[str, np.ndarray], first_update: int) -> None:
     """Raise a ``NonFiniteError`` that names the update and the metrics."""
-    bad = {name: np.flatnonzero(~np.isfinite(value)) for name, value in metrics.items()}
-    bad = {name: index for name, index in bad.items() if index.size}
-    if bad:
-        where = min(int(index[0]) for index in bad.values())
-        names = ", ".join(sorted(name for name, index in bad.items() if index[0] == where))
+    bad = np.array([~np.isfinite(value) for value in metrics.values()])  # (metrics, updates)
+    if bad.any():
+        where = int(bad.any(axis=0).argmax())
+        names = ", ".join(
+            sorted(name for name, row in zip(metrics, bad, strict=True) if row[where])
+        )
         raise NonFiniteError(
             f"not finite at update {first_update + where + 1}: {names}; training stopped, and any "
             "checkpoint is from an earlier update"

@@ -25,7 +25,7 @@ class Position:
     best: ActorCritic  # the parameters of the best score so far; the latest before the first
     best_score: float = math.inf
     best_steps: int = 0
-    chunks: int = 0
+    steps: int = 0  # environment steps of the run that are done
     seconds: float = 0.0  # of training, summed over all times that the run was resumed
 
     def after(self, progress: Progress, score: float, seconds: float) -> "Position":
@@ -42,7 +42,7 @@ class Position:
         if score <= best_score or math.isinf(best_score):
             best, best_score, best_steps = progress.state.evaluated, score, progress.steps
         return Position(
-            progress.state, jax.device_get(best), best_score, best_steps, progress.chunks, seconds
+            progress.state, jax.device_get(best), best_score, best_steps, progress.steps, seconds
         )
 
 
@@ -70,10 +70,10 @@ class Checkpoints:
             InputError: it cannot be written; the last checkpoint stays.
         """
         manager = self._manager
-        if manager.latest_step() == position.chunks:
+        if manager.latest_step() == position.steps:
             return
         try:
-            manager.save(position.chunks, args=ocp.args.StandardSave(position))
+            manager.save(position.steps, args=ocp.args.StandardSave(position))
             manager.wait_until_finished()
         except Exception as error:  # Orbax and TensorStore raise many kinds
             raise InputError(

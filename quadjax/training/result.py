@@ -102,7 +102,7 @@ def is_finished(folder: Path) -> bool:
 
 
 def write_summary(
-    config: Config, folder: Path, position: Position, steps: int, devices: int, finished: bool
+    config: Config, folder: Path, position: Position, devices: int, finished: bool
 ) -> None:
     """Write ``summary.json``.
 
@@ -110,7 +110,6 @@ def write_summary(
         config: of the run.
         folder: of the run.
         position: of the training.
-        steps: environment steps so far.
         devices: number of them.
         finished: whether all steps were trained.
     """
@@ -119,7 +118,7 @@ def write_summary(
         "name": config.name,
         "seed": config.seed,
         "finished": finished,
-        "steps": steps,
+        "steps": position.steps,
         "devices": devices,
         "seconds": round(position.seconds, 1),
         "best_lap_total": _number(position.best_score),

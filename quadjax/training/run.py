@@ -150,7 +150,7 @@ def _run(
         position = checkpoints.restore(position)
         started = time.monotonic() - position.seconds
     tensorboard, every = job.config.run.tensorboard, job.config.run.checkpoint_seconds
-    metrics = Metrics(folder, _steps(job, position), tensorboard)
+    metrics = Metrics(folder, position.steps, tensorboard)
     latest, saved, advised = position, time.monotonic(), False
     for latest, row, laps in _evaluated(job, chunk, position, started, fly, stop):
         metrics.write(row)
@@ -161,7 +161,7 @@ def _run(
                 display.note(no_lap(laps.crashes, row["steps"]))
         if enough is not None and enough(row):
             break
-        if time.monotonic() - saved > every and latest.chunks < job.plan.chunks:
+        if time.monotonic() - saved > every and latest.steps < job.plan.steps:
             _save(job, folder, checkpoints, latest)
             saved = time.monotonic()
     _save(job, folder, checkpoints, latest)
@@ -181,7 +181,7 @@ def _evaluated(
 
     Yields each position, its row of metrics, and the flights that score it.
     """
-    chunks = train_chunks(chunk, job.params, position.state, job.plan, position.chunks)
+    chunks = train_chunks(chunk, job.params, position.state, job.plan, position.steps)
     while not stop.is_set() and (progress := next(chunks, None)) is not None:
         laps = fly(progress.state.evaluated)
         position = position.after(progress, laps.score, time.monotonic() - started)
@@ -201,20 +201,14 @@ def _needs_advice(row: Row, steps: int) -> bool:
     return late and not math.isfinite(row["best_lap_total"])
 
 
-def _steps(job: _Job, position: Position) -> int:
-    """Environment steps of a position."""
-    return position.chunks * job.plan.steps_per_chunk
-
-
 def _save(job: _Job, folder: Path, checkpoints: Checkpoints, position: Position) -> None:
     """Write the checkpoint, the best and the last policy, and the summary."""
-    steps, last = _steps(job, position), jax.device_get(position.state.evaluated)
+    steps, last = position.steps, jax.device_get(position.state.evaluated)
     checkpoints.save(position)
     best = trained_policy(job.config, position.best, position.best_steps or steps)
     best.save(folder / "policy.npz")
     trained_policy(job.config, last, steps).save(folder / "policy_last.npz")
-    finished = position.chunks >= job.plan.chunks
-    write_summary(job.config, folder, position, steps, job.mesh.size, finished)
+    write_summary(job.config, folder, position, job.mesh.size, steps >= job.plan.steps)
 
 
 def _compile(

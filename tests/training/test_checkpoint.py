@@ -13,17 +13,17 @@ from quadjax.learners.networks import ActorCritic
 from quadjax.training.checkpoint import Checkpoints, Position
 
 
-def position(chunks):
+def position(steps):
     parameters = ActorCritic(jnp.ones(3), jnp.ones(3), jnp.zeros(4))
     state = {"params": jnp.arange(3.0), "key": jax.random.key(7)}
-    return Position(state=state, best=parameters, chunks=chunks, best_score=15.0, best_steps=100)
+    return Position(state=state, best=parameters, steps=steps, best_score=15.0, best_steps=100)
 
 
 def test_the_best_policy_is_the_latest_of_equal_scores():
     found, kept = Position(state=None, best="none"), []
     for chunk, score in enumerate([np.inf, 15.0, 14.0, 14.0, 16.0, np.inf]):
         state = types.SimpleNamespace(evaluated=str(chunk))
-        progress = Progress(state, chunk + 1, 100 * (chunk + 1), {}, 1.0)
+        progress = Progress(state, 100 * (chunk + 1), {}, 1.0)
         found = found.after(progress, score, 1.0)
         kept.append((found.best, found.best_score, found.best_steps))
     assert kept[:3] == [("0", np.inf, 100), ("1", 15.0, 200), ("2", 14.0, 300)]
@@ -36,7 +36,7 @@ def test_a_position_is_restored(tmp_path):
     checkpoints.save(position(2))
     checkpoints.save(position(3))
     found = checkpoints.restore(position(0))
-    assert (found.chunks, found.best_score, found.best_steps) == (3, 15.0, 100)
+    assert (found.steps, found.best_score, found.best_steps) == (3, 15.0, 100)
     assert jnp.array_equal(found.state["params"], jnp.arange(3.0))
     assert jax.random.key_data(found.state["key"]).tolist() == [0, 7]
     assert [path.name for path in (tmp_path / "latest").iterdir() if path.name.isdigit()] == ["3"]
@@ -67,5 +67,5 @@ def test_a_full_disk_is_one_line_and_the_last_checkpoint_stays(tmp_path, monkeyp
         checkpoints.save(position(2))
     assert "\n" not in str(caught.value)
     monkeypatch.undo()
-    assert checkpoints.restore(position(0)).chunks == 1
+    assert checkpoints.restore(position(0)).steps == 1
     checkpoints.close()
