@@ -11,7 +11,7 @@ from quadjax.core.files import read_text, write_csv
 from quadjax.learners.loop import Row
 
 
-class Metrics:
+class MetricsFile:
     """The rows of a run's ``metrics.csv``, one for each chunk; written as a whole each time."""
 
     def __init__(self, folder: Path, steps: int, tensorboard: bool) -> None:

@@ -37,11 +37,11 @@ from quadjax.training.build import (
 )
 from quadjax.training.checkpoint import Checkpoints, Position
 from quadjax.training.folder import FILES, KIND, prepare_folder
-from quadjax.training.metrics import Metrics, check_tensorboard
-from quadjax.training.own_functions import check_functions, check_learner
+from quadjax.training.metrics import MetricsFile, check_tensorboard
 from quadjax.training.progress import TrainingProgress
 from quadjax.training.result import Run, is_finished, write_summary
 from quadjax.training.score import gap, make_flights
+from quadjax.training.user_functions import check_functions, check_learner
 
 PATIENCE = 5.0  # s to wait for a compilation after Ctrl-C before the run ends without saving
 POLL = 0.2  # s
@@ -150,7 +150,7 @@ def _run(
         position = checkpoints.restore(position)
         started = time.monotonic() - position.seconds
     tensorboard, every = job.config.run.tensorboard, job.config.run.checkpoint_seconds
-    metrics = Metrics(folder, position.steps, tensorboard)
+    metrics = MetricsFile(folder, position.steps, tensorboard)
     latest, saved, advised = position, time.monotonic(), False
     for latest, row, laps in _evaluated(job, chunk, position, started, fly, stop):
         metrics.write(row)

@@ -20,7 +20,7 @@ from quadjax.fitting.report import PATTERNS as FIT_FILES
 from quadjax.policy.file import Policy
 from quadjax.training.folder import FILES as TRAINING_FILES
 from quadjax.training.folder import check_same, prepare_folder
-from quadjax.training.metrics import Metrics, read_metrics, saved_rows
+from quadjax.training.metrics import MetricsFile, read_metrics, saved_rows
 from quadjax.training.result import SUMMARY, is_finished, read_summary
 from tests.commands import run
 from tests.evaluation.support import random_policy
@@ -252,7 +252,7 @@ def test_a_summary_says_whether_the_run_has_finished(tmp_path):
 def test_metrics_without_rows_do_not_block_a_resume(tmp_path):
     for text in ("", "\n", "steps,seconds\n", "steps,seconds\r\n12"):
         (tmp_path / "metrics.csv").write_text(text)
-        metrics = Metrics(tmp_path, 100, False)
+        metrics = MetricsFile(tmp_path, 100, False)
         metrics.write({"steps": 200, "seconds": 1.0})
         metrics.close()
         np.testing.assert_array_equal(read_metrics(tmp_path / "metrics.csv")["steps"], [200])
@@ -260,7 +260,7 @@ def test_metrics_without_rows_do_not_block_a_resume(tmp_path):
 
 def test_a_resumed_run_drops_the_rows_after_its_checkpoint(tmp_path):
     (tmp_path / "metrics.csv").write_text("steps,seconds\n100,1\n200,2\n300,3\n")
-    metrics = Metrics(tmp_path, 200, False)
+    metrics = MetricsFile(tmp_path, 200, False)
     metrics.write({"steps": 300, "seconds": 9.0})
     metrics.close()
     assert [row["seconds"] for row in saved_rows(tmp_path / "metrics.csv")] == [1, 2, 9]
