@@ -7,24 +7,26 @@ share a namespace; a block with a title is written to a file of that name; shell
 ``quadjax`` commands.
 """
 
-import math
 import shlex
 import sys
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 import yaml
 
 from quadjax.evaluation import training
 from quadjax.learners import parallel
+from quadjax.race.laps import Laps
 from quadjax.studies import comparison_run
-from quadjax.training.score import Score
+from quadjax.training import run as training_run
 from tests.commands import run
 from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
 from tests.docs.smaller import CODE, WIDE, load_short, short_overrides, smaller
 
+NO_LAPS = Laps(np.full((1, 1), np.nan), ("out of time",), np.ones(1), 1.0)
 TRAINED = ("README.md", "docs/getting_started/quickstart.md")
 OPTIONS = {  # added to a command, unless it has them
     "seeds": ["--seeds", "0", "--runs", "2"],
@@ -81,7 +83,7 @@ def test_blocks_run(page, folder, monkeypatch):
     monkeypatch.setattr(comparison_run, "run_comparison", lambda *_: "")
     if name_of(page) not in TRAINED:
         monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
-        monkeypatch.setattr(Score, "__call__", lambda *_: math.nan)
+        monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)
         monkeypatch.setattr(training, "present", lambda run: "")
     namespace: dict[str, object] = {"__name__": "block", "_load": load_short}
     for block in blocks_of(page):
