@@ -82,16 +82,16 @@ def step_all(
         keys = jax.random.split(reset_key, action.shape[0])
         return where_done(resets, environments.reset(params, keys), following)
 
-    begun = jax.lax.cond(resets.any(), fresh, lambda: following)
+    state = jax.lax.cond(resets.any(), fresh, lambda: following)
     outcome = Outcome(
-        observation=environments.observe(params, begun),
+        observation=environments.observe(params, state),
         final=environments.observe(params, following),
         reward=reward,
         terminated=terminated,
         truncated=truncated,
         gates_passed=jnp.where(late, 0, following.gates_passed),
     )
-    return Batch(begun, done, key), outcome
+    return Batch(state, done, key), outcome
 
 
 class RaceVectorEnv(VectorEnv):
@@ -151,14 +151,14 @@ class RaceVectorEnv(VectorEnv):
         observation = self._observe(self._params, state)
         mask = (options or {}).get("reset_mask")
         over = np.zeros(self.num_envs, bool)
-        found = np.asarray(observation)
+        rows = np.asarray(observation)
         if mask is not None and self._batch is not None:
             mask = np.asarray(mask, bool)
             state = where_done(jnp.asarray(mask), state, self._batch.state)
-            found = np.where(mask[:, None], found, self._last)
+            rows = np.where(mask[:, None], rows, self._last)
             over = np.asarray(self._batch.over) & ~mask
         self._batch = Batch(state, jnp.asarray(over), key)
-        self._last = found
+        self._last = rows
         return self._last.copy(), {}
 
     def step(self, actions: np.ndarray) -> Step:
@@ -174,11 +174,11 @@ class RaceVectorEnv(VectorEnv):
             raise RuntimeError("an episode is over: call reset (a vector: options reset_mask)")
         shaped = jnp.asarray(actions, jnp.float32).reshape(self.action_space.shape)
         self._batch, outcome = self._step(self._params, self._batch, shaped)
-        found: Any = jax.device_get(outcome)
-        self._last = np.array(found.observation)
-        reward = found.reward.astype(np.float64)
-        flags = np.array(found.terminated), np.array(found.truncated)
-        return self._last.copy(), reward, *flags, self._infos(found)
+        result: Any = jax.device_get(outcome)
+        self._last = np.array(result.observation)
+        reward = result.reward.astype(np.float64)
+        flags = np.array(result.terminated), np.array(result.truncated)
+        return self._last.copy(), reward, *flags, self._infos(result)
 
     def _infos(self, outcome: Any) -> Info:
         every = np.ones(self.num_envs, bool)

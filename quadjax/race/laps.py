@@ -84,8 +84,8 @@ class Laps:
             return round(float(x), 4) if np.isfinite(x) else None
 
         completed = self.laps_completed()
-        part = {"last_lap_gates": self.last_gates} if self.last_gates else {}
-        return part | {
+        last_lap = {"last_lap_gates": self.last_gates} if self.last_gates else {}
+        return last_lap | {
             "laps": [[number(x) for x in run] for run in self.lap_times],
             "totals": [number(x) for x in self.totals],
             "finished": self.finished,
@@ -144,12 +144,12 @@ def starting_states(
     """
 
     def one(key: jax.Array) -> RaceState:
-        drawn = environment.reset(choices, params, key)
+        start = environment.reset(choices, params, key)
         if not from_hover:
             zero = jnp.zeros((), jnp.int32)
-            return drawn.replace(step=zero, gates_passed=zero)
+            return start.replace(step=zero, gates_passed=zero)
         moved = episode.draw(jax.random.fold_in(key, 6), 3) if around else None
-        return episode.hover_start(choices, params, drawn, moved)
+        return episode.hover_start(choices, params, start, moved)
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))
 

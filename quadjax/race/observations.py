@@ -146,8 +146,8 @@ def _rotation(step: Step) -> Numbers:
         Vec3(-g.sin_yaw, g.cos_yaw, zero),
         Vec3(zero, zero, one),
     )
-    seen = [step.drone.to_body(axis) for axis in axes]
-    return [axis.x for axis in seen] + [axis.z for axis in seen]
+    in_body = [step.drone.to_body(axis) for axis in axes]
+    return [axis.x for axis in in_body] + [axis.z for axis in in_body]
 
 
 def _next_yaw_unwrapped(step: Step) -> Numbers:

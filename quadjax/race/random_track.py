@@ -75,9 +75,9 @@ class RandomTrack(Section):
     @model_validator(mode="after")
     def _check(self) -> "RandomTrack":
         low, high = self.height
-        for key, (least, most) in (("leg", self.leg), ("height", self.height)):
-            if least > most:
-                raise ValueError(f"{key} is {[least, most]}, allowed: [lowest, highest]")
+        for key, (lowest, highest) in (("leg", self.leg), ("height", self.height)):
+            if lowest > highest:
+                raise ValueError(f"{key} is {[lowest, highest]}, allowed: [lowest, highest]")
         if self.leg_ratio is not None and self.leg[1] <= self.leg_ratio * self.leg[0]:
             raise ValueError(
                 f"leg_ratio is {self.leg_ratio:g}, allowed with leg {list(self.leg)}: less than "
@@ -116,8 +116,8 @@ class RandomTracks(RandomTrack):
     @property
     def each(self) -> list[RandomTrack]:
         """The settings of each track."""
-        own = self.model_dump(exclude={"count"})
-        return [RandomTrack(**own | {"seed": self.seed + i}) for i in range(self.count)]
+        settings = self.model_dump(exclude={"count"})
+        return [RandomTrack(**settings | {"seed": self.seed + i}) for i in range(self.count)]
 
 
 def generate(track: RandomTrack) -> Tree:
@@ -158,12 +158,12 @@ def _doubled(rng: np.random.Generator, track: RandomTrack) -> np.ndarray:
 def _solve(rng: np.random.Generator, track: RandomTrack, double: np.ndarray) -> np.ndarray:
     """Places (n, 2) whose distances are near the allowed ones."""
     count, (short, long) = len(double), track.leg
-    least = max(short, _room(track))
-    if track.leg_ratio is not None and long > track.leg_ratio * least:
-        least *= (long / track.leg_ratio / least) ** rng.uniform()
-        long = track.leg_ratio * least
-    inside = min(SLACK, 0.25 * (long - least))
-    legs = rng.uniform(least + inside, max(long - inside, least + inside), count)
+    shortest = max(short, _room(track))
+    if track.leg_ratio is not None and long > track.leg_ratio * shortest:
+        shortest *= (long / track.leg_ratio / shortest) ** rng.uniform()
+        long = track.leg_ratio * shortest
+    inside = min(SLACK, 0.25 * (long - shortest))
+    legs = rng.uniform(shortest + inside, max(long - inside, shortest + inside), count)
     turns = rng.uniform(-track.turn_deg, track.turn_deg, count) + 180.0 * double
     heading = np.radians(np.cumsum(turns))
     steps = legs[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
@@ -238,14 +238,14 @@ def _gates(
     below = track.size[1] + 2.0 * track.frame + BETWEEN
     gates = []
     axes = heading + 0.5 * turn
-    for (x, y), yaw, own, two in zip(places, axes, turn, double, strict=True):
+    for (x, y), yaw, bend, two in zip(places, axes, turn, double, strict=True):
         heights = [rng.uniform(low, high)]
         if two:
             lower = rng.uniform(low, high - below)
             heights = [rng.uniform(lower + below, high), lower]
         if track.yaw_deg:
-            most = min(track.yaw_deg, max(0.0, ACROSS - abs(math.degrees(0.5 * own))))
-            yaw += math.radians(rng.uniform(-most, most))
+            largest = min(track.yaw_deg, max(0.0, ACROSS - abs(math.degrees(0.5 * bend))))
+            yaw += math.radians(rng.uniform(-largest, largest))
         for index, height in enumerate(heights):
             angle = (math.degrees(yaw) + 180.0 * index + 180.0) % 360.0 - 180.0
             gates.append(

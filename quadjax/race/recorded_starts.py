@@ -115,11 +115,11 @@ def read_states(path: Path | str) -> States:
         check_finite(path, name, arrays[name])
     count = len(np.atleast_1d(arrays["target"]))
     for name in NAMES:
-        own, dims = arrays[name].shape, 1 if name == "target" else 2
-        wide = name not in MOTION or own[-1:] == (3,)
-        if len(own) != dims or own[0] != count or count == 0 or not wide:
+        shape, dims = arrays[name].shape, 1 if name == "target" else 2
+        is_wide = name not in MOTION or shape[-1:] == (3,)
+        if len(shape) != dims or shape[0] != count or count == 0 or not is_wide:
             raise InputError(
-                f"{path}: {name} has the shape {own}, expected a row for each of {max(1, count)} "
+                f"{path}: {name} has the shape {shape}, expected a row for each of {max(1, count)} "
                 f"states{', three numbers each' * (name in MOTION)}"
             )
     return States({name: arrays[name] for name in NAMES}, str(meta.get("track", "")))

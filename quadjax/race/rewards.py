@@ -136,10 +136,10 @@ def perception(step: Step) -> jax.Array:
     passes the gate has none.
     """
     weights = step.params.reward
-    seen = step.drone.to_body(step.gate.position - step.position)
+    to_gate = step.drone.to_body(step.gate.position - step.position)
     cosine, sine = jnp.cos(weights.camera_deg), jnp.sin(weights.camera_deg)  # rad, as leaves
-    along = cosine * seen.x - sine * seen.z
-    aside = Vec3(seen.y, sine * seen.x + cosine * seen.z, jnp.zeros_like(seen.y))
+    along = cosine * to_gate.x - sine * to_gate.z
+    aside = Vec3(to_gate.y, sine * to_gate.x + cosine * to_gate.z, jnp.zeros_like(to_gate.y))
     angle = arctan2(safe_norm(aside), along)
     assert step.outcome is not None
     return jnp.where(step.outcome.passed, 0.0, -jnp.maximum(angle - weights.perception_deg, 0.0))
@@ -186,7 +186,7 @@ REWARDS: dict[str, Term] = {  # by the name of the weight
 }
 
 
-def terms_of(own: UserFunctions) -> Mapping[str, Term]:
+def terms_of(user: UserFunctions) -> Mapping[str, Term]:
     """``REWARDS`` and a user's own terms, each checked to give one number."""
 
     def checked(name: str, term: Callable[[Step], jax.Array]) -> Term:
@@ -196,17 +196,17 @@ def terms_of(own: UserFunctions) -> Mapping[str, Term]:
 
         return Term(value)
 
-    return REWARDS | {name: checked(name, term) for name, term in own}
+    return REWARDS | {name: checked(name, term) for name, term in user}
 
 
-def reward(step: Step, own: UserFunctions = ()) -> jax.Array:
+def reward(step: Step, user: UserFunctions = ()) -> jax.Array:
     """The reward () of one step: the sum of its weighted terms; see ``Term``.
 
     Args:
         step: with its outcome and its action.
-        own: a user's terms, in addition to ``REWARDS``. A term without a weight is not computed.
+        user: a user's terms, in addition to ``REWARDS``. A term without a weight is not computed.
     """
-    section, outcome, terms = step.params.reward, step.outcome, terms_of(own)
+    section, outcome, terms = step.params.reward, step.outcome, terms_of(user)
     assert outcome is not None
     weights: dict[str, Scalar | None] = {
         name: getattr(section, name, section.terms.get(name)) for name in terms

@@ -159,7 +159,7 @@ def make_track(
     if not closed:
         ahead = AHEAD * jnp.stack([cosine[-1], sine[-1], jnp.zeros_like(sine[-1])])
         to_next = Vec3(
-            *(x.at[-1].set(own) for x, own in zip(to_next.components(), ahead, strict=True))
+            *(x.at[-1].set(last) for x, last in zip(to_next.components(), ahead, strict=True))
         )
         next_yaw = next_yaw.at[-1].set(0.0)
     return Track(
@@ -210,7 +210,7 @@ def build_tracks(settings: RandomTracks) -> tuple[Track, float]:
     Raises:
         InputError: settings for which no track was found.
     """
-    trees = [generate(each) for each in settings.each]
+    trees = [generate(track) for track in settings.each]
     tracks = [build_track(TrackSection(gates=tree["gates"])) for tree in trees]
     limit = max(tree["rules"]["position_limit"] for tree in trees)
     return jax.tree.map(lambda *each: jnp.stack(each), *tracks), limit

@@ -52,11 +52,11 @@ def constant(
 @functools.cache
 def declarations(kind: type) -> dict[str, Declaration]:
     """What is declared of each constant of a dataclass, by name and in order."""
-    found: dict[str, Declaration] = {}
+    declared: dict[str, Declaration] = {}
     for field in dataclasses.fields(kind):
         names = rotor_names(field.name) if field.type is Rotors else (field.name,)
-        found |= dict.fromkeys(names, field.metadata.get(KEY, Declaration()))
-    return found
+        declared |= dict.fromkeys(names, field.metadata.get(KEY, Declaration()))
+    return declared
 
 
 def rotor_names(name: str) -> tuple[str, ...]:

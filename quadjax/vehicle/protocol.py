@@ -87,8 +87,8 @@ class VehicleModel:
         constants: flax dataclass of scalars; each number has a key in the vehicle file.
         commands: the command's numbers in order; an action has as many.
         actuators: the actuators' measured state, one group of the observation.
-        populations: ``(nominal, drawn) -> constants`` by name, for ``randomization.population``: a
-            drone of a population, of one number in [-1, 1] for each constant.
+        populations: ``(nominal, numbers) -> constants`` by name, for ``randomization.population``:
+            a drone of a population, of one number in [-1, 1] for each constant.
         moment_unit: of a moment: N m, or rad/s^2 where it is per inertia.
         uses_start_thrust: whether ``start`` uses the config's ``start.thrust``.
         has_battery: whether commands and actuators are propeller speeds, rpm, ``Rotors``, which a
@@ -141,12 +141,12 @@ class VehicleModel:
         raise NotImplementedError
 
     def start_actuators(
-        self, c: Constants, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
+        self, c: Constants, numbers: jax.Array, thrust: tuple[jax.Array, jax.Array]
     ) -> Actuators:
         """The actuators' state at a start: drawn over their range; see ``start``."""
         low, high = self.actuator_range(c)
         pairs = zip(jax.tree.leaves(low), jax.tree.leaves(high), strict=True)
-        values = [between(*ends, drawn[index]) for index, ends in enumerate(pairs)]
+        values = [between(*ends, numbers[index]) for index, ends in enumerate(pairs)]
         return jax.tree.unflatten(jax.tree.structure(low), values)
 
     def angular_momentum(
@@ -215,17 +215,17 @@ class VehicleModel:
         return Measurement(state.rates, force, state.actuators, velocity)
 
     def start(
-        self, c: Constants, motion: Motion, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
+        self, c: Constants, motion: Motion, numbers: jax.Array, thrust: tuple[jax.Array, jax.Array]
     ) -> State:
         """The start of an episode, without external disturbances.
 
         Args:
             c: the constants.
             motion: of the body.
-            drawn: numbers (at least ``actuators.size``,) uniform in [-1, 1].
+            numbers: (at least ``actuators.size``,) uniform in [-1, 1].
             thrust: the config's lowest and highest start thrust, m/s^2.
         """
-        return self._at(motion, self.start_actuators(c, drawn, thrust))
+        return self._at(motion, self.start_actuators(c, numbers, thrust))
 
     def hover(self, c: Constants, motion: Motion) -> State:
         """As ``start``, with the actuators of a hover."""
@@ -258,11 +258,11 @@ class VehicleModel:
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Names of the constants of each group of ``randomization``."""
-        found: dict[str, tuple[str, ...]] = {}
+        groups: dict[str, tuple[str, ...]] = {}
         for name, declared in declarations(self.constants).items():
             if declared.group is not None:
-                found[declared.group] = (*found.get(declared.group, ()), name)
-        return found
+                groups[declared.group] = (*groups.get(declared.group, ()), name)
+        return groups
 
     @property
     def ranges(self) -> tuple[tuple[str, str], ...]:

@@ -143,11 +143,11 @@ ALL_RACING_DRONES = {
 ROTOR_DIFFERENCE = 50.0
 
 
-def all_racing_drones(nominal: RacingConstants, drawn: jax.Array) -> RacingConstants:
+def all_racing_drones(nominal: RacingConstants, numbers: jax.Array) -> RacingConstants:
     """A drone of ``ALL_RACING_DRONES``, of at least 19 numbers in [-1, 1]; ``g`` as given."""
     count = len(ALL_RACING_DRONES)
     values: dict[str, Any] = {
-        name: between(*span, drawn[index])
+        name: between(*span, numbers[index])
         for index, (name, span) in enumerate(ALL_RACING_DRONES.items())
     }
     w = values["w_max"]
@@ -156,7 +156,7 @@ def all_racing_drones(nominal: RacingConstants, drawn: jax.Array) -> RacingConst
     for name in ("k_x", "k_y", "k_r", "k_rd"):
         values[name] = values[name] / w
     for axis, name in enumerate(("k_p", "k_q")):
-        draws = (drawn[count + 4 * axis + rotor] for rotor in range(4))
+        draws = (numbers[count + 4 * axis + rotor] for rotor in range(4))
         values[name] = Rotors(*(values[name] + ROTOR_DIFFERENCE * x / (w * w) for x in draws))
     for name in ("k_r", "k_rd"):
         values[name] = Rotors.same(values[name])
@@ -176,23 +176,23 @@ MONORACE_ROBUST = {
 ROBUST_LAG = 0.025  # s, the time constant about which MONORACE_ROBUST draws
 
 
-def monorace_fastest(nominal: A2RLConstants, drawn: jax.Array) -> A2RLConstants:
+def monorace_fastest(nominal: A2RLConstants, numbers: jax.Array) -> A2RLConstants:
     """A drone of ``MONORACE_FASTEST``, of one number in [-1, 1] for each constant."""
-    return _scaled(nominal, MONORACE_FASTEST, drawn)
+    return _scaled(nominal, MONORACE_FASTEST, numbers)
 
 
-def monorace_robust(nominal: A2RLConstants, drawn: jax.Array) -> A2RLConstants:
+def monorace_robust(nominal: A2RLConstants, numbers: jax.Array) -> A2RLConstants:
     """A drone of ``MONORACE_ROBUST``, of one number in [-1, 1] for each constant."""
-    return _scaled(nominal.replace(tau=ROBUST_LAG), MONORACE_ROBUST, drawn)
+    return _scaled(nominal.replace(tau=ROBUST_LAG), MONORACE_ROBUST, numbers)
 
 
 def _scaled(
-    nominal: A2RLConstants, fractions: Mapping[str, float], drawn: jax.Array
+    nominal: A2RLConstants, fractions: Mapping[str, float], numbers: jax.Array
 ) -> A2RLConstants:
     """Constants, each times 1 +- the fraction of its group or of its own name."""
     names, values = constant_names(A2RLConstants), values_of(nominal)
     changed = {
-        name: values[name] * (1.0 + fraction * drawn[names.index(name)])
+        name: values[name] * (1.0 + fraction * numbers[names.index(name)])
         for key, fraction in fractions.items()
         for name in A2RL.groups.get(key, (key,))
     }

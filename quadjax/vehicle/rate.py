@@ -73,10 +73,10 @@ class Rate(VehicleModel):
         return c.thrust_min, c.thrust_max
 
     def start_actuators(
-        self, c: RateConstants, drawn: jax.Array, thrust: tuple[jax.Array, jax.Array]
+        self, c: RateConstants, numbers: jax.Array, thrust: tuple[jax.Array, jax.Array]
     ) -> jax.Array:
         """The thrust drawn over the range ``thrust``, m/s^2, and clipped to that of commands."""
-        return jnp.clip(between(*thrust, drawn[0]), c.thrust_min, c.thrust_max)
+        return jnp.clip(between(*thrust, numbers[0]), c.thrust_min, c.thrust_max)
 
     def hover_actuators(self, c: RateConstants) -> jax.Array:
         """The thrust of a hover, m/s^2, clipped to that of commands."""

@@ -27,7 +27,7 @@ def model(reference: str | VehicleModel) -> VehicleModel:
     allowed = f"{', '.join(MODELS)} or 'module:OBJECT'"
     if ":" not in reference:
         raise InputError(f"vehicle.model is {reference!r}, allowed: {allowed}")
-    found = load_object(reference, "vehicle.model")
-    if not isinstance(found, VehicleModel):
+    loaded = load_object(reference, "vehicle.model")
+    if not isinstance(loaded, VehicleModel):
         raise InputError(f"vehicle.model is {reference!r}: not a VehicleModel; allowed: {allowed}")
-    return found
+    return loaded

@@ -138,10 +138,10 @@ def read_residual(path: Path | str) -> Residual:
 
 def check_shape(path: Path | str, name: str, layers: Sequence[tuple[Any, Any]]) -> None:
     """Raise an ``InputError`` unless layers have the inputs and outputs of the named network."""
-    expected, found = SHAPES[name], (layers[0][0].shape[0], layers[-1][0].shape[1])
-    if found != expected:
+    expected, sizes = SHAPES[name], (layers[0][0].shape[0], layers[-1][0].shape[1])
+    if sizes != expected:
         raise InputError(
-            f"{path}: the {name} network maps {found[0]} inputs to {found[1]} outputs, "
+            f"{path}: the {name} network maps {sizes[0]} inputs to {sizes[1]} outputs, "
             f"expected {expected[0]} to {expected[1]}"
         )
 

@@ -106,9 +106,9 @@ def describe(model: VehicleModel, summary: VehicleSummary) -> str:
     """The summary as lines of text."""
     low, high = np.array(summary.lowest), np.array(summary.highest)
     hover = np.array(summary.hover)
-    part = 100.0 * (hover - low) / (high - low)
+    percent = 100.0 * (hover - low) / (high - low)
     limits = f"{low.min():.5g} to {high.max():.5g} {model.actuators.unit}"
-    rows = [("hover", f"{_span(hover, '.5g')} of {limits}: {_span(part, '.0f')}% of the range")]
+    rows = [("hover", f"{_span(hover, '.5g')} of {limits}: {_span(percent, '.0f')}% of the range")]
     if summary.thrust_to_weight is not None:
         rows.append(("thrust-to-weight", f"{summary.thrust_to_weight:.2f}"))
     for axis, change, rate in zip(
@@ -126,17 +126,16 @@ def _span(values: np.ndarray, form: str) -> str:
 
 def warnings(summary: VehicleSummary) -> list[str]:
     """Implausible values, which are probably in a wrong unit."""
-    found = []
+    messages = []
     ratio = summary.thrust_to_weight
     if ratio is not None and not 1.3 <= ratio <= 20.0:
-        found.append(f"thrust-to-weight {ratio:.3g}: typical are 1.3 to 20")
+        messages.append(f"thrust-to-weight {ratio:.3g}: typical are 1.3 to 20")
     for name, value in summary.lags.items():
         if not 0.005 <= value <= 0.3:
-            found.append(f"{name} {value:g} s: typical are 0.005 to 0.3 s")
+            messages.append(f"{name} {value:g} s: typical are 0.005 to 0.3 s")
     for axis, rate in zip(AXES, summary.body_rates, strict=True):
-        least, most = (0.05, 60.0) if axis == "yaw" else (0.5, 150.0)
-        if not least <= rate <= most:
-            found.append(
-                f"{axis}: {rate:.3g} rad/s within {SECONDS:g} s: typical are {least:g} to {most:g}"
-            )
-    return found
+        lowest, highest = (0.05, 60.0) if axis == "yaw" else (0.5, 150.0)
+        if not lowest <= rate <= highest:
+            typical = f"typical are {lowest:g} to {highest:g}"
+            messages.append(f"{axis}: {rate:.3g} rad/s within {SECONDS:g} s: {typical}")
+    return messages

@@ -44,10 +44,10 @@ def vehicle_values(path: Path, tree: Tree) -> Tree:
 
 
 def _with_rotors(values: Tree, order: list[str], where: str) -> Tree:
-    found: Tree = {}
+    numbers: Tree = {}
     for key, value in values.items():
         if not isinstance(value, list):
-            found.setdefault(key, value)
+            numbers.setdefault(key, value)
             continue
         if len(value) != len(ROTORS):
             raise InputError(f"{where}.{key} is {short(value)}, allowed: one value for each rotor")
@@ -56,8 +56,8 @@ def _with_rotors(values: Tree, order: list[str], where: str) -> Tree:
                 raise InputError(f"{where}.turning is {short(value)}, allowed: cw or ccw for each")
             number = TURNING[item] if key == "turning" else item
             name = rotor_names(key)[ROTORS.index(place)]
-            found[name] = values.get(name, number)  # a name with a rotor's number has precedence
-    return found
+            numbers[name] = values.get(name, number)  # a name with a rotor's number has precedence
+    return numbers
 
 
 def for_each_rotor(values: Tree, names: Collection[str]) -> Tree:
@@ -67,14 +67,14 @@ def for_each_rotor(values: Tree, names: Collection[str]) -> Tree:
         values: constants by name.
         names: of all constants of the model.
     """
-    found: Tree = {}
+    expanded: Tree = {}
     for key, value in values.items():
         four = rotor_names(key)
         if key not in names and set(four) <= set(names):
-            found |= {name: value for name in four if name not in values}
+            expanded |= {name: value for name in four if name not in values}
         else:
-            found[key] = value
-    return found
+            expanded[key] = value
+    return expanded
 
 
 def vehicle_text(
@@ -95,10 +95,10 @@ def vehicle_text(
     if any(map(_rotor_stems, models.values())):
         lines.append(f"rotors: [{', '.join(ROTORS)}]")
     for model, values in models.items():
-        known = {} if notes is None else notes.get(model, {})
+        comments = {} if notes is None else notes.get(model, {})
         fitted = notes is None or model in notes
         lines.append(f"{model}:" + ("" if fitted else "  # not fitted: the base vehicle's"))
-        lines += _constant_lines(values, known)
+        lines += _constant_lines(values, comments)
     return "\n".join(lines) + "\n"
 
 
@@ -115,11 +115,11 @@ def _constant_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> li
         stem, text = name[:-1], repr(value)
         if stem in stems:
             names = rotor_names(stem)
-            items = (values[each] for each in names)
+            items = (values[rotor] for rotor in names)
             text = ", ".join(words[x] if stem == "turning" else repr(x) for x in items)
             text = f"[{text}]"
         if name == names[0]:
-            note = ", ".join(notes[each] for each in names if each in notes)
+            note = ", ".join(notes[rotor] for rotor in names if rotor in notes)
             key = stem if stem in stems else name
             lines.append(f"  {key}: {text}" + (f"  # {note}" if note else ""))
     return lines
