@@ -202,12 +202,11 @@ def read_guess(problem: Problem, path: Path | str) -> Trajectory:
     sizes = 3, 3, 3, 3, len(problem.start) - 13, len(problem.command_range[0])
     shapes = {name: (nodes, size) for name, size in zip(SIGNALS, sizes, strict=True)}
     for name, shape in (shapes | {"leg_times": (legs,)}).items():
-        actual = arrays[name].shape if name in arrays else None
-        if actual != shape or nodes < 2 or (nodes - 1) % legs:
-            raise InputError(
-                f"{path}: {name} has the shape {actual}, expected {shape}, {legs} legs"
-            )
-        if not np.isfinite(arrays[name]).all() or (arrays["leg_times"] <= 0.0).any():
+        values = arrays.get(name, np.zeros(0))
+        if values.shape != shape or nodes < 2 or (nodes - 1) % legs:
+            text = f"{name} has the shape {values.shape}, expected {shape}, {legs} legs"
+            raise InputError(f"{path}: {text}")
+        if not np.isfinite(values).all() or (name == "leg_times" and values.min() <= 0.0):
             raise InputError(f"{path}: {name} is not finite, or a leg's time is not above 0")
     *motion, actuators, commands, leg_times = (arrays[name] for name in ARRAYS)
     return Trajectory(leg_times, problem.vectors(motion, actuators), commands)

@@ -46,17 +46,12 @@ class BestKnown:
 
 
 class NotFoundError(Exception):
-    """No initial guess led to a verified flight: one line that says what was tried.
-
-    Attributes:
-        flight: the last solution, which is not verified; None if there is none.
-        error: why it is not.
-    """
+    """No initial guess led to a verified flight: one line that says what was tried."""
 
     def __init__(
         self, attempts: Mapping[str, str], flight: Trajectory | None = None, error: str = ""
     ) -> None:
-        """Say what was tried, and what the last solution is."""
+        """With the last solution, which is not verified, if there is one, and why it is not."""
         self.flight, self.error = flight, error
         tried = "; ".join(f"{guess}: {status}" for guess, status in attempts.items()) or "no time"
         text = f"no flight was found ({tried}); try more time (--seconds)"
