@@ -1,7 +1,5 @@
 """Presets, parts, policies, tracks and vehicles as text, and files of new tracks and vehicles."""
 
-import itertools
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +12,7 @@ from quadjax.config.schema import Config, Gate, Track
 from quadjax.config.tracks import generated
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
-from quadjax.core.resources import CONFIGS, find_policy, policy_names, preset_names
+from quadjax.core.resources import find_policy, policy_names, preset_names
 from quadjax.core.sections import build
 from quadjax.core.yaml_files import Sources, parse_overrides, read_tree_with_bases, to_yaml
 from quadjax.policy.file import Policy
@@ -25,37 +23,8 @@ from quadjax.vehicle.summary import describe as describe_vehicle
 from quadjax.vehicle.summary import summarize, warnings
 from quadjax.vehicle.vehicle_file import vehicle_text
 
-KINDS = {  # folders of configs
-    "presets": "",
-    "parts of presets (+NAME; with a prefix e2e_ or indi_ those of that preset)": "parts",
-    "tracks": "tracks",
-    "vehicles": "vehicles",
-}
 PRESET = "e2e"  # whose rules check a track that has none of its own
 COMMENT = "docs/guide/vehicle.md has the formulas. Fit flight logs for better constants."
-
-
-def listing() -> str:
-    """Names and descriptions of what comes with the package."""
-    lines = []
-    for kind, folder in KINDS.items():
-        names = preset_names(folder)
-        width = max(map(len, names))
-        lines += [f"{kind}:"]
-        for name in names:
-            start = f"  {name:<{width}}  "
-            text = _description(CONFIGS / folder / f"{name}.yaml")
-            lines.append(textwrap.fill(start + text, 79, subsequent_indent=" " * len(start)))
-        lines.append("")
-    policies = textwrap.fill(", ".join(policy_names()), 77)
-    return "\n".join([*lines, "policies:", textwrap.indent(policies, "  ")])
-
-
-def _description(path: Path) -> str:
-    """The first sentence of the comment at the top of a file."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
-    return " ".join(line.lstrip("# ") for line in comment).split(". ")[0].removesuffix(".")
 
 
 def kind_of(what: str) -> str:

@@ -9,6 +9,7 @@ from quadjax.cli.options import Flag, Overrides, Picture, check_writable
 from quadjax.cli.output import wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
+from quadjax.core.resources import listing
 
 
 def show(
@@ -44,13 +45,16 @@ def show(
         figure: Draw the track from two sides.
         model: Your own VehicleModel (default: those in the vehicle file).
     """
+    if what is None and write is None:
+        print(listing())
+        return
     with loading():
         from quadjax import catalog
         from quadjax.core.plotting import save_figure
         from quadjax.evaluation.figures import trajectory_figure
 
     if what is None:
-        print(catalog.keys_text(write) if write else catalog.listing())
+        print(catalog.keys_text(write or ""))
         return
     if figure is not None:
         check_writable(figure, overwrite=overwrite)
