@@ -71,6 +71,9 @@ WITHOUT_CONFIG = (
 # Public functions that also take a preset's name.
 EDGES = {"evaluate", "race_of_policy", "_make", "_make_vector"}
 EDGES |= {"specialize", "outside", "_constants"}  # of the drone of a config
+# Published times are those of a config's race.
+EDGES |= {"published_total", "published_row", "published_flight", "published_sampled"}
+EDGES |= {"_race", "_residual"}
 
 
 def test_only_the_outer_packages_take_a_whole_config():
