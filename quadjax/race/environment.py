@@ -23,8 +23,8 @@ from quadjax.core.traced import with_leaves
 from quadjax.race.episode import reset
 from quadjax.race.layout import push_past
 from quadjax.race.rewards import reward
-from quadjax.race.rules import NOT_FINITE, Outcome, evaluate_rules
-from quadjax.race.step import Choices, Estimate, RaceParams, RaceState, Step
+from quadjax.race.rules import NOT_FINITE, evaluate_rules
+from quadjax.race.step import Choices, Estimate, Outcome, RaceParams, RaceState, Step
 from quadjax.race.track import gate, gate_count
 from quadjax.vehicle import estimator
 from quadjax.vehicle.battery import advance_battery, limit_command

@@ -16,7 +16,8 @@ from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3
 from quadjax.race import environment, episode
 from quadjax.race.environment import Choices, RaceParams, RaceState
-from quadjax.race.rules import Outcome, terminations_of
+from quadjax.race.rules import terminations_of
+from quadjax.race.step import Outcome
 from quadjax.race.track import Track, gate_count
 
 Actor = Callable[[Any, jax.Array, jax.Array], jax.Array]  # (policy, observation, noise)

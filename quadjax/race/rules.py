@@ -7,14 +7,13 @@ from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.imports import user_numbers
 from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import Traced, register
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.step import Step, UserFunctions
+from quadjax.race.step import Outcome, Step, UserFunctions
 from quadjax.race.track import Gate, Span, Track, gate, gate_count, to_opening_frame
 from quadjax.vehicle.protocol import VehicleModel
 
@@ -117,36 +116,6 @@ class TrainingLimits(Section):
         if self.pitch_deg is None and math.isfinite(model.pitch_limit):
             return 85.0
         return self.pitch_deg
-
-
-class Outcome(struct.PyTreeNode):
-    """The events of one step; every flag is a () bool."""
-
-    passed: jax.Array  # the target gate, without a crash
-    crashes: Mapping[str, jax.Array]  # by the name of the termination, whether it applies
-    truncated: jax.Array
-    finished: jax.Array | None = None  # passed the last gate of a course; None on a closed track
-    # Names of all terminations by priority; ``crashes`` lacks those that the race does not have.
-    names: tuple[str, ...] = struct.field(pytree_node=False, default=())
-
-    @property
-    def terminated(self) -> jax.Array:
-        """Whether the episode ended in a collision of any kind."""
-        return functools.reduce(jnp.logical_or, self.crashes.values())
-
-    @property
-    def over(self) -> jax.Array:
-        """Whether the episode ended by a collision or at the end of a course."""
-        return self.terminated if self.finished is None else self.terminated | self.finished
-
-    @property
-    def crash(self) -> jax.Array:
-        """The number (), from 1, of the first of ``names`` that applies; 0 where none does."""
-        code = jnp.zeros((), jnp.int32)
-        for index, name in reversed(list(enumerate(self.names, start=1))):
-            if name in self.crashes:
-                code = jnp.where(self.crashes[name], index, code)
-        return code
 
 
 def inside_square(relative: Vec3, g: Gate, inflation: Scalar) -> jax.Array:

@@ -5,7 +5,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import jax
@@ -14,6 +14,8 @@ from flax import struct
 
 from quadjax.core.gradients import Scalar
 from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.race.recorded_starts import RecordedStarts
+from quadjax.race.starts import Disturbance, Start
 from quadjax.race.track import Gate, Track
 from quadjax.vehicle.battery import Battery, BatteryState
 from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
@@ -21,10 +23,8 @@ from quadjax.vehicle.protocol import Constants, State, VehicleModel, VehiclePara
 
 if TYPE_CHECKING:  # what is declared next to the functions of a step
     from quadjax.race.layout import Layout
-    from quadjax.race.recorded_starts import RecordedStarts
     from quadjax.race.rewards import Reward
-    from quadjax.race.rules import Outcome, Rules, TrainingLimits
-    from quadjax.race.starts import Disturbance, Start
+    from quadjax.race.rules import Rules, TrainingLimits
 
 # A user's functions of a step, with their names.
 UserFunctions = tuple[tuple[str, Callable[["Step"], jax.Array]], ...]
@@ -52,22 +52,22 @@ class RaceParams(struct.PyTreeNode):
     reward: "Reward"
     rules: "Rules"
     training_limits: "TrainingLimits"
-    start: "Start"
-    disturbance: "Disturbance"
+    start: Start
+    disturbance: Disturbance
     randomization: Constants  # largest relative error of each constant
     tracks: Track | None = None  # (tracks, gates) of each number: drawn for every episode
     heading: jax.Array | None = None  # (gates,) rad, center of a start's yaw; None: north
-    recorded: "RecordedStarts | None" = None  # states in which a part of the episodes starts
+    recorded: RecordedStarts | None = None  # states in which a part of the episodes starts
     population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
     mismatch: Constants | None = None  # factors on the constants of the simulated drone
     estimator: EstimatorParams | None = None  # where the observation is estimated
     battery: Battery | None = None  # where it limits the commands
     # Scale of the observed disturbances where it is not the drawn range: a policy keeps the scale
     # that it was trained with.
-    disturbance_scale: "Disturbance | None" = None
+    disturbance_scale: Disturbance | None = None
 
     @property
-    def observed_disturbance(self) -> "Disturbance":
+    def observed_disturbance(self) -> Disturbance:
         """Half-widths that scale the observed disturbances."""
         return self.disturbance if self.disturbance_scale is None else self.disturbance_scale
 
@@ -117,6 +117,36 @@ class RaceState(struct.PyTreeNode):
     past: Past | None = None  # where a history is observed
 
 
+class Outcome(struct.PyTreeNode):
+    """The events of one step; every flag is a () bool."""
+
+    passed: jax.Array  # the target gate, without a crash
+    crashes: Mapping[str, jax.Array]  # by the name of the termination, whether it applies
+    truncated: jax.Array
+    finished: jax.Array | None = None  # passed the last gate of a course; None on a closed track
+    # Names of all terminations by priority; ``crashes`` lacks those that the race does not have.
+    names: tuple[str, ...] = struct.field(pytree_node=False, default=())
+
+    @property
+    def terminated(self) -> jax.Array:
+        """Whether the episode ended in a collision of any kind."""
+        return functools.reduce(jnp.logical_or, self.crashes.values())
+
+    @property
+    def over(self) -> jax.Array:
+        """Whether the episode ended by a collision or at the end of a course."""
+        return self.terminated if self.finished is None else self.terminated | self.finished
+
+    @property
+    def crash(self) -> jax.Array:
+        """The number (), from 1, of the first of ``names`` that applies; 0 where none does."""
+        code = jnp.zeros((), jnp.int32)
+        for index, name in reversed(list(enumerate(self.names, start=1))):
+            if name in self.crashes:
+                code = jnp.where(self.crashes[name], index, code)
+        return code
+
+
 class Step(struct.PyTreeNode):
     """One step of one drone in its race. World NED, body FRD, SI units, rad.
 
@@ -141,7 +171,7 @@ class Step(struct.PyTreeNode):
     state: RaceState
     gate: Gate
     after: State | None = None
-    outcome: "Outcome | None" = None
+    outcome: Outcome | None = None
     action: jax.Array | None = None
 
     @property

@@ -17,7 +17,7 @@ from quadjax.config.schema import Config
 from quadjax.race import environment, episode
 from quadjax.race.environment import Choices, RaceParams, RaceState
 from quadjax.race.laps import LapState, begin, score
-from quadjax.race.rules import Outcome
+from quadjax.race.step import Outcome
 from quadjax.race.track import make_track
 from tests import reference as ref
 from tests.convert import state_of

@@ -13,7 +13,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.race import rewards, rules
 from quadjax.race.environment import RaceState, exact_rules
 from quadjax.race.rewards import REWARDS, Reward
-from quadjax.race.step import Step
+from quadjax.race.step import Outcome, Step
 from quadjax.race.track import build_track, gate, to_opening_frame
 from quadjax.vehicle.motor import MODEL
 from tests import reference as ref
@@ -345,7 +345,7 @@ def _paid(params, target, before, after, passed):
     zero = jnp.zeros((), jnp.int32)
     drone = state_of("motor", np.zeros(22, np.float32))
     state = RaceState(drone.replace(position=before), zero, zero, zero, None)
-    outcome = rules.Outcome(passed, {GATE: jnp.zeros((), bool)}, jnp.zeros((), bool))
+    outcome = Outcome(passed, {GATE: jnp.zeros((), bool)}, jnp.zeros((), bool))
     g, after = gate(params.track, target), drone.replace(position=after)
     return rewards.reward(Step(MODEL, params, state, g, after, outcome))
 
