@@ -24,14 +24,14 @@ space:
   learner.learning_rate: {{log: [1.0e-4, 1.0e-2]}}
 search: {{method: random}}
 objective: {{seeds: 1, runs: 1}}
-budget: {{trials: 4}}
+budget: {{trials: 3}}
 executor: {{workers: 1}}
 """
 
 
 def summaries(folder: Path) -> dict[Path, float]:
     """The summaries of the finished trainings of a sweep, with the times of their writing."""
-    return {path: path.stat().st_mtime for path in (folder / "trials").rglob("summary.json")}
+    return {path: path.stat().st_mtime for path in folder.glob("trials/*/*/summary.json")}
 
 
 @pytest.mark.slow
@@ -45,13 +45,13 @@ def test_a_killed_sweep_goes_on_and_runs_every_trial_once(tmp_path):
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=60)
     first = min(summaries(folder).items(), key=lambda item: item[1])
-    assert len(summaries(folder)) < 4 and not (folder / "trials.csv").exists()
+    assert len(summaries(folder)) < 3 and not (folder / "trials.csv").exists()
     process = start(tmp_path, "sweep", "rates.yaml")
     _, errors = process.communicate(timeout=600)
     assert process.returncode == 0, errors
     with (folder / "trials.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len({row["learner.learning_rate"] for row in rows}) == 4
+    assert len({row["learner.learning_rate"] for row in rows}) == 3
     assert first in summaries(folder).items()  # it was not trained again
 
 
