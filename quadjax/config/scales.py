@@ -131,7 +131,7 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
             return [convert(item, (*location, index)) for index, item in enumerate(node)]
         match = _WITH_UNIT.fullmatch(node) if isinstance(node, str) else None
         unit = _unit_of(location, learner) if match else None
-        if match is None or unit in (None, "deg"):
+        if match is None or unit is None:
             return node
         value = float(match["number"]) * _size(dotted(location), match, unit, scales())
         written[location] = (node, _in_unit(value, unit, scales().time_step))

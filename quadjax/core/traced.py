@@ -1,8 +1,6 @@
 """Sections as pytrees: floats are leaves, which a program takes as numbers; the rest is static."""
 
 import dataclasses
-import functools
-import math
 import types
 import typing
 from collections.abc import Collection, Iterable
@@ -12,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from pydantic.fields import FieldInfo
 
-from quadjax.core.sections import Section, unit_of
+from quadjax.core.sections import Section
 
 SectionType = TypeVar("SectionType", bound=Section)
 
@@ -51,23 +49,21 @@ def register(section: type[SectionType]) -> type[SectionType]:
 
 
 def as_leaves(section: SectionType, unused: Collection[str] = ()) -> SectionType:
-    """The section with its numbers as single-precision arrays (), angles in rad.
+    """The section with its numbers as single-precision arrays ().
 
     Args:
-        section: of a registered class; a field with the unit ``deg`` is in deg.
+        section: of a registered class.
         unused: names of fields that become None: the program is without them.
     """
-    changes = {}
-    for name in _traced_names(type(section)):
-        in_deg = unit_of(type(section).model_fields[name]) == "deg"
-        leaf = functools.partial(_leaf, in_deg=in_deg)
-        changes[name] = None if name in unused else jax.tree.map(leaf, getattr(section, name))
+    changes = {
+        name: None if name in unused else jax.tree.map(_leaf, getattr(section, name))
+        for name in _traced_names(type(section))
+    }
     return with_leaves(section, **changes)
 
 
-def _leaf(number: Any, in_deg: bool) -> jax.Array:
-    kind = jnp.int32 if isinstance(number, int) else jnp.float32
-    return jnp.asarray(math.radians(number) if in_deg else number, kind)
+def _leaf(number: float) -> jax.Array:
+    return jnp.asarray(number, jnp.int32 if isinstance(number, int) else jnp.float32)
 
 
 def with_leaves(section: SectionType, **changes: Any) -> SectionType:

@@ -212,7 +212,7 @@ def make_problem(choices: Choices, params: RaceParams, flight: Flight | None = N
         bounds=_bounds(params, radius),
         rate_limit=BELOW_RULE * np.broadcast_to(np.asarray(rates, np.float64), 3),
         speed_limit=min(flight.speed or flight.fitted_speed or SPEED, BELOW_RULE * fastest),
-        pitch_limit=math.inf if limits.pitch_deg is None else float(limits.pitch_deg),  # rad
+        pitch_limit=float(jnp.radians(math.inf if limits.pitch_deg is None else limits.pitch_deg)),
         landing=None if ground is None else (float(rules.ground_height), float(ground)),
         frame_depth=rules.gate_frame and 0.5 * float(rules.gate_depth) + radius,
     )

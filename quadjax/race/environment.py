@@ -131,11 +131,11 @@ def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
     It is on ``params.track``, also where the episodes of training are on random tracks. Clocks
     start at zero.
     """
-    pitch = jnp.float32(model.pitch_limit) if math.isfinite(model.pitch_limit) else None
+    pitch = math.degrees(model.pitch_limit)
     limits = with_leaves(
         params.training_limits,
         gate_inflation=jnp.zeros(()),
-        pitch_deg=pitch,
+        pitch_deg=jnp.float32(pitch) if math.isfinite(pitch) else None,
         roll_deg=None,
         yaw_rate=None,
     )

@@ -167,7 +167,7 @@ def start_gate(track: Track, number: jax.Array) -> jax.Array:
 def _motion(params: RaceParams, target: jax.Array, fraction: jax.Array, draws: Draws) -> Motion:
     """The motion of a start around the point at a ``fraction`` () of the way to a target gate."""
     ranges = params.start
-    roll_pitch, yaw = ranges.roll_pitch_deg, ranges.yaw_deg  # rad, as leaves
+    roll_pitch, yaw = jnp.radians(ranges.roll_pitch_deg), jnp.radians(ranges.yaw_deg)
     euler = Vec3.of(draws.euler) * _vector(roll_pitch, roll_pitch, yaw)
     if params.heading is not None:
         euler = euler.replace(z=wrap_angle(euler.z + pick(params.heading, target)))

@@ -63,10 +63,8 @@ class Reward(Section):
         description="penalty per s and rad of the angle between the camera's axis and the target "
         "gate's center beyond perception_deg",
     )
-    perception_deg: Annotated[float, Unit("deg")] = Field(
-        60.0, ge=0, le=180, description="angle without penalty, deg"
-    )
-    camera_deg: Annotated[float, Unit("deg")] = Field(
+    perception_deg: float = Field(60.0, ge=0, le=180, description="angle without penalty, deg")
+    camera_deg: float = Field(
         0.0, ge=-90, le=90, description="upward tilt of the camera's axis from the body's x, deg"
     )
     overspeed: Penalty = Field(
@@ -137,12 +135,13 @@ def perception(step: Step) -> jax.Array:
     """
     weights = step.params.reward
     to_gate = step.drone.to_body(step.gate.position - step.position)
-    cosine, sine = jnp.cos(weights.camera_deg), jnp.sin(weights.camera_deg)  # rad, as leaves
+    tilt, limit = jnp.radians(weights.camera_deg), jnp.radians(weights.perception_deg)
+    cosine, sine = jnp.cos(tilt), jnp.sin(tilt)
     along = cosine * to_gate.x - sine * to_gate.z
     aside = Vec3(to_gate.y, sine * to_gate.x + cosine * to_gate.z, jnp.zeros_like(to_gate.y))
     angle = arctan2(safe_norm(aside), along)
     assert step.outcome is not None
-    return jnp.where(step.outcome.passed, 0.0, -jnp.maximum(angle - weights.perception_deg, 0.0))
+    return jnp.where(step.outcome.passed, 0.0, -jnp.maximum(angle - limit, 0.0))
 
 
 def overspeed(step: Step) -> Scalar:

@@ -91,16 +91,14 @@ class TrainingLimits(Section):
     episode_steps: Annotated[int, Unit("steps"), Traced()] = Field(
         1200, ge=1, le=10**6, description="time steps of an episode"
     )
-    pitch_deg: Annotated[float | None, Unit("deg")] = Field(
+    pitch_deg: float | None = Field(
         None,
         ge=1,
         le=89,
         description="largest |pitch|, deg; null: 85 for models with Euler angles, which are "
         "singular at 90, and none for those with quaternions",
     )
-    roll_deg: Annotated[float | None, Unit("deg")] = Field(
-        None, ge=1, le=180, description="largest |roll|, deg"
-    )
+    roll_deg: float | None = Field(None, ge=1, le=180, description="largest |roll|, deg")
     yaw_rate: Annotated[float | None, Unit("1/s")] = Field(
         None, gt=0, le=1e6, description="largest |yaw rate|, rad/s"
     )
@@ -255,8 +253,8 @@ def yaws_too_fast(step: Step) -> jax.Array | None:
 def loses_attitude(step: Step) -> jax.Array | None:
     """Whether pitch or roll is above its limit of training, or the Euler angles are singular."""
     limits, euler = step.params.training_limits, step.euler
-    angles = (euler.y, limits.pitch_deg), (euler.x, limits.roll_deg)  # rad, as leaves
-    beyond = [jnp.abs(angle) > limit for angle, limit in angles if limit is not None]
+    angles = (euler.y, limits.pitch_deg), (euler.x, limits.roll_deg)
+    beyond = [jnp.abs(angle) > jnp.radians(limit) for angle, limit in angles if limit is not None]
     return functools.reduce(jnp.logical_or, beyond) if beyond else None
 
 

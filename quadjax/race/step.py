@@ -45,7 +45,7 @@ class Choices:
 
 
 class RaceParams(struct.PyTreeNode):
-    """Every number of the race. Sections of the config are as leaves, with angles in rad."""
+    """Every number of the race. The numbers of the sections of the config are leaves."""
 
     vehicle: VehicleParams
     track: Track

@@ -212,7 +212,8 @@ def test_every_way_to_crash(race):
     """The ground, the four walls and the attitude; close to each limit, and no other flag."""
     _, params = race
     limits = params.training_limits
-    limits = with_leaves(limits, pitch_deg=jnp.float32(1.0), roll_deg=jnp.float32(1.5))  # rad
+    pitch, roll = np.degrees([1.0, 1.5]).astype(np.float32)
+    limits = with_leaves(limits, pitch_deg=pitch, roll_deg=roll)
     race = (race[0], params.replace(training_limits=limits))
     cases = []
 
@@ -404,7 +405,7 @@ def test_default_limits_are_the_published_ones(race):
         MODEL, make_race("training_limits.gate_inflation=-0.1", "training_limits.pitch_deg=60")[1]
     ).training_limits
     assert float(exact.gate_inflation) == 0
-    assert float(exact.pitch_deg) == pytest.approx(np.radians(89))  # a leaf is in rad
+    assert float(exact.pitch_deg) == pytest.approx(89)
     assert exact.roll_deg is None and exact.yaw_rate is None
 
 

@@ -42,7 +42,7 @@ def test_the_default_preset_from_start_to_end():
     for (update, (turned, residual)), (hyper, params) in zip(
         shares.items(), at(config, *shares), strict=True
     ):
-        assert float(params.start.yaw_deg) == pytest.approx(turned * np.pi, abs=1e-6)
+        assert float(params.start.yaw_deg) == pytest.approx(turned * 180, abs=1e-4)
         assert float(params.reward.pitch_up) == pytest.approx(2 * (1 - turned), abs=1e-6)
         for vehicle in (params.vehicle, params.estimator.vehicle):
             found = vehicle.residual.moment[-1][0]
