@@ -8,7 +8,7 @@ import numpy as np
 from quadjax.config.loading import load_config, vehicle_configs
 from quadjax.config.reference import commented_yaml
 from quadjax.config.reference import describe as keys_of
-from quadjax.config.schema import Config, Gate, Track
+from quadjax.config.schema import Config
 from quadjax.config.tracks import generated
 from quadjax.core.errors import InputError, close_match
 from quadjax.core.files import write_text
@@ -17,6 +17,7 @@ from quadjax.core.sections import build
 from quadjax.core.yaml_files import Sources, parse_overrides, read_tree_with_bases, to_yaml
 from quadjax.policy.file import Policy
 from quadjax.race.random_track import RandomTrack
+from quadjax.race.track import GateSection, TrackSection
 from quadjax.vehicle.airframe import Airframe
 from quadjax.vehicle.registry import MODELS, model
 from quadjax.vehicle.summary import describe as describe_vehicle
@@ -74,7 +75,7 @@ def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = N
     return "\n".join(_vehicle_text(config) for config in vehicle_configs(what, model_name))
 
 
-def read_track(name: str) -> Track:
+def read_track(name: str) -> TrackSection:
     """A track by its name or file."""
     one = "evaluate.laps=1"  # all that a course has
     return load_config(PRESET, [f"track.file={name}", one]).track
@@ -114,7 +115,7 @@ def write_track(path: Path, settings: Sequence[str]) -> None:
     write_text(path, f"# Random track: {' '.join(settings)}\n{head}\n{to_yaml(gates)}")
 
 
-def track_text(track: Track) -> str:
+def track_text(track: TrackSection) -> str:
     """The gates of a track as a table, with its length."""
     places = np.array([gate.position for gate in track.gates])
     before = np.roll(places, 1, axis=0)
@@ -143,7 +144,7 @@ def track_text(track: Track) -> str:
     return "\n".join(lines)
 
 
-def _opening(gate: Gate) -> str:
+def _opening(gate: GateSection) -> str:
     """Size, shape and tilt of a gate."""
     width, height = gate.size
     size = f"{width:g} x {height:g}" if gate.shape == "rectangle" else f"{width:g} {gate.shape}"

@@ -145,7 +145,7 @@ def file_values(section: str, path: Path) -> Tree:
     return {section: values, **rules}
 
 
-def below(tree: Tree, over: Tree, source: str) -> Tree:
+def without_replaced(tree: Tree, over: Tree, source: str) -> Tree:
     """What stays of a tree below a layer.
 
     Constants stay with the model that they are of. Gates replace a random track, and the other

@@ -9,9 +9,9 @@ from quadjax.config.checks import check
 from quadjax.config.code import refuse_code
 from quadjax.config.layers import (
     OVERRIDES,
-    below,
     config_layers,
     file_values,
+    without_replaced,
 )
 from quadjax.config.scales import in_plain_units
 from quadjax.config.schema import Config, Vehicle
@@ -65,7 +65,7 @@ def load_config(
     for key in (word.partition("=")[0] for word in changes):
         if RETIRED.get(key, ()) is None:  # stored configs may have it, a user's words may not
             raise InputError(f"{OVERRIDES}: unknown key {key}")
-    tree, sources = merge_layers(config_layers(path, parts, changes), path, below)
+    tree, sources = merge_layers(config_layers(path, parts, changes), path, without_replaced)
     for key, file in list(sources.files.items()):
         if key.startswith("vehicle.models."):  # where constants are until the model is known
             sources.files.setdefault(f"vehicle.constants.{key.rpartition('.')[2]}", file)

@@ -47,7 +47,6 @@ def choices_of(config: Config) -> Choices:
     """The static part, which selects code."""
     vehicle, observed = vehicle_model_of(config), config.observation
     extra = tuple(field for _, field in _user_objects("observation.extra", observed.extra, Field))
-    tracks = config.schedules.items()
     return Choices(
         model=vehicle,
         layout=make_layout(vehicle, observed, extra, battery=config.battery is not None),
@@ -55,9 +54,9 @@ def choices_of(config: Config) -> Choices:
         randomize=config.randomization.drawn
         or any(key.startswith("randomization.") for key in config.schedules),
         population=config.randomization.population,
-        terms=_user_objects("reward.terms", config.reward.terms),
-        rules=_user_objects("rules.extra", config.rules.extra),
-        report_passes=any(schedule.by == "pass_rate" for _, schedule in tracks),
+        user_terms=_user_objects("reward.terms", config.reward.terms),
+        user_rules=_user_objects("rules.extra", config.rules.extra),
+        report_passes=any(x.by == "pass_rate" for x in config.schedules.values()),
     )
 
 
@@ -121,7 +120,7 @@ def build_params(config: Config) -> RaceParams:
     )
 
 
-def _leaves(section: SectionType, optional: Iterable[str]) -> SectionType:
+def leaves_without_zeros(section: SectionType, optional: Iterable[str]) -> SectionType:
     """The section as leaves; optional numbers that are zero become None: nothing is computed."""
     return as_leaves(section, [key for key in optional if getattr(section, key) == 0.0])
 
@@ -130,14 +129,14 @@ def _reward(config: Config) -> Reward:
     """The weights; optional terms have none if it is zero in every schedule too."""
     optional = [key for key, term in REWARDS.items() if term.optional]
     scheduled = {key.removeprefix("reward.") for key in config.schedules}
-    return _leaves(config.reward, [key for key in optional if key not in scheduled])
+    return leaves_without_zeros(config.reward, [key for key in optional if key not in scheduled])
 
 
 def _rules(rules: Rules, limit: float) -> Rules:
     """The rules with room for random tracks, which need a position limit of ``limit``, m."""
     if rules.position_limit is not None:
         rules = rules.replace(position_limit=max(rules.position_limit, limit))
-    return _leaves(rules, ("body_radius", "gate_frame"))
+    return leaves_without_zeros(rules, ("body_radius", "gate_frame"))
 
 
 def _start(start: Start, track: Track) -> Start:
@@ -145,7 +144,7 @@ def _start(start: Start, track: Track) -> Start:
     if start.race is None:
         on_ground = track.start is not None and track.start.on_ground
         start = start.replace(race=FROM_GROUND if on_ground else 0.0)
-    return _leaves(start, ("along_leg", "race"))
+    return leaves_without_zeros(start, ("along_leg", "race"))
 
 
 def _mismatch(config: Config, vehicle: VehicleParams) -> Constants | None:

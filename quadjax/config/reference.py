@@ -3,12 +3,13 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from quadjax.config.schema import Config, Gate, Schedule
+from quadjax.config.schema import Config, Schedule
 from quadjax.core.markdown import table
 from quadjax.core.sections import Section, is_section
 from quadjax.core.yaml_files import to_yaml
 from quadjax.learners.ppo.hyperparameters import PPO
 from quadjax.learners.shac.hyperparameters import SHAC
+from quadjax.race.track import GateSection
 
 LEARNERS: tuple[type[Section], ...] = (PPO, SHAC)
 BOUNDS = {  # of a JSON schema
@@ -91,7 +92,7 @@ def training_sections() -> list[tuple[str, list[KeyInfo]]]:
     for learner in LEARNERS:
         title = f"`learner` with `learner.algorithm: {learner.model_fields['algorithm'].default}`"
         tables.append((title, describe(learner, "learner.")))
-    tables.append(("Items of `track.gates`", describe(Gate)))
+    tables.append(("Items of `track.gates`", describe(GateSection)))
     tables.append(("Values of `schedules`", describe(Schedule)))
     return tables
 

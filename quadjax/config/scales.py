@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.schema import Config, Location, Rules, Track, Vehicle, WithUnit
+from quadjax.config.schema import Config, Location, Rules, Vehicle, WithUnit
 from quadjax.core.sections import (
     LARGEST,
     BadValue,
@@ -25,6 +25,7 @@ from quadjax.core.sections import (
     unit_of,
 )
 from quadjax.core.yaml_files import Tree
+from quadjax.race.track import TrackSection
 from quadjax.vehicle.registry import model as vehicle_model
 
 GRAVITY = 9.81
@@ -72,7 +73,7 @@ class Scales:
         }.get(unit, {})
 
 
-def race_scales(track: Track, vehicle: Vehicle, time_step: float) -> Scales:
+def race_scales(track: TrackSection, vehicle: Vehicle, time_step: float) -> Scales:
     """The units of a race, from its track and its drone.
 
     The level acceleration is ``g sqrt(r^2 - 1)`` with the thrust-to-weight ratio ``r``.
@@ -121,7 +122,7 @@ def in_plain_units(tree: Tree, learner: type[Section]) -> tuple[Tree, WithUnit]:
     @functools.cache
     def scales() -> Scales:
         rules = build(Rules, tree.get("rules", {}), "rules", "rules.")
-        track = build(Track, tree.get("track", {}), "track", "track.")
+        track = build(TrackSection, tree.get("track", {}), "track", "track.")
         return race_scales(track, tree["vehicle"], rules.time_step)
 
     def convert(node: Any, location: Location) -> Any:

@@ -18,11 +18,9 @@ from quadjax.race.observations import Observation
 from quadjax.race.rewards import Reward
 from quadjax.race.rules import Rules, TrainingLimits
 from quadjax.race.starts import Disturbance, Randomization, Start
-from quadjax.race.track import GateSection, TrackSection
+from quadjax.race.track import TrackSection
 from quadjax.vehicle.battery import BatteryConfig
 
-Gate = GateSection
-Track = TrackSection
 Constant = Annotated[float, Field(ge=-1e9, le=1e9)]
 Devices = Annotated[int, Field(ge=1, le=4096)]
 Location = tuple[str | int, ...]  # of a value in a tree: keys, and indices of lists
@@ -179,7 +177,7 @@ class Config(Section):
     )
     seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of all random numbers of training")
     vehicle: Vehicle = Vehicle()
-    track: Track
+    track: TrackSection
     observation: Observation = Observation()
     reward: Reward = Reward()
     rules: Rules = Rules()

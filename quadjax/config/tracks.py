@@ -1,10 +1,11 @@
 """Gates that a config describes in another way: by a random track, or by one size for all."""
 
-from quadjax.config.schema import Rules, Track
+from quadjax.config.schema import Rules
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.sections import build, one_line_errors, refuse
 from quadjax.core.yaml_files import Sources, Tree, merge_trees
 from quadjax.race.random_track import RandomTrack, generate
+from quadjax.race.track import TrackSection
 
 
 def generated(tree: Tree, sources: Sources) -> Tree:
@@ -42,7 +43,7 @@ def with_opening(tree: Tree, sources: Sources) -> Tree:
     section = tree.get("track")
     if not isinstance(section, dict) or section.get("opening") is None:
         return tree
-    track = build(Track, section, sources, "track.")
+    track = build(TrackSection, section, sources, "track.")
     rules = build(Rules, tree.get("rules") or {}, sources, "rules.")
     opening, frame = track.opening or 0.0, rules.gate_frame
     gates = [{**gate, "size": [opening, opening]} for gate in section["gates"]]

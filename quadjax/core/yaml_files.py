@@ -131,19 +131,20 @@ class Whole(Tree):
 def merge_layers(
     layers: Sequence[Layer],
     path: Path | str,
-    below: Callable[[Tree, Tree, str], Tree] = lambda tree, over, source: tree,
+    without_replaced: Callable[[Tree, Tree, str], Tree] = lambda tree, over, source: tree,
 ) -> tuple[Tree, Sources]:
     """Trees merged in their order, and the source of each value.
 
     Args:
         layers: source and tree of each.
         path: of the config.
-        below: what stays of a tree below another one and its source.
+        without_replaced: ``(tree, over, source) -> tree`` without the values that ``over``
+            replaces.
     """
     tree: Tree = {}
     files: dict[str, str] = {}
     for source, over in layers:
-        tree = merge_trees(below(tree, over, str(source)), over)
+        tree = merge_trees(without_replaced(tree, over, str(source)), over)
         for key in flatten(over):
             files = {name: file for name, file in files.items() if not name.startswith(f"{key}.")}
             while key:

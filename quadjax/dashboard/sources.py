@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.schema import Config, Gate
+from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.core.files import check_file, read_json, read_npz
 from quadjax.core.folders import kind_of
@@ -22,6 +22,7 @@ from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.policy.file import FORMATS, Policy
 from quadjax.policy.race import policy_path, race_of_policy
 from quadjax.race.recorded_starts import LIMIT
+from quadjax.race.track import GateSection
 from quadjax.studies.flight_files import (
     STATE_ARRAYS,
     flying_part,
@@ -67,7 +68,7 @@ class Options:
 class Source:
     """Data of one source: flights or lap times, and their gates, if it contains them."""
 
-    gates: tuple[Gate, ...]
+    gates: tuple[GateSection, ...]
     flights: tuple[Flight, ...] = ()
     markers: tuple[Marker, ...] = ()
     record: dict[str, Any] | None = None  # of a file of records
@@ -143,22 +144,22 @@ def of_evaluation(evaluation: Evaluation, name: str) -> Source:
     return Source(tuple(evaluation.gates), tuple(flights_of(evaluation, name)), markers)
 
 
-def _gates(options: Options) -> tuple[Gate, ...]:
+def _gates(options: Options) -> tuple[GateSection, ...]:
     return tuple(options.race.track.gates) if options.race else ()
 
 
-def _gates_of(path: Path, meta: dict[str, Any]) -> list[Gate]:
+def _gates_of(path: Path, meta: dict[str, Any]) -> list[GateSection]:
     gates = meta.get("track") or []
     if not isinstance(gates, list):
         raise InputError(f"{path}: track is {gates!r:.80}, expected a list")
-    return [build(Gate, each, f"{path}: track[{index}]") for index, each in enumerate(gates)]
+    return [build(GateSection, each, f"{path}: track[{index}]") for index, each in enumerate(gates)]
 
 
 def _states(
     path: Path,
     arrays: dict[str, np.ndarray],
     meta: dict[str, Any],
-    gates: tuple[Gate, ...],
+    gates: tuple[GateSection, ...],
     name: str,
 ) -> list[Flight]:
     """Flights of ``Evaluation.save_states``."""
@@ -179,7 +180,7 @@ def _limit(
     path: Path,
     arrays: dict[str, np.ndarray],
     meta: dict[str, Any],
-    gates: tuple[Gate, ...],
+    gates: tuple[GateSection, ...],
     name: str,
 ) -> list[Flight]:
     """The flight of ``quadjax limit --npz``."""
@@ -238,7 +239,7 @@ def _read_log(path: Path, name: str, options: Options) -> Source:
 
 
 def flight_of_log(
-    log: FlightLog, gates: tuple[Gate, ...], name: str, closed: bool = True
+    log: FlightLog, gates: tuple[GateSection, ...], name: str, closed: bool = True
 ) -> Flight:
     """The flying part of a flight log; a lap ends with the last gate."""
     part = flying_part(log) if log.flying.any() else slice(None)

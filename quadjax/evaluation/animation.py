@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
-from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.core.files import whole_file
 from quadjax.core.plotting import SPEED_COLORS
@@ -19,6 +18,7 @@ from quadjax.evaluation import scene
 from quadjax.evaluation.figures import gate_labels, label_places, same_place, speed_range
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import View
+from quadjax.race.track import GateSection
 
 FRAMES_PER_SECOND = 20  # a GIF counts in hundredths of a second
 HOLD_SECONDS = 1.5  # the last frame
@@ -40,7 +40,7 @@ def frame_count(flights: Sequence[Recording]) -> int:
 
 def write_animation(
     flights: Sequence[Recording],
-    gates: Sequence[Gate],
+    gates: Sequence[GateSection],
     path: Path | str,
     advance: Callable[[], object] = lambda: None,
     names: Sequence[str] = (),
@@ -67,7 +67,7 @@ def write_animation(
 
 def _frames(
     flights: Sequence[Recording],
-    gates: Sequence[Gate],
+    gates: Sequence[GateSection],
     names: Sequence[str],
     advance: Callable[[], object],
 ) -> Iterator[Image.Image]:
@@ -98,7 +98,7 @@ class Film:
     def __init__(
         self,
         flights: Sequence[Recording],
-        gates: Sequence[Gate],
+        gates: Sequence[GateSection],
         names: Sequence[str] = (),
     ) -> None:
         """Choose the views and draw the background."""
@@ -130,7 +130,7 @@ class Film:
             scene.fit_view(side, corners, (0.50 * w, 0.16 * h, 0.985 * w, 0.97 * h)),
         )
 
-    def _draw_still(self, gates: Sequence[Gate]) -> Image.Image:
+    def _draw_still(self, gates: Sequence[GateSection]) -> Image.Image:
         image = Image.new("RGB", (WIDTH * SMOOTH, HEIGHT * SMOOTH), scene.BACKGROUND)
         draw = ImageDraw.Draw(image)
         for view in self._views:

@@ -13,7 +13,7 @@ from quadjax.config import schema
 from quadjax.config.checks import with_body
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
-from quadjax.config.schema import Config, Gate
+from quadjax.config.schema import Config
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
@@ -35,6 +35,7 @@ from quadjax.evaluation.tables import Row, counted, describe_crashes, format_tab
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps, Trace
+from quadjax.race.track import GateSection
 from quadjax.vehicle.protocol import VehicleModel
 from quadjax.view.notebook import show
 
@@ -58,7 +59,7 @@ class Evaluation:
     laps: Laps
     deterministic: bool
     start: str
-    gates: Sequence[Gate]
+    gates: Sequence[GateSection]
     time_step: float
     model: VehicleModel
     published: tuple[Row, ...]

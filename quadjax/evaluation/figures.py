@@ -8,17 +8,17 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from quadjax.config.schema import Gate
 from quadjax.core.plotting import INK, MUTED, PAPER, SERIES, SPEED_COLORS, head, new_figure, tidy
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import gate_outline
 from quadjax.evaluation.tables import counted
+from quadjax.race.track import GateSection
 
 MOTORS = ("1 front left", "2 front right", "3 rear right", "4 rear left")
 
 
 def trajectory_figure(
-    flights: Sequence[Recording], gates: Sequence[Gate], title: str = ""
+    flights: Sequence[Recording], gates: Sequence[GateSection], title: str = ""
 ) -> Figure:
     """Flights seen from above and from the side, colored by speed, with the gates to size.
 
@@ -66,7 +66,9 @@ def flight_title(flight: Recording) -> str:
     return f"{title}, then {flight.crash}" if flight.crash else title
 
 
-def extent(flights: Sequence[Recording], gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray]:
+def extent(
+    flights: Sequence[Recording], gates: Sequence[GateSection]
+) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x, y and height of all that is drawn, with a margin, m."""
     points = [flight.position for flight in flights]
     for gate in gates:
@@ -104,7 +106,7 @@ def speed_line(
     return lines
 
 
-def heights_differ(gates: Sequence[Gate]) -> bool:
+def heights_differ(gates: Sequence[GateSection]) -> bool:
     """Whether the gates are at different heights."""
     return float(np.ptp([gate.position[2] for gate in gates])) > 0.05
 
@@ -122,7 +124,7 @@ def same_place(points: np.ndarray, reach: float = 0.3) -> list[list[int]]:
     return groups
 
 
-def label_places(gates: Sequence[Gate], reach: float) -> np.ndarray:
+def label_places(gates: Sequence[GateSection], reach: float) -> np.ndarray:
     """Positions (gates, 2), m, of the gates' labels, seen from above: beyond the outer post."""
     center = np.array([gate.position[:2] for gate in gates])
     yaw = np.radians([gate.yaw_deg for gate in gates])
@@ -132,14 +134,14 @@ def label_places(gates: Sequence[Gate], reach: float) -> np.ndarray:
     return center + np.where(outwards, far, -far)[:, None] * right
 
 
-def gate_labels(gates: Sequence[Gate], group: Sequence[int]) -> tuple[str, str]:
+def gate_labels(gates: Sequence[GateSection], group: Sequence[int]) -> tuple[str, str]:
     """The numbers of gates, and their heights where those of the track differ."""
     numbers = ", ".join(str(index + 1) for index in group)
     heights = ", ".join(f"{-gates[index].position[2]:.1f}" for index in group)
     return numbers, f"{heights} m" if heights_differ(gates) else ""
 
 
-def number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) -> None:
+def number_gates(above: Axes, side: Axes, gates: Sequence[GateSection], reach: float) -> None:
     """Write numbers and heights next to the gates; gates at the same place share a label."""
     style: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
     style["textcoords"] = "offset points"
@@ -157,13 +159,13 @@ def number_gates(above: Axes, side: Axes, gates: Sequence[Gate], reach: float) -
         side.annotate(numbers, place, xytext=(0, 7), color=MUTED, fontsize=8, **style)
 
 
-def draw_gate_from_side(axes: Axes, gate: Gate) -> None:
+def draw_gate_from_side(axes: Axes, gate: GateSection) -> None:
     """Draw the outline of a gate seen from the side."""
     x, _, z = gate_outline(gate).T
     axes.plot(x, -z, color=INK, linewidth=1.8, zorder=2, alpha=0.6)
 
 
-def draw_gate(axes: Axes, gate: Gate, reach: float, scale: float = 1.0) -> None:
+def draw_gate(axes: Axes, gate: GateSection, reach: float, scale: float = 1.0) -> None:
     """Draw a gate from above: its opening, two posts, an arrow in flight direction."""
     center, yaw = np.array(gate.position[:2]), np.radians(gate.yaw_deg)
     ahead, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])

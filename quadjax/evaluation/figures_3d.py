@@ -7,18 +7,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, SERIES, SPEED_COLORS, head, new_figure, tidy
 from quadjax.evaluation.figures import speed_range
 from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import gate_outline
+from quadjax.race.track import GateSection
 
 UP = np.array([1.0, 1.0, -1.0])  # NED to north, east, height
 ELEVATION, AZIMUTH = 28.0, -62.0  # deg, of the view
 
 
-def space_figure(flights: Sequence[Recording], gates: Sequence[Gate], title: str = "") -> Figure:
+def space_figure(
+    flights: Sequence[Recording], gates: Sequence[GateSection], title: str = ""
+) -> Figure:
     """Flights in perspective, colored by speed, with their shadows and the gates to size.
 
     Args:

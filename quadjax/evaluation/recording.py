@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.schema import Gate
 from quadjax.core.files import whole_file, write_npz
 from quadjax.race.laps import Laps, Trace
+from quadjax.race.track import GateSection
 from quadjax.vehicle.protocol import Signal, VehicleModel
 
 STATES = "quadjax-states/1"
@@ -83,7 +83,7 @@ def write_states(
     flights: Sequence[Recording],
     laps: Laps,
     model: VehicleModel,
-    gates: Sequence[Gate],
+    gates: Sequence[GateSection],
     meta: dict[str, Any],
 ) -> None:
     """Write trajectories as arrays; see ``Evaluation.save_states``.
@@ -165,7 +165,7 @@ def distinct(flights: list[Recording]) -> list[Recording]:
     return kept
 
 
-def gate_offsets(flight: Recording, gates: Sequence[Gate]) -> np.ndarray:
+def gate_offsets(flight: Recording, gates: Sequence[GateSection]) -> np.ndarray:
     """Distance from the center of its gate of each passage of a flight (n,), m.
 
     The larger of the lateral and the vertical distance, where the straight line between two samples

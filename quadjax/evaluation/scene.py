@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import ImageDraw
 
-from quadjax.config.schema import Gate
+from quadjax.race.track import GateSection
 
 BACKGROUND = (15, 22, 33)
 FLOOR = (38, 50, 67)
@@ -75,7 +75,7 @@ def body_axes(euler: np.ndarray) -> np.ndarray:
     return yaw @ pitch @ roll
 
 
-def gate_corners(gate: Gate) -> np.ndarray:
+def gate_corners(gate: GateSection) -> np.ndarray:
     """Corners (4, 3) of a gate's opening in order, m, world."""
     _, right, down = np.array(gate.axes).T
     right, down = 0.5 * gate.size[0] * right, 0.5 * gate.size[1] * down
@@ -83,7 +83,7 @@ def gate_corners(gate: Gate) -> np.ndarray:
     return np.array([np.array(gate.position) + a * right + b * down for a, b in signs])
 
 
-def gate_outline(gate: Gate) -> np.ndarray:
+def gate_outline(gate: GateSection) -> np.ndarray:
     """The closed outline (n, 3) of a gate's opening, m, world: four corners, or a circle."""
     if gate.shape == "rectangle":
         corners = gate_corners(gate)
@@ -108,7 +108,7 @@ def dot(
     draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=color)
 
 
-def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[Gate]) -> None:
+def draw_gates(draw: ImageDraw.ImageDraw, view: View, gates: Sequence[GateSection]) -> None:
     """Draw gates as frames with an arrow in the direction of passage; in perspective on posts."""
     for gate in gates:
         outline = view.project(gate_outline(gate))

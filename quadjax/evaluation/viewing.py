@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.schema import Gate
 from quadjax.evaluation.figures import flight_title
 from quadjax.evaluation.recording import Recording, distinct
 from quadjax.evaluation.tables import Row
+from quadjax.race.track import GateSection
 from quadjax.vehicle.protocol import Signal, VehicleModel
 from quadjax.view.data import Scene
 from quadjax.view.flight import MOTORS, Flight, Marker, Strip, passages, strip
@@ -39,7 +39,11 @@ def scene_of(evaluation: "Evaluation", title: str) -> Scene:
 
 
 def flight_of(
-    recording: Recording, model: VehicleModel, gates: Sequence[Gate], name: str, note: str = ""
+    recording: Recording,
+    model: VehicleModel,
+    gates: Sequence[GateSection],
+    name: str,
+    note: str = "",
 ) -> Flight:
     """A recorded run as a flight of the viewer.
 

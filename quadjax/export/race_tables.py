@@ -27,7 +27,7 @@ from quadjax.policy.file import Policy
 from quadjax.race import episode
 from quadjax.race.environment import Choices, RaceParams
 from quadjax.race.layout import LAST_ACTION, Layout, split_name
-from quadjax.race.observations import AHEAD, DISTURBANCES, HIGHEST_RPM
+from quadjax.race.observations import DISTURBANCES, HIGHEST_RPM, NEXT_FIELDS
 from quadjax.race.track import Track, gates_ahead
 from quadjax.vehicle.protocol import State, VehicleModel
 
@@ -260,11 +260,11 @@ def make_tables(box: InputBox, policy: Policy, choices: Choices, params: RacePar
 
 def _gate_axes(track: Track) -> np.ndarray | None:
     """Each gate's axes (gates, 3, 3) in the world, Q30; None where all gates are upright."""
-    if track.opening is None:
+    if track.attitude is None:
         return None
     axes = []
     for axis in np.eye(3):
-        seen = world_to_body(track.opening, Vec3(*jnp.float32(axis)))
+        seen = world_to_body(track.attitude, Vec3(*jnp.float32(axis)))
         axes.append(np.stack([np.asarray(x, np.float64) for x in seen.components()], axis=1))
     return np.rint(np.stack(axes, axis=2) * ONE).astype(np.int64)
 
@@ -294,7 +294,7 @@ def next_gates(track: Track) -> dict[str, np.ndarray]:
         "next_yaw": np.asarray(track.next_yaw)[:, None],
         "next_yaw_unwrapped": plain[:, None],
     }
-    for count, (place_field, yaw_field) in enumerate(AHEAD, start=2):
+    for count, (place_field, yaw_field) in enumerate(NEXT_FIELDS, start=2):
         place, yaw = gates_ahead(track, count)
         values[place_field.name] = np.asarray(place.array())
         values[yaw_field.name] = np.asarray(yaw)[:, None]

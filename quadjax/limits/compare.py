@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quadjax.config.schema import Gate
 from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
 from quadjax.evaluation.figures import draw_gate, gate_labels, label_places, same_place
 from quadjax.limits.problem import POSITION, VELOCITY, Problem, euler_of
 from quadjax.limits.trajectory import Trajectory
+from quadjax.race.track import GateSection
 
 POINTS = 50  # of a leg
 
@@ -78,7 +78,7 @@ def _progress(flight: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def flights_figure(
-    problem: Problem, gates: Sequence[Gate], flights: dict[str, Trajectory]
+    problem: Problem, gates: Sequence[GateSection], flights: dict[str, Trajectory]
 ) -> Figure:
     """Path, speed, attitude and commands of flights by name; where one loses time to the other.
 

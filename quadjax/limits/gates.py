@@ -62,8 +62,8 @@ def gates_of(track: Track, radius: float = 0.0) -> Gates:
         raise InputError(f"gate {gate}: no wider than the drone, rules.body_radius {radius:g} m")
     yaw = np.asarray(track.yaw, np.float64)
     angles = np.stack([yaw, np.zeros_like(yaw), np.zeros_like(yaw)], axis=1)
-    if track.opening is not None:
-        opening = {name: np.asarray(x, np.float64) for name, x in vars(track.opening).items()}
+    if track.attitude is not None:
+        opening = {name: np.asarray(x, np.float64) for name, x in vars(track.attitude).items()}
         for column, name in ((1, "pitch"), (2, "roll")):
             angles[:, column] = np.arctan2(opening[f"sin_{name}"], opening[f"cos_{name}"])
     axes = Rotation.from_euler("ZYX", angles).as_matrix().transpose(0, 2, 1)

@@ -177,7 +177,7 @@ def _check(problem: Problem, trajectory: Trajectory, commands: np.ndarray, feedb
         error = f"it leaves the bounds of the race by {-1e3 * margin:.1f} mm"
     elif crashes[:end].any():
         step = int(np.argmax(crashes > 0))
-        reason = list(terminations_of(problem.choices.rules))[crashes[step] - 1]
+        reason = list(terminations_of(problem.choices.user_rules))[crashes[step] - 1]
         error = f"{reason} at {step * TIME_STEP:.3f} s"
     elif problem.flight.stops:
         error = _at_rest(problem, path[-1], velocity[end - 1])

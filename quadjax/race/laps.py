@@ -198,7 +198,7 @@ def score(
     # A start in the middle of the track has its lap where its gates add up to one.
     now = jnp.asarray(following.step, jnp.result_type(dt)) * dt
     lap_end = jnp.where(ended & (jnp.arange(laps) == lap), now, race.lap_end)
-    crashed = outcome.terminated & ~race.over
+    crashed = outcome.crashed & ~race.over
     crash = jnp.where(crashed, outcome.crash, race.crash)
     over = race.over | crashed | (lap_end[-1] > 0)
     state = jax.tree.map(lambda new, old: jnp.where(race.over, old, new), following, race.state)
@@ -369,7 +369,7 @@ def laps_of(choices: Choices, race: LapState, dt: float, limit: float) -> Laps:
     ends = np.asarray(race.lap_end, np.float64).T
     completed = np.where(ends > 0, ends, np.nan)
     times = np.diff(completed, axis=1, prepend=0.0)
-    reasons = ("", *terminations_of(choices.rules))
+    reasons = ("", *terminations_of(choices.user_rules))
     crashes = [reasons[code] for code in np.asarray(race.crash)]
     for run in np.flatnonzero(~np.isfinite(completed[:, -1])):
         crashes[run] = crashes[run] or OUT_OF_TIME

@@ -257,7 +257,7 @@ def _constant_bounds(model: VehicleModel, params: RaceParams) -> Bounds:
     return tuple(x - width for x, width in pairs), tuple(x + width for x, width in pairs)
 
 
-AHEAD = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
+NEXT_FIELDS = tuple(_beyond(count) for count in range(2, MOST_AHEAD + 1))
 OBSERVATIONS: Mapping[str, Field] = {  # of every model, by name; ``fields_of`` adds those of one
     field.name: field
     for field in (
@@ -269,7 +269,7 @@ OBSERVATIONS: Mapping[str, Field] = {  # of every model, by name; ``fields_of`` 
         Field("next_position", 3, "m", "gate", 8.0, lambda s: s.gate.next_position.components()),
         Field("next_yaw", 1, "rad", "gate", 4.0, lambda step: (step.gate.next_yaw,)),
         Field("next_yaw_unwrapped", 1, "rad", "gate", 8.0, _next_yaw_unwrapped),
-        *(field for pair in AHEAD for field in pair),
+        *(field for pair in NEXT_FIELDS for field in pair),
     )
 }
 # The observed disturbances by field, as the section ``disturbance`` of a config names them.
@@ -327,7 +327,7 @@ def make_layout(
         *("position", "velocity", _attitude_of(observed.attitude), "rates"),
         *([model.actuators.name] if observed.actuators else []),
         *("next_position", "next_yaw" if observed.wrap_next_yaw else "next_yaw_unwrapped"),
-        *(field.name for pair in AHEAD[: observed.gates_ahead - 1] for field in pair),
+        *(field.name for pair in NEXT_FIELDS[: observed.gates_ahead - 1] for field in pair),
         *([LAST_ACTION] if observed.last_action else []),
         *(DISTURBANCES if model.disturbed else ()),
         *([HIGHEST_RPM] if battery and observed.highest_rpm != NONE else []),

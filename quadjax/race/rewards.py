@@ -13,7 +13,7 @@ from quadjax.core.sections import Field, Section, Unit
 from quadjax.core.traced import register
 from quadjax.core.trigonometry import arctan2
 from quadjax.core.vectors import Vec3, safe_norm
-from quadjax.race.rules import body_radius
+from quadjax.race.rules import HIT_A_GATE, body_radius
 from quadjax.race.step import Step, UserFunctions
 from quadjax.race.track import Gate, to_gate_frame, to_opening_frame
 
@@ -44,7 +44,8 @@ class Reward(Section):
         "equal to progress, a leg's reward does not depend on where its gates are passed",
     )
     gate_edge: Annotated[Penalty, Unit("1/m")] = Field(
-        0.0, description="penalty per m of clearance violation on crossing the gate's plane"
+        0.0,
+        description="penalty per m of clearance violation, in a step that passes or hits a gate",
     )
     gate_edge_margin: Annotated[Penalty, Unit("m")] = Field(
         0.1, description="required clearance from each edge of a gate's opening, m"
@@ -109,12 +110,16 @@ def clearance_violation(after: Vec3, g: Gate, margin: Scalar, reach: Scalar = 1.
 
 
 def gate_edge(step: Step) -> jax.Array:
-    """Minus the clearance violation () of the drone's edge, m, on crossing the gate's plane."""
+    """Minus the clearance violation () of the drone's edge at the target gate, m.
+
+    For a step that passes the gate or hits one: crosses its plane outside the opening or, with
+    ``rules.gate_frame``, touches the frame of any gate.
+    """
     weights, inflation = step.params.reward, step.params.training_limits.gate_inflation
     margin = weights.gate_edge_margin + body_radius(step)
     reach = jnp.maximum(weights.gate_edge_reach, inflation + margin)
     assert step.outcome is not None
-    crossed = step.outcome.passed | step.outcome.crashes["hit a gate"]
+    crossed = step.outcome.passed | step.outcome.crashes[HIT_A_GATE]
     violation = clearance_violation(step.position, step.gate, margin, reach)
     return jnp.where(crossed, -violation, 0.0)
 
@@ -220,5 +225,5 @@ def reward(step: Step, user: UserFunctions = ()) -> jax.Array:
         return value
 
     value = jnp.where(outcome.passed, total("pass"), total("flight"))
-    value = jnp.where(outcome.terminated, total("crash"), value)
+    value = jnp.where(outcome.crashed, total("crash"), value)
     return value + total("any step") + step.time_step * total("per second")

@@ -116,7 +116,7 @@ class TrainingLimits(Section):
         return self.pitch_deg
 
 
-def inside_square(relative: Vec3, g: Gate, inflation: Scalar) -> jax.Array:
+def inside_opening(relative: Vec3, g: Gate, inflation: Scalar) -> jax.Array:
     """Whether a position in the opening's frame is within the opening; the paper's test."""
     inside = (jnp.abs(relative.y) <= g.half_width + inflation) & (
         jnp.abs(relative.z) <= g.half_height + inflation
@@ -154,9 +154,9 @@ def crossing(
         inside = inside & (jnp.abs(offset.z) < g.half_height + inflation)
     elif test == "interpolated":
         fraction = -behind.x / jnp.where(crossed, relative.x - behind.x, 1.0)
-        inside = inside_square(behind + fraction * (relative - behind), g, inflation)
+        inside = inside_opening(behind + fraction * (relative - behind), g, inflation)
     else:
-        inside = inside_square(relative, g, inflation)
+        inside = inside_opening(relative, g, inflation)
     return crossed & inside, crossed & ~inside
 
 
@@ -182,8 +182,8 @@ def inside_frame(
     for index in range(gate_count(track)):
         g = gate(track, index)
         relative = to_opening_frame(g, position - g.position)
-        solid = ~inside_square(relative, g, inflation - radius)
-        solid = solid & inside_square(relative, g, width + radius)
+        solid = ~inside_opening(relative, g, inflation - radius)
+        solid = solid & inside_opening(relative, g, width + radius)
         hit = hit | (solid & (jnp.abs(relative.x) <= 0.5 * depth + radius))
     return hit
 
@@ -216,11 +216,11 @@ def hits_the_ground(step: Step) -> jax.Array:
 
     Where the drone can take off from the ground, its radius does not matter.
     """
-    rules, height = step.params.rules, step.position.z
+    rules, down = step.params.rules, step.position.z
     if rules.ground_speed is None:
-        return height > 0.0 - body_radius(step)  # 0.0 without a radius, not -0.0
-    fast = (height > -rules.ground_height) & (safe_norm(step.velocity) > rules.ground_speed)
-    return fast | (height > BENEATH)
+        return down > 0.0 - body_radius(step)  # 0.0 without a radius, not -0.0
+    fast = (down > -rules.ground_height) & (safe_norm(step.velocity) > rules.ground_speed)
+    return fast | (down > BENEATH)
 
 
 def leaves_the_bounds(step: Step) -> jax.Array | None:
@@ -271,10 +271,11 @@ def flies_too_fast(step: Step) -> jax.Array | None:
 
 # What ends an episode as a crash, by the text that says why: the first that applies is reported.
 # A function gives None where the race has no such rule. The rules of a user come after these.
+HIT_A_GATE = "hit a gate"  # its plane crossed outside the opening, or a frame touched
 NOT_FINITE = "not finite"
 Termination = Callable[[Step], jax.Array | None]
 TERMINATIONS: dict[str, Termination] = {
-    "hit a gate": hits_a_gate,
+    HIT_A_GATE: hits_a_gate,
     "hit the ground": hits_the_ground,
     "out of bounds": leaves_the_bounds,
     "above the body rate limit": turns_too_fast,
@@ -301,7 +302,7 @@ def evaluate_rules(step: Step, rules: UserFunctions = ()) -> Outcome:
     crashes = {name: flag for name, flag in flags.items() if flag is not None}
     truncated = state.step + 1 >= params.training_limits.episode_steps
     outcome = Outcome(pass_or_hit(step)[0], crashes, truncated, names=tuple(terminations))
-    going = ~outcome.terminated
+    going = ~outcome.crashed
     outcome = outcome.replace(passed=outcome.passed & going, truncated=truncated & going)
     if params.track.closed:
         return outcome

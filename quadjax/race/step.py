@@ -39,8 +39,8 @@ class Choices:
     integrator: str = "euler"  # "euler" | "rk4"
     randomize: bool = False  # draw new constants for every episode
     population: str | None = None  # of the model, that they are drawn from
-    terms: UserFunctions = ()  # a user's reward terms, in addition to REWARDS
-    rules: UserFunctions = ()  # a user's rules, in addition to TERMINATIONS
+    user_terms: UserFunctions = ()  # a user's reward terms, in addition to REWARDS
+    user_rules: UserFunctions = ()  # a user's rules, in addition to TERMINATIONS
     report_passes: bool = False  # to the learner: gates passed, for curricula
 
 
@@ -128,14 +128,14 @@ class Outcome(struct.PyTreeNode):
     names: tuple[str, ...] = struct.field(pytree_node=False, default=())
 
     @property
-    def terminated(self) -> jax.Array:
+    def crashed(self) -> jax.Array:
         """Whether the episode ended in a collision of any kind."""
         return functools.reduce(jnp.logical_or, self.crashes.values())
 
     @property
     def over(self) -> jax.Array:
         """Whether the episode ended by a collision or at the end of a course."""
-        return self.terminated if self.finished is None else self.terminated | self.finished
+        return self.crashed if self.finished is None else self.crashed | self.finished
 
     @property
     def crash(self) -> jax.Array:

@@ -119,7 +119,7 @@ class Gate(struct.PyTreeNode):
     half_height: jax.Array  # m
     next_position: Vec3  # the next gate's center in this gate's frame, m
     next_yaw: jax.Array  # the next gate's yaw relative to this gate's, in [-pi, pi], rad
-    opening: Attitude | None = None  # roll, pitch and yaw; None: upright
+    attitude: Attitude | None = None  # of the opening: roll, pitch and yaw; None: upright
     circle: jax.Array | None = None  # bool, whether the opening is round; None: a rectangle
 
 
@@ -152,7 +152,7 @@ def make_track(
         closed: whether the first gate follows the last. Where it does not, the observed gate after
             the last one is straight ahead, ``AHEAD`` m, in the same direction.
     """
-    opening = None if tilt is None else attitude(Vec3(tilt[:, 0], tilt[:, 1], yaw))
+    tilted = None if tilt is None else attitude(Vec3(tilt[:, 0], tilt[:, 1], yaw))
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
     to_next = Vec3.of(jnp.roll(position, -1, axis=0) - position)
     next_yaw = jnp.roll(yaw, -1) - yaw
@@ -175,7 +175,7 @@ def make_track(
             to_next.z,
         ),
         next_yaw=wrap_angle(next_yaw),
-        opening=opening,
+        attitude=tilted,
         circle=circle,
         start=start,
         closed=closed,
@@ -293,4 +293,4 @@ def to_opening_frame(g: Gate, vector: Vec3) -> Vec3:
 
     The gate's frame, turned by the gate's pitch and roll.
     """
-    return to_gate_frame(g, vector) if g.opening is None else world_to_body(g.opening, vector)
+    return to_gate_frame(g, vector) if g.attitude is None else world_to_body(g.attitude, vector)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.evaluation.recording import SIGNALS, Recording
 from quadjax.fitting.flight_log import FlightLog
+from quadjax.race.track import GateSection
 from quadjax.view.flight import clearance
 
 STATE_ARRAYS = ("time", *SIGNALS, "lap_times")
@@ -18,7 +18,7 @@ LAST_SECONDS = 0.05  # a log may end so long before its last gate, whose passage
 
 
 def recordings_of_states(
-    path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: Sequence[Gate]
+    path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: Sequence[GateSection]
 ) -> list[Recording]:
     """The runs of a file of states, each cut at its end.
 
@@ -96,7 +96,7 @@ def flying_part(log: FlightLog) -> slice:
 
 
 def passages(
-    position: np.ndarray, gates: Sequence[Gate], reach: float = 0.0, closed: bool = True
+    position: np.ndarray, gates: Sequence[GateSection], reach: float = 0.0, closed: bool = True
 ) -> list[int]:
     """The first sample past each gate that a path passes, in the order of the track.
 
@@ -122,7 +122,7 @@ def passages(
 
 
 def log_passages(
-    position: np.ndarray, velocity: np.ndarray, gates: Sequence[Gate], closed: bool = True
+    position: np.ndarray, velocity: np.ndarray, gates: Sequence[GateSection], closed: bool = True
 ) -> list[int]:
     """``passages`` of a flight log, whose flight may end at its last gate.
 
@@ -145,7 +145,7 @@ def log_passages(
     return [*samples, len(position) - 1] if near and inside else samples
 
 
-def target_of(count: int, samples: Sequence[int], gates: Sequence[Gate]) -> np.ndarray:
+def target_of(count: int, samples: Sequence[int], gates: Sequence[GateSection]) -> np.ndarray:
     """The gate ahead (count,) of each sample of a path that passes the gates at ``samples``."""
     passed = np.searchsorted(np.array(samples, int), np.arange(count), side="right")
     return passed % max(len(gates), 1)

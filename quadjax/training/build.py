@@ -102,17 +102,17 @@ def build_learner(config: Config) -> Learner[RaceParams]:
             f"learner.algorithm {config.learner.algorithm}: make() gives a "
             f"{type(learner).__name__}, expected a quadjax.Learner"
         )
-    chunks = plan(config, learner.steps_per_update)
+    run_plan = plan(config, learner.steps_per_update)
 
     def make(config: Config) -> Learner[RaceParams]:
-        return config.learner.make(environment, networks, chunks.updates)
+        return config.learner.make(environment, networks, run_plan.updates)
 
     def numbers_at(key: str, value: float | None) -> tuple[Any, RaceParams]:
         changed = config if value is None else config.at(key, value)
         return make(changed).hyper, training_params(changed)
 
     schedules, steps = config.schedules, config.run.steps
-    return schedule_learner(make(config), schedules, numbers_at, chunks, steps, config.curriculum)
+    return schedule_learner(make(config), schedules, numbers_at, run_plan, steps, config.curriculum)
 
 
 def training_params(config: Config) -> RaceParams:

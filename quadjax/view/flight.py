@@ -16,7 +16,7 @@ MOTORS = ("front left", "front right", "rear right", "rear left")
 
 
 class Gate(Protocol):
-    """What is needed of a gate; ``quadjax.config.schema.Gate`` has it. World NED, m."""
+    """What is needed of a gate; ``GateSection`` of ``quadjax.race.track`` has it. World NED, m."""
 
     @property
     def position(self) -> tuple[float, float, float]:

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from quadjax.config.schema import Gate
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import SPEED_COLORS, save_figure
 from quadjax.evaluation import animation, scene
@@ -13,11 +12,12 @@ from quadjax.evaluation.curves import training_figure
 from quadjax.evaluation.figures import signals_figure, trajectory_figure
 from quadjax.evaluation.figures_3d import attitude_figure, space_figure
 from quadjax.evaluation.recording import Recording, opening
+from quadjax.race.track import GateSection
 from quadjax.training.metrics import read_metrics
 
 GATES = [
-    Gate(position=(2.0, 0.0, -1.5), yaw_deg=90.0),
-    Gate(position=(-2.0, 0.0, -1.5), yaw_deg=270.0, size=(2.0, 1.0)),
+    GateSection(position=(2.0, 0.0, -1.5), yaw_deg=90.0),
+    GateSection(position=(-2.0, 0.0, -1.5), yaw_deg=270.0, size=(2.0, 1.0)),
 ]
 
 
@@ -67,7 +67,7 @@ def test_the_trajectory_is_drawn_to_scale(crash):
 
 def test_gates_have_numbers_and_heights_where_they_differ():
     """Gates at one place share a label; on a level track there are no heights."""
-    lower = Gate(position=(2.0, 0.0, -3.25), yaw_deg=270.0)
+    lower = GateSection(position=(2.0, 0.0, -3.25), yaw_deg=270.0)
     figure = trajectory_figure([circle()], [*GATES, lower])
     above = [text.get_text() for text in figure.axes[0].texts]
     assert above.count("1, 3") == above.count("1.5, 3.2 m") == above.count("1.5 m") == 1
@@ -77,7 +77,7 @@ def test_gates_have_numbers_and_heights_where_they_differ():
 
 
 def test_tilted_and_round_gates_have_their_outline_from_both_sides():
-    straight_down = Gate(
+    straight_down = GateSection(
         position=(2.0, 0.0, -1.5), pitch_deg=-90.0, shape="circle", size=(2.0, 2.0)
     )
     figure = trajectory_figure([circle()], [GATES[1], straight_down])

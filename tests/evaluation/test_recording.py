@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from quadjax.config.schema import Gate
 from quadjax.evaluation.recording import Recording, gate_offsets, state_arrays
+from quadjax.race.track import GateSection
 
 GATES = [
-    Gate(position=(2.0, 0.0, -1.5), yaw_deg=0.0),
-    Gate(position=(0.0, 2.0, -1.5), yaw_deg=90.0),
+    GateSection(position=(2.0, 0.0, -1.5), yaw_deg=0.0),
+    GateSection(position=(0.0, 2.0, -1.5), yaw_deg=90.0),
 ]
 
 

@@ -10,7 +10,7 @@ from quadjax.core.vectors import Vec3
 from quadjax.limits.gates import gates_of
 from quadjax.limits.problem import POSITION, Flight, make_problem
 from quadjax.limits.verify import passages
-from quadjax.race.rules import inside_square
+from quadjax.race.rules import inside_opening
 from quadjax.race.track import gate, make_track, to_opening_frame
 
 
@@ -33,7 +33,7 @@ def test_a_place_has_clearance_where_the_rules_let_it_pass():
         places = gates.position[index] + across @ gates.axes[index, 1:]
         with jax.enable_x64(True):
             local = to_opening_frame(g, Vec3.of(places) - g.position)
-            inside = inside_square(local, g, 0.0)
+            inside = inside_opening(local, g, 0.0)
         np.testing.assert_allclose(local.x, 0.0, atol=1e-6)
         found = np.array([gates.clearance(index, place) for place in places])
         np.testing.assert_array_equal(found > 0.0, np.asarray(inside))

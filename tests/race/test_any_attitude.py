@@ -87,7 +87,7 @@ def test_gradient_through_the_race_at_any_attitude(overrides):
         after, reward, outcome = environment.transition(choices, params, state, action)
         both = jax.tree.map(lambda *each: jnp.stack(each), state, after)
         seen = jax.vmap(lambda each: environment.observe(choices, params, each))(both)
-        return reward + jnp.sum(seen), outcome.terminated
+        return reward + jnp.sum(seen), outcome.crashed
 
     def one(drone, state, action):
         return value(state.replace(drone=drone), action)

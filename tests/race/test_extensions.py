@@ -50,7 +50,7 @@ def races():
     """The published race, and one with two terms of the reward and a rule."""
     choices, params = make_race()
     terms = (("speed", speed), ("squared", squared_action))
-    own = dataclasses.replace(choices, terms=terms, rules=(("ceiling", ceiling),))
+    own = dataclasses.replace(choices, user_terms=terms, user_rules=(("ceiling", ceiling),))
     weights = {"speed": jnp.float32(0.5), "squared": jnp.float32(-2.0)}
     reward = with_leaves(params.reward, terms=weights)
     return (choices, params), (own, params.replace(reward=reward))
@@ -67,12 +67,12 @@ def test_a_rule_ends_the_episode_as_a_collision_does(races):
     rows = level([ref.GATES[3] + [0, 0, -0.4], ref.GATES[3] + [0, 0, -0.6]], np.zeros(3))
     following, value, outcome = step(races[1], rows)
     np.testing.assert_array_equal(outcome.crashes["ended by ceiling"], [False, True])
-    np.testing.assert_array_equal(outcome.terminated, [False, True])
+    np.testing.assert_array_equal(outcome.crashed, [False, True])
     terms = -2.0 * 0.01 * 4 * HOVER**2 + 0.5 * np.linalg.norm([*following.drone.velocity], axis=0)
     np.testing.assert_allclose(value[1], -10.0 + terms[1], atol=1e-5)
-    assert not np.any(step(races[0], rows)[2].terminated)
+    assert not np.any(step(races[0], rows)[2].crashed)
     crashes = first_score(rows, 0, following, outcome).crash
-    reasons = ("", *terminations_of(races[1][0].rules))
+    reasons = ("", *terminations_of(races[1][0].user_rules))
     assert [reasons[code] for code in crashes] == ["", "ended by ceiling"]
 
 
@@ -149,7 +149,7 @@ def test_own_objects_are_named_in_the_config():
         f"rules.extra=[{own}:ceiling]",
         f"observation.extra=[{own}:HEIGHT]",
     )
-    assert (choices.terms, choices.rules, choices.layout.fields[-1]) == (
+    assert (choices.user_terms, choices.user_rules, choices.layout.fields[-1]) == (
         ((f"{own}:speed", speed),),
         ((f"{own}:ceiling", ceiling),),
         HEIGHT,

@@ -66,7 +66,7 @@ def flights(kind, integrator, residual):
 
         def step(state, action):
             state, value, outcome = environment.transition(choices, race, state, action)
-            return state, (value, outcome.passed, outcome.terminated)
+            return state, (value, outcome.passed, outcome.crashed)
 
         state = RaceState(drone, zero, zero, zero, None)
         _, (values, passed, ended) = jax.lax.scan(step, state, actions)

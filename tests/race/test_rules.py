@@ -169,7 +169,7 @@ def test_passing_advances_the_target_and_wraps_round(race):
     )
     rows = level(np.stack(places), 5 * np.stack(ways))
     following, value, outcome = step(race, rows, target, clock=7)
-    assert np.all(outcome.passed) and not np.any(outcome.terminated | outcome.truncated)
+    assert np.all(outcome.passed) and not np.any(outcome.crashed | outcome.truncated)
     np.testing.assert_array_equal(following.target, (target + 1) % 4)
     np.testing.assert_array_equal(following.gates_passed, 1)
     np.testing.assert_array_equal(following.step, 8)
@@ -192,7 +192,7 @@ def test_missing_the_opening_is_a_collision(race):
 def test_only_the_target_gate_counts(race):
     rows = level(np.stack([through(0, -0.02), through(0, -0.02, 0.6)]), 5 * normal(0))
     following, value, outcome = step(race, rows, target=2)
-    assert not np.any(outcome.passed) and not np.any(outcome.terminated)
+    assert not np.any(outcome.passed) and not np.any(outcome.crashed)
     np.testing.assert_array_equal(following.target, 2)
     assert np.all(np.abs(value) <= 0.05 + 1e-6)
 
@@ -250,7 +250,7 @@ def test_every_way_to_crash(race):
         following, value, outcome = step((race[0], params), rows[chosen], target=1)
         for index, wanted in enumerate(np.array(expected, object)[chosen]):
             assert flags(outcome, index) == wanted, rows[chosen][index]
-            assert bool(outcome.terminated[index]) == bool(wanted)
+            assert bool(outcome.crashed[index]) == bool(wanted)
             assert (float(value[index]) == -10) == bool(wanted)
         np.testing.assert_array_equal(following.target, 1)
 
@@ -269,7 +269,7 @@ def test_truncation_is_not_termination(race):
     rows[2, 2], rows[2, 5] = -0.01, 5.0
     _, value, outcome = step(race, rows, clock=np.array([1198, 1199, 1199]))
     np.testing.assert_array_equal(outcome.truncated, [False, True, False])
-    np.testing.assert_array_equal(outcome.terminated, [False, False, True])
+    np.testing.assert_array_equal(outcome.crashed, [False, False, True])
     assert float(value[1]) == pytest.approx(float(value[0]), abs=1e-6) and value[2] == -10
 
 
@@ -288,14 +288,14 @@ def test_a_state_that_is_not_finite_is_a_crash_and_nothing_more(kind):
         state = rows_of(following.drone)
         assert np.all(np.isfinite(state[[0, 2, 3]])) and np.all(np.isfinite(value[[0, 2, 3]]))
         if np.isnan(bad):
-            assert flags(outcome, 2) == {NOT_FINITE} and outcome.terminated[2]
+            assert flags(outcome, 2) == {NOT_FINITE} and outcome.crashed[2]
             np.testing.assert_array_equal(state[2], velocity[2].astype(np.float32))
             assert value[2] == pytest.approx(-10 - 0.01 * (0.2 + 0.1 * np.sqrt(0.75)), rel=1e-5)
         else:  # an infinite action is a saturated one
-            assert not outcome.terminated[2]
+            assert not outcome.crashed[2]
         assert not outcome.crashes[NOT_FINITE][0] and not outcome.crashes[NOT_FINITE][3]
         if kind == "motor":
-            assert outcome.crashes[NOT_FINITE][1] and outcome.terminated[1]
+            assert outcome.crashes[NOT_FINITE][1] and outcome.crashed[1]
             np.testing.assert_array_equal(state[1], velocity[1].astype(np.float32))
 
 
@@ -390,7 +390,7 @@ def test_a_roll_has_no_end():
     rows[:, ref.EULER], rows[:, ref.RATES] = [np.pi - 0.01, 0, 0], [5.0, 0, 0]
     for choices, params in (race, (race[0], exact_rules(race[0].model, race[1]))):
         states, _, outcome = step((choices, params), rows)
-        assert not outcome.terminated[0]
+        assert not outcome.crashed[0]
         np.testing.assert_allclose(states.drone.euler.x[0], 0.04 - np.pi, atol=2e-3)
 
 
@@ -498,7 +498,7 @@ def test_tilt_and_shape_of_a_config():
         if index == 0:
             np.testing.assert_allclose(axes[2], [1, 0, 0], atol=1e-6)
     np.testing.assert_array_equal(track.circle, [True, False, False, False])
-    assert build_track(make_config().track).opening is None
+    assert build_track(make_config().track).attitude is None
 
 
 def test_frames_of_all_gates_are_solid():
@@ -548,7 +548,7 @@ def test_a_course_ends_with_its_last_gate(course):
     following, value, outcome = step(course, rows, target=[2, 3])
     np.testing.assert_array_equal(outcome.passed, [True, True])
     np.testing.assert_array_equal(outcome.finished, [False, True])
-    np.testing.assert_array_equal(outcome.terminated, [False, False])
+    np.testing.assert_array_equal(outcome.crashed, [False, False])
     assert np.all(value > 0)
     track = course[1].track
     np.testing.assert_allclose([x[3] for x in track.next_position], [5, 0, 0], atol=1e-6)
@@ -587,7 +587,7 @@ def test_full_thrust_takes_off_from_the_ground(course):
     state = race_state("motor", level([-3, -1.5, 0], 0.0))
     for _ in range(20):
         state, _, outcome = compiled_transition(course[0])(course[1], state, np.ones((1, 4), "f"))
-    assert not outcome.terminated[0] and state.drone.position.z[0] < 0
+    assert not outcome.crashed[0] and state.drone.position.z[0] < 0
 
 
 def test_each_limit_of_the_motion_has_its_own_text():

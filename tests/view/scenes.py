@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadjax.config.schema import Gate
+from quadjax.race.track import GateSection
 from quadjax.view.data import Scene
 from quadjax.view.flight import MOTORS, Flight, Marker, passages, strip
 
 RADIUS, HEIGHT, STEP = 3.0, 1.5, 0.01  # m, m, s
 AHEAD = 0.2  # rad, where a flight starts, after the last gate
 GATES = tuple(
-    Gate(
+    GateSection(
         position=(RADIUS * np.cos(angle), RADIUS * np.sin(angle), -HEIGHT),
         yaw_deg=np.degrees(angle) + 90.0,
         size=(1.2, 0.9),

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadjax.config.race import build_params, choices_of
-from quadjax.config.schema import Config, Track
+from quadjax.config.schema import Config
 from quadjax.core.plotting import save_figure
 from quadjax.evaluation.figures import trajectory_figure
 from quadjax.evaluation.recording import Recording
@@ -16,6 +16,7 @@ from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import example_state
 from quadjax.fitting.flight_log import FlightLog
 from quadjax.policy.file import Policy
+from quadjax.race.track import TrackSection
 from quadjax.studies.flight_files import REACH, log_passages, passages, target_of
 from quadjax.studies.replay.commands import Replayed, differences, replay_commands
 from quadjax.studies.replay.figures import commands_figure, prediction_figure
@@ -31,7 +32,7 @@ class Replay:
     """A flight log, and what a policy and a model make of it."""
 
     flight: Logged
-    track: Track
+    track: TrackSection
     gate_times: np.ndarray  # (passed,) s
     lap_times: np.ndarray  # (completed laps,) s; the first from the first sample in flight
     commands: Replayed | None  # None without a policy
@@ -42,7 +43,7 @@ class Replay:
 
 def replay(
     log: FlightLog,
-    track: Track,
+    track: TrackSection,
     drone: Config,
     own: OwnRace | None,
     policy: Policy | None,

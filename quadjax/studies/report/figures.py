@@ -6,7 +6,6 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadjax.config.schema import Gate
 from quadjax.core.plotting import INK, MUTED, PAPER, new_figure, tidy
 from quadjax.evaluation.figures import (
     draw_gate,
@@ -16,6 +15,7 @@ from quadjax.evaluation.figures import (
 )
 from quadjax.evaluation.figures import speed_range as range_of
 from quadjax.evaluation.tables import counted
+from quadjax.race.track import GateSection
 from quadjax.studies.report.flights import Flight, fastest
 
 Groups = Mapping[str, Sequence[Flight]]
@@ -127,7 +127,7 @@ def _ahead(every: Sequence[np.ndarray], leader: np.ndarray) -> bool:
     return any(np.any(times < leader[: len(times)]) for times in every)
 
 
-def trajectory_figure(groups: Groups, gates: Sequence[Gate]) -> Figure:
+def trajectory_figure(groups: Groups, gates: Sequence[GateSection]) -> Figure:
     """Each group's fastest flights from above and its altitude, one color scale and equal axes.
 
     A column for each group, at most ``ACROSS`` in a row; the title has the total of the fastest

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from quadjax.config.schema import Track
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_npz
 from quadjax.evaluation.recording import STATES, Recording
 from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.log_formats import FORMATS
+from quadjax.race.track import TrackSection
 from quadjax.studies.flight_files import (
     STATE_ARRAYS,
     flying_part,
@@ -76,7 +76,9 @@ def make_flight(group: str, name: str, recording: Recording, gates: int, command
     return Flight(group, name, recording, np.array(times), commands)
 
 
-def read_flights(path: Path, group: str, track: Track, logs: LogsConfig | None) -> list[Flight]:
+def read_flights(
+    path: Path, group: str, track: TrackSection, logs: LogsConfig | None
+) -> list[Flight]:
     """The flights of a file: ``.npz`` of ``evaluate --states``, or a flight log (``.csv``).
 
     Args:
@@ -95,7 +97,7 @@ def read_flights(path: Path, group: str, track: Track, logs: LogsConfig | None) 
     raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: .npz, .csv")
 
 
-def _simulated(path: Path, group: str, track: Track) -> list[Flight]:
+def _simulated(path: Path, group: str, track: TrackSection) -> list[Flight]:
     arrays, meta = read_npz(path, STATES, (*STATE_ARRAYS, "target"))
     recordings = recordings_of_states(path, arrays, meta, track.gates)
     if arrays["lap_times"].shape[1] * len(track.gates) == 0:
@@ -107,7 +109,7 @@ def _simulated(path: Path, group: str, track: Track) -> list[Flight]:
     ]
 
 
-def _logged(path: Path, group: str, track: Track, logs: LogsConfig | None) -> Flight:
+def _logged(path: Path, group: str, track: TrackSection, logs: LogsConfig | None) -> Flight:
     """A flight log, from the first to the last sample in flight."""
     log = read_log(path, logs or _format(path))
     if log.position is None:
@@ -142,7 +144,7 @@ def _format(path: Path) -> LogsConfig:
 
 
 def find_flights(
-    words: Sequence[str], track: Track, logs: LogsConfig | None = None
+    words: Sequence[str], track: TrackSection, logs: LogsConfig | None = None
 ) -> dict[str, list[Flight]]:
     """The flights of ``LABEL=FILE`` words, by label.
 
