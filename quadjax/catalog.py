@@ -77,8 +77,8 @@ def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = N
 
 def read_track(name: str) -> TrackSection:
     """A track by its name or file."""
-    one = "evaluate.laps=1"  # all that a course has
-    return load_config(PRESET, [f"track.file={name}", one]).track
+    one_lap = "evaluate.laps=1"  # a course has one lap
+    return load_config(PRESET, [f"track.file={name}", one_lap]).track
 
 
 def _vehicle_text(config: Config) -> str:
@@ -136,10 +136,11 @@ def track_text(track: TrackSection) -> str:
         x, y, z = gate.position
         slope = np.degrees(np.arctan2(-legs[index, 2], flat[index]))
         apart = flat[index] > 0.01 and np.roll(flat, -1)[index] > 0.01
-        end = f"{round(turn[index]):>7}" if apart else f"{'-':>7}"  # of a leg straight up or down
+        # No turn before or after a leg straight up or down.
+        turn_text = f"{round(turn[index]):>7}" if apart else f"{'-':>7}"
         lines.append(
             f"{index + 1:>4} {x:>7.2f} {y:>7.2f} {-z:>7.2f} {round(gate.yaw_deg):>7} "
-            f"{length[index]:>7.2f} {round(slope):>7} {end}  {_opening(gate)}"
+            f"{length[index]:>7.2f} {round(slope):>7} {turn_text}  {_opening(gate)}"
         )
     return "\n".join(lines)
 

@@ -95,7 +95,7 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
     with loading():
         from cyclopts import CycloptsError
 
-        from quadjax.cli.options import GIVEN, check_outputs
+        from quadjax.cli.options import SET_OPTIONS, check_outputs
         from quadjax.cli.output import ARGUMENTS
 
     app = application(command, name)
@@ -113,7 +113,7 @@ def call(command: Callable[..., int | None], name: str, argv: Sequence[str]) -> 
             text = f"Invalid value for {error.argument.name}: {text}"
         raise InputError(f"{text} (try --help)") from error
     check_outputs(command, bound.arguments)
-    GIVEN.set(frozenset(bound.arguments))
+    SET_OPTIONS.set(frozenset(bound.arguments))
     ARGUMENTS.set([*name.split()[1:], *argv])
     return command(*bound.args, **bound.kwargs)
 

@@ -12,7 +12,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
 
-Part = Literal["table", "plants", "ablation"]
+Section = Literal["table", "plants", "ablation"]
 
 
 def compare(
@@ -22,7 +22,7 @@ def compare(
     e2e: opt.PolicyFile = PRETRAINED / "e2e_nominal.npz",
     indi: opt.PolicyFile = PRETRAINED / "indi_shac.npz",
     race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e",
-    parts: Annotated[list[Part] | None, Parameter(consume_multiple=True)] = None,
+    parts: Annotated[list[Section] | None, Parameter(consume_multiple=True)] = None,
     conditions: Annotated[
         list[str] | None, Parameter(consume_multiple=True, metavar="NAME ...")
     ] = None,
@@ -55,7 +55,7 @@ def compare(
         laps: Laps of a run.
         runs: Number of runs.
         sampled: Fly with the noise of training.
-        seed: Of batteries, gusts and sensors.
+        seed: Seed of batteries, gusts and sensors.
         ablation: Folder of the ablation's policies.
     """
     started = time.monotonic()

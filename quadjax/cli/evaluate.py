@@ -114,10 +114,10 @@ def evaluate(
         raise InputError(f"--policy: {len(files)} policies, allowed: 1 with --study {study}")
     with loading():
         from quadjax.core.files import write_json
-        from quadjax.studies.of_policies import STUDIES, Entry, write_files
+        from quadjax.studies.policy_studies import STUDIES, Entry, write_files
 
     others = ("policy", "study", "json", *(DRAWINGS if study == "laps" else ()))
-    used = opt.given(STUDIES[study], options, f"with --study {study}", *others)
+    used = opt.options_of(STUDIES[study], options, f"with --study {study}", *others)
     try:
         entries = [Entry.read(file, config, overrides, note) for file in files]
     except InputError as error:

@@ -53,14 +53,14 @@ def improve(
 
     Args:
         policy: Policy file with its critic, or a shipped one's name.
-        steps_: Of each fine-tuning.
+        steps_: Environment steps of each fine-tuning.
         logs: Real logs, in place of flights.
-        rounds: Of flying and learning.
-        flights: In each round.
-        laps: Of each flight.
-        plant_seed: Of the plant's constants.
+        rounds: Number of rounds of flying and learning.
+        flights: Flights in each round.
+        laps: Laps of each flight.
+        plant_seed: Seed of the plant's constants.
         plants: Number of plants, with seeds from --plant-seed on.
-        seed: Of batteries, gusts and sensors.
+        seed: Seed of batteries, gusts and sensors.
         check: Flights that evaluate the first and the last policy.
         reference: Also fine-tune the first policy on the plant's own numbers, for
             comparison.

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".svg", ".pdf")
 Converter = Callable[[object, Sequence[Token]], Any]
-GIVEN: contextvars.ContextVar[frozenset[str]] = contextvars.ContextVar("GIVEN", default=frozenset())
+SET_OPTIONS: contextvars.ContextVar[frozenset[str]] = contextvars.ContextVar(
+    "SET_OPTIONS", default=frozenset()
+)
 
 
 def refuse(why: str, *names: str) -> None:
@@ -39,36 +41,36 @@ def refuse(why: str, *names: str) -> None:
         names: of the arguments of the command.
     """
     for name in names:
-        if name in GIVEN.get():
+        if name in SET_OPTIONS.get():
             raise InputError(f"{_option(name)} has no effect {why}")
 
 
 def refuse_others(why: str, *names: str) -> None:
     """Refuse all options on the command line but those that have an effect; see ``refuse``."""
-    refuse(why, *sorted(GIVEN.get() - {*names, "config", "overrides"}))
+    refuse(why, *sorted(SET_OPTIONS.get() - {*names, "config", "overrides"}))
 
 
-def given(
+def options_of(
     function: Callable[..., object], values: Mapping[str, Any], why: str, *others: str
 ) -> dict[str, Any]:
     """The options on the command line that a function takes.
 
     Args:
-        function: its parameters have the names of options.
+        function: a function whose parameter names are option names.
         values: of the options.
         why: see ``refuse``.
         others: options that have an effect, too; all but these and the function's are refused.
     """
     taken = set(inspect.signature(function).parameters)
     refuse_others(why, *taken, *others)
-    return {name: values[name] for name in GIVEN.get() & taken}
+    return {name: values[name] for name in SET_OPTIONS.get() & taken}
 
 
 def exclude(*names: str) -> None:
-    """Refuse more than one of some options on the command line."""
-    given = [_option(name) for name in names if name in GIVEN.get()]
-    if len(given) > 1:
-        raise InputError(f"{' and '.join(given)} exclude each other")
+    """Refuse two or more of these options together."""
+    names_set = [_option(name) for name in names if name in SET_OPTIONS.get()]
+    if len(names_set) > 1:
+        raise InputError(f"{' and '.join(names_set)} exclude each other")
 
 
 def _option(name: str) -> str:
@@ -159,7 +161,10 @@ Positive = Annotated[float, Parameter(converter=number(1e-6, 50.0))]
 class Logs:
     """How flight logs are read."""
 
-    logs: Annotated[FitConfig | None, Parameter(help="Their columns, of a fit config.")] = None
+    logs: Annotated[
+        FitConfig | None,
+        Parameter(help="Fit config that names the columns of the logs (default: plain columns)."),
+    ] = None
     allow_code: AllowCode = False
 
     def columns(self) -> "LogsConfig":

@@ -73,14 +73,15 @@ def sil(
         listen: Wait there for your own autopilot, at most 120 s.
         race: Config of the race, if that of DIR names your own code (config.yaml of DIR).
         simulator: Fly in the simulator of the training.
-        speed: Times real time (default: wait for every command, as fast as possible).
+        speed: Speed as a multiple of real time (default: wait for every command and run as
+            fast as possible).
         laps: Laps of a run (default: evaluate.laps).
         runs: Number of runs.
-        seed: Of drones and faults.
+        seed: Seed of drones and faults.
         timeout: Seconds without an answer.
         drop: Messages that are dropped.
         late: Messages that are late.
-        delay: Milliseconds of late messages.
+        delay: Delay of late messages, ms.
         damage: Messages with one bit flipped.
         nan: A number of a state's field is NaN; may be repeated.
         wrong_unit: Of the states: attitude=deg, rates=deg/s, position=mm, velocity=cm/s,

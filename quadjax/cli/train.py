@@ -78,7 +78,7 @@ def train(
         settings = fine_tuning(settings, fine_tune)
     prepare_devices(settings.run.devices)
     with loading():
-        from quadjax.evaluation.training import present
+        from quadjax.evaluation.training import write_evaluation
         from quadjax.learners.loop import NonFiniteError
         from quadjax.training import run
 
@@ -93,6 +93,6 @@ def train(
         return INTERRUPTED
     with steps() as report:
         report("timing laps and drawing")
-        text = present(done)
+        text = write_evaluation(done)
     print(text)
     return 0

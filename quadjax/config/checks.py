@@ -124,7 +124,8 @@ def _check_effects(config: Config) -> None:
     model = vehicle_model(config.vehicle.model)
     groups = [name for name in Randomization.model_fields if name not in NOT_GROUPS]
     for group in (group for group in model.groups if group not in groups):
-        refuse("vehicle.model", config.vehicle.model, f"groups {', '.join(groups)}, not {group!r}")
+        allowed = f"a model whose groups are among {', '.join(groups)}; it has {group!r}"
+        refuse("vehicle.model", config.vehicle.model, allowed)
     if config.observation.disturbance == "estimated" and not model.can_be_disturbed:
         allowed = f"ground_truth or none with vehicle.model={config.vehicle.model}"
         refuse("observation.disturbance", "estimated", allowed)

@@ -59,7 +59,7 @@ class Scales:
         return math.sqrt(self.leg / self.acceleration)
 
     def units(self, unit: str) -> dict[str, float]:
-        """The units of the race for a field of a unit, and their sizes in SI units."""
+        """The race units that a field declared in ``unit`` accepts, and their sizes in SI units."""
         per_length = {"per leg": 1.0 / self.leg, "per half gate": 1.0 / self.half_gate}
         times, per_time = {"leg times": self.time}, {"per leg time": 1.0 / self.time}
         return {

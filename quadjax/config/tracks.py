@@ -38,7 +38,8 @@ def with_opening(tree: Tree, sources: Sources) -> Tree:
     Frames around gates of one size keep their outer edges.
 
     Raises:
-        InputError: a value that is not allowed, or frames around gates of several sizes.
+        InputError: a value that is not allowed, an opening wider than a frame with its edges, or
+            frames around gates of several sizes.
     """
     section = tree.get("track")
     if not isinstance(section, dict) or section.get("opening") is None:
@@ -53,7 +54,9 @@ def with_opening(tree: Tree, sources: Sources) -> Tree:
     sizes = {side for gate in track.gates for side in gate.size}
     wider = frame + 0.5 * (min(sizes) - opening)
     if len(sizes) > 1 or wider < 0.0:
-        allowed = f"null with rules.gate_frame {frame:g} around gates of sizes {sorted(sizes)}"
+        allowed = f"at most {min(sizes) + 2.0 * frame:g}, the outer edge of the frames"
+        if len(sizes) > 1:
+            allowed = f"null with rules.gate_frame {frame:g} around gates of sizes {sorted(sizes)}"
         with one_line_errors(sources):
             refuse("track.opening", opening, allowed)
     return {**tree, "rules": {**(tree.get("rules") or {}), "gate_frame": wider}}

@@ -17,7 +17,8 @@ CONFIGS = _BUNDLED if _BUNDLED.is_dir() else _PACKAGE.parent / "configs"
 PRETRAINED = _PACKAGE / "pretrained"
 KINDS = {  # folders of configs
     "presets": "",
-    "parts of presets (+NAME; with a prefix e2e_ or indi_ those of that preset)": "parts",
+    "parts of presets (+NAME; a prefix e2e_ or indi_ limits a part to that preset and is left out "
+    "of NAME)": "parts",
     "tracks": "tracks",
     "vehicles": "vehicles",
 }
@@ -59,7 +60,7 @@ def find_config(name: Path | str, folder: str = "") -> Path:
 
 
 def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:
-    """A file that a config names: in one of the folders, or in a folder ``kind`` next to it.
+    """A file that a config names: in one of the folders, or in its subfolder ``kind``.
 
     The last folder that is searched is ``configs/kind``. The suffix ``.yaml`` may be left out.
 

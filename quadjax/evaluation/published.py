@@ -1,7 +1,7 @@
 """Published times of six laps from hover (Ferede et al., arXiv 2311.16948, Table I).
 
 A published time is shown only next to flights of the same race and protocol. The rows are of
-simulated flights; the table's flights of a real drone are in no race that can be simulated.
+simulated flights. The table's flights of a real drone are left out: no race here reproduces them.
 """
 
 import functools
@@ -39,10 +39,10 @@ def published_row(config: Config) -> Row | None:
 
 
 def _race(config: Config) -> tuple[object, ...]:
-    """What determines timed flights from hover, but for the residual.
+    """The settings that determine timed flights from hover, without the residual.
 
-    Rewards, starts and limits of the training have no effect on them. Whole turns of a gate have
-    none either.
+    It omits rewards, random starts and training limits. Yaw angles of gates are taken modulo
+    360 deg.
     """
     vehicle, track = config.vehicle, config.track
     return (

@@ -1,4 +1,4 @@
-"""The results of one config trained with several seeds."""
+"""Train configs with several seeds and tabulate the results."""
 
 import dataclasses
 import functools
@@ -87,7 +87,8 @@ def train_seeds(
         overwrite: train finished runs again.
 
     Yields:
-        The figure, then for each config its tables and the file of their numbers.
+        Pairs ``(text, path)``: first an empty text and the figure, then for each config its tables
+        and its JSON file.
 
     Raises:
         InputError: as ``configs_of`` and ``train_once``.
@@ -96,7 +97,9 @@ def train_seeds(
     groups: dict[str, list[Path]] = {}
     for file, name in zip(files, configs, strict=True):
         words = [[*overrides, f"seed={seed}", f"name={name}_seed{seed}"] for seed in seeds]
-        groups[name] = [train_once(file, each, output, overwrite) for each in words]
+        groups[name] = [
+            train_once(file, seed_overrides, output, overwrite) for seed_overrides in words
+        ]
     code = [name for config in configs.values() for name in names_of_code(config)]
     figure = figure or output / f"{'_and_'.join(configs)}_seeds.png"
     save_figure(learning_figure(groups, code), figure)

@@ -9,7 +9,7 @@ from quadjax.training.advice import no_lap
 from quadjax.training.result import Run
 
 
-def present(run: Run) -> str:
+def write_evaluation(run: Run) -> str:
     """Evaluate the best policy of a run, and write its laps and the figures to the folder.
 
     Returns:
@@ -45,11 +45,12 @@ def _effort(run: Run, published: tuple[str, float] | None) -> list[str]:
         f"trained {_amount(summary['steps'])} steps in {summary['seconds']:.0f} s on "
         f"{devices} device{'' if devices == 1 else 's'}"
     )
-    lines = [line if memory is None else f"{line}, {memory:.0f} MiB at most"]
+    lines = [line if memory is None else f"{line}, peak memory {memory:.0f} MiB"]
     if published and (first := first_under(run.metrics, published[1])):
         seconds, steps = first
         lines.append(
-            f"first under {published[1]:.2f} s after {seconds:.0f} s and {_amount(steps)} steps"
+            f"the lap total was first under {published[1]:.2f} s after {seconds:.0f} s of training "
+            f"({_amount(steps)} steps)"
         )
     return [*lines, f"policy, figures and metrics are in {run.folder}"]
 

@@ -52,7 +52,8 @@ def choose_devices(wanted: str | int, num_envs: int) -> int:
     """The number of devices to train on.
 
     Args:
-        wanted: ``run.devices``: auto (the most that divide the environments), all, or a number.
+        wanted: ``run.devices``: auto (the largest number that divides the number of environments),
+            all, or a number.
         num_envs: number of environments in the learner's state; 0 if it holds none.
 
     Raises:

@@ -36,20 +36,20 @@ class Result:
         config: of the race.
         problem: what was solved.
         best: the flight.
-        policy: a policy's fastest lap, to compare; None: there is none.
-        name: of the policy's file.
+        policy_lap: a policy's fastest lap, to compare; None: there is none.
+        policy_file: the policy's file.
         bound: of the time of every flight below a speed; see ``bounded``.
     """
 
     config: Config
     problem: Problem
     best: BestKnown
-    policy: Trajectory | None = None
-    name: str | None = None
+    policy_lap: Trajectory | None = None
+    policy_file: str | None = None
     bound: LowerBound = LowerBound(None, 0.0, "not computed")
 
     def bounded(self, speed: float | None = None) -> "Result":
-        """With the lower bound for flights below a speed, m/s.
+        """The result with a lower bound for flights below a speed, m/s.
 
         The default is 1.2 times the top speed of the flight, and at most the speed limit.
         """
@@ -60,7 +60,8 @@ class Result:
     @functools.cached_property
     def comparison(self) -> Comparison | None:
         """The policy's lap against the best known one."""
-        return None if self.policy is None else compare(self.best.trajectory, self.policy)
+        lap = self.policy_lap
+        return None if lap is None else compare(self.best.trajectory, lap)
 
     def notes(self) -> list[str]:
         """Remarks on the result, one sentence each."""
@@ -96,7 +97,7 @@ class Result:
                 f"{bound.speed:.1f} m/s; the bracket is {wide:.1f}% wide"
             )
         if self.comparison is not None:
-            lines += [self.comparison.table(self.name or "policy")]
+            lines += [self.comparison.table(self.policy_file or "policy")]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes())])
 
     def to_json(self) -> dict[str, Any]:
@@ -123,13 +124,13 @@ class Result:
             "speed_limit": problem.speed_limit,
             "flight": dataclasses.asdict(problem.flight),
             "policy": self.comparison and self.comparison.to_json(),
-            "provenance": provenance(self.config, self.name),
+            "provenance": provenance(self.config, self.policy_file),
         }
 
     def plot(self) -> Figure:
         """Path, speed, attitude and commands, and where the policy loses time."""
         flights = {"best known": self.best.trajectory}
-        flights |= {} if self.policy is None else {"policy": self.policy}
+        flights |= {} if self.policy_lap is None else {"policy": self.policy_lap}
         return flights_figure(self.problem, self.config.track.gates, flights)
 
     def save(self, path: Path | str) -> None:
@@ -161,7 +162,7 @@ def best_known(
     stop: threading.Event | None = None,
     report: Callable[[str], object] = lambda text: None,
 ) -> Result:
-    """Search the fastest flight of a race and verify it.
+    """Search for the fastest flight of a race and verify it.
 
     Args:
         config: of the race; its disturbances, randomization and model mismatch are ignored.

@@ -51,7 +51,10 @@ class NotFoundError(Exception):
     def __init__(
         self, attempts: Mapping[str, str], flight: Trajectory | None = None, error: str = ""
     ) -> None:
-        """With the last solution, which is not verified, if there is one, and why it is not."""
+        """Name the guesses that were tried and their results.
+
+        ``flight`` is the last unverified solution, if any; ``error`` says why it is not verified.
+        """
         self.flight, self.error = flight, error
         tried = "; ".join(f"{guess}: {status}" for guess, status in attempts.items()) or "no time"
         text = f"no flight was found ({tried}); try more time (--seconds)"

@@ -126,7 +126,9 @@ def _sb3_activation(path: Path | str) -> str | None:
 def sort_files(
     files: Sequence[str], std: float | None
 ) -> tuple[list[str], np.ndarray | float | None]:
-    """The files of networks, and the standard deviations, of the file that has only these.
+    """Sort files into networks and standard deviations.
+
+    The standard deviations are ``std`` unless a file contains only ``output_std``.
 
     Raises:
         InputError: another number of files, or standard deviations twice.

@@ -53,8 +53,8 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     """A random start.
 
     Raises:
-        InputError: ``params`` has both random tracks and headings of the starts, which are those of
-            ``params.track``.
+        InputError: ``params`` has both random tracks and headings. Headings are defined for
+            ``params.track`` only.
     """
     track = _draw_track(params, jax.random.fold_in(key, 3))
     params = params.on_track(track)
@@ -93,11 +93,12 @@ def _draw_track(params: RaceParams, key: jax.Array) -> Track | None:
 
 def _draw_constants(choices: Choices, params: RaceParams, numbers: jax.Array) -> Constants | None:
     """The constants of one episode, of numbers (n,) in [-1, 1]; None: those of ``params``."""
-    constants, drawn = params.vehicle.constants, None
+    constants, constants_of_episode = params.vehicle.constants, None
     if params.mismatch is not None:
-        drawn = constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
+        constants = jax.tree.map(jnp.multiply, constants, params.mismatch)
+        constants_of_episode = constants
     if not choices.randomize:
-        return drawn
+        return constants_of_episode
     if choices.population is None:
         return draw_constants(constants, params.randomization, numbers)
     assert params.population_width is not None
@@ -125,8 +126,8 @@ def _draw_drone(
 ) -> tuple[State, jax.Array]:
     """The vehicle's state at a random start with its disturbances, and the gate to pass next.
 
-    Motion and actuators are recorded ones in a part of the episodes, else around a point of the way
-    to the gate.
+    A fraction of the episodes starts in recorded states. The others start around a point of the
+    path to the gate.
     """
     starts, target, fraction = params.start, jnp.zeros((), jnp.int32), jnp.zeros(())
     if starts.gate == "random":
@@ -201,7 +202,9 @@ def _way(track: Track, target: jax.Array, fraction: jax.Array) -> Vec3:
 
 
 def hover(model: VehicleModel, c: Constants, track: Track, moved: jax.Array | None = None) -> State:
-    """At rest and level at the track's start, or the last gate, nose towards the first gate.
+    """At rest and level at the track's start, or at the last gate.
+
+    At the last gate the nose points toward the first gate.
 
     On the ground the actuators are at their lowest, elsewhere those of a hover. ``moved`` (3,) in
     [-1, 1] moves x, y and the yaw by ``AROUND_START`` and ``YAW_OF_START``, as the ground starts
@@ -271,7 +274,7 @@ def no_action(choices: Choices, params: RaceParams) -> tuple[jax.Array, ...] | N
 
 
 def with_memory(choices: Choices, params: RaceParams, state: RaceState) -> RaceState:
-    """The state with what is kept on board as it is at a start.
+    """The state with its onboard memory (estimate, history) initialized.
 
     A fresh estimate of the disturbance, where the race has an estimator; a history full of this
     state, where one is observed.

@@ -284,8 +284,8 @@ def fields_of(model: VehicleModel, observed: Observation = PUBLISHED) -> Mapping
         model: its actuators are one field.
         observed: sources of the disturbances and of the battery's limit, range of the actuators.
     """
-    signal, source, of = model.actuators, observed.disturbance, functools.partial
-    highest, actuators = of(_highest_rpm, observed.highest_rpm), observed.actuator_range
+    signal, source, partial = model.actuators, observed.disturbance, functools.partial
+    highest, actuators = partial(_highest_rpm, observed.highest_rpm), observed.actuator_range
 
     def moment(step: Step) -> Numbers:
         return _disturbance(source, step)[0].components()
@@ -295,7 +295,7 @@ def fields_of(model: VehicleModel, observed: Observation = PUBLISHED) -> Mapping
 
     constants = len(model.constant_names)
     fields = [
-        Field(*signal, "body", 2.0, _actuators, of(_actuator_bounds, actuators)),
+        Field(*signal, "body", 2.0, _actuators, partial(_actuator_bounds, actuators)),
         Field(LAST_ACTION, model.action_size, "", "", 1.0, _last_action, _command_bounds),
         Field(HIGHEST_RPM, 1, "rpm", "body", 2.0, highest, _limit_bounds),
         Field(CONSTANTS, constants, "", "", 8.0, _constants, _constant_bounds),

@@ -33,16 +33,19 @@ class RecordedStarts(struct.PyTreeNode):
     motion: Motion  # components (n,)
     actuators: jax.Array  # (n, k) in [-1, 1] over the range of the start
     target: jax.Array  # (n,) int32, index of the gate to pass next
-    part: jax.Array  # () of the episodes that start in one of them
+    fraction: jax.Array  # () of the episodes that start in one of them
 
 
 def draw_recorded(starts: RecordedStarts, key: jax.Array) -> tuple[jax.Array, RecordedStarts]:
-    """Whether an episode starts in a recorded state, a () bool, and one of them, all as likely."""
+    """Draw whether an episode starts in a recorded state, () bool, and one of the states.
+
+    All states are equally likely.
+    """
     which, whether = jax.random.uniform(key, (2,))
     count = starts.target.shape[0]
     index = jnp.minimum((which * count).astype(jnp.int32), count - 1)
-    one = jax.tree.map(lambda values: values[index], starts.replace(part=None))
-    return whether < starts.part, one
+    one = jax.tree.map(lambda values: values[index], starts.replace(fraction=None))
+    return whether < starts.fraction, one
 
 
 @dataclass(frozen=True)
@@ -56,12 +59,12 @@ class States:
         return len(self.arrays["target"])
 
     def starts(
-        self, part: float, actuator_range: tuple[np.ndarray, np.ndarray], gates: int, name: str
+        self, fraction: float, actuator_range: tuple[np.ndarray, np.ndarray], gates: int, name: str
     ) -> RecordedStarts:
         """The states as starts of a race.
 
         Args:
-            part: of the episodes that start in them.
+            fraction: of the episodes that start in them.
             actuator_range: states (k,) of the actuators that a start draws as -1 and 1.
             gates: of the track.
             name: of the file, for the message.
@@ -87,7 +90,7 @@ class States:
             motion,
             jnp.asarray(np.clip(scaled, -1.0, 1.0), jnp.float32),
             jnp.asarray(target, jnp.int32),
-            jnp.float32(part),
+            jnp.float32(fraction),
         )
 
     def save(self, path: Path | str) -> None:

@@ -38,10 +38,10 @@ class Choices:
     layout: "Layout"  # of the observation
     integrator: str = "euler"  # "euler" | "rk4"
     randomize: bool = False  # draw new constants for every episode
-    population: str | None = None  # of the model, that they are drawn from
+    population: str | None = None  # population of the model that the constants are drawn from
     user_terms: UserFunctions = ()  # a user's reward terms, in addition to REWARDS
     user_rules: UserFunctions = ()  # a user's rules, in addition to TERMINATIONS
-    report_passes: bool = False  # to the learner: gates passed, for curricula
+    report_passes: bool = False  # report the gates passed to the learner, for curricula
 
 
 class RaceParams(struct.PyTreeNode):
@@ -55,7 +55,7 @@ class RaceParams(struct.PyTreeNode):
     start: Start
     disturbance: Disturbance
     randomization: Constants  # largest relative error of each constant
-    tracks: Track | None = None  # (tracks, gates) of each number: drawn for every episode
+    tracks: Track | None = None  # random tracks, each leaf (tracks, gates); every episode draws one
     heading: jax.Array | None = None  # (gates,) rad, center of a start's yaw; None: north
     recorded: RecordedStarts | None = None  # states in which a part of the episodes starts
     population_width: jax.Array | None = None  # 0: the nominal drone; 1: one of the population
@@ -129,12 +129,12 @@ class Outcome(struct.PyTreeNode):
 
     @property
     def crashed(self) -> jax.Array:
-        """Whether the episode ended in a collision of any kind."""
+        """Whether any termination applies."""
         return functools.reduce(jnp.logical_or, self.crashes.values())
 
     @property
     def over(self) -> jax.Array:
-        """Whether the episode ended by a collision or at the end of a course."""
+        """Whether a termination applies or the course is finished."""
         return self.crashed if self.finished is None else self.crashed | self.finished
 
     @property

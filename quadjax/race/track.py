@@ -91,7 +91,7 @@ class TrackSection(Section):
     start: TrackStart | None = Field(
         None,
         description="{position, yaw_deg} of the hover from which timed laps start; null: the last "
-        "gate's center, nose towards the first gate",
+        "gate's center, nose toward the first gate",
     )
     closed: bool = Field(
         True,

@@ -54,7 +54,7 @@ class Wanted:
     conditions: tuple[str, ...] = tuple(conditions(PlantConfig()))  # of the part plants
 
     def __post_init__(self) -> None:
-        """Refuse conditions that there are not, and a folder that cannot be read."""
+        """Refuse unknown conditions, and an ablation folder that cannot be read."""
         if "ablation" in self.parts:
             present(self.ablation)
         for name in self.conditions:

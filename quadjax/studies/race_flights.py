@@ -115,11 +115,11 @@ def _fly(
     key, noise = jax.random.split(jax.random.key(seed))
     begin = jax.jit(laps.starting_states, static_argnums=(0, 3, 4, 5))
     states = begin(choices, params, key, runs, True, True)
-    own = pilot.make_pilot(choices, params, policy, deterministic=True)
+    actor_params = pilot.make_pilot(choices, params, policy, deterministic=True)
     steps, last = laps.step_limit(params, length), laps.last_gate(params.track, gates)
     drones, above_limit = (laps.begin(states, math.ceil(length)), noise), speed or math.inf
     race, speeds = fly_with_speeds(
-        choices, pilot.fly, steps, last, params, own, drones, above_limit
+        choices, pilot.fly, steps, last, params, actor_params, drones, above_limit
     )
     limit = laps.time_limit(params.track, length)
     result = laps.laps_of(choices, race, float(params.rules.time_step), limit)

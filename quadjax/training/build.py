@@ -226,7 +226,7 @@ def with_policy(
 def _rescaled(
     layers: Weights, inputs: Sequence[float] = (), output: float = 1.0
 ) -> tuple[Layer, ...]:
-    """The layers of a network whose inputs and outputs have factors; ``inputs`` (): none."""
+    """A network's layers with its inputs multiplied by ``inputs`` and its outputs by ``output``."""
     scaled = [(jnp.asarray(kernel), jnp.asarray(bias)) for kernel, bias in layers]
     if inputs:
         kernel, bias = scaled[0]

@@ -59,7 +59,7 @@ class Checkpoints:
         self._manager = ocp.CheckpointManager(path, options=options)
 
     @property
-    def any(self) -> bool:
+    def exists(self) -> bool:
         """Whether there is a checkpoint to resume from."""
         return self._manager.latest_step() is not None
 

@@ -15,7 +15,10 @@ class MetricsFile:
     """The rows of a run's ``metrics.csv``, one for each chunk; written as a whole each time."""
 
     def __init__(self, folder: Path, steps: int, tensorboard: bool) -> None:
-        """The rows of ``folder/metrics.csv`` up to ``steps`` steps, where the run resumes."""
+        """Open ``folder/metrics.csv``.
+
+        Keep the rows up to ``steps``, the environment step at which the run resumes.
+        """
         self._path = folder / "metrics.csv"
         self._rows = [row for row in saved_rows(self._path) if row["steps"] <= steps]
         self._events = _event_writer(folder) if tensorboard else None

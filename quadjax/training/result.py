@@ -18,7 +18,7 @@ from quadjax.policy.file import Policy
 from quadjax.training.checkpoint import Position
 from quadjax.training.metrics import read_metrics, saved_rows
 
-NUMBER, MAYBE = int | float, int | float | None
+NUMBER, OPTIONAL_NUMBER = int | float, int | float | None
 SUMMARY = {  # keys of summary.json and the types of their values
     "name": str,
     "seed": int,
@@ -26,10 +26,10 @@ SUMMARY = {  # keys of summary.json and the types of their values
     "steps": int,
     "devices": int,
     "seconds": NUMBER,
-    "best_lap_total": MAYBE,
-    "best_steps": MAYBE,
-    "last_lap_total": MAYBE,
-    "peak_memory_mib": MAYBE,
+    "best_lap_total": OPTIONAL_NUMBER,
+    "best_steps": OPTIONAL_NUMBER,
+    "last_lap_total": OPTIONAL_NUMBER,
+    "peak_memory_mib": OPTIONAL_NUMBER,
 }
 
 

@@ -146,7 +146,7 @@ def _run(
     fly = make_flights(job.config, job.params)
     chunk, first = _compile(job, fly, stop)
     position = Position(state=first, best=jax.device_get(first.evaluated))
-    if resume and checkpoints.any:
+    if resume and checkpoints.exists:
         position = checkpoints.restore(position)
         started = time.monotonic() - position.seconds
     tensorboard, every = job.config.run.tensorboard, job.config.run.checkpoint_seconds

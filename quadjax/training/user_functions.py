@@ -33,7 +33,8 @@ def check_functions(config: Config, params: RaceParams) -> None:
 
     keys = jax.random.split(jax.random.key(0), STARTS)
     observed, reward = jax.jit(jax.vmap(first_step))(keys)
-    layout, values = choices.layout, {f"reward term {' or '.join(terms)}": reward}
+    label = f"reward (with terms {', '.join(terms)})" if terms else "reward"
+    layout, values = choices.layout, {label: reward}
     for name in layout.names:
         values[f"observation field {name!r}"] = observed[:, layout.slice(name)]
     for label, numbers in values.items():

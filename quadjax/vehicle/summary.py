@@ -129,13 +129,13 @@ def warnings(summary: VehicleSummary) -> list[str]:
     messages = []
     ratio = summary.thrust_to_weight
     if ratio is not None and not 1.3 <= ratio <= 20.0:
-        messages.append(f"thrust-to-weight {ratio:.3g}: typical are 1.3 to 20")
+        messages.append(f"thrust-to-weight {ratio:.3g}: typical values are 1.3 to 20")
     for name, value in summary.lags.items():
         if not 0.005 <= value <= 0.3:
-            messages.append(f"{name} {value:g} s: typical are 0.005 to 0.3 s")
+            messages.append(f"{name} {value:g} s: typical values are 0.005 to 0.3 s")
     for axis, rate in zip(AXES, summary.body_rates, strict=True):
         lowest, highest = (0.05, 60.0) if axis == "yaw" else (0.5, 150.0)
         if not lowest <= rate <= highest:
-            typical = f"typical are {lowest:g} to {highest:g}"
+            typical = f"typical values are {lowest:g} to {highest:g}"
             messages.append(f"{axis}: {rate:.3g} rad/s within {SECONDS:g} s: {typical}")
     return messages

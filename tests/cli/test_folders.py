@@ -11,7 +11,7 @@ from quadjax.dashboard import sources
 from quadjax.export.convert import export_c
 from quadjax.fitting.config import load_fit_config
 from quadjax.policy.file import Policy
-from quadjax.studies import of_policies
+from quadjax.studies import policy_studies
 from quadjax.training import folder as training
 from tests.commands import run
 
@@ -56,7 +56,7 @@ def stop(monkeypatch):
         raise InputError("stopped")
 
     monkeypatch.setattr(sources, "evaluate", stopped)
-    monkeypatch.setattr(of_policies, "evaluate", stopped)
+    monkeypatch.setattr(policy_studies, "evaluate", stopped)
 
 
 def test_a_copy_of_a_run_without_its_hidden_file_is_viewed(here, monkeypatch, capsys):

@@ -84,7 +84,7 @@ def test_blocks_run(page, folder, monkeypatch):
     if name_of(page) not in TRAINED:
         monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
         monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)
-        monkeypatch.setattr(training, "present", lambda run: "")
+        monkeypatch.setattr(training, "write_evaluation", lambda run: "")
     namespace: dict[str, object] = {"__name__": "block", "_load": load_short}
     for block in blocks_of(page):
         if block.setup:

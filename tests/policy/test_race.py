@@ -12,7 +12,7 @@ from quadjax.dashboard import sources
 from quadjax.export import convert, race_source
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
-from quadjax.studies import of_policies
+from quadjax.studies import policy_studies
 from tests.commands import run
 from tests.export.support import made_policy
 
@@ -39,7 +39,7 @@ def races(monkeypatch):
 
     for module, name in (
         (sources, "evaluate"),
-        (of_policies, "race_of"),
+        (policy_studies, "race_of"),
         (convert, "own_race"),
         (race_source, "own_race"),
     ):

@@ -20,7 +20,10 @@ OWN = "tests.training.own"
             f"reward.terms={{{OWN}:vector: 1.0}}",
             f"reward term {OWN}:vector gives an array of shape (4,), expected one number of shape",
         ),
-        (f"reward.terms={{{OWN}:nan: 1.0}}", f"reward term {OWN}:nan is not finite after a"),
+        (
+            f"reward.terms={{{OWN}:nan: 1.0}}",
+            f"reward (with terms {OWN}:nan) is not finite after a",
+        ),
         (
             f"reward.terms={{{OWN}:attribute: 1.0}}",
             f"{OWN}:attribute: AttributeError: 'Step' object has no attribute 'nosuch' (",

@@ -49,7 +49,9 @@ class SHAC(LearnerSection):
     )
     critic_minibatches: Count = Field(4, description="minibatches of the critic per epoch")
     target_update_rate: Fraction = Field(
-        0.2, description="part of the way that the target critic moves to the critic per update"
+        0.2,
+        description="fraction of the distance that the target critic moves toward the critic per "
+        "update",
     )
     td_lambda: Fraction = Field(0.95, description="lambda of the critic's TD targets")
     discount: Discount = 0.99

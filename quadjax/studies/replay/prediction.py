@@ -155,8 +155,8 @@ def _roll_out(
         state = state if speed is None else state.replace(actuators=Rotors.of(speed))
         state = rk4_step(lambda s: model.derivative(params, s, command), state, dt)
         state = model.hold(state.wrapped(), command)
-        parts = (state.position, state.velocity, state.angles, state.rates)
-        return state, tuple(part.array() for part in parts)
+        vectors = (state.position, state.velocity, state.angles, state.rates)
+        return state, tuple(vector.array() for vector in vectors)
 
     def window(start: State, inputs: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, ...]:
         return jax.lax.scan(step, start, inputs)[1]

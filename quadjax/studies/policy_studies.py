@@ -32,7 +32,7 @@ from quadjax.studies.robustness import fly_spreads, spread_table
 Report = Callable[[str], object]
 
 
-class Study(NamedTuple):
+class StudyResult(NamedTuple):
     """The result of a study."""
 
     text: str  # the table
@@ -93,7 +93,7 @@ def laps(
     gates: int | None = None,
     start: Literal["hover", "random"] = "hover",
     seed: int = 0,
-) -> Study:
+) -> StudyResult:
     """Timed laps of one policy, sampled and with the mean action; see ``evaluate``.
 
     The first line of the table is the one that is saved. With ``fixed_point`` the arithmetic is
@@ -118,7 +118,7 @@ def laps(
     if offsets and first.gate_offsets.size:
         mean, wide = first.gate_offsets.mean(), np.percentile(first.gate_offsets, 95.0)
         text += f"\ndistance from the gates' centers: mean {mean:.3f} m, 95% within {wide:.3f} m"
-    return Study(text, first.to_json(), first)
+    return StudyResult(text, first.to_json(), first)
 
 
 def write_files(evaluation: Evaluation, files: Mapping[str, Path], report: Report) -> None:
@@ -139,7 +139,7 @@ def write_files(evaluation: Evaluation, files: Mapping[str, Path], report: Repor
             save_figure(figures[option](), path)
 
 
-def protocols(entries: Sequence[Entry], report: Report, *, runs: int = 100) -> Study:
+def protocols(entries: Sequence[Entry], report: Report, *, runs: int = 100) -> StudyResult:
     """Mean and sampled flights from hover and from random starts, of any number of policies."""
     rows, race = [], entries[0].race
     for number, entry in enumerate(entries, 1):
@@ -149,18 +149,18 @@ def protocols(entries: Sequence[Entry], report: Report, *, runs: int = 100) -> S
         rows.append(fly_protocols(fly, entry.label, entry.policy.log_std, published))
     shared = race if all(entry.race == race for entry in entries) else None
     record = {"results": [row.to_json() for row in rows], "provenance": provenance(shared)}
-    return Study(protocol_table(rows), record)
+    return StudyResult(protocol_table(rows), record)
 
 
 def spread(
     entries: Sequence[Entry], report: Report, *, runs: int = 1000, seconds: int = 12, seed: int = 0
-) -> Study:
-    """Flights from before the gates, with drawn constants, of one policy."""
+) -> StudyResult:
+    """Flights of one policy that start in front of a gate, with drawn constants."""
     (entry,) = entries
     flights = fly_spreads(entry.policy, entry.race, runs, seconds, seed, str(entry.file))
     rows = [row.to_json() for row in flights]
     record = {"seconds": seconds, "flights": rows, "provenance": entry.origin(seed)}
-    return Study(spread_table(flights, entry.label), record)
+    return StudyResult(spread_table(flights, entry.label), record)
 
 
 def races(
@@ -171,26 +171,26 @@ def races(
     laps: int | None = None,
     gates: int | None = None,
     seed: int = 0,
-) -> Study:
+) -> StudyResult:
     """Whole races from around the track's start, with drawn constants, of one policy."""
     (entry,) = entries
     flights = fly_races(entry.policy, entry.race, runs, laps, gates, seed, str(entry.file))
     rows = [row.to_json() for row in flights]
-    return Study(race_table(flights), {"flights": rows, "provenance": entry.origin(seed)})
+    return StudyResult(race_table(flights), {"flights": rows, "provenance": entry.origin(seed)})
 
 
 def random_tracks(
     entries: Sequence[Entry], report: Report, *, runs: int = 100, laps: int = 3
-) -> Study:
-    """A flight on each of several random tracks, which training has not seen, of one policy."""
+) -> StudyResult:
+    """One flight of one policy on each of several random tracks that training does not use."""
     (entry,) = entries
     trained = entry.race.randomization.tracks or RandomTracks()
     tracks = trained.replace(seed=trained.seed + trained.count, count=runs)
     flown = fly_random_tracks(entry.policy, entry.race, tracks, laps, str(entry.file))
-    return Study(flown.table(), flown.to_json() | {"provenance": entry.origin(0)})
+    return StudyResult(flown.table(), flown.to_json() | {"provenance": entry.origin(0)})
 
 
-STUDIES: dict[str, Callable[..., Study]] = {
+STUDIES: dict[str, Callable[..., StudyResult]] = {
     "laps": laps,
     "protocols": protocols,
     "spread": spread,
