@@ -32,7 +32,7 @@ def test_the_best_policy_is_the_latest_of_equal_scores():
 
 def test_a_position_is_restored(tmp_path):
     checkpoints = Checkpoints(tmp_path)
-    assert not checkpoints.any
+    assert not checkpoints.exists
     checkpoints.save(position(2))
     checkpoints.save(position(3))
     found = checkpoints.restore(position(0))
