@@ -101,7 +101,7 @@ def listing() -> str:
     for kind, folder in KINDS.items():
         names = preset_names(folder)
         width = max(map(len, names))
-        lines += [f"{kind}:"]
+        lines += [textwrap.fill(f"{kind}:", 79)]
         for name in names:
             start = f"  {name:<{width}}  "
             text = _description(CONFIGS / folder / f"{name}.yaml")

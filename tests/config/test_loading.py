@@ -553,6 +553,10 @@ def test_one_opening_for_all_gates():
     assert config_of(own.model_dump(by_alias=True), "saved") == own
     with pytest.raises(InputError, match="opening is 3.0, allowed: at most 2.7, the outer edge of"):
         load_config("e2e_race", ["track=grand_challenge", "track.opening=3"])
+    gate = "{position: [%d, 0, -1], yaw_deg: 0, size: [1.5, %g]}"
+    several = f"track.gates=[{gate % (0, 1.5)}, {gate % (9, 2)}]"
+    with pytest.raises(InputError, match=r"allowed: null with rules.gate_frame 0.6 .*\[1.5, 2.0\]"):
+        load_config("e2e_race", ["track=grand_challenge", "track.opening=1", several])
 
 
 def test_a_former_key_is_read_from_a_file_and_refused_as_an_override(tmp_path):
