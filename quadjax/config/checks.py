@@ -1,4 +1,7 @@
-"""Checks that involve several keys of a config, once of its values and once of its last ones."""
+"""Checks that involve several keys of a config.
+
+Those of the race are of the first and of the last values of its schedules.
+"""
 
 import functools
 import math
@@ -279,7 +282,10 @@ def _check_gates(config: Config) -> None:
 
 
 def _check_race_start(config: Config) -> None:
-    """Check that timed laps start in the air and within the bounds."""
+    """Check the start of timed laps, and that a course has one lap and a start.
+
+    The start is in the air, or on the ground with ``rules.ground_speed``, and within the bounds.
+    """
     start = config.track.start
     if not config.track.closed:
         if config.evaluate.laps != 1:

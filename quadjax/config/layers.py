@@ -1,8 +1,9 @@
-"""The layers of a training config, and what stays of one below another.
+"""The layers of a training config, and the values that a higher layer removes.
 
 A layer is a source, a file or the overrides, and the values that it sets. In the order of their
-merge they are: the default drone and track, the bases of the config, the config, its parts, and
-the overrides. Below a layer that names a vehicle or track file is a layer of this file's values.
+merge they are: the default drone and track, the bases of the config, the config, its parts, the
+name of the run with its parts, and the overrides. Below a layer that names a vehicle or track file
+is a layer of this file's values. Keys that no layer sets have the defaults of the schema.
 """
 
 from collections.abc import Sequence
@@ -85,7 +86,10 @@ def find_part(name: str, config: Path, presets: Sequence[str]) -> Path:
 
 
 def default_layers(trees: Sequence[Tree]) -> list[Layer]:
-    """The default vehicle and track, unless a tree has the constants or all gates itself."""
+    """The default vehicle and track, without one whose values a tree has itself.
+
+    These are ``vehicle.models``, or ``track.gates`` or ``track.generate``.
+    """
     layers: list[Layer] = []
     for section, file in DEFAULTS.items():
         keys = {key for tree in trees for key in _section(tree, section)}
@@ -96,6 +100,9 @@ def default_layers(trees: Sequence[Tree]) -> list[Layer]:
 
 def with_files(source: Path | str, tree: Tree, folders: Sequence[Path]) -> list[Layer]:
     """The layer of a file, above those of the vehicle and track files that it names.
+
+    In the layer, the names of ``.npz`` files next to a file are paths, and nested schedules have
+    dotted keys.
 
     Args:
         source: the file.
@@ -146,10 +153,16 @@ def file_values(section: str, path: Path) -> Tree:
 
 
 def without_replaced(tree: Tree, over: Tree, source: str) -> Tree:
-    """What stays of a tree below a layer.
+    """A tree without the values that a layer replaces as a whole.
 
-    Constants stay with the model that they are of. Gates replace a random track, and the other
-    way around. Another algorithm replaces the hyperparameters and their schedules.
+    Constants of the earlier model move to ``vehicle.models``. Gates replace a random track, and a
+    random track replaces gates, with their name, start and ``closed``. Another algorithm replaces
+    the hyperparameters and their schedules.
+
+    Args:
+        tree: the merge of all lower layers.
+        over: values of the layer.
+        source: of the layer.
 
     Raises:
         InputError: a vehicle file that would turn a race of body rates into one of rotor commands.

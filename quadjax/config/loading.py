@@ -48,9 +48,10 @@ def load_config(
             configs, over which this one is merged. A preset may be followed by parts and
             overrides, separated by spaces: ``"e2e +fastest seed=1"``.
         overrides: ``key=value`` with dotted keys; the value is read as YAML. ``track=figure8`` is
-            short for ``track.file=figure8.yaml``; likewise ``vehicle``. ``+PART`` merges a file of
-            ``configs/parts``, of a folder ``parts`` next to the config, or a path, over the config;
-            overrides with ``=`` are merged over all parts.
+            short for ``track.file=figure8.yaml``; likewise ``vehicle``. ``+PART`` merges
+            ``PRESET_PART.yaml`` or, where there is none, ``PART.yaml`` over the config: of a folder
+            ``parts`` next to the config, of ``./parts`` or of ``configs/parts``. It may also be a
+            path. Overrides with ``=`` are merged over all parts.
         code: names ``module:OBJECT`` that may be imported; None: all. Empty for a file that the
             user did not name as a config, such as the ``config.yaml`` of a folder.
 
@@ -101,7 +102,8 @@ def config_of(tree: Tree, source: str | Sources) -> Config:
     """The config of a complete tree, such as the one in a policy file.
 
     Args:
-        tree: as ``Config.model_dump`` gives it.
+        tree: plain values, as ``Config.to_tree`` gives them: numbers may have units of the race.
+            Keys that have a default may be missing.
         source: the file of the tree, or of each value, for messages.
 
     Raises:

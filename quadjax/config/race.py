@@ -29,7 +29,10 @@ from quadjax.vehicle.residual import read_residual, scale_residual
 
 
 def vehicle_model_of(config: Config) -> VehicleModel:
-    """The vehicle model, with a quaternion and disturbances where the config has them."""
+    """The vehicle model, with a quaternion and disturbances where the config has them.
+
+    The model ``motor`` always has disturbances, as its observation in the paper.
+    """
     base = model(config.vehicle.model)
     if config.vehicle.quaternion:
         base = base.with_options(quaternion=True)
@@ -121,12 +124,12 @@ def build_params(config: Config) -> RaceParams:
 
 
 def leaves_without_zeros(section: SectionType, optional: Iterable[str]) -> SectionType:
-    """The section as leaves; optional numbers that are zero become None: nothing is computed."""
+    """The section as leaves; an optional number that is 0 becomes None: nothing is computed."""
     return as_leaves(section, [key for key in optional if getattr(section, key) == 0.0])
 
 
 def _reward(config: Config) -> Reward:
-    """The weights; optional terms have none if it is zero in every schedule too."""
+    """The weights; an optional term of weight 0 has none, unless a schedule changes it."""
     optional = [key for key, term in REWARDS.items() if term.optional]
     scheduled = {key.removeprefix("reward.") for key in config.schedules}
     return leaves_without_zeros(config.reward, [key for key in optional if key not in scheduled])
@@ -140,7 +143,10 @@ def _rules(rules: Rules, limit: float) -> Rules:
 
 
 def _start(start: Start, track: Track) -> Start:
-    """The starts, by default from the ground where the race starts there."""
+    """The starts, by default from the ground where the race starts there.
+
+    None of a config is that default; None of the leaves is never.
+    """
     if start.race is None:
         on_ground = track.start is not None and track.start.on_ground
         start = start.replace(race=FROM_GROUND if on_ground else 0.0)

@@ -59,7 +59,11 @@ class Scales:
         return math.sqrt(self.leg / self.acceleration)
 
     def units(self, unit: str) -> dict[str, float]:
-        """The race units that a field declared in ``unit`` accepts, and their sizes in SI units."""
+        """The race units that a field declared in ``unit`` accepts, and their sizes in SI units.
+
+        Environments are per leg time: their steps of an update are in leg times, so that updates of
+        all races have about the same number of steps.
+        """
         per_length = {"per leg": 1.0 / self.leg, "per half gate": 1.0 / self.half_gate}
         times, per_time = {"leg times": self.time}, {"per leg time": 1.0 / self.time}
         return {

@@ -12,8 +12,8 @@ from quadjax.core.errors import USER_ERRORS, USER_FILES, InputError, user_error
 def load_object(path: str, key: str) -> object:
     """Import an object.
 
-    The current folder is searched first, so that a file next to a config is found however the
-    program was started.
+    The current folder is searched too, however the program was started: first, unless
+    ``sys.path`` has it at another place.
 
     Args:
         path: ``"package.module:name"``; the name may be dotted (``"module:Class.method"``).

@@ -24,9 +24,10 @@ def register(section: type[SectionType]) -> type[SectionType]:
     """Register a section as a pytree whose leaves are its numbers.
 
     These are the fields of floats, of tuples and mappings of floats, and of whole numbers marked
-    ``Traced``. The path of a leaf is the name of its field. A value of None has no leaf. The static
-    part (sizes, flags, names) is compared as a whole: sections that differ in it are different
-    programs.
+    ``Traced``. The path of a leaf is the name of its field. A value of None has no leaf: a
+    number that may be absent is None where it is not used, also where its type is float (see
+    ``as_leaves``). The static part (sizes, flags, names) is compared as a whole: sections that
+    differ in it are different programs.
     """
     leaves = _traced_names(section)
     static = [name for name in section.model_fields if name not in leaves]
@@ -49,7 +50,7 @@ def register(section: type[SectionType]) -> type[SectionType]:
 
 
 def as_leaves(section: SectionType, unused: Collection[str] = ()) -> SectionType:
-    """The section with its numbers as single-precision arrays ().
+    """The section with its numbers as arrays (): float32, or int32 where ``Traced`` marks them.
 
     Args:
         section: of a registered class.
@@ -80,7 +81,7 @@ def _is_traced(field: FieldInfo) -> bool:
 
 
 def _is_of_floats(hint: Any) -> bool:
-    """Whether a type is float, None, or a union, a tuple or a mapping to such."""
+    """Whether a type is float, or a union, a tuple or a mapping to such, also with None."""
     if hint in (float, types.NoneType, Ellipsis):
         return hint is not types.NoneType
     origin, inner = typing.get_origin(hint), typing.get_args(hint)

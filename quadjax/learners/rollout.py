@@ -136,7 +136,8 @@ def step_metrics(steps: Steps, error: jax.Array, target: jax.Array) -> Metrics:
         ``crash_rate``: fraction of ended episodes that were terminated rather than truncated;
         ``explained_variance``: ``1 - error / Var(target)``, 1 for a perfect value and 0 for a
         constant; where the environment reports what was completed, ``pass_rate``: completed parts
-        of the task, divided by the sum of these and crashes.
+        of the task, divided by the sum of these and terminated episodes. The end of a course counts
+        as terminated here, and in ``crash_rate``.
     """
     terminated = jnp.mean(steps.terminated.astype(jnp.float32))
     truncated = jnp.mean(steps.truncated.astype(jnp.float32))

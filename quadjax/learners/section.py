@@ -57,7 +57,7 @@ class Curriculum(Section):
         gt=0,
         lt=1,
         description="the level rises while at least this share of gates is passed: gates passed, "
-        "divided by gates passed and crashes",
+        "divided by gates passed and crashes (and finished courses)",
     )
     duration: float = Field(
         0.25, gt=0, le=1, description="shortest time from level 0 to 1, as a fraction of the run"
@@ -112,8 +112,8 @@ Schedules = Mapping[str, Schedule | Sequence[float | Literal["value"]]]
 class LearnerSection(Section):
     """Hyperparameters of a learner, which make the learner and train it.
 
-    Fields annotated ``float`` are traced: other values do not trigger recompilation, and
-    schedules can change them. All others fix shapes or code.
+    Fields of ``float`` or ``float | None`` are traced: other numbers do not trigger recompilation,
+    and schedules can change them. All others fix shapes or code, and so does None.
     """
 
     if TYPE_CHECKING:

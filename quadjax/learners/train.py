@@ -20,7 +20,7 @@ from quadjax.learners.schedules import schedule_learner
 from quadjax.learners.section import LearnerSection, Network, Schedule, Schedules
 from quadjax.learners.state import Learner
 
-CHUNKS = 20  # of a run, at most: how often progress is reported
+CHUNKS = 20  # of a run, about: how often progress is reported
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +54,8 @@ def train(
         params: traced parameters of the environment.
         steps: environment steps of the run, at least; a whole number of updates.
         seed: of all random numbers.
-        network: hidden layers of policy and value, or networks with functions of the user's.
+        network: hidden layers of policy and value, or networks with functions of the user's;
+            ``normalize``, in units of a race, has no effect.
         schedules: numbers that change during training: a ``Schedule``, or only its values, by the
             name of a hyperparameter or the dotted path of a leaf of ``params``, such as
             ``{"learning_rate": [3e-3, 0.0], "reward.gate": Schedule(linear=(0, 10), until=0.5)}``.
@@ -115,6 +116,7 @@ def _make(
     schedules: Schedules,
 ) -> tuple[Learner, Plan]:
     """The learner with its schedules, and the plan of the run."""
+    # Made for one update, to read the steps of an update: the number of updates follows from it.
     steps_per_update = algorithm.make(environment, networks, 1).steps_per_update
     plan = plan_chunks(steps, max(1, steps // CHUNKS), steps_per_update)
     learner = algorithm.make(environment, networks, plan.updates)

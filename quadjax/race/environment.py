@@ -1,6 +1,9 @@
 """The racing environment: vehicle, track, rules and starts as three pure functions of one drone.
 
 ``quadjax.race.step`` has its static ``Choices``, its traced ``RaceParams`` and its ``RaceState``.
+
+``call_materialized(f, opaque_true, *args)`` computes ``f(*args)``; it only stops XLA's CPU backend
+from computing it again for every use (``quadjax.core.materialize``).
 """
 
 import dataclasses
@@ -126,10 +129,10 @@ def _estimate(
 
 
 def exact_rules(model: VehicleModel, params: RaceParams) -> RaceParams:
-    """The race without training limits: no gate inflation, any roll, any valid pitch.
+    """The race without training limits: no gate inflation, any roll, yaw rate and valid pitch.
 
     It is on ``params.track``, also where the episodes of training are on random tracks. Clocks
-    start at zero.
+    start at zero. The length of an episode stays.
     """
     pitch = math.degrees(model.pitch_limit)
     limits = with_leaves(

@@ -20,6 +20,8 @@ from quadjax.vehicle import estimator
 from quadjax.vehicle.battery import BatteryState, battery_at_start, draw_battery
 from quadjax.vehicle.protocol import Constants, Motion, State, VehicleModel
 
+# Streams of random numbers, folded into the key of a start. Its ``Draws`` are of the key itself.
+ALONG_LEG, BATTERY, TRACK, RECORDED, RACE_START, AROUND_HOVER = range(1, 7)
 AROUND_START, YAW_OF_START = 0.5, math.pi / 4.0  # half-widths of x and y, m, and of the yaw, rad
 
 
@@ -44,6 +46,7 @@ def draw(key: jax.Array, count: int) -> jax.Array:
 
 def draw_start(model: VehicleModel, key: jax.Array, constants: int = 0) -> Draws:
     """The random numbers of a start, with those of a number of constants."""
+    # Four for fewer actuators too: all other numbers of a key are then those of any such model.
     sizes = (1, 1, 3, 3, 3, 3, max(4, model.actuators.size), 4, constants)
     gate, clock, *others = jnp.split(draw(key, sum(sizes)), np.cumsum(sizes)[:-1])
     return Draws(gate[0], clock[0], *others)
@@ -56,7 +59,7 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
         InputError: ``params`` has both random tracks and headings. Headings are defined for
             ``params.track`` only.
     """
-    track = _draw_track(params, jax.random.fold_in(key, 3))
+    track = _draw_track(params, jax.random.fold_in(key, TRACK))
     params = params.on_track(track)
     model, ranges = choices.model, params.start
     size = len(jax.tree.leaves(params.vehicle.constants)) if choices.randomize else 0
@@ -67,13 +70,13 @@ def reset(choices: Choices, params: RaceParams, key: jax.Array) -> RaceState:
     battery, clock = None, jnp.zeros((), jnp.int32)
     if params.battery is not None:
         rpm = drone.actuators
-        battery = draw_battery(params.battery, rpm, jax.random.fold_in(key, 2))
+        battery = draw_battery(params.battery, rpm, jax.random.fold_in(key, BATTERY))
     if ranges.stagger_clocks:
         steps = jnp.asarray(params.training_limits.episode_steps, draws.clock.dtype)
         clock = (0.5 * (draws.clock + 1.0) * steps).astype(jnp.int32)
     state = _begin(choices, params, drone, target, constants, battery)
     if ranges.race is not None:
-        race_key, used_key = jax.random.split(jax.random.fold_in(key, 5))
+        race_key, used_key = jax.random.split(jax.random.fold_in(key, RACE_START))
         race = hover_start(choices, params, state, draw(race_key, 3))
         used = functools.partial(jnp.where, jax.random.uniform(used_key) < ranges.race)
         state = jax.tree.map(used, race, state)
@@ -133,10 +136,10 @@ def _draw_drone(
     if starts.gate == "random":
         target = start_gate(params.track, draws.gate)
     if params.recorded is not None:
-        used, recorded = draw_recorded(params.recorded, jax.random.fold_in(key, 4))
+        used, recorded = draw_recorded(params.recorded, jax.random.fold_in(key, RECORDED))
         target = jnp.where(used, recorded.target, target)
     if starts.along_leg is not None:
-        fraction = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, 1))
+        fraction = starts.along_leg * jax.random.uniform(jax.random.fold_in(key, ALONG_LEG))
     motion, actuators = _motion(params, target, fraction, draws), draws.actuators
     if params.recorded is not None:
         motion = jax.tree.map(functools.partial(jnp.where, used), recorded.motion, motion)

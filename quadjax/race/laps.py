@@ -149,7 +149,7 @@ def starting_states(
         if not from_hover:
             zero = jnp.zeros((), jnp.int32)
             return start.replace(step=zero, gates_passed=zero)
-        moved = episode.draw(jax.random.fold_in(key, 6), 3) if around else None
+        moved = episode.draw(jax.random.fold_in(key, episode.AROUND_HOVER), 3) if around else None
         return episode.hover_start(choices, params, start, moved)
 
     return jax.vmap(one, out_axes=-1)(jax.random.split(key, runs))

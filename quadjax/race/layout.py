@@ -1,4 +1,4 @@
-"""Layouts: the named fields of an observation, in order, and their form in files."""
+"""Layouts: the named fields of an observation, in order; their numbers, history and files."""
 
 import dataclasses
 import functools

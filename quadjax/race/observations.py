@@ -316,7 +316,7 @@ def make_layout(
     Args:
         model: its actuators are one field; a model without external disturbances observes none.
         observed: the section of the config; by default that of the publication.
-        extra: further fields, at the end, in place of ``observed.extra``.
+        extra: the objects that ``observed.extra`` names, loaded; at the end.
         battery: whether the race has a battery, whose limit is observed.
 
     Raises:

@@ -155,7 +155,7 @@ def overspeed(step: Step) -> Scalar:
     An episode's end has no gradient; with a weight above 1, flying faster gains less than it loses.
     """
     weights, limit = step.params.reward, step.params.rules.speed_limit
-    if limit is None or weights.progress is None:
+    if limit is None:
         return 0.0
     above = safe_norm(step.velocity) - (1.0 - weights.overspeed_margin) * limit
     return -weights.progress * jnp.maximum(above, 0.0)

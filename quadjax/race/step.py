@@ -1,6 +1,7 @@
-"""What a race is, ``Choices``, ``RaceParams`` and ``RaceState``, and one ``Step`` of it.
+"""The types of a race: ``Choices``, ``RaceParams``, ``RaceState`` and ``Step``.
 
-``Choices`` are static (they choose code); ``RaceParams`` are traced (they are numbers).
+``Choices`` are static: they choose code. The numbers of ``RaceParams`` are traced; see there for
+what it holds besides them.
 """
 
 import dataclasses
@@ -32,7 +33,7 @@ UserFunctions = tuple[tuple[str, Callable[["Step"], jax.Array]], ...]
 
 @dataclasses.dataclass(frozen=True)
 class Choices:
-    """What chooses code: known when the environment is built."""
+    """Static settings of a race, set when the environment is built."""
 
     model: VehicleModel
     layout: "Layout"  # of the observation
@@ -45,7 +46,15 @@ class Choices:
 
 
 class RaceParams(struct.PyTreeNode):
-    """Every number of the race. The numbers of the sections of the config are leaves."""
+    """Every number of the race, traced; and what of the config's sections chooses code.
+
+    The numbers of the sections are leaves; their other values are static: ``rules.gate_test``,
+    ``start.gate``, ``start.heading``, ``start.stagger_clocks`` and ``track.closed``. A program also
+    depends on which numbers are None. As a leaf, a number that may be absent and is 0 is None, so
+    that nothing is computed for it: ``rules.body_radius``, ``rules.gate_frame``,
+    ``start.along_leg``, ``start.race`` and the optional terms of ``reward``, such as
+    ``reward.action_change`` (``leaves_without_zeros`` of ``quadjax.config.race``).
+    """
 
     vehicle: VehicleParams
     track: Track
@@ -129,7 +138,7 @@ class Outcome(struct.PyTreeNode):
 
     @property
     def crashed(self) -> jax.Array:
-        """Whether any termination applies."""
+        """Whether any termination applies: a collision, a limit, or a rule of the user."""
         return functools.reduce(jnp.logical_or, self.crashes.values())
 
     @property

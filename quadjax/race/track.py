@@ -124,7 +124,10 @@ class Gate(struct.PyTreeNode):
 
 
 class Track(Gate):
-    """Gates as arrays (gates,) of each number, and where the race starts and ends."""
+    """All gates as one ``Gate`` (a struct of arrays), and where the race starts and ends.
+
+    Each number is an array (gates,).
+    """
 
     start: Pose | None = None  # of timed laps; None: at the last gate
     # Whether the first gate follows the last; else the race ends with the last gate.

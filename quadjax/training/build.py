@@ -96,6 +96,7 @@ def build_learner(config: Config) -> Learner[RaceParams]:
         InputError: a schedule of a key that changes no number, or more than numbers.
     """
     environment, networks = build_environment(config), build_networks(config)
+    # Made for one update, to read the steps of an update: the number of updates follows from it.
     learner = config.learner.make(environment, networks, 1)
     if not isinstance(learner, Learner):
         raise InputError(

@@ -150,4 +150,5 @@ class Motor(VehicleModel):
         return 4.0 * c.k_w * c.rpm_max**2 / c.g
 
 
+# Disturbed in every race, also without a section ``disturbance``: its observation has them.
 MODEL = Motor(disturbed=True)

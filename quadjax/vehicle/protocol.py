@@ -77,10 +77,11 @@ class Measurement:
 class VehicleModel:
     """A rigid body with actuators.
 
-    A subclass gives ``name``, ``constants``, ``commands``, ``actuators`` and the first six methods.
-    It may replace any other, such as ``derivative``, and have a state of another type. Instances
-    are compared and hashed where programs are compiled: a subclass with numbers is a frozen
-    dataclass.
+    A subclass gives ``name``, ``constants``, ``commands``, ``actuators`` and the methods
+    ``command_range``, ``actuator_rate``, ``force_moment`` and ``hover_actuators``. It may
+    replace any other, such as ``angular_acceleration`` or ``derivative``, and have a state of
+    another type. Instances are compared and hashed where programs are compiled: a subclass with
+    numbers is a frozen dataclass.
 
     Attributes:
         name: as in ``vehicle.model`` of a config and in a policy file.

@@ -2,8 +2,11 @@
 
 1. ``collect`` simulates all environments with sampled actions.
 2. ``td_lambda`` computes the targets of the value; the advantage is target minus value.
-3. ``run_epochs`` goes several times over shuffled minibatches; each is one ``_gradient_step`` down
-   the gradient of ``loss``, which is skipped where the policy has moved too far.
+3. ``run_epochs`` iterates over shuffled minibatches. ``_gradient_step`` takes one gradient step on
+   ``loss`` for each. It skips the step if the policy has moved too far.
+
+Of ``hyper``, a ``PPO``, floats are arrays here; ints, flags and None are static
+(``quadjax.core.traced``).
 """
 
 import dataclasses
@@ -65,6 +68,7 @@ def _update(
     environment_state, (steps, log_prob) = collect(
         environment, networks, hyper, env_params, state, rollout_key
     )
+    # One time step after another: hidden layers of all steps at once would need much memory.
     value = jax.lax.map(lambda x: networks.value(state.params, x), steps.observation)
     target = td_lambda(steps, hyper.discount, hyper.gae_lambda, hyper.reward_scale)
     batch = Batch(steps.observation, steps.action, log_prob, target - value, target)
@@ -130,8 +134,16 @@ def collect(
         fresh, noise = draw(environment, env_params, key, shape)
         scaled = jnp.broadcast_to(jnp.exp(params.log_std), shape) * noise
         state, steps = rollout(
-            environment, networks, env_params, params, params, state, fresh, scaled
+            environment,
+            networks,
+            env_params,
+            params=params,
+            critic=params,
+            state=state,
+            fresh=fresh,
+            noise=scaled,
         )
+        # The density of an action about its mean is that of its noise about zero.
         return state, (steps, log_probability(scaled, jnp.zeros(shape), params.log_std))
 
     keys = jax.random.split(key, hyper.rollout_length // length)
