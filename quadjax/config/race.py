@@ -145,7 +145,7 @@ def _rules(rules: Rules, limit: float) -> Rules:
 def _start(start: Start, track: Track) -> Start:
     """The starts, by default from the ground where the race starts there.
 
-    None of a config is that default; None of the leaves is never.
+    In a config, a ``race`` of None is that default. As a leaf, None is 0: no such start.
     """
     if start.race is None:
         on_ground = track.start is not None and track.start.on_ground

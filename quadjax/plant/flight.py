@@ -131,7 +131,7 @@ def sample(
     before, body = flight.race.state, state.physics.body
     g = gate(params.race.track, before.target)
     step = Step(choices.race.model, params.race, before, g, body)
-    outcome = evaluate_rules(step, choices.race.rules)
+    outcome = evaluate_rules(step, choices.race.user_rules)
     following = environment.progressed(params.race, before, body, outcome)
     gates = gate_count(params.race.track)
     race = laps.score(flight.race, following, outcome, params.plant.step, gates)

@@ -86,7 +86,7 @@ def transition(
     opaque_true, simulate = params.opaque_true, functools.partial(_simulate, choices)
     after = call_materialized(simulate, opaque_true, params, state, action)
     g = call_materialized(gate, opaque_true, params.track, state.target)
-    rules = functools.partial(evaluate_rules, rules=choices.user_rules)
+    rules = functools.partial(evaluate_rules, user_rules=choices.user_rules)
     outcome = call_materialized(rules, opaque_true, Step(model, params, state, g, after))
     invalid = outcome.crashes[NOT_FINITE]
     drone = jax.tree.map(lambda new, old: jnp.where(invalid, old, new), after, state.drone)

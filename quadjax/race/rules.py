@@ -295,9 +295,9 @@ def terminations_of(rules: UserFunctions) -> Mapping[str, Termination]:
     return TERMINATIONS | {f"ended by {name}": checked(name, rule) for name, rule in rules}
 
 
-def evaluate_rules(step: Step, rules: UserFunctions = ()) -> Outcome:
+def evaluate_rules(step: Step, user_rules: UserFunctions = ()) -> Outcome:
     """The events of a step, before any reset, by ``TERMINATIONS`` and a user's own rules."""
-    params, state, terminations = step.params, step.state, terminations_of(rules)
+    params, state, terminations = step.params, step.state, terminations_of(user_rules)
     flags = {name: rule(step) for name, rule in terminations.items()}
     crashes = {name: flag for name, flag in flags.items() if flag is not None}
     truncated = state.step + 1 >= params.training_limits.episode_steps

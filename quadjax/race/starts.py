@@ -34,7 +34,7 @@ class Start(Section):
         "fraction of it; the way is a cubic curve that leaves and enters the gates along their "
         "yaw; starts are uniform up to there",
     )
-    # None is the default of the description here, but never as a leaf, where 0 is None.
+    # In a config, None is the default of the description. As a leaf, it is 0: no such start.
     race: float | None = Field(
         None,
         ge=0,
