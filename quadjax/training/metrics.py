@@ -91,7 +91,11 @@ def _read_rows(path: Path | str) -> list[Row]:
 def _row(where: str, names: list[str], cells: list[str]) -> Row:
     if len(cells) != len(names):
         raise InputError(f"{where}: {len(cells)} cells, expected {len(names)}")
+    return {name: _number(where, name, cell) for name, cell in zip(names, cells, strict=True)}
+
+
+def _number(where: str, name: str, cell: str) -> float:
     try:
-        return {name: float(cell.strip() or "nan") for name, cell in zip(names, cells, strict=True)}
-    except ValueError as error:
-        raise InputError(f"{where}: {str(error)[:100]}, expected numbers") from None
+        return float(cell.strip() or "nan")
+    except ValueError:
+        raise InputError(f"{where}: {name!r} is {cell.strip()!r}, expected a number") from None
