@@ -38,8 +38,8 @@ def with_opening(tree: Tree, sources: Sources) -> Tree:
     Frames around gates of one size keep their outer edges.
 
     Raises:
-        InputError: a value that is not allowed, an opening wider than a frame with its edges, or
-            frames around gates of several sizes.
+        InputError: a value that is not allowed, an opening wider than the outer edge of the
+            frames, or frames around gates of several sizes.
     """
     section = tree.get("track")
     if not isinstance(section, dict) or section.get("opening") is None:
