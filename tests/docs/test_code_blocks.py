@@ -1,6 +1,6 @@
 """Every Python and shell block of the README and of the user guide is run, with short trainings.
 
-The trainings of the README and the quickstart run; those of the other pages are traced, leave the
+The trainings of the quickstart run; those of the other pages are traced, leave the
 policy as it begins, and end without a lap table. The tables of ``compare``, which take a minute
 each, are those of ``tests/plant``. The blocks of a page run in order in one folder. Python blocks
 share a namespace; a block with a title is written to a file of that name; shell blocks consist of
@@ -27,7 +27,7 @@ from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
 from tests.docs.smaller import CODE, WIDE, load_short, short_overrides, smaller
 
 NO_LAPS = Laps(np.full((1, 1), np.nan), ("out of time",), np.ones(1), 1.0)
-TRAINED = ("README.md", "docs/getting_started/quickstart.md")
+TRAINED = ("docs/getting_started/quickstart.md",)
 OPTIONS = {  # added to a command, unless it has them
     "seeds": ["--seeds", "0", "--runs", "2"],
     "evaluate": ["--runs", "2", "--laps", "1"],

@@ -10,7 +10,7 @@ import pytest
 
 import quadjax
 from tests.commands import run
-from tests.surface.short import OF_EACH, OF_LEARNER, short
+from tests.surface.short import OF_EACH, OF_LEARNER, short, short_config
 from tests.surface.test_training import start, wait_for
 from tests.view.browser import browser, opened, wait_until
 
@@ -100,23 +100,25 @@ RACING = (
 WIDE = {"position": 64, "velocity": 128, "rates": 1024, "attitude": 4}
 
 
+@pytest.fixture(scope="module")
+def racing_policy(tmp_path_factory):
+    """A policy that is trained for seconds: it need not finish its race."""
+    folder = tmp_path_factory.mktemp("racing")
+    return quadjax.train(short_config("e2e", *RACING), folder / "run").folder / "policy.npz"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["indiflight", "px4", "crazyflie", "qjp"])
-def test_a_racing_policy_is_exported_verified_and_flown(target, tmp_path, monkeypatch):
-    """It is trained for seconds: it need not finish its race."""
+def test_a_racing_policy_is_exported_verified_and_flown(
+    target, racing_policy, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    run_of = quadjax.train(quadjax.load(*split(short("e2e", *RACING))), tmp_path / "run")
     ranges = [f"--range={name}={size}" for name, size in WIDE.items()]
     words = ("--output", "out", "--target", target, "--allow-unfinished", *ranges)
-    assert run("export", run_of.folder / "policy.npz", *words) == 0
+    assert run("export", racing_policy, *words) == 0
     words = ("--vectors", 100, "--allow-unfinished", "--json", "verify.json")
     assert run("verify", "out", *words) == 0
     results = json.loads(Path("verify.json").read_text())["results"]
     assert len(results) > 10 and "fail" not in {row["verdict"] for row in results}
     assert run("sil", "out", "--simulator", "--laps", 1) == 0
     assert json.loads(Path("runs/sil/sil.json").read_text())["crashes"]
-
-
-def split(words: list[str]) -> tuple[str, list[str]]:
-    """The preset and the overrides of a command line."""
-    return words[0], words[1:]
