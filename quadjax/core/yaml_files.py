@@ -2,10 +2,11 @@
 
 import dataclasses
 import io
+import itertools
 import json
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from quadjax.core.files import read_text
 from quadjax.core.resources import find_file
 
 WIDTH = 79  # of comments, characters
+MAX_VALUES = 10**6  # of a file, which may come from a stranger
 MAX_DEPTH = 20  # of dotted keys, and of files that name a base
 Tree = dict[str, Any]
 Layer = tuple[Path | str, Tree]  # a file, or "overrides", and the values that it sets
@@ -47,7 +49,10 @@ def parse_yaml(text: str, source: str) -> object:
     """
     where, reason = "", "nested too deep"
     try:
-        return json.loads(json.dumps(_loader().load(text)))  # only plain values pass
+        value = _loader().load(text)
+        if sum(1 for _ in itertools.islice(_values(value), MAX_VALUES + 1)) > MAX_VALUES:
+            raise ValueError(f"more than {MAX_VALUES:,} values, with those of aliases")
+        return json.loads(json.dumps(value))  # only plain values pass
     except RecursionError:
         pass
     except MarkedYAMLError as error:
@@ -56,6 +61,14 @@ def parse_yaml(text: str, source: str) -> object:
     except (YAMLError, ValueError, TypeError) as error:
         reason = f"not YAML of plain values ({error})"
     raise InputError(f"{source}:{where} {short(' '.join(reason.split()), 160, str)}")
+
+
+def _values(value: object) -> Iterator[object]:
+    """A value and every value in it; one with several aliases counts at each."""
+    yield value
+    if isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _values(item)
 
 
 def _loader() -> YAML:

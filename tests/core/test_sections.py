@@ -128,6 +128,10 @@ UNREADABLE = {
     "a: 1\na: 2": 'line 2: found duplicate key "a"',
     "a: [": "line 1:",
     "[" * 1200: "nested too deep",
+    "a: &a [*a]": "nested too deep",
+    "\n".join(["a0: &a0 [1, 2]", *(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 40))]): (
+        "more than 1,000,000 values, with those of aliases"
+    ),
     "a: " + "9" * 5000: "not YAML of plain values (Exceeds the limit",
     "a: !!python/object:os.system x": "line 1: could not determine a constructor",
     "a: !!set {b}": "not YAML of plain values (",
