@@ -124,7 +124,7 @@ def read_logs(
     """
     logs = []
     for path in find_logs(config, folder):
-        report(f"reading {path}")
+        report(f"reading {path.name}")
         logs.append(read_log(path, config))
     return logs
 
