@@ -31,8 +31,12 @@ def logs(
     vehicle: Vehicle = "bebop1.yaml",
     residual: Annotated[opt.InputFile | None, Parameter(group=EXCITATION)] = None,
     random_residual: Annotated[opt.Seed | None, Parameter(group=EXCITATION)] = None,
-    thrust_std: Annotated[float, Parameter(group=EXCITATION)] = 1.0,
-    moment_std: Annotated[float, Parameter(group=EXCITATION)] = 0.015,
+    thrust_std: Annotated[
+        float, Parameter(group=EXCITATION, converter=opt.number(0.0, 100.0))
+    ] = 1.0,
+    moment_std: Annotated[
+        float, Parameter(group=EXCITATION, converter=opt.number(0.0, 10.0))
+    ] = 0.015,
     seconds: Seconds = 30.0,
 ) -> None:
     """Write flight logs of a simulated drone.
@@ -64,6 +68,8 @@ def logs(
         if not policy:
             raise InputError("--policy is missing: the policies that fly on the plant")
     opt.exclude("residual", "random_residual")
+    if random_residual is None:
+        opt.refuse("without --random-residual", "thrust_std", "moment_std")
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.core.folders import claim

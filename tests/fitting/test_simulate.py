@@ -54,6 +54,8 @@ def test_impossible_sizes_are_refused(arguments):
     [
         (["logs"], "--output"),
         (["logs", "--output", "logs", "--random-residual", "-1"], "--random-residual"),
+        (["logs", "--output", "logs", "--moment-std", "nan"], "--moment-std"),
+        (["logs", "--output", "logs", "--thrust-std", "1"], "without --random-residual"),
         (["logs", "--output", "logs", "--seconds", "0"], "--seconds"),
         (["logs", "--output", "/dev/null/logs"], "/dev/null/logs"),
     ],
