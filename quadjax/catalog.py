@@ -24,7 +24,7 @@ from quadjax.vehicle.summary import describe as describe_vehicle
 from quadjax.vehicle.summary import summarize, warnings
 from quadjax.vehicle.vehicle_file import vehicle_text
 
-PRESET = "e2e"  # whose rules check a track that has none of its own
+PRESET = "e2e"  # the rules for a track file without rules
 COMMENT = "docs/guide/vehicle.md has the formulas. Fit flight logs for better constants."
 
 
