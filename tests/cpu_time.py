@@ -1,8 +1,9 @@
-"""A test without the marker ``slow`` fails if it takes more than three seconds of CPU time.
+"""A test without the marker ``slow`` may take three seconds of CPU time.
 
-Its fixtures, which several tests may share, do not count. On a slower processor than that of
-``REFERENCE`` the limit is higher in proportion. ``TEST_CPU_SECONDS`` in the environment sets
-another limit.
+Above it the summary of the session warns, and above twice as much the test fails: the same test
+takes up to 1.5 times as long on one machine where other programs use its cores. Its fixtures, which
+several tests may share, do not count. On a slower processor than that of ``REFERENCE`` both limits
+are higher in proportion. ``TEST_CPU_SECONDS`` in the environment sets another limit.
 """
 
 import os
@@ -36,13 +37,14 @@ SLOWNESS = max(1.0, min(_work() for _ in range(3)) / REFERENCE)
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
-    """Run a test, and fail it if it took too long."""
+    """Run a test, and warn or fail if it took too long."""
     begin = _cpu_seconds()
     result = yield
     seconds = _cpu_seconds() - begin
-    if "slow" not in item.keywords and seconds > LIMIT * SLOWNESS:
-        pytest.fail(
-            f"{seconds:.1f} s of CPU time; a test without the marker slow may take {LIMIT:g} s",
-            pytrace=False,
-        )
+    if "slow" in item.keywords or seconds <= LIMIT * SLOWNESS:
+        return result
+    text = f"{seconds:.1f} s of CPU time; a test without the marker slow may take {LIMIT:g} s"
+    if seconds > 2 * LIMIT * SLOWNESS:
+        pytest.fail(text, pytrace=False)
+    item.warn(pytest.PytestWarning(text))
     return result
