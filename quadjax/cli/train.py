@@ -9,7 +9,7 @@ from cyclopts import Group, Parameter
 from quadjax.cli import STARTED
 from quadjax.cli import options as opt
 from quadjax.cli.output import command_again, steps, wrote
-from quadjax.core.errors import INTERRUPTED
+from quadjax.core.errors import INTERRUPTED, InputError
 from quadjax.core.interruptions import loading
 
 SEEDS = Group("Several seeds", sort_key=2)
@@ -60,8 +60,9 @@ def train(
 
         words = [word for word in (config, *named) if opt.is_override(word)]
         files = [word for word in (config, *named) if word not in words]
-        chosen = list(dict.fromkeys(seeds))
-        for text, file in train_seeds(files, words, chosen, runs, output, figure, overwrite):
+        if len(set(seeds)) < len(seeds):
+            raise InputError(f"--seeds has a seed twice: {' '.join(map(str, seeds))}")
+        for text, file in train_seeds(files, words, list(seeds), runs, output, figure, overwrite):
             if text:
                 print(text)
             wrote(file)

@@ -70,10 +70,14 @@ def find_file(name: str, folders: Sequence[Path], kind: str = "") -> Path:
     names = [name] if Path(name).suffix == ".yaml" else [name, f"{name}.yaml"]
     places = [place for folder in folders for place in (folder, folder / kind)]
     places.append(CONFIGS / kind)
+    paths = [place / file for place in places for file in names]
     with reading(short(name)):
-        for path in (place / file for place in places for file in names):
-            if path.exists() and not path.is_dir():
-                return path
+        present = [path for path in paths if path.exists()]
+    for path in present:
+        if not path.is_dir():
+            return path
+    if present:
+        raise InputError(f"{present[0]}: is a directory, expected a file")
     stems = [path.stem for place in places for path in sorted(place.glob("*.yaml"))]
     hint = close_match(Path(name).stem, stems)
     shipped = f"; {kind} of quadjax: {', '.join(preset_names(kind))}" if kind else ""

@@ -115,7 +115,7 @@ def declare(policy: Policy, overrides: dict[str, float] | None = None) -> InputB
     own = {f.name: float(f.range) for f in policy.layout.fields if not split_name(f.name)[1]}
     for name, value in (overrides or {}).items():
         if name not in own:
-            raise InputError(f"range {name}={value:g}: unknown name, allowed: {list(own)}")
+            raise InputError(f"range {name}={value:g}: unknown name, allowed: {', '.join(own)}")
         own[name] = value
     ranges = {name: field.range for name, field in known.items()} | own
     ranges |= {name: ranges[split_name(name)[0]] for name in policy.layout.names}

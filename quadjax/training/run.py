@@ -149,6 +149,8 @@ def _run(
     if resume and checkpoints.exists:
         position = checkpoints.restore(position)
         started = time.monotonic() - position.seconds
+    elif resume and display is not None:
+        display.note(f"{folder}: no checkpoint to resume from, starting a new run")
     tensorboard, every = job.config.run.tensorboard, job.config.run.checkpoint_seconds
     metrics = MetricsFile(folder, position.steps, tensorboard)
     latest, saved, advised = position, time.monotonic(), False
