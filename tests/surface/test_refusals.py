@@ -44,6 +44,8 @@ train e2e 'learner.std=0.05 legs' | learner.std legs
 train e2e 'reward.body_rates=3 furlongs' | reward.body_rates furlongs
 train e2e track=nosuch | nosuch square4
 train e2e track=gates.yaml | gates.yaml position
+train e2e track=tracks | tracks directory
+train e2e --seeds 1 1 | --seeds twice
 train e2e vehicle=nosuch | nosuch
 train e2e vehicle.constants.nosuch=1 | vehicle.constants.nosuch
 train e2e vehicle.constants.mass=-1 | mass
@@ -99,6 +101,7 @@ nosuch | nosuch train
 def folder(tmp_path_factory):
     """Files of a user."""
     path = tmp_path_factory.mktemp("refusals")
+    (path / "tracks").mkdir()
     for name, text in FILES.items():
         (path / name).write_text(text)
     return path
