@@ -20,7 +20,7 @@ ALLOWED = {
     "fitting": {"core", "vehicle"},
     "limits": {"core", "vehicle", "race", "config", "policy", "evaluation"},
     "integrations": CONFIG | {"config", "policy", "training"},
-    "plant": CONFIG - {"learners"} | {"policy", "evaluation", "fitting"},
+    "plant": CONFIG - {"learners"} | {"config", "policy", "evaluation", "fitting"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
     "sil": CONFIG - {"learners"}
     | {"config", "policy", "training", "evaluation", "plant", "export", "studies"},
@@ -74,6 +74,7 @@ EDGES |= {"specialize", "outside", "_constants"}  # of the drone of a config
 # Published times are those of a config's race.
 EDGES |= {"published_total", "published_row", "published_flight", "published_sampled"}
 EDGES |= {"_race", "_residual"}
+EDGES |= {"plan_race", "race_config", "plan_logs", "gate_centers"}  # flights of a race on the plant
 
 
 def test_only_the_outer_packages_take_a_whole_config():

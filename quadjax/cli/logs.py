@@ -77,7 +77,7 @@ def logs(
         from quadjax.fitting.vehicle_file import read_vehicle
         from quadjax.plant.config import load_plant_config
         from quadjax.plant.logs import write_logs
-        from quadjax.studies.plant_races import plan_logs
+        from quadjax.plant.races import plan_logs
         from quadjax.vehicle.protocol import VehicleParams
         from quadjax.vehicle.residual import read_residual, write_residual
 

@@ -23,6 +23,7 @@ from quadjax.evaluation.tables import counted, describe_crashes, format_table, l
 from quadjax.export.verify.folder import Inputs, read_inputs
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import check_steps
+from quadjax.plant.races import plan_race, race_config
 from quadjax.policy.file import Policy
 from quadjax.policy.pilot import fit_race
 from quadjax.race.laps import Laps
@@ -41,7 +42,6 @@ from quadjax.sil.plant_world import PlantWorld
 from quadjax.sil.simulator_world import simulator_world
 from quadjax.sil.source import check_byte_order, header_text, write_sources
 from quadjax.sil.worlds import World, command_kind
-from quadjax.studies.plant_races import plan_race, race_config
 from quadjax.training.build import untrained_policy
 
 ON_PLANT = ("motor", "rate")  # vehicle models that the stand-in plant has

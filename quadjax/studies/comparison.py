@@ -13,12 +13,12 @@ from quadjax.core.errors import InputError
 from quadjax.evaluation.tables import Row, lap_row
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights, fly_plan
+from quadjax.plant.races import plan_race, race_config
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps, Trace
 from quadjax.studies.ablation import RESIDUAL, Variant
 from quadjax.studies.drawn_plants import OnPlants, conditions, drawn
-from quadjax.studies.plant_races import plan_race, race_config
 
 FLIGHTS = 5  # number of flights of the paper's mean and best
 Report = Callable[[str], None]

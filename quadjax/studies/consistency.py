@@ -18,9 +18,9 @@ from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.estimate import NavigationState, estimate
 from quadjax.plant.flight import Flight, FlightParams
 from quadjax.plant.flights import fly_chunks
+from quadjax.plant.races import plan_race
 from quadjax.plant.sensors import GroundTruth, SensorState
 from quadjax.policy.file import Policy
-from quadjax.studies.plant_races import plan_race
 from quadjax.vehicle.rate import RateCommand
 
 WITHIN = 3.0  # standard deviations

@@ -14,6 +14,7 @@ from quadjax.core.vectors import Rotors
 from quadjax.fitting.signals import first_order
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import Flights
+from quadjax.plant.races import race_config
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
 from quadjax.studies import comparison
@@ -34,7 +35,6 @@ from quadjax.studies.drawn_plants import (
     interval,
     plants_table,
 )
-from quadjax.studies.plant_races import race_config
 from tests.commands import run
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,8 +13,8 @@ from quadjax.plant import flight as onboard_flight
 from quadjax.plant.config import PlantConfig, load_plant_config
 from quadjax.plant.flights import fly_chunks, fly_plan, recordings, rows
 from quadjax.plant.logs import log_quantities, write_logs
+from quadjax.plant.races import gate_centers, plan_logs, plan_race, race_config
 from quadjax.policy.file import Policy
-from quadjax.studies.plant_races import gate_centers, plan_logs, plan_race, race_config
 from quadjax.training.build import untrained_policy
 from tests.commands import run
 from tests.evaluation.support import random_policy

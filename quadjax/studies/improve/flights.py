@@ -12,9 +12,9 @@ from quadjax.core.files import read_json, write_json
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import fly_plan
 from quadjax.plant.logs import write_logs
+from quadjax.plant.races import plan_race
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Laps
-from quadjax.studies.plant_races import plan_race
 
 Report = Callable[[str], None]
 
