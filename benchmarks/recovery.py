@@ -12,10 +12,10 @@ from quadjax.cli.options import Count, Folder, InputFile
 from quadjax.core.errors import InputError
 from quadjax.core.files import read_json
 from quadjax.fitting.nominal import AXES
-from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.studies import recovery as study
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import read_residual
+from quadjax.vehicle.vehicle_file import read_vehicle
 
 
 def recovery(

@@ -7,7 +7,7 @@ from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.log_formats import LogFormat
 from quadjax.fitting.simulate import simulate_flight
-from quadjax.fitting.vehicle_file import read_vehicle
+from quadjax.vehicle.vehicle_file import read_vehicle
 
 
 def read(path):

@@ -18,11 +18,12 @@ from quadjax.core.yaml_files import Sources, parse_overrides, read_tree_with_bas
 from quadjax.policy.file import Policy
 from quadjax.race.random_track import RandomTrack
 from quadjax.race.track import GateSection, TrackSection
+from quadjax.vehicle import vehicle_file
 from quadjax.vehicle.airframe import Airframe
 from quadjax.vehicle.registry import MODELS, model
 from quadjax.vehicle.summary import describe as describe_vehicle
 from quadjax.vehicle.summary import summarize, warnings
-from quadjax.vehicle.vehicle_file import vehicle_text
+from quadjax.vehicle.vehicle_file import VehicleFile
 
 PRESET = "e2e"  # the rules for a track file without rules
 COMMENT = "docs/guide/vehicle.md has the formulas. Fit flight logs for better constants."
@@ -101,9 +102,10 @@ def write_vehicle(path: Path, data: Sequence[str]) -> None:
     """Write the file of a vehicle from data of its airframe, ``KEY=VALUE``."""
     airframe = build(Airframe, parse_overrides(data), "data")
     motor = {name: float(f"{value:.6g}") for name, value in airframe.motor_constants().items()}
-    head = {"name": path.stem, "mass": airframe.mass, "width": round(airframe.width, 4)}
+    width = round(airframe.width, 4)
+    drone = VehicleFile(path.stem, {"motor": motor}, mass=airframe.mass, width=width)
     comment = f"From {' '.join(data)}\n{COMMENT}"
-    write_text(path, vehicle_text(head, {"motor": motor}, comment))
+    vehicle_file.write_vehicle(path, drone, comment)
 
 
 def write_track(path: Path, settings: Sequence[str]) -> None:

@@ -39,18 +39,19 @@ def fit(
         from quadjax.fitting.figures import write_figures
         from quadjax.fitting.flight_log import find_logs
         from quadjax.fitting.pipeline import run_fit
-        from quadjax.fitting.racing_fit import read_racing_vehicle, run_racing_fit
+        from quadjax.fitting.racing_fit import MODEL, run_racing_fit
         from quadjax.fitting.racing_report import racing_tables, write_racing_results
         from quadjax.fitting.report import PATTERNS, tables, write_results
+        from quadjax.vehicle.vehicle_file import read_vehicle
 
     path = find_config(config, "fit")
     settings = load_fit_config(path, [*overrides, *([f"name={name}"] if name else [])], allow_code)
     folder = output / settings.name
     find_logs(settings.logs, path.parent)  # before the folder is created
     with results(folder, "fit", PATTERNS, overwrite) as new, steps() as report:
-        racing = read_racing_vehicle(settings.vehicle, path.parent)
-        if racing is not None:
-            quadcopter = run_racing_fit(settings, path.parent, racing, report)
+        vehicle = read_vehicle(settings.vehicle, path.parent)
+        if vehicle.model == MODEL:
+            quadcopter = run_racing_fit(settings, path.parent, vehicle, report)
             written, text = write_racing_results(quadcopter, new), racing_tables(quadcopter)
         else:
             result = run_fit(settings, path.parent, report)

@@ -74,12 +74,12 @@ def logs(
         from quadjax.config.loading import load_config
         from quadjax.core.folders import claim
         from quadjax.fitting import simulate
-        from quadjax.fitting.vehicle_file import read_vehicle
         from quadjax.plant.config import load_plant_config
         from quadjax.plant.logs import write_logs
         from quadjax.plant.races import plan_logs
         from quadjax.vehicle.protocol import VehicleParams
         from quadjax.vehicle.residual import read_residual, write_residual
+        from quadjax.vehicle.vehicle_file import read_vehicle
 
     if plant is not None:
         drone, names = load_plant_config(plant, overrides), [str(file) for file in policy or ()]

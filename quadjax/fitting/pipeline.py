@@ -34,8 +34,9 @@ from quadjax.fitting.residual_fit import (
 )
 from quadjax.fitting.split import TEST, Split, make_split
 from quadjax.fitting.tasks import learned_rows, nominal_without
-from quadjax.fitting.vehicle_file import BaseVehicle, read_vehicle, with_body
+from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.motor import MotorConstants
+from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 Report = Callable[[str], None]
 
@@ -48,7 +49,7 @@ class FitResult:
     logs: list[FlightLog]
     samples: Samples
     split: Split
-    vehicle: BaseVehicle  # fitted
+    vehicle: VehicleFile  # fitted
     axes: list[AxisFit]
     lag: LagFit
     rate: RateFit | None  # the rate-and-thrust model, if the logs have its commands
@@ -108,25 +109,55 @@ def run_fit(config: FitConfig, folder: Path, report: Report = lambda line: None)
 
 
 def _fitted_vehicle(
-    base: BaseVehicle,
+    base: VehicleFile,
     motor: MotorConstants,
     rate: RateFit | None,
     config: FitConfig,
     logs: list[FlightLog],
-) -> BaseVehicle:
+) -> VehicleFile:
     """The base vehicle with fitted constants, and the highest speed of the flights."""
-    others, keys = dict(base.others), dict(base.keys)
+    vehicle = base.with_constants("motor", motor)
     if rate is not None:
-        others["rate"] = others["rate"] | rate.values
-    if "fitted_speed" in keys:
-        tested = config.split.test_flights
-        keys["fitted_speed"] = highest_speed([log for log in logs if log.name not in tested])
-    return dataclasses.replace(base, motor=motor, others=others, keys=keys)
+        vehicle = vehicle.with_constants("rate", base.models["rate"] | rate.values)
+    return with_speed(vehicle, config, logs)
+
+
+def with_speed(vehicle: VehicleFile, config: FitConfig, logs: list[FlightLog]) -> VehicleFile:
+    """The vehicle, whose ``fitted_speed``, if it has one, becomes that of the fitted flights."""
+    if vehicle.fitted_speed is None:
+        return vehicle
+    fitted = [log for log in logs if log.name not in config.split.test_flights]
+    return dataclasses.replace(vehicle, fitted_speed=highest_speed(fitted))
+
+
+def with_body(base: VehicleFile, body: BodyConfig) -> VehicleFile:
+    """The base vehicle with the config's name, mass, inertia and rpm range.
+
+    Mass and width of the base vehicle are those of a drone with its inertia.
+
+    Raises:
+        InputError: no inertia.
+    """
+    if body.inertia is None:
+        raise InputError(
+            "body.inertia is null; logs do not determine it, and all moments are proportional to "
+            f"it: set [xx, yy, zz] in kg m^2, or base for that of {base.name}"
+        )
+    same = body.inertia == "base"
+    values = dict(values_of(base.motor))
+    if body.inertia != "base":
+        values |= dict(zip(("i_xx", "i_yy", "i_zz"), body.inertia, strict=True))
+    if body.rpm_range is not None:
+        values |= dict(zip(("rpm_min", "rpm_max"), body.rpm_range, strict=True))
+    mass = body.mass if body.mass is not None or not same else base.mass
+    width = base.width if same else None
+    drone = dataclasses.replace(base, name=body.name, mass=mass, width=width)
+    return drone.with_constants("motor", values)
 
 
 def _read(
     config: FitConfig, folder: Path, report: Report
-) -> tuple[BaseVehicle, list[FlightLog], Samples]:
+) -> tuple[VehicleFile, list[FlightLog], Samples]:
     """The base vehicle with the body's numbers, the logs, and their samples."""
     base = with_body(read_vehicle(config.vehicle, folder), config.body)
     logs = read_logs(config.logs, folder, report)
@@ -143,24 +174,24 @@ def _read(
 
 
 def _fit_lags(
-    config: FitConfig, logs: list[FlightLog], samples: Samples, base: BaseVehicle
+    config: FitConfig, logs: list[FlightLog], samples: Samples, base: VehicleFile
 ) -> tuple[LagFit, RateFit | None]:
     """The motors' lag and the rate-and-thrust model, without the test flights."""
     flying = [airborne(log, config.prepare) for log in logs]
     known = [i for i, log in enumerate(logs) if log.name not in config.split.test_flights]
     lag = fit_motor_lag([logs[i] for i in known], [flying[i] for i in known], float(base.motor.tau))
-    if "rate" not in base.others:
+    if "rate" not in base.models:
         return lag, None
-    return lag, fit_rate_model(logs, flying, known, samples, base.others["rate"])
+    return lag, fit_rate_model(logs, flying, known, samples, base.models["rate"])
 
 
 def _with_rpm_range(
-    base: BaseVehicle,
+    base: VehicleFile,
     body: BodyConfig,
     max_scale_error: float,
     logs: list[FlightLog],
     samples: Samples,
-) -> BaseVehicle:
+) -> VehicleFile:
     """The range of the flights, rounded outwards to hundreds, unless the config has one.
 
     Raises:
@@ -179,8 +210,7 @@ def _with_rpm_range(
     used = [samples.motion.rpm] + [log.rpm_command for log in logs if log.rpm_command is not None]
     low = 100.0 * np.floor(min(float(part.min()) for part in used) / 100.0)
     high = 100.0 * np.ceil(max(float(part.max()) for part in used) / 100.0)
-    motor = base.motor.replace(rpm_min=max(low, 0.0), rpm_max=high)
-    return dataclasses.replace(base, motor=motor)
+    return base.with_constants("motor", base.motor.replace(rpm_min=max(low, 0.0), rpm_max=high))
 
 
 class _NominalModels:
@@ -229,7 +259,7 @@ def _fit_residuals(
     config: FitConfig,
     samples: Samples,
     split: Split,
-    base: BaseVehicle,
+    base: VehicleFile,
     models: _NominalModels,
     report: Report,
 ) -> dict[LeftOut, ResidualFit]:

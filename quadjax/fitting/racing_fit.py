@@ -10,19 +10,17 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors
-from quadjax.core.yaml_files import Tree
 from quadjax.fitting.config import FitConfig, ResidualConfig
-from quadjax.fitting.flight_log import FlightLog, highest_speed, read_logs
+from quadjax.fitting.flight_log import FlightLog, read_logs
 from quadjax.fitting.least_squares import AxisFit, check_signs, fit_nominal, r_squared, with_fit
 from quadjax.fitting.motor_map import RPM, MotorFit, fit_motors, with_simulated_speeds
 from quadjax.fitting.nominal import AXES, EQUATIONS
+from quadjax.fitting.pipeline import with_speed
 from quadjax.fitting.prepare import Samples, airborne, prepare
 from quadjax.fitting.split import GUARD, flight_groups
 from quadjax.fitting.tasks import nominal_error
-from quadjax.fitting.vehicle_file import kept_keys, number, vehicle_tree
-from quadjax.vehicle.constants import constant_names, from_values
 from quadjax.vehicle.racing import RacingConstants
-from quadjax.vehicle.vehicle_file import for_each_rotor
+from quadjax.vehicle.vehicle_file import VehicleFile
 
 Report = Callable[[str], None]
 MODEL = "racing"
@@ -44,7 +42,7 @@ class RacingFit:
     config: FitConfig
     logs: list[FlightLog]
     by: str  # flight, time: what is held out
-    keys: Tree  # of the vehicle file, without constants
+    vehicle: VehicleFile  # fitted
     constants: RacingConstants
     axes: list[AxisFit]
     motors: MotorFit
@@ -52,38 +50,22 @@ class RacingFit:
     warnings: list[str]
 
 
-def read_racing_vehicle(name: str, folder: Path = Path()) -> RacingConstants | None:
-    """The constants of a vehicle file of the model ``racing``; None for a file of another model.
-
-    Raises:
-        InputError: a missing file or constant, or a value that is not a number.
-    """
-    path, values = vehicle_tree(name, folder)
-    if values.get("model") != MODEL:
-        return None
-    constants = values["models"].get(MODEL, {})
-    names = constant_names(RacingConstants)
-    constants = for_each_rotor(constants, names)
-    values = {name: number(path, constants, name, f"{MODEL}.") for name in names}
-    return from_values(RacingConstants, values)
-
-
 def run_racing_fit(
-    config: FitConfig, folder: Path, base: RacingConstants, report: Report = lambda line: None
+    config: FitConfig, folder: Path, vehicle: VehicleFile, report: Report = lambda line: None
 ) -> RacingFit:
     """Fit the constants of the motors, then those of forces and moments.
 
     Args:
         config: of the fit.
         folder: of the config file, in which named files are looked up as well.
-        base: values of constants that the logs do not determine.
+        vehicle: the base vehicle, whose constants are kept where the logs do not determine them.
         report: called with the progress.
 
     Raises:
         InputError: bad logs, a bad config, or a key of it that has no effect, in one line.
     """
     _check_keys(config)
-    keys = kept_keys(*vehicle_tree(config.vehicle, folder)) | {"model": MODEL}
+    base = vehicle.racing
     if config.body.rpm_range is not None:
         low, high = (value / RPM for value in config.body.rpm_range)
         base = base.replace(w_min=low, w_max=high)
@@ -94,8 +76,9 @@ def run_racing_fit(
     motors, axes, constants = _fit(learned, base, config, config.logs.min_seconds)
     if not config.nominal.any_sign:
         check_signs(axes)
-    if "fitted_speed" in keys:
-        keys["fitted_speed"] = highest_speed(learned)
+    mass = vehicle.mass if config.body.mass is None else config.body.mass
+    fitted = dataclasses.replace(vehicle, name=config.body.name, mass=mass)
+    fitted = with_speed(fitted.with_constants(MODEL, constants), config, logs)
     report("fitting without the held-out flights")
     held_out = []
     if by == "time":
@@ -118,7 +101,7 @@ def run_racing_fit(
         for log in logs
         if log.unchecked
     ]
-    return RacingFit(config, logs, by, keys, constants, axes, motors, held_out, warnings)
+    return RacingFit(config, logs, by, fitted, constants, axes, motors, held_out, warnings)
 
 
 def _check_keys(config: FitConfig) -> None:

@@ -12,9 +12,8 @@ from quadjax.fitting.motor_map import NAMES
 from quadjax.fitting.nominal import AXES, EQUATIONS
 from quadjax.fitting.racing_fit import MODEL, RacingFit
 from quadjax.fitting.report import NONE_HELD_OUT
-from quadjax.vehicle.constants import values_of
 from quadjax.vehicle.racing import RacingConstants
-from quadjax.vehicle.vehicle_file import vehicle_text
+from quadjax.vehicle.vehicle_file import write_vehicle
 
 FILES = ("config.yaml", "vehicle.yaml", "report.json", "report.txt")
 
@@ -50,7 +49,7 @@ def write_racing_results(result: RacingFit, folder: Path) -> list[Path]:
     """Write config, vehicle and report to a folder; return the paths."""
     config, vehicle, numbers, text = paths = [folder / name for name in FILES]
     write_text(config, to_yaml(result.config.model_dump()))
-    write_text(vehicle, _vehicle_file(result))
+    _write_vehicle(vehicle, result)
     write_json(numbers, racing_json(result) | {"provenance": provenance(result.config)})
     write_text(text, racing_tables(result))
     return paths
@@ -104,14 +103,11 @@ def _note(error: float) -> str:
     return f"+- {error:.2g}" if np.isfinite(error) else "not determined by the logs"
 
 
-def _vehicle_file(result: RacingFit) -> str:
+def _write_vehicle(path: Path, result: RacingFit) -> None:
     linear = EQUATIONS[RacingConstants].constants.values()
     notes = dict.fromkeys((name for names in linear for name in names), "the base vehicle's")
     notes |= {name: _note(error) for name, _, _, error in _constants(result)}
-    body, tested = result.config.body, result.config.split.test_flights
+    tested = result.config.split.test_flights
     flights = ", ".join(log.name for log in result.logs if log.name not in tested)
     source = f"Fitted on {flights}\nby quadjax fit; see report.txt in this folder."
-    mass = {} if body.mass is None else {"mass": body.mass}
-    keys = {"name": body.name, **mass, **result.keys}
-    values = {name: float(value) for name, value in values_of(result.constants).items()}
-    return vehicle_text(keys, {MODEL: values}, source, {MODEL: notes})
+    write_vehicle(path, result.vehicle, source, {MODEL: notes})

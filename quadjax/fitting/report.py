@@ -14,10 +14,10 @@ from quadjax.fitting.pipeline import FitResult
 from quadjax.fitting.prediction import Prediction, pooled
 from quadjax.fitting.residual_fit import ALL
 from quadjax.fitting.split import TEST
-from quadjax.fitting.vehicle_file import write_vehicle
 from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.residual import write_residual
+from quadjax.vehicle.vehicle_file import write_vehicle
 
 RESIDUAL_AXES = AXES[2:]
 FILES = ("config.yaml", "vehicle.yaml", "residual.npz", "report.json", "report.txt")
@@ -55,7 +55,7 @@ def write_results(result: FitResult, folder: Path) -> list[Path]:
     write_text(config, to_yaml(result.config.model_dump()))
     fitted = [log.name for log in result.logs if log.name not in tested]
     source = f"Fitted on {', '.join(fitted)}\nby quadjax fit; see report.txt in this folder."
-    write_vehicle(vehicle, result.vehicle, _notes(result), source)
+    write_vehicle(vehicle, result.vehicle, source, {"motor": {}, **_notes(result)})
     fitted_on = {
         "fit": result.config.name,
         "flights": fitted,

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.fitting.vehicle_file import BaseVehicle, read_vehicle
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.effects import FlexParams, ImuParams, RotorParams
 from quadjax.plant.gusts import gust_params
@@ -16,12 +15,13 @@ from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.residual import Residual
+from quadjax.vehicle.vehicle_file import VehicleFile, read_vehicle
 
 AIR_DENSITY = 1.225  # kg/m^3
 NOT_DRAWN = ("g", "rpm_min", "rpm_max")  # constants without deviation
 
 
-def nominal_vehicle(config: PlantConfig) -> BaseVehicle:
+def nominal_vehicle(config: PlantConfig) -> VehicleFile:
     """The drone of the training model.
 
     Raises:

@@ -11,12 +11,11 @@ from quadjax.config.checks import check_drone
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Randomization
 from quadjax.core.errors import InputError
-from quadjax.core.files import write_text
 from quadjax.race.laps import starting_states
 from quadjax.vehicle.constants import replaced, values_of
 from quadjax.vehicle.protocol import Constants, VehicleModel
 from quadjax.vehicle.summary import AXES, turns
-from quadjax.vehicle.vehicle_file import vehicle_text
+from quadjax.vehicle.vehicle_file import VehicleFile, write_vehicle
 
 SPARE = 4  # drones are drawn for each one that is written
 
@@ -126,10 +125,11 @@ def write_drones(config: Config, count: int, seed: int, folder: Path) -> list[Pa
     vehicle, paths = config.vehicle, []
     for index, own in enumerate(possible):
         name = f"drone_{seed}_{index}"
-        keys = {"name": name, "width": vehicle.width, "model": vehicle.model}
+        model = vehicle.model
+        drone = VehicleFile(name, {model: own}, model, width=vehicle.width)
         paths.append(folder / f"{name}.yaml")
         comment = f"Drone {index} of {config.name} with {vehicle.name}, drawn with seed {seed}."
-        write_text(paths[-1], vehicle_text(keys, {vehicle.model: own}, comment))
+        write_vehicle(paths[-1], drone, comment)
     return paths
 
 

@@ -1,15 +1,115 @@
 """Vehicle files: a drone's name, its model and the constants of one or several models."""
 
+import math
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, Self
 
 from quadjax.core.errors import InputError, short
-from quadjax.core.yaml_files import Tree, to_yaml
-from quadjax.vehicle.constants import rotor_names
+from quadjax.core.files import write_text
+from quadjax.core.resources import find_file
+from quadjax.core.yaml_files import Tree, read_tree_with_bases, to_yaml
+from quadjax.vehicle.constants import constant_names, from_values, rotor_names, values_of
+from quadjax.vehicle.motor import MotorConstants
+from quadjax.vehicle.racing import RacingConstants
+from quadjax.vehicle.registry import MODELS
 
 KEYS = ("name", "mass", "width", "fitted_speed", "model", "rotors")  # in addition to the models
 ROTORS = ("front_left", "front_right", "rear_right", "rear_left")  # the order of Rotors
 TURNING = {"ccw": 1.0, "cw": -1.0}  # seen from above
+NUMBERS = ("mass", "width", "fitted_speed")
+
+
+@dataclass(frozen=True)
+class VehicleFile:
+    """The content of a vehicle file.
+
+    Attributes:
+        name: of the drone.
+        models: constants by model and name.
+        model: that a race uses; None is that of the race.
+        mass: kg; None if not known, as the other numbers.
+        width: m, of the drone with its propellers.
+        fitted_speed: m/s, the highest of the flights that the constants are fitted to.
+        path: of the file, for messages.
+    """
+
+    name: str
+    models: dict[str, dict[str, float]]
+    model: str | None = None
+    mass: float | None = None
+    width: float | None = None
+    fitted_speed: float | None = None
+    path: Path = field(default=Path(), compare=False)
+
+    def constants(self, model: str) -> Any:
+        """The constants of a model of ``quadjax.vehicle.registry``, as floats.
+
+        Raises:
+            InputError: a constant that the file does not have.
+        """
+        if model not in self.models:
+            raise InputError(f"{self.path}: {model} is missing, expected a mapping of constants")
+        kind = MODELS[model].constants
+        values = for_each_rotor(self.models[model], constant_names(kind))
+        numbers = {
+            key: _number(self.path, values, key, f"{model}.") for key in constant_names(kind)
+        }
+        return from_values(kind, numbers)
+
+    @property
+    def motor(self) -> MotorConstants:
+        """The constants of the model ``motor``."""
+        return self.constants("motor")
+
+    @property
+    def racing(self) -> RacingConstants:
+        """The constants of the model ``racing``."""
+        return self.constants("racing")
+
+    def with_constants(self, model: str, constants: Any) -> Self:
+        """The drone with other constants of one model, a dataclass or numbers by name."""
+        values = constants if isinstance(constants, Mapping) else values_of(constants)
+        numbers = {name: float(value) for name, value in values.items()}
+        return replace(self, models=self.models | {model: numbers})
+
+
+def read_vehicle(name: str, folder: Path = Path()) -> VehicleFile:
+    """Read a vehicle file, found relative to ``folder`` or in ``configs/vehicles``.
+
+    Raises:
+        InputError: a missing file, or a value that is not a finite number.
+    """
+    path = find_file(name, [folder], "vehicles")
+    tree = read_tree_with_bases(path)
+    values = vehicle_values(path, tree) | {"mass": tree.get("mass")}
+    models = {
+        model: {key: _number(path, constants, key, f"{model}.") for key in constants}
+        for model, constants in values["models"].items()
+    }
+    numbers = {key: _number(path, values, key) for key in NUMBERS if values.get(key) is not None}
+    model = str(values["model"]) if "model" in values else None
+    return VehicleFile(str(values["name"]), models, model, **numbers, path=path)
+
+
+def write_vehicle(
+    path: Path,
+    vehicle: VehicleFile,
+    comment: str,
+    notes: Mapping[str, Mapping[str, str]] | None = None,
+) -> None:
+    """Write a vehicle file.
+
+    Args:
+        path: of the file.
+        vehicle: its content.
+        comment: at the head of the file.
+        notes: on constants, by model and name; a model that is not in them was not fitted.
+    """
+    keys = {key: getattr(vehicle, key) for key in KEYS if hasattr(vehicle, key)}
+    present = {key: value for key, value in keys.items() if value is not None}
+    write_text(path, _text(present, vehicle.models, comment, notes))
 
 
 def vehicle_values(path: Path, tree: Tree) -> Tree:
@@ -77,20 +177,13 @@ def for_each_rotor(values: Tree, names: Collection[str]) -> Tree:
     return expanded
 
 
-def vehicle_text(
+def _text(
     keys: Tree,
     models: Mapping[str, Mapping[str, float]],
     comment: str,
-    notes: Mapping[str, Mapping[str, str]] | None = None,
+    notes: Mapping[str, Mapping[str, str]] | None,
 ) -> str:
-    """The text of a vehicle file; ``vehicle_values`` reads it.
-
-    Args:
-        keys: those of ``KEYS`` that the file has.
-        models: constants by model and name; those of four rotors are written as a list.
-        comment: at the head of the file.
-        notes: on constants, by model and name; a model that is not in them was not fitted.
-    """
+    """The text of a vehicle file, with the constants of four rotors as a list."""
     lines = [*(f"# {line}" for line in comment.splitlines()), *to_yaml(keys).splitlines()]
     if any(map(_rotor_stems, models.values())):
         lines.append(f"rotors: [{', '.join(ROTORS)}]")
@@ -123,3 +216,10 @@ def _constant_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> li
             key = stem if stem in stems else name
             lines.append(f"  {key}: {text}" + (f"  # {note}" if note else ""))
     return lines
+
+
+def _number(path: Path, values: Mapping[str, object], name: str, section: str = "") -> float:
+    value = values.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{path}: {section}{name} is {value!r}, expected a finite number")
+    return float(value)

@@ -8,8 +8,8 @@ import numpy as np
 from quadjax.core.resources import CONFIGS
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.simulate import SensorNoise, random_residual, simulate_flight
-from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.vehicle_file import read_vehicle
 
 SECONDS, RATE = 8.0, 250.0
 NOISE = SensorNoise(*(np.sqrt(0.5) * x for x in dataclasses.astuple(SensorNoise())))

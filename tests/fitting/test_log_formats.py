@@ -10,9 +10,10 @@ from quadjax.fitting import motor_map, racing_fit
 from quadjax.fitting.config import FitConfig, LogsConfig, PrepareConfig
 from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.prepare import prepare
-from quadjax.fitting.racing_fit import read_racing_vehicle, run_racing_fit, with_common
+from quadjax.fitting.racing_fit import run_racing_fit, with_common
 from quadjax.fitting.racing_report import racing_tables
 from quadjax.vehicle.constants import replaced, values_of
+from quadjax.vehicle.vehicle_file import read_vehicle
 from tests.commands import run
 
 from . import racing_logs
@@ -58,7 +59,7 @@ def _write(form, flight, folder, variant):
 def test_every_constant_is_recovered(form, drone, flight, tmp_path):
     """Within 2% from a base vehicle that is 30% off, or named as not determined."""
     path = _write(form, flight, tmp_path, variant=drone == "5inch")
-    base = read_racing_vehicle(f"{drone}.yaml")
+    base = read_vehicle(f"{drone}.yaml").racing
     known = ("g", "w_max", "k", *(f"turning{i}" for i in ROTOR_ORDER))
     true = values_of(base)
     names = [name for name in true if name not in known]
@@ -66,7 +67,9 @@ def test_every_constant_is_recovered(form, drone, flight, tmp_path):
     if form != "tii":
         wrong = wrong.replace(w_max=1.3 * base.w_max)
     config = FitConfig(logs={"files": [str(path)], "format": form})
-    result = run_racing_fit(config, tmp_path, wrong)
+    result = run_racing_fit(
+        config, tmp_path, read_vehicle(f"{drone}.yaml").with_constants("racing", wrong)
+    )
     assert not result.logs[0].unchecked
     named = [line.partition(":")[0].partition(" ")[0] for line in result.warnings]
     assert named == [] if form != "tii" else "w_max" in named
@@ -105,9 +108,9 @@ def test_both_frames_and_orders_of_a_format_are_the_same_log(short, tmp_path):
 def test_what_a_hover_does_not_excite_is_named(tmp_path):
     flight = racing_logs.fly(_truth("5inch"), seed=3, seconds=8.0, size=0.02)
     path = _write("blackbox", flight, tmp_path, variant=False)
-    base = read_racing_vehicle("5inch.yaml")
+    base = read_vehicle("5inch.yaml").racing
     config = FitConfig(logs={"files": [str(path)], "format": "blackbox"})
-    result = run_racing_fit(config, tmp_path, base.replace(k_x=1e-5, k=0.5, w_max=4000.0))
+    result = run_racing_fit(config, tmp_path, _vehicle("5inch", k_x=1e-5, k=0.5, w_max=4000.0))
     text = "\n".join(result.warnings)
     for name, true in values_of(base).items():
         found = float(values_of(result.constants)[name])
@@ -119,7 +122,7 @@ def test_constants_common_to_the_rotors_take_the_place_of_the_base_vehicle(short
     """So that a rotor without evidence is not that of a drone of another size."""
     path = _write("blackbox", short, tmp_path, variant=False)
     log = read_log(path, LogsConfig(format="blackbox"))
-    own, other = (read_racing_vehicle(f"{drone}.yaml") for drone in ("5inch", "3inch"))
+    own, other = (read_vehicle(f"{drone}.yaml").racing for drone in ("5inch", "3inch"))
     start = with_common(prepare([log], other, PrepareConfig(), 2.0), other)
     for name in ("k_p", "k_q", "k_r", "k_rd"):
         values = getattr(start, name).components()
@@ -328,13 +331,17 @@ def pieces(short, tmp_path_factory):
     return folder
 
 
+def _vehicle(drone, **values):
+    """A base vehicle with other constants of the racing model."""
+    vehicle = read_vehicle(f"{drone}.yaml")
+    return vehicle.with_constants("racing", vehicle.racing.replace(**values))
+
+
 def _fit(pieces, form, names, **changes):
     files = [str(pieces / f"{name}_{form}.csv") for name in names]
     logs = {"files": files, "format": form, "min_seconds": 1.0}
     config = FitConfig(vehicle="5inch.yaml", logs=logs, **changes)
-    return run_racing_fit(
-        config, pieces, read_racing_vehicle("5inch.yaml").replace(tau=0.04, k=0.4)
-    )
+    return run_racing_fit(config, pieces, _vehicle("5inch", tau=0.04, k=0.4))
 
 
 @pytest.mark.parametrize("form", [pytest.param("tii", marks=pytest.mark.slow), "blackbox"])
@@ -400,19 +407,21 @@ def test_keys_without_effect_on_a_racing_quadcopter_are_refused(key, changes, pi
 
 def test_axes_that_are_not_fitted_keep_the_base_vehicle(pieces):
     fit = _fit(pieces, "blackbox", "ab", nominal={"axes": ["az"]}, split={"leave_one_out": False})
-    base = read_racing_vehicle("5inch.yaml")
+    base = read_vehicle("5inch.yaml").racing
     assert fit.constants.k_w != base.k_w and fit.constants.k_x == base.k_x
     assert [axis.axis for axis in fit.axes] == ["az"] and not fit.held_out
     assert "held out: none" in racing_tables(fit)
 
 
-def test_width_and_speed_are_in_the_written_vehicle(pieces, tmp_path):
+def test_no_key_of_the_base_vehicle_is_lost(pieces, tmp_path):
     text = (REPOSITORY / "configs/vehicles/5inch.yaml").read_text()
-    (tmp_path / "base.yaml").write_text(f"width: 0.3\nfitted_speed: 28.0\n{text}")
+    others = "motor: {k_x: 1.5e-05}\nmass: 0.7\nwidth: 0.3\nfitted_speed: 28.0\n"
+    (tmp_path / "base.yaml").write_text(others + text)
     logs = f"logs.files=[{pieces}/?_blackbox.csv]"
     place = [f"vehicle={tmp_path}/base.yaml", "--output", tmp_path, "--name", "mine"]
     assert run("fit", "blackbox", logs, *place) == 0
     written = yaml.safe_load((tmp_path / "mine/vehicle.yaml").read_text())
+    assert (written["mass"], written["motor"]) == (0.7, {"k_x": 1.5e-05})
     assert written["width"] == 0.3 and 1.0 < written["fitted_speed"] < 20.0  # of these flights
 
 

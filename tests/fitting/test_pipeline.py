@@ -11,8 +11,8 @@ from quadjax.fitting.config import load_fit_config
 from quadjax.fitting.flight_log import read_logs, write_log
 from quadjax.fitting.pipeline import run_fit
 from quadjax.fitting.report import tables
-from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.vehicle.residual import read_residual
+from quadjax.vehicle.vehicle_file import read_vehicle
 from tests.commands import run
 
 from .conftest import REPOSITORY
@@ -57,7 +57,7 @@ def test_the_command_writes_report_vehicle_residual_and_figures(fitted):
     read_residual(fitted / "residual.npz")
     vehicle = read_vehicle(str(fitted / "vehicle.yaml"))
     assert vehicle.motor.rpm_max == 11000.0 and abs(vehicle.motor.tau / 0.06 - 1.0) < 0.05
-    assert vehicle.others == read_vehicle("bebop1.yaml").others
+    assert vehicle.models["rate"] == read_vehicle("bebop1.yaml").models["rate"]
     assert load_fit_config(fitted / "config.yaml").name == "all"
 
 

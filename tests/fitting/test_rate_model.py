@@ -11,7 +11,7 @@ from quadjax.fitting.flight_log import read_log, write_log
 from quadjax.fitting.prepare import airborne, prepare
 from quadjax.fitting.rate_model import fit_rate_model
 from quadjax.fitting.signals import first_order
-from quadjax.fitting.vehicle_file import read_vehicle
+from quadjax.vehicle.vehicle_file import read_vehicle
 
 from .flights import RATE, simulated
 

@@ -5,8 +5,8 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.fitting.config import BodyConfig
-from quadjax.fitting.racing_fit import read_racing_vehicle
-from quadjax.fitting.vehicle_file import read_vehicle, with_body, write_vehicle
+from quadjax.fitting.pipeline import with_body
+from quadjax.vehicle.vehicle_file import read_vehicle, write_vehicle
 
 from .conftest import REPOSITORY
 
@@ -16,7 +16,7 @@ RACING = (REPOSITORY / "configs/vehicles/5inch.yaml").read_text()
 
 def _written(base, inertia, folder):
     path = folder / "mine.yaml"
-    write_vehicle(path, with_body(base, BodyConfig(inertia=inertia)), {}, "a fit")
+    write_vehicle(path, with_body(base, BodyConfig(inertia=inertia)), "a fit")
     return path
 
 
@@ -40,7 +40,7 @@ def test_a_file_with_two_models_and_lists_of_rotors_is_read_and_written(tmp_path
     assert read_vehicle(str(path)) == with_body(base, BodyConfig(inertia="base"))
     text = path.read_text().replace("model: motor", "model: racing")
     path.write_text(text)
-    assert read_racing_vehicle(str(path)) == read_racing_vehicle("5inch.yaml")
+    assert read_vehicle(str(path)).racing == read_vehicle("5inch.yaml").racing
     expected = load_config("e2e +fastest", ["vehicle=5inch.yaml"]).vehicle.constants
     assert load_config("e2e +fastest", [f"vehicle={path}"]).vehicle.constants == expected
 
@@ -55,4 +55,4 @@ def test_values_that_are_no_numbers_are_named(line, tmp_path):
 
 
 def test_a_base_of_the_file_is_read():
-    assert read_vehicle("bebop1_authors.yaml").others["rate"]["thrust_max"] == 16.0
+    assert read_vehicle("bebop1_authors.yaml").models["rate"]["thrust_max"] == 16.0

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from quadjax.fitting.vehicle_file import read_vehicle
 from quadjax.plant.build import drawn_factors
 from quadjax.plant.config import load_plant_config
 from quadjax.policy.file import Policy
@@ -14,6 +13,7 @@ from quadjax.studies.improve.flights import Flown
 from quadjax.studies.improve.reference import PlantModel, exact, plant_model
 from quadjax.studies.improve.rounds import Round
 from quadjax.studies.improve.run import Setting
+from quadjax.vehicle.vehicle_file import read_vehicle
 from tests.improve.support import FIT, drone_log, policy_file, race
 
 SILENT = {"report": lambda line: None}

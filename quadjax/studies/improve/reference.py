@@ -10,7 +10,6 @@ from quadjax.config.schema import Config
 from quadjax.fitting.config import FitConfig
 from quadjax.fitting.pipeline import Report, run_fit
 from quadjax.fitting.report import write_results
-from quadjax.fitting.vehicle_file import write_vehicle
 from quadjax.plant.build import drawn_factors, nominal_vehicle
 from quadjax.plant.config import (
     AccelerometerConfig,
@@ -25,6 +24,7 @@ from quadjax.studies.improve.model import Model
 from quadjax.vehicle.battery import BatteryConfig
 from quadjax.vehicle.constants import constant_names
 from quadjax.vehicle.motor import MotorConstants
+from quadjax.vehicle.vehicle_file import write_vehicle
 
 FLIGHTS = 4  # for the residual
 LAPS = 6
@@ -77,8 +77,8 @@ def plant_model(
     base, (factors, _) = nominal_vehicle(plant), drawn_factors(plant)
     names = constant_names(MotorConstants)
     own = {name: float(getattr(base.motor, name)) * factors.get(name, 1.0) for name in names}
-    true = dataclasses.replace(base, name="plant", motor=MotorConstants(**own))
-    write_vehicle(vehicle, true, {}, "The constants of a drawn stand-in plant.")
+    true = dataclasses.replace(base, name="plant").with_constants("motor", own)
+    write_vehicle(vehicle, true, "The constants of a drawn stand-in plant.")
     flights, residual = folder / "flights.json", folder / "residual.npz"
     if not flights.exists():
         options = (NAME, logs, FLIGHTS, LAPS, seed, report)
