@@ -13,23 +13,24 @@ ALLOWED = {
     "learners": {"core"},
     "config": CONFIG,
     "policy": CONFIG - {"learners"} | {"config"},
-    "training": CONFIG | {"config", "policy"},
+    "training": CONFIG | {"config", "policy", "flights"},
+    "flights": {"core", "vehicle", "race"},
     "view": {"core"},
-    "evaluation": CONFIG | {"config", "policy", "training", "view"},
+    "evaluation": CONFIG | {"config", "policy", "training", "view", "flights"},
     "export": CONFIG - {"learners"} | {"config", "policy"},
-    "fitting": {"core", "vehicle"},
-    "limits": {"core", "vehicle", "race", "config", "policy", "evaluation"},
+    "fitting": {"core", "vehicle", "flights"},
+    "limits": {"core", "vehicle", "race", "config", "policy", "evaluation", "flights"},
     "integrations": CONFIG | {"config", "policy", "training"},
-    "plant": CONFIG - {"learners"} | {"config", "policy", "evaluation", "fitting"},
+    "plant": CONFIG - {"learners"} | {"config", "policy", "evaluation", "fitting", "flights"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
     "sil": CONFIG - {"learners"}
-    | {"config", "policy", "training", "evaluation", "plant", "export", "studies"},
+    | {"config", "policy", "training", "evaluation", "plant", "export", "studies", "flights"},
     "dashboard": CONFIG
     | {"config", "policy", "training", "view", "evaluation", "fitting", "limits", "sweeps"}
-    | {"studies"},
+    | {"studies", "flights"},
     "studies": CONFIG
     | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"}
-    | {"export", "view"},
+    | {"export", "view", "flights"},
 }
 
 

@@ -1,0 +1,137 @@
+"""Where a path passes the gates of a track."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from quadjax.race.track import GateSection
+
+REACH = 0.1  # m by which openings are wider for positions that were measured
+LAST_SECONDS = 0.05  # a path may end so long before its last gate, whose passage ended the flight
+
+
+def clearance(gate: GateSection, place: np.ndarray) -> np.ndarray:
+    """Distance (..) from the edge of a gate's opening, m, negative outside.
+
+    Args:
+        gate: the gate.
+        place: (.., 2) along its width and its height, from its center, m.
+    """
+    if gate.shape == "circle":
+        return 0.5 * gate.size[0] - np.linalg.norm(place, axis=-1)
+    return (0.5 * np.array(gate.size) - np.abs(place)).min(axis=-1)
+
+
+def passages(
+    time: np.ndarray,
+    position: np.ndarray,
+    gates: Sequence[GateSection],
+    *,
+    reach: float = 0.0,
+    target: np.ndarray | None = None,
+    closed: bool = True,
+    cut: bool = True,
+) -> np.ndarray:
+    """Where a path passes the gates, in their order.
+
+    A path passes the gate ahead where the straight line between two samples crosses its plane from
+    behind, within the opening. The path may end up to ``LAST_SECONDS`` before the plane of the gate
+    ahead, as does the record of a flight that this passage ended: its last velocity then gives time
+    and place.
+
+    Args:
+        time: (n,) s.
+        position: (n, 3) m, world.
+        gates: of the track, in order of passage; none are passed if it is empty.
+        reach: m by which openings are wider.
+        target: (n,) index of the gate to pass next, by the rules of the race, which then decide
+            what is a passage; None, or with a single gate: the openings decide.
+        closed: whether the first gate follows the last one.
+        cut: whether the path may end before its last passage.
+
+    Returns:
+        (k, 3): time, s; index of the gate; distance from the edge of its opening, m, negative
+        outside.
+    """
+    if not gates or len(time) < 2:
+        return np.zeros((0, 3))
+    if target is not None and len(gates) > 1:
+        (samples,) = np.nonzero(target[1:] != target[:-1])
+        rows = [
+            (*_crossings(time, position, gates[index], samples[i : i + 1])[0], index)
+            for i, index in enumerate(target[samples].astype(int))
+        ]
+        ahead = int(target[-1])
+    else:
+        rows = _in_order(time, position, gates, reach, closed)
+        ahead = len(rows) % len(gates)
+    if cut and (closed or len(rows) < len(gates)):
+        end = crossing_after_end(time, position, gates[ahead])
+        if end is not None and end[1] >= -reach:
+            rows.append((*end, ahead))
+    return np.array(rows, np.float64).reshape(-1, 3)[:, [0, 2, 1]]
+
+
+def _in_order(
+    time: np.ndarray,
+    position: np.ndarray,
+    gates: Sequence[GateSection],
+    reach: float,
+    closed: bool,
+) -> list[tuple[float, float, int]]:
+    """Time, clearance and gate of each passage through the openings, widened by ``reach``."""
+    through = []
+    for gate in gates:
+        ahead = (position - np.array(gate.position)) @ np.array(gate.axes)[:, 0]
+        (samples,) = np.nonzero((ahead[:-1] < 0) & (ahead[1:] >= 0))
+        crossings = _crossings(time, position, gate, samples)
+        inside = crossings[:, 1] >= -reach
+        through.append((samples[inside], crossings[inside]))
+    rows: list[tuple[float, float, int]] = []
+    last = len(position) if closed else len(gates)
+    sample = 0
+    while len(rows) < last:
+        number = len(rows) % len(gates)
+        samples, crossings = through[number]
+        first = int(np.searchsorted(samples, sample))
+        if first == len(samples):
+            break
+        sample = int(samples[first]) + 1
+        rows.append((*crossings[first], number))
+    return rows
+
+
+def _crossings(
+    time: np.ndarray, position: np.ndarray, gate: GateSection, samples: np.ndarray
+) -> np.ndarray:
+    """Time and clearance (k, 2) where the lines from samples (k,) to the next cross a plane."""
+    axes, center = np.array(gate.axes), np.array(gate.position)
+    before, after = ((position[rows] - center) @ axes for rows in (samples, samples + 1))
+    fraction = -before[:, 0] / np.maximum(after[:, 0] - before[:, 0], 1e-12)
+    fraction = np.clip(fraction, 0.0, 1.0)
+    place = before + fraction[:, None] * (after - before)
+    when = time[samples] + fraction * (time[samples + 1] - time[samples])
+    return np.stack([when, clearance(gate, place[:, 1:])], axis=1)
+
+
+def crossing_after_end(
+    time: np.ndarray, position: np.ndarray, gate: GateSection, seconds: float = LAST_SECONDS
+) -> tuple[float, float] | None:
+    """Time and clearance at which a path that ends before a gate's plane would cross it.
+
+    The velocity is the mean over the last ``seconds`` of the path.
+
+    Args:
+        time: (n,) s.
+        position: (n, 3) m, world.
+        gate: that is ahead at the end.
+        seconds: from the end to the plane, at most; None is returned for more.
+    """
+    first = min(int(np.searchsorted(time, time[-1] - seconds)), len(time) - 2)
+    axes = np.array(gate.axes)
+    velocity = (position[-1] - position[first]) / (time[-1] - time[first]) @ axes
+    place = (position[-1] - np.array(gate.position)) @ axes
+    if not 0.0 < -place[0] <= seconds * velocity[0]:
+        return None
+    left = -place[0] / velocity[0]
+    return float(time[-1] + left), float(clearance(gate, (place + left * velocity)[1:]))

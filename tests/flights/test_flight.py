@@ -1,0 +1,228 @@
+"""Flights: slices, laps, resampling, and their files."""
+
+import json
+
+import numpy as np
+import pytest
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import write_npz
+from quadjax.flights import Flight, Signal, fastest, load, save
+from quadjax.flights.files import lap_times
+from quadjax.flights.flight import distinct, motion_signals, vehicle_signals
+from quadjax.race.track import GateSection
+from quadjax.vehicle.registry import MODELS
+
+GATES = tuple(
+    GateSection(position=(3.0 * np.sin(a), -3.0 * np.cos(a), -1.5), yaw_deg=np.degrees(a))
+    for a in (0.0, np.pi)
+)
+ROTORS = 8000.0
+
+
+def circle(name="one", lap=2.0, laps=2, model="motor", start=0.3):
+    """Laps of a circle through both gates; each passes the first gate 1 s after the last."""
+    time = np.round(0.01 * np.arange(int(round(100 * lap * laps)) + 1), 9)
+    angle = 2 * np.pi * time / lap + np.pi + start
+    rate = 2 * np.pi / lap
+    cosine, sine, flat = np.cos(angle), np.sin(angle), 0.0 * time
+    arrays = {
+        "position": np.stack([3.0 * sine, -3.0 * cosine, flat - 1.5], axis=1),
+        "velocity": 3.0 * rate * np.stack([cosine, sine, flat], axis=1),
+        "attitude": np.stack([flat, flat + 0.2, np.remainder(angle + np.pi, 2 * np.pi) - np.pi], 1),
+        "rates": np.stack([flat, flat, flat + rate], axis=1),
+    }
+    kind = MODELS[model]
+    command = np.full((len(time), kind.action_size), ROTORS)
+    actuators = np.full((len(time), kind.actuators.size), ROTORS)
+    signals = motion_signals(arrays) | vehicle_signals(kind, command, actuators)
+    return Flight(name, time, signals, source={"vehicle": model}).with_passages(GATES)
+
+
+def test_laps_end_with_the_last_gate():
+    flight = circle()
+    np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 0, 1])
+    shift = 0.3 / np.pi
+    np.testing.assert_allclose(flight.lap_ends, [2.0 - shift, 4.0 - shift], atol=1e-4)
+    np.testing.assert_allclose(flight.lap_times, [2.0 - shift, 2.0], atol=1e-4)
+    assert flight.total == pytest.approx(4.0 - shift, abs=1e-4)
+    assert np.isnan(flight.replace(crash="hit a gate").total)
+    assert list(np.unique(flight.target)) == [0, 1] and flight.target[0] == 0
+    np.testing.assert_allclose(flight.speed, 3.0 * np.pi, atol=1e-9)
+    np.testing.assert_allclose(flight.rotation.as_euler("ZYX")[:, 1], 0.2, atol=1e-12)
+
+
+def test_a_slice_has_the_passages_and_laps_within_its_time():
+    flight = circle().replace(crash="hit a gate")
+    part = flight.slice(slice(100, 250), from_zero=True)
+    assert part.time[0] == 0.0 and len(part.time) == 150 and part.crash is None
+    np.testing.assert_allclose(part.passages[:, 0], flight.passages[1:2, 0] - 1.0)
+    np.testing.assert_allclose(part.lap_ends, flight.lap_ends[:1] - 1.0)
+    assert flight.slice(slice(100, None)).crash == "hit a gate"
+    assert len(flight.opening(1.5).time) == 151 and len(flight.opening(99.0).time) == 401
+    flying = Signal((np.abs(flight.time - 2.0) < 0.5)[:, None].astype(float))
+    middle = flight.replace(signals=flight.signals | {"flying": flying}).airborne()
+    assert len(middle.time) == 99 and middle.time[0] == 0.0
+    never = flight.replace(signals=flight.signals | {"flying": Signal(0.0 * flying.values)})
+    assert len(never.airborne().time) == 0
+
+
+def test_the_fastest_has_the_most_laps_then_the_least_time():
+    fast, slow, short = circle("fast", 1.8), circle("slow"), circle("short", 1.0, laps=1)
+    assert fastest([short, slow, fast]).name == "fast"
+    early = [circle(str(i)).replace(lap_ends=np.zeros(0)).opening(i) for i in (1, 2)]
+    assert fastest(early).name == "2"
+    assert [f.name for f in distinct([fast, slow, fast])] == ["fast", "slow"]
+
+
+def test_a_sparse_flight_is_resampled_on_its_curve_and_a_dense_one_is_not():
+    flight = circle(lap=4.0)
+    thin = flight.map(lambda values: values[::20]).replace(time=flight.time[::20])
+    dense = thin.resample()
+    assert np.diff(dense.time).max() < 0.0101 and flight.resample() is flight
+    np.testing.assert_allclose(np.linalg.norm(dense["position"][:, :2], axis=1), 3.0, atol=1e-3)
+    turn = (dense.rotation.inv() * flight.rotation).magnitude()
+    assert turn.max() < 5e-3  # also where the yaw jumps from pi to -pi
+
+
+def test_a_periodic_lap_is_repeated():
+    whole = circle(laps=3)
+    lap = circle(laps=1).replace(source={"periodic": True, "note": "best"})
+    three = lap.repeat(3)
+    np.testing.assert_allclose(three.time, whole.time, atol=1e-9)
+    np.testing.assert_allclose(three["position"], whole["position"], atol=1e-9)
+    np.testing.assert_allclose(three.passages, whole.passages, atol=1e-6)
+    assert three.source["note"] == "best, repeated 3 times" and whole.repeat(3) is whole
+
+
+def test_commands_of_several_units_are_split():
+    flight = circle(model="rate")
+    rates, thrust = flight.signals["command"].by_unit()
+    assert (rates.unit, thrust.unit) == ("rad/s", "m/s^2") and rates.values.shape == (401, 3)
+    assert thrust.labels == ("thrust",) and thrust.values.shape == (401, 1)
+    (motors,) = circle().signals["command"].by_unit()
+    assert motors.unit == "rpm" and motors.labels[0] == "front left"
+
+
+def test_a_file_has_flights_of_different_lengths_and_vehicles(tmp_path):
+    flights = [circle("long"), circle("short", laps=1, model="rate").replace(crash="hit a gate")]
+    save(flights, tmp_path / "a.npz", deterministic=True)
+    again = load(tmp_path / "a.npz")
+    for old, new in zip(flights, again, strict=True):
+        assert (old.name, old.crash, old.gates) == (new.name, new.crash, new.gates)
+        assert old.source == new.source and list(old.signals) == list(new.signals)
+        for name in ("time", "passages", "lap_ends"):
+            np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
+        for name, signal in old.signals.items():
+            np.testing.assert_array_equal(signal.values, new[name])
+            assert (signal.unit, signal.labels) == (
+                new.signals[name].unit,
+                new.signals[name].labels,
+            )
+    with np.load(tmp_path / "a.npz") as file:
+        assert file["position"].shape == (2, 401, 3) and np.isnan(file["position"][1, -1]).all()
+        meta = json.loads(str(file["meta"]))
+    assert meta["deterministic"] is True and meta["format"] == "quadjax-flights/2"
+    other = circle().with_passages(GATES[:1])
+    with pytest.raises(InputError, match="2 tracks"):
+        save([*flights, other], tmp_path / "b.npz")
+    with pytest.raises(InputError, match="allowed: .npz, .csv"):
+        save(flights, tmp_path / "b.txt")
+
+
+def test_a_table_has_a_line_for_each_time_and_units_in_its_header(tmp_path):
+    save([circle(laps=1), circle(laps=2)], tmp_path / "a.csv")
+    header, *lines = (tmp_path / "a.csv").read_text().splitlines()
+    columns = header.split(",")
+    assert columns[:3] == ["run", "time [s]", "position_x [m]"] and len(lines) == 201 + 401
+    assert "command_front_left [rpm]" in columns and "attitude_yaw [rad]" in columns
+    assert len(lines[0].split(",")) == len(columns)
+
+
+def old_arrays(flight):
+    names = ("position", "velocity", "rates", "actuators", "command")
+    return {"euler": flight["attitude"]} | {name: flight[name] for name in names}
+
+
+def meta_of(kind, **more):
+    gates = [gate.model_dump(mode="json") for gate in GATES]
+    return {"format": kind, "vehicle": "motor", "track": gates, **more}
+
+
+def test_states_of_earlier_versions_are_read(tmp_path):
+    flight, path = circle(), tmp_path / "a.npz"
+    runs = {k: np.stack([v, v]) for k, v in old_arrays(flight).items()}
+    for values in runs.values():
+        values[1, 150:] = np.nan
+    runs["lap_times"] = np.array([flight.lap_times, [np.nan, np.nan]])
+    runs["time"] = flight.time
+    meta = meta_of("quadjax-states/1", crashes=[{"run": 1, "reason": "hit a gate"}])
+    write_npz(path, runs, meta)
+    whole, cut = load(path)
+    assert whole.name == "a 1" and whole.gates == GATES and whole.source["vehicle"] == "motor"
+    np.testing.assert_allclose(whole.passages, flight.passages)
+    np.testing.assert_allclose(whole.lap_ends, flight.lap_ends)
+    assert cut.crash == "hit a gate" and len(cut.time) == 150 and len(cut.passages) == 1
+    aside = {**runs, "position": runs["position"] + [0.0, 0.0, -0.7]}
+    write_npz(path, aside, meta)
+    assert not len(load(path)[0].passages)
+    target = np.stack([flight.target, flight.target]).astype(float)
+    write_npz(path, aside | {"target": target}, meta)
+    np.testing.assert_allclose(load(path)[0].passages[:, 2], -0.2, atol=1e-3)
+    write_npz(path, aside, meta | {"vehicle": "antigravity:MODEL"})
+    assert load(path)[0].signals["command"].unit == ""
+
+
+def test_best_known_laps_and_starts_of_earlier_versions_are_read(tmp_path):
+    flight, path = circle(laps=1), tmp_path / "a.npz"
+    legs = np.diff(flight.passages[:, 0], prepend=0.0)
+    arrays = old_arrays(flight) | {"time": flight.time, "leg_times": legs}
+    write_npz(path, arrays, meta_of("quadjax-limit/1", start="periodic"))
+    (best,) = load(path, name="best")
+    assert best.name == "best" and best.source["periodic"]
+    np.testing.assert_allclose(best.passages, flight.passages, atol=1e-3)
+    np.testing.assert_allclose(best.lap_ends, flight.lap_ends, atol=1e-9)
+    starts = {k: v for k, v in arrays.items() if k in ("position", "velocity", "euler", "rates")}
+    starts |= {"actuators": flight["actuators"], "target": flight.target}
+    write_npz(path, starts, {"format": "quadjax-starts/1", "track": "square"})
+    (states,) = load(path)
+    np.testing.assert_array_equal(states.target, flight.target)
+    write_npz(path, {"position": flight["position"]}, meta_of("quadjax-limit/1"))
+    with pytest.raises(InputError, match="no array time"):
+        load(path)
+
+
+def test_lap_times_without_a_trajectory_are_flights_without_samples(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"laps": [[3.0, None], [3.1, 3.0], [2.9, 2.8]]}))
+    (times,) = load(path)
+    np.testing.assert_allclose(times.lap_times, lap_times("", [2.9, 2.8]).lap_times)
+    assert times.name == "a" and len(times.time) == 0
+    path.write_text(json.dumps({"best_known": 2.0, "start": "periodic"}))
+    assert load(path)[0].lap_times == [2.0]
+    path.write_text(json.dumps({"format": "other"}))
+    with pytest.raises(InputError, match="format is 'other', expected quadjax-flights/1"):
+        load(path)
+
+
+@pytest.mark.parametrize("change", ["signals", "time", "shape", "name", "crash"])
+def test_a_damaged_file_is_one_line(change, tmp_path):
+    save([circle()], tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as file:
+        arrays = {key: file[key] for key in file.files if key != "meta"}
+        meta = json.loads(str(file["meta"]))
+    about = meta["flights"][0]
+    if change == "signals":
+        about["signals"] = {"../x": {"unit": "m", "labels": [], "size": 3}}
+    elif change == "time":
+        del arrays["time"]
+    elif change == "shape":
+        arrays["velocity"] = arrays["velocity"][:, :5]
+    elif change == "name":
+        meta["flights"] = [None]
+    else:
+        del about["crash"]
+    write_npz(tmp_path / "b.npz", arrays, meta)
+    with pytest.raises(InputError) as error:
+        load(tmp_path / "b.npz")
+    assert "\n" not in str(error.value) and "b.npz" in str(error.value)
