@@ -1,79 +1,100 @@
-"""Train e2e_paper by quadjax and by Stable-Baselines3 for equal time, one after the other.
+"""Train e2e_paper by quadjax and by Stable-Baselines3 for equal time or steps, one after the other.
 
-Both use the published hyperparameters, the same environment and one seed. Each side runs in a
-separate process; its time counts from the start of that process. The laps are of the last policy,
-deterministic from hover.
-
-    python -m benchmarks.against_sb3 600 --figure sb3.png
+Both have the published hyperparameters, the same environment and one seed, and are evaluated after
+every update. The time of a side counts from the start of its process. Laps are of the mean action
+of the last policy, from hover. Arguments: SECONDS STEPS. Table: docs/design/results.md.
 """
 
-import dataclasses
 import multiprocessing
+import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
+import numpy as np
 
-from quadjax.cli import output, script
-from quadjax.cli.options import Count, JsonFile, Picture, whole
-from quadjax.config.loading import load_config
-from quadjax.core.plotting import save_figure
-from quadjax.core.provenance import provenance
-from quadjax.learners.parallel import prepare_devices
-from quadjax.studies import ppo_against_sb3 as study
+import quadjax
+from quadjax.config.race import make_race
+from quadjax.learners.parallel import core_count, prepare_devices
+from quadjax.training.build import untrained_policy
+from quadjax.training.score import score_runs
 
-PRESET = "e2e_paper"
+PRESET, SEED = "e2e_paper", 0
 
 
-def against_sb3(
-    seconds: Annotated[Count, Parameter(name="SECONDS")],
-    /,
-    *,
-    steps: Annotated[int | None, Parameter(converter=whole(1, 10**12))] = None,
-    figure: Picture = None,
-    json: JsonFile = None,
-) -> None:
-    """Train e2e_paper by quadjax and by Stable-Baselines3 for equal time.
+class Clock:
+    """Steps over time, and limits of both."""
 
-    Args:
-        seconds: Of each side.
-        steps: End each side after this number of steps.
-        figure: Draw both learning curves.
-        json: Write the numbers.
-    """
-    sides = []
-    with output.steps() as report:
-        for kind in ("quadjax", "sb3"):
-            report(kind)
-            with multiprocessing.get_context("spawn").Pool(1) as pool:
-                sides.append(pool.apply(train_side, (kind, seconds, steps or 0, time.monotonic())))
-    limits = f"{seconds} s of wall time" + (f" or {steps:,} steps" if steps else "")
-    run = (
-        f"{PRESET}, seed {study.SEED}, {limits} each from the start of the process; laps of the "
-        "last policy, deterministic from hover"
-    )
-    print(study.format_sides(sides, run))
-    if figure is not None:
-        save_figure(study.curves_figure(sides, f"{PRESET}, seed {study.SEED}"), figure)
-        output.wrote(figure)
-    record = {"run": run, "sides": [dataclasses.asdict(side) for side in sides]}
-    output.write_record(json, record, provenance(load_config(PRESET), seed=study.SEED))
+    def __init__(self, started: float, seconds: float, steps: int = 0) -> None:
+        """Start at ``started``, by ``time.monotonic()``, for ``seconds`` or ``steps`` (0: any)."""
+        self.limits, self.marks = (seconds, steps or np.inf), [(started, 0)]
+
+    def over(self, steps: int) -> bool:
+        """Whether a limit is reached; called after an update."""
+        self.marks.append((time.monotonic(), steps))
+        return self.marks[-1][0] - self.marks[0][0] >= self.limits[0] or steps >= self.limits[1]
+
+    def speed(self) -> float:
+        """Steps per second from the end of the first update, if there are several, to the last."""
+        marks = self.marks[1:] if len(self.marks) > 2 else self.marks
+        return (marks[-1][1] - marks[0][1]) / max(marks[-1][0] - marks[0][0], 1e-9)
 
 
-def train_side(kind: str, seconds: int, steps: int, started: float) -> study.Side:
-    """Train one side in this process; ``started`` is the time of its start."""
-    learner = load_config(PRESET).learner
-    per_update = learner.num_envs * learner.rollout_length
-    config = load_config(PRESET, [f"run.evaluate_every={per_update}"])
-    prepare_devices("auto" if kind == "quadjax" else "1")
-    clock = study.Clock(started, seconds, steps)
-    if kind == "sb3":
-        return study.stable_baselines(config, clock, started)
+def by_quadjax(config, clock: Clock, started: float) -> quadjax.Policy:
+    """Train with quadjax; the last policy."""
+    from quadjax.training.run import train
+
     with tempfile.TemporaryDirectory() as folder:
-        return study.ours(config, clock, started, Path(folder) / "run")
+        run = Path(folder) / "run"
+        train(config, run, started=started, enough=lambda row: clock.over(row["steps"]))
+        return quadjax.Policy.load(run / "policy_last.npz")
+
+
+def by_sb3(config, clock: Clock) -> quadjax.Policy:
+    """Train with Stable-Baselines3, PyTorch on all cores; the last policy."""
+    import torch
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from quadjax.integrations import sb3
+
+    torch.set_num_threads(core_count())
+    untrained, runs = untrained_policy(config), score_runs(config)
+
+    class Stop(BaseCallback):
+        """Evaluates the policy after each update and reads the clock."""
+
+        done = False
+
+        def _on_rollout_start(self) -> None:
+            if self.num_timesteps:
+                policy = sb3.policy_of_ppo(self.model, untrained)
+                quadjax.evaluate(policy, config, runs=runs, deterministic=True)
+                self.done = clock.over(self.num_timesteps)
+
+        def _on_step(self) -> bool:
+            return not self.done
+
+    model = sb3.make_ppo(*make_race(config), config.learner, config.network, SEED)
+    model.learn(config.run.steps, callback=Stop())
+    return sb3.policy_of_ppo(model, untrained)
+
+
+def train_side(kind: str, config, seconds: float, steps: int, started: float) -> str:
+    """Train one side in this process, which began at ``started``; a line of the table."""
+    prepare_devices("auto" if kind == "quadjax" else "1")
+    clock = Clock(started, seconds, steps)
+    trained = by_sb3(config, clock) if kind == "sb3" else by_quadjax(config, clock, started)
+    laps = quadjax.evaluate(trained, config, runs=1, deterministic=True).laps
+    done, wall = int(laps.laps_completed()[0]), clock.marks[-1][0] - started
+    effort = f"{clock.marks[-1][1] / 1e6:.1f} | {wall:.0f} | {time.process_time():.0f}"
+    return f"| {kind} | {clock.speed():,.0f} | {effort} | {done} in {laps.totals[0]:.2f} s |"
 
 
 if __name__ == "__main__":
-    script(against_sb3)
+    learner = quadjax.load(PRESET).learner
+    every = f"run.evaluate_every={learner.num_envs * learner.rollout_length}"
+    race, limits = quadjax.load(PRESET, [every]), (float(sys.argv[1]), int(sys.argv[2]))
+    print("| side | steps/s | M steps | wall s | CPU s | laps |\n|---|---|---|---|---|---|")
+    for side in ("quadjax", "sb3"):
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            print(pool.apply(train_side, (side, race, *limits, time.monotonic())), flush=True)

@@ -1,64 +1,100 @@
-"""Check the consistency of the navigation filter: its errors against its standard deviations.
+"""Consistency of the navigation filter: its errors against its standard deviations.
 
-Simulates policies on the plant without unmodeled effects and delays, and computes how often each
-component of the estimate is within three of its standard deviations and on how many flights the
-filter diverges (an error above 0.5 m, 0.5 rad or 2 m/s, or not finite). Exit status 1 where a
-component is within them less than 99% of the time or a flight diverges.
-
-    python -m benchmarks.consistency standin
+Flights on the plant without unmodeled effects and delays. The filter fails (exit status 1) where a
+component is within three standard deviations less than 99% of the time, or where an estimate is
+0.5 m, 0.5 rad or 2 m/s off. ``python -m benchmarks.consistency``; table: docs/design/plant.md.
 """
 
-from typing import Annotated
+import dataclasses
+import sys
+from pathlib import Path
+from typing import NamedTuple
 
-from cyclopts import Parameter
+import jax
+import jax.numpy as jnp
+import numpy as np
 
-from quadjax.cli import script
-from quadjax.cli.options import Count, JsonFile, Overrides, PolicyFile, Runs, Seed, config_of
-from quadjax.cli.output import steps, write_record
 from quadjax.config.loading import load_config
-from quadjax.core.provenance import provenance
+from quadjax.core.frames import wrap_angle
 from quadjax.core.resources import PRETRAINED
-from quadjax.plant.config import load_plant_config, without_effects
-from quadjax.studies.consistency import POLICIES, evaluate_filter, table
+from quadjax.core.vectors import Vec3
+from quadjax.plant import plant as physics
+from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
+from quadjax.plant.estimate import NavigationState, estimate
+from quadjax.plant.flights import fly_chunks
+from quadjax.plant.races import plan_race
+from quadjax.policy.file import Policy
+
+COMPONENTS = tuple(item.name for item in dataclasses.fields(NavigationState))
+UNITS = ("m", "m/s", "rad", "rad/s", "m/s^2", "rad/s", "m/s^2")  # of them
+LEAST_INSIDE = 0.99  # of the samples within three standard deviations
+DIVERGED = {"position": 0.5, "euler": 0.5, "velocity": 2.0}  # m, rad, m/s
 
 
-def consistency(
-    config: Annotated[str, Parameter(name="CONFIG"), config_of("plant")],
-    /,
-    *overrides: Overrides,
-    race: str = "e2e +residual",
-    policy: list[PolicyFile] | None = None,
-    runs: Runs = 1000,
-    seconds: Count = 20,
-    seed: Seed = 0,
-    json: JsonFile = None,
-) -> int:
-    """Check the consistency of the navigation filter.
+class Consistency(NamedTuple):
+    """Arrays are (7, 3): components of ``NavigationState`` by axes."""
 
-    Args:
-        race: Preset or YAML file.
-        policy: Policy file; may be repeated (default: e2e and indi).
-        runs: Of each policy.
-        seconds: Of each flight.
-        seed: Of the sensors.
-        json: Write the numbers.
-    """
-    plant = without_effects(load_plant_config(config, overrides))
-    flown, results = load_config(race), {}
-    with steps() as report:
-        for file in policy or [PRETRAINED / name for name in POLICIES]:
+    samples: int
+    diverged: int
+    inside: np.ndarray  # fraction of the samples within three standard deviations
+    rmse: np.ndarray
+    ratio: np.ndarray  # mean of (error / standard deviation)^2; 1 for a consistent filter
 
-            def show(simulated: float, name: str = file.name) -> None:
-                report(f"{name}: {simulated:.0f} s simulated")
 
-            result = evaluate_filter(flown, plant, file, runs, seconds, seed, show)
-            results[file.name] = result
-            print(table(file.name, result) + "\n")
-    numbers = {name: result.to_json() for name, result in results.items()}
-    record = {"config": plant.model_dump(), "results": numbers}
-    write_record(json, record, provenance(plant, seed=seed))
-    return int(not all(result.passed for result in results.values()))
+def errors_and_deviations(params, filtered, truth, sensors) -> jax.Array:
+    """Errors and standard deviations (2, 7, 3) of the present estimate of one drone."""
+    now, biases = estimate(params, filtered), (sensors.gyro.bias, sensors.accelerometer.bias)
+    true = (*(getattr(truth, name) for name in COMPONENTS[:5]), *biases)
+    errors = [getattr(now.value, name) - x for name, x in zip(COMPONENTS, true, strict=True)]
+    errors[2] = Vec3(*(wrap_angle(angle) for angle in errors[2].components()))
+    deviations = [getattr(now.std, name) for name in COMPONENTS]
+    return jnp.stack([jnp.stack([v.array() for v in rows]) for rows in (errors, deviations)])
+
+
+def errors_in_deviations(numbers: np.ndarray) -> np.ndarray:
+    """Absolute error over standard deviation (.., 7, 3, n), of (.., 2, 7, 3, n)."""
+    return np.abs(numbers[..., 0, :, :, :]) / np.maximum(numbers[..., 1, :, :, :], 1e-12)
+
+
+def _record(params, flight, command, rotors):
+    truth, onboard = physics.truth_of(params.plant, flight.plant), flight.onboard
+    numbers = errors_and_deviations(params.onboard.ekf, onboard.ekf, truth, onboard.sensors)
+    return numbers, flight.race.over
+
+
+def evaluate_filter(plant: PlantConfig, policy: Path, runs: int, seconds: float) -> Consistency:
+    """Compare every estimate of ``runs`` flights of a policy with the true state."""
+    plant = plant.replace(control_rate=plant.sample_rate, navigation="ekf")
+    options = {"lap_count": 100, "runs": runs, "recorded": runs, "deterministic": False}
+    race = load_config("e2e +residual")
+    plan = plan_race(race, plant, Policy.load(policy), str(policy), **options)
+    plan = dataclasses.replace(plan, limit=round(seconds * plant.sample_rate))
+    total, diverged, samples = np.zeros((3, 7, 3)), np.zeros(runs, bool), 0
+    for _, (numbers, over) in fly_chunks(plan, 0, _record):
+        numbers = np.where(over[:, None, None, None], 0.0, numbers)  # (time, 2, 7, 3, flights)
+        error, ratio = np.abs(numbers[:, 0]), errors_in_deviations(numbers)
+        total += [x.sum(axis=(0, -1)) for x in (ratio <= 3.0, error**2, ratio**2)]
+        total[0] -= over.sum()
+        for name, limit in DIVERGED.items():
+            size = np.linalg.norm(error[:, COMPONENTS.index(name)], axis=1)
+            diverged |= ~(size <= limit).all(axis=0)
+        samples += int((~over).sum())
+    inside, square, ratio = total / samples
+    return Consistency(samples, int(diverged.sum()), inside, np.sqrt(square), ratio)
+
+
+def main() -> int:
+    """Print the table of each policy."""
+    runs, passed, plant = 1000, True, without_effects(load_plant_config("standin"))
+    for name in ("e2e", "indi"):
+        result = evaluate_filter(plant, PRETRAINED / f"{name}.npz", runs, 20.0)
+        print(f"{name}: {result.samples} samples, {result.diverged} of {runs} flights diverged")
+        print("RMS error, inside 3 sigma in %, mean (error / sigma)^2, of three axes each")
+        for row in zip(COMPONENTS, UNITS, result.rmse, 100 * result.inside, result.ratio):
+            print(f"{row[0]:>19} {row[1]:6}", *(f"{x:9.5g}" for x in np.concatenate(row[2:])))
+        passed &= result.diverged == 0 and bool((result.inside >= LEAST_INSIDE).all())
+    return int(not passed)
 
 
 if __name__ == "__main__":
-    script(consistency)
+    sys.exit(main())

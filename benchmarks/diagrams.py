@@ -11,24 +11,19 @@ from matplotlib.patches import FancyBboxPatch
 from quadjax.core.plotting import INK, MUTED, new_figure
 
 POLICY, OURS, DRONE = matplotlib.colormaps["viridis"]([0.75, 0.45, 0.2])
-Box = tuple[float, float, str, Sequence[float]]  # center, text, color
 HEIGHT = 0.62
-IMAGES = Path(__file__).resolve().parents[1] / "docs/images"
+IMAGES = Path(__file__).resolve().parents[1] / "docs/images"  # that are written
 
 
 def _axes(width: float, height: float) -> tuple[Figure, Axes]:
-    """A figure whose axes are inches."""
-    figure = new_figure(width, height)
-    figure.set_layout_engine("none")
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(0, width), ylim=(0, height))
+    (figure := new_figure(width, height)).set_layout_engine("none")  # axes are inches
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(0, height))
     axes.axis("off")
     return figure, axes
 
 
 def _box(axes: Axes, x: float, y: float, text: str, color: Sequence[float], width: float) -> None:
-    corner = (x - 0.5 * width, y - 0.5 * HEIGHT)
-    shape = "round,pad=0,rounding_size=0.08"
+    corner, shape = (x - 0.5 * width, y - 0.5 * HEIGHT), "round,pad=0,rounding_size=0.08"
     face = (*color[:3], 0.16)
     axes.add_patch(FancyBboxPatch(corner, width, HEIGHT, boxstyle=shape, fc=face, ec=color, lw=1.6))
     axes.text(x, y, text, ha="center", va="center", color=INK, fontsize=9, linespacing=1.25)
@@ -38,12 +33,8 @@ def _arrow(axes: Axes, points: Sequence[tuple[float, float]], text: str = "") ->
     """A line through points with its head at the last, and a text over its first piece."""
     xs, ys = zip(*points, strict=True)
     axes.plot(xs[:-1], ys[:-1], color=MUTED, lw=1.2, zorder=0, solid_capstyle="butt")
-    axes.annotate(
-        "",
-        xy=points[-1],
-        xytext=points[-2],
-        arrowprops={"arrowstyle": "-|>", "color": MUTED, "lw": 1.2, "shrinkA": 0, "shrinkB": 0},
-    )
+    style = {"arrowstyle": "-|>", "color": MUTED, "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=points[-1], xytext=points[-2], arrowprops=style)
     if text:
         x, y = 0.5 * (xs[0] + xs[1]), 0.5 * (ys[0] + ys[1])
         axes.text(x, y + 0.06, text, ha="center", va="bottom", color=INK, fontsize=8)
@@ -58,8 +49,7 @@ def architecture_figure() -> Figure:
         _box(axes, 0.95, y, "state\nestimation", OURS, 1.3)
         _box(axes, 8.75, y, "motors,\ndrone", DRONE, 1.2)
         _arrow(axes, [(8.75, y - 0.31), (8.75, low), (0.45, low), (0.45, y - 0.31)])
-        sensed = {"fontsize": 8, "color": INK, "va": "bottom", "ha": "left"}
-        axes.text(0.6, low + 0.04, "IMU, propeller speeds, motion capture", **sensed)
+        axes.text(0.6, low + 0.04, "IMU, propeller speeds, motion capture", fontsize=8, color=INK)
     _box(axes, 3.75, e2e, "neural policy\n24 inputs, 4 commands", POLICY, 1.9)
     _arrow(axes, [(1.6, e2e), (2.8, e2e)], "state, rpm")
     _arrow(axes, [(4.7, e2e), (8.15, e2e)], "four propeller speeds (rpm)")
@@ -69,8 +59,8 @@ def architecture_figure() -> Figure:
     axes.text(3.88, 2.55, "external moment\nand force", fontsize=8, color=INK, va="center")
     _box(axes, 3.75, indi, "neural policy\n17 inputs, 4 commands", POLICY, 1.9)
     _box(axes, 6.65, indi, "INDI\ninner loop", OURS, 1.3)
-    _arrow(axes, [(1.6, indi), (2.8, indi)], "state, thrust")
-    _arrow(axes, [(4.7, indi), (6.0, indi)], "rates, thrust")
+    for start, end, text in ((1.6, 2.8, "state, thrust"), (4.7, 6.0, "rates, thrust")):
+        _arrow(axes, [(start, indi), (end, indi)], text)
     _arrow(axes, [(7.3, indi), (8.15, indi)], "rpm")
     _arrow(axes, [(6.65, 0.3), (6.65, indi - 0.31)])
     return figure
@@ -93,18 +83,18 @@ def toolchain_figure() -> Figure:
     )
     for x, y, text, color in boxes:
         _box(axes, x, y, text, color, 1.5)
-    for left, right in ((1.0, 2.95), (2.95, 4.95), (4.95, 6.85), (6.85, 8.65)):
-        _arrow(axes, [(left + 0.75, top), (right - 0.75, top)])
-    _arrow(axes, [(8.65, top - 0.31), (8.65, low + 0.31)])
-    _arrow(axes, [(8.2, top - 0.31), (8.2, 1.35), (6.55, 1.35), (6.55, low + 0.31)])
-    _arrow(axes, [(5.8, low), (5.2, low)])
+    pairs = ((1.0, 2.95), (2.95, 4.95), (4.95, 6.85), (6.85, 8.65))
+    lines = [[(left + 0.75, top), (right - 0.75, top)] for left, right in pairs]
+    lines += [[(8.65, top - 0.31), (8.65, low + 0.31)], [(5.8, low), (5.2, low)]]
+    lines += [[(8.2, top - 0.31), (8.2, 1.35), (6.55, 1.35), (6.55, low + 0.31)]]
+    for points in (*lines, [(0.6, low), (0.6, top - 0.31)]):
+        _arrow(axes, points)
     _arrow(axes, [(3.7, low), (2.5, low)], "C")
-    _arrow(axes, [(1.0, low), (0.6, low), (0.6, top - 0.31)][1:])
     axes.plot([1.0, 0.6], [low, low], color=MUTED, lw=1.2, zorder=0)
     axes.text(0.68, 1.35, "flights", fontsize=8, color=INK, va="center")
     return figure
 
 
 if __name__ == "__main__":
-    architecture_figure().savefig(IMAGES / "architectures.png", dpi=150)
-    toolchain_figure().savefig(IMAGES / "toolchain.png", dpi=150)
+    for name, drawn in (("architectures", architecture_figure), ("toolchain", toolchain_figure)):
+        drawn().savefig(IMAGES / f"{name}.png", dpi=150)

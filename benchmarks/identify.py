@@ -1,33 +1,100 @@
-"""Identify the inner loop's time constants, for docs/design/plant.md.
+"""Time constants of the inner loop: step responses on the plant, fitted by first-order lags.
 
-python -m benchmarks.identify standin
+From hover, without effects and delays. Table of ``python -m benchmarks.identify``: design/plant.md
 """
 
-from typing import Annotated
+import functools
+from typing import NamedTuple
 
-from cyclopts import Parameter
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import minimize_scalar
 
-from quadjax.cli import script
-from quadjax.cli.options import Flag, Overrides, config_of
-from quadjax.plant.config import load_plant_config, without_effects
-from quadjax.studies.identify import identify as identify_loop
-from quadjax.studies.identify import table
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.plant import gusts, indi, plant
+from quadjax.plant.build import build_plant, nominal_vehicle
+from quadjax.plant.config import PlantConfig, load_plant_config, without_effects
+from quadjax.vehicle.motor import hover_rpm
+from quadjax.vehicle.protocol import Measurement
+from quadjax.vehicle.rate import RateCommand
+from quadjax.vehicle.rigid_body import RigidBodyState
+
+SECONDS, EXPECTED = 0.2, (0.025, 0.035)  # s; the training model has 0.03 s
+RATES = (0.5, 1.0, -1.0, 2.0, 3.0, -3.0)  # rad/s
+STEPS = {"p": RATES, "q": RATES, "r": RATES, "T": (8.0, 11.0, 12.5, 5.0, 15.0, 2.0)}  # T: m/s^2
 
 
-def identify(
-    config: Annotated[str, Parameter(name="CONFIG"), config_of("plant")],
-    /,
-    *overrides: Overrides,
-    effects: Flag = False,
-) -> None:
-    """Identify the inner loop's time constants and print them.
+class Step(NamedTuple):
+    """One step response, rad/s or m/s^2, and its fit."""
 
-    Args:
-        effects: With the unmodeled effects and delays of the plant.
-    """
-    plant = load_plant_config(config, overrides)
-    print(table(identify_loop(plant if effects else without_effects(plant))))
+    axis: str
+    start: float
+    target: float
+    tau: float  # s
+    error: float  # RMS, as a fraction of the step
+    saturated: float  # fraction of the time with a motor command at a limit
+
+
+def fit_step(axis, target, time, response, saturated=0.0) -> Step:
+    """Least-squares fit of ``start + (target - start) (1 - exp(-t / tau))`` to a response (n,)."""
+    start = float(response[0])
+
+    def square(tau: float) -> float:
+        return float(np.mean((response - target - (start - target) * np.exp(-time / tau)) ** 2))
+
+    tau = float(minimize_scalar(square, bounds=(1e-3, 1.0), method="bounded").x)
+    error = float(np.sqrt(square(tau))) / max(abs(target - start), 1e-9)
+    return Step(axis, start, target, tau, error, saturated)
+
+
+def identify(config: PlantConfig, steps: dict[str, tuple[float, ...]] = STEPS) -> list[Step]:
+    """Simulate steps from hover with exact measurements, and fit each."""
+    params, axes = build_plant(config), list(STEPS)
+    loop = indi.indi_params(nominal_vehicle(config).motor, config.indi, config.sample_rate)
+    asked = [(axis, x) for axis, values in steps.items() for x in values]
+    commands = np.tile([0.0, 0.0, 0.0, float(params.vehicle.constants.g)], (len(asked), 1))
+    for row, (axis, value) in zip(commands, asked):
+        row[axes.index(axis)] = value
+    count, rate, found = round(SECONDS * config.sample_rate), config.sample_rate, []
+    responses = np.float64(_fly(count, params, loop, np.float32(commands)))
+    for (axis, value), response in zip(asked, np.moveaxis(responses, 2, 0)):
+        values, limited = response[:, axes.index(axis)], response[:, 4].mean()
+        found.append(fit_step(axis, value, np.arange(count) / rate, values, limited))
+    return found
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _fly(count, params, loop, commands) -> jax.Array:
+    """Rates, thrust and saturation (count, 5, steps) from hover to commands (steps, 4)."""
+    c, none = params.vehicle.constants, jnp.zeros(gusts.START_DRAWS)
+
+    def measure(state) -> Measurement:
+        truth = plant.truth_of(params, state)
+        return Measurement(truth.rates, truth.specific_force, truth.rpm, Vec3.zero())
+
+    def one(command: jax.Array) -> jax.Array:
+        target, zero = RateCommand(Vec3.of(command[:3]), command[3]), Vec3.zero()
+        up = zero.replace(z=jnp.full((), -100.0))
+        body = RigidBodyState(up, zero, zero, zero, Rotors.same(hover_rpm(c)), zero, zero)
+        state = plant.begin(params, body, jnp.ones(()), none)
+
+        def sample(carry, _):
+            state, now = carry[0], measure(carry[0])
+            inner, rpm = indi.update(loop, carry[1], now, target)
+            after = plant.update(params, state, rpm, none[: gusts.DRAWS])
+            ends = jnp.stack([(u <= c.rpm_min) | (u >= c.rpm_max) for u in rpm.components()])
+            seen = [*now.gyro.components(), -now.specific_force.z, ends.any().astype(jnp.float32)]
+            return (after, inner), jnp.stack(seen)
+
+        return jax.lax.scan(sample, (state, indi.init(loop, measure(state))), None, count)[1]
+
+    return jax.vmap(one, out_axes=-1)(commands)
 
 
 if __name__ == "__main__":
-    script(identify)
+    print("axis, from, to, time constant, error of the fit, motors at a limit; * not 25 to 35 ms")
+    for step in identify(without_effects(load_plant_config("standin"))):
+        mark = "" if EXPECTED[0] <= step.tau <= EXPECTED[1] else " *"
+        fit = f"{1e3 * step.tau:5.1f} ms {step.error:6.1%} {1e3 * SECONDS * step.saturated:4.0f} ms"
+        print(f"{step.axis} {step.start:6.2f} {step.target:6.2f} {fit}{mark}")

@@ -1,76 +1,99 @@
 """Measure what the inputs and hidden layers of policies tell about the drones that they fly.
 
-Flies the mean action on drones drawn from the config's randomization. A linear regression from one
-observation, or from one hidden layer, to the thrust-to-weight ratio and other quantities of the
-drone is fitted to half of the drones. The table has its R^2 on the other half.
-
-    python -m benchmarks.probe e2e_race_robust +history \
-        --policy runs/e2e_race_robust_history/policy.npz
+Ridge regressions (Alain and Bengio, 2016, arXiv 1610.01644) from one observation, or one layer, to
+what drawn drones can do, fitted to half of them; the table (docs/design/adaptation.md) has R^2 of
+the other half. ``python -m benchmarks.probe PRESET randomization.all=0.2 --policy FILE``
 """
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated
+import functools
 
-from cyclopts import Parameter
+import jax
+import jax.numpy as jnp
+import numpy as np
 
+from benchmarks.drones import reachable
 from quadjax.cli import script
-from quadjax.cli.options import Config, JsonFile, Overrides, Picture, PolicyFile, Seed, whole
-from quadjax.cli.output import steps, write_record, wrote
+from quadjax.cli.options import Config, Count, Overrides, PolicyFile, Seed
 from quadjax.config.loading import load_config
-from quadjax.core.plotting import save_figure
-from quadjax.core.provenance import file_record, provenance
+from quadjax.config.race import race_of
+from quadjax.core import mlp
+from quadjax.core.errors import InputError
+from quadjax.core.markdown import table
+from quadjax.policy import pilot
 from quadjax.policy.file import Policy
-from quadjax.studies.probe import probe as probe_policy
-from quadjax.studies.probe import probe_figure, probe_table
+from quadjax.race import environment, laps
+from quadjax.vehicle.constants import values_of
+from quadjax.vehicle.summary import AXES, turns
+
+WARM_UP, EVERY = 1.0, 0.1  # s, before the first of a flight's samples and between two
+RIDGE = 1e-3  # penalty on the weights of inputs of unit variance
 
 
-def probe(
-    config: Config,
-    /,
-    *overrides: Overrides,
-    policy: list[PolicyFile],
-    drones: Annotated[int, Parameter(converter=whole(40, 10_000))] = 500,
-    seconds: Annotated[int, Parameter(converter=whole(2, 60))] = 8,
-    seed: Seed = 0,
-    json: JsonFile = None,
-    figure: Picture = None,
-) -> None:
-    """Measure what the inputs and hidden layers of policies tell about the drones.
-
-    Args:
-        policy: Policy file; may be repeated.
-        drones: Number of drones.
-        seconds: Of a flight.
-        seed: Of the drones.
-        json: Write the numbers.
-        figure: Draw R^2 and predictions.
-    """
-    race = load_config(config, overrides)
-    files = dict(zip(_labels(policy), policy, strict=True))
-    probes = []
-    with steps() as report:
-        for label, file in files.items():
-            report(f"{label}: compiling and simulating")
-            network = Policy.load(file, race)
-            probes.append(probe_policy(network, race, drones, seconds, seed, label))
-    print(probe_table(probes))
-    print(f"R^2 of {probes[0].held_out} drones; fitted to {probes[0].fitted}")
-    rows = [row.to_json() | file_record(files[row.label]) for row in probes]
-    record = {"probes": rows, "drones": drones, "seconds": seconds}
-    write_record(json, record, provenance(race, seed=seed))
-    if figure is not None:
-        save_figure(probe_figure(probes), figure)
-        wrote(figure)
+def quantities(model, constants) -> dict[str, np.ndarray]:
+    """What drones can do: thrust-to-weight ratio, accelerations, limits, time constants."""
+    constants = jax.tree.map(lambda x: np.asarray(x, np.float64), constants)
+    values, ratio = values_of(constants), model.thrust_to_weight(constants)
+    found = {} if ratio is None else {"thrust to weight": np.asarray(ratio)}
+    turning = np.asarray(jax.vmap(functools.partial(turns, model))(constants)[0])
+    found |= {f"{axis} acceleration": turning[:, index] for index, axis in enumerate(AXES)}
+    found |= {name: values[name] for name in (*(name for _, name in model.ranges), *model.lags)}
+    return {name: x for name, x in found.items() if x.ndim and np.ptp(x) > 0.0}
 
 
-def _labels(paths: Sequence[Path]) -> list[str]:
-    """Names of policies: those of their files or runs' folders; the files if two have one name."""
-    names = [
-        path.parent.name if path.stem == "policy" and path.parent.name else path.stem
-        for path in paths
-    ]
-    return names if len(set(names)) == len(names) else [str(path) for path in paths]
+def sample(policy, config, drones, seconds, seed) -> tuple[np.ndarray, dict, dict]:
+    """Drone (n,), inputs by source (n, k) and quantities by name (drones,) of all samples."""
+    choices, params = pilot.fit_race(*race_of(config.replace(schedules={})), policy)
+    params = environment.exact_rules(choices.model, params)
+    pilot_params = pilot.make_pilot(choices, params, policy, deterministic=True)
+    states = laps.starting_states(choices, params, jax.random.key(seed), drones, from_hover=True)
+    if states.constants is None:
+        raise InputError("randomization draws no constants, allowed: randomization.all=0.2")
+    step = laps.stepper(choices, pilot.fly, params, pilot_params)
+    observe = jax.vmap(functools.partial(environment.observe, choices), in_axes=(None, -1))
+    rate = 1.0 / float(params.rules.time_step)
+
+    def advance(race, count):
+        def body(_, race):
+            (after, _), _ = step((race, jax.random.key(0)))  # the race has no end
+            return after.replace(lap_end=race.lap_end, over=after.crash != 0)
+
+        return jax.lax.fori_loop(0, count, body, race)
+
+    def record(race, _):
+        seen = jax.vmap(pilot.see, in_axes=(None, 0))(pilot_params, observe(params, race.state))
+        return advance(race, round(EVERY * rate)), (seen, ~race.over)
+
+    first, count = advance(laps.begin(states, 1), round(WARM_UP * rate)), 10 * seconds - 10
+    seen, on = jax.jit(lambda race: jax.lax.scan(record, race, None, count))(first)[1]
+    kept = np.asarray(on).reshape(-1)
+    inputs = {"observation": jnp.reshape(seen, (len(kept), -1))[kept]}
+    hidden = mlp.hidden(pilot_params.policy.layers, inputs["observation"], policy.activation)
+    inputs |= {f"layer {number}": x for number, x in enumerate(hidden, start=1)}
+    drawn = reachable(choices.model, params.vehicle.constants, states.constants)
+    return np.tile(np.arange(drones), count)[kept], inputs, quantities(choices.model, drawn)
+
+
+def r_squared(drone, inputs, values) -> float:
+    """R^2 of values (drones,) on the odd drones, of a ridge regression on the even ones."""
+    fitted, target, inputs = drone % 2 == 0, values[drone], np.asarray(inputs, np.float64)
+    x = (inputs - inputs[fitted].mean(axis=0)) / np.maximum(inputs[fitted].std(axis=0), 1e-9)
+    mean, count = target[fitted].mean(), fitted.sum()
+    gram = x[fitted].T @ x[fitted] / count + RIDGE * np.eye(x.shape[1])
+    weights = np.linalg.solve(gram, x[fitted].T @ (target[fitted] - mean) / count)
+    error = target[~fitted] - mean - x[~fitted] @ weights
+    return float(1.0 - (error**2).mean() / target[~fitted].var())
+
+
+def probe(config: Config, /, *overrides: Overrides, policy: list[PolicyFile], drones: Count = 500,
+          seconds: Count = 8, seed: Seed = 0) -> None:  # fmt: skip
+    """Measure what inputs and layers tell, in ``seconds`` of flight of each of ``drones``."""
+    race, rows = load_config(config, overrides), []
+    for file in policy:
+        drone, sources, values = sample(Policy.load(file, race), race, drones, seconds, seed)
+        for source, inputs in sources.items():
+            found = [f"{r_squared(drone, inputs, x):.2f}" for x in values.values()]
+            rows.append([str(file), source, *found])
+    print(table([["policy", f"R^2 of {drones // 2} drones, by", *values], *rows]))
 
 
 if __name__ == "__main__":

@@ -1,105 +1,99 @@
-"""Measure the speed of the environment and of training, without compilation.
+"""Measure the speed of the environment and of training, without compilation (make benchmark).
 
-Environment steps a second (a step and the reset of finished episodes) against the number of
-environments, with and without residual networks; the same with the observation for each vehicle
-model; training steps a second of the presets; and the peak memory of each. Every measurement runs
-in a separate process and is the median of its repeats.
-
-    python -m benchmarks.speed --quick
+Environment steps a second with the reset of finished episodes, the same with the observation for
+each vehicle model, and training steps a second. Every measurement runs in a separate process: the
+median of its repeats, in brackets the slowest. docs/design/results.md has numbers.
 """
 
-import dataclasses
 import multiprocessing
-from typing import Any
+import os
+import statistics
+import sys
+import timeit
 
-from quadjax.cli import script
-from quadjax.cli.options import Count, Flag, JsonFile
-from quadjax.cli.output import steps, write_record
-from quadjax.core.provenance import provenance
-
-NUM_ENVS = tuple(4**power for power in range(9))  # 1 to 65,536
-QUICK_NUM_ENVS = (1, 64, 4096, 65_536)
-PRESET, OBSERVED = "e2e", 4096
-VEHICLES = ("bebop1", "5inch", "a2rl", "cpc")  # of the measurement with the observation
-PRESETS = ("e2e", "e2e_ppo", "e2e_paper")
-COLUMNS = f"{'':>10} {'num_envs':>8} {'devices':>7} {'steps/s':>12} {'slowest':>12} {'compile':>8}"
+STEPS_PER_CALL = 4_000_000  # environment steps in one timed call, about
+JOBS = (
+    *(("environment", "e2e", number) for number in (1, 64, 4096, 65_536)),
+    *(("observed", vehicle, 4096) for vehicle in ("bebop1", "5inch", "a2rl", "cpc")),
+    *(("training", preset, 0) for preset in ("e2e", "e2e_ppo", "e2e_paper")),
+)
 
 
-@dataclasses.dataclass(frozen=True)
-class Job:
-    """One measurement: of the environment, or of a preset's training.
+def environment_loop(config, num_envs: int, observed: bool) -> tuple:
+    """Steps of environments with automatic resets, split over devices, and their number."""
+    import jax
+    import jax.numpy as jnp
+    from jax.sharding import PartitionSpec
 
-    Attributes:
-        kind: environment, residual, observed or training.
-        name: of the vehicle of an observed environment, or of the preset.
-        num_envs: of the environment; 0 for the preset's.
-        repeats: of which the median is taken.
-        devices: of a training.
-    """
+    from quadjax.config.race import build_params, choices_of
+    from quadjax.core.environment import vectorize, where_done
+    from quadjax.learners import parallel
+    from quadjax.race.environment import make_environment
 
-    kind: str
-    name: str
-    num_envs: int
-    repeats: int
-    devices: str = "auto"
+    environment, params = make_environment(choices_of(config)), build_params(config)
+    batched, steps = vectorize(environment), min(20_000, max(50, STEPS_PER_CALL // num_envs))
 
+    def loop(params, state, fresh, action):
+        def one(carry, _):
+            after, reward, terminated, truncated = batched.step(params, carry[0], action)
+            after = where_done(terminated | truncated, fresh, after)
+            seen = batched.observe(params, after).sum(axis=1) if observed else 0.0
+            return (after, carry[1] + reward + seen), None
 
-def speed(*, quick: Flag = False, repeats: Count | None = None, json: JsonFile = None) -> None:
-    """Measure the speed of the environment and of training on this machine.
+        return jax.lax.scan(one, (state, jnp.zeros(action.shape[0])), None, steps)[0]
 
-    Args:
-        quick: Fewer sizes and repeats.
-        repeats: Of each measurement (default: 7, or 3 with --quick).
-        json: Write the numbers.
-    """
-    times = repeats or (3 if quick else 7)
-    sizes, few = QUICK_NUM_ENVS if quick else NUM_ENVS, max(2, times // 2)
-    jobs = [Job(kind, PRESET, n, times) for kind in ("environment", "residual") for n in sizes]
-    jobs += [Job("observed", vehicle, OBSERVED, times) for vehicle in VEHICLES]
-    jobs += [Job("training", preset, 0, few) for preset in PRESETS]
-    jobs += [Job("training", PRESET, 0, few, devices="1")]
-    rows = []
-    with steps() as report:
-        for number, job in enumerate(jobs, 1):
-            report(f"{job.name} {job.kind} {job.num_envs or ''}, {number} of {len(jobs)}")
-            with multiprocessing.get_context("spawn").Pool(1) as pool:
-                rows.append(pool.apply(measure, (job,)))
-    machine = rows[0]["machine"]
-    print(", ".join(f"{key} {value}" for key, value in machine.items()))
-    for kind in dict.fromkeys(job.kind for job in jobs):
-        print(f"\n{kind}\n{COLUMNS} {'memory':>9}")
-        for row in (row for row in rows if row["kind"] == kind):
-            memory = row["peak_memory_mib"]
-            print(
-                f"{row['name']:>10} {row['num_envs']:>8,} {row['devices']:>7} "
-                f"{row['steps_per_second']:>12,.0f} {row['slowest']:>12,.0f} "
-                f"{row['compile_seconds']:>6.1f} s {memory and round(memory)!s:>5} MiB"
-            )
-    write_record(json, {"machine": machine, "results": rows}, provenance())
+    state = jax.jit(batched.reset)(params, jax.random.split(jax.random.key(0), num_envs))
+    shape = (num_envs, environment.action_size)
+    action = jax.random.uniform(jax.random.key(1), shape, minval=-1.0)
+    split, rows = parallel.split_last(state), PartitionSpec(parallel.AXIS)
+    specs = {"in_specs": (PartitionSpec(), split, split, rows), "out_specs": (split, rows)}
+    mesh = parallel.make_mesh(parallel.choose_devices("auto", num_envs))
+    sharded = jax.shard_map(loop, mesh=mesh, **specs, check_vma=False)
+    compiled = jax.jit(sharded, compiler_options=parallel.compile_options())
+    return lambda: jax.block_until_ready(compiled(params, state, state, action)), steps * num_envs
 
 
-def measure(job: Job) -> dict[str, Any]:
-    """One measurement, in this process."""
+def training_loop(config) -> tuple:
+    """Some updates of a preset's training, and the environment steps in them."""
+    import jax
+
+    from quadjax.config.race import build_params
+    from quadjax.learners import parallel
+    from quadjax.training.build import build_learner, start_state
+
+    learner, params = build_learner(config), build_params(config)
+    first = start_state(config, learner, params)
+    mesh = parallel.choose_mesh(config.run.devices, first)
+    state = [parallel.place(first, mesh)]
+    updates = max(1, round(STEPS_PER_CALL / 10 / learner.steps_per_update))
+    chunk = parallel.compile_chunk(learner, mesh, updates, params, state[0])
+
+    def call():
+        state[0] = jax.block_until_ready(chunk(params, state[0]))[0]
+
+    return call, updates * learner.steps_per_update
+
+
+def measure(kind: str, name: str, num_envs: int, repeats: int) -> str:
+    """One measurement, in this process: "environment", "observed" or "training"."""
     from quadjax.config.loading import load_config
     from quadjax.learners.parallel import prepare_devices
 
-    observed = job.kind == "observed"
-    preset, vehicle = (PRESET, [f"vehicle={job.name}"]) if observed else (job.name, [])
-    config = load_config(preset, [f"run.devices={job.devices}", *vehicle])
+    observed = kind == "observed"
+    config = load_config("e2e" if observed else name, [f"vehicle={name}"] if observed else [])
     prepare_devices("auto")
-    from quadjax.studies import benchmark
-    from quadjax.training.result import peak_memory_mib
-
-    if job.kind == "training":
-        result = benchmark.measure_training(config, job.repeats)
-    else:
-        residual = job.kind == "residual"
-        result = benchmark.measure_environment(
-            config, job.num_envs, residual, observed, job.repeats
-        )
-    record = dataclasses.asdict(job) | dataclasses.asdict(result)
-    return record | {"peak_memory_mib": peak_memory_mib(), "machine": benchmark.machine()}
+    training = kind == "training"
+    call, steps = (
+        training_loop(config) if training else environment_loop(config, num_envs, observed)
+    )
+    call()  # compiles, and touches memory for the first time
+    times = [timeit.timeit(call, number=1) for _ in range(repeats)]
+    speeds = f"{steps / statistics.median(times):,.0f} ({steps / max(times):,.0f})"
+    return f"{kind:>12} {name:>10} {num_envs or config.learner.num_envs:>8,} {speeds} steps/s"
 
 
 if __name__ == "__main__":
-    script(speed)
+    print(f"{os.cpu_count()} cores")
+    for job in JOBS:
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            print(pool.apply(measure, (*job, int(sys.argv[1]) if sys.argv[1:] else 3)), flush=True)

@@ -1,88 +1,99 @@
 """Train on every track with every drone and compare the laps with the best known ones.
 
-Each pair is trained by CONFIG in a folder of DIR, or flown with --policy. Prints a table of laps
-(median of the laps after the first, mean action from hover) and of the flights from random starts
-that finish. Writes tracks.md, tracks.json and a picture of each flight. After an interruption the
-same command continues; finished training runs are not repeated.
-
-    python -m benchmarks.tracks e2e_race --output runs/tracks
+``python -m benchmarks.tracks e2e_race --output DIR`` trains, or flies --policy. The table has the
+median of the laps after the first, mean action from hover, and the flights from random starts that
+finish. The same command resumes. docs/design/tracks.md has the table.
 """
 
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from cyclopts import Parameter
+from pydantic import Field as Bounded
 
+import quadjax
 from quadjax.cli import script
 from quadjax.cli.options import Config, Folder, Overrides, PolicyFile, Runs
-from quadjax.cli.output import steps
-from quadjax.config.schema import Config as TrainingConfig
-from quadjax.core.files import read_json, write_json, write_text
-from quadjax.core.provenance import provenance
+from quadjax.core.errors import InputError
+from quadjax.core.markdown import table
+from quadjax.core.plotting import save_figure
+from quadjax.core.sections import Field, Section, load_section
 from quadjax.evaluation.seeds import train_once
-from quadjax.studies.track_table import (
-    RESULT,
-    Case,
-    Row,
-    case_config,
-    fly_case,
-    lap_rows,
-    read_best,
-)
 
-TRACKS = ("square4", "figure8", "figure8_tudelft", "split_s")
-DRONES = ("bebop1", "5inch")
 Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True, metavar="NAME ...")]
+TITLES = ("track", "drone", "lap", "best known", "gap", "finished", "top speed")
+
+
+class BestLap(Section):
+    """One best known lap of ``configs/laps``."""
+
+    track: str = Field(description="name of the track")
+    vehicle: str = Field(description="name of the vehicle file")
+    seconds: float = Bounded(gt=0, le=1e4, description="lap time, s")
+    source: str = Field("", description="where the time comes from")
+
+
+class BestLaps(Section):
+    """A file of best known laps."""
+
+    laps: tuple[BestLap, ...] = Field((), max_length=10_000, description="list of laps")
+
+
+def read_best(path: Path | str) -> dict[tuple[str, str], BestLap]:
+    """Best known laps by track and vehicle, of a file or a name in ``configs/laps``."""
+    found: dict[tuple[str, str], BestLap] = {}
+    for lap in load_section(BestLaps, path, "laps").laps:
+        if found.setdefault((lap.track, lap.vehicle), lap) is not lap:
+            raise InputError(f"{path}: two laps of {lap.track} with {lap.vehicle}, allowed: one")
+    return found
+
+
+def words_of(track: str, vehicle: str) -> list[str]:
+    """The overrides of a track, a name, a file or ``random_SEED``, and of a drone."""
+    seed = track.removeprefix("random_")
+    random = track.startswith("random_") and seed.isdigit()
+    return [f"track.generate.seed={seed}" if random else f"track={track}", f"vehicle={vehicle}"]
+
+
+def row_of(file: Path, config, names: tuple[str, str], best, runs: int, picture: Path) -> list[str]:
+    """A line of the table; the lap is drawn to a file."""
+    hover = quadjax.evaluate(file, config, runs=1, deterministic=True)
+    starts = {"runs": runs, "deterministic": True, "start": "random", "seed": 1}
+    finished = quadjax.evaluate(file, config, **starts).finished
+    save_figure(hover.plot(), picture)
+    times, lap, gap = hover.laps.whole_laps[0, 1:], None, "-"
+    if np.isfinite(times).any():
+        lap = float(np.median(times[np.isfinite(times)]))
+    shown = f"{lap:.3f} s" if lap is not None else hover.laps.crashes[0] or "-"
+    if best is not None and lap is not None:
+        gap = f"{100 * (lap / best.seconds - 1):.1f}%"
+    known = "-" if best is None else f"{best.seconds:.3f} s ({best.source})"
+    speed = f"{np.linalg.norm(hover.best.velocity, axis=1).max():.1f} m/s"
+    return [*names, shown, known, gap, f"{finished} of {runs}", speed]
 
 
 def tracks(
     config: Config = "e2e_race",
     /,
     *overrides: Overrides,
-    tracks: Names = TRACKS,
-    drones: Names = DRONES,
+    tracks: Names = ("square4", "figure8", "figure8_tudelft", "split_s"),
+    drones: Names = ("bebop1", "5inch"),
     policy: PolicyFile | None = None,
     best: str = "best_known",
     runs: Runs = 100,
     output: Folder = Path("runs/tracks"),
 ) -> None:
-    """Train, fly and tabulate.
-
-    Args:
-        tracks: Names, files, or random_SEED.
-        drones: Names or files of vehicles.
-        policy: Fly this policy, train nothing.
-        best: Best known laps, with sources (YAML).
-        runs: Flights from random starts.
-        output: Write to DIR.
-    """
-    laps = read_best(best)
-    cases = [Case(track, drone) for drone in drones for track in tracks]
-    configs = {case: case_config(config, case, overrides) for case in cases}
-    rows = []
-    with steps() as report:
-        for number, case in enumerate(cases, 1):
-            report(f"{case.name}, {number} of {len(cases)}")
-            words = [*case.overrides, *overrides, f"name={case.name}"]
-            file = policy or train_once(config, words, output) / "policy.npz"
-            rows.append(_row(case, configs[case], file, runs, output / case.name))
-    text = lap_rows(rows, laps)
-    print(text)
-    write_text(output / "tracks.md", f"{text}\n")
-    write_json(output / "tracks.json", {"laps": [row.to_json() for row in rows]})
-
-
-def _row(case: Case, config: TrainingConfig, file: Path, runs: int, folder: Path) -> Row:
-    """The flights of a case; a result of the same policy is read from its file."""
-    result = folder / RESULT
-    if result.exists() and result.stat().st_mtime >= file.stat().st_mtime:
-        kept = read_json(result)
-        origin = kept.pop("provenance", None) or {}
-        present = provenance(config, file)
-        same = all(origin.get(key) == present[key] for key in ("config", "policy"))
-        if same and kept.get("runs") == runs:
-            return Row(**kept)
-    return fly_case(file, config, case, runs, folder)
+    """Train, or fly POLICY; ``tracks`` are names, files or random_SEED, ``runs`` random starts."""
+    laps, rows = read_best(best), [TITLES]
+    for vehicle in drones:
+        for track in tracks:
+            names, words = (Path(track).stem, Path(vehicle).stem), words_of(track, vehicle)
+            name, words = "_".join(names), [*words, *overrides]
+            file = policy or train_once(config, [*words, f"name={name}"], output) / "policy.npz"
+            race, picture = quadjax.load(config, words), output / name / "lap.png"
+            rows.append(row_of(file, race, names, laps.get(names), runs, picture))
+    print(table(rows))
 
 
 if __name__ == "__main__":

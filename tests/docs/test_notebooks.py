@@ -25,7 +25,7 @@ SMALL = {
     "adaptation": [
         "ROLL, PITCH, THRUST, CHARGES = (0.0,), (0.03,), (1.0,), ()",
         'CONTENDERS = {"E2E": ("e2e", "e2e.npz")}',
-        "RUNS, FLIGHTS, DRONES, SECONDS, LAPS, SEED = 2, 1, 60, 2, 1, 0",
+        "RUNS, FLIGHTS, LAPS, SEED = 2, 1, 1, 0",
     ],
     "e2e_vs_indi": [
         "RUNS, LAPS, SEED, SHOWN_SECONDS = 2, 1, 0, 0.5",

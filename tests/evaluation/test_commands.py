@@ -1,12 +1,10 @@
-"""The subcommand evaluate, and the benchmark of speed."""
+"""The subcommand evaluate."""
 
 import json
 
 import pytest
 from PIL import Image
 
-from benchmarks.speed import Job, measure
-from quadjax.studies.ppo_against_sb3 import Clock, Side, curves_figure, format_sides
 from tests.commands import run
 from tests.evaluation.support import random_policy
 
@@ -59,34 +57,3 @@ def test_a_flight_leaves_what_was_asked_for(tmp_path, policy_file, capsys):
     for name in ("png", "gif"):
         with Image.open(outputs[name]) as image:
             assert image.size[0] > 300
-
-
-@pytest.mark.slow
-def test_the_benchmark_measures_in_a_process(monkeypatch):
-    monkeypatch.setattr("quadjax.studies.benchmark.STEPS_PER_CALL", 100)
-    result = measure(Job("residual", "e2e", 2, 1))
-    assert result["steps_per_second"] > 0 and result["devices"] == 2
-    assert result["machine"]["cores"] >= 1
-
-
-def test_the_speed_of_a_single_update_counts_from_the_start(monkeypatch):
-    now = iter([20.0, 30.0, 35.0])
-    monkeypatch.setattr("quadjax.studies.ppo_against_sb3.time.monotonic", lambda: next(now))
-    clock = Clock(started=0.0, seconds=25.0)
-    assert not clock.over(steps=1000) and clock.speed == 50.0 and clock.seconds == 20.0
-    assert clock.over(steps=3000) and clock.speed == 200.0  # without the first: compilation
-    assert clock.over(steps=4000) and clock.speed == 200.0
-
-
-def test_both_sides_of_the_benchmark_end_at_the_same_steps_and_are_drawn(monkeypatch):
-    monkeypatch.setattr("quadjax.studies.ppo_against_sb3.time.monotonic", lambda: 1.0)
-    clock = Clock(started=0.0, seconds=9.0, steps=3000)
-    assert not clock.over(2000) and clock.over(3000) and clock.steps == 3000
-    curve = {"steps": [1e3, 2e3], "seconds": [1.0, 2.0], "reward": [0.0, 0.1]}
-    sides = []
-    for name, last in (("quadjax", 20.0), ("Stable-Baselines3", None)):
-        own = curve | {"lap_total": [None, last]}
-        sides.append(Side(name, "1 thread", 2.0, 3.0, 2000, 900.0, last, 6, 6, own))
-    assert "20.00 s" in format_sides(sides, "") and "6 of 6" in format_sides(sides, "")
-    drawn = [line.get_ydata() for axes in curves_figure(sides, "").axes for line in axes.lines]
-    assert [20.0] in [data.tolist() for data in drawn if len(data) == 1]

@@ -1,13 +1,10 @@
-from functools import partial
-
 import numpy as np
 import pytest
 
+from benchmarks.recovery import constant_errors, exact_motion, residual_recovered
 from quadjax.fitting.nominal import nominal
 from quadjax.fitting.residual_fit import zero_residual
-from quadjax.fitting.simulate import random_residual, simulate_flight
-from quadjax.studies import recovery
-from quadjax.studies.recovery import constant_errors, exact_motion, residual_recovered
+from quadjax.fitting.simulate import random_residual
 from quadjax.vehicle.protocol import VehicleParams
 
 from .flights import RATE, SECONDS
@@ -16,9 +13,7 @@ from .flights import RATE, SECONDS
 @pytest.fixture(scope="module")
 def flown(bebop):
     vehicle = VehicleParams(bebop, random_residual(5, 1.0, 0.005))
-    with pytest.MonkeyPatch.context() as patch:  # at the rate of the other simulated flights
-        patch.setattr(recovery, "simulate_flight", partial(simulate_flight, sample_rate=RATE))
-        return vehicle, exact_motion(vehicle, 1000, SECONDS)
+    return vehicle, exact_motion(vehicle, 1000, SECONDS, RATE)
 
 
 def test_the_truth_is_recovered_and_nothing_is_not(bebop, flown):

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.consistency import errors_and_deviations
 from quadjax.core.matrix import Mat3, Sym3
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
@@ -21,7 +22,6 @@ from quadjax.plant.covariance import Covariance
 from quadjax.plant.ekf import InertialSample, MotionEstimate
 from quadjax.plant.ekf_params import EkfParams, ekf_params
 from quadjax.plant.sensors import GroundTruth
-from quadjax.studies.consistency import errors_and_deviations
 from tests.plant.reference import Nominal
 
 RATE = 500.0

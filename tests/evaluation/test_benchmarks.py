@@ -1,0 +1,99 @@
+"""The scripts behind the numbers of the documentation."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks import speed
+from benchmarks.against_sb3 import Clock
+from benchmarks.drones import draw_drones, reachable
+from benchmarks.probe import quantities, r_squared
+from benchmarks.tracks import read_best, words_of
+from quadjax.config.loading import load_config
+from quadjax.core.errors import InputError
+from quadjax.core.resources import PRETRAINED
+from quadjax.vehicle.constants import values_of
+from quadjax.vehicle.registry import model
+from tests.race.support import BLANK
+from tests.scripts import run_script
+
+
+def test_probes_of_known_inputs_have_the_known_r_squared():
+    random = np.random.default_rng(0)
+    drone, ratio = np.repeat(np.arange(1200), 3), random.normal(2.0, 0.3, 1200)
+    seen, noise = ratio[drone], random.normal(0.0, 0.3, (4, 3600))
+    exact = np.stack([7.0 - 100.0 * seen, noise[0], np.ones_like(seen)], 1)
+    assert r_squared(drone, exact, ratio) > 0.9999
+    noisy = np.stack([seen + noise[1] / np.sqrt(3.0), noise[2]], 1)
+    assert r_squared(drone, noisy, ratio) == pytest.approx(0.75, abs=0.03)
+    assert abs(r_squared(drone, noise[2:].T, ratio)) < 0.02
+    assert r_squared(drone, np.eye(1200)[drone], ratio) < 0.02  # it tells the fitted drones only
+
+
+def test_limits_of_the_commands_are_within_the_nominal_range():
+    drawn = {}
+    for overrides in ([], ["vehicle=5inch"]):
+        config = load_config(BLANK, overrides)
+        kind = model(config.vehicle.model)
+        nominal = kind.make_constants(config.vehicle.constants)
+        factors = jnp.array([0.9, 1.2])
+        wide = kind.make_constants({k: x * factors for k, x in values_of(nominal).items()})
+        drawn[kind.name] = reachable(kind, nominal, wide), nominal
+    found, nominal = drawn["motor"]
+    np.testing.assert_allclose(found.rpm_max, nominal.rpm_max * np.array([0.9, 1.0]))
+    np.testing.assert_allclose(found.rpm_min, nominal.rpm_min * np.array([1.0, 1.2]))
+    found, nominal = drawn["racing"]
+    np.testing.assert_allclose(found.w_max, nominal.w_max * np.array([0.9, 1.2]), rtol=1e-6)
+    ratio = quantities(model("racing"), found)["thrust to weight"]
+    # Thrust coefficient and square of the speed have the factor; so has gravity.
+    np.testing.assert_allclose(ratio, 10.98 * np.array([0.9, 1.2]) ** 2, rtol=0.01)
+
+
+def test_a_track_and_a_drone_are_overrides_and_best_laps_a_file(tmp_path):
+    assert words_of("random_3", "5inch") == ["track.generate.seed=3", "vehicle=5inch"]
+    assert words_of("dir/mine.yaml", "bebop1") == ["track=dir/mine.yaml", "vehicle=bebop1"]
+    shipped = read_best("best_known")
+    assert shipped["square4", "bebop1"].seconds == 2.0385
+    assert all(lap.source for lap in shipped.values())
+    file, lap = tmp_path / "mine.yaml", "{track: a, vehicle: b, seconds: 3.0, source: mine}"
+    file.write_text(f"laps: [{lap}, {lap}]\n")
+    with pytest.raises(InputError, match="two laps of a with b, allowed: one"):
+        read_best(file)
+
+
+def test_the_speed_of_a_side_is_without_its_compilation(monkeypatch):
+    now = iter([20.0, 30.0, 35.0])
+    monkeypatch.setattr("benchmarks.against_sb3.time.monotonic", lambda: next(now))
+    clock = Clock(started=0.0, seconds=25.0)
+    assert not clock.over(1000) and clock.speed() == 50.0
+    assert clock.over(3000) and clock.speed() == 200.0
+    assert clock.over(4000) and clock.speed() == 200.0
+
+
+@pytest.mark.slow
+def test_drawn_drones_are_vehicle_files(tmp_path, capsys):
+    draw = ["--count", "2", "--seed", "3", "--output", str(tmp_path)]
+    assert run_script("drones", BLANK, "randomization.all=0.2", *draw) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    drawn = draw_drones(load_config(BLANK, ["randomization.all=0.2"]), 8, 3)
+    for index in range(2):  # the first two are possible bodies
+        file = tmp_path / f"drone_3_{index}.yaml"
+        constants = load_config(BLANK, [f"vehicle={file}"]).vehicle.constants
+        for name, value in constants.items():
+            assert value == pytest.approx(float(getattr(drawn, name)[index]), rel=1e-5)
+    assert run_script("drones", BLANK, *draw) == 2
+    assert "randomization draws no constants" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_scripts_print_their_tables(tmp_path, monkeypatch, capsys):
+    policy = str(PRETRAINED / "e2e_fastest.npz")
+    own = ["--tracks", "square4", "--drones", "bebop1", "--runs", "4", "--output", tmp_path]
+    assert run_script("tracks", "e2e +fastest", "--policy", policy, *own) == 0
+    assert "| square4 | bebop1 | 2.0" in capsys.readouterr().out
+    assert (tmp_path / "square4_bebop1" / "lap.png").stat().st_size > 1000
+    few = ["--policy", policy, "--drones", "40", "--seconds", "2"]
+    assert run_script("probe", "e2e +fastest", "randomization.all=0.2", *few) == 0
+    assert "| layer 2 |" in capsys.readouterr().out
+    monkeypatch.setattr(speed, "STEPS_PER_CALL", 100)
+    assert "steps/s" in speed.measure("observed", "bebop1", 2, 1)
