@@ -2,7 +2,11 @@
 
 An error-state filter with a quaternion (Sola, arXiv 1711.02508, sections 5 to 7, attitude errors
 in the world frame). Gyro and accelerometer predict the estimate, poses correct it. It has no
-singularity at a pitch of 90 deg.
+singularity at a pitch of 90 deg. The fifteen errors, in this order:
+
+    position (m, world), velocity (m/s, world), attitude (rad, world: the rotation vector that
+    turns the estimated attitude into the true one, ``q_true = exp(error) * q``),
+    gyro bias (rad/s, body), accelerometer bias (m/s^2, body).
 
 Delayed poses. A pose arrives some time after it was taken, so the filter runs with that delay:
 inertial samples wait in a buffer until the poses of their time arrive, and each pose corrects the
@@ -17,28 +21,31 @@ is the value of ``d`` ago. The time of the delayed estimate then differs from th
 ``offset`` of at most half a sample, which the estimated velocity and rates bridge; the present is
 ``d`` after the last sample.
 
-``init`` and ``update`` advance the filter, ``quadjax.plant.estimate`` computes the present
-estimate. Functions are of one drone; batch with ``vmap``.
+Functions are of one drone; batch with ``vmap``.
 """
+
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
-from quadjax.core.materialize import Caller, call_directly, call_materialized_forward
-from quadjax.core.matrix import apply
+from quadjax.core.materialize import call_materialized_forward
+from quadjax.core.matrix import Mat3, apply, skew
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Vec3
-from quadjax.plant import covariance as cov
-from quadjax.plant.covariance import Covariance, Transition
 from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.sensors import Fix, Measured
 
+Result = TypeVar("Result")
 
-@struct.dataclass
-class MotionEstimate:
-    """The estimate at the delayed instant."""
+POSE = (0, 1, 2, 6, 7, 8)  # the errors that a pose measures: position and attitude
+
+
+class MotionEstimate(struct.PyTreeNode):
+    """The estimated motion at one instant."""
 
     position: Vec3  # m, world
     velocity: Vec3  # m/s, world
@@ -47,8 +54,7 @@ class MotionEstimate:
     force_bias: Vec3  # m/s^2, body
 
 
-@struct.dataclass
-class InertialSample:
+class InertialSample(struct.PyTreeNode):
     """An inertial sample."""
 
     gyro: Vec3  # rad/s, body
@@ -56,25 +62,23 @@ class InertialSample:
     step: jax.Array  # () s since the sample before; 0 at the start
 
 
-@struct.dataclass
-class Roughness:
-    """Mean squares of the second differences of the measurements."""
-
-    gyro: Vec3  # (rad/s)^2
-    force: Vec3  # (m/s^2)^2
-
-
-@struct.dataclass
-class EkfState:
+class EkfState(struct.PyTreeNode):
     """The filter at the delayed instant, and the samples since."""
 
     motion: MotionEstimate
-    covariance: Covariance
+    covariance: jax.Array  # (15, 15) of the errors
     last: InertialSample  # processed last
-    waiting: tuple[InertialSample, ...]  # buffered, the oldest first
+    waiting: InertialSample  # buffered: leaves (samples,), the oldest first
     newest: InertialSample  # as measured, gyro and accelerometer not aligned
     before: InertialSample  # the one before it
-    roughness: Roughness
+
+
+class PresentEstimate(struct.PyTreeNode):
+    """The estimate of the present."""
+
+    motion: MotionEstimate
+    rates: Vec3  # rad/s, body
+    specific_force: Vec3  # m/s^2, body
 
 
 def init(params: EkfParams, measured: Measured) -> EkfState:
@@ -84,12 +88,11 @@ def init(params: EkfParams, measured: Measured) -> EkfState:
         params: of the filter.
         measured: the first sample, with a pose without delay.
     """
-    zero = Vec3(*(jnp.zeros_like(x) for x in measured.gyro.components()))
+    zero = measured.gyro * 0.0
     motion = MotionEstimate(measured.fix.position, zero, measured.fix.attitude, zero, zero)
-    start = cov.diagonal_covariance(tuple(std + zero.x for std in params.start))
     sample = InertialSample(measured.gyro, measured.accelerometer, zero.x)
-    waiting = (sample,) * params.lag
-    return EkfState(motion, start, sample, waiting, sample, sample, Roughness(zero, zero))
+    waiting = jax.tree.map(lambda x: jnp.repeat(x, params.lag), sample)
+    return EkfState(motion, jnp.diag(params.start), sample, waiting, sample, sample)
 
 
 def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
@@ -100,51 +103,51 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
         state: from ``init`` or the last ``update``.
         measured: the sample; its pose is used if it is ``fresh``.
     """
-    call = caller(params)
     newest = InertialSample(measured.gyro, measured.accelerometer, params.step)
     aligned = InertialSample(
         newest.gyro + (state.newest.gyro - newest.gyro) * params.gyro_shift,
         newest.force + (state.newest.force - newest.force) * params.force_shift,
         params.step,
     )
-    taken, *waiting = (*state.waiting, aligned)
-    motion, covariance = predict(params, state.motion, state.covariance, state.last, taken, call)
-    motion, covariance = correct(params, motion, covariance, taken, measured.fix, call)
-    roughness = _roughness(params, state, newest)
-    return EkfState(motion, covariance, taken, tuple(waiting), newest, state.newest, roughness)
+    line = jax.tree.map(lambda xs, x: jnp.append(xs, x), state.waiting, aligned)
+    sample = jax.tree.map(lambda xs: xs[0], line)
+    motion, covariance = _call(
+        params, predict, params, state.motion, state.covariance, state.last, sample
+    )
+    motion, covariance = _call(params, correct, params, motion, covariance, sample, measured.fix)
+    waiting = jax.tree.map(lambda xs: xs[1:], line)
+    return EkfState(motion, covariance, sample, waiting, newest, state.newest)
 
 
-def caller(params: EkfParams) -> Caller:
-    """A ``Caller`` that materializes values; see ``quadjax.core.materialize``."""
-    opaque_true = params.step > 0
-    return lambda function, *arguments: call_materialized_forward(function, opaque_true, *arguments)
+def _call(params: EkfParams, function: Callable[..., Result], *arguments: object) -> Result:
+    """``function(*arguments)``, computed once; see ``quadjax.core.materialize``."""
+    return call_materialized_forward(function, params.step > 0, *arguments)
 
 
 def predict(
     params: EkfParams,
     motion: MotionEstimate,
-    covariance: Covariance,
+    covariance: jax.Array,
     before: InertialSample,
     after: InertialSample,
-    call: Caller = call_directly,
-) -> tuple[MotionEstimate, Covariance]:
-    """Predict estimate and covariance from one inertial sample to the next.
+) -> tuple[MotionEstimate, jax.Array]:
+    """Estimate and covariance ``F P F^T + Q`` from one inertial sample to the next.
 
     Args:
         params: of the filter.
         motion: at ``before``.
-        covariance: of its errors.
+        covariance: (15, 15) of its errors.
         before: the sample processed last.
         after: the sample to process.
-        call: calls a function; see ``quadjax.core.materialize``.
     """
-    moved, transition = call(advance, params.gravity, motion, before, after)
-    return moved, cov.predict(covariance, transition, params.growth(after.step), call)
+    moved, f = _call(params, advance, params.gravity, motion, before, after)
+    grown = f @ covariance @ f.T + params.noise * (after.step / params.step)
+    return moved, grown
 
 
 def advance(
     gravity: jax.Array, motion: MotionEstimate, before: InertialSample, after: InertialSample
-) -> tuple[MotionEstimate, Transition]:
+) -> tuple[MotionEstimate, jax.Array]:
     """The motion one sample later, by the trapezoidal rule, and the transition of its errors."""
     step = after.step
     angle = ((before.gyro + after.gyro) * 0.5 - motion.gyro_bias) * step
@@ -159,80 +162,101 @@ def advance(
         velocity=motion.velocity + change,
         attitude=quaternion.normalized(quaternion.multiply(between, half)),
     )
-    return moved, Transition(step, turn, middle * step)
+    return moved, transition(step, turn, middle)
+
+
+def transition(step: jax.Array, turn: Vec3, rotation: Mat3) -> jax.Array:
+    """The transition ``F`` (15, 15) of the errors over one step, without terms of its square.
+
+    Args:
+        step: () s.
+        turn: the velocity's change by specific force, m/s, world.
+        rotation: body to world, in the middle of the step.
+    """
+    one, none = jnp.eye(3), jnp.zeros((3, 3))
+    s, r, half = skew(turn).array(), rotation.array() * step, 0.5 * step
+    return jnp.block(
+        [
+            [one, one * step, -half * s, none, -half * r],
+            [none, one, -s, none, -r],
+            [none, none, one, -r, none],
+            [none, none, none, one, none],
+            [none, none, none, none, one],
+        ]
+    )
 
 
 def correct(
-    params: EkfParams,
-    motion: MotionEstimate,
-    covariance: Covariance,
-    at: InertialSample,
-    fix: Fix,
-    call: Caller = call_directly,
-) -> tuple[MotionEstimate, Covariance]:
-    """Correct with a pose: its position first, then its attitude.
+    params: EkfParams, motion: MotionEstimate, covariance: jax.Array, at: InertialSample, fix: Fix
+) -> tuple[MotionEstimate, jax.Array]:
+    """Correct with a pose: ``K = P H^T (H P H^T + R)^-1``.
+
+    ``H`` has six rows of the identity, which select those of ``P`` by their indices. In Joseph's
+    form, ``P <- (I - K H) P (I - K H)^T + K R K^T``, rounding does not make a variance negative
+    after a long gap.
 
     Args:
         params: of the filter.
         motion: at the instant of ``at``.
-        covariance: of its errors.
+        covariance: (15, 15) of its errors.
         at: the sample processed last; its rates and force bridge the offset to the pose.
         fix: the pose; without effect unless it is ``fresh``.
-        call: calls a function; see ``quadjax.core.materialize``.
     """
-    motion, covariance = call(_correct_position, params, motion, covariance, at, fix)
-    return call(_correct_attitude, params, motion, covariance, at, fix)
+    rows = jnp.array(POSE)
+    measured = covariance[rows]
+    spread = measured[:, rows] + jnp.diag(params.pose_variance)
+    gain = jnp.linalg.solve(spread, measured).T * fix.fresh
+    errors = gain @ _call(params, _innovation, params, motion, at, fix)
+    keep = jnp.eye(15).at[:, rows].add(-gain)
+    covariance = keep @ covariance @ keep.T + (gain * params.pose_variance[None, :]) @ gain.T
+    position, velocity, attitude, gyro, force = (Vec3.of(e) for e in errors.reshape(5, 3))
+    turned = quaternion.multiply(quaternion.exponential(attitude), motion.attitude)
+    corrected = MotionEstimate(
+        motion.position + position,
+        motion.velocity + velocity,
+        quaternion.normalized(turned),
+        motion.gyro_bias + gyro,
+        motion.force_bias + force,
+    )
+    return corrected, 0.5 * (covariance + covariance.T)
 
 
-def _correct_position(
-    params: EkfParams, motion: MotionEstimate, covariance: Covariance, at: InertialSample, fix: Fix
-) -> tuple[MotionEstimate, Covariance]:
+def _innovation(
+    params: EkfParams, motion: MotionEstimate, at: InertialSample, fix: Fix
+) -> jax.Array:
+    """The numbers (6,) of a pose less those that the estimate expects: m and rad, world."""
     force = apply(quaternion.matrix(motion.attitude), at.force - motion.force_bias)
     acceleration = force.replace(z=force.z + params.gravity)
     expected = (
         motion.position + (motion.velocity + acceleration * (0.5 * params.offset)) * params.offset
     )
-    corrections, covariance = cov.correct(
-        covariance, cov.POSITION, fix.position - expected, params.position_variance, fix.fresh
-    )
-    return _corrected(motion, corrections), covariance
-
-
-def _correct_attitude(
-    params: EkfParams, motion: MotionEstimate, covariance: Covariance, at: InertialSample, fix: Fix
-) -> tuple[MotionEstimate, Covariance]:
     turned = quaternion.exponential((at.gyro - motion.gyro_bias) * params.offset)
-    expected = quaternion.multiply(motion.attitude, turned)
-    error = quaternion.multiply(fix.attitude, quaternion.conjugate(expected))
-    corrections, covariance = cov.correct(
-        covariance,
-        cov.ATTITUDE,
-        quaternion.logarithm(error),
-        params.attitude_variance,
-        fix.fresh,
-    )
-    return _corrected(motion, corrections), covariance
+    attitude = quaternion.multiply(motion.attitude, turned)
+    error = quaternion.multiply(fix.attitude, quaternion.conjugate(attitude))
+    return jnp.concatenate([(fix.position - expected).array(), quaternion.logarithm(error).array()])
 
 
-def _corrected(motion: MotionEstimate, corrections: tuple[Vec3, ...]) -> MotionEstimate:
-    position, velocity, attitude, gyro_bias, force_bias = corrections
-    turned = quaternion.multiply(quaternion.exponential(attitude), motion.attitude)
-    return MotionEstimate(
-        motion.position + position,
-        motion.velocity + velocity,
-        quaternion.normalized(turned),
-        motion.gyro_bias + gyro_bias,
-        motion.force_bias + force_bias,
-    )
+def estimate(params: EkfParams, state: EkfState) -> PresentEstimate:
+    """The present state of one drone: the delayed estimate predicted over the buffered samples.
 
+    Rates and specific force are the newest sample less its bias, extrapolated by the low-pass's
+    delay along the last difference.
 
-def _roughness(params: EkfParams, state: EkfState, newest: InertialSample) -> Roughness:
-    def mean(old: Vec3, now: Vec3, before: Vec3, earlier: Vec3) -> Vec3:
-        second = now - before * 2.0 + earlier
-        return old + (second * second - old) * params.roughness_rate
+    Args:
+        params: of the filter.
+        state: from ``init`` or ``update``.
+    """
+    newest, before, motion = state.newest, state.before, state.motion
+    gyro = newest.gyro + (newest.gyro - before.gyro) * params.gyro_lead
+    force = newest.force + (newest.force - before.force) * params.force_lead
 
-    before, earlier = state.newest, state.before
-    return Roughness(
-        mean(state.roughness.gyro, newest.gyro, before.gyro, earlier.gyro),
-        mean(state.roughness.force, newest.force, before.force, earlier.force),
-    )
+    def one(
+        carry: tuple[MotionEstimate, InertialSample], sample: InertialSample
+    ) -> tuple[tuple[MotionEstimate, InertialSample], None]:
+        return (advance(params.gravity, *carry, sample)[0], sample), None
+
+    (motion, last), _ = jax.lax.scan(one, (motion, state.last), state.waiting)
+    # The rest has no measurement: extrapolated rates and force.
+    now = InertialSample(gyro, force, params.late)
+    present, _ = advance(params.gravity, motion, last, now)
+    return PresentEstimate(present, gyro - motion.gyro_bias, force - motion.force_bias)

@@ -9,11 +9,11 @@ import dataclasses
 import jax
 from flax import struct
 
+from quadjax.core import quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, gusts, indi, plant, sensors
 from quadjax.plant.ekf import EkfState
 from quadjax.plant.ekf_params import EkfParams
-from quadjax.plant.estimate import estimate
 from quadjax.plant.indi import IndiParams, IndiState
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.plant.sensors import GroundTruth, Measured, SensorParams, SensorState
@@ -139,15 +139,18 @@ def _estimate(
 ) -> StateEstimate:
     none = Vec3.zero()
     if filtered is None:
-        now, rpm, gyro, accelerometer = truth, truth.rpm, truth.rates, truth.specific_force
+        rpm, gyro, accelerometer = truth.rpm, truth.rates, truth.specific_force
+        position, velocity, euler, rates = truth.position, truth.velocity, truth.euler, truth.rates
         gyro_bias = force_bias = none
     else:
-        now, rpm = estimate(params.ekf, filtered).value, measured.rpm
-        gyro, accelerometer = measured.gyro, measured.accelerometer
-        gyro_bias, force_bias = now.gyro_bias, now.accelerometer_bias
-    motion = RigidBodyState(now.position, now.velocity, now.euler, now.rates, rpm, none, none)
-    velocity = motion.to_body(motion.velocity)
-    measurement = Measurement(gyro - gyro_bias, accelerometer - force_bias, rpm, velocity)
+        now = ekf.estimate(params.ekf, filtered)
+        rpm, gyro, accelerometer = measured.rpm, measured.gyro, measured.accelerometer
+        position, velocity, rates = now.motion.position, now.motion.velocity, now.rates
+        euler = quaternion.to_euler(now.motion.attitude)
+        gyro_bias, force_bias = now.motion.gyro_bias, now.motion.force_bias
+    motion = RigidBodyState(position, velocity, euler, rates, rpm, none, none)
+    body_velocity = motion.to_body(velocity)
+    measurement = Measurement(gyro - gyro_bias, accelerometer - force_bias, rpm, body_velocity)
     return StateEstimate(motion, measurement, gyro, accelerometer, force_bias)
 
 

@@ -1,12 +1,12 @@
 """Filter states to test with, and known motions."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.consistency import errors_and_deviations
-from quadjax.core.matrix import Mat3, Sym3
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, sensors
@@ -18,10 +18,10 @@ from quadjax.plant.config import (
     RpmConfig,
     SensorsConfig,
 )
-from quadjax.plant.covariance import Covariance
 from quadjax.plant.ekf import InertialSample, MotionEstimate
 from quadjax.plant.ekf_params import EkfParams, ekf_params
 from quadjax.plant.sensors import GroundTruth
+from tests.plant import reference
 from tests.plant.reference import Nominal
 
 RATE = 500.0
@@ -91,62 +91,104 @@ def nominal_of(motion: MotionEstimate) -> Nominal:
     return Nominal(position, velocity, rotation_of(motion.attitude), gyro, force)
 
 
-def covariance_of(dense: np.ndarray) -> Covariance:
-    def block(i: int, j: int) -> Mat3:
-        return Mat3(*(vec3(row) for row in dense[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]))
-
-    return Covariance(
-        tuple(Sym3.of(block(i, i)) for i in range(5)),
-        tuple(block(i, j) for i in range(5) for j in range(i + 1, 5)),
-    )
+def correlation(covariance: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Covariances (.., 15, 15) in units of the standard deviations of others."""
+    deviations = np.sqrt(np.diagonal(scale, axis1=-2, axis2=-1))
+    return covariance / (deviations[..., :, None] * deviations[..., None, :])
 
 
-def correlation(dense: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """A covariance in units of the standard deviations of another."""
-    return dense / np.sqrt(np.outer(np.diag(scale), np.diag(scale)))
-
-
-def loop(samples: int, drones: int, turn_rate: float = 4.0) -> GroundTruth:
+def loop(time: np.ndarray, turn_rate: float = 4.0) -> dict[str, np.ndarray]:
     """Loops at a steady rate, nose over: pitch goes through 90 deg twice in each turn.
 
-    Samples first, drones last; the first sample is the start.
+    Position, velocity, attitude as a rotation vector, rates and specific force, (samples, 3).
     """
-    time = np.arange(samples) / RATE
-    angle = turn_rate * time
-    radius, zero = 1.5, np.zeros_like(time)
+    angle, radius, zero = turn_rate * time, 1.5, np.zeros_like(time)
     # Round a circle in the plane y = 0, the body's z axis pointing outwards: x forward.
-    position = radius * np.stack([np.sin(angle), zero, np.cos(angle)])
-    velocity = radius * turn_rate * np.stack([np.cos(angle), zero, -np.sin(angle)])
-    outward = position / radius
+    outward = np.stack([np.sin(angle), zero, np.cos(angle)], axis=-1)
+    forward = np.stack([np.cos(angle), zero, -np.sin(angle)], axis=-1)
+    turn = np.stack([zero, angle, zero], axis=-1)
     acceleration = -radius * turn_rate**2 * outward
-    body = Rotation.from_rotvec(np.stack([zero, angle, zero], axis=-1))
-    force = body.inv().apply(acceleration.T - np.array([0.0, 0.0, 9.81])).T
-    yaw, pitch, roll = body.as_euler("ZYX").T
-    rates = np.stack([zero, zero + turn_rate, zero])
+    return {
+        "position": radius * outward,
+        "velocity": radius * turn_rate * forward,
+        "attitude": turn,
+        "rates": np.stack([zero, zero + turn_rate, zero], axis=-1),
+        "force": Rotation.from_rotvec(turn).inv().apply(acceleration - reference.GRAVITY),
+    }
+
+
+def truth_of(motion: dict[str, np.ndarray], drones: int) -> GroundTruth:
+    """The same motion of several drones: samples first, drones last."""
+    euler = Rotation.from_rotvec(motion["attitude"]).as_euler("ZYX")[:, ::-1]
+    vectors = (motion["position"], motion["velocity"], euler, motion["rates"], motion["force"])
+    samples = len(euler)
 
     def each(rows: np.ndarray) -> Vec3:
-        wide = np.broadcast_to(rows[:, :, None], (3, samples, drones))
+        wide = np.broadcast_to(rows.T[:, :, None], (3, samples, drones))
         return Vec3(*(jnp.asarray(row, jnp.float32) for row in wide))
 
-    euler = np.stack([roll, pitch, yaw])
     rpm = Rotors.same(jnp.full((samples, drones), 7000.0))
-    return GroundTruth(*(each(x) for x in (position, velocity, euler, rates, force)), rpm)
+    return GroundTruth(*(each(x) for x in vectors), rpm)
 
 
 def at(tree: object, index: object) -> object:
     return jax.tree.map(lambda x: x[index], tree)
 
 
-def filtered(
-    config: SensorsConfig, assumed: EkfConfig, truth: GroundTruth, seed: int
-) -> tuple[np.ndarray, ekf.EkfState]:
-    """Sensors and filter on a known motion whose first sample is the start.
+@dataclasses.dataclass(frozen=True)
+class Filtered:
+    """The filter on loops: arrays of samples first, drones last."""
 
-    Errors and standard deviations (samples - 1, 2, 7, 3, drones), and the final filters.
-    """
+    errors: np.ndarray  # (samples, drones, 15) at the delayed instant
+    covariance: np.ndarray  # (samples, drones, 15, 15)
+    present: dict[str, np.ndarray]  # (samples, drones, 3), errors of the present estimate
+
+    @property
+    def nees(self) -> np.ndarray:
+        """Normalized errors squared, (samples, drones): 15 on average of a consistent filter."""
+        weighted = np.linalg.solve(self.covariance, self.errors[..., None])[..., 0]
+        return (self.errors * weighted).sum(axis=-1)
+
+
+def filtered(config: SensorsConfig, assumed: EkfConfig, seed: int, drones: int = 24) -> Filtered:
+    """Sensors and filter of some drones on a loop of 1.6 s, at 500 samples a second."""
     own, params = sensors.sensor_params(config, RATE), ekf_params(config, assumed, RATE)
-    numbers, estimated = _filter(own, params, truth, jax.random.key(seed))
-    return np.float64(numbers), estimated
+    time = np.arange(801) / RATE
+    motion = loop(time)
+    found = _filter(own, params, truth_of(motion, drones), jax.random.key(seed))
+    states, present, biases = jax.tree.map(np.float64, found)
+    late = params.lag / RATE + float(params.late)
+    then = {name: x[1:, None] for name, x in loop(np.maximum(time - late, 0.0)).items()}
+    now = {name: x[1:, None] for name, x in motion.items()}
+    estimate = states.motion
+    return Filtered(
+        errors=np.concatenate(
+            [
+                then["position"] - estimate.position.array(),
+                then["velocity"] - estimate.velocity.array(),
+                _turned(then["attitude"], estimate.attitude),
+                biases[0].array() - estimate.gyro_bias.array(),
+                biases[1].array() - estimate.force_bias.array(),
+            ],
+            axis=-1,
+        ),
+        covariance=np.moveaxis(states.covariance, -1, 1),
+        present={
+            "position": now["position"] - present.motion.position.array(),
+            "velocity": now["velocity"] - present.motion.velocity.array(),
+            "attitude": _turned(now["attitude"], present.motion.attitude),
+            "rates": now["rates"] - present.rates.array(),
+            "force": now["force"] - present.specific_force.array(),
+        },
+    )
+
+
+def _turned(true: np.ndarray, estimated: Quaternion) -> np.ndarray:
+    """Rotation vectors (samples, drones, 3), rad, from the estimated attitude to the true one."""
+    shape = np.shape(estimated.w)
+    wide = np.broadcast_to(true, (*shape, 3)).reshape(-1, 3)
+    back = rotation_of(jax.tree.map(np.ravel, estimated)).inv()
+    return (Rotation.from_rotvec(wide) * back).as_rotvec().reshape(*shape, 3)
 
 
 @jax.jit
@@ -162,7 +204,8 @@ def _filter(
     def update(carry: tuple, truth: GroundTruth, drawn: jax.Array) -> tuple:
         state, measured = sensors.update(own, carry[0], truth, drawn)
         estimated = ekf.update(params, carry[1], measured)
-        return (state, estimated), errors_and_deviations(params, estimated, truth, state)
+        biases = state.gyro.bias, state.accelerometer.bias
+        return (state, estimated), (estimated, ekf.estimate(params, estimated), biases)
 
     def one(carry: tuple, now: tuple) -> tuple:
         drawn = jax.random.normal(now[1], (sensors.DRAWS, drones))
@@ -171,5 +214,4 @@ def _filter(
     drawn = jax.random.normal(key, (sensors.START_DRAWS, drones))
     carry = jax.vmap(start, -1, -1)(at(truth, 0), drawn)
     keys = jax.random.split(jax.random.fold_in(key, 1), samples - 1)
-    (_, estimated), numbers = jax.lax.scan(one, carry, (at(truth, slice(1, None)), keys))
-    return numbers, estimated
+    return jax.lax.scan(one, carry, (at(truth, slice(1, None)), keys))[1]
