@@ -8,14 +8,13 @@ import optax
 import pytest
 import scipy.stats
 
-from quadjax.core.environment import where_done
 from quadjax.core.errors import InputError
 from quadjax.learners.loop import plan_chunks
 from quadjax.learners.minibatches import clip, descend, run_epochs
 from quadjax.learners.networks import ActorCritic
 from quadjax.learners.parallel import choose_devices
 from quadjax.learners.ppo.hyperparameters import PPO
-from quadjax.learners.ppo.update import Batch, log_probability, loss, normalize, reset_interval
+from quadjax.learners.ppo.update import Batch, loss
 from quadjax.learners.rollout import Steps, td_lambda
 from quadjax.learners.shac.hyperparameters import SHAC
 from quadjax.learners.shac.update import total_return
@@ -111,21 +110,6 @@ def test_the_return_of_short_horizons(steps):
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
-def test_log_probability():
-    draw = np.random.default_rng(1)
-    action, mean = draw.normal(size=(2, 5, 6, 4)).astype(np.float32)
-    log_std = np.array([-1.0, 0.0, 0.5, -0.3], np.float32)
-    wanted = scipy.stats.norm(mean, np.exp(log_std)).logpdf(action).sum(axis=-1)
-    found = jax.jit(log_probability)(action, mean, log_std)
-    np.testing.assert_allclose(found, wanted, rtol=1e-4)
-
-
-def test_advantages_are_normalized():
-    values = np.random.default_rng(2).normal(3.0, 5.0, (4, 100)).astype(np.float32)
-    found = jax.jit(normalize)(values)
-    np.testing.assert_allclose(found, (values - values.mean()) / values.std(), atol=1e-4)
-
-
 def test_the_loss_of_a_minibatch_follows_its_equation():
     """In float64, with ratios on both sides of the clip range and advantages of both signs."""
     draw = np.random.default_rng(1)
@@ -184,18 +168,6 @@ def test_devices_divide_the_environments():
         choose_devices(1000, 64)
 
 
-def test_reset_interval():
-    assert [reset_interval(n) for n in (1, 8, 64, 128, 100, 67)] == [1, 8, 64, 64, 50, 1]
-
-
-def test_where_done_of_states_of_any_shape():
-    done = np.array([True, False])
-    fresh, old = ({"a": each(2), "b": each((3, 2))} for each in (np.ones, np.zeros))
-    found = jax.jit(where_done)(done, fresh, old)
-    np.testing.assert_array_equal(found["a"], [1, 0])
-    np.testing.assert_array_equal(found["b"], [[1, 0]] * 3)
-
-
 @pytest.mark.parametrize("length", [12, 4])
 def test_minibatches_take_every_block_once_in_each_epoch(length):
     time, n, minibatches, epochs = 12, 6, 3, 2
@@ -219,24 +191,10 @@ def test_minibatches_take_every_block_once_in_each_epoch(length):
     assert np.any(rows[0] != rows[1])
 
 
-@pytest.mark.parametrize(
-    ("steps", "chunk", "update", "expected"),
-    [
-        (1000, 100, 10, (10, 10)),
-        (3, 100, 10, (1, 1)),
-        (1000, 3, 7, (1, 143)),
-        (3_400_000, 1_000_000, 1000, (1134, 3)),
-        (16_000_000, 250_000, 12288, (21, 63)),  # as a preset plans it
-    ],
-)
-def test_plan_chunks(steps, chunk, update, expected):
-    plan = plan_chunks(steps, chunk, update)
-    assert (plan.updates_per_chunk, plan.chunks) == expected
-    assert plan.steps == expected[0] * expected[1] * update
-
-
 def test_a_run_has_the_steps_that_are_asked_for():
     for wanted in range(1, 400):
         for chunk in range(1, 60):
             plan = plan_chunks(10 * wanted, 10 * chunk, 10)
             assert wanted <= plan.updates < wanted + plan.updates_per_chunk
+    plan = plan_chunks(16_000_000, 250_000, 12288)  # as a preset plans it
+    assert (plan.updates_per_chunk, plan.chunks, plan.steps) == (21, 63, 21 * 63 * 12288)

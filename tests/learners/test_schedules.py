@@ -103,34 +103,19 @@ def test_other_numbers_of_a_schedule_compile_nothing(caplog):
     assert sum("jit(update)" in r.getMessage() for r in compiled) == 1
 
 
-@pytest.mark.parametrize(
-    ("second", "message"),
-    [
+def test_what_cannot_be_scheduled_is_one_line():
+    for second, message in (
         ({}, "schedules: the.key has no effect: it changes no number of this run"),
-        ({"count": 4}, "it changes numbers that are whole or infinite"),
-        ({"rate": np.inf}, "it changes numbers that are whole or infinite"),
-        ({"extra": jnp.ones(())}, "it changes the program, not only numbers"),
-        ({"gain": jnp.ones(3)}, "it changes the program, not only numbers"),
-    ],
-)
-def test_what_cannot_be_scheduled_is_one_line(second, message):
-    with pytest.raises(InputError, match="the.key") as caught:
-        make_schedule("the.key", np.arange(2.0), [tree(), tree(**second)])
-    assert message in str(caught.value)
-
-
-def test_two_schedules_of_one_number_are_refused():
+        ({"count": 4}, "the.key .* it changes numbers that are whole or infinite"),
+        ({"extra": np.ones(())}, "the.key .* it changes the program, not only numbers"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make_schedule("the.key", np.arange(2.0), [tree(), tree(**second)])
     schedules = {"first": Schedule(linear=(1, 2)), "second": Schedule(linear=(1, 3))}
     with pytest.raises(InputError, match="first and second change the same number"):
         schedule_learner(
             plain_learner(), schedules, lambda _, gain: tree(gain=gain), Plan(1, 1, STEPS), STEPS
         )
-
-
-def test_no_schedules_leave_the_learner_as_it_is():
-    learner = plain_learner()
-    assert scheduled(learner, {}) is learner
-    assert np.array_equal(numbers(learner, 5)[1], [2, 20])
 
 
 @struct.dataclass

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadjax.core.errors import InputError
 from quadjax.core.vectors import Vec3
 from quadjax.race import environment
 from quadjax.vehicle.constants import values_of
@@ -68,18 +67,9 @@ def test_rotation_in_the_observation(vehicle):
     assert layout.size == (27 if vehicle == "motor" else 23) and "attitude" not in layout
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        ("vehicle=5inch",),
-        pytest.param(
-            ("vehicle.quaternion=true", "observation.attitude=rotation"), marks=pytest.mark.slow
-        ),
-    ],
-)
-def test_gradient_through_the_race_at_any_attitude(overrides):
+def test_gradient_through_the_race_at_any_attitude():
     """A step at attitudes without unique angles ends no episode; gradients are finite."""
-    choices, params = make_race(TRACK, "reward.pitch_up=1", *overrides)
+    choices, params = make_race(TRACK, "reward.pitch_up=1", "vehicle=5inch")
     one_gate = track_of([[float(x[0]) for x in params.track.position]], [np.pi / 2])
     race = choices, params = choices, params.replace(track=one_gate)
 
@@ -101,19 +91,6 @@ def test_gradient_through_the_race_at_any_attitude(overrides):
     assert not np.any(ended)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found))
     assert np.abs(found[1]).min() > 0
-
-
-def test_pitch_limit_of_the_training():
-    infinite = make_race("vehicle=5inch", TRACK)[1].training_limits.pitch_deg
-    limited, angles = (
-        params.training_limits.pitch_deg
-        for _, params in (
-            make_race("vehicle=5inch", TRACK, "training_limits.pitch_deg=60"),
-            make_race(),
-        )
-    )
-    assert infinite is None
-    np.testing.assert_allclose([limited, angles], [60, 85])
 
 
 def test_thrusts_without_a_lag_are_those_of_the_command():
@@ -173,9 +150,3 @@ def test_population_of_all_racing_drones():
         assert abs(values.max() - high) < 0.06 * (high - low)
     np.testing.assert_array_equal(c["k_r1"], c["k_r4"])
     np.testing.assert_array_equal(c["turning2"], 1.0)
-    with pytest.raises(InputError, match=r"allowed: null with fractions \(here 0"):
-        make_race("vehicle=5inch", "randomization={population: all_racing_drones, lag: 0.1}")
-    with pytest.raises(
-        InputError, match="randomization.population is 'all', allowed: null with model motor"
-    ):
-        make_race("randomization.population=all")

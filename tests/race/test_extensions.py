@@ -132,16 +132,6 @@ def test_own_fields_are_appended_to_the_observation():
     assert own.layout.size == 27 and own.layout.labels[24:] == ("height", "empty", "equal")
 
 
-def test_an_own_field_of_another_size_is_refused():
-    choices, params = make_race()
-    wrong = dataclasses.replace(HEIGHT, size=2)
-    own = dataclasses.replace(choices, layout=make_layout(MODEL, extra=(wrong,)))
-    with pytest.raises(InputError, match="'height' gives 1 numbers, expected 2 numbers .its size."):
-        compiled_observe(own)(params, race_state("motor", level(ref.GATES[:1], np.ones(3))))
-    with pytest.raises(InputError, match="same name"):
-        make_layout(MODEL, extra=(HEIGHT, HEIGHT))
-
-
 def test_own_objects_are_named_in_the_config():
     own = "tests.race.test_extensions"
     choices, params = make_race(
@@ -155,8 +145,6 @@ def test_own_objects_are_named_in_the_config():
         HEIGHT,
     )
     assert {name: float(x) for name, x in params.reward.terms.items()} == {f"{own}:speed": 0.5}
-    with pytest.raises(InputError, match=r"observation.extra: .*:height is .*expected a Field"):
-        make_race(f"observation.extra=[{own}:height]")
     with pytest.raises(InputError, match=r"rules.extra: .*:HEIGHT is .*expected a function"):
         make_race(f"rules.extra=[{own}:HEIGHT]")
 

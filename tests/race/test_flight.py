@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from quadjax.core.traced import with_leaves
-from quadjax.race import environment
 from quadjax.race.environment import RaceState, make_environment
 from tests import reference as ref
 from tests.convert import residual_of, rows_of, state_of
@@ -111,19 +110,6 @@ def test_flight_follows_the_reference(kind, integrator):
 
 
 @pytest.mark.parametrize("kind", ["motor", "rate"])
-def test_actions_are_clipped_and_scaled_to_the_nominal_range(kind):
-    choices, params = make_race(f"vehicle.model={kind}")
-    c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
-    actions = np.random.default_rng(1).uniform(-2, 2, (200, 4)).astype(np.float32)
-    command = by_rows(lambda race, action: environment.command(choices, race, action))
-    found = command(params, actions)
-    found = np.stack(jax.tree.leaves(found), axis=-1)
-    np.testing.assert_allclose(found, command_rows(kind, c, actions), rtol=1e-6, atol=1e-5)
-    inside = np.abs(actions) <= 1
-    assert inside.any() and not inside.all()
-
-
-@pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_drawn_constants_are_flown_and_limit_the_command(kind):
     choices, params = make_race(f"vehicle.model={kind}", "randomization.limits=0.2")
     c = {"motor": ref.MOTOR, "rate": ref.RATE}[kind]
@@ -142,21 +128,6 @@ def test_drawn_constants_are_flown_and_limit_the_command(kind):
     close(found, reference_flight(kind, own, rows, commands, "euler"))
 
 
-@pytest.mark.parametrize(("kind", "size"), [("motor", 24), ("rate", 17)])
-def test_shapes_of_the_seam(kind, size):
-    """Three functions of one drone."""
-    choices, params = make_race(f"vehicle.model={kind}")
-    env = make_environment(choices)
-    assert (env.observation_size, env.action_size) == (size, 4)
-    state = jax.eval_shape(env.reset, params, jax.random.key(0))
-    assert jax.eval_shape(env.observe, params, state).shape == (size,)
-    following, reward, *ends = jax.eval_shape(env.step, params, state, np.zeros(4, np.float32))
-    assert jax.tree.map(lambda x: (x.shape, x.dtype), (following, reward)) == jax.tree.map(
-        lambda x: (x.shape, x.dtype), (state, jax.ShapeDtypeStruct((), np.float32))
-    )
-    assert [(end.shape, end.dtype) for end in ends] == [((), bool)] * 2
-
-
 def test_the_ends_of_a_step_stay_apart():
     """The last step of an episode, the last gate of a course, and both at once."""
     choices, params = make_race(*COURSE)
@@ -170,22 +141,3 @@ def test_the_ends_of_a_step_stay_apart():
     _, _, ended, truncated = step(params, state, np.zeros((4, 4), np.float32))
     np.testing.assert_array_equal(ended, [False, False, True, True])
     np.testing.assert_array_equal(truncated, [False, True, False, False])
-
-
-def test_one_pass_of_the_square_with_gates_counted():
-    """A straight line through the first gate, gravity and all, from the last gate's side."""
-    choices, params = make_race()
-    rows = np.zeros((1, 22))
-    rows[:, ref.P] = ref.GATES[0] - 0.3 * np.array([np.sqrt(0.5), np.sqrt(0.5), 0])
-    rows[:, ref.V] = 3 * np.array([np.sqrt(0.5), np.sqrt(0.5), 0])
-    rows[:, ref.RPM] = 7497
-    state = race_state("motor", rows)
-    action = np.full((1, 4), (7497 - 7000) / 4000, np.float32)
-    passes, rewards = [], []
-    for _ in range(15):
-        state, reward, outcome = compiled_transition(choices)(params, state, action)
-        passes.append(bool(outcome.passed[0]))
-        rewards.append(float(reward[0]))
-    at = passes.index(True)
-    assert sum(passes) == 1 and 8 <= at <= 11 and state.gates_passed[0] == 1
-    assert rewards[at] > 9 and max(rewards[:at]) < 0.031

@@ -77,11 +77,7 @@ def flights(kind, integrator, residual):
 
 
 @pytest.mark.parametrize(
-    ("kind", "integrator", "residual"),
-    [
-        *(("motor", "euler", True), ("rate", "euler", False)),
-        pytest.param("motor", "euler", False, marks=pytest.mark.slow),
-    ],
+    ("kind", "integrator", "residual"), [("motor", "euler", True), ("rate", "euler", False)]
 )
 @pytest.mark.parametrize("term", [*TERMS, "all"])
 def test_gradient_of_the_return(kind, integrator, residual, term):

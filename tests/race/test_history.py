@@ -69,30 +69,19 @@ def test_gradients_flow_through_the_history(flown):
 
 
 REFUSED = {
-    "observation.history={}": r"fields is \[\], allowed: one or more of position, velocity, ",
-    "observation.history={fields: [rpm, rpm]}": "each once",
-    "observation.history={fields: [rotation]}": "attitude, rates, rpm, actuators, last_action",
-    "observation.history={fields: [rpm, actuators]}": "each once",
-    "observation.history={fields: [next_yaw]}": "fields is .'next_yaw'., allowed",
-    "observation.history={fields: [rpm], steps: 16, every: 5}": "steps is 16, allowed: at most 12",
-    "observation.history={fields: [rpm], steps: 0}": "steps",
-    "observation.history={fields: [rpm], last: 3}": "last",
+    "{}": r"fields is \[\], allowed: one or more of position, velocity, ",
+    "{fields: [rpm, actuators]}": "each once",
+    "{fields: [rpm], steps: 16, every: 5}": "steps is 16, allowed: at most 12",
 }
 
 
 def test_impossible_histories_are_refused():
-    for override, message in REFUSED.items():
-        with pytest.raises(InputError, match=message) as error:
-            make_config(override)
-        assert "\n" not in str(error.value)
+    for history, message in REFUSED.items():
+        with pytest.raises(InputError, match=message):
+            make_config(f"observation.history={history}")
 
 
 def test_actuators_are_those_of_any_model():
     for vehicle, name in (("bebop1", "rpm"), ("5inch", "rotor_speed")):
         own = (f"vehicle={vehicle}", "observation.history={fields: [actuators], steps: 1}")
         assert choices_of(make_config(*own)).layout.names[-1] == f"{name}@4"
-
-
-def test_possible_histories():
-    for override in ("{fields: [rpm], every: 16}", "null", "{fields: [position]}"):
-        assert make_config(f"observation.history={override}")

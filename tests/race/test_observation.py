@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from quadjax.config.race import build_params, choices_of
 from tests import reference as ref
-from tests.race.support import compiled_observe, make_config, make_race, race_state, track_of
+from tests.race.support import compiled_observe, make_race, race_state, track_of
 
 PAPER = (
     "disturbance.moment_x=0.03",
@@ -61,16 +60,6 @@ def test_by_hand():
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_next_yaw_of_the_square_track():
-    """A quarter turn to each next gate, but for the plain difference where the list wraps."""
-    quarter = np.pi / 2
-    for word, name, last in (("true", "next_yaw", 1), ("false", "next_yaw_unwrapped", -3)):
-        choices, params = make_race(f"observation.wrap_next_yaw={word}")
-        state = race_state("motor", np.zeros((4, 22)), np.arange(4))
-        found = compiled_observe(choices)(params, state)[:, choices.layout.slice(name)]
-        np.testing.assert_allclose(found[:, 0], [quarter] * 3 + [last * quarter], atol=1e-6)
-
-
 @pytest.mark.parametrize("kind", ["motor", "rate"])
 def test_unchanged_when_all_is_turned_and_moved(kind):
     choices, params = make_race(f"vehicle.model={kind}", *disturbed(kind))
@@ -122,24 +111,3 @@ def test_actuators_are_scaled_by_the_nominal_range(kind):
     wanted = ref.observation(kind, CONSTANTS[kind], rows, np.zeros(3, int), ref.GATES, ref.GATE_YAW)
     columns = slice(12, 16) if kind == "motor" else slice(12, 13)
     np.testing.assert_allclose(found[:, columns], wanted[:, columns], atol=1e-5)
-
-
-def test_shipped_tracks():
-    square = make_race()[1].track
-    np.testing.assert_allclose(square.position.array(), ref.GATES)
-    np.testing.assert_allclose(square.yaw, ref.GATE_YAW, rtol=1e-6)
-    np.testing.assert_array_equal(square.half_width, 0.5)
-    np.testing.assert_array_equal(square.half_height, 0.5)
-    config = make_config("track.file=figure8.yaml")
-    track = build_params(config).track
-    assert track.yaw.shape == (6,) and choices_of(config).model.name == "motor"
-    for index, gate in enumerate(config.track.gates):
-        np.testing.assert_allclose(track.position.array()[index], gate.position, rtol=1e-6)
-        assert float(track.yaw[index]) == pytest.approx(np.radians(gate.yaw_deg), rel=1e-6)
-        assert 2 * float(track.half_width[index]) == pytest.approx(gate.size[0], rel=1e-6)
-        assert 2 * float(track.half_height[index]) == pytest.approx(gate.size[1], rel=1e-6)
-
-
-def test_width_and_height_are_not_swapped():
-    track = track_of(np.zeros((1, 3)), np.zeros(1), [[3.0, 1.0]])
-    assert track.half_width[0] == 1.5 and track.half_height[0] == 0.5

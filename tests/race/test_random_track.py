@@ -1,14 +1,11 @@
 """Random tracks: every condition is checked in float64, from the gates of the loaded config."""
 
-import functools
 import itertools
 
-import jax
 import numpy as np
 import pytest
 
 from quadjax.config.loading import load_config
-from quadjax.config.race import make_race
 from quadjax.core.errors import InputError
 from tests.commands import run
 
@@ -127,8 +124,6 @@ def test_settings_come_from_files_and_overrides(tmp_path):
 
 IMPOSSIBLE = (
     (["track.generate=3"], "track.generate is 3, allowed: a mapping"),
-    (["track.generate.sed=3"], "unknown key track.generate.sed; did you mean seed?"),
-    (["track.generate.gates=2"], "track.generate.gates is 2, allowed: greater than or equal to 3"),
     (["track.generate.leg=[5, 3]"], "leg is [5.0, 3.0], allowed: [lowest, highest]"),
     (["track.generate.leg=[1, 2]"], "leg is [1.0, 2.0], allowed: a longest of at least 2.3"),
     (["track.generate.leg_ratio=3"], "leg_ratio is 3, allowed with leg [3.0, 8.0]: less than"),
@@ -166,37 +161,3 @@ def test_the_command_writes_and_describes_a_track(tmp_path, capsys):
     text = capsys.readouterr().out
     row = text.splitlines()[7]
     assert "11 gates" in text and row.split()[5:] == ["22.09", "0", "-", "1.5", "x", "1.5"]
-
-
-@pytest.mark.slow
-def test_tracks_with_the_same_number_of_gates_share_a_compilation():
-    races = [make_race(generate(seed, gates=5)) for seed in (1, 2, 3)]
-    environment = races[0][0]
-
-    @jax.jit
-    @functools.partial(jax.vmap, in_axes=(0, None))
-    def observe(params, key):
-        return environment.observe(params, environment.reset(params, key))
-
-    def of(*seeds):
-        every = [races[seed - 1][1] for seed in seeds]
-        return observe(jax.tree.map(lambda *x: np.stack(x), *every), jax.random.key(0))
-
-    first, second = of(1, 2), of(2, 3)
-    assert observe._cache_size() == 1
-    np.testing.assert_array_equal(first[1], second[0])
-    next_gate = races[0][0].observation_size - 8  # next_position, next_yaw, moment, force
-    assert not np.allclose(first[0, next_gate:], first[1, next_gate:])
-
-
-def test_the_command_describes_a_course_from_the_ground(tmp_path, capsys):
-    file = tmp_path / "course.yaml"
-    file.write_text(
-        "name: course\nclosed: false\nrules: {ground_speed: 5.0}\n"
-        "start: {position: [0, 0, 0], yaw_deg: 0}\n"
-        "gates: [{position: [3, 0, -1.5], yaw_deg: 0, size: [1, 1]},\n"
-        "  {position: [3, 4, -1.5], yaw_deg: 90, size: [1, 1]}]\n"
-    )
-    assert run("show", file) == 0
-    length = (3**2 + 1.5**2) ** 0.5 + 4
-    assert f"course: 2 gates, a course of {length:.1f} m" in capsys.readouterr().out

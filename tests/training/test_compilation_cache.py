@@ -65,22 +65,6 @@ def test_a_folder_that_cannot_be_made_means_no_cache(enabled, tmp_path):
     assert enabled(tmp_path / "file") is None
 
 
-MANY = """
-import jax, quadjax.core.compilation_cache as cache
-cache.MAX_BYTES, cache.MIN_SECONDS = 30_000, 0.0
-cache.enable_compilation_cache()
-for size in range(2, 12):
-    jax.jit(lambda x: x * size + size)(jax.numpy.zeros(size)).block_until_ready()
-"""
-
-
-@pytest.mark.slow
-def test_its_size_is_bounded(tmp_path):
-    python(tmp_path, "-c", MANY)
-    sizes = [path.stat().st_size for path in tmp_path.rglob("*-cache")]
-    assert sizes and sum(sizes) <= 30_000
-
-
 @pytest.mark.slow
 def test_commands_use_it_unless_it_is_off(tmp_path):
     policy = ROOT / "quadjax/pretrained/e2e_nominal.npz"

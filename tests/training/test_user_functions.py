@@ -3,7 +3,6 @@
 import pytest
 
 from quadjax.config.loading import load_config
-from quadjax.config.race import make_race
 from quadjax.core.errors import InputError
 from quadjax.training.run import train
 from tests.commands import run
@@ -60,8 +59,3 @@ def test_an_error_of_a_users_learner_keeps_its_traceback(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(NameError, match="name 'undefined' is not defined"):
         run("train", BLANK, "learner.algorithm=late:Late", *SMALL)
-
-
-def test_race_names_an_object_of_the_wrong_kind():
-    with pytest.raises(InputError, match="observation.extra: math:pi is a float, expected a Field"):
-        make_race(load_config(BLANK, ["observation.extra=['math:pi']"]))

@@ -90,13 +90,3 @@ def test_torque_free_tumbling_keeps_its_angular_momentum(start):
     tumbled = fly("rk4", params, state, start[1], TIME, 256)
     np.testing.assert_allclose(momentum(tumbled), momentum(state), rtol=1e-7)
     assert np.abs(rows_of(tumbled)[ref.RATES] - rows_of(state)[ref.RATES]).max() > 0.1
-
-
-def test_drag_takes_energy_as_force_times_velocity(start):
-    """The kinetic energy changes by the power of all forces."""
-    params = VehicleParams(constants("motor", ref.MOTOR))
-    h, before = 1e-5, rows_of(start[0])
-    slope = (rows_of(fly("euler", params, *start, h, 1)) - before) / h
-    ahead = rows_of(fly("rk4", params, *start, h, 1))
-    gained = 0.5 * (np.sum(ahead[ref.V] ** 2) - np.sum(before[ref.V] ** 2)) / h
-    assert gained == pytest.approx(np.dot(slope[ref.V], before[ref.V]), rel=1e-3)

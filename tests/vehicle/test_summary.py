@@ -78,7 +78,6 @@ def test_a_file_from_data(tmp_path, capsys):
 
 
 IMPOSSIBLE = (
-    (("mass=0.6",), "wheelbase"),
     ((*DATA[:3],), "motor_kv"),
     ((*DATA, "thrust_to_weight=0.5"), "thrust_to_weight is 0.5"),
     ((*DATA, "inertia=[0, 1, 1]"), "inertia"),
