@@ -1,6 +1,5 @@
 """Training configs: the presets, and every mistake as one line that names what is allowed."""
 
-import shutil
 from pathlib import Path
 
 import pydantic
@@ -15,7 +14,6 @@ from quadjax.fitting.config import load_fit_config
 from quadjax.sweeps.sweep import load_sweep
 from tests import reference as ref
 
-EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 BLANK = Path(__file__).parent.parent / "blank.yaml"
 OWN_GROUP = "vehicle.model=tests.config.models:OWN_GROUP"
 
@@ -37,26 +35,13 @@ def test_every_preset_loads_and_its_dump_needs_no_other_file(name, tmp_path):
     assert config.vehicle.file is None and config.track.file is None
 
 
-@pytest.mark.parametrize("name", ["3inch", "5inch", "a2rl", "cpc"])
-def test_every_shipped_vehicle_loads(name):
-    assert load_config("e2e +fastest", [f"vehicle={name}"]).vehicle.constants
-
-
-@pytest.mark.parametrize("path", sorted((CONFIGS / "tracks").glob("*.yaml")), ids=lambda p: p.stem)
-def test_every_shipped_track_loads(path):
-    far = ["rules.position_limit=null"]
-    assert load_config("e2e +fastest", [f"track={path.stem}", *far]).track.gates
-
-
-@pytest.mark.parametrize("path", sorted((CONFIGS / "sweeps").glob("*.yaml")), ids=lambda p: p.stem)
-def test_every_shipped_sweep_loads(path):
-    assert load_sweep(path)
-
-
-@pytest.mark.parametrize("override", ["vehicle=own_drone.yaml", "track=own_track.yaml"])
-def test_the_files_of_the_examples_load(override):
-    key, file = override.split("=")
-    assert load_config("e2e", [f"{key}={EXAMPLES / file}"])
+def test_every_shipped_vehicle_track_and_sweep_loads():
+    far = "rules.position_limit=null"
+    for kind in ("vehicles", "tracks"):
+        for name in preset_names(kind):
+            assert load_config("e2e +fastest", [f"{kind[:-1]}={name}", far])
+    for name in preset_names("sweeps"):
+        assert load_sweep(CONFIGS / f"sweeps/{name}.yaml")
 
 
 def test_constants_of_a_fit_load():
@@ -211,13 +196,10 @@ def test_vehicle_files_are_checked(tmp_path):
     assert "mine.yaml: colour is 'red'" in refusal(config)
     path.write_text("motor: 3\n")
     assert "mine.yaml: motor is 3" in refusal(config)
-    shutil.rmtree(tmp_path / "tracks", ignore_errors=True)
     config.write_text("track: {file: hall.yaml}\n")
     assert "'hall.yaml': no such file" in refusal(config)
     (tmp_path / "hall.yaml").write_text("gate: []\n")
     assert "unknown key gate; did you mean gates?" in refusal(config)
-    (tmp_path / "hall.yaml").write_text("name: hall\n")
-    assert "track.gates is []" in refusal(config)
 
 
 def test_names_that_are_no_config(tmp_path):
@@ -231,10 +213,7 @@ def test_names_that_are_no_config(tmp_path):
     "text, says",
     [
         ("vehicle: {file: nuld}", "vehicle.file: 'nuld': no such file"),
-        ("track: figure9", "track.file: 'figure9': no such file"),
         ("base: par", "base: 'par': no such file"),
-        ("track: 3", "track is 3, allowed: a mapping"),
-        ("vehicle: true", "vehicle is True, allowed: a mapping"),
     ],
 )
 def test_a_file_or_section_that_a_config_names_wrongly(tmp_path, text, says):
@@ -245,65 +224,28 @@ def test_a_file_or_section_that_a_config_names_wrongly(tmp_path, text, says):
 
 
 REFUSED = [
-    ("sede=1", "unknown key sede; did you mean seed?"),
     ("learner.algorithm=sac", "learner.algorithm is 'sac', allowed: ppo, shac or module:Class"),
-    ("learner=3", "learner is 3, allowed: a mapping"),
-    (
-        "learner.num_envs=10000000",
-        "learner.num_envs is 10000000, allowed: less than or equal to 1000000",
-    ),
-    ("learner.num_minibatches=7", "learner: num_minibatches is 7, allowed: a divisor"),
-    ("vehicle.constants.k_q2=1", "unknown key vehicle.constants.k_q2; did you mean k_q"),
     ("vehicle.model=boat", "vehicle.model is 'boat', allowed: motor, rate"),
-    ("vehicle.file=none.yaml", "'none.yaml': no such file"),
-    ("vehicle.models=null", "vehicle.models is None, allowed: a mapping"),
     ("vehicle.models={rate: 5}", "vehicle.models.rate is 5, allowed: a mapping"),
-    ("vehicle.constants=3", "vehicle.constants is 3, allowed: a mapping"),
     ("vehicle.constants.k_w=heavy", "vehicle.constants.k_w is 'heavy', allowed: a number"),
     ("vehicle.constants.k_w=0", "vehicle.constants.k_w is 0.0, allowed: a positive number"),
     ("vehicle.constants.k_w=2e-8", "vehicle.constants give a thrust of"),
     ("vehicle.constants.k_w=1", "give a thrust of 3.67e+06 to 4.93e+07 times the weight, allowed"),
-    (
-        "vehicle.constants.k_x=1e10",
-        "vehicle.constants.k_x is 10000000000, allowed: less than or equal to 100000000",
-    ),
     ("vehicle.width=1", "track.gates[0].size is [1.0, 1.0], allowed: above vehicle.width 1"),
-    (
-        "track.gates=[{position: [0, 0, -1], size: [0.3, 1]}]",
-        "track.gates[0].size is [0.3, 1.0], allowed: above vehicle.width 0.32",
-    ),
-    (
-        "track.gates=[{position: [9.6, 0, -1]}]",
-        "track.gates[0].position is [9.6, 0.0, -1.0], allowed: another place than the g",
-    ),
     ("reward.overspeed=3", "reward.overspeed is 3.0, allowed: 20.0 without rules.speed_limit"),
     ("vehicle.constants.tau=0.005", "vehicle.constants.tau is 0.005, allowed: above 0.005 s"),
     ("vehicle.mismatch.k_z2=1.1", "unknown key vehicle.mismatch.k_z2; did you mean k_z?"),
     ("vehicle.residual_gain=0.5", "vehicle.residual_gain is 0.5, allowed: 1.0 without vehicle.res"),
-    ("track=3", "track is 3, allowed: a mapping"),
     ("track.file=3", "track.file is 3, allowed: name of a file"),
-    ("track.gates=[]", "track.gates is [], allowed: at least 1 item"),
-    ("track.gates=[1]", "track.gates[0] is 1, allowed: a mapping"),
-    ("track.gates=[{position: [0, 0]}]", "track.gates[0].position[2] is missing"),
     (
         "track.gates=[{position: [0, 0, 1]}]",
         "track.gates[0].position is [0.0, 0.0, 1.0], allowed",
     ),
     (
-        "track.gates=[{position: [10, 0, -1]}]",
-        "track.gates[0].position is [10.0, 0.0, -1.0], allowed: z below 0 (above ground",
-    ),
-    (
-        "rules.position_limit=2",
-        "track.gates[0].position is [2.0, -1.5, -1.5], allowed: z below 0 (above ground",
-    ),
-    (
         "training_limits.gate_inflation=-0.5",
         "track.gates[0].size is [1.0, 1.0], allowed: above vehicle.width 0.32 and above",
     ),
-    ("reward.time=.inf", "reward.time is inf, allowed: a finite number"),
     ("start.thrust=[8, 7]", "start.thrust is [8.0, 7.0], allowed: [lowest, highest]"),
-    ("vehicle.constants.k_p=0", "vehicle.constants.k_p is 0.0, allowed: a positive number"),
     ("vehicle.constants.i_zz=1.0", "vehicle.constants.i_zz is 1.0, allowed: at most 0.002148, the"),
     ("vehicle.constants.k_x=-1e-4", "vehicle.constants.k_x is -0.0001, allowed: at least 0"),
     ("vehicle.mismatch={k_w: 0.1}", "vehicle.constants times vehicle.mismatch give a thrust of"),
@@ -312,10 +254,7 @@ REFUSED = [
         "track.gates=[{position: [0, 0, -1]}, {position: [0, 0, -1], yaw_deg: 180}]",
         "track.gates[0].position is [0.0, 0.0, -1.0], allowed: another place than the gate before",
     ),
-    ("track.gates=[{position: [0, 0, -1]}]", "another place than the gate before it (itself)"),
     ("name=a/b", "name is 'a/b', allowed: match pattern '^[A-Za-z0-9_][A-Za-z0-9._-]{0,99}$'"),
-    (f"name={'x' * 300}", "name is 'xxx"),
-    ("run.devices=0", "run.devices is 0, allowed: 'auto' or 'all' or greater than or equal to 1"),
     (
         "schedules.reward.gates.linear=[0, 1]",
         "schedules: reward.gates: unknown key; did you mean gate?; allowed there",
@@ -325,11 +264,6 @@ REFUSED = [
         "schedules.run.steps is 40000000, allowed: the key of a number",
     ),
     (
-        "schedules.reward.gate.linear=[0]",
-        "schedules.reward.gate.linear is [0], allowed: at least 2 items",
-    ),
-    ("schedules.reward.gate={}", "schedules.reward.gate.linear is missing"),
-    (
         "schedules.learner.discount={linear: [0.9, 1.0]}",
         "schedules.learner.discount: PPO: discount",
     ),
@@ -338,23 +272,12 @@ REFUSED = [
         "vehicle.constants.tau is 0.0001, allowed: above 0.005 s, half of rules.time_st",
     ),
     (
-        "schedules.rules.position_limit={linear: [0.5, 10]}",
-        "track.gates[0].position is [2.0, -1.5, -1.5], allowed: z below 0 (above ground",
-    ),
-    (
-        "schedules.training_limits.gate_inflation={linear: [-3, value]}",
-        "track.gates[0].size is [1.0, 1.0], allowed: above vehicle.width 0.32 and above",
-    ),
-    (
         "schedules.vehicle.mismatch.k_w={linear: [1, 0.9]}",
         "schedules.vehicle.mismatch.k_w is None, allowed: the key of a number",
     ),
     ("schedules.vehicle.residual_gain={linear: [0, value]}", "vehicle.residual_gain has no effect"),
     ("rules.bounds=[[9, -9], [-9, 9], [-6, 0]]", "allowed: [lowest, highest] for each of x, y"),
     ("vehicle=bebp1", "overrides: vehicle.file: 'bebp1': no such file in"),
-    ("track=figure9", "tracks; did you mean figure8?"),
-    ("schedules.learner.discont.linear=[0.9, 1]", "unknown key; did you mean discount?; allowed"),
-    ("learner.revisit=0.5", "unknown key learner.revisit"),
 ]
 
 
@@ -375,19 +298,12 @@ def test_an_error_names_the_file_that_sets_the_key(tmp_path):
     assert refusal(BLANK, f"vehicle={drone}").startswith(f"{drone}: vehicle.constants.k_w is -")
     assert refusal(base).startswith(f"{base}: reward.gate is 'much'")
     assert refusal(base, "reward.gate=more").startswith("overrides: reward.gate is 'more'")
-    for wrong in ("seed=-1", "name=../a", "run=", "learner=[1]", "nosuch=1", "schedules=3"):
-        assert refusal(BLANK, wrong).startswith("overrides: "), wrong
     base.write_text(f"base: {BLANK}\nseed: -1\n")
     assert refusal(base, "reward.gate=2").startswith(f"{base}: seed is -1, allowed")
     with pytest.raises(InputError, match=r"^overrides: logs.files is 3, allowed"):
         load_fit_config("standin", ["logs.files=3"])
     track.write_text(gates % "90" + "\nrules: {position_limit: 1}")
     assert refusal(BLANK, f"track={track}").startswith(f"{track}: track.gates[0].position is")
-
-
-def test_a_long_list_is_refused_in_a_short_line():
-    gates = [{"position": [0, 0, -i]} for i in range(1, 1001)]
-    assert "allowed: at most 100 items" in refusal(BLANK, f"track.gates={gates}")
 
 
 @pytest.mark.parametrize(("override", "message"), REFUSED, ids=[word for word, _ in REFUSED])
@@ -399,17 +315,25 @@ def test_refused(override, message):
     ("overrides", "message"),
     [
         (["training_limits.gate_inflation=0.1", "reward.gate_offset=0"], "gate_inflation is 0.1"),
+        (["learner.shuffle_block=7"], "shuffle_block is 7, allowed: a divisor of 64 (rollout"),
+        (
+            ["learner.algorithm=shac", "learner.num_envs=6"],
+            "critic_minibatches is 4, allowed: a di",
+        ),
+        (
+            ["vehicle=5inch", "randomization={population: all_racing_drones, lag: 0.1}"],
+            "allowed: null with fractions (here 0.1",
+        ),
+        (["vehicle.model=rate", "battery.charge=[0.2, 1.0]"], ", allowed: null with"),
         (
             ["vehicle.model=rate", "vehicle.residual=file.npz"],
             "vehicle.residual is 'file.npz', allowed: null with vehicle.model=rate",
         ),
         ([OWN_GROUP], "OWN_GROUP', allowed: a model whose groups are among gravity, inert"),
         (["vehicle.model=rate", "disturbance.moment_bias=[0.01,0,0]"], "disturbance.moment_bias"),
-        (["vehicle.model=rate", "disturbance.force_z=1"], "disturbance.force_z is 1.0"),
         (["vehicle.model=rate", "observation.disturbance=estimated"], "observation.disturbance is"),
         (["vehicle.model=rate", "vehicle.constants.thrust_max=9"], "give a thrust of 0 to 0.917"),
         (["vehicle.model=rate", "vehicle.constants.d_x=-1"], "d_x is -1.0, allowed: at least 0"),
-        (["learner.std=0.2", "learner.algorithm=ppo"], "unknown key learner.std"),
         (
             ["run.steps=1000000", "schedules.reward.gate={linear: [0, value], until: 2e6}"],
             "schedules.reward.gate.until is '2e+06 steps', allowed: at most run.steps 10000",
@@ -424,11 +348,11 @@ def test_refused_together(overrides, message):
     assert message in refusal(BLANK, *overrides)
 
 
-@pytest.mark.parametrize("override", ["vehicle.residual=null"])
-def test_a_schedule_without_effect_says_how_to_remove_it(override):
+def test_a_schedule_without_effect_says_how_to_remove_it():
     expected = "vehicle.residual_gain has no effect without vehicle.residual; write schedules."
-    assert expected in refusal("e2e +residual", override)
-    assert load_config("e2e +residual", [override, "schedules.vehicle.residual_gain=null"])
+    assert expected in refusal("e2e +residual", "vehicle.residual=null")
+    more = ["vehicle.residual=null", "schedules.vehicle.residual_gain=null"]
+    assert load_config("e2e +residual", more)
 
 
 def test_a_schedule_may_start_where_the_last_values_are_needed():
@@ -511,10 +435,7 @@ def test_vehicle_file_with_a_model_and_constants_of_rotors(tmp_path):
             "racing.k_p is [4, 3], allowed: one value for each rotor",
         ),
         ("[ccw, cw, ccw, cw]", "[left, cw, ccw, cw]", "allowed: cw or ccw for each"),
-        ("k_q: 5.0e-6", "k_qq: 5", "unknown key vehicle.constants.k_qq"),
         ("k_q: 5.0e-6", "k_q1: 5", "vehicle.constants.k_q2 is missing"),
-        ("k_q: 5.0e-6", "k_q: [5, 5, 5, a]", "vehicle.models.racing.k_q1 is 'a', allowed"),
-        ("model: racing", "model: fast", "vehicle.model is 'fast', allowed: motor, rate"),
         (
             "model: racing",
             "size: 3",
@@ -528,13 +449,6 @@ def test_errors_in_vehicle_files(tmp_path, old, new, message):
     with pytest.raises(InputError) as error:
         load_config("e2e", [f"vehicle={tmp_path / 'mine.yaml'}"])
     assert message in str(error.value)
-
-
-def test_model_of_a_config_is_not_that_of_the_file_below_it():
-    """The vehicle file selects the model of presets; an override of the model selects another."""
-    assert load_config("e2e +fastest", ["vehicle=5inch"]).vehicle.model == "racing"
-    with pytest.raises(InputError, match="5-inch racing quadcopter has constants of: racing"):
-        load_config("e2e +fastest", ["vehicle=5inch", "vehicle.model=motor"])
 
 
 def test_a_drone_without_a_rate_level_is_refused_where_body_rates_are_commanded():

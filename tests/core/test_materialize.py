@@ -30,13 +30,6 @@ def test_values_are_the_same():
     jax.tree.map(np.testing.assert_array_equal, batched, TREE)
 
 
-def test_flags_and_counts_pass():
-    tree = {"flag": jnp.array([True, False]), "count": jnp.array([1, 2]), "x": jnp.ones(2)}
-    kept = jax.jit(materialize)(tree, jnp.asarray(True))
-    jax.tree.map(np.testing.assert_array_equal, kept, tree)
-    assert kept["flag"].dtype == bool
-
-
 def test_gradients_are_the_same():
     def slope(stored):
         def total(tree, opaque_true):
@@ -48,15 +41,6 @@ def test_gradients_are_the_same():
 
     jax.tree.map(np.testing.assert_array_equal, slope(True), slope(False))
     assert np.abs(slope(True)["a"]).min() > 0.01
-
-
-def test_gradients_pass_next_to_flags():
-    def total(x, opaque_true):
-        kept = materialize({"x": x * x, "positive": x > 0, "count": jnp.arange(3)}, opaque_true)
-        return jnp.sum(jnp.where(kept["positive"], kept["x"], 0.0))
-
-    slope = jax.jit(jax.grad(total))(TREE["a"], jnp.asarray(True))
-    np.testing.assert_allclose(slope, [0.6, 0.0, 4.0], rtol=1e-6)
 
 
 def once(x, y):

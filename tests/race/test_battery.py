@@ -6,7 +6,6 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.config.race import race_of
-from quadjax.core.errors import InputError
 from quadjax.race.observations import HIGHEST_RPM
 from tests.race.support import compiled_observe, compiled_reset, compiled_transition, hover_state
 
@@ -49,8 +48,3 @@ def test_charges_are_drawn_from_the_range():
     assert charge.min() == pytest.approx(LOW, abs=0.01)
     assert charge.max() == pytest.approx(HIGH, abs=0.01)
     assert charge.mean() == pytest.approx(0.5 * (LOW + HIGH), abs=0.02)
-
-
-def test_a_model_without_propeller_speeds_has_none():
-    with pytest.raises(InputError, match="battery is BatteryConfig.*, allowed: null with"):
-        load_config("indi", ["battery.charge=[0.2, 1.0]"])

@@ -46,6 +46,12 @@ train e2e track=nosuch | nosuch square4
 train e2e track=gates.yaml | gates.yaml position
 train e2e track=tracks | tracks directory
 train e2e --seeds 1 1 | --seeds twice
+train e2e --seeds 0 x | --seeds x
+train e2e --resum | --resum --resume
+train e2e --resume --overwrite | exclude
+train e2e --name ../out | --name
+train e2e --output=-- | --output=-- value
+train e2e --output notes.txt | notes.txt
 train e2e vehicle=nosuch | nosuch
 train e2e vehicle.constants.nosuch=1 | vehicle.constants.nosuch
 train e2e vehicle.constants.mass=-1 | mass
@@ -81,6 +87,7 @@ fit standin logs.files=[short.csv] | short.csv
 fit standin logs.files=[nosuch.csv] | nosuch.csv
 replay empty.csv --policy e2e | empty.csv
 replay short.csv --policy e2e --logs paparazzi | short.csv
+logs --vehicle nosuch --output out | nosuch
 export nosuch --output out | nosuch
 export e2e --output notes.txt | notes.txt
 export e2e --output out --target avr | avr cortex-a9
@@ -92,6 +99,8 @@ sil nosuch | nosuch
 import e2e notes.txt --output new.npz | notes.txt
 import e2e bytes.npz --output new.npz | bytes.npz
 show nosuch | nosuch
+show square4 extra | extra
+show square4 --figure nosuch/x.png | nosuch
 show e2e run.steps=-5 | run.steps -5
 nosuch | nosuch train
 """.strip().splitlines()
@@ -108,10 +117,11 @@ def folder(tmp_path_factory):
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder, by its path; compiled Python is left out."""
-    files = (path for path in folder.rglob("*") if path.is_file())
+    """Every file and folder below a folder, by its path; compiled Python is left out."""
+    paths = (path for path in folder.rglob("*") if "__pycache__" not in path.parts)
     return {
-        str(f.relative_to(folder)): f.read_bytes() for f in files if "__pycache__" not in f.parts
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else b""
+        for path in paths
     }
 
 
