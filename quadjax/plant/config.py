@@ -1,5 +1,6 @@
-"""Config of the stand-in plant: its physics, sensors, navigation filter and inner loop.
+"""Config of the stand-in plant: its physics, sensors and inner loop.
 
+A section with numbers of the plant is also their traced form (``quadjax.core.traced``).
 "assumed" in a description marks a number without a published value for a Bebop 1. Sensor defaults
 are data-sheet values of the sensors in the flights of Ferede et al. (arXiv 2311.16948): the
 MPU-6050 of a Bebop and an OptiTrack motion capture system.
@@ -18,6 +19,7 @@ from quadjax.core.sections import (
     load_section,
     model_validator,
 )
+from quadjax.core.traced import register
 from quadjax.vehicle.battery import BatteryConfig
 
 Half = Annotated[float, Field(ge=0.0, le=0.5)]
@@ -28,6 +30,7 @@ MAX_LATENCY = 60  # samples, of a motion capture pose
 LEAST_PHYSICS_RATE = 500.0  # Hz
 
 
+@register
 class EffectsConfig(Section):
     """Strength of each effect that the training model lacks: 1 as in its section, 0 for none."""
 
@@ -44,20 +47,17 @@ class EffectsConfig(Section):
     offset: NonNegative = Field(1.0, description="inertial unit off the center of gravity")
 
 
+@register
 class RotorConfig(Section):
     """Aerodynamics of the rotors."""
 
     radius: Positive = Field(0.07, description="m")
     height: NonNegative = Field(0.02, description="m above the center of gravity; assumed")
     advance_loss: NonNegative = Field(1.2, description="c of C_T = C_T0 (1 - c J^2)")
-    ground_discs: NonNegative = Field(4.0, description="rotors that act as one disc of their area")
     flap_gain: NonNegative = Field(0.4, description="disc tilt per advance ratio")
-    lock_number: Positive = Field(
-        3.0, description="aerodynamic / inertial moment of a blade; assumed"
-    )
-    hub_stiffness: NonNegative = Field(0.03, description="N m/rad, all hubs together; assumed")
 
 
+@register
 class MotorsConfig(Section):
     """Motors and their controllers."""
 
@@ -68,16 +68,15 @@ class MotorsConfig(Section):
     rotor_spread: Half = Field(0.01, description="largest relative deviation of one rotor's effect")
 
 
+@register
 class FlexConfig(Section):
     """First vibration mode of the frame about each axis."""
 
     frequency: Positive = Field(32.0, description="Hz; assumed: the body sits on rubber dampers")
     damping: NonNegative = Field(0.06, description="fraction of critical; assumed")
-    participation: NonNegative = Field(
-        0.15, description="fraction of the angular acceleration that excites the mode; assumed"
-    )
 
 
+@register
 class ImuConfig(Section):
     """Place of the inertial unit and the vibration that reaches it; assumed."""
 
@@ -87,11 +86,9 @@ class ImuConfig(Section):
     vibration: NonNegative = Field(
         0.5, description="m/s^2, amplitude of one rotor at its hover speed; assumed"
     )
-    turning: NonNegative = Field(
-        0.01, description="rad/s, amplitude of one rotor in the gyro at its hover speed; assumed"
-    )
 
 
+@register
 class GustsConfig(Section):
     """Dryden turbulence near the ground."""
 
@@ -99,7 +96,6 @@ class GustsConfig(Section):
         2.0, description="m/s at 20 ft; 10% is the vertical deviation; assumed"
     )
     altitude: Positive = Field(3.05, description="m; the default is the model's lowest")
-    least_airspeed: Positive = Field(1.0, description="m/s, of gusts past a hovering drone")
 
 
 class ConstantsConfig(Section):
@@ -116,6 +112,7 @@ class DelayConfig(Section):
     measurement: Delay = Field(0.002, description="s, from the motion to the sensors")
 
 
+@register
 class GyroConfig(Section):
     """Gyroscope. InvenSense MPU-6000/6050 product specification, PS-MPU-6000A-00."""
 
@@ -129,6 +126,7 @@ class GyroConfig(Section):
     )
 
 
+@register
 class AccelerometerConfig(Section):
     """Accelerometer of the same unit."""
 
@@ -138,6 +136,7 @@ class AccelerometerConfig(Section):
     low_pass: NonNegative = Field(94.0, description="Hz; 0 for none")
 
 
+@register
 class RpmConfig(Section):
     """Propeller speeds as the motor controllers report them."""
 
@@ -145,6 +144,7 @@ class RpmConfig(Section):
     resolution: NonNegative = Field(1.0, description="rpm; 0 for exact")
 
 
+@register
 class MocapConfig(Section):
     """Motion capture of a rigid body's pose. OptiTrack Prime 13 data sheet, Flex 13 rates."""
 
@@ -171,32 +171,12 @@ class MocapConfig(Section):
 
 
 class SensorsConfig(Section):
-    """All sensors; an error whose number is zero is absent."""
+    """All sensors. A number of zero turns its error off."""
 
     gyro: GyroConfig = GyroConfig()
     accelerometer: AccelerometerConfig = AccelerometerConfig()
     rpm: RpmConfig = RpmConfig()
     mocap: MocapConfig = MocapConfig()
-
-
-class EkfConfig(Section):
-    """Assumptions of the navigation filter in addition to the sensors' noise."""
-
-    gyro_noise: NonNegative = Field(
-        2.0e-4, description="rad/s/sqrt(Hz) at 500 samples/s, for motion between two samples"
-    )
-    accelerometer_noise: NonNegative = Field(6.0e-3, description="m/s^2/sqrt(Hz), likewise")
-    gyro_bias_walk: NonNegative = Field(1.0e-5, description="rad/s/sqrt(s), added")
-    accelerometer_bias_walk: NonNegative = Field(1.0e-3, description="m/s^2/sqrt(s), added")
-    position_noise: Positive = Field(1.0e-4, description="m, added to that of a pose")
-    attitude_noise: Positive = Field(1.0e-4, description="rad, added to that of a pose")
-    start_position: NonNegative = Field(
-        3.0e-3, description="m, standard deviation, added to a pose's"
-    )
-    start_velocity: NonNegative = Field(0.5, description="m/s; the first estimate is zero")
-    start_attitude: NonNegative = Field(5.0e-3, description="rad, added to a pose's")
-    start_gyro_bias: NonNegative = Field(1.0e-3, description="rad/s, added")
-    start_accelerometer_bias: NonNegative = Field(1.0e-2, description="m/s^2, added")
 
 
 class IndiConfig(Section):
@@ -208,7 +188,6 @@ class IndiConfig(Section):
     yaw_gain: NonNegative = Field(33.0, description="1/s")
     moment_lag: Positive = Field(0.007, description="s, desired lag of roll and pitch acceleration")
     thrust_lag: Positive = Field(0.0305, description="s, desired lag of the thrust")
-    least_rpm: Positive = Field(2000.0, description="rpm below which the effectiveness is constant")
 
 
 class PlantConfig(Section):
@@ -239,7 +218,6 @@ class PlantConfig(Section):
     constants: ConstantsConfig = ConstantsConfig()
     delay: DelayConfig = DelayConfig()
     sensors: SensorsConfig = SensorsConfig()
-    ekf: EkfConfig = EkfConfig()
     indi: IndiConfig = IndiConfig()
 
     @model_validator(mode="after")

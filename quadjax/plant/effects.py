@@ -1,57 +1,28 @@
 """Effects of air, rotors and frame that the training model lacks.
 
-Each function returns an *addition* to the nominal force or moment, or to a state's derivative. It
-is exactly zero where its strength is zero. World NED, body FRD; forces are specific.
+Each function returns an *addition* to the nominal force or moment, or to a state's derivative, at
+full strength. World NED, body FRD; forces are specific.
 """
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from quadjax.core.vectors import Rotors, Vec3, cross
+from quadjax.plant.config import FlexConfig, ImuConfig, RotorConfig
 from quadjax.vehicle.motor import MotorConstants
 
 RPM_PER_RAD_S = 60.0 / (2.0 * jnp.pi)
+AIR_DENSITY = 1.225  # kg/m^3
+GROUND_DISCS = 4.0  # rotors close together, which act as one disc of their area
+LOCK_NUMBER = 3.0  # aerodynamic / inertial moment of a blade; assumed
+HUB_STIFFNESS = 0.03  # N m/rad, all hubs together; assumed
+PARTICIPATION = 0.15  # fraction of the angular acceleration that excites the frame; assumed
+GYRO_VIBRATION = 0.01  # rad/s, amplitude of one rotor in the gyro at its hover speed; assumed
 _NEAREST = 0.5  # rotor radii: least height of a disc above the ground in its effect
 _LEAST_RPM = 500.0  # least speed of a disc in flapping
 
 
-@struct.dataclass
-class RotorParams:
-    """Aerodynamics of the rotors, times the strengths of the effects."""
-
-    mass: jax.Array  # kg
-    radius: jax.Array  # m
-    height: jax.Array  # m above the center of gravity
-    advance_loss: jax.Array  # c of C_T0 (1 - c J^2)
-    ground: jax.Array  # factor on (R / 4 h)^2
-    induced: jax.Array  # m/s, the induced velocity at hover
-    flap: jax.Array  # strength of the flapping moments
-    flap_gain: jax.Array  # rad per advance ratio
-    lock_number: jax.Array
-    hub_stiffness: jax.Array  # N m/rad
-
-
-@struct.dataclass
-class FlexParams:
-    """The frame's first mode about each axis."""
-
-    frequency: jax.Array  # rad/s
-    damping: jax.Array  # of critical
-    participation: jax.Array  # fraction of the angular acceleration that excites it
-
-
-@struct.dataclass
-class ImuParams:
-    """Inertial unit on a vibrating frame, off the center of gravity."""
-
-    offset: Vec3  # m, body, from the center of gravity
-    vibration: jax.Array  # m/s^2, amplitude of one rotor at its hover speed
-    turning: jax.Array  # rad/s, amplitude of one rotor in the gyro at its hover speed
-    hover: jax.Array  # rpm
-
-
-def advance_loss(r: RotorParams, c: MotorConstants, air_velocity: Vec3) -> jax.Array:
+def advance_loss(r: RotorConfig, c: MotorConstants, air_velocity: Vec3) -> jax.Array:
     """Specific force () along body z, m/s^2, lost in a climb.
 
     The thrust coefficient of a propeller falls faster than linearly with its advance ratio
@@ -66,34 +37,45 @@ def advance_loss(r: RotorParams, c: MotorConstants, air_velocity: Vec3) -> jax.A
 
 
 def ground_gain(
-    r: RotorParams, c: MotorConstants, rpm: Rotors, air_velocity: Vec3, altitude: jax.Array
+    r: RotorConfig,
+    c: MotorConstants,
+    mass: jax.Array,
+    rpm: Rotors,
+    air_velocity: Vec3,
+    altitude: jax.Array,
 ) -> jax.Array:
     """Specific force () along body z, m/s^2, due to the ground; negative: upwards.
 
     Cheeseman and Bennett, "The effect of the ground on a helicopter rotor in forward flight",
     ARC R&M 3021, 1955: ``T / T_free = 1 / (1 - (R / 4 h)^2 / (1 + (V / v_i)^2))`` with the height
-    ``h`` of the disc, the horizontal speed ``V`` and the induced velocity ``v_i``. Four rotors
-    close together count as one disc of their area (``ground`` = 4).
+    ``h`` of the disc, the horizontal speed ``V`` and the induced velocity of the hover ``v_i =
+    sqrt(T / (2 rho A))`` (Leishman, "Principles of helicopter aerodynamics", 2006, equation 2.15).
 
     Args:
         r: of the rotors.
         c: of the drone.
+        mass: () kg.
         rpm: propeller speeds, rpm.
         air_velocity: m/s, body.
         altitude: () of the center of gravity above the ground, m.
     """
     height = jnp.maximum(altitude + r.height, _NEAREST * r.radius)
     ratio = r.radius / (4.0 * height)
-    speed = (air_velocity.x * air_velocity.x + air_velocity.y * air_velocity.y) / (
-        r.induced * r.induced
-    )
-    near = jnp.minimum(r.ground * ratio * ratio / (1.0 + speed), 0.5)
+    induced_square = mass * c.g / (8.0 * AIR_DENSITY * jnp.pi * r.radius * r.radius)
+    square = air_velocity.x * air_velocity.x + air_velocity.y * air_velocity.y
+    near = GROUND_DISCS * ratio * ratio / (1.0 + square / induced_square)
+    near = jnp.minimum(near, 0.5)
     s = rpm * rpm
     return -c.k_w * (s.w1 + s.w2 + s.w3 + s.w4) * (near / (1.0 - near))
 
 
 def flapping_moment(
-    r: RotorParams, c: MotorConstants, rpm: Rotors, air_velocity: Vec3, rates: Vec3
+    r: RotorConfig,
+    c: MotorConstants,
+    mass: jax.Array,
+    rpm: Rotors,
+    air_velocity: Vec3,
+    rates: Vec3,
 ) -> Vec3:
     """Moment, N m, body, of discs that tilt with the flow and lag the body's rotation.
 
@@ -106,17 +88,17 @@ def flapping_moment(
     Arguments as of ``ground_gain``, and the body rates, rad/s.
     """
     s = rpm * rpm
-    newtons = r.mass * c.k_w * (s.w1 + s.w2 + s.w3 + s.w4)
+    newtons = mass * c.k_w * (s.w1 + s.w2 + s.w3 + s.w4)
     mean = jnp.maximum(0.25 * (rpm.w1 + rpm.w2 + rpm.w3 + rpm.w4), _LEAST_RPM) / RPM_PER_RAD_S
-    arm = r.flap * (r.height * newtons + r.hub_stiffness)
+    arm = r.height * newtons + HUB_STIFFNESS
     per_speed = r.flap_gain / (mean * r.radius)
-    per_rate = 16.0 / (r.lock_number * mean)
+    per_rate = 16.0 / (LOCK_NUMBER * mean)
     roll = -arm * (per_speed * air_velocity.y + per_rate * rates.x)
     pitch = arm * (per_speed * air_velocity.x - per_rate * rates.y)
     return Vec3(roll, pitch, jnp.zeros_like(roll))
 
 
-def flex_acceleration(f: FlexParams, angle: Vec3, rate: Vec3, driving: Vec3) -> Vec3:
+def flex_acceleration(f: FlexConfig, angle: Vec3, rate: Vec3, driving: Vec3) -> Vec3:
     """Second derivative, rad/s^2, of the frame's deflection about each axis.
 
     A structural mode in its own coordinate (Meirovitch, "Fundamentals of vibrations", 2001,
@@ -129,8 +111,9 @@ def flex_acceleration(f: FlexParams, angle: Vec3, rate: Vec3, driving: Vec3) -> 
         rate: its derivative, rad/s.
         driving: the rigid body's angular acceleration, rad/s^2.
     """
-    stiffness, damper = f.frequency * f.frequency, 2.0 * f.damping * f.frequency
-    return driving * (-f.participation) - angle * stiffness - rate * damper
+    omega = 2.0 * jnp.pi * f.frequency
+    driven = driving * (-PARTICIPATION)
+    return driven - angle * (omega * omega) - rate * (2.0 * f.damping * omega)
 
 
 def gyroscopic_moment(c: MotorConstants, rpm: Rotors, rates: Vec3) -> Vec3:
@@ -144,16 +127,17 @@ def gyroscopic_moment(c: MotorConstants, rpm: Rotors, rates: Vec3) -> Vec3:
     return Vec3(-rates.y * momentum, rates.x * momentum, jnp.zeros_like(momentum))
 
 
-def lever_acceleration(imu: ImuParams, rates: Vec3, turning: Vec3) -> Vec3:
+def lever_acceleration(imu: ImuConfig, rates: Vec3, turning: Vec3) -> Vec3:
     """Acceleration, m/s^2, of the unit relative to the center of gravity, body.
 
     ``alpha x r + Omega x (Omega x r)`` of a rigid body, with rates, rad/s, and angular acceleration
     ``turning``, rad/s^2.
     """
-    return cross(turning, imu.offset) + cross(rates, cross(rates, imu.offset))
+    offset = Vec3(*imu.offset)
+    return cross(turning, offset) + cross(rates, cross(rates, offset))
 
 
-def vibration(imu: ImuParams, rpm: Rotors, phase: Rotors) -> tuple[Vec3, Vec3]:
+def vibration(imu: ImuConfig, hover: jax.Array, rpm: Rotors, phase: Rotors) -> tuple[Vec3, Vec3]:
     """Specific force, m/s^2, and rates, rad/s, at the unit, of rotors out of balance.
 
     An imbalance pulls with the square of the rotor's speed in a direction that turns with the
@@ -161,13 +145,14 @@ def vibration(imu: ImuParams, rpm: Rotors, phase: Rotors) -> tuple[Vec3, Vec3]:
 
     Args:
         imu: the unit.
+        hover: () propeller speed at which it has its amplitude, rpm.
         rpm: propeller speeds, rpm.
         phase: angles of the rotors, rad.
     """
-    size = rpm * rpm * (1.0 / (imu.hover * imu.hover))
+    size = rpm * rpm * (1.0 / (hover * hover))
     along, across = Vec3.zero(), Vec3.zero()
     for weight, angle in zip(size.components(), phase.components(), strict=True):
         sine, cosine = jnp.sin(angle), jnp.cos(angle)
         along = along + Vec3(cosine, sine, sine) * weight
         across = across + Vec3(sine, -cosine, cosine) * weight
-    return along * imu.vibration, across * imu.turning
+    return along * imu.vibration, across * GYRO_VIBRATION

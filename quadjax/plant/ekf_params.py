@@ -7,10 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from quadjax.plant.config import EkfConfig, SensorsConfig
+from quadjax.plant.config import SensorsConfig
 from quadjax.plant.sensors import low_pass_delay
 
-REFERENCE_RATE = 500.0  # Hz, at which the config gives the noise between two samples
+# Assumed in addition to the sensors' own errors.
+REFERENCE_RATE = 500.0  # Hz, of the noise that stands for motion between two samples:
+GYRO_NOISE = 2.0e-4  # rad/s/sqrt(Hz)
+FORCE_NOISE = 6.0e-3  # m/s^2/sqrt(Hz)
+GYRO_BIAS_WALK = 1.0e-5  # rad/s/sqrt(s)
+FORCE_BIAS_WALK = 1.0e-3  # m/s^2/sqrt(s)
+POSITION_NOISE = 1.0e-4  # m, of a pose
+ATTITUDE_NOISE = 1.0e-4  # rad
+# Standard deviations of the first estimate.
+START_POSITION = 3.0e-3  # m, added to a pose's
+START_VELOCITY = 0.5  # m/s; the first estimate is zero
+START_ATTITUDE = 5.0e-3  # rad, added to a pose's
+START_GYRO_BIAS = 1.0e-3  # rad/s, added to the sensor's
+START_FORCE_BIAS = 1.0e-2  # m/s^2, added to the sensor's
 
 
 class EkfParams(struct.PyTreeNode):
@@ -30,33 +43,30 @@ class EkfParams(struct.PyTreeNode):
     lag: int = struct.field(pytree_node=False, default=0)  # samples in the buffer
 
 
-def ekf_params(
-    sensors: SensorsConfig, config: EkfConfig, sample_rate: float, gravity: float = 9.81
-) -> EkfParams:
+def ekf_params(sensors: SensorsConfig, sample_rate: float, gravity: float = 9.81) -> EkfParams:
     """The filter for the sensors of a config.
 
     Args:
         sensors: the ``sensors`` section.
-        config: the ``ekf`` section.
         sample_rate: Hz.
         gravity: m/s^2.
     """
     timing, lag = _timing(sensors, sample_rate)
-    position = math.hypot(sensors.mocap.position_noise, config.position_noise)
-    attitude = math.hypot(sensors.mocap.attitude_noise, config.attitude_noise)
+    position = math.hypot(sensors.mocap.position_noise, POSITION_NOISE)
+    attitude = math.hypot(sensors.mocap.attitude_noise, ATTITUDE_NOISE)
     start = (
         # The first pose has no delay and the first inertial sample has ``late`` seconds; the
         # distance in between is as uncertain as the velocity.
-        math.hypot(position, config.start_position, timing["late"] * config.start_velocity),
-        config.start_velocity,
-        math.hypot(attitude, config.start_attitude),
-        math.hypot(sensors.gyro.bias, config.start_gyro_bias),
-        math.hypot(sensors.accelerometer.bias, config.start_accelerometer_bias),
+        math.hypot(position, START_POSITION, timing["late"] * START_VELOCITY),
+        START_VELOCITY,
+        math.hypot(attitude, START_ATTITUDE),
+        math.hypot(sensors.gyro.bias, START_GYRO_BIAS),
+        math.hypot(sensors.accelerometer.bias, START_FORCE_BIAS),
     )
     numbers = {
         "step": 1.0 / sample_rate,
         "gravity": gravity,
-        "noise": _noise(sensors, config, sample_rate),
+        "noise": _noise(sensors, sample_rate),
         "pose_variance": np.repeat([position**2, attitude**2], 3),
         "start": np.repeat(np.square(start), 3),
     }
@@ -64,7 +74,7 @@ def ekf_params(
     return EkfParams(**arrays, lag=lag)
 
 
-def _noise(sensors: SensorsConfig, config: EkfConfig, sample_rate: float) -> np.ndarray:
+def _noise(sensors: SensorsConfig, sample_rate: float) -> np.ndarray:
     """Covariance (15, 15) that the noise of the sensors adds in one step.
 
     Between two samples a step ``T`` apart the trapezoidal rule has an error of ``T^3 / 12`` times
@@ -75,10 +85,10 @@ def _noise(sensors: SensorsConfig, config: EkfConfig, sample_rate: float) -> np.
     between, step = (REFERENCE_RATE / sample_rate) ** 2.5, 1.0 / sample_rate
     densities = (
         0.0,
-        0.5 * (force.noise**2 + (between * config.accelerometer_noise) ** 2),
-        0.5 * (gyro.noise**2 + (between * config.gyro_noise) ** 2),
-        gyro.bias_walk**2 + config.gyro_bias_walk**2,
-        force.bias_walk**2 + config.accelerometer_bias_walk**2,
+        0.5 * (force.noise**2 + (between * FORCE_NOISE) ** 2),
+        0.5 * (gyro.noise**2 + (between * GYRO_NOISE) ** 2),
+        gyro.bias_walk**2 + GYRO_BIAS_WALK**2,
+        force.bias_walk**2 + FORCE_BIAS_WALK**2,
     )
     enters = np.eye(5)
     enters[0, 1] = 0.5 * step

@@ -106,7 +106,7 @@ def _onboard(model: VehicleParams, plant: PlantConfig, race: RaceParams) -> Onbo
     first = c.rpm_max if race.battery is None else middle_limit(race.battery)
     return OnboardParams(
         sensors=sensor_params(plant.sensors, rate),
-        ekf=ekf_params(plant.sensors, plant.ekf, rate, float(model.constants.g)),
+        ekf=ekf_params(plant.sensors, rate, float(model.constants.g)),
         estimator=estimator_params(motor.MODEL, model, rate),
         inner=indi_params(nominal_vehicle(plant).motor, plant.indi, rate),
         limit=limit_estimator(c.rpm_max, c.tau, rate),

@@ -18,43 +18,30 @@ import numpy as np
 from flax import struct
 
 from quadjax.core.vectors import Vec3, safe_norm
+from quadjax.plant.config import GustsConfig
 
 SQRT3 = float(np.sqrt(3.0))
 METERS_PER_FOOT = 0.3048
+LEAST_AIRSPEED = 1.0  # m/s, of gusts past a hovering drone
 DRAWS = 3  # standard normal numbers per step
 START_DRAWS = 6
 
 
-@struct.dataclass
-class GustParams:
-    """Turbulence about a drone."""
-
-    deviation: Vec3  # m/s, of the three components
-    length: Vec3  # m, their scales
-    least_airspeed: jax.Array  # m/s
-    step: jax.Array  # s
-
-
-@struct.dataclass
-class GustState:
+class GustState(struct.PyTreeNode):
     """Two memories per component; u does not use the second."""
 
     first: Vec3
     second: Vec3
 
 
-def gust_params(
-    wind: float, altitude: float, least_airspeed: float, step: float, strength: float = 1.0
-) -> GustParams:
-    """The turbulence of a wind at 20 ft, m/s, and an altitude, m."""
-    feet = altitude / METERS_PER_FOOT
+def scales(gusts: GustsConfig) -> tuple[Vec3, Vec3]:
+    """Standard deviations, m/s, and lengths, m, of the turbulence's three components."""
+    feet = gusts.altitude / METERS_PER_FOOT
     shape = 0.177 + 0.000823 * feet
-    vertical = 0.1 * wind * strength
+    vertical = 0.1 * gusts.wind
     along = vertical / shape**0.4
-    scale = feet / shape**1.2 * METERS_PER_FOOT
-    numbers = ((along, along, vertical), (scale, scale, altitude))
-    deviation, length = (Vec3(*(jnp.float32(x) for x in triple)) for triple in numbers)
-    return GustParams(deviation, length, jnp.float32(least_airspeed), jnp.float32(step))
+    length = feet / shape**1.2 * METERS_PER_FOOT
+    return Vec3(along, along, vertical), Vec3(length, length, gusts.altitude)
 
 
 def init(drawn: jax.Array) -> GustState:
@@ -66,16 +53,21 @@ def init(drawn: jax.Array) -> GustState:
     return GustState(first, second)
 
 
-def update(params: GustParams, state: GustState, velocity: Vec3, drawn: jax.Array) -> GustState:
-    """The turbulence one step later, of a drone at ``velocity``, m/s, and (DRAWS,) normal numbers.
+def update(
+    gusts: GustsConfig, state: GustState, velocity: Vec3, step: jax.Array, drawn: jax.Array
+) -> GustState:
+    """The turbulence a step of () s later, of a drone at ``velocity``, m/s.
+
+    ``drawn`` holds (DRAWS,) standard normal numbers.
 
     The discretization is exact for white noise: ``a <- phi a + ..`` with ``phi = exp(-V dt / L)``
     keeps the variance at any step.
     """
-    speed = jnp.maximum(safe_norm(velocity), params.least_airspeed)
+    speed = jnp.maximum(safe_norm(velocity), LEAST_AIRSPEED)
+    _, lengths = scales(gusts)
     first, second = [], []
     for axis in range(3):
-        kept = jnp.exp(-speed * params.step / params.length[axis])
+        kept = jnp.exp(-speed * step / lengths[axis])
         variance = 1.0 if axis == 0 else 0.5
         new = kept * state.first[axis] + jnp.sqrt(variance * (1.0 - kept * kept)) * drawn[axis]
         middle = 0.5 * (state.first[axis] + new)
@@ -84,8 +76,8 @@ def update(params: GustParams, state: GustState, velocity: Vec3, drawn: jax.Arra
     return GustState(Vec3(*first), Vec3(*second))
 
 
-def velocity(params: GustParams, state: GustState) -> Vec3:
+def velocity(gusts: GustsConfig, state: GustState) -> Vec3:
     """The gust, m/s: u along north, v along east, w along down."""
     a, b = state.first, state.second
     shaped = Vec3(a.x, SQRT3 * a.y + (1.0 - SQRT3) * b.y, SQRT3 * a.z + (1.0 - SQRT3) * b.z)
-    return shaped * params.deviation
+    return shaped * scales(gusts)[0]

@@ -38,6 +38,7 @@ from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 
+LEAST_RPM = 2000.0  # below it the effectiveness is constant
 ROLL = Rotors(1.0, -1.0, -1.0, 1.0)
 PITCH = Rotors(1.0, 1.0, -1.0, -1.0)
 YAW = Rotors(-1.0, 1.0, -1.0, 1.0)
@@ -54,7 +55,6 @@ class IndiParams:
     rate_gain: Vec3  # 1/s
     moment_lag: jax.Array  # s
     thrust_lag: jax.Array  # s
-    least_rpm: jax.Array  # rpm
 
 
 @struct.dataclass
@@ -81,7 +81,6 @@ def indi_params(constants: MotorConstants, config: IndiConfig, sample_rate: floa
         rate_gain=Vec3(*(jnp.float32(gain) for gain in gains)),
         moment_lag=jnp.float32(config.moment_lag),
         thrust_lag=jnp.float32(config.thrust_lag),
-        least_rpm=jnp.float32(config.least_rpm),
     )
 
 
@@ -154,7 +153,7 @@ def allocate(params: IndiParams, rpm: Rotors, wanted: Vec3, rise: jax.Array) -> 
         rise: () derivative of the specific thrust, m/s^3.
     """
     c = params.constants
-    speed = jax.tree.map(lambda w: jnp.maximum(w, params.least_rpm), rpm)
+    speed = jax.tree.map(lambda w: jnp.maximum(w, LEAST_RPM), rpm)
     low = (rpm * -1.0 + c.rpm_min) * speed / c.tau
     high = (rpm * -1.0 + c.rpm_max) * speed / c.tau
     roll = wanted.x * c.i_xx / (8.0 * c.k_p * params.moment_lag)

@@ -1,7 +1,7 @@
 """The stand-in plant: the motor-level drone with effects that the training model lacks.
 
-Functions are of one drone; batch with ``vmap``. With every strength zero the derivative is that of
-``quadjax.vehicle.motor``.
+Functions are of one drone; batch with ``vmap``. Each effect is multiplied by its strength: with all
+of them zero the derivative is that of ``quadjax.vehicle.motor``.
 """
 
 import jax
@@ -19,28 +19,36 @@ from quadjax.core.integrators import INTEGRATORS
 from quadjax.core.materialize import Caller, call_directly
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, power
-from quadjax.plant.effects import FlexParams, ImuParams, RotorParams
-from quadjax.plant.gusts import GustParams, GustState
-from quadjax.plant.power import PowerParams
+from quadjax.plant.config import (
+    EffectsConfig,
+    FlexConfig,
+    GustsConfig,
+    ImuConfig,
+    MotorsConfig,
+    RotorConfig,
+)
+from quadjax.plant.gusts import GustState
 from quadjax.plant.sensors import GroundTruth
 from quadjax.vehicle import motor
-from quadjax.vehicle.battery import charge_rate, highest_rpm
+from quadjax.vehicle.battery import BatteryParams, charge_rate, highest_rpm
 from quadjax.vehicle.protocol import VehicleParams
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 
-@struct.dataclass
-class PlantParams:
+class PlantParams(struct.PyTreeNode):
     """Numbers of the plant; traced, except for the static fields."""
 
     vehicle: VehicleParams  # the drone's own constants
     rotor_factor: Rotors  # on each rotor's speed in force and moment
-    rotors: RotorParams
-    power: PowerParams
-    flex: FlexParams
-    imu: ImuParams
-    gyroscopic: jax.Array  # strength of the rotors' gyroscopic moments
-    gusts: GustParams
+    effects: EffectsConfig  # their strengths
+    rotors: RotorConfig
+    motors: MotorsConfig
+    flex: FlexConfig
+    imu: ImuConfig
+    gusts: GustsConfig
+    battery: BatteryParams
+    mass: jax.Array  # kg
+    hover: jax.Array  # rpm, of the training model
     step: jax.Array  # s, of one sample
     command_delay: int = struct.field(pytree_node=False, default=0)  # samples
     measurement_delay: int = struct.field(pytree_node=False, default=0)  # samples
@@ -48,8 +56,7 @@ class PlantParams:
     integrator: str = struct.field(pytree_node=False, default="rk4")
 
 
-@struct.dataclass
-class Physics:
+class Physics(struct.PyTreeNode):
     """The integrated state."""
 
     body: RigidBodyState
@@ -59,8 +66,7 @@ class Physics:
     charge: jax.Array  # () left in the battery, 0 to 1
 
 
-@struct.dataclass
-class PlantState:
+class PlantState(struct.PyTreeNode):
     """One drone."""
 
     physics: Physics
@@ -100,15 +106,16 @@ def forces(
         rpm_rate: derivatives of the propeller speeds, rpm/s.
         air_velocity: of the drone through the air, m/s, body.
     """
-    body, c = physics.body, params.vehicle.constants
-    rpm = body.actuators * params.rotor_factor
+    body, c, on = physics.body, params.vehicle.constants, params.effects
+    mass, rpm = params.mass, body.actuators * params.rotor_factor
     in_air = BodyState(air_velocity, body.rates, rpm, rpm_rate)
     force, moment = motor.MODEL.force_moment(params.vehicle, in_air)
     lost = effects.advance_loss(params.rotors, c, air_velocity)
-    lift = effects.ground_gain(params.rotors, c, rpm, air_velocity, -body.position.z)
-    flapping = effects.flapping_moment(params.rotors, c, rpm, air_velocity, body.rates)
-    turning = effects.gyroscopic_moment(c, rpm, body.rates) * params.gyroscopic
-    return force.replace(z=force.z + (lost + lift)), moment + flapping + turning
+    lift = effects.ground_gain(params.rotors, c, mass, rpm, air_velocity, -body.position.z)
+    flapping = effects.flapping_moment(params.rotors, c, mass, rpm, air_velocity, body.rates)
+    turning = effects.gyroscopic_moment(c, rpm, body.rates)
+    force = force.replace(z=force.z + (lost * on.inflow + lift * on.ground))
+    return force, moment + flapping * on.flapping + turning * on.gyroscopic
 
 
 def derivative(
@@ -118,14 +125,18 @@ def derivative(
     body, c = physics.body, params.vehicle.constants
     a = call(attitude, body.euler)
     air_velocity = call(world_to_body, a, body.velocity - wind)
-    top = highest_rpm(params.power.battery, body.actuators, physics.charge)
+    on, motors = params.effects, params.motors
+    top = highest_rpm(params.battery, body.actuators, physics.charge)
+    target = power.steady_speeds(command, on.motors * motors.shortfall, params.hover, top)
     rpm_rate, rpm_bend = power.rotor_rates(
-        params.power, c.tau, body.actuators, physics.rpm_rate, command, top
+        c.tau, on.motors * motors.lag, body.actuators, physics.rpm_rate, target
     )
     force, moment = call(forces, params, physics, rpm_rate, air_velocity)
     acceleration = body_to_world(a, force + body.force_ext)
     turning = motor.angular_acceleration(c, moment + body.moment_ext, body.rates)
-    bend = effects.flex_acceleration(params.flex, physics.flex, physics.flex_rate, turning)
+    bend = effects.flex_acceleration(
+        params.flex, physics.flex, physics.flex_rate, turning * on.flex
+    )
     return Physics(
         body=RigidBodyState(
             position=body.velocity,
@@ -139,7 +150,7 @@ def derivative(
         rpm_rate=rpm_bend,
         flex=physics.flex_rate,
         flex_rate=bend,
-        charge=charge_rate(params.power.battery, body.actuators),
+        charge=charge_rate(params.battery, body.actuators),
     )
 
 
@@ -163,7 +174,7 @@ def update(
     held = jax.tree.map(jnp.clip, command, low, high)
     applied, *waiting = (*state.commands, held)
     physics, integrate = state.physics, INTEGRATORS[params.integrator]
-    wind = gusts.velocity(params.gusts, state.gusts)
+    wind = gusts.velocity(params.gusts, state.gusts) * params.effects.gusts
 
     def advance(_: int, now: Physics) -> Physics:
         return integrate(
@@ -184,23 +195,23 @@ def update(
         state.phase,
         body.actuators,
     )
-    following = gusts.update(params.gusts, state.gusts, body.velocity, drawn)
+    following = gusts.update(params.gusts, state.gusts, body.velocity, params.step, drawn)
     return PlantState(physics.replace(body=body), turning, phase, following, tuple(waiting))
 
 
 def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
     """The true motion at the sensors: of the center of gravity, and of the unit on its frame."""
-    physics, body = state.physics, state.physics.body
+    physics, body, on = state.physics, state.physics.body, params.effects
     force, _ = loads(params, state)
     assert body.force_ext is not None
     lever = effects.lever_acceleration(params.imu, body.rates, state.turning)
-    shaking, turning = effects.vibration(params.imu, body.actuators, state.phase)
+    shaking, turning = effects.vibration(params.imu, params.hover, body.actuators, state.phase)
     return GroundTruth(
         position=body.position,
         velocity=body.velocity,
         euler=body.euler,
-        rates=body.rates + physics.flex_rate + turning,
-        specific_force=force + body.force_ext + lever + shaking,
+        rates=body.rates + physics.flex_rate + turning * on.vibration,
+        specific_force=force + body.force_ext + lever * on.offset + shaking * on.vibration,
         rpm=body.actuators,
     )
 
@@ -208,7 +219,7 @@ def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
 def loads(params: PlantParams, state: PlantState) -> tuple[Vec3, Vec3]:
     """Specific force, m/s^2, and moment, N m, body, without that of rotor acceleration."""
     body = state.physics.body
-    wind = gusts.velocity(params.gusts, state.gusts)
+    wind = gusts.velocity(params.gusts, state.gusts) * params.effects.gusts
     air_velocity = world_to_body(attitude(body.euler), body.velocity - wind)
     steady = Rotors.same(jnp.zeros(()))
     return forces(params, state.physics, steady, air_velocity)

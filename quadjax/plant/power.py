@@ -1,25 +1,13 @@
-"""Second-order motors and the battery."""
+"""Second-order motors."""
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from quadjax.core.vectors import Rotors
-from quadjax.vehicle.battery import BatteryParams
-
-
-@struct.dataclass
-class PowerParams:
-    """Motors, controllers and battery, times the strengths of the effects."""
-
-    lag: jax.Array  # s, second time constant; 0: first order
-    shortfall: jax.Array  # fraction of a commanded change from hover that is not reached
-    hover: jax.Array  # rpm
-    battery: BatteryParams
 
 
 def rotor_rates(
-    p: PowerParams, tau: jax.Array, rpm: Rotors, rpm_rate: Rotors, command: Rotors, top: jax.Array
+    tau: jax.Array, lag: jax.Array, rpm: Rotors, rpm_rate: Rotors, target: Rotors
 ) -> tuple[Rotors, Rotors]:
     """First and second derivative of the propeller speeds, rpm/s and rpm/s^2.
 
@@ -27,25 +15,34 @@ def rotor_rates(
     or its controller before the mechanical one (Franklin, Powell and Emami-Naeini, "Feedback
     control of dynamic systems", section 2.3). The measured speeds of the published flights deviate
     from the first-order model as well (Ferede et al., arXiv 2311.16948, figure of commanded,
-    modeled and measured rpm): they rise later and do not reach the ends of the range. ``u`` is
-    the command less the ``shortfall`` of its distance to hover, and at most ``top``.
+    modeled and measured rpm): they rise later and do not reach the ends of the range.
 
     Args:
-        p: of the motors.
         tau: () s, the first time constant.
+        lag: () s, the second one; 0: first order.
         rpm: propeller speeds, rpm.
         rpm_rate: their derivatives, of second-order motors, rpm/s.
+        target: the steady speeds ``u`` of a command, rpm.
+    """
+    second_order = lag > 0.0
+    first = (target - rpm) / tau
+    bend = (first - rpm_rate) / jnp.where(second_order, lag, 1.0)
+    return (
+        jax.tree.map(lambda a, b: jnp.where(second_order, a, b), rpm_rate, first),
+        jax.tree.map(lambda x: jnp.where(second_order, x, 0.0), bend),
+    )
+
+
+def steady_speeds(
+    command: Rotors, shortfall: jax.Array, hover: jax.Array, top: jax.Array
+) -> Rotors:
+    """Steady propeller speeds of a command, rpm, at most ``top``.
+
+    Args:
         command: rpm.
+        shortfall: () fraction of its distance to ``hover``, rpm, that is not reached.
+        hover: () rpm.
         top: () highest reachable speed, rpm.
     """
-
-    def one(w: jax.Array, rate: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        reached = jnp.minimum(u - p.shortfall * (u - p.hover), top)
-        first = (reached - w) / tau
-        second_order = p.lag > 0.0
-        bend = (first - rate) / jnp.where(second_order, p.lag, 1.0)
-        return jnp.where(second_order, rate, first), jnp.where(second_order, bend, 0.0)
-
-    parts = zip(rpm.components(), rpm_rate.components(), command.components(), strict=True)
-    pairs = [one(*part) for part in parts]
-    return Rotors(*(pair[0] for pair in pairs)), Rotors(*(pair[1] for pair in pairs))
+    reached = command - (command - hover) * shortfall
+    return jax.tree.map(lambda u: jnp.minimum(u, top), reached)

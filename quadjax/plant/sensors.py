@@ -14,29 +14,34 @@ Motion capture measures the pose at its own rate, at the first sample at or afte
 A frame arrives a fixed number of samples later. Frames are lost in bursts, by the two-state Markov
 chain of Gilbert, "Capacity of a burst-noise channel", Bell System Technical Journal 39, 1960.
 
-An error whose number is zero is absent.
+A number of zero turns its error off.
 """
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from scipy.signal import butter
-from scipy.stats import norm
+from jax.scipy.special import ndtri
 
 from quadjax.core import quaternion
-from quadjax.core.filters import advance
+from quadjax.core.filters import LowPass, advance, butterworth
 from quadjax.core.quaternion import Quaternion
+from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.plant.config import AccelerometerConfig, GyroConfig, SensorsConfig
+from quadjax.plant.config import (
+    AccelerometerConfig,
+    GyroConfig,
+    MocapConfig,
+    RpmConfig,
+    SensorsConfig,
+)
 
 DRAWS = 12 + 4 + 6 + 1  # standard normal numbers per sample
 START_DRAWS = 6 + 6 + 4 + 6  # at the start
 _MARGIN = 1e-4  # of a frame; keeps rounding from delaying one by a sample
 
 
-@struct.dataclass
-class GroundTruth:
+class GroundTruth(struct.PyTreeNode):
     """The true motion of one drone at one sample."""
 
     position: Vec3  # m, world NED
@@ -47,35 +52,25 @@ class GroundTruth:
     rpm: Rotors  # propeller speeds, rpm
 
 
-@struct.dataclass
-class InertialParams:
+class InertialParams(struct.PyTreeNode):
     """Gyro or accelerometer."""
 
-    noise: jax.Array  # of a sample before the filter, rad/s or m/s^2
-    bias: jax.Array  # standard deviation at the start, rad/s or m/s^2
-    bias_step: jax.Array  # standard deviation of its change per sample
-    forward: jax.Array  # (3,) coefficients of the low-pass
-    feedback: jax.Array  # (2,)
+    errors: GyroConfig | AccelerometerConfig
+    low_pass: LowPass
+    step: jax.Array  # s, between samples
 
 
-@struct.dataclass
-class SensorParams:
+class SensorParams(struct.PyTreeNode):
     """Numbers of the sensors; traced, except for the delay of a pose."""
 
     gyro: InertialParams
     accelerometer: InertialParams
-    rpm_noise: jax.Array  # rpm
-    rpm_resolution: jax.Array  # rpm
-    frames_per_sample: jax.Array  # frame rate / sample rate
-    position_noise: jax.Array  # m
-    attitude_noise: jax.Array  # rad
-    lose: jax.Array  # normal quantile below which a frame is lost after a received one
-    stay_lost: jax.Array  # normal quantile below which a frame is lost after a lost one
+    rpm: RpmConfig
+    mocap: MocapConfig
     delay: int = struct.field(pytree_node=False, default=0)  # samples from frame to arrival
 
 
-@struct.dataclass
-class Fix:
+class Fix(struct.PyTreeNode):
     """A frame of motion capture."""
 
     position: Vec3  # m, world
@@ -83,8 +78,7 @@ class Fix:
     fresh: jax.Array  # () 1.0 for a received frame, 0.0 for none
 
 
-@struct.dataclass
-class Measured:
+class Measured(struct.PyTreeNode):
     """Measurements that arrive on board at one sample."""
 
     gyro: Vec3  # rad/s, body
@@ -93,8 +87,7 @@ class Measured:
     fix: Fix  # the frame that arrives now
 
 
-@struct.dataclass
-class InertialState:
+class InertialState(struct.PyTreeNode):
     """Bias and the low-pass's two memories per axis."""
 
     bias: Vec3
@@ -102,8 +95,7 @@ class InertialState:
     memory_2: Vec3
 
 
-@struct.dataclass
-class SensorState:
+class SensorState(struct.PyTreeNode):
     """State of the sensors between samples."""
 
     gyro: InertialState
@@ -115,54 +107,29 @@ class SensorState:
 
 def sensor_params(config: SensorsConfig, sample_rate: float) -> SensorParams:
     """The sensors of a config at a constant sample rate, Hz."""
-    mocap = config.mocap
-    recover = 1.0 / mocap.dropout_frames
-    lose = mocap.dropout * recover / (1.0 - mocap.dropout)
-    numbers = {
-        "rpm_noise": config.rpm.noise,
-        "rpm_resolution": config.rpm.resolution,
-        "frames_per_sample": mocap.rate / sample_rate,
-        "position_noise": mocap.position_noise,
-        "attitude_noise": mocap.attitude_noise,
-        "lose": norm.ppf(lose),
-        "stay_lost": norm.ppf(1.0 - recover),
-    }
     return SensorParams(
         gyro=_inertial(config.gyro, sample_rate),
         accelerometer=_inertial(config.accelerometer, sample_rate),
-        **{name: jnp.asarray(value, jnp.float32) for name, value in numbers.items()},
-        delay=round(mocap.latency * sample_rate),
+        rpm=as_leaves(config.rpm),
+        mocap=as_leaves(config.mocap),
+        delay=round(config.mocap.latency * sample_rate),
     )
 
 
-def low_pass(cutoff: float, sample_rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Forward (3,) and feedback (2,) coefficients of the unit's filter; identity for 0 Hz."""
-    if cutoff == 0.0:
-        return np.array([1.0, 0.0, 0.0]), np.zeros(2)
-    forward, feedback = butter(2, cutoff, fs=sample_rate)
-    return forward, feedback[1:]
+def _inertial(errors: GyroConfig | AccelerometerConfig, sample_rate: float) -> InertialParams:
+    if errors.low_pass == 0.0:
+        one, none = jnp.array([1.0, 0.0, 0.0]), jnp.zeros(3)
+        low_pass = LowPass(feedback=jnp.zeros(2), forward=one, derivative=none)
+    else:
+        low_pass = butterworth(sample_rate, errors.low_pass)
+    return InertialParams(as_leaves(errors), low_pass, jnp.float32(1.0 / sample_rate))
 
 
 def low_pass_delay(cutoff: float, sample_rate: float) -> float:
-    """Delay of that filter at low frequencies, s; it is a pure delay up to the third order."""
+    """Delay of a unit's filter at low frequencies, s; it is a pure delay up to the third order."""
     if cutoff == 0.0:
         return 0.0
     return float(np.sqrt(0.5) / (sample_rate * np.tan(np.pi * cutoff / sample_rate)))
-
-
-def _inertial(config: GyroConfig | AccelerometerConfig, sample_rate: float) -> InertialParams:
-    forward, feedback = low_pass(config.low_pass, sample_rate)
-    feedback = feedback.astype(np.float32)
-    # The static gain is exactly one with the rounded coefficients.
-    gain = (1.0 + feedback.astype(np.float64).sum()) / forward.sum()
-    numbers = (
-        config.noise * np.sqrt(0.5 * sample_rate),
-        config.bias,
-        config.bias_walk / np.sqrt(sample_rate),
-        forward * gain,
-        feedback,
-    )
-    return InertialParams(*(jnp.asarray(x, jnp.float32) for x in numbers))
 
 
 def init(
@@ -182,10 +149,10 @@ def init(
     force, accelerations = _start(
         params.accelerometer, truth.specific_force, drawn[6:9], drawn[9:12]
     )
-    fix = _observe_pose(params, truth, drawn[16:22], jnp.ones(()))
+    fix = _observe_pose(params.mocap, truth, drawn[16:22], jnp.ones(()))
     none = fix.replace(fresh=jnp.zeros(()))
     state = SensorState(gyro, force, jnp.zeros(()), jnp.zeros((), bool), (none,) * params.delay)
-    return state, Measured(rates, accelerations, _rpm(params, truth.rpm, drawn[12:16]), fix)
+    return state, Measured(rates, accelerations, _rpm(params.rpm, truth.rpm, drawn[12:16]), fix)
 
 
 def update(
@@ -203,24 +170,30 @@ def update(
     force, accelerations = _sample(
         params.accelerometer, state.accelerometer, truth.specific_force, drawn[6:9], drawn[9:12]
     )
-    clock = state.clock + params.frames_per_sample
+    clock = state.clock + params.mocap.rate * params.gyro.step
     due = clock >= 1.0 - _MARGIN
-    lost_now = drawn[22] < jnp.where(state.lost, params.stay_lost, params.lose)
-    lost = jnp.where(due, lost_now, state.lost)
-    fix = _observe_pose(params, truth, drawn[16:22], (due & ~lost).astype(clock.dtype))
+    lost = jnp.where(due, drawn[22] < _loss_quantile(params.mocap, state.lost), state.lost)
+    fix = _observe_pose(params.mocap, truth, drawn[16:22], (due & ~lost).astype(clock.dtype))
     pending = (*state.pending, fix)
     clock = jnp.where(due, clock - 1.0, clock)
-    measured = Measured(rates, accelerations, _rpm(params, truth.rpm, drawn[12:16]), pending[0])
+    measured = Measured(rates, accelerations, _rpm(params.rpm, truth.rpm, drawn[12:16]), pending[0])
     return SensorState(gyro, force, clock, lost, pending[1:]), measured
+
+
+def _loss_quantile(mocap: MocapConfig, lost: jax.Array) -> jax.Array:
+    """Normal quantile () below which a frame is lost, after a lost frame or a received one."""
+    recover = 1.0 / mocap.dropout_frames
+    lose = mocap.dropout * recover / (1.0 - mocap.dropout)
+    return jnp.where(lost, ndtri(1.0 - recover), ndtri(lose))
 
 
 def _start(
     params: InertialParams, true: Vec3, of_bias: jax.Array, of_noise: jax.Array
 ) -> tuple[InertialState, Vec3]:
     """A filter in steady state at this value, and one sample of it."""
-    bias = Vec3.of(of_bias) * params.bias
+    bias = Vec3.of(of_bias) * params.errors.bias
     steady = true + bias
-    b, a = params.forward, params.feedback
+    b, a = params.low_pass.forward, params.low_pass.feedback
     memory_2 = steady * (b[2] - a[1])
     memory_1 = steady * (b[1] - a[0]) + memory_2
     return _filter(params, InertialState(bias, memory_1, memory_2), true, of_noise)
@@ -229,7 +202,7 @@ def _start(
 def _sample(
     params: InertialParams, state: InertialState, true: Vec3, of_bias: jax.Array, noise: jax.Array
 ) -> tuple[InertialState, Vec3]:
-    bias = state.bias + Vec3.of(of_bias) * params.bias_step
+    bias = state.bias + Vec3.of(of_bias) * (params.errors.bias_walk * jnp.sqrt(params.step))
     return _filter(params, state.replace(bias=bias), true, noise)
 
 
@@ -237,26 +210,27 @@ def _filter(
     params: InertialParams, state: InertialState, true: Vec3, noise: jax.Array
 ) -> tuple[InertialState, Vec3]:
     """Bias, noise, then the low-pass in transposed direct form II."""
-    sensed = true + state.bias + Vec3.of(noise) * params.noise
+    deviation = params.errors.noise * jnp.sqrt(0.5 / params.step)
+    sensed = true + state.bias + Vec3.of(noise) * deviation
     memory = (state.memory_1, state.memory_2)
-    out, memory = advance(params.feedback, [(sensed, params.forward)], memory)
+    out, memory = advance(params.low_pass.feedback, [(sensed, params.low_pass.forward)], memory)
     return InertialState(state.bias, *memory), out
 
 
-def _rpm(params: SensorParams, true: Rotors, noise: jax.Array) -> Rotors:
-    noisy = true + Rotors.of(noise) * params.rpm_noise
-    coarse = params.rpm_resolution > 0
-    unit = jnp.where(coarse, params.rpm_resolution, 1.0)
+def _rpm(errors: RpmConfig, true: Rotors, noise: jax.Array) -> Rotors:
+    noisy = true + Rotors.of(noise) * errors.noise
+    coarse = errors.resolution > 0
+    unit = jnp.where(coarse, errors.resolution, 1.0)
     return jax.tree.map(lambda x: jnp.where(coarse, jnp.round(x / unit) * unit, x), noisy)
 
 
 def _observe_pose(
-    params: SensorParams, truth: GroundTruth, noise: jax.Array, fresh: jax.Array
+    mocap: MocapConfig, truth: GroundTruth, noise: jax.Array, fresh: jax.Array
 ) -> Fix:
     """The pose with its noise; the attitude's noise is the same about every axis."""
-    turned = quaternion.exponential(Vec3.of(noise[3:6]) * params.attitude_noise)
+    turned = quaternion.exponential(Vec3.of(noise[3:6]) * mocap.attitude_noise)
     return Fix(
-        position=truth.position + Vec3.of(noise[0:3]) * params.position_noise,
+        position=truth.position + Vec3.of(noise[0:3]) * mocap.position_noise,
         attitude=quaternion.multiply(turned, quaternion.of_euler(truth.euler)),
         fresh=fresh,
     )

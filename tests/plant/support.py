@@ -12,7 +12,6 @@ from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, sensors
 from quadjax.plant.config import (
     AccelerometerConfig,
-    EkfConfig,
     GyroConfig,
     MocapConfig,
     RpmConfig,
@@ -38,7 +37,6 @@ NO_ERRORS = SensorsConfig(
     rpm=RpmConfig(noise=0.0, resolution=0.0),
     mocap=MocapConfig(latency=0.0, position_noise=0.0, attitude_noise=0.0, dropout=0.0),
 )
-EXACT = EkfConfig(start_gyro_bias=0.0, start_accelerometer_bias=0.0)
 
 
 def vec3(values: np.ndarray) -> Vec3:
@@ -150,9 +148,18 @@ class Filtered:
         return (self.errors * weighted).sum(axis=-1)
 
 
-def filtered(config: SensorsConfig, assumed: EkfConfig, seed: int, drones: int = 24) -> Filtered:
-    """Sensors and filter of some drones on a loop of 1.6 s, at 500 samples a second."""
-    own, params = sensors.sensor_params(config, RATE), ekf_params(config, assumed, RATE)
+def filtered(
+    config: SensorsConfig, start_velocity: float, seed: int, quiet: bool = False, drones: int = 24
+) -> Filtered:
+    """Sensors and filter of some drones on a loop of 1.6 s, at 500 samples a second.
+
+    The loop does not start at rest: ``start_velocity`` is the assumed deviation, m/s. ``quiet``
+    filters take the motion between two samples to be straight.
+    """
+    own, params = sensors.sensor_params(config, RATE), ekf_params(config, RATE)
+    params = params.replace(start=params.start.at[3:6].set(start_velocity**2))
+    if quiet:
+        params = params.replace(noise=0.01 * params.noise)
     time = np.arange(801) / RATE
     motion = loop(time)
     found = _filter(own, params, truth_of(motion, drones), jax.random.key(seed))

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import periodogram
 
+from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import effects, gusts, power
 from quadjax.plant.build import build_plant
+from quadjax.plant.config import GustsConfig
 from quadjax.vehicle import battery
 from tests import reference as ref
 from tests.plant import effects_reference as source
@@ -16,21 +18,21 @@ from tests.plant.standin import OFF, only
 
 
 def test_motors_answer_in_second_order():
-    params = build_plant(only(motors=1.0)).power
-    lag, tau = float(params.lag), 0.06
+    config = only(motors=1.0).motors
+    hover, tau, lag, short = jnp.float32(7497.0), 0.06, config.lag, config.shortfall
     dt, count = 1e-4, 3000
 
     def one(carry, _):
         w, rate = carry
         u = Rotors.same(jnp.float32(8000.0))
-        a, b = power.rotor_rates(params, jnp.float32(tau), w, rate, u, jnp.inf)
+        target = power.steady_speeds(u, jnp.float32(short), hover, jnp.inf)
+        a, b = power.rotor_rates(jnp.float32(tau), jnp.float32(lag), w, rate, target)
         following = (w + a * dt, rate + b * dt)
         return following, following[0].w1
 
     start = (Rotors.same(jnp.float32(7000.0)), Rotors.same(jnp.float32(0.0)))
     flown = np.asarray(jax.jit(lambda: jax.lax.scan(one, start, None, count)[1])())
-    hover, short = float(params.hover), float(params.shortfall)
-    end = 8000.0 - short * (8000.0 - hover)
+    end = 8000.0 - short * (8000.0 - 7497.0)
     time = dt * np.arange(1, count + 1)
     expected = 7000.0 + (end - 7000.0) * source.second_order(tau, lag, time)
     assert np.abs(flown - expected).max() < 3.0
@@ -42,7 +44,7 @@ def test_motors_answer_in_second_order():
 
 def test_the_battery_lowers_what_can_be_reached():
     config = only(battery=1.0)
-    p, b = build_plant(config).power.battery, config.battery
+    p, b = build_plant(config).battery, config.battery
     rpm = Rotors.same(jnp.float32(9000.0))
     found = float(battery.highest_rpm(p, rpm, jnp.float32(0.7)))
     current = b.hover_current * (9000.0 / np.sqrt(9.81 / (4.0 * ref.MOTOR["k_w"]))) ** 3
@@ -50,7 +52,7 @@ def test_the_battery_lowers_what_can_be_reached():
     assert found == pytest.approx(b.rpm_full * volts / b.voltage, rel=1e-5)
     rate = float(battery.charge_rate(p, rpm))
     assert rate == pytest.approx(-current / 3600 / b.capacity, rel=1e-5)
-    none = build_plant(OFF).power.battery
+    none = build_plant(OFF).battery
     assert np.isinf(float(battery.highest_rpm(none, rpm, jnp.float32(0.0))))
 
 
@@ -77,12 +79,12 @@ def test_the_frame_rings_at_its_frequency():
     driven = effects.flex_acceleration(
         params.flex, Vec3(zero, zero, zero), Vec3(zero, zero, zero), Vec3(zero + 1.0, zero, zero)
     )
-    assert float(driven.x) == pytest.approx(-f.participation)
+    assert float(driven.x) == pytest.approx(-effects.PARTICIPATION)
 
 
 def test_gusts_have_drydens_spread_and_spectrum():
     wind, altitude, speed, step = 5.0, 6.1, 6.0, 0.02
-    params = gusts.gust_params(wind, altitude, 1.0, step)
+    params = as_leaves(GustsConfig(wind=wind, altitude=altitude))
     feet = altitude / 0.3048
     along = 0.1 * wind / (0.177 + 0.000823 * feet) ** 0.4
     length = feet / (0.177 + 0.000823 * feet) ** 1.2 * 0.3048
@@ -95,8 +97,8 @@ def test_gusts_have_drydens_spread_and_spectrum():
 
         def one(state, key):
             drawn = jax.random.normal(key, (gusts.DRAWS, runs))
-            update = jax.vmap(gusts.update, (None, -1, None, -1), -1)
-            state = update(params, state, moving, drawn)
+            update = jax.vmap(gusts.update, (None, -1, None, None, -1), -1)
+            state = update(params, state, moving, jnp.float32(step), drawn)
             return state, gusts.velocity(params, state).array()
 
         return jax.lax.scan(one, start, jax.random.split(key, count))[1]

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from quadjax.core import quaternion
 from quadjax.core.frames import rotation_matrix
 from quadjax.plant import ekf
-from quadjax.plant.config import EkfConfig, SensorsConfig
+from quadjax.plant.config import SensorsConfig
 from quadjax.plant.ekf_params import ekf_params
 from quadjax.plant.sensors import Fix
 from tests.plant import reference
@@ -27,7 +27,7 @@ SEEDS = range(4)
 
 @pytest.fixture(scope="module")
 def params():
-    return ekf_params(SensorsConfig(), EkfConfig(), RATE)
+    return ekf_params(SensorsConfig(), RATE)
 
 
 def _mean(samples):
