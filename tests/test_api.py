@@ -4,14 +4,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 
 import quadjax
 from quadjax.core.resources import PRETRAINED
-from quadjax.core.traced import with_leaves
-from tests.surface.short import short_config
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -49,27 +46,6 @@ def test_presets_can_be_loaded_by_name():
     assert isinstance(config, quadjax.Config) and (config.name, config.seed) == ("e2e", 3)
     with pytest.raises(quadjax.InputError, match="e2e_shak"):
         quadjax.load("e2e_shak")
-
-
-def test_a_race_is_three_pure_functions_and_its_numbers():
-    environment, params = quadjax.make_race("e2e")
-    assert isinstance(environment, quadjax.Environment)
-
-    @jax.jit
-    def step(params):
-        state = environment.reset(params, jax.random.key(0))
-        observation = environment.observe(params, state)
-        return observation, *environment.step(params, state, np.zeros(4, np.float32))[1:]
-
-    tight = params.replace(rules=with_leaves(params.rules, position_limit=np.float32(0.01)))
-    last = params.replace(
-        training_limits=with_leaves(params.training_limits, episode_steps=np.int32(1))
-    )
-    for numbers, ends in ((params, (False, False)), (tight, (True, False)), (last, (False, True))):
-        observation, reward, terminated, truncated = step(numbers)
-        assert observation.shape == (environment.observation_size,)
-        assert np.isfinite(float(reward))
-        assert (bool(terminated), bool(truncated)) == ends
 
 
 def test_shipped_policies_are_found_by_name():
@@ -119,24 +95,13 @@ def test_a_shipped_policy_is_evaluated(tmp_path):
 def test_a_number_out_of_range_is_one_line():
     policy = PRETRAINED / "e2e_nominal.npz"
     for argument, message in (
-        ({"laps": 0}, "laps is 0, allowed: an integer, 1 to 1000"),
         ({"runs": 2.5}, "runs is 2.5, allowed: an integer, 1 to 100000"),
-        ({"seed": -1}, "seed is -1, allowed: an integer, 0 to 2147483647"),
         ({"start": "moon"}, "start is 'moon'"),
     ):
         with pytest.raises(quadjax.InputError, match=message):
             quadjax.evaluate(policy, "e2e", **argument)
-    with pytest.raises(quadjax.InputError, match=r"indi\.npz: a policy for the rate"):
-        quadjax.evaluate(PRETRAINED / "indi.npz", "e2e")
-    for learner, values, message in (
-        ("SHAC", {"horizon": 0}, "SHAC: horizon is 0, allowed: greater than or equal to 1"),
-        ("PPO", {"typo": 1}, "PPO: unknown key typo"),
-        ("PPO", {"learning_rate": float("nan")}, "PPO: learning_rate is nan, allowed: a finite"),
-        ("Network", {"hidden": []}, "Network: hidden is "),
-    ):
-        with pytest.raises(quadjax.InputError, match=message) as error:
-            getattr(quadjax, learner)(**values)
-        assert "\n" not in str(error.value)
+    with pytest.raises(quadjax.InputError, match="SHAC: horizon is 0, allowed: greater than or eq"):
+        quadjax.SHAC(horizon=0)
 
 
 def test_a_preset_is_trained_by_its_name(tmp_path):
@@ -144,18 +109,3 @@ def test_a_preset_is_trained_by_its_name(tmp_path):
     (tmp_path / "run" / ".quadjax.json").write_text('{"kind": "sweep"}')
     with pytest.raises(quadjax.InputError, match="holds a sweep, not a training"):
         quadjax.train("e2e", tmp_path / "run")
-    with pytest.raises(quadjax.InputError, match="e2e_shak"):
-        quadjax.train("e2e_shak")
-
-
-@pytest.mark.slow
-def test_a_training_is_loaded_and_evaluated(tmp_path):
-    config = short_config("e2e")
-    run = quadjax.train(config, tmp_path / "run", progress=False)
-    assert run.finished and run.folder == tmp_path / "run"
-    assert run.metrics["steps"].tolist() == [128, 256, 384, 512]
-    again = quadjax.Run.load(run.folder)
-    assert again.config == config and again.summary == run.summary
-    laps = quadjax.evaluate(run.policy, config, runs=2)
-    assert laps.lap_times.shape == (2, 1)
-    assert laps.to_json()["provenance"]["policy"] == {"file": "policy", "sha256": None}

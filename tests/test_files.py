@@ -1,6 +1,7 @@
 """Policy and residual files: they come back as they went, and damage is one clear line."""
 
 import dataclasses
+import functools
 import io
 import json
 import zipfile
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import read_npz, whole_file, write_json, write_text
+from quadjax.core.files import whole_file, write_json, write_text
 from quadjax.policy.file import Policy
 from quadjax.vehicle.residual import read_residual, write_residual
 from tests import reference as ref
@@ -70,38 +71,21 @@ def refusal(read, path):
     return text
 
 
-def test_policy_of_plain_numpy(tmp_path):
-    arrays = policy_arrays()
-    bare = {key: value for key, value in POLICY_META.items() if key != "output"}
-    policy = Policy.load(save(tmp_path / "p.npz", arrays, bare))
-    assert (policy.vehicle, policy.activation) == ("rate", "relu")
-    assert len(policy.layers) == 3
-    for i, (kernel, bias) in enumerate(policy.layers):
-        np.testing.assert_array_equal(kernel, arrays[f"kernel_{i}"])
-        np.testing.assert_array_equal(bias, arrays[f"bias_{i}"])
-    np.testing.assert_array_equal(policy.log_std, arrays["log_std"])
-    np.testing.assert_array_equal(policy.command_high, [3, 3, 3, 15])
-    assert policy.layout.size == 17 and policy.layout["thrust"].span == ((0.0, 15.0),)
-    assert policy.config is None
-
-
 def test_policy_comes_back_as_it_went(tmp_path):
-    first = Policy.load(save(tmp_path / "a.npz", policy_arrays(), POLICY_META))
+    bare = {key: value for key, value in POLICY_META.items() if key != "output"}
+    first = Policy.load(save(tmp_path / "a.npz", policy_arrays(), bare))
+    assert first.layout.size == 17 and first.layout["thrust"].span == ((0.0, 15.0),)
+    assert (first.vehicle, first.activation, first.config) == ("rate", "relu", None)
+    np.testing.assert_array_equal(first.command_high, [3, 3, 3, 15])
     first.save(tmp_path / "new" / "b.npz")
     second = Policy.load(tmp_path / "new" / "b.npz")
-    for name in Policy.__dataclass_fields__:
-        left, right = getattr(first, name), getattr(second, name)
-        if name == "layers":
-            for one, two in zip(left, right, strict=True):
-                np.testing.assert_array_equal(one[0], two[0])
-                np.testing.assert_array_equal(one[1], two[1])
-        elif name == "layout":
-            assert left.to_meta() == right.to_meta() and right.size == 17
-        else:
-            np.testing.assert_array_equal(left, right)
-    names = np.load(tmp_path / "new" / "b.npz", allow_pickle=False).files
-    expected = {f"{kind}_{i}" for kind in ("kernel", "bias") for i in range(3)}
-    assert set(names) == expected | {"log_std", "meta"}
+    assert first.layout.to_meta() == second.layout.to_meta()
+    for name in set(Policy.__dataclass_fields__) - {"layout"}:
+        jax.tree.map(np.testing.assert_array_equal, getattr(first, name), getattr(second, name))
+    with np.load(tmp_path / "new" / "b.npz", allow_pickle=False) as file:
+        assert set(file) == {*policy_arrays(), "meta"}
+        for key, array in policy_arrays().items():
+            np.testing.assert_array_equal(file[key], array)
     assert second.meta["format"] == "quadjax-policy/2"
 
 
@@ -128,9 +112,7 @@ def test_a_policy_may_have_its_critic(tmp_path):
     plain = Policy.load(save(tmp_path / "p.npz", policy_arrays(), POLICY_META))
     assert plain.value is None
     dataclasses.replace(plain, value=value).save(tmp_path / "v.npz")
-    for found, wanted in zip(Policy.load(tmp_path / "v.npz").value, value, strict=True):
-        for left, right in zip(found, wanted, strict=True):
-            np.testing.assert_array_equal(left, right)
+    jax.tree.map(np.testing.assert_array_equal, Policy.load(tmp_path / "v.npz").value, value)
 
 
 def test_a_policy_has_the_residual_that_it_was_trained_with(tmp_path):
@@ -176,7 +158,6 @@ def with_value(inputs, outputs):
 
 POLICY_DAMAGE = {
     "no bias": (lambda a: without(a, "bias_1"), {}, "bias_1 is missing"),
-    "a gap": (lambda a: without(a, "kernel_1", "bias_1"), {}, "outputs"),
     "no log_std": (lambda a: without(a, "log_std"), {}, "log_std"),
     "nan": (lambda a: poked(a, "kernel_1", np.nan), {}, "kernel_1[0, 3] is nan"),
     "large": (
@@ -184,29 +165,20 @@ POLICY_DAMAGE = {
         {},
         "kernel_1 has 1e+30, allowed: up to",
     ),
-    "turned": (lambda a: a | {"kernel_1": a["kernel_1"].T}, {}, "kernel_1"),
-    "text": (lambda a: a | {"bias_0": np.array(["x"] * 8)}, {}, "bias_0"),
     "other inputs": (lambda a: a, {"vehicle": "motor"}, "17"),
     "a residual": (lambda a: a, {"format": "quadjax-residual/1"}, "quadjax-residual/1"),
     "vehicle": (lambda a: a, {"vehicle": "boat"}, "boat"),
-    "activation": (lambda a: a, {"activation": "gelu"}, "gelu"),
-    "output": (lambda a: a, {"output": "tanh"}, "tanh"),
     "huge limits": (lambda a: a, {"command_high": [3, 3, 3, 10**400]}, "command_high"),
-    "crossed limits": (lambda a: a, {"command_high": [-3, 3, 3, 15]}, "command_low"),
     "observation": (lambda a: a, {"observation": [1, 2]}, "observation"),
-    "width": (lambda a: a, {"observation": {"disturbance": {"moment_x": -1.0}}}, "disturbance"),
     "no layout": (lambda a: a, {"format": "quadjax-policy/2"}, "layout"),
-    "a value's bias": (lambda a: a | {"value_kernel_0": np.zeros((17, 1))}, {}, "value_bias_0"),
     "a value's outputs": (lambda a: a | with_value(17, 4), {}, "17 and 1"),
 }
 RESIDUAL_DAMAGE = {
     "no moment": (lambda a: without(a, "moment_kernel_0"), {}, "moment_kernel_0 is missing"),
     "inputs": (lambda a: a | {"thrust_kernel_0": np.zeros((8, 32))}, {}, "thrust network"),
-    "nan": (lambda a: poked(a, "thrust_bias_0", np.nan), {}, "thrust_bias_0[3] is nan"),
     "sign": (lambda a: a, {"thrust_sign": 0}, "thrust_sign"),
     "huge rpm": (lambda a: a, {"rpm_max": 10**4000}, "rpm_max"),
     "crossed rpm": (lambda a: a, {"rpm_max": 2000}, "rpm_min"),
-    "a policy": (lambda a: a, {"format": "quadjax-policy/1"}, "quadjax-policy/1"),
 }
 
 
@@ -228,12 +200,9 @@ def test_what_is_no_such_file(tmp_path, read):
     assert "no such file" in refusal(read, tmp_path / "none.npz")
     assert "is a directory" in refusal(read, tmp_path)
     path = tmp_path / "f.npz"
-    path.write_bytes(b"")
-    refusal(read, path)
-    path.write_bytes(b"PK\x03\x04 not a zip at all")
-    refusal(read, path)
-    path.write_text("hello\nworld\n")
-    refusal(read, path)
+    for data in (b"", b"PK\x03\x04 not a zip at all", b"hello\nworld\n"):
+        path.write_bytes(data)
+        refusal(read, path)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("meta.npy", b"\x93NUMPY garbage")
     refusal(read, path)
@@ -244,44 +213,22 @@ def test_what_is_no_such_file(tmp_path, read):
 
 @READERS
 def test_meta_that_is_none(tmp_path, read):
-    arrays = policy_arrays()
-    assert "meta" in refusal(read, save(tmp_path / "a.npz", arrays, None))
-    assert "JSON" in refusal(read, save(tmp_path / "b.npz", arrays, "{not json"))
-    assert "format" in refusal(read, save(tmp_path / "c.npz", arrays, "[1, 2]"))
-    assert "format" in refusal(read, save(tmp_path / "d.npz", arrays, "{}"))
-
-
-@READERS
-def test_pickles_are_never_loaded(tmp_path, read):
-    class Trap:
-        def __reduce__(self):
-            return (pytest.fail, ("a pickle was loaded",))
-
-    path = tmp_path / "p.npz"
-    np.savez(path, kernel_0=np.array([Trap()], object), meta=json.dumps(POLICY_META))
-    refusal(read, path)
-
-
-def test_truncated_files(tmp_path):
-    for read, arrays, meta in (
-        (Policy.load, policy_arrays(), POLICY_META),
-        (read_residual, residual_arrays(), RESIDUAL_META),
+    for meta, expected in (
+        (None, "meta"),
+        ("{not json", "JSON"),
+        ("[1, 2]", "format"),
+        ("[" * 100_000, "not JSON"),
+        ('{"format": ' + "1" * 5000 + "}", "format is inf"),
     ):
-        path = save(tmp_path / "f.npz", arrays, meta)
-        whole = path.read_bytes()
-        for share in (0.02, 0.3, 0.7, 0.98):
-            path.write_bytes(whole[: int(share * len(whole))])
-            refusal(read, path)
+        assert expected in refusal(read, save(tmp_path / "a.npz", policy_arrays(), meta))
 
 
 def test_residual_comes_back_as_it_went(tmp_path):
     residual = residual_of(ref.random_residual(-1.0))
     write_residual(tmp_path / "r.npz", residual, {"flights": 3})
     found = read_residual(tmp_path / "r.npz")
-    for name in ("thrust", "moment"):
-        for one, two in zip(getattr(found, name), getattr(residual, name), strict=True):
-            np.testing.assert_allclose(one[0], two[0], rtol=1e-6)
-            np.testing.assert_allclose(one[1], two[1], rtol=1e-6)
+    close = functools.partial(np.testing.assert_allclose, rtol=1e-6)
+    jax.tree.map(close, found, residual)
     assert (found.rpm_min, found.rpm_max, found.thrust_sign) == (2500, 10500, -1)
     plain = read_residual(save(tmp_path / "n.npz", residual_arrays(), RESIDUAL_META))
     assert plain.thrust_sign == -1 and plain.moment[1][0].shape == (32, 3)
@@ -305,14 +252,6 @@ def test_json_has_no_nan(tmp_path):
     assert not (tmp_path / "a.json").exists()
     write_json(tmp_path / "a.json", {"x": 1.5})
     assert json.loads((tmp_path / "a.json").read_text()) == {"x": 1.5}
-
-
-def test_read_npz_gives_arrays_and_meta(tmp_path):
-    arrays, meta = read_npz(
-        save(tmp_path / "a.npz", {"kernel_0": np.arange(3)}, {"format": "f/1", "k": 2}), "f/1"
-    )
-    np.testing.assert_array_equal(arrays["kernel_0"], [0, 1, 2])
-    assert set(arrays) == {"kernel_0"} and meta == {"format": "f/1", "k": 2}
 
 
 def test_a_shipped_residual_is_found_by_its_name(tmp_path, monkeypatch):
@@ -343,14 +282,6 @@ def test_an_array_that_the_format_does_not_name_is_not_read(tmp_path):
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("ballast.npy", b"not an array")
     assert len(Policy.load(path).layers) == 3
-
-
-@READERS
-@pytest.mark.parametrize(
-    "text, says", [("[" * 100_000, "not JSON"), ('{"format": ' + "1" * 5000 + "}", "format is inf")]
-)
-def test_meta_that_json_cannot_parse(tmp_path, read, text, says):
-    assert says in refusal(read, save(tmp_path / "p.npz", policy_arrays(), text))
 
 
 @READERS

@@ -21,11 +21,6 @@ from quadjax.integrations.gym import ID, RaceEnv, RaceVectorEnv  # noqa: E402
 from tests.race.support import BLANK  # noqa: E402
 
 N = 6
-MODES = pytest.mark.parametrize(
-    "mode", ["SameStep", "Disabled", pytest.param("NextStep", marks=pytest.mark.slow)]
-)
-
-
 REST = ["start.position=0", "start.velocity=0", "start.roll_pitch_deg=0"]
 
 
@@ -67,7 +62,7 @@ def test_a_vector_is_made_by_its_id():
         assert isinstance(env, RaceVectorEnv) and env.metadata["autoreset_mode"] == mode
 
 
-@MODES
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
 def test_spaces_and_shapes(mode):
     env = vector(mode)
     observation, infos = env.reset(seed=3)
@@ -119,7 +114,6 @@ def test_a_crash_is_no_truncation():
     np.testing.assert_allclose(reward[terminated], -10.0)
 
 
-@pytest.mark.slow
 def test_the_next_episode_begins_a_step_later_where_asked():
     env = vector("NextStep")
     env.reset(seed=1)

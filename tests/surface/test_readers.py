@@ -1,31 +1,19 @@
 """Every file that a user hands over, damaged: it is read, or refused in one line."""
 
 import functools
-import io
 import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import quadjax
+from tests.surface.damage import SETTINGS, damaged
 
 ROOT = Path(__file__).resolve().parents[2]
-PIECES = (
-    [b"1e999", b"nan", b"-1", b"null", b"true", b"9" * 5000, b"'", b"\n", b"\t", b",", b"[", b"{"]
-    + [b": ", b"- ", b"? ", b"|", b"&a [*a]", b"*b", b"!!python/object:os.system x"]
-    + [b"\x00", b"\xff\xfe", b"\xef\xbb\xbf", b"../../x", b"PK\x03\x04"]
-)
-
-
-def npz(**arrays: object) -> bytes:
-    """Arrays as the bytes of an archive."""
-    stream = io.BytesIO()
-    np.savez(stream, **arrays)
-    return stream.getvalue()
 
 
 @functools.cache
@@ -53,34 +41,13 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 }
 
 
-@st.composite
-def damages(draw: st.DrawFn, size: int) -> list[tuple[int, int, bytes]]:
-    """Places (begin, end) of a file and what replaces them."""
-    changes = []
-    for _ in range(draw(st.integers(1, 5))):
-        begin = draw(st.integers(0, size))
-        length = draw(st.sampled_from((0, 1, 4, 30, 300, size)))
-        piece = draw(st.one_of(st.sampled_from(PIECES), st.binary(max_size=8), st.just(b"")))
-        changes.append((begin, begin + length, piece))
-    return changes
-
-
 @pytest.mark.parametrize("kind", READERS)
-@settings(
-    max_examples=40,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@SETTINGS
 @given(data=st.data())
 def test_a_damaged_file_is_read_or_refused_in_one_line(kind, data, tmp_path):
     suffix, reader = READERS[kind]
-    whole = example(kind)
-    changed = bytearray(whole)
-    for begin, end, piece in data.draw(damages(len(whole))):
-        changed[begin:end] = piece
     path = tmp_path / f"damaged{suffix}"
-    path.write_bytes(bytes(changed))
+    path.write_bytes(data.draw(damaged(example(kind))))
     try:
         reader(path)
     except quadjax.InputError as error:
@@ -96,6 +63,6 @@ def test_the_examples_are_read(tmp_path):
 
 def test_an_archive_with_pickled_objects_is_refused(tmp_path):
     path = tmp_path / "pickled.npz"
-    path.write_bytes(npz(kernel_0=np.array([print], dtype=object), meta=json.dumps({})))
+    np.savez(path, kernel_0=np.array([print], dtype=object), meta=json.dumps({}))
     with pytest.raises(quadjax.InputError, match="pickled"):
         quadjax.Policy.load(path)

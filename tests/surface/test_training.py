@@ -116,6 +116,8 @@ def test_a_run_in_python_has_policy_metrics_and_summary(tmp_path):
     assert result.metrics["steps"].tolist() == [128, 256, 384, 512]
     summary = json.loads((result.folder / "summary.json").read_text())
     assert summary["steps"] == 512 and summary["seed"] == 0
+    again = quadjax.Run.load(result.folder)
+    assert again.config == result.config and again.summary == summary
     saved = quadjax.Policy.load(result.folder / "policy.npz")
     observation = np.linspace(-1.0, 1.0, saved.layout.size, dtype=np.float32)
     action = np.asarray(saved.mean(observation))

@@ -1,4 +1,4 @@
-"""Files in the formats of PyTorch and Stable-Baselines3, written byte by byte, without either."""
+"""Files in the formats of PyTorch, Stable-Baselines3 and C, written without any of them."""
 
 import io
 import json
@@ -87,3 +87,32 @@ def sb3_model(path: Path, arrays: Mapping[str, np.ndarray], data: object) -> Pat
         file.writestr("policy.pth", state_dict(arrays))
         file.writestr("_stable_baselines3_version", "2.3.0")
     return path
+
+
+def c_source(arrays: Mapping[str, np.ndarray], prefix="", std="", flat=True, body="relu(x);"):
+    """The layers of ``linear`` as C arrays, row by row per output, and a function."""
+    lines = ["// weights_fake[2] = {1, 2};", '#include "header.h"']
+    for number in range(1, len(arrays) // 2 + 1):
+        weight, bias = arrays[f"{2 * number - 2}.weight"], arrays[f"{2 * number - 2}.bias"]
+        rows = [", ".join(f"{x:.9g}f" for x in row) for row in weight]
+        inner = ", ".join(rows) if flat else ", ".join(f"{{{row}}}" for row in rows)
+        shape = "[]" if flat else f"[{weight.shape[0]}][{weight.shape[1]}]"
+        lines.append(f"static const float {prefix}weights_fc{number}{shape} = {{{inner}}};")
+        numbers = ", ".join(f"{x:.9g}" for x in bias)
+        lines.append(f"const float {prefix}biases_fc{number}[{len(bias)}] = {{\n{numbers},\n}};")
+    if std:
+        lines.append(f"const float output_std[4] = {std};")
+    return "\n".join([*lines, f"void f() {{ {prefix}{body} }}"])
+
+
+def forward(arrays: Mapping[str, np.ndarray], x: np.ndarray, names="02", activation=np.tanh):
+    """The output of a network in NumPy, from its PyTorch arrays."""
+    for index, name in enumerate(names):
+        x = x @ arrays[f"{name}.weight"].T.astype(float) + arrays[f"{name}.bias"]
+        x = activation(x) if index < len(names) - 1 else x
+    return x
+
+
+def relu(x: np.ndarray) -> np.ndarray:
+    """The rectifier."""
+    return np.maximum(x, 0.0)
