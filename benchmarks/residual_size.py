@@ -16,11 +16,11 @@ import quadjax
 from quadjax.core.frames import attitude, world_to_body
 from quadjax.core.resources import PRETRAINED
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.evaluation.recording import Recording
+from quadjax.flights import Flight
 from quadjax.vehicle.residual import read_residual, residual_force_moment
 
 
-def nominal_flight() -> Recording:
+def nominal_flight() -> Flight:
     """Six laps of the mean action of ``e2e_nominal.npz`` on the nominal model."""
     laps = quadjax.evaluate(
         PRETRAINED / "e2e_nominal.npz", "e2e", runs=1, laps=6, deterministic=True
@@ -28,7 +28,7 @@ def nominal_flight() -> Recording:
     return laps.flights[0]
 
 
-def outputs(path: str, flight: Recording) -> tuple[np.ndarray, np.ndarray]:
+def outputs(path: str, flight: Flight) -> tuple[np.ndarray, np.ndarray]:
     """Specific force along body z (n,), m/s^2, and moments (n, 3), N m, of a residual file."""
     residual = read_residual(path)
 
@@ -39,12 +39,12 @@ def outputs(path: str, flight: Recording) -> tuple[np.ndarray, np.ndarray]:
         )
         return jnp.concatenate([force[None], moment.array()])
 
-    signals = (flight.actuators, flight.velocity, flight.euler, flight.rates)
+    signals = [flight[name] for name in ("actuators", "velocity", "attitude", "rates")]
     values = np.asarray(jax.jit(jax.vmap(at))(*(signal.astype(np.float32) for signal in signals)))
     return values[:, 0], values[:, 1:]
 
 
-def row(path: str, flight: Recording) -> str:
+def row(path: str, flight: Flight) -> str:
     """A line of the table."""
     force, moment = outputs(path, flight)
     sizes = f"{force.mean():.2f} / {np.sqrt((force**2).mean()):.2f} / {np.abs(force).max():.2f}"

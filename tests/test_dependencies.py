@@ -15,7 +15,7 @@ ALLOWED = {
     "policy": CONFIG - {"learners"} | {"config"},
     "training": CONFIG | {"config", "policy", "flights"},
     "flights": {"core", "vehicle", "race"},
-    "view": {"core"},
+    "view": {"core", "race", "flights"},
     "evaluation": CONFIG | {"config", "policy", "training", "view", "flights"},
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle", "flights"},
@@ -25,9 +25,6 @@ ALLOWED = {
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
     "sil": CONFIG - {"learners"}
     | {"config", "policy", "training", "evaluation", "plant", "export", "studies", "flights"},
-    "dashboard": CONFIG
-    | {"config", "policy", "training", "view", "evaluation", "fitting", "limits", "sweeps"}
-    | {"studies", "flights"},
     "studies": CONFIG
     | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"}
     | {"export", "view", "flights"},

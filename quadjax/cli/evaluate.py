@@ -147,12 +147,12 @@ def _report(
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.core.folders import results
-        from quadjax.studies.report.flights import find_flights
+        from quadjax.sources import load_groups
         from quadjax.studies.report.run import FILES as REPORT_FILES
         from quadjax.studies.report.run import write_report
 
     race = load_config(config, overrides)
-    groups = find_flights(flights, race.track, logs.columns() if logs.logs else None)
+    groups = load_groups(flights, race.track, logs.columns() if logs.logs else None)
     with results(folder, "report", REPORT_FILES, overwrite) as new:
         text = write_report(groups, race, new)
     print(text)

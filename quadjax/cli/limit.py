@@ -92,7 +92,7 @@ def limit(
             )
         except NotFoundError as error:
             print(f"error: {error}", file=sys.stderr)
-            if npz is not None and save_unverified(npz, error):
+            if npz is not None and save_unverified(npz, error, race):
                 wrote(f"{npz}: not verified, only for --guess")
             return 1
         if npz is not None:  # the lower bound may take a minute

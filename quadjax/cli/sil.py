@@ -127,8 +127,8 @@ def sil(
     last = flown.races[-1]
     if last.gone is not None:
         raise last.gone
-    if view and len(last.recording.time):
+    if view and len(last.flight.time):
         from quadjax.cli.view import view as show
 
         show(str(folder / STATES_FILE), output=folder / "flight.html", open_=True)
-    return INTERRUPTED if last.recording.crash == STOPPED else 0
+    return INTERRUPTED if last.flight.crash == STOPPED else 0

@@ -15,7 +15,7 @@ from quadjax.core.interruptions import loading
 
 def view(
     *flights: Annotated[str, Parameter(name="FLIGHTS", required=True)],
-    output: Annotated[Path, opt.Output((".html", ".json")), Parameter(metavar="FILE.html")] = Path(
+    output: Annotated[Path, opt.Output((".html", ".npz")), Parameter(metavar="FILE.html")] = Path(
         "flights.html"
     ),
     name: list[str] | None = None,
@@ -34,7 +34,7 @@ def view(
     the name of one that comes with quadjax (e2e, e2e_fastest, indi, ..); states
     of quadjax evaluate --states FILE.npz; the best known lap of quadjax limit
     --npz FILE.npz; a flight log (.csv, .ulg); or flights that an earlier quadjax
-    view --output FILE.json wrote. Lap times (.json, of quadjax evaluate --json or
+    view --output FILE.npz wrote. Lap times (.json, of quadjax evaluate --json or
     limit --json) are marked on the time line. All flights start together.
     Policies fly their own race, or that of --race, with the mean action.
 
@@ -42,7 +42,7 @@ def view(
 
     Args:
         flights: One or more, as above.
-        output: Page, or with the suffix .json its data alone.
+        output: Page, or with the suffix .npz the flights alone.
         name: Of the next flight, in order; may be repeated.
         title: Of the page (default: the track's name).
         race: Race of the policies, and gates of files that contain none.
@@ -59,18 +59,26 @@ def view(
         raise InputError(f"--open needs an .html file, --output is {output}")
     with loading():
         from quadjax.config.loading import load_config
-        from quadjax.core.files import write_json
-        from quadjax.dashboard.sources import Options, scene_record
+        from quadjax.flights import save
+        from quadjax.sources import Options, load_flights
+        from quadjax.view.data import page_record
         from quadjax.view.page import write_page
 
     config = load_config(race) if race else None
-    reading = Options(config, laps, runs, sampled, seed, logs.columns(), report=note)
+    columns = logs.columns() if logs.logs else None
+    reading = Options(config, laps, runs, sampled, seed, columns, report=note)
     title = title or (config.track.name if config else "") or "Flights"
     with steps() as report:
         reading = dataclasses.replace(reading, progress=report)
-        record = scene_record(list(flights), names, title, reading)
-        if output.suffix == ".json":
-            write_json(output, record)
+        labels = [*names, *[None] * (len(flights) - len(names))]
+        read = [
+            flight
+            for source, label in zip(flights, labels, strict=True)
+            for flight in load_flights(source, label, reading)
+        ]
+        record = page_record(title, read)
+        if output.suffix == ".npz":
+            save(read, output)
         else:
             write_page(output, record)
     count, size = len(record["flights"]), output.stat().st_size

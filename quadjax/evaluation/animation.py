@@ -16,8 +16,8 @@ from quadjax.core.files import whole_file
 from quadjax.core.plotting import SPEED_COLORS
 from quadjax.evaluation import scene
 from quadjax.evaluation.figures import gate_labels, label_places, same_place, speed_range
-from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import View
+from quadjax.flights.flight import Flight
 from quadjax.race.track import GateSection
 
 FRAMES_PER_SECOND = 20  # a GIF counts in hundredths of a second
@@ -32,14 +32,14 @@ LEGEND = (0.66, 0.78)  # of the width: the bar of the speeds' colors
 NAME_OFFSET = 30  # px, before halving, of a drone's name from its middle
 
 
-def frame_count(flights: Sequence[Recording]) -> int:
+def frame_count(flights: Sequence[Flight]) -> int:
     """Number of frames of the flights."""
     longest = max(float(flight.time[-1]) for flight in flights)
     return int(np.ceil(longest * FRAMES_PER_SECOND)) + 1
 
 
 def write_animation(
-    flights: Sequence[Recording],
+    flights: Sequence[Flight],
     gates: Sequence[GateSection],
     path: Path | str,
     advance: Callable[[], object] = lambda: None,
@@ -66,7 +66,7 @@ def write_animation(
 
 
 def _frames(
-    flights: Sequence[Recording],
+    flights: Sequence[Flight],
     gates: Sequence[GateSection],
     names: Sequence[str],
     advance: Callable[[], object],
@@ -97,7 +97,7 @@ class Film:
 
     def __init__(
         self,
-        flights: Sequence[Recording],
+        flights: Sequence[Flight],
         gates: Sequence[GateSection],
         names: Sequence[str] = (),
     ) -> None:
@@ -108,7 +108,7 @@ class Film:
         self._shown = speed_range(flights)
         shades = SPEED_COLORS(np.linspace(0.0, 1.0, SHADES))[:, :3]
         self._shades = [tuple(int(255 * x) for x in color) for color in shades]
-        every = np.concatenate([flight.position for flight in flights])
+        every = np.concatenate([flight["position"] for flight in flights])
         every = np.concatenate([every, *(scene.gate_corners(gate) for gate in gates)])
         self._lowest = np.floor(every.min(axis=0) - 0.7)
         self._highest = np.ceil(every.max(axis=0) + 0.7)
@@ -182,29 +182,29 @@ class Film:
             ended = now >= flight.time[-1]
             for view in self._views:
                 self._draw_flight(draw, view, flight, last, ended)
-                x, y = view.project(flight.position[last])
+                x, y = view.project(flight["position"][last])
                 place = (x + NAME_OFFSET, y - NAME_OFFSET)
                 draw.text(place, name, font=self._fonts[13], fill=scene.TEXT, anchor="ls")
         self._draw_clock(draw, now)
         return image.reduce(SMOOTH)
 
     def _draw_flight(
-        self, draw: ImageDraw.ImageDraw, view: View, flight: Recording, last: int, ended: bool
+        self, draw: ImageDraw.ImageDraw, view: View, flight: Flight, last: int, ended: bool
     ) -> None:
         dt = float(flight.time[1] - flight.time[0])
         first = max(0, last - round(TRAIL_SECONDS / dt))
-        trail = view.project(flight.position[first : last + 1])
+        trail = view.project(flight["position"][first : last + 1])
         low, high = self._shown
         level = (flight.speed[first : last + 1] - low) / (high - low)
         shade = np.clip(level * SHADES, 0, SHADES - 1).astype(int)
         for start in range(0, len(trail) - 1, 2):
             piece, age = trail[start : start + 3], start / max(len(trail) - 1, 1)
             scene.polyline(draw, piece, self._shades[shade[start]], round(2 + 7 * age))
-        position = flight.position[last]
+        position = flight["position"][last]
         ground = position * np.array([1.0, 1.0, 0.0])
         if np.isfinite(view.distance):
             scene.dot(draw, view.project(ground), 6.0, scene.SHADOW)
-        scene.draw_drone(draw, view, position, flight.euler[last])
+        scene.draw_drone(draw, view, position, flight["attitude"][last])
         if ended and flight.crash:
             scene.draw_cross(draw, view.project(position))
 

@@ -18,25 +18,18 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_integer
 from quadjax.core.provenance import provenance
-from quadjax.evaluation import viewing
 from quadjax.evaluation.figures import flight_title, signals_figure, trajectory_figure
 from quadjax.evaluation.figures_3d import attitude_figure, space_figure
 from quadjax.evaluation.published import published_flight
-from quadjax.evaluation.recording import (
-    Recording,
-    choose,
-    distinct,
-    gate_offsets,
-    recordings,
-    write_states,
-    write_table,
-)
 from quadjax.evaluation.tables import Row, counted, describe_crashes, format_table, lap_row
+from quadjax.flights.files import lap_times, save
+from quadjax.flights.flight import Flight, distinct, fastest, recorded_flights
 from quadjax.policy import pilot
 from quadjax.policy.file import Policy
 from quadjax.race.laps import Actor, Laps, Trace
 from quadjax.race.track import GateSection
 from quadjax.vehicle.protocol import VehicleModel
+from quadjax.view.data import page_record
 from quadjax.view.notebook import show
 
 
@@ -82,21 +75,34 @@ class Evaluation:
         return self.laps.finished
 
     @functools.cached_property
-    def flights(self) -> list[Recording]:
-        """The recorded trajectory of every run; the race is repeated to record it."""
+    def flights(self) -> list[Flight]:
+        """Every run as a flight; the race is repeated to record it."""
         _, trace = self.fly(trace=True)
         assert trace is not None
-        return recordings(trace, self.laps, self.time_step)
+        return recorded_flights(trace, self.laps, self.time_step, self.gates, self.model)
 
     @property
-    def best(self) -> Recording:
+    def best(self) -> Flight:
         """The fastest of the recorded runs, or the longest if none finished."""
-        return choose(self.flights)
+        return fastest(self.flights)
+
+    def shown(self, name: str) -> list[Flight]:
+        """The distinct runs, named for a page, and the published lap times of the same race."""
+        runs = distinct(self.flights)
+        actions = "deterministic" if self.deterministic else "sampled"
+        flights = [
+            run.replace(
+                name=name if len(runs) == 1 else f"{name} {number}",
+                source=run.source | {"note": f"{flight_title(run)}, {actions}"},
+            )
+            for number, run in enumerate(runs, start=1)
+        ]
+        return flights + [lap_times(row.label, row.laps) for row in self.published]
 
     @property
     def gate_offsets(self) -> np.ndarray:
         """Distance from the gate's center of every passage of all runs (n,), m."""
-        return np.concatenate([gate_offsets(flight, self.gates) for flight in self.flights])
+        return np.concatenate([_gate_offsets(flight) for flight in self.flights])
 
     def label(self) -> str:
         """How the actions were chosen, and the number of runs."""
@@ -131,7 +137,7 @@ class Evaluation:
         Args:
             path: of the page, an HTML file that needs no network; a temporary file if not given.
         """
-        show(viewing.scene_of(self, self.label()).record(), path)
+        show(page_record(self.label(), self.shown("run")), path)
 
     def animate(self, path: Path | str, advance: Callable[[], object] = lambda: None) -> None:
         """Write an animation of all runs in real time.
@@ -145,24 +151,14 @@ class Evaluation:
         write_animation(distinct(self.flights), self.gates, path, advance)
 
     def save_states(self, path: Path | str) -> None:
-        """Write the trajectories of all runs, as arrays (``.npz``) or as a table (``.csv``).
+        """Write all runs, as arrays (``.npz``) or as a table (``.csv``); see ``flights.files``.
 
-        Arrays: ``time`` (steps,) s; ``position``, ``velocity`` (runs, steps, 3) m, m/s, world NED;
-        ``euler``, ``rates`` (runs, steps, 3) rad, rad/s; ``actuators`` (runs, steps, 4 or 1) rpm or
-        m/s^2; ``command`` (runs, steps, 4); ``target`` (runs, steps) index of the gate to pass
-        next; NaN after the end of a run; ``lap_times`` (runs, laps) s; ``meta``, the JSON of
-        ``to_json``, with the vehicle model and the gates. The table has the same signals with their
-        units in the header, and a line for each time of each run.
+        The metadata of the arrays have the entries of ``to_json``, too.
 
         Raises:
             InputError: another suffix.
         """
-        if Path(path).suffix == ".csv":
-            write_table(path, self.flights, self.model)
-        elif Path(path).suffix == ".npz":
-            write_states(path, self.flights, self.laps, self.model, self.gates, self.to_json())
-        else:
-            raise InputError(f"{path}: suffix is {Path(path).suffix!r}, allowed: .npz, .csv")
+        save(self.flights, path, **self.to_json())
 
     def to_json(self) -> dict[str, Any]:
         """Lap times in s, crashes, how the runs were made, and their provenance."""
@@ -257,6 +253,17 @@ def _checked_race(
     check_integer("runs", runs, 1, MAX_RUNS)
     check_integer("seed", seed, 0, MAX_SEED)
     return {"laps": laps, "gates": gates, "runs": runs, "seed": seed}
+
+
+def _gate_offsets(flight: Flight) -> np.ndarray:
+    """The larger of the lateral and the vertical distance of each passage (n,), m."""
+    gates = [flight.gates[int(index)] for index in flight.passages[:, 1]]
+    when = flight.passages[:, 0]
+    path = [np.interp(when, flight.time, column) for column in flight["position"].T]
+    center = np.array([gate.position for gate in gates], np.float64).reshape(-1, 3)
+    axes = np.array([gate.axes for gate in gates]).reshape(-1, 3, 3)
+    place = np.einsum("ni,nij->nj", np.stack(path, axis=1) - center, axes)
+    return np.abs(place[:, 1:]).max(axis=1)
 
 
 def lap_table(evaluations: Mapping[str, Evaluation]) -> str:

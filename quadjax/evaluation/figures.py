@@ -9,16 +9,16 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from quadjax.core.plotting import INK, MUTED, PAPER, SERIES, SPEED_COLORS, head, new_figure, tidy
-from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import gate_outline
 from quadjax.evaluation.tables import counted
+from quadjax.flights.flight import Flight
 from quadjax.race.track import GateSection
 
 MOTORS = ("1 front left", "2 front right", "3 rear right", "4 rear left")
 
 
 def trajectory_figure(
-    flights: Sequence[Recording], gates: Sequence[GateSection], title: str = ""
+    flights: Sequence[Flight], gates: Sequence[GateSection], title: str = ""
 ) -> Figure:
     """Flights seen from above and from the side, colored by speed, with the gates to size.
 
@@ -37,7 +37,7 @@ def trajectory_figure(
     above, side = figure.subplots(2, 1, sharex=True, height_ratios=[size[1], size[2]])
     for flight in flights:
         shown, width = speed_range(flights), 2.2 if len(flights) == 1 else 1.3
-        heights = flight.position * np.array([1.0, 1.0, -1.0])
+        heights = flight["position"] * np.array([1.0, 1.0, -1.0])
         lines = speed_line(above, heights[:, :2], flight.speed, shown, width)
         speed_line(side, heights[:, [0, 2]], flight.speed, shown, width)
     for gate in gates:
@@ -60,17 +60,17 @@ def trajectory_figure(
     return figure
 
 
-def flight_title(flight: Recording) -> str:
+def flight_title(flight: Flight) -> str:
     """Laps, time and crash of a flight as a short text."""
     title = f"{counted(len(flight.lap_ends), 'lap')} in {flight.time[-1]:.2f} s"
     return f"{title}, then {flight.crash}" if flight.crash else title
 
 
 def extent(
-    flights: Sequence[Recording], gates: Sequence[GateSection]
+    flights: Sequence[Flight], gates: Sequence[GateSection]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x, y and height of all that is drawn, with a margin, m."""
-    points = [flight.position for flight in flights]
+    points = [flight["position"] for flight in flights]
     for gate in gates:
         reach = 0.5 * np.array([gate.size[0], gate.size[0], gate.size[1]])
         points.append(np.array([gate.position]) + np.array([[-1.0], [1.0]]) * reach)
@@ -82,7 +82,7 @@ def extent(
     return lowest, highest
 
 
-def speed_range(flights: Sequence[Recording]) -> tuple[float, float]:
+def speed_range(flights: Sequence[Flight]) -> tuple[float, float]:
     """Limits of the color scale, m/s; the take-off may be below."""
     speeds = np.concatenate([flight.speed for flight in flights])
     lowest, highest = float(np.quantile(speeds, 0.04)), float(speeds.max())
@@ -190,10 +190,10 @@ def draw_gate(axes: Axes, gate: GateSection, reach: float, scale: float = 1.0) -
     )
 
 
-def _draw_ends(axes: Axes, flights: Sequence[Recording]) -> None:
+def _draw_ends(axes: Axes, flights: Sequence[Flight]) -> None:
     if not flights:
         return
-    starts = np.array([flight.position[0, :2] for flight in flights])
+    starts = np.array([flight["position"][0, :2] for flight in flights])
     axes.plot(
         *starts.T,
         "o",
@@ -205,7 +205,7 @@ def _draw_ends(axes: Axes, flights: Sequence[Recording]) -> None:
         label="start",
         zorder=7,
     )
-    crashed = np.array([flight.position[-1, :2] for flight in flights if flight.crash])
+    crashed = np.array([flight["position"][-1, :2] for flight in flights if flight.crash])
     if crashed.size:
         axes.plot(
             *crashed.T,
@@ -219,7 +219,7 @@ def _draw_ends(axes: Axes, flights: Sequence[Recording]) -> None:
         )
 
 
-def signals_figure(flight: Recording, title: str = "") -> Figure:
+def signals_figure(flight: Flight, title: str = "") -> Figure:
     """Propeller speeds (or thrust) and body rates of a flight over time, with its laps.
 
     Args:
@@ -228,17 +228,18 @@ def signals_figure(flight: Recording, title: str = "") -> Figure:
     """
     figure = new_figure(9.0, 5.6)
     above, below = figure.subplots(2, 1, sharex=True)
-    if flight.motor_level:
+    actuators, rates = flight["actuators"], flight["rates"]
+    if actuators.shape[1] == 4:
         for motor, (name, color) in enumerate(zip(MOTORS, SERIES, strict=True)):
-            above.plot(flight.time, flight.actuators[:, motor], color=color, lw=1.1, label=name)
+            above.plot(flight.time, actuators[:, motor], color=color, lw=1.1, label=name)
         above.set_ylabel("propeller speed (rpm)", color=INK)
     else:
-        thrust, command = flight.actuators[:, 0], flight.command[:, 3]
+        thrust, command = actuators[:, 0], flight["command"][:, 3]
         above.plot(flight.time, thrust, color=SERIES[0], lw=1.3, label="thrust")
         above.plot(flight.time, command, color=MUTED, lw=0.8, zorder=1, label="commanded")
         above.set_ylabel("specific thrust (m/s²)", color=INK)
     for axis, name in enumerate(("p, roll", "q, pitch", "r, yaw")):
-        below.plot(flight.time, flight.rates[:, axis], color=SERIES[axis], lw=1.2, label=name)
+        below.plot(flight.time, rates[:, axis], color=SERIES[axis], lw=1.2, label=name)
     below.set_ylabel("body rate (rad/s)", color=INK)
     below.set_xlabel("time (s); dashed: a lap's end", color=INK)
     for axes in (above, below):

@@ -10,8 +10,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, SERIES, SPEED_COLORS, head, new_figure, tidy
 from quadjax.evaluation.figures import speed_range
-from quadjax.evaluation.recording import Recording
 from quadjax.evaluation.scene import gate_outline
+from quadjax.flights.flight import Flight
 from quadjax.race.track import GateSection
 
 UP = np.array([1.0, 1.0, -1.0])  # NED to north, east, height
@@ -19,7 +19,7 @@ ELEVATION, AZIMUTH = 28.0, -62.0  # deg, of the view
 
 
 def space_figure(
-    flights: Sequence[Recording], gates: Sequence[GateSection], title: str = ""
+    flights: Sequence[Flight], gates: Sequence[GateSection], title: str = ""
 ) -> Figure:
     """Flights in perspective, colored by speed, with their shadows and the gates to size.
 
@@ -37,7 +37,7 @@ def space_figure(
     axes = figure.add_subplot(projection="3d")
     low, high = speed_range(flights)
     for flight in flights:
-        points = flight.position * UP
+        points = flight["position"] * UP
         pieces = np.stack([points[:-1], points[1:]], axis=1)
         lines = Line3DCollection(list(pieces), cmap=SPEED_COLORS, linewidths=1.8)
         lines.set_array(0.5 * (flight.speed[:-1] + flight.speed[1:]))
@@ -50,7 +50,8 @@ def space_figure(
         top = outline[outline[:, 2].argmax()]
         axes.text(*top, f" {index + 1}", color=INK, fontsize=9)
     every = np.concatenate(
-        [flight.position * UP for flight in flights] + [gate_outline(gate) * UP for gate in gates]
+        [flight["position"] * UP for flight in flights]
+        + [gate_outline(gate) * UP for gate in gates]
     )
     lowest, highest = every.min(axis=0) - 0.3, every.max(axis=0) + 0.3
     lowest[2] = 0.0
@@ -68,7 +69,7 @@ def space_figure(
     return figure
 
 
-def attitude_figure(flights: dict[str, Recording], title: str = "") -> Figure:
+def attitude_figure(flights: dict[str, Flight], title: str = "") -> Figure:
     """Height, speed, roll, pitch and yaw of flights over time.
 
     Args:
@@ -84,8 +85,8 @@ def attitude_figure(flights: dict[str, Recording], title: str = "") -> Figure:
     several = len(flights) > 1
     panels = figure.subplots(5, 1, sharex=True)
     for (name, flight), color in zip(flights.items(), SERIES, strict=False):
-        angles = np.degrees(np.unwrap(flight.euler, axis=0)).T
-        rows = (-flight.position[:, 2], flight.speed, *angles)
+        angles = np.degrees(np.unwrap(flight["attitude"], axis=0)).T
+        rows = (-flight["position"][:, 2], flight.speed, *angles)
         for axes, values in zip(panels, rows, strict=True):
             axes.plot(flight.time, values, color=color, lw=1.3, label=name if several else None)
             for end in () if several else flight.lap_ends:

@@ -26,6 +26,7 @@ from quadjax.fitting.log_checks import (
 from quadjax.fitting.log_formats import LogFormat, log_format, resolved, table_of_columns
 from quadjax.fitting.log_frames import WORLD, to_standard_frames
 from quadjax.fitting.motor_checks import check_commands, check_motors, typical_speeds
+from quadjax.flights.flight import AXES, MOTORS, RATES, Flight, Signal, motion_signals
 
 Quantities = dict[str, np.ndarray]
 STANDIN_LOGS = "standin_logs"
@@ -66,6 +67,40 @@ class FlightLog:
     def sample_rate(self) -> float:
         """Samples per second, Hz."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
+
+    def flight(self, name: str | None = None) -> Flight:
+        """The log as a flight, without gates; not for a log without a position.
+
+        Further signals: "motor_command", "rate_command" and "thrust_command", where
+        the log has them, "specific_force" and "flying". "command" and "actuators" are propeller
+        speeds. Without an attitude it is NaN, and the velocity is the derivative of the position.
+
+        Args:
+            name: of the flight; that of the log if not given.
+        """
+        assert self.position is not None
+        if self.attitude is None:
+            velocity = np.gradient(self.position, self.time, axis=0)
+            attitude = np.full_like(velocity, np.nan)
+        else:
+            velocity = self.attitude.apply(self.body_velocity)
+            attitude = self.attitude.as_euler("ZYX")[:, ::-1]
+        motion = {"position": self.position, "velocity": velocity, "attitude": attitude}
+        signals = motion_signals(motion | {"rates": self.rates})
+        if self.rpm_command is not None:
+            signals["command"] = Signal(self.rpm_command, "rpm", MOTORS)
+        if self.speeds_measured:
+            signals["actuators"] = Signal(self.rpm, "rpm", MOTORS)
+        if self.motor_command is not None:
+            signals["motor_command"] = Signal(self.motor_command, "", MOTORS)
+        if self.rate_command is not None:
+            signals["rate_command"] = Signal(self.rate_command, "rad/s", RATES)
+        if self.thrust_command is not None:
+            signals["thrust_command"] = Signal(self.thrust_command[:, None], "m/s^2", ("thrust",))
+        signals["specific_force"] = Signal(self.specific_force, "m/s^2", AXES)
+        signals["flying"] = Signal(self.flying[:, None].astype(np.float64))
+        source = {"note": "flight log", "path": self.path}
+        return Flight(name or self.name, self.time, signals, source=source)
 
     def __getitem__(self, rows: slice) -> Self:
         """The flight at some consecutive samples."""

@@ -20,7 +20,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import read_json, read_npz, whole_file, write_npz
 from quadjax.core.sections import build
 from quadjax.flights.flight import MOTION, Flight, Signal, motion_signals, vehicle_signals
-from quadjax.flights.gates import clearance, passages
+from quadjax.flights.gates import clearance, is_same_track, passages
 from quadjax.race.track import GateSection
 from quadjax.vehicle.registry import MODELS
 
@@ -45,9 +45,9 @@ def save(flights: Sequence[Flight], path: Path | str, **meta: Any) -> None:
     Raises:
         InputError: another suffix, no flight, or flights of different tracks.
     """
-    suffix, tracks = Path(path).suffix, {flight.gates for flight in flights if flight.gates}
-    if not flights or len(tracks) > 1:
-        raise InputError(f"{path}: flights of {len(tracks)} tracks, allowed: one or more of one")
+    suffix, tracks = Path(path).suffix, [flight.gates for flight in flights if flight.gates]
+    if not flights or not all(is_same_track(tracks[0], other) for other in tracks):
+        raise InputError(f"{path}: no flights, or of several tracks, allowed: one or more of one")
     if suffix == ".csv":
         return _save_table(flights, path)
     if suffix != ".npz":
@@ -61,7 +61,7 @@ def save(flights: Sequence[Flight], path: Path | str, **meta: Any) -> None:
         {"name": f.name, "crash": f.crash, "source": f.source, "signals": _signals_to_json(f)}
         for f in flights
     ]
-    gates = [gate.model_dump(mode="json") for track in tracks for gate in track]
+    gates = [gate.model_dump(mode="json") for gate in (tracks[0] if tracks else ())]
     write_npz(path, arrays, meta | {"format": FORMAT, "gates": gates, "flights": about})
 
 
@@ -231,8 +231,8 @@ def _read_states(
         label, time = f"{name} {run + 1}" if several else name, arrays["time"][:end]
         flight = _old_flight(label, time, own, meta, gates)
         target = arrays["target"][run, :end] if "target" in arrays else None
-        passed = passages(time, own["position"], gates, target=target, cut=False)
         ends, crash = np.cumsum(laps[np.isfinite(laps)]), reasons.get(run)
+        passed = passages(time, own["position"], gates, target=target, cut=crash is None)
         if target is not None:
             flight = flight.replace(signals=flight.signals | {"target": Signal(target[:, None])})
         flights.append(flight.replace(passages=passed, lap_ends=ends, crash=crash))
@@ -243,16 +243,18 @@ def _read_limit(
     arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[GateSection, ...], name: str
 ) -> list[Flight]:
     """The best known flight, whose gates are at the ends of its legs."""
-    if not gates:
-        raise ValueError("a best known lap without gates")
     flight = _old_flight(name, arrays["time"], arrays, meta, gates)
     when = np.cumsum(arrays["leg_times"])
     periodic = meta.get("start") == "periodic"
+    # A node at the end of a leg has the next gate ahead.
+    legs = np.arange(len(flight.time)) * len(when) // max(len(flight.time) - 1, 1)
+    target = Signal((legs % (len(gates) or len(when)))[:, None].astype(np.float64))
     note = "best known lap, flying start" if periodic else "best known flight from hover"
     return [
         flight.replace(
             passages=passages_at(flight.time, flight["position"], gates, when),
-            lap_ends=when[len(gates) - 1 :: len(gates)],
+            lap_ends=when[len(gates) - 1 :: len(gates)] if gates else when[:0],
+            signals=flight.signals | {"target": target},
             source=flight.source | {"periodic": periodic, "note": note},
         )
     ]
@@ -261,7 +263,12 @@ def _read_limit(
 def passages_at(
     time: np.ndarray, position: np.ndarray, gates: Sequence[GateSection], when: np.ndarray
 ) -> np.ndarray:
-    """As ``passages``, of a flight that passes the gates in order at times (k,), s."""
+    """As ``passages``, of a flight that passes the gates in order at times (k,), s.
+
+    Without gates their indices are those of the legs, and their distances NaN.
+    """
+    if not gates:
+        return np.stack([when, np.arange(len(when)), np.full(len(when), np.nan)], axis=1)
     order = [index % len(gates) for index in range(len(when))]
     places = np.stack([np.interp(when, time, column) for column in position.T], axis=1)
     clear = [

@@ -24,6 +24,7 @@ MOTION = {  # of every flight: unit and labels
     "attitude": ("rad", ANGLES),
     "rates": ("rad/s", RATES),
 }
+SIMULATED = (*MOTION, "actuators", "command")  # signals of a simulated flight
 
 
 @dataclasses.dataclass(frozen=True)
@@ -287,10 +288,7 @@ def recorded_flights(
         name: of a flight.
     """
     names = {"attitude": "euler"}
-    arrays = {
-        key: np.asarray(getattr(trace, names.get(key, key)), np.float64)
-        for key in (*MOTION, "command", "actuators")
-    }
+    arrays = {key: np.asarray(getattr(trace, names.get(key, key)), np.float64) for key in SIMULATED}
     flights = []
     for run, crash in enumerate(laps.crashes):
         steps = len(arrays["position"])
@@ -320,7 +318,7 @@ def simulated_flight(
     Args:
         name: of the flight.
         time_step: between samples, s.
-        values: (n, k) of the signals of ``MOTION``, "command", "actuators" and "target".
+        values: (n, k) of the signals ``SIMULATED`` and "target".
         gates: of the track, in order of passage.
         model: of the vehicle.
         lap_times: (laps,) s, by the rules of the race; NaN where not completed.

@@ -7,6 +7,7 @@ import numpy as np
 from quadjax.race.track import GateSection
 
 REACH = 0.1  # m by which openings are wider for positions that were measured
+SAME = 1e-4  # m, between gates of one track
 LAST_SECONDS = 0.05  # a path may end so long before its last gate, whose passage ended the flight
 
 
@@ -20,6 +21,15 @@ def clearance(gate: GateSection, place: np.ndarray) -> np.ndarray:
     if gate.shape == "circle":
         return 0.5 * gate.size[0] - np.linalg.norm(place, axis=-1)
     return (0.5 * np.array(gate.size) - np.abs(place)).min(axis=-1)
+
+
+def is_same_track(gates: Sequence[GateSection], others: Sequence[GateSection]) -> bool:
+    """Whether gates are those of another track, within ``SAME``."""
+    one, two = (
+        np.array([[*gate.position, *np.ravel(gate.axes), *gate.size] for gate in each])
+        for each in (gates, others)
+    )
+    return one.shape == two.shape and np.allclose(one, two, atol=SAME)
 
 
 def passages(

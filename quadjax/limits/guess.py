@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
-from quadjax.evaluation.recording import SIGNALS, recordings
+from quadjax.flights.flight import SIMULATED, recorded_flights
 from quadjax.limits.problem import ACTUATORS, POSITION, Problem, euler_of
 from quadjax.limits.trajectory import Trajectory
 from quadjax.limits.verify import passages
@@ -41,8 +41,8 @@ def policy_laps(problem: Problem, config: Config, policy: Path | str) -> list[Tr
     result, trace = pilot.fly_policy(choices, params, network, trace=True, **how)
     assert trace is not None
     time_step = float(params.rules.time_step)
-    (flight,) = recordings(trace, result, time_step)
-    columns = [getattr(flight, name) for name in SIGNALS]
+    (flight,) = recorded_flights(trace, result, time_step, config.track.gates, choices.model)
+    columns = [flight[name] for name in SIMULATED]
     recorded = from_flight(problem, columns, time_step)
     if not recorded:
         raise InputError(f"{policy}: no whole lap to compare ({flight.crash or 'too few laps'})")
@@ -56,7 +56,7 @@ def from_flight(
 
     Args:
         problem: the flight to be optimized.
-        columns: the arrays (steps, n) of ``SIGNALS``: m, m/s, rad, rad/s, the actuators' state,
+        columns: the arrays (steps, n) of ``SIMULATED``: m, m/s, rad, rad/s, the actuators' state,
             and the commands, each held for a time step.
         time_step: s.
         intervals: of a leg.

@@ -13,19 +13,18 @@ from matplotlib.figure import Figure
 from quadjax.config.race import race_of
 from quadjax.config.schema import Config, Disturbance, Randomization
 from quadjax.core.errors import InputError
-from quadjax.core.files import read_npz, write_npz
 from quadjax.core.provenance import provenance
-from quadjax.evaluation.recording import SIGNALS
+from quadjax.flights import flight as recorded
+from quadjax.flights.files import load, save
+from quadjax.flights.flight import SIMULATED, Signal, motion_signals
 from quadjax.limits.bound import LowerBound, lower_bound
 from quadjax.limits.compare import Comparison, compare, flights_figure
 from quadjax.limits.guess import policy_laps
 from quadjax.limits.problem import TIME_STEP, Flight, Problem, make_problem
 from quadjax.limits.search import MESH_CHANGE, BestKnown, NotFoundError, Search
 from quadjax.limits.trajectory import Trajectory
-from quadjax.race.recorded_starts import LIMIT
 
 FASTER = 1.2  # times the top speed of the best known flight: default of the bound's speed
-ARRAYS = (*SIGNALS, "leg_times")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -136,19 +135,25 @@ class Result:
     def save(self, path: Path | str) -> None:
         """Write the flight as an ``.npz`` file, with the entries of ``to_json`` in ``meta``.
 
-        Its arrays: ``time`` (n,) s, of the nodes of the mesh; ``position``, ``velocity`` (n, 3) m,
-        m/s, world NED; ``euler``, ``rates`` (n, 3) rad, rad/s; ``actuators`` (n, actuators);
-        ``command`` (n, commands); ``leg_times`` (legs,) s; ``flown_position`` (m + 1, 3) and
-        ``flown_command`` (m, commands), of the verification, each command held for 1 ms.
+        Its samples are the nodes of the mesh. A second flight, "verification", has the position,
+        the velocity and the commands with which it was verified, each held for 1 ms.
         """
-        check, track = self.best.check, self.config.track.gates
-        flown = {"flown_position": check.position, "flown_command": check.commands}
-        meta = {
-            "format": LIMIT,
-            "vehicle": self.config.vehicle.model,
-            "track": [gate.model_dump(mode="json") for gate in track],
-        }
-        write_npz(path, self.best.trajectory.arrays() | flown, self.to_json() | meta)
+        save([self.flight(), self._verification()], path, **self.to_json())
+
+    def flight(self) -> recorded.Flight:
+        """The best known flight; a periodic one can be repeated."""
+        periodic = self.problem.periodic
+        note = "best known lap, flying start" if periodic else "best known flight from hover"
+        facts: dict[str, Any] = {"periodic": periodic, "note": note}
+        gates, model = self.config.track.gates, self.problem.model
+        return self.best.trajectory.flight("best known", model, gates, **facts)
+
+    def _verification(self) -> recorded.Flight:
+        check = self.best.check
+        signals = motion_signals({"position": check.position, "velocity": check.velocity})
+        held = np.concatenate([check.commands, check.commands[-1:]])
+        time = TIME_STEP * np.arange(len(check.position))
+        return recorded.Flight("verification", time, signals | {"command": Signal(held)})
 
 
 def best_known(
@@ -198,23 +203,27 @@ def read_guess(problem: Problem, path: Path | str) -> Trajectory:
     Raises:
         InputError: the file cannot be read, or its flight is not through these gates.
     """
-    arrays, _ = read_npz(path, LIMIT, ARRAYS)
-    legs, nodes = len(problem.order), len(arrays.get("position", ()))
+    flight = load(path)[0]
+    leg_times = np.diff(flight.passages[:, 0], prepend=0.0)
+    legs, nodes = len(problem.order), len(flight.time)
     sizes = 3, 3, 3, 3, len(problem.start) - 13, len(problem.command_range[0])
-    shapes = {name: (nodes, size) for name, size in zip(SIGNALS, sizes, strict=True)}
-    for name, shape in (shapes | {"leg_times": (legs,)}).items():
-        values = arrays.get(name, np.zeros(0))
-        if values.shape != shape or nodes < 2 or (nodes - 1) % legs:
-            text = f"{name} has the shape {values.shape}, expected {shape}, {legs} legs"
-            raise InputError(f"{path}: {text}")
-        if not np.isfinite(values).all() or (name == "leg_times" and values.min() <= 0.0):
+    if leg_times.shape != (legs,) or nodes < 2 or (nodes - 1) % legs:
+        text = f"a flight of {len(leg_times)} legs and {nodes} nodes"
+        raise InputError(f"{path}: {text}, expected {legs} legs with as many intervals each")
+    for name, size in zip(SIMULATED, sizes, strict=True):
+        shape = flight[name].shape if name in flight.signals else ()
+        if shape != (nodes, size):
+            raise InputError(f"{path}: {name} has the shape {shape}, expected {(nodes, size)}")
+        if not np.isfinite(flight[name]).all() or leg_times.min() <= 0.0:
             raise InputError(f"{path}: {name} is not finite, or a leg's time is not above 0")
-    *motion, actuators, commands, leg_times = (arrays[name] for name in ARRAYS)
+    *motion, actuators, commands = (flight[name] for name in SIMULATED)
     return Trajectory(leg_times, problem.vectors(motion, actuators), commands)
 
 
-def save_unverified(path: Path | str, error: NotFoundError) -> bool:
+def save_unverified(path: Path | str, error: NotFoundError, config: Config) -> bool:
     """Write the last solution of a search that failed, for ``read_guess``, if there is one."""
     if error.flight is not None:
-        write_npz(path, error.flight.arrays(), {"format": LIMIT, "not_verified": error.error})
+        model = race_of(config)[0].model
+        flight = error.flight.flight("not verified", model, config.track.gates)
+        save([flight], path, not_verified=error.error)
     return error.flight is not None

@@ -1,13 +1,18 @@
 """States and commands at the nodes of a mesh."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from quadjax.evaluation.recording import SIGNALS
+from quadjax.flights.files import passages_at
+from quadjax.flights.flight import SIMULATED, Flight, Signal, motion_signals, vehicle_signals
 from quadjax.limits.problem import ACTUATORS, POSITION, RATES, VELOCITY, Problem, euler_of
+from quadjax.race.track import GateSection
+from quadjax.vehicle.protocol import VehicleModel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,12 +39,33 @@ class Trajectory:
         steps = np.repeat(self.leg_times / self.intervals, self.intervals)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The flight as a file has it: times, s, signals by name with Euler angles, leg times."""
+    def flight(
+        self, name: str, model: VehicleModel, gates: Sequence[GateSection], **source: Any
+    ) -> Flight:
+        """The trajectory as a flight: a sample for each node, a passage at the end of each leg.
+
+        Args:
+            name: of the flight.
+            model: of the vehicle.
+            gates: of the track, in order of passage.
+            **source: further facts.
+        """
         x = self.states
-        motion = x[:, POSITION], x[:, VELOCITY], euler_of(x), x[:, RATES], x[:, ACTUATORS]
-        signals = dict(zip(SIGNALS, (*motion, self.commands), strict=True))
-        return {"time": self.times, **signals, "leg_times": self.leg_times}
+        motion = x[:, POSITION], x[:, VELOCITY], euler_of(x), x[:, RATES]
+        signals = motion_signals(dict(zip(SIMULATED, motion, strict=False)))
+        when = np.cumsum(self.leg_times)
+        legs = np.arange(len(x)) // self.intervals  # at its end the next one's gate is ahead
+        target = Signal((legs % len(gates))[:, None].astype(np.float64))
+        signals |= vehicle_signals(model, self.commands, x[:, ACTUATORS])
+        return Flight(
+            name=name,
+            time=self.times,
+            signals=signals | {"target": target},
+            gates=tuple(gates),
+            passages=passages_at(self.times, signals["position"].values, gates, when),
+            lap_ends=when[len(gates) - 1 :: len(gates)],
+            source={"vehicle": model.name, **source},
+        )
 
     def curve(self, problem: Problem) -> CubicHermiteSpline:
         """The states as a function of time, with the slopes that the equations give."""

@@ -1,7 +1,7 @@
 """Timed flights of a policy file on the stand-in plant."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import numpy as np
 
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
-from quadjax.evaluation.recording import Recording
+from quadjax.flights import flight as recorded
 from quadjax.plant import flight
 from quadjax.plant.build import build_plant, nominal_vehicle
 from quadjax.plant.config import PlantConfig
@@ -24,10 +24,11 @@ from quadjax.race import laps
 from quadjax.race.environment import Choices, RaceParams, exact_rules
 from quadjax.race.laps import Laps
 from quadjax.race.layout import Layout
+from quadjax.race.track import GateSection
 from quadjax.vehicle import motor
 from quadjax.vehicle.battery import limit_estimator, middle_limit
 from quadjax.vehicle.estimator import estimator_params
-from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.protocol import VehicleModel, VehicleParams
 from quadjax.vehicle.rate import RateCommand
 
 CHUNK_SECONDS = 1.0  # of flight between checks for the end
@@ -194,23 +195,31 @@ def rows(flights: Flights, vector: Vec3 | Rotors | RateCommand, run: int) -> np.
     return np.stack(columns, axis=1).astype(np.float64)
 
 
-def recordings(flights: Flights) -> list[Recording]:
-    """The recorded runs for figures, each cut at its end."""
+def recorded_flights(
+    flights: Flights, gates: Sequence[GateSection], model: VehicleModel
+) -> list[recorded.Flight]:
+    """The recorded runs by their true states, each cut at its end, numbered from 1.
+
+    Args:
+        flights: that have ended.
+        gates: of the track, in order of passage.
+        model: of the policy, whose commands and actuators they have.
+    """
     frames, result = flights.frames, []
     for run in range(frames.over.shape[-1]):
-        true, times = frames.true, flights.laps.lap_times[run]
+        true, target = frames.true, np.asarray(frames.target)[~frames.over[:, run], run]
+        values = {
+            "position": rows(flights, true.position, run),
+            "velocity": rows(flights, true.velocity, run),
+            "attitude": rows(flights, true.euler, run),
+            "rates": rows(flights, true.rates, run),
+            "actuators": rows(flights, true.actuators, run),
+            "command": rows(flights, frames.command, run),
+            "target": target[:, None].astype(np.float64),
+        }
+        times, crash = flights.laps.lap_times[run], flights.laps.crashes[run]
+        name = f"{run + 1}"
         result.append(
-            Recording(
-                time=flights.step * np.arange(int((~frames.over[:, run]).sum())),
-                position=rows(flights, true.position, run),
-                velocity=rows(flights, true.velocity, run),
-                euler=rows(flights, true.euler, run),
-                rates=rows(flights, true.rates, run),
-                actuators=rows(flights, true.actuators, run),
-                command=rows(flights, frames.command, run),
-                target=np.asarray(frames.target)[~frames.over[:, run], run],
-                lap_ends=np.cumsum(times[np.isfinite(times)]),
-                crash=flights.laps.crashes[run],
-            )
+            recorded.simulated_flight(name, flights.step, values, gates, model, times, crash)
         )
     return result

@@ -9,12 +9,13 @@ import dataclasses
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from quadjax.evaluation.recording import SIGNALS, Recording
+from quadjax.flights.flight import SIMULATED, Flight, simulated_flight
 from quadjax.race.laps import Laps
+from quadjax.race.track import GateSection
 from quadjax.sil.faults import Channel, Faults
 from quadjax.sil.message import RPM_PER_RAD_S, STATE_FIELDS, CommandKind, Kind, new
 from quadjax.sil.peer import Gone, Peer
@@ -37,7 +38,7 @@ class Timing:
 class Race:
     """One race that has ended, or was interrupted."""
 
-    recording: Recording
+    flight: Flight
     laps: Laps
     counts: dict[str, int]  # of steps and messages
     gone: Gone | None = None
@@ -159,6 +160,7 @@ def fly(
     run: int,
     stop: threading.Event,
     report: Callable[[float], None] = lambda seconds: None,
+    gates: Sequence[GateSection] = (),
 ) -> Race:
     """Fly one race.
 
@@ -171,6 +173,7 @@ def fly(
         run: number of the race, in the messages.
         stop: ends the race, whose record so far is kept.
         report: called every second of flight with the elapsed seconds.
+        gates: of the track, for the record.
     """
     now = world.begin(seed + run)
     there, back = (Channel(faults, seed + run, stream) for stream in (0, 1))
@@ -191,7 +194,7 @@ def fly(
         now = world.advance(now, flight.held)
     flight.counts["slow steps"] = clock.slow
     ended = INTERRUPTED if stop.is_set() else LOST if gone else None
-    return _race(flight, now, np.array(rows), None if now.over else ended, gone)
+    return _race(flight, now, np.array(rows), None if now.over else ended, gone, gates)
 
 
 class _Clock:
@@ -216,7 +219,12 @@ class _Clock:
 
 
 def _race(
-    flight: _Flight, now: Now, rows: np.ndarray, ended: str | None, gone: Gone | None
+    flight: _Flight,
+    now: Now,
+    rows: np.ndarray,
+    ended: str | None,
+    gone: Gone | None,
+    gates: Sequence[GateSection],
 ) -> Race:
     """The record, laps and counts of a race."""
     world, laps = flight.world, flight.world.result(now)
@@ -225,16 +233,11 @@ def _race(
     size = len(now.true)
     rows = rows.reshape(-1, size + 5)
     times = laps.lap_times[0]
-    parts = np.split(rows[:, :size], [3, 6, 9, 12], axis=1)
-    recording = Recording(
-        world.step * np.arange(len(rows)),
-        **dict(zip(SIGNALS, parts, strict=False)),
-        command=rows[:, size : size + 4],
-        target=rows[:, -1].astype(int),
-        lap_ends=np.cumsum(times[np.isfinite(times)]),
-        crash=laps.crashes[0],
-    )
-    return Race(recording, laps, _counts(flight), gone)
+    parts = np.split(rows, [3, 6, 9, 12, size, size + 4], axis=1)
+    values = dict(zip((*SIMULATED, "target"), parts, strict=True))
+    name, step = f"run {flight.run + 1}", world.step
+    record = simulated_flight(name, step, values, gates, world.model, times, laps.crashes[0])
+    return Race(record, laps, _counts(flight), gone)
 
 
 def _counts(flight: _Flight) -> dict[str, int]:

@@ -18,9 +18,9 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
-from quadjax.evaluation.recording import write_states
 from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
 from quadjax.export.verify.folder import Inputs, read_inputs
+from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
 from quadjax.plant.flights import check_steps
 from quadjax.plant.races import plan_race, race_config
@@ -135,11 +135,9 @@ class Flown:
 
     def write(self, folder: Path) -> None:
         """Write states, numbers, table and the header of the messages."""
-        flights = [race.recording for race in self.races]
-        gates, record = self.config.track.gates, self.to_json()
+        flights, record = [race.flight for race in self.races], self.to_json()
         if any(len(flight.time) for flight in flights):
-            path = folder / STATES_FILE
-            write_states(path, flights, self.laps, self.world.model, gates, record)
+            save(flights, folder / STATES_FILE, **record)
         write_json(folder / NUMBERS_FILE, record)
         write_text(folder / TABLE_FILE, self.text() + "\n")
         write_text(folder / HEADER_FILE, header_text())
@@ -200,7 +198,7 @@ def fly_all(
                 report(f"{text}: {seconds:.0f} s flown")
 
             options = (setting.faults, setting.timing, setting.seed, run, stop, say)
-            races.append(fly(world, peer, *options))
+            races.append(fly(world, peer, *options, config.track.gates))
             if stop.is_set() or races[-1].gone:
                 break
     return Flown(setting, config, world, *names, races)

@@ -6,15 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from quadjax.config.race import race_of
 from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import file_record, provenance
 from quadjax.core.yaml_files import to_yaml
-from quadjax.evaluation.recording import recordings as simulated_recordings
 from quadjax.evaluation.tables import Row, format_table, lap_row
+from quadjax.flights.flight import Flight, recorded_flights
+from quadjax.plant import flights as plant_flights
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import recordings
+from quadjax.plant.races import race_config
 from quadjax.race.laps import Laps
 from quadjax.studies.ablation import present
 from quadjax.studies.comparison import (
@@ -37,7 +39,6 @@ from quadjax.studies.drawn_plants import (
     interval,
     plants_table,
 )
-from quadjax.studies.report.flights import KINDS, Flight, make_flight
 from quadjax.studies.report.run import fastest_signals, write_report
 
 PARTS = ("table", "plants", "ablation")
@@ -140,19 +141,17 @@ def _numbers(setting: Setting, own: Compared) -> dict[str, object]:
 
 def flights_of(setting: Setting, *compared: Compared) -> dict[str, list[Flight]]:
     """The recorded flights of each contender, in the simulator and on the plant, for a report."""
-    gates, dt = len(setting.race.track.gates), setting.race.rules.time_step
+    gates, dt = setting.race.track.gates, setting.race.rules.time_step
     groups: dict[str, list[Flight]] = {}
     for own in compared:
-        name, commands = own.contender.name, KINDS[own.contender.policy.vehicle]
-        worlds = {
-            f"{name} simulated": simulated_recordings(own.trace, own.simulated, dt)[:FLIGHTS],
-            f"{name} stand-in plant": recordings(own.on_plant),
-        }
-        for label, flown in worlds.items():
-            groups[label] = [
-                make_flight(label, f"{run}", recording, gates, commands)
-                for run, recording in enumerate(flown, start=1)
-            ]
+        name = own.contender.name
+        model = race_of(race_config(setting.race, own.contender.policy))[0].model
+        simulated = recorded_flights(own.trace, own.simulated, dt, gates, model)[:FLIGHTS]
+        groups[f"{name} simulated"] = [
+            flight.replace(name=f"{run}") for run, flight in enumerate(simulated, start=1)
+        ]
+        on_plant = plant_flights.recorded_flights(own.on_plant, gates, model)
+        groups[f"{name} stand-in plant"] = on_plant
     return groups
 
 

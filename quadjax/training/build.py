@@ -26,7 +26,7 @@ from quadjax.race.environment import (
     make_environment,
     with_critic_constants,
 )
-from quadjax.race.recorded_starts import read_states
+from quadjax.training.starts import read_starts
 from quadjax.vehicle.registry import model as vehicle_model
 from quadjax.vehicle.residual import is_shipped, read_residual
 
@@ -122,23 +122,9 @@ def training_params(config: Config) -> RaceParams:
     Raises:
         InputError: a file that cannot be read, or that is of another vehicle or track.
     """
-    params, name = build_params(config), config.run.start_states
-    if name is None:
-        return params
-    model, states = vehicle_model(config.vehicle.model), read_states(name)
-    size = states.arrays["actuators"].shape[1]
-    if size != model.actuators.size:
-        raise InputError(
-            f"run.start_states: {name} has {size} actuators, the config's vehicle has "
-            f"{model.actuators.size}"
-        )
-    ends = model.actuator_range(params.vehicle.constants)
-    if model.uses_start_thrust:
-        ends = config.start.thrust
-    low, high = (np.array(jax.tree.leaves(end), np.float64) for end in ends)
-    share, gates = config.run.start_states_part, len(config.track.gates)
-    recorded = states.starts(share, (low, high), gates, f"run.start_states: {name}")
-    return params.replace(recorded=recorded)
+    params = build_params(config)
+    recorded = read_starts(config, params)
+    return params if recorded is None else params.replace(recorded=recorded)
 
 
 def plan(config: Config, steps_per_update: int) -> Plan:

@@ -1,104 +1,114 @@
 """The data of a page: gates and flights as JSON, with signals as base64 of 16-bit integers."""
 
 import base64
-import dataclasses
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from quadjax.core.errors import InputError
-from quadjax.view.flight import TURNS, Flight, Gate, Marker
+from quadjax.flights.files import MISSING, RECORD
+from quadjax.flights.flight import MOTORS, Flight, Signal
+from quadjax.flights.gates import is_same_track
+from quadjax.race.track import GateSection
 
-FORMAT = "quadjax-flights/1"
-MISSING = -32768  # of a 16-bit integer: no value
 ARM, ROTOR = 0.12, 0.076  # m, center to rotor and radius of a rotor, of a Bebop
+TURNS = {"rpm": 1.0 / 60.0, "rad/s": 0.5 / np.pi}  # per second, of one unit of a rotor speed
+NOT_IN_A_STRIP = ("position", "velocity", "attitude", "target", "flying")
+FIRST = ("command", "actuators", "rates")  # of the strips
+QUANTITIES = {"rad/s": "body rates", "m/s^2": "thrust", "N": "rotor thrust"}  # of commands
 
 
-@dataclasses.dataclass(frozen=True)
-class Scene:
-    """Flights on one track.
+def page_record(title: str, flights: Sequence[Flight]) -> dict[str, Any]:
+    """Flights on one track as JSON takes them; flights without samples mark lap times.
 
-    Attributes:
+    Periodic laps are repeated as often as the others have laps.
+
+    Args:
         title: of the page.
-        gates: in order of passage.
         flights: started together.
-        markers: lap times for comparison.
-        arm: distance from the drone's center to a rotor, m.
-        rotor: radius of a rotor, m.
+
+    Raises:
+        InputError: no flight with samples, one that cannot be drawn, or flights on other tracks.
     """
-
-    title: str
-    gates: tuple[Gate, ...]
-    flights: tuple[Flight, ...]
-    markers: tuple[Marker, ...] = ()
-    arm: float = ARM
-    rotor: float = ROTOR
-
-    def record(self) -> dict[str, Any]:
-        """The scene as JSON takes it; the format is described in ``docs/reference/files.md``.
-
-        Raises:
-            InputError: no flight, or one of fewer than two samples.
-        """
-        if not self.flights:
-            raise InputError("no flight to show")
-        return {
-            "format": FORMAT,
-            "title": self.title,
-            "gates": [gate_record(gate) for gate in self.gates],
-            "drone": self.drone(),
-            "flights": [flight_record(flight) for flight in self.flights],
-            "markers": [marker.record() for marker in self.markers],
-        }
-
-    def drone(self) -> dict[str, float]:
-        """Sizes of the drone as JSON takes them."""
-        return {"arm": self.arm, "rotor": self.rotor}
+    drawn = [flight for flight in flights if len(flight.time)]
+    if not drawn:
+        raise InputError("no flight to show" + ", only lap times" * bool(flights))
+    tracks = [flight for flight in drawn if flight.gates]
+    for other in tracks[1:]:
+        if not is_same_track(tracks[0].gates, other.gates):
+            raise InputError(f"{other.name}: is on another track than {tracks[0].name}")
+    laps = max(len(flight.lap_ends) for flight in drawn)
+    marks = {f.name: f.lap_ends for f in flights if not len(f.time)}
+    return {
+        "format": RECORD,
+        "title": title,
+        "gates": [_gate_record(gate) for gate in (tracks[0].gates if tracks else ())],
+        "drone": {"arm": ARM, "rotor": ROTOR},
+        "flights": [_flight_record(flight.repeat(laps)) for flight in drawn],
+        "markers": [{"name": name, "lap_ends": _numbers(ends)} for name, ends in marks.items()],
+    }
 
 
-def gate_record(gate: Gate) -> dict[str, Any]:
+def _gate_record(gate: GateSection) -> dict[str, Any]:
     """A gate as JSON takes it: center, axes (9,) by rows, size, shape."""
-    axes = np.array(gate.axes, np.float64).ravel()
     return {
         "position": _numbers(np.array(gate.position)),
-        "axes": _numbers(axes),
+        "axes": _numbers(np.array(gate.axes, np.float64).ravel()),
         "size": _numbers(np.array(gate.size)),
         "shape": gate.shape,
     }
 
 
-def flight_record(flight: Flight) -> dict[str, Any]:
+def _flight_record(flight: Flight) -> dict[str, Any]:
     """A flight as JSON takes it.
 
     Raises:
-        InputError: fewer than two samples, or a position that is not finite.
+        InputError: fewer than two samples, or a position or attitude that is not finite.
     """
-    flight = flight.resampled()
     if len(flight.time) < 2:
         raise InputError(f"{flight.name}: a flight of {len(flight.time)} samples, expected 2")
-    if not np.isfinite(flight.position).all():
-        raise InputError(f"{flight.name}: a position is not finite")
-    attitude = np.roll(flight.attitude.as_quat(), 1, axis=1)  # scalar first
+    for name in ("position", "velocity", "attitude"):
+        if name not in flight.signals or not np.isfinite(flight[name]).all():
+            raise InputError(f"{flight.name}: {name} is missing or not finite")
+    flight = flight.resample()
+    attitude = np.roll(flight.rotation.as_quat(), 1, axis=1)  # scalar first
     signals = [
-        {"name": "position", **encoded(flight.position)},
-        {"name": "velocity", **encoded(flight.velocity)},
+        {"name": "position", **encoded(flight["position"])},
+        {"name": "velocity", **encoded(flight["velocity"])},
         {"name": "attitude", **encoded(attitude, 1.0)},
     ]
-    for index, each in enumerate(flight.strips):
-        own: dict[str, Any] = {"title": each.title, "unit": each.unit, "labels": list(each.labels)}
-        if each.rotors:
-            own["turns_per_second"] = TURNS[each.unit]
-        signals.append({"name": f"strip_{index}", **own, **encoded(each.values)})
+    names = [name for name in flight.signals if name not in (*FIRST, *NOT_IN_A_STRIP)]
+    for name in (*(name for name in FIRST if name in flight.signals), *names):
+        for part in flight.signals[name].by_unit():
+            if np.isfinite(part.values).any():
+                signals.append({"name": f"strip_{len(signals) - 3}", **_strip(name, part)})
     return {
         "name": flight.name,
-        "note": flight.note,
-        "crash": flight.crash,
+        "note": str(flight.source.get("note", "")),
+        "crash": flight.crash or "",
         "lap_ends": _numbers(flight.lap_ends),
         "passages": [[round(t, 4), int(g), _maybe(c)] for t, g, c in flight.passages.tolist()],
         "time": _base64(flight.time.astype("<f4")),
         "signals": signals,
     }
+
+
+def _strip(name: str, signal: Signal) -> dict[str, Any]:
+    """A signal that is drawn over time, with its title; four speeds are those of rotors."""
+    count, unit = signal.values.shape[1], str(signal.unit)
+    labels = signal.labels or [str(index + 1) for index in range(count)]
+    is_rotors = unit == "rpm" or (name == "actuators" and unit == "rad/s")
+    title = "body rates" if name == "rates" else name.replace("_", " ")
+    if name in ("command", "actuators"):
+        named = "rotor speed" if is_rotors else QUANTITIES.get(unit)
+        title = f"commanded {named or 'values'}" if name == "command" else named or title
+        if name == "command" and not unit and signal.labels == MOTORS:
+            title = "motor command"
+    about: dict[str, Any] = {"title": title, "unit": unit, "labels": list(labels)}
+    if is_rotors and count == 4:
+        about["turns_per_second"] = TURNS[unit]
+    return about | encoded(signal.values)
 
 
 def encoded(values: np.ndarray, largest: float | None = None) -> dict[str, Any]:
@@ -134,23 +144,3 @@ def _numbers(values: np.ndarray) -> list[float]:
 
 def _maybe(value: float) -> float | None:
     return round(value, 4) if np.isfinite(value) else None
-
-
-def check_record(path: Path | str, record: dict[str, Any]) -> dict[str, Any]:
-    """A record of a file, checked to have what the page reads.
-
-    Raises:
-        InputError: another format, a missing key or one of another type.
-    """
-    if record.get("format") != FORMAT:
-        raise InputError(f"{path}: format is {record.get('format')!r}, expected {FORMAT}")
-    kinds = {"title": str, "gates": list, "flights": list, "markers": list, "drone": dict}
-    for key, kind in kinds.items():
-        if not isinstance(record.get(key), kind):
-            raise InputError(f"{path}: {key} is missing or not a {kind.__name__}")
-    keys = ("name", "time", "signals", "lap_ends", "passages")
-    for index, flight in enumerate(record["flights"]):
-        missing = [key for key in keys if not isinstance(flight, dict) or key not in flight]
-        if missing:
-            raise InputError(f"{path}: flights[{index}] has no {missing[0]}")
-    return record

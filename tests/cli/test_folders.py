@@ -4,10 +4,10 @@ import shutil
 
 import pytest
 
+from quadjax import sources
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, find_config, find_policy
-from quadjax.dashboard import sources
 from quadjax.export.convert import export_c
 from quadjax.fitting.config import load_fit_config
 from quadjax.policy.file import Policy

@@ -150,7 +150,7 @@ def test_view_says_what_it_simulates(tmp_path, capsys, monkeypatch):
     def evaluate(*options, **more):
         raise InputError("enough")
 
-    monkeypatch.setattr("quadjax.dashboard.sources.evaluate", evaluate)
+    monkeypatch.setattr("quadjax.sources.evaluate", evaluate)
     assert run("view", "e2e", "--race", "e2e", "--output", tmp_path / "a.html") == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines == [f"simulating {PRETRAINED / 'e2e.npz'}", "error: enough"]

@@ -5,8 +5,9 @@ import pytest
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.evaluation import published, tables
-from quadjax.evaluation.recording import choose, distinct, recordings
+from quadjax.flights.flight import distinct, fastest, recorded_flights
 from quadjax.race.laps import Laps, fly_laps
+from quadjax.vehicle.registry import MODELS
 from tests.evaluation.support import rate_race, script, scripted
 from tests.race.support import BLANK
 
@@ -24,6 +25,11 @@ def flown():
     return fly()
 
 
+def recorded(flown):
+    config, laps, trace = flown
+    return recorded_flights(trace, laps, 0.01, config.track.gates, MODELS["rate"])
+
+
 def test_every_lap_is_timed(flown):
     _, laps, _ = flown
     assert laps.finished == 2 and laps.crashes == ("", "")
@@ -33,11 +39,11 @@ def test_every_lap_is_timed(flown):
 
 
 def test_a_lap_ends_where_the_path_crosses_the_last_gate(flown):
-    config, laps, trace = flown
-    flight = recordings(trace, laps, 0.01)[0]
+    config, laps, _ = flown
+    flight = recorded(flown)[0]
     gate = config.track.gates[-1]
     yaw = np.radians(gate.yaw_deg)
-    relative = flight.position - np.array(gate.position)
+    relative = flight["position"] - np.array(gate.position)
     ahead = np.cos(yaw) * relative[:, 0] + np.sin(yaw) * relative[:, 1]
     side = -np.sin(yaw) * relative[:, 0] + np.cos(yaw) * relative[:, 1]
     near = (np.abs(side) < 0.5) & (np.abs(relative[:, 2]) < 0.5)
@@ -69,15 +75,18 @@ def test_races_of_some_gates_are_checked():
     assert load_config(BLANK, ["evaluate.gates=5"]).evaluate.length == "5 gates"
 
 
-def test_a_recording_ends_with_its_run(flown):
-    config, laps, trace = flown
-    flights = recordings(trace, laps, 0.01)
+def test_a_flight_ends_with_its_run(flown):
+    config, laps, _ = flown
+    flights = recorded(flown)
     assert len(distinct(flights)) == 1  # nothing is random here
-    flight = choose(flights)
+    flight = fastest(flights)
     assert flight.time[-1] == pytest.approx(laps.totals[0], abs=1e-4)
-    assert flight.actuators.shape == (len(flight.time), 1) and not flight.motor_level
-    assert np.linalg.norm(np.diff(flight.position, axis=0), axis=1).max() < 0.1
-    np.testing.assert_allclose(flight.position[0], config.track.gates[-1].position)
+    assert flight["actuators"].shape == (len(flight.time), 1)
+    assert np.linalg.norm(np.diff(flight["position"], axis=0), axis=1).max() < 0.1
+    np.testing.assert_allclose(flight["position"][0], config.track.gates[-1].position)
+    np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 2, 3] * LAPS)
+    late = flight.lap_ends - flight.passages[3::4, 0]  # the race counts the first sample past it
+    assert (late >= 0.0).all() and (late < 0.01).all()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,3 @@
-import dataclasses
 import io
 
 import numpy as np
@@ -11,7 +10,7 @@ from quadjax.evaluation import animation, scene
 from quadjax.evaluation.curves import training_figure
 from quadjax.evaluation.figures import signals_figure, trajectory_figure
 from quadjax.evaluation.figures_3d import attitude_figure, space_figure
-from quadjax.evaluation.recording import Recording, opening
+from quadjax.flights.flight import Flight, Signal, motion_signals
 from quadjax.race.track import GateSection
 from quadjax.training.metrics import read_metrics
 
@@ -21,23 +20,21 @@ GATES = [
 ]
 
 
-def circle(motors: int = 4, seconds: float = 1.0, crash: str = "") -> Recording:
+def circle(motors: int = 4, seconds: float = 1.0, crash: str | None = None) -> Flight:
     time = np.arange(0.0, seconds + 1e-9, 0.01)
     turn = 2.0 * np.pi * time / seconds
     zero = np.zeros_like(time)
-    return Recording(
-        time=time,
-        position=np.stack([2 * np.cos(turn), 2 * np.sin(turn), zero - 1.5], axis=1),
-        velocity=np.stack([-np.sin(turn), np.cos(turn), zero], axis=1)
+    motion = {
+        "position": np.stack([2 * np.cos(turn), 2 * np.sin(turn), zero - 1.5], axis=1),
+        "velocity": np.stack([-np.sin(turn), np.cos(turn), zero], axis=1)
         * (3 + np.sin(turn))[:, None],
-        euler=np.stack([zero + 0.5, zero - 0.3, turn], axis=1),
-        rates=np.stack([zero, zero + 1, turn], axis=1),
-        actuators=np.full((len(time), motors), 9000.0),
-        command=np.full((len(time), 4), 9000.0),
-        target=np.zeros(len(time), int),
-        lap_ends=np.array([seconds]),
-        crash=crash,
-    )
+        "attitude": np.stack([zero + 0.5, zero - 0.3, turn], axis=1),
+        "rates": np.stack([zero, zero + 1, turn], axis=1),
+    }
+    speeds = {"actuators": Signal(np.full((len(time), motors), 9000.0))}
+    speeds["command"] = Signal(np.full((len(time), 4), 9000.0))
+    signals = motion_signals(motion) | speeds
+    return Flight("one", time, signals, lap_ends=np.array([seconds]), crash=crash)
 
 
 def pixels(figure) -> np.ndarray:
@@ -50,7 +47,7 @@ def colors(image: np.ndarray) -> int:
     return len(np.unique(image.reshape(-1, 3), axis=0))
 
 
-@pytest.mark.parametrize("crash", ["", "hit a gate"])
+@pytest.mark.parametrize("crash", [None, "hit a gate"])
 def test_the_trajectory_is_drawn_to_scale(crash):
     figure = trajectory_figure([circle(crash=crash)], GATES, "title")
     axes = figure.axes[0]
@@ -98,7 +95,7 @@ def test_a_legend_is_above_the_axes():
 
 def test_a_short_unmoving_flight_can_be_drawn():
     flight = circle(seconds=0.02)
-    still = Recording(**(vars(flight) | {"velocity": 0 * flight.velocity}))
+    still = flight.with_signals(velocity=0 * flight["velocity"])
     assert colors(pixels(trajectory_figure([still], GATES))) > 10
 
 
@@ -178,14 +175,6 @@ def test_drones_have_names_where_given(tmp_path):
         animation.Film(flights, GATES, ["E2E"]).frame(0)
 
 
-def test_the_opening_of_a_flight():
-    flight = dataclasses.replace(circle(crash="hit a gate"), lap_ends=np.array([0.4, 1.0]))
-    first = opening(flight, 0.5)
-    assert first.time[-1] == pytest.approx(0.5) and len(first.position) == len(first.time) == 51
-    assert first.lap_ends.tolist() == [0.4] and first.crash == ""
-    assert opening(flight, 1.0) is flight and opening(flight, 9.0) is flight
-
-
 def test_both_views_look_from_above():
     """North is to the right and east towards the viewer in both; what is higher appears higher."""
     for view in (scene.from_above(), scene.from_the_side(np.zeros(3), 10.0)):
@@ -201,7 +190,7 @@ def test_a_flight_in_space_has_its_gates_and_equal_scales():
     figure = space_figure([flight], GATES, "title")
     axes = figure.axes[0]
     limits = np.array([axes.get_xlim(), axes.get_ylim()[::-1], axes.get_zlim()])
-    height = -flight.position[:, 2]
+    height = -flight["position"][:, 2]
     assert limits[2, 0] == 0.0 and limits[2, 1] > height.max()
     box = np.array(axes._box_aspect)
     np.testing.assert_allclose(box / box[0], np.ptp(limits, axis=1) / np.ptp(limits[0]))
@@ -213,9 +202,9 @@ def test_height_and_attitude_are_drawn_upwards_and_in_degrees():
     flight = circle()
     axes = attitude_figure({"one": flight}).axes
     lines = [panel.lines[0].get_ydata() for panel in axes]
-    np.testing.assert_allclose(lines[0], -flight.position[:, 2])
+    np.testing.assert_allclose(lines[0], -flight["position"][:, 2])
     np.testing.assert_allclose(lines[1], flight.speed)
-    for line, angle in zip(lines[2:], flight.euler.T, strict=True):
+    for line, angle in zip(lines[2:], flight["attitude"].T, strict=True):
         np.testing.assert_allclose(np.radians(line), np.unwrap(angle), atol=1e-9)
     with pytest.raises(InputError, match="0 flights to draw"):
         attitude_figure({})

@@ -9,13 +9,11 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
-from quadjax.dashboard.sources import Options, scene_record
-from quadjax.evaluation.recording import STATES
 from quadjax.fitting.signals import first_order
-from quadjax.studies.flight_files import log_passages, passages, target_of
-from quadjax.studies.report.errors import signals_of
+from quadjax.flights.files import STATES
+from quadjax.sources import load_groups
+from quadjax.studies.report.errors import commands_of, signals_of
 from quadjax.studies.report.figures import box_figure, gap_figure, trajectory_figure
-from quadjax.studies.report.flights import find_flights
 from quadjax.studies.report.run import figures
 from quadjax.studies.report.tables import latex_table, text_table
 from tests.commands import run
@@ -65,62 +63,7 @@ def groups(tmp_path_factory):
     states_file(folder / "fast.npz", [3.0, 2.8, 2.9])
     states_file(folder / "slow.npz", [4.0, 4.2], crash_after=5.0, actuators=1, vehicle="rate")
     words = [f"E2E simulated={folder}/fast.npz", f"{folder}/slow.npz"]
-    return find_flights(words, RACE.track)
-
-
-def test_gates_are_counted_in_order_and_through_their_openings():
-    position, time = circle(3.0, 2)
-    gates = RACE.track.gates
-    samples = passages(position, gates)
-    target = target_of(len(position), samples, gates)
-    assert len(samples) == 7 + (target[-1] == 0) and list(np.unique(target)) == [0, 1, 2, 3]
-    legs = np.diff(time[samples[:5]])
-    ends = np.arctan2([-1.5, 1.5, 1.5, -1.5], [2, 2, -2, -2])
-    wanted = 3.0 * np.diff(np.unwrap(ends)) / (2 * np.pi)
-    np.testing.assert_allclose(legs[:3], wanted, atol=0.02)
-    assert passages(position + [0, 0, -0.6], gates) == []
-    assert len(passages(position + [0, 0, -0.55], gates, reach=0.1)) >= 7
-    assert passages(position[::-1], gates) == [] == passages(position, [])
-    assert len(passages(position, gates, closed=False)) == 4
-
-
-def test_the_corners_of_a_round_gate_are_no_passages():
-    """0.64 m from the center: within the square around a circle of 0.5 m, and outside of it."""
-    gates = [gate.replace(shape="circle") for gate in RACE.track.gates]
-    position, _ = circle(3.0, 1)
-    aside = np.array([0.0, 0.0, 0.45]) + 0.45 / RADIUS * position * [1.0, 1.0, 0.0]
-    assert len(passages(position + aside, RACE.track.gates)) >= 3
-    assert passages(position + aside, gates) == []
-    assert len(passages(position + 0.5 * aside, gates)) >= 3
-
-
-def test_a_log_that_ends_just_before_its_last_gate_passes_it():
-    position, time = circle(3.0, 2)
-    velocity, gates = np.gradient(position, time, axis=0), RACE.track.gates
-    passed = passages(position[:-3], gates)
-    assert len(passed) == 7
-    assert log_passages(position[:-3], velocity[:-3], gates) == [*passed, len(position) - 4]
-    assert log_passages(position[:-30], velocity[:-30], gates) == passed
-    course = passages(position, gates, closed=False)
-    assert log_passages(position[: course[-1] + 5], velocity, gates, closed=False) == course
-
-
-def test_the_targets_of_a_file_count_rather_than_the_openings(tmp_path):
-    """A gate test other than the square, as world_box, passes gates beside their openings."""
-    path = states_file(tmp_path / "a.npz", [3.0])
-    with np.load(path) as file:
-        arrays = {name: file[name] for name in file.files if name != "meta"}
-    position, _ = circle(3.0, 2)
-    target = target_of(len(position), passages(position, RACE.track.gates), RACE.track.gates)
-    arrays["position"][0] += [0.0, 0.0, -0.6]
-    meta = {"format": STATES, "vehicle": "motor", "track": [], "crashes": []}
-    write_npz(path, arrays, meta)
-    assert len(find_flights([str(path)], RACE.track)["a"][0].gate_times) == 0
-    write_npz(path, arrays | {"target": np.float64(target)[None]}, meta)
-    (flight,) = find_flights([str(path)], RACE.track)["a"]
-    assert len(flight.gate_times) == 8 and (np.diff(flight.gate_times) > 0.5).all()
-    record = scene_record([path], [], "page", Options(race=RACE))
-    assert len(record["flights"][0]["passages"]) >= 7
+    return load_groups(words, RACE.track)
 
 
 @pytest.mark.parametrize("flown", ["racing", "motor"])
@@ -181,15 +124,15 @@ def test_boxes_have_units_and_every_flight(groups):
 def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     motor, rate = (RACE.vehicle.with_model(model).constants for model in ("motor", "rate"))
     e2e, indi = groups["E2E simulated"][0], groups["slow"][0]
-    assert (e2e.commands, indi.commands) == ("rpm", "rates")
+    assert (commands_of(e2e), commands_of(indi)) == ("rpm", "rates")
     signals = signals_of(e2e, motor)
     np.testing.assert_allclose(signals.error, 0.0, atol=1e-6)
     assert (signals.low[0], signals.high[0], signals.unit) == (3000, 11000, "rpm")
-    command = np.random.default_rng(0).uniform(-2, 2, indi.recording.command.shape)
-    indi.recording.command[:] = command
+    command = np.random.default_rng(0).uniform(-2, 2, indi["command"].shape)
+    indi = indi.with_signals(command=command)
     own = signals_of(indi, rate)
-    start = indi.recording.rates[0]
-    wanted = indi.recording.rates - first_order(command[:, :3], start, rate["tau_rate"], STEP)
+    start = indi["rates"][0]
+    wanted = indi["rates"] - first_order(command[:, :3], start, rate["tau_rate"], STEP)
     np.testing.assert_allclose(own.error, wanted, atol=1e-6)
     names = dict(figures(groups, RACE))
     assert {"errors_1", "errors_2"} <= set(names)

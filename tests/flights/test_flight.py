@@ -124,7 +124,7 @@ def test_a_file_has_flights_of_different_lengths_and_vehicles(tmp_path):
         meta = json.loads(str(file["meta"]))
     assert meta["deterministic"] is True and meta["format"] == "quadjax-flights/2"
     other = circle().with_passages(GATES[:1])
-    with pytest.raises(InputError, match="2 tracks"):
+    with pytest.raises(InputError, match="of several tracks"):
         save([*flights, other], tmp_path / "b.npz")
     with pytest.raises(InputError, match="allowed: .npz, .csv"):
         save(flights, tmp_path / "b.txt")

@@ -14,6 +14,7 @@ from quadjax.core.errors import InputError
 from quadjax.fitting.battery import BatteryFit
 from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.nominal import AXES
+from quadjax.flights import save
 from quadjax.studies.improve.model import SPEEDS, Model, Refit, check_speeds, refit, refusal
 from quadjax.studies.improve.states import (
     STATES,
@@ -132,15 +133,15 @@ def test_logs_of_a_drone_that_turns_faster_than_the_policy_commands_are_refused(
 def test_states_of_logs_are_starts_with_the_gate_ahead(tmp_path):
     config = race()
     states = states_of_logs([flown(config)], config)
-    target = states.arrays["target"]
-    assert len(states) == STATES and (np.diff(target) % 4 <= 1).all()
+    target = states.target
+    assert len(states.time) == STATES and (np.diff(target) % 4 <= 1).all()
     np.testing.assert_allclose(np.bincount(target), STATES / 4, atol=2)
-    states.save(tmp_path / "states.npz")
+    save([states], tmp_path / "states.npz")
     tuned = tuning_config(
         config, Model.of(config), policy_file(tmp_path), tmp_path / "states.npz", 0.0, 64
     )
     recorded = training_params(tuned).recorded
-    np.testing.assert_allclose(recorded.motion.position.array(), states.arrays["position"], 1e-6)
+    np.testing.assert_allclose(recorded.motion.position.array(), states["position"], 1e-6)
     np.testing.assert_allclose(recorded.actuators, 0.0, atol=1e-6)
     assert states_of_logs([dataclasses.replace(flown(config), position=None)], config) is None
 

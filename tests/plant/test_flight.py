@@ -11,11 +11,12 @@ from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs
 from quadjax.plant import flight as onboard_flight
 from quadjax.plant.config import PlantConfig, load_plant_config
-from quadjax.plant.flights import fly_chunks, fly_plan, recordings, rows
+from quadjax.plant.flights import fly_chunks, fly_plan, recorded_flights, rows
 from quadjax.plant.logs import log_quantities, write_logs
 from quadjax.plant.races import gate_centers, plan_logs, plan_race, race_config
 from quadjax.policy.file import Policy
 from quadjax.training.build import untrained_policy
+from quadjax.vehicle.registry import MODELS
 from tests.commands import run
 from tests.evaluation.support import random_policy
 
@@ -48,10 +49,13 @@ def test_a_policy_flies_a_lap(name, request):
     assert flights.laps.lap_times.shape == (2, 1)
     assert flights.laps.crashes == ("", "")
     assert ((flights.laps.totals > 2.0) & (flights.laps.totals < 5.0)).all()
-    for flight in recordings(flights):
-        assert flight.motor_level
+    gates, model = load_config("e2e").track.gates, MODELS[{"e2e": "motor", "indi": "rate"}[name]]
+    for flight in recorded_flights(flights, gates, model):
+        assert flight["actuators"].shape[1] == 4 and flight["command"].shape[1] == 4
         last_gate = [-2.0, -1.5, -1.5]
-        assert np.linalg.norm(flight.position[-1] - last_gate) < 1.0
+        assert np.linalg.norm(flight["position"][-1] - last_gate) < 1.0
+        np.testing.assert_array_equal(flight.passages[:, 1], [0, 1, 2, 3])
+        assert flight.passages[-1, 0] == pytest.approx(flight.lap_ends[0], abs=0.01)
 
 
 @pytest.mark.slow

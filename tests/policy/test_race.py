@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from quadjax import sources
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
-from quadjax.dashboard import sources
 from quadjax.export import convert, race_source
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy

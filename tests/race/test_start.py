@@ -8,10 +8,14 @@ from scipy.spatial import cKDTree
 
 from quadjax.config.race import choices_of
 from quadjax.core.errors import InputError
+from quadjax.core.files import write_npz
+from quadjax.flights import Flight, Signal, load, save
+from quadjax.flights.files import LIMIT
+from quadjax.flights.flight import MOTION
 from quadjax.race.episode import draw_constants
-from quadjax.race.recorded_starts import MOTION, States
 from quadjax.race.track import inside_turn
 from quadjax.training.build import training_params
+from quadjax.training.starts import states_of
 from quadjax.vehicle.registry import MODELS
 from tests import reference as ref
 from tests.convert import rows_of
@@ -231,43 +235,63 @@ def test_starts_along_the_way_to_the_next_gate():
     spans(np.concatenate(found)[:, None], [0.0], [0.8])
 
 
-def recorded(count: int = 5) -> States:
+def recorded(count: int = 5, **wrong) -> Flight:
     random = np.random.default_rng(3)
     arrays = {name: random.normal(size=(count, 3)) for name in MOTION}
-    arrays |= {"actuators": random.uniform(3000.0, 11000.0, (count, 4))}
-    return States(arrays | {"target": np.arange(count) % 4}, "square")
+    actuators = {"actuators": random.uniform(3000.0, 11000.0, (count, 4))}
+    target = {"target": np.arange(count, dtype=float)[:, None] % 4}
+    values = arrays | actuators | target | wrong
+    signals = {name: Signal(array) for name, array in values.items()}
+    return Flight("states", np.arange(float(count)), signals)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.4, 1.0])
 def test_a_part_of_the_episodes_starts_in_recorded_states(tmp_path, part):
     own, path = recorded(), tmp_path / "states.npz"
-    own.save(path)
+    save([own], path)
     config = make_config(f"run.start_states={path}", f"run.start_states_part={part}")
     choices, params = choices_of(config), training_params(config)
     state, rows = drawn(choices, params)
     target = state.target
-    distance = np.linalg.norm(rows[:, None, ref.V] - own.arrays["velocity"][None], axis=2)
+    distance = np.linalg.norm(rows[:, None, ref.V] - own["velocity"][None], axis=2)
     which = distance.argmin(axis=1)
     used = distance.min(axis=1) < 1e-5
     assert used.mean() == pytest.approx(part, abs=0.03)
-    for name, columns in (("position", ref.P), ("euler", ref.EULER), ("actuators", ref.RPM)):
-        expected = own.arrays[name][which[used]]
+    for name, columns in (("position", ref.P), ("attitude", ref.EULER), ("actuators", ref.RPM)):
+        expected = own[name][which[used]]
         np.testing.assert_allclose(rows[used][:, columns], expected, rtol=1e-5, atol=1e-5)
-    np.testing.assert_array_equal(target[used], own.arrays["target"][which[used]])
+    np.testing.assert_array_equal(target[used], own.target[which[used]])
     np.testing.assert_array_equal(target[~used], 0)
 
 
 def test_files_of_states_that_do_not_fit_are_one_line(tmp_path):
-    own, path = recorded(), tmp_path / "states.npz"
+    path = tmp_path / "states.npz"
     for name, wrong, says in (
-        ("target", np.full(5, 4), "target is 4 to 4, allowed: the track's gates, 0 to 3"),
+        ("target", np.full((5, 1), 4.0), "target is 4 to 4, allowed: the track's gates, 0 to 3"),
         ("actuators", np.ones((5, 1)), "has 1 actuators, the config's vehicle has 4"),
-        ("euler", np.ones((4, 3)), r"euler has the shape \(4, 3\), expected a row for each of 5"),
         ("rates", np.full((5, 3), np.nan), "rates"),
     ):
-        States(own.arrays | {name: wrong}, "square").save(path)
+        save([recorded(**{name: wrong})], path)
         with pytest.raises(InputError, match=says):
             training_params(make_config(f"run.start_states={path}"))
+    flight = recorded()
+    save([flight.replace(signals={"position": flight.signals["position"]})], path)
+    with pytest.raises(InputError, match="velocity is missing"):
+        training_params(make_config(f"run.start_states={path}"))
+
+
+def test_each_node_of_a_best_known_lap_has_the_gate_ahead_as_its_target(tmp_path):
+    rng, lap = np.random.default_rng(0), tmp_path / "lap.npz"
+    arrays = {name: rng.normal(size=(9, 3)) for name in ("position", "velocity", "rates")}
+    arrays |= {"euler": np.full((9, 3), 4.0), "actuators": np.full((9, 4), 5000.0)}
+    arrays |= {"time": np.arange(9.0), "leg_times": np.full(4, 2.0), "command": np.ones((9, 4))}
+    gates = [gate.model_dump(mode="json") for gate in make_config().track.gates]
+    write_npz(lap, arrays, {"format": LIMIT, "track": gates, "start": "periodic"})
+    states = states_of("lap.npz", load(lap))
+    assert states["target"].tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    np.testing.assert_array_equal(states["position"], arrays["position"][:-1])
+    np.testing.assert_allclose(states["attitude"], 4.0 - 2.0 * np.pi)
+    np.testing.assert_array_equal(states["actuators"], arrays["actuators"][:-1])
 
 
 def test_starts_of_a_race():

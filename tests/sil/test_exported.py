@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.core.files import read_npz
 from quadjax.core.resources import PRETRAINED
-from quadjax.evaluation.recording import STATES
 from quadjax.export.conversion import Options
 from quadjax.export.race_source import own_race
 from quadjax.export.verify import toolchain
 from quadjax.export.verify.folder import Inputs
+from quadjax.flights import load
+from quadjax.flights.flight import SIMULATED
 from quadjax.plant.config import load_plant_config
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
@@ -92,22 +92,20 @@ def test_lock_step_has_the_bits_of_the_same_c_in_this_process(make, tmp_path, mo
     setting = Setting(tmp_path, plant, laps=1)
     flown = fly_all(setting, threading.Event())
     race = flown.races[0]
-    motion = race.recording
-    parts = (motion.position, motion.velocity, motion.euler, motion.rates, motion.actuators)
-    rows = np.concatenate([*parts, motion.command], axis=1)
+    rows = np.concatenate([race.flight[name] for name in SIMULATED], axis=1)
     expected, sources = flown_in_this_process(inputs, plant, tmp_path, len(rows))
     np.testing.assert_array_equal(rows, expected)
     assert set(race.counts) <= {"steps", "autopilot: clipped steps", "autopilot: outside steps"}
     assert sources.own_estimator == (make is trained) and len(rows) > 20
     flown.write(tmp_path / "out")
-    arrays, meta = read_npz(tmp_path / "out" / "states.npz", STATES, ("position", "lap_times"))
-    np.testing.assert_array_equal(arrays["position"][0], motion.position)
-    assert meta["vehicle"] == inputs.policy.vehicle and len(meta["track"]) > 2
+    (flight,) = load(tmp_path / "out" / "states.npz")
+    np.testing.assert_array_equal(flight["position"], race.flight["position"])
+    assert flight.source["vehicle"] == inputs.policy.vehicle and len(flight.gates) > 2
     numbers = json.loads((tmp_path / "out" / "sil.json").read_text())
     assert numbers["runs"] == 1 and numbers["counts"]["steps"] == len(rows)
-    record = tmp_path / "page.json"
-    assert run("view", tmp_path / "out" / "states.npz", "--output", record) == 0
-    assert len(json.loads(record.read_text())["flights"]) == 1
+    page = tmp_path / "page.npz"
+    assert run("view", tmp_path / "out" / "states.npz", "--output", page) == 0
+    assert len(load(page)) == 1
 
 
 def in_this_process(folder, target, policy, own):

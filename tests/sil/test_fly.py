@@ -27,17 +27,17 @@ def test_in_lock_step_every_command_acts_in_its_own_step():
     flown = race(good)
     assert flown.laps.finished == 1 and flown.counts == {"steps": STEPS}
     expected = np.float32(np.arange(STEPS) / 100.0)
-    np.testing.assert_array_equal(flown.recording.command[:, 0], expected)
-    np.testing.assert_array_equal(flown.recording.position[:, 0], np.arange(STEPS))
-    np.testing.assert_array_equal(flown.recording.target, np.arange(STEPS) % 4)
+    np.testing.assert_array_equal(flown.flight["command"][:, 0], expected)
+    np.testing.assert_array_equal(flown.flight["position"][:, 0], np.arange(STEPS))
+    np.testing.assert_array_equal(flown.flight.target, np.arange(STEPS) % 4)
 
 
 def test_the_last_command_is_held_while_messages_are_dropped_or_late():
     faults = Faults(drop=0.4, late=0.4, delay=0.03, damage=0.1)
     flown, again = race(good, faults), race(good, faults)
-    np.testing.assert_array_equal(flown.recording.command, again.recording.command)
+    np.testing.assert_array_equal(flown.flight["command"], again.flight["command"])
     assert flown.counts == again.counts
-    acting = np.round(flown.recording.command[:, 0] * 100.0)
+    acting = np.round(flown.flight["command"][:, 0] * 100.0)
     assert (np.diff(acting) >= 0).all() and (acting <= np.arange(STEPS)).all()
     assert flown.counts["held steps"] >= np.sum(np.diff(acting) == 0)
     assert flown.counts["states dropped"] > 0 and flown.counts["commands dropped"] > 0
@@ -53,8 +53,8 @@ def test_every_second_of_a_race_is_reported():
 
 def test_before_the_first_command_the_drone_hovers():
     flown = race(good, Faults(late=1.0, delay=0.05))
-    np.testing.assert_array_equal(flown.recording.command[:5, 3], np.float32(9.81))
-    assert flown.recording.command[20, 3] == 9.0
+    np.testing.assert_array_equal(flown.flight["command"][:5, 3], np.float32(9.81))
+    assert flown.flight["command"][20, 3] == 9.0
 
 
 def test_a_command_that_is_not_finite_is_rejected_and_one_out_of_range_clipped():
@@ -69,7 +69,7 @@ def test_a_command_that_is_not_finite_is_rejected_and_one_out_of_range_clipped()
     flown = race(reply)
     assert flown.counts["commands rejected: not finite, or of another kind"] == STEPS // 2
     assert flown.counts["held steps"] == flown.counts["clipped commands"] == STEPS // 2
-    assert (flown.recording.command[:, 3] == 15.0).all()
+    assert (flown.flight["command"][:, 3] == 15.0).all()
 
 
 def test_messages_that_are_none_or_of_another_race_are_rejected():
@@ -90,7 +90,7 @@ def test_an_autopilot_that_leaves_ends_the_race_with_its_record():
 
     flown = race(reply)
     assert flown.gone is not None and "has ended" in str(flown.gone)
-    assert flown.laps.crashes == (LOST,) and len(flown.recording.time) == 10
+    assert flown.laps.crashes == (LOST,) and len(flown.flight.time) == 10
 
 
 def test_a_silent_autopilot_counts_as_gone_in_real_time_too():
@@ -107,7 +107,7 @@ def test_in_real_time_a_missing_command_is_counted_and_the_last_one_held():
     flown = race(reply, timing=Timing(speed=2.0, timeout=30.0))
     assert flown.laps.finished == 1 and flown.gone is None
     assert flown.counts["late steps"] >= len(silent)
-    acting = np.round(flown.recording.command[:, 0] * 100.0)
+    acting = np.round(flown.flight["command"][:, 0] * 100.0)
     assert not silent & set(acting.astype(int))
 
 
@@ -120,7 +120,7 @@ def test_ctrl_c_ends_the_race_with_its_record():
         return good(state)
 
     flown = race(reply, stop=stop)
-    assert flown.laps.crashes == (INTERRUPTED,) and 5 <= len(flown.recording.time) <= 6
+    assert flown.laps.crashes == (INTERRUPTED,) and 5 <= len(flown.flight.time) <= 6
 
 
 BAD = {

@@ -56,7 +56,7 @@ def main() -> None:
             page = options.page or Path(folder) / f"{count}.html"
             if not options.page:
                 flights = (circle(f"flight {k}", LAP + 0.02 * k, LAPS) for k in range(count))
-                write_page(page, scene(*flights).record())
+                write_page(page, scene(*flights))
             measure(browser, page.resolve(), 1.0)  # the browser's first pages are slower
             found = measure(browser, page.resolve(), options.seconds)
             print(f"{count or page.name} flights: {found}", flush=True)

@@ -1,13 +1,12 @@
 """Scenes for tests: drones on circles through four gates, without a simulator."""
 
-import dataclasses
-
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from quadjax.flights import Flight, passages
+from quadjax.flights.flight import motion_signals, vehicle_signals
 from quadjax.race.track import GateSection
-from quadjax.view.data import Scene
-from quadjax.view.flight import MOTORS, Flight, Marker, passages, strip
+from quadjax.vehicle.registry import MODELS
+from quadjax.view.data import page_record
 
 RADIUS, HEIGHT, STEP = 3.0, 1.5, 0.01  # m, m, s
 AHEAD = 0.2  # rad, where a flight starts, after the last gate
@@ -32,28 +31,26 @@ def circle(name: str, lap: float = 3.0, laps: int = 2, offset: float = 0.0, **mo
     """A flight of laps of the same duration, ``offset`` m outside the gates' centers."""
     time = STEP * np.arange(int(round(laps * lap / STEP)) + 1)
     angle, rate, radius = 2 * np.pi * time / lap + AHEAD, 2 * np.pi / lap, RADIUS + offset
-    cosine, sine = np.cos(angle), np.sin(angle)
-    position = np.stack([radius * cosine, radius * sine, -HEIGHT + 0.0 * time], axis=1)
-    velocity = radius * rate * np.stack([-sine, cosine, 0.0 * time], axis=1)
-    euler = np.stack([angle + np.pi / 2, 0.3 + 0.0 * angle, 0.5 * np.sin(angle)], axis=1)
+    cosine, sine, flat = np.cos(angle), np.sin(angle), 0.0 * time
+    motion = {
+        "position": np.stack([radius * cosine, radius * sine, flat - HEIGHT], axis=1),
+        "velocity": radius * rate * np.stack([-sine, cosine, flat], axis=1),
+        "attitude": np.stack([0.5 * np.sin(angle), flat + 0.3, angle + np.pi / 2], axis=1),
+        "rates": np.zeros((len(time), 3)),
+    }
     rpm = 9000.0 + 500.0 * np.sin(angle[:, None] + np.arange(4.0))
-    strips = (
-        strip("commanded rotor speed", "rpm", MOTORS, rpm + 100.0),
-        strip("rotor speed", "rpm", MOTORS, rpm),
-    )
     flight = Flight(
         name,
         time,
-        position,
-        velocity,
-        Rotation.from_euler("ZYX", euler),
-        strips,
-        passages(time, position, GATES),
+        motion_signals(motion) | vehicle_signals(MODELS["motor"], rpm + 100.0, rpm),
+        GATES,
+        passages(time, motion["position"], GATES, cut=False),
         lap * np.arange(1, laps + 1),
+        source={"vehicle": "motor"},
     )
-    return dataclasses.replace(flight, **more)
+    return flight.replace(**more)
 
 
-def scene(*flights: Flight, title: str = "Circle", markers: tuple[Marker, ...] = ()) -> Scene:
-    """Flights through the gates."""
-    return Scene(title, GATES, flights, markers)
+def scene(*flights: Flight, title: str = "Circle") -> dict:
+    """The record of a page of flights through the gates."""
+    return page_record(title, flights)

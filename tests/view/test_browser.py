@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from quadjax.view.flight import Marker
+from quadjax.flights.files import lap_times
 from quadjax.view.page import frame, write_page
 from tests.view.browser import DESK, PHONE, browser, opened, wait_until
 from tests.view.scenes import AHEAD, RADIUS, circle, scene
@@ -21,7 +21,7 @@ RACE = scene(
     circle("fast", lap=2.5),
     circle("slow", lap=3.0, offset=0.2),
     circle("lost", lap=2.8, laps=1, crash="hit a gate"),
-    markers=(Marker("published", np.array([2.9, 5.8])),),
+    lap_times("published", [2.9, 2.9]),
 )
 # NED to the axes of three.js: north to x, down to -y, east to z.
 AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -34,7 +34,7 @@ def open_scene(browser, tmp_path: Path) -> Callable:
     @contextmanager
     def opening(scene, **options):
         path = tmp_path / "flights.html"
-        write_page(path, scene.record())
+        write_page(path, scene)
         with opened(browser, path.as_uri(), offline=True, **options) as page:
             yield page
 
@@ -209,10 +209,10 @@ def test_from_above_the_drones_are_where_they_fly(open_scene):
 def test_hostile_names_are_shown_as_text(open_scene):
     name = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
     hostile = scene(
-        circle(name, crash=name, note=name),
+        circle(name, crash=name, source={"note": name}),
         circle("two", lap=2.0),
+        lap_times(name, [1.0]),
         title=name,
-        markers=(Marker(name, np.array([1.0])),),
     )
     with open_scene(hostile) as page:
         page.still(6.0)
@@ -224,7 +224,7 @@ def test_hostile_names_are_shown_as_text(open_scene):
 
 def test_ten_megabytes_of_flights(open_scene):
     many = scene(*(circle(f"flight {k}", lap=3.0 + 0.01 * k, laps=6) for k in range(90)))
-    assert len(str(many.record())) > 9e6
+    assert len(str(many)) > 9e6
     with open_scene(many) as page:
         assert len(page.state(5.0)["drones"]) == 90
         page.still(5.0)
@@ -233,7 +233,7 @@ def test_ten_megabytes_of_flights(open_scene):
 
 def test_a_notebook_shows_the_page_in_a_frame(browser, tmp_path):
     path = tmp_path / "notebook.html"
-    path.write_text(f"<!doctype html><p>cell</p>{frame(RACE.record())}", encoding="utf-8")
+    path.write_text(f"<!doctype html><p>cell</p>{frame(RACE)}", encoding="utf-8")
     page = browser.new_page()
     page.goto(path.as_uri())
     inner = page.frames[1]
@@ -246,7 +246,7 @@ def test_without_webgl_the_page_says_so(browser, tmp_path):
     from quadjax.view.page import write_page
 
     path = tmp_path / "flights.html"
-    write_page(path, RACE.record())
+    write_page(path, RACE)
     page = browser.new_page()
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     page.goto(path.as_uri())

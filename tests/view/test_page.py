@@ -12,14 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from quadjax.core.errors import InputError
+from quadjax.flights.files import lap_times
+from quadjax.flights.flight import vehicle_signals
+from quadjax.vehicle.registry import MODELS
 from quadjax.view.data import MISSING, encoded
-from quadjax.view.flight import passages
 from quadjax.view.notebook import show
 from quadjax.view.page import ASSETS, frame, page
-from tests.view.scenes import AHEAD, GATES, HEIGHT, RADIUS, circle, scene
+from tests.view.scenes import circle, scene
 
 ROOT = Path(__file__).resolve().parents[2]
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
@@ -30,14 +31,14 @@ def _data(text: str) -> dict:
 
 
 def test_a_page_is_small_and_refers_to_nothing_outside():
-    text = page(scene(circle("one")).record())
+    text = page(scene(circle("one")))
     assert len(text.encode()) < 3e6
     assert not re.search(r"(src|href)\s*=\s*[\"']?(https?:)?//", text.split("<script>")[0])
     assert "default-src 'none'" in text and "connect-src 'none'" in text
 
 
 def test_the_policy_allows_exactly_the_script_and_the_style_of_the_page():
-    text = page(scene(circle("one")).record())
+    text = page(scene(circle("one")))
     for kind, body in (
         ("script", text.rpartition("<script>")[2].partition("</script>")[0]),
         ("style", re.search(r"<style>(.*?)</style>", text, re.DOTALL)[1]),
@@ -48,7 +49,7 @@ def test_the_policy_allows_exactly_the_script_and_the_style_of_the_page():
 
 
 def test_names_stay_text():
-    record = scene(circle(HOSTILE, crash=HOSTILE, note=HOSTILE), title=HOSTILE).record()
+    record = scene(circle(HOSTILE, crash=HOSTILE, source={"note": HOSTILE}), title=HOSTILE)
     text = page(record)
     assert _data(text)["flights"][0]["name"] == HOSTILE
     assert text.count("<script>") == 1 and "<img" not in text
@@ -66,7 +67,7 @@ def test_the_program_is_built_from_its_sources():
 
 def test_the_license_of_three_js_is_in_the_package_and_in_every_page():
     assert "MIT License" in (ASSETS / "three.LICENSE").read_text(encoding="utf-8")
-    assert "three.js authors" in page(scene(circle("one")).record())
+    assert "three.js authors" in page(scene(circle("one")))
 
 
 def test_encoded_columns_are_within_a_part_of_their_range():
@@ -81,72 +82,49 @@ def test_encoded_columns_are_within_a_part_of_their_range():
     assert np.nanmax(error - span / 65534.0 * 0.51 - 1e-9) <= 0.0
 
 
-def test_passages_of_a_circle_are_found_with_their_clearances():
-    flight = circle("one", lap=4.0, laps=2, offset=0.1)
-    times, gates, clearances = flight.passages.T
-    np.testing.assert_allclose(times, np.arange(1, 9) - 2 * AHEAD / np.pi, atol=2e-3)
-    np.testing.assert_array_equal(gates, [0, 1, 2, 3, 0, 1, 2, 3])
-    # 0.1 m outwards: along the width of 1.2 m, in the second gate turned by 30 degrees.
-    turned = 0.1 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
-    second = min(0.6 - turned[0], 0.45 - turned[1])
-    np.testing.assert_allclose(clearances[:4], [0.45, second, 0.45, 0.5], atol=2e-3)
-
-
-def test_targets_decide_where_a_gate_is_passed():
-    flight = circle("one", laps=1, offset=2.0)
-    assert not len(passages(flight.time, flight.position, GATES))
-    when = 0.75 - 3.0 * AHEAD / (2.0 * np.pi)
-    target = (flight.time > when).astype(int)
-    ((time, gate, clear),) = passages(flight.time, flight.position, GATES, target)
-    assert time == pytest.approx(when, abs=0.01)
-    assert gate == 0
-    assert clear == pytest.approx(0.6 - 2.0, abs=0.01)
-
-
-def test_sparse_flights_are_resampled_on_their_curve():
-    flight = circle("one", lap=4.0)
-    sparse = slice(None, None, 20)  # 5 samples per second
-    thin = type(flight)(
-        "thin",
-        flight.time[sparse],
-        flight.position[sparse],
-        flight.velocity[sparse],
-        flight.attitude[sparse],
-    )
-    dense = thin.resampled()
-    assert np.diff(dense.time).max() < 0.0101
-    radius = np.linalg.norm(dense.position[:, :2], axis=1)
-    np.testing.assert_allclose(radius, RADIUS, atol=1e-3)
-    np.testing.assert_allclose(dense.position[:, 2], -HEIGHT, atol=1e-9)
-
-
-def test_a_periodic_lap_is_repeated():
-    lap = circle("best", lap=3.0, laps=1, periodic=True)
-    three, plain = lap.repeated(3), circle("three", lap=3.0, laps=3)
-    np.testing.assert_allclose(three.time, plain.time, atol=1e-9)
-    np.testing.assert_allclose(three.position, plain.position, atol=1e-9)
-    np.testing.assert_allclose(three.lap_ends, [3.0, 6.0, 9.0])
-    np.testing.assert_allclose(three.passages, plain.passages, atol=2e-2)
-
-
 def test_flights_that_cannot_be_shown_are_refused():
     flight = circle("one")
     with pytest.raises(InputError, match="no flight to show"):
-        scene().record()
-    short = type(flight)(
-        "dot", np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), Rotation.identity(1)
-    )
-    with pytest.raises(InputError, match="dot: a flight of 1 samples"):
-        scene(short).record()
-    lost = circle("lost", position=np.full_like(flight.position, np.nan))
-    with pytest.raises(InputError, match="lost: a position is not finite"):
-        scene(lost).record()
+        scene()
+    with pytest.raises(InputError, match="no flight to show, only lap times"):
+        scene(lap_times("times", [3.0]))
+    with pytest.raises(InputError, match="one: a flight of 1 samples"):
+        scene(flight.slice(slice(0, 1)))
+    lost = flight.map(lambda values: np.full_like(values, np.nan)).replace(name="lost")
+    with pytest.raises(InputError, match="lost: position is missing or not finite"):
+        scene(lost)
+
+
+def test_a_periodic_lap_is_repeated_as_often_as_the_others_have_laps():
+    best = circle("best", laps=1, source={"periodic": True, "note": "best known lap"})
+    record = scene(circle("mine", laps=3), best)["flights"][1]
+    assert record["lap_ends"] == [3.0, 6.0, 9.0]
+    assert record["note"] == "best known lap, repeated 3 times"
+
+
+def test_commands_and_actuators_have_titles_of_their_vehicle():
+    wanted = {
+        "motor": ["commanded rotor speed", "rotor speed"],
+        "rate": ["commanded body rates", "commanded thrust", "thrust"],
+        "racing": ["motor command", "rotor speed"],
+        "rotor_thrust": ["commanded rotor thrust", "rotor thrust"],
+    }
+    flight = circle("one")
+    for name, titles in wanted.items():
+        model = MODELS[name]
+        sizes = (model.action_size, model.actuators.size)
+        own = vehicle_signals(model, *(np.ones((len(flight.time), size)) for size in sizes))
+        (record,) = scene(flight.replace(signals=flight.signals | own))["flights"]
+        shown = [signal["title"] for signal in record["signals"] if "title" in signal]
+        assert shown == [*titles, "body rates"]
+        turning = [signal["title"] for signal in record["signals"] if "turns_per_second" in signal]
+        assert turning == [title for title in titles if "speed" in title]
 
 
 def test_show_opens_a_page_outside_of_notebooks(monkeypatch, tmp_path):
     opened = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
-    show(scene(circle("one")).record(), tmp_path / "flights.html")
+    show(scene(circle("one")), tmp_path / "flights.html")
     assert opened == [(tmp_path / "flights.html").as_uri()]
     assert "quadjax-flights/1" in (tmp_path / "flights.html").read_text(encoding="utf-8")
 
@@ -157,5 +135,5 @@ def test_show_displays_a_frame_in_notebooks(monkeypatch):
     screen = types.SimpleNamespace(HTML=str, display=displayed.append)
     monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell))
     monkeypatch.setitem(sys.modules, "IPython.display", screen)
-    show(scene(circle("one")).record())
+    show(scene(circle("one")))
     assert displayed[0].startswith("<iframe srcdoc=") and 'sandbox="allow-scripts"' in displayed[0]

@@ -12,6 +12,7 @@ from quadjax.core.files import read_json, write_json, write_text
 from quadjax.fitting.config import FitConfig
 from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.report import PATTERNS as FIT_FILES
+from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
 from quadjax.policy.file import Policy
 from quadjax.studies.improve.flights import Flown, fly_and_log
@@ -280,7 +281,7 @@ def tune(
     if not path.exists():
         states = states_of_logs(logs, progress.model.race(setting.race))
         if states is not None:
-            states.save(path)
+            save([states], path)
     place = folder / "training"
     if not is_finished(place):
         report("fine-tuning")

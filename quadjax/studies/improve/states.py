@@ -9,10 +9,9 @@ from quadjax.config.race import build_vehicle, choices_of, vehicle_model_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.race.recorded_starts import States
-from quadjax.studies.flight_files import passages, target_of
+from quadjax.flights.flight import Flight, Signal, motion_signals
+from quadjax.flights.gates import crossing_after_end, passages
 from quadjax.studies.replay.logged import Logged, logged
-from quadjax.view.flight import clearance
 
 STATES = 1024  # that are kept: with one number, all trainings are one compiled program
 REACH = 0.5  # m by which openings are wider where a logged position tells the gate ahead
@@ -31,7 +30,7 @@ def _signals(log: FlightLog, config: Config) -> Logged | None:
         return None
 
 
-def states_of_logs(logs: Sequence[FlightLog], config: Config) -> States | None:
+def states_of_logs(logs: Sequence[FlightLog], config: Config) -> Flight | None:
     """``STATES`` states at even intervals of the flights, with the gate ahead of each.
 
     Logs without a position, a passage of the first gate, or propeller speeds give none; None if no
@@ -44,23 +43,32 @@ def states_of_logs(logs: Sequence[FlightLog], config: Config) -> States | None:
         if flight is None or name not in flight.actuators:
             continue
         gates = config.track.gates
-        passed = passages(flight.position, gates, REACH, config.track.closed)
-        if not passed:
+        passed = _passages(flight, config)
+        if not len(passed):
             continue
         own = {
             "position": flight.position,
             "velocity": flight.velocity,
-            "euler": flight.attitude.as_euler("ZYX")[:, ::-1],
+            "attitude": flight.attitude.as_euler("ZYX")[:, ::-1],
             "rates": flight.rates,
             "actuators": flight.actuators[name],
-            "target": target_of(len(flight.position), passed, gates),
+            "target": np.searchsorted(passed[:, 0], flight.time, side="right") % len(gates),
         }
         parts.append(own)
     if not parts:
         return None
     arrays = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     rows = np.linspace(0, len(arrays["target"]) - 1, STATES).round().astype(int)
-    return States({key: values[rows] for key, values in arrays.items()}, config.track.name)
+    signals = motion_signals(arrays) | {"actuators": Signal(arrays["actuators"])}
+    signals["target"] = Signal(arrays["target"][:, None].astype(np.float64))
+    whole = Flight("states", np.arange(len(arrays["target"]), dtype=np.float64), signals)
+    return whole.map(lambda values: values[rows]).replace(time=np.arange(STATES, dtype=float))
+
+
+def _passages(flight: Logged, config: Config) -> np.ndarray:
+    """Passages (k, 3) of a log, whose end does not count as one."""
+    options = {"reach": REACH, "closed": config.track.closed, "cut": False}
+    return passages(flight.time, flight.position, config.track.gates, **options)
 
 
 def clearances(
@@ -79,27 +87,15 @@ def clearances(
         flight = _signals(log, config)
         if flight is None:
             continue
-        gates = config.track.gates
-        samples = passages(flight.position, gates, REACH, config.track.closed)
-        places = [(n % len(gates), flight.position[index]) for n, index in enumerate(samples)]
+        gates, passed = config.track.gates, _passages(flight, config)
+        distances = [(int(number), float(clear)) for _, number, clear in passed]
         if log.name in hit:
-            places += _at_the_end(flight, config, len(samples) % len(gates))
-        for number, place in places:
-            gate = gates[number]
-            local = (place - np.array(gate.position)) @ np.array(gate.axes)
-            found.setdefault(number, []).append(float(clearance(gate, local[1:])))
+            ahead = len(passed) % len(gates)
+            end = crossing_after_end(flight.time, flight.position, gates[ahead], BEFORE)
+            distances += [] if end is None else [(ahead, end[1])]
+        for number, clear in distances:
+            found.setdefault(number, []).append(clear)
     return {number: np.array(values) for number, values in sorted(found.items())}
-
-
-def _at_the_end(flight: Logged, config: Config, number: int) -> list[tuple[int, np.ndarray]]:
-    """The gate ahead and the position at its plane, if a flight ends close to it; else nothing."""
-    gate, position, velocity = config.track.gates[number], flight.position[-1], flight.velocity[-1]
-    forward = np.array(gate.axes)[:, 0]
-    speed = float(velocity @ forward)
-    left = float((np.array(gate.position) - position) @ forward)
-    if speed <= 0 or left > BEFORE * speed:
-        return []
-    return [(number, position + velocity * left / speed)]
 
 
 def spread_of(found: dict[int, np.ndarray]) -> float:

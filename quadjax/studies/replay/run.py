@@ -11,13 +11,13 @@ from quadjax.config.race import build_params, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.plotting import save_figure
 from quadjax.evaluation.figures import trajectory_figure
-from quadjax.evaluation.recording import Recording
 from quadjax.export.race_source import OwnRace
 from quadjax.export.race_tables import example_state
 from quadjax.fitting.flight_log import FlightLog
+from quadjax.flights.flight import Flight, motion_signals
+from quadjax.flights.gates import REACH, passages
 from quadjax.policy.file import Policy
 from quadjax.race.track import TrackSection
-from quadjax.studies.flight_files import REACH, log_passages, passages, target_of
 from quadjax.studies.replay.commands import Replayed, differences, replay_commands
 from quadjax.studies.replay.figures import commands_figure, prediction_figure
 from quadjax.studies.replay.logged import Logged, logged
@@ -66,15 +66,15 @@ def replay(
     """
     choices, params = choices_of(drone), build_params(drone)
     flight = logged(log, choices.model, params.vehicle)
-    samples = log_passages(flight.position, flight.velocity, track.gates, track.closed)
-    times = flight.time[samples]
+    options = {"reach": REACH, "closed": track.closed}
+    times = passages(flight.time, flight.position, track.gates, **options)[:, 0]
     laps = np.diff(times[len(track.gates) - 1 :: len(track.gates)], prepend=0.0)
     commands = None
     if own is not None and policy is not None:
         report("commands of the policy")
         of_policy = logged(log, own.choices.model, own.params.vehicle)
-        before = passages(flight.position, track.gates, REACH, track.closed)
-        targets = target_of(len(flight.time), before, track.gates)
+        passed = np.searchsorted(times, flight.time, side="right")
+        targets = passed % len(track.gates)
         commands = replay_commands(of_policy, targets, own, policy)
     report("predictions of the model")
     prediction = predict(
@@ -135,15 +135,9 @@ def write_figures(result: Replay, folder: Path) -> list[Path]:
 
 def _figures(result: Replay) -> Iterator[tuple[str, Figure]]:
     flight = result.flight
-    nothing = np.full((len(flight.time), 4), np.nan)
     ends = np.cumsum(result.lap_times)
-    euler = flight.attitude.as_euler("ZYX")[:, ::-1]
-    flown = Recording(
-        *(flight.time, flight.position, flight.velocity, euler, flight.rates, nothing, nothing),
-        target=np.zeros(len(flight.time), int),
-        lap_ends=ends,
-        crash="",
-    )
+    signals = motion_signals({"position": flight.position, "velocity": flight.velocity})
+    flown = Flight(flight.name, flight.time, signals, lap_ends=ends)
     yield "trajectory", trajectory_figure([flown], result.track.gates, flight.name)
     yield "prediction", prediction_figure(result.prediction, result.model)
     if result.commands is not None:

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from quadjax.core.plotting import INK, MUTED, new_figure, tidy
 from quadjax.evaluation.figures import MOTORS
 from quadjax.fitting.signals import first_order
-from quadjax.studies.report.flights import RATES, RPM, Flight
+from quadjax.flights.flight import Flight
 
+RPM, RATES = "rpm", "rates"  # what a flight's commands are
 NAMES = {RPM: MOTORS, RATES: ("p, roll", "q, pitch", "r, yaw")}
 
 
@@ -34,6 +35,14 @@ class Signals:
         return self.actual - self.model
 
 
+def commands_of(flight: Flight) -> str:
+    """What the commands of a flight are: "rpm", "rates" (and thrust), or "" for others."""
+    command = flight.signals.get("command")
+    if command is None or "actuators" not in flight.signals:
+        return ""
+    return {"rpm": RPM, "rad/s": RATES}.get(command.by_unit()[0].unit, "")
+
+
 def signals_of(flight: Flight, constants: Mapping[str, float]) -> Signals:
     """Propeller speeds, or body rates, with their commands.
 
@@ -41,33 +50,32 @@ def signals_of(flight: Flight, constants: Mapping[str, float]) -> Signals:
         flight: with commands.
         constants: of the model of its commands, motor or rate: time constants and limits.
     """
-    own = flight.recording
-    if flight.commands == RPM:
-        actual, command, tau = own.actuators, own.command, constants["tau"]
+    kind, command = commands_of(flight), flight["command"]
+    if kind == RPM:
+        actual, tau = flight["actuators"], constants["tau"]
         low, high = (np.full(4, constants[f"rpm_{end}"]) for end in ("min", "max"))
     else:
-        actual, command, tau = own.rates, own.command[:, :3], constants["tau_rate"]
+        actual, command, tau = flight["rates"], command[:, :3], constants["tau_rate"]
         high = np.array([constants[f"{axis}_max"] for axis in "pqr"])
         low = -high
-    step = float(np.median(np.diff(own.time)))
+    step = float(np.median(np.diff(flight.time)))
     model = first_order(np.clip(command, low, high), actual[0], tau, step)
-    names = NAMES[flight.commands]
-    unit = "rpm" if flight.commands == RPM else "rad/s"
-    return Signals(actual, command, model, low, high, names, unit)
+    unit = "rpm" if kind == RPM else "rad/s"
+    return Signals(actual, command, model, low, high, NAMES[kind], unit)
 
 
-def error_figure(flight: Flight, signals: Signals, gates: int) -> Figure:
+def error_figure(group: str, flight: Flight, signals: Signals) -> Figure:
     """The signals with their limits and the errors of a flight over time, a row for each signal.
 
     Args:
-        flight: the flight.
+        group: label of the flight's group.
+        flight: the flight; its passages are marked, the ends of laps by lines.
         signals: of ``signals_of``.
-        gates: of the track: passages are marked, the ends of laps by darker lines.
     """
     count = len(signals.names)
     figure = new_figure(9.6, 0.9 + 1.25 * count)
     grid = figure.subplots(count, 2, sharex=True, sharey="col")
-    time = flight.recording.time
+    time = flight.time
     colors = matplotlib.colormaps["viridis"]([0.1, 0.55, 0.75])
     for index, (left, right) in enumerate(grid):
         left.plot(time, signals.command[:, index], color=MUTED, lw=0.6, label="commanded")
@@ -83,7 +91,7 @@ def error_figure(flight: Flight, signals: Signals, gates: int) -> Figure:
             tidy(axes)
             axes.tick_params(labelsize=8)
             axes.set_xlim(time[0], time[-1])
-            _mark(axes, flight, gates)
+            _mark(axes, flight)
         left.set_ylabel(f"{signals.names[index]}\n({signals.unit})", color=INK, fontsize=8)
         rms = float(np.sqrt(np.mean(signals.error[:, index] ** 2)))
         right.set_title(f"RMS {rms:.3g} {signals.unit}", loc="right", fontsize=8, color=INK, pad=2)
@@ -101,15 +109,15 @@ def error_figure(flight: Flight, signals: Signals, gates: int) -> Figure:
         frameon=False,
         fontsize=9,
         labelcolor=INK,
-        title=f"{flight.group}, {flight.name}; ticks: gates, lines: laps",
+        title=f"{group}, {flight.name}; ticks: gates, lines: laps",
         title_fontsize=9,
         alignment="left",
     )
     return figure
 
 
-def _mark(axes: Axes, flight: Flight, gates: int) -> None:
+def _mark(axes: Axes, flight: Flight) -> None:
     """A tick for each gate passage and a line for each end of a lap."""
-    for index, passed in enumerate(flight.gate_times, start=1):
-        lap = index % gates == 0
+    for index, passed in enumerate(flight.passages[:, 0], start=1):
+        lap = index % len(flight.gates) == 0
         axes.axvline(passed, ymin=0.0 if lap else 0.94, color=MUTED, lw=0.8, zorder=0)

@@ -15,8 +15,8 @@ from quadjax.evaluation.figures import (
 )
 from quadjax.evaluation.figures import speed_range as range_of
 from quadjax.evaluation.tables import counted
+from quadjax.flights.flight import Flight, fastest
 from quadjax.race.track import GateSection
-from quadjax.studies.report.flights import Flight, fastest
 
 Groups = Mapping[str, Sequence[Flight]]
 COLORS = "viridis"
@@ -94,12 +94,12 @@ def gap_figure(groups: Groups, gates: int) -> Figure:
     figure = new_figure(9.6, 4.2)
     axes = figure.add_subplot()
     tidy(axes)
-    every = [flight.gate_times for flights in groups.values() for flight in flights]
+    every = [flight.passages[:, 0] for flights in groups.values() for flight in flights]
     most = max(map(len, every))
     leader = np.min([times for times in every if len(times) == most], axis=0)
     for index, (group, flights) in enumerate(groups.items()):
         for number, flight in enumerate(flights):
-            behind = flight.gate_times - leader[: len(flight.gate_times)]
+            behind = flight.passages[:, 0] - leader[: len(flight.passages)]
             style = STYLES[index % len(STYLES)] if len(flights) == 1 else "-"
             axes.plot(
                 np.arange(1, len(behind) + 1),
@@ -110,7 +110,7 @@ def gap_figure(groups: Groups, gates: int) -> Figure:
                 alpha=1.0 if len(flights) <= 5 else 0.5,
                 label=f"{group} ({counted(len(flights), 'flight')})" if number == 0 else None,
             )
-            if flight.recording.crash and len(behind):
+            if flight.crash and len(behind):
                 axes.plot(len(behind), behind[-1], "x", color=colors[group], ms=8, mew=2)
     for lap in range(gates, most + 1, gates):
         axes.axvline(lap, color=MUTED, lw=0.9, ls="--", zorder=0)
@@ -137,7 +137,7 @@ def trajectory_figure(groups: Groups, gates: Sequence[GateSection]) -> Figure:
         group: list(flights) if len(flights) <= 5 else [fastest(flights)]
         for group, flights in groups.items()
     }
-    every = [flight.recording for flights in shown.values() for flight in flights]
+    every = [flight for flights in shown.values() for flight in flights]
     lowest, highest = extent(every, gates)
     size, speeds = highest - lowest, range_of(every)
     columns = min(len(groups), ACROSS)
@@ -152,10 +152,10 @@ def trajectory_figure(groups: Groups, gates: Sequence[GateSection]) -> Figure:
     for index, (group, flights) in enumerate(shown.items()):
         above, side = grid[2 * (index // columns) : 2 * (index // columns) + 2, index % columns]
         for flight in flights:
-            points = flight.recording.position * np.array([1.0, 1.0, -1.0])
+            points = flight["position"] * np.array([1.0, 1.0, -1.0])
             width = 1.6 if len(flights) == 1 else 0.9
-            lines = speed_line(above, points[:, :2], flight.recording.speed, speeds, width)
-            speed_line(side, points[:, [0, 2]], flight.recording.speed, speeds, width)
+            lines = speed_line(above, points[:, :2], flight.speed, speeds, width)
+            speed_line(side, points[:, [0, 2]], flight.speed, speeds, width)
         for gate in gates:
             draw_gate(above, gate, 0.07 * float(size.max()), scale=0.5)
             draw_gate_from_side(side, gate)
@@ -181,6 +181,6 @@ def _title(group: str, flights: Sequence[Flight]) -> str:
     best = fastest(flights)
     laps = len(best.lap_times)
     if not np.isfinite(best.total):
-        return f"{group}\n{best.recording.crash} in lap {laps + 1}"
+        return f"{group}\n{best.crash} in lap {laps + 1}"
     note = f"{best.total:.2f} s, {counted(laps, 'lap')}"
     return f"{group}\n{note}" + (f", fastest of {len(flights)}" if len(flights) > 1 else "")

@@ -10,9 +10,16 @@ from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
-from quadjax.studies.report.errors import Signals, error_figure, signals_of
+from quadjax.flights.flight import Flight, fastest
+from quadjax.studies.report.errors import (
+    RATES,
+    RPM,
+    Signals,
+    commands_of,
+    error_figure,
+    signals_of,
+)
 from quadjax.studies.report.figures import box_figure, gap_figure, trajectory_figure
-from quadjax.studies.report.flights import RATES, RPM, Flight, fastest
 from quadjax.studies.report.tables import latex_table, text_table
 
 FORMATS = ("pdf", "svg", "png")
@@ -59,7 +66,7 @@ def figures(groups: Groups, config: Config) -> Iterator[tuple[str, Figure]]:
     yield "trajectories", trajectory_figure(groups, gates)
     labels = list(groups)
     for label, (best, signals) in fastest_signals(groups, config).items():
-        yield f"errors_{labels.index(label) + 1}", error_figure(best, signals, len(gates))
+        yield f"errors_{labels.index(label) + 1}", error_figure(label, best, signals)
 
 
 def fastest_signals(groups: Groups, config: Config) -> dict[str, tuple[Flight, Signals]]:
@@ -70,8 +77,9 @@ def fastest_signals(groups: Groups, config: Config) -> dict[str, tuple[Flight, S
     signals, models = {}, (config.vehicle.model, *config.vehicle.models)
     for label, flights in groups.items():
         best = fastest(flights)
-        if MODELS.get(best.commands) in models:
-            model = config.vehicle.with_model(MODELS[best.commands])
+        kind = commands_of(best)
+        if MODELS.get(kind) in models:
+            model = config.vehicle.with_model(MODELS[kind])
             signals[label] = best, signals_of(best, model.constants)
     return signals
 
@@ -84,8 +92,8 @@ def _numbers(groups: Groups) -> dict[str, object]:
                 {
                     "name": flight.name,
                     "laps": [round(float(x), 4) for x in flight.lap_times],
-                    "gates": [round(float(x), 4) for x in flight.gate_times],
-                    "crash": flight.recording.crash,
+                    "gates": [round(float(x), 4) for x in flight.passages[:, 0]],
+                    "crash": flight.crash or "",
                 }
                 for flight in flights
             ]

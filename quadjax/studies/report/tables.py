@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from quadjax.studies.report.flights import Flight, fastest
+from quadjax.flights.flight import Flight, fastest
 
 LISTED = 10  # flights of a group that are shown one by one
 Groups = Mapping[str, Sequence[Flight]]
@@ -22,7 +22,7 @@ def lines_of(flights: Sequence[Flight], laps: int) -> list[Line]:
     for flight in shown:
         times = [*flight.lap_times[:laps], *[np.nan] * (laps - len(flight.lap_times))]
         total = flight.total if len(flight.lap_times) == laps else np.nan
-        reason = f" ({flight.recording.crash})" if flight.recording.crash else ""
+        reason = f" ({flight.crash})" if flight.crash else ""
         bold = flight is best and len(flights) > 1 and np.isfinite(total)
         lines.append((flight.name + reason, [*times, total], bold))
     if len(flights) > 1 and done:

@@ -1,1 +1,0 @@
-"""Data of the pages: flights of any source."""

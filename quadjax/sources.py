@@ -1,0 +1,202 @@
+"""Flights of any source: a training run, a policy, a file of flights, or a flight log."""
+
+import dataclasses
+import glob
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.files import check_file, read_npz
+from quadjax.core.folders import kind_of
+from quadjax.core.resources import find_policy
+from quadjax.evaluation.evaluation import evaluate
+from quadjax.fitting.config import LogsConfig
+from quadjax.fitting.flight_log import read_log
+from quadjax.fitting.log_formats import FORMATS as LOG_FORMATS
+from quadjax.flights import files, gates
+from quadjax.flights.flight import Flight
+from quadjax.policy.file import FORMATS as POLICY_FORMATS
+from quadjax.policy.file import Policy
+from quadjax.policy.race import policy_path, race_of_policy
+from quadjax.race.track import TrackSection
+
+LOGS = (".csv", ".ulg")
+SUFFIXES = (".npz", ".csv", ".json", ".ulg")
+MAX_FILES = 1000  # of a group
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """How sources are read.
+
+    Attributes:
+        race: that policies fly, and whose gates files without gates get; None: a policy's own.
+        laps: of policies; ``evaluate.laps`` of the race if not given.
+        runs: of each policy.
+        sampled: sampled actions rather than the mean action.
+        seed: of the noise and the disturbances.
+        logs: columns and frames of flight logs; None: those of a known format, by the header.
+        progress: called with the policy that is simulated.
+        report: called with a line of text for a policy that flies the race of a preset.
+    """
+
+    race: Config | None = None
+    laps: int | None = None
+    runs: int = 1
+    sampled: bool = False
+    seed: int = 0
+    logs: LogsConfig | None = None
+    progress: Callable[[str], None] = lambda line: None
+    report: Callable[[str], None] = lambda line: None
+
+    @property
+    def track(self) -> TrackSection | None:
+        """The track of the race."""
+        return None if self.race is None else self.race.track
+
+
+DEFAULT = Options()
+
+
+def load_flights(
+    source: Path | str, name: str | None = None, options: Options = DEFAULT
+) -> list[Flight]:
+    """Flights of one source.
+
+    Args:
+        source: a training run's folder, also while it trains; a policy file, or the name of one
+            that comes with the package; a file that ``quadjax.flights.load`` reads; or a flight log
+            (``.csv``, ``.ulg``).
+        name: of the flights; the name of the file or folder if not given.
+        options: how they are read.
+
+    Raises:
+        InputError: no such file, an unknown kind, or one that cannot be read.
+    """
+    path = Path(source)
+    path = find_policy(source) if policy_path(path) == path else path
+    name = name or (path.resolve().name if path.is_dir() else path.stem)
+    if path.is_dir():
+        return fly(_policy_of_run(path), name, options)
+    check_file(path)
+    if path.suffix not in SUFFIXES:
+        allowed = f"a run's folder, {', '.join(SUFFIXES)}"
+        raise InputError(f"{source}: suffix is {path.suffix!r}, allowed: {allowed}")
+    if path.suffix in LOGS:
+        return [load_log(path, name, options.logs, options.track)]
+    if path.suffix == ".npz":
+        _, meta = read_npz(path, (*POLICY_FORMATS, *files.FORMATS))
+        if meta["format"] in POLICY_FORMATS:
+            return fly(path, name, options)
+        if meta["format"] == files.STARTS:
+            raise InputError(f"{source}: single states ({files.STARTS}), expected flights")
+    return files.load(path, options.track.gates if options.track else (), name)
+
+
+def _policy_of_run(folder: Path) -> Path:
+    policy, kind = policy_path(folder), kind_of(folder)
+    if policy == folder:
+        raise InputError(f"{folder}: no policy.npz, expected the folder of a training run")
+    if kind not in (None, "training"):
+        raise InputError(f"{folder}: holds files of {kind}, expected the folder of a training run")
+    return policy
+
+
+def fly(path: Path, name: str, options: Options = DEFAULT) -> list[Flight]:
+    """Flights of a policy file in its race, or in that of the options, and published lap times."""
+    options.progress(f"simulating {path}")
+    policy = Policy.load(path)
+    race, _ = race_of_policy(policy, path, options.race, report=options.report)
+    evaluation = evaluate(
+        policy,
+        race,
+        runs=options.runs,
+        laps=options.laps,
+        deterministic=not options.sampled,
+        seed=options.seed,
+        name=str(path),
+    )
+    return evaluation.shown(name)
+
+
+def load_log(
+    path: Path, name: str, logs: LogsConfig | None = None, track: TrackSection | None = None
+) -> Flight:
+    """The flying part of a flight log, with its passages of the gates; a lap ends with the last.
+
+    Args:
+        path: the log.
+        name: of the flight.
+        logs: columns and frames; None: those of a known format, by the header.
+        track: that was flown; None: unknown.
+
+    Raises:
+        InputError: a log that cannot be read, without positions, or without a sample in flight.
+    """
+    log = read_log(path, logs or _format_of(path))
+    if log.position is None:
+        raise InputError(f"{path}: no columns for position (logs.columns.position)")
+    flight = log.flight(name).airborne()
+    if not len(flight.time):
+        raise InputError(f"{path}: no sample in flight (logs.columns.mode)")
+    if track is None:
+        return flight
+    return flight.with_passages(track.gates, gates.REACH, track.closed)
+
+
+def _format_of(path: Path) -> LogsConfig:
+    """The format whose columns a log has; plain columns for a log of several formats."""
+    if path.suffix != ".csv":
+        return LogsConfig(format="ulog")
+    for name, form in LOG_FORMATS.items():
+        columns = form.columns["time"] + form.columns["gyro"]
+        if form.read is None and set(columns) <= set(form.header(path)):
+            # Nothing is fitted: commands at a limit, of unclear scale, do not matter.
+            return LogsConfig(format=name, max_scale_error=1e6)
+    raise InputError(f"{path}: columns of no known format, allowed: --logs with a fit config")
+
+
+def load_groups(
+    words: Sequence[str], track: TrackSection, logs: LogsConfig | None = None
+) -> dict[str, list[Flight]]:
+    """Recorded flights of ``LABEL=FILE`` words, by label, each with at least one passage.
+
+    Args:
+        words: files or glob patterns; without a label, that of a file is its stem. Several with one
+            label are one group.
+        track: that was flown.
+        logs: columns and units of the logs; None: those of a known format, by the header.
+
+    Raises:
+        InputError: no such file, or one that cannot be read.
+    """
+    groups: dict[str, list[Flight]] = {}
+    for word in words:
+        label, equals, pattern = word.partition("=")
+        label, pattern = (label.strip(), pattern) if equals else ("", word)
+        if equals and not label:
+            raise InputError(f"{word}: expected LABEL=FILE")
+        paths = sorted(glob.glob(str(Path(pattern).expanduser()))) if pattern else []
+        if not paths or len(paths) > MAX_FILES:
+            raise InputError(f"{pattern or word}: {len(paths)} files, expected 1 to {MAX_FILES}")
+        for path in map(Path, paths):
+            groups.setdefault(label or path.stem, []).extend(_recorded(path, track, logs))
+    return groups
+
+
+def _recorded(path: Path, track: TrackSection, logs: LogsConfig | None) -> list[Flight]:
+    """The flights of a file, or of a log up to the end of its last lap."""
+    if path.suffix.lower() == ".npz":
+        flights = files.load(path, track.gates)
+        return [flight.replace(name=str(run)) for run, flight in enumerate(flights, start=1)]
+    if path.suffix.lower() not in LOGS:
+        raise InputError(f"{path}: suffix is {path.suffix!r}, allowed: .npz, {', '.join(LOGS)}")
+    flight = load_log(path, path.stem, logs, track)
+    if not len(flight.passages):
+        raise InputError(f"{path}: passes no gate of the track {track.name}, name its --race")
+    if not len(flight.lap_ends):
+        return [flight.replace(crash="no lap")]
+    return [flight.slice(slice(0, int(np.searchsorted(flight.time, flight.lap_ends[-1])) + 1))]
