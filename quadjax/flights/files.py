@@ -334,7 +334,8 @@ def _flight_of_record(value: dict[str, Any], gates: tuple[GateSection, ...]) -> 
         arrays[each["name"]] = np.array(each["offset"]) + np.array(each["scale"]) * known
         if "title" in each:
             values, labels = arrays[each["name"]], tuple(map(str, each["labels"]))
-            signals[str(each["title"])] = Signal(values, str(each["unit"]), labels)
+            title = re.sub(r"\W+", "_", each["title"])[:40]
+            signals[title] = Signal(values, str(each["unit"]), labels)
     turns = Rotation.from_quat(np.roll(arrays["attitude"], -1, axis=1))
     arrays["attitude"] = turns.as_euler("ZYX")[:, ::-1]
     passed = [[np.nan if x is None else float(x) for x in row] for row in value["passages"]]

@@ -98,7 +98,7 @@ def _strip(name: str, signal: Signal) -> dict[str, Any]:
     """A signal that is drawn over time, with its title; four speeds are those of rotors."""
     count, unit = signal.values.shape[1], str(signal.unit)
     labels = signal.labels or [str(index + 1) for index in range(count)]
-    is_rotors = unit == "rpm" or (name == "actuators" and unit == "rad/s")
+    is_rotors = unit == "rpm" or (name in ("actuators", "rotor_speed") and unit == "rad/s")
     title = "body rates" if name == "rates" else name.replace("_", " ")
     if name in ("command", "actuators"):
         named = "rotor speed" if is_rotors else QUANTITIES.get(unit)
