@@ -15,7 +15,7 @@ from quadjax.core.interruptions import loading
 
 def view(
     *flights: Annotated[str, Parameter(name="FLIGHTS", required=True)],
-    output: Annotated[Path, opt.Output((".html", ".npz")), Parameter(metavar="FILE.html")] = Path(
+    output: Annotated[Path, opt.Output((".html", ".npz", ".json")), Parameter(metavar="FILE.html")] = Path(
         "flights.html"
     ),
     name: list[str] | None = None,
@@ -42,7 +42,7 @@ def view(
 
     Args:
         flights: One or more, as above.
-        output: Page, or with the suffix .npz the flights alone.
+        output: Page, or its data (.json), or the flights (.npz).
         name: Of the next flight, in order; may be repeated.
         title: Of the page (default: the track's name).
         race: Race of the policies, and gates of files that contain none.
@@ -59,6 +59,7 @@ def view(
         raise InputError(f"--open needs an .html file, --output is {output}")
     with loading():
         from quadjax.config.loading import load_config
+        from quadjax.core.files import write_json
         from quadjax.flights import save
         from quadjax.sources import Options, load_flights
         from quadjax.view.data import page_record
@@ -79,6 +80,8 @@ def view(
         record = page_record(title, read)
         if output.suffix == ".npz":
             save(read, output)
+        elif output.suffix == ".json":
+            write_json(output, record)
         else:
             write_page(output, record)
     count, size = len(record["flights"]), output.stat().st_size
