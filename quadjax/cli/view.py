@@ -12,10 +12,12 @@ from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 
+SUFFIXES = (".html", ".npz", ".json")
+
 
 def view(
     *flights: Annotated[str, Parameter(name="FLIGHTS", required=True)],
-    output: Annotated[Path, opt.Output((".html", ".npz", ".json")), Parameter(metavar="FILE.html")] = Path(
+    output: Annotated[Path, opt.Output(SUFFIXES), Parameter(metavar="FILE.html")] = Path(
         "flights.html"
     ),
     name: list[str] | None = None,

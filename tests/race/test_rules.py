@@ -331,17 +331,17 @@ def test_each_term_of_the_reward(race, kept, expected):
     np.testing.assert_allclose(value, expected, atol=2e-5)
 
 
-def _paid(race, target, before, after, passed):
-    """The reward of a step between two positions."""
-    choices, params = race
+def _paid(params, target, before, after, passed):
+    """The reward of a step of a level drone at rest between two positions."""
     zero = jnp.zeros((), jnp.int32)
-    drone = jax.tree.map(jnp.zeros_like, hover_state_of(race).drone)
+    drone = state_of("motor", np.zeros(22, np.float32))
     state = RaceState(drone.replace(position=before), zero, zero, zero, None)
-    crashes = {"hit a gate": jnp.zeros((), bool)}
-    outcome = rules.Outcome(passed, crashes, jnp.zeros((), bool))
-    after = drone.replace(position=after)
-    step = Step(choices.model, params, state, gate(params.track, target), after, outcome)
-    return rewards.reward(step, REWARDS)
+    outcome = Outcome(passed, {GATE: jnp.zeros((), bool)}, jnp.zeros((), bool))
+    g, after = gate(params.track, target), drone.replace(position=after)
+    return rewards.reward(Step(MODEL, params, state, g, after, outcome))
+
+
+_payment = by_rows(_paid)
 
 
 def test_next_gate_progress_rewards_a_leg_the_same_wherever_its_gate_is_passed(race):
