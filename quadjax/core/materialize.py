@@ -113,6 +113,15 @@ def call_materialized_forward(
     return _inside_conditional(function, differentiated)(arguments, opaque_true)
 
 
+def materializing(opaque_true: jax.Array) -> Caller:
+    """``call_materialized_forward`` with its flag, as a ``Caller``."""
+
+    def call(function: Callable[..., Result], *arguments: Any) -> Result:
+        return call_materialized_forward(function, opaque_true, *arguments)
+
+    return call
+
+
 def _inside_conditional(
     function: Callable[..., Result], differentiated: Callable[[tuple, jax.Array], Result]
 ) -> Callable[[tuple, jax.Array], Result]:

@@ -24,22 +24,17 @@ is the value of ``d`` ago. The time of the delayed estimate then differs from th
 Functions are of one drone; batch with ``vmap``.
 """
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
-from quadjax.core.materialize import call_materialized_forward
+from quadjax.core.materialize import materializing
 from quadjax.core.matrix import Mat3, apply, skew
 from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Vec3
 from quadjax.plant.ekf_params import EkfParams
 from quadjax.plant.sensors import Fix, Measured
-
-Result = TypeVar("Result")
 
 POSE = (0, 1, 2, 6, 7, 8)  # the errors that a pose measures: position and attitude
 
@@ -111,17 +106,11 @@ def update(params: EkfParams, state: EkfState, measured: Measured) -> EkfState:
     )
     line = jax.tree.map(lambda xs, x: jnp.append(xs, x), state.waiting, aligned)
     sample = jax.tree.map(lambda xs: xs[0], line)
-    motion, covariance = _call(
-        params, predict, params, state.motion, state.covariance, state.last, sample
-    )
-    motion, covariance = _call(params, correct, params, motion, covariance, sample, measured.fix)
+    call = materializing(params.step > 0.0)
+    motion, covariance = call(predict, params, state.motion, state.covariance, state.last, sample)
+    motion, covariance = call(correct, params, motion, covariance, sample, measured.fix)
     waiting = jax.tree.map(lambda xs: xs[1:], line)
     return EkfState(motion, covariance, sample, waiting, newest, state.newest)
-
-
-def _call(params: EkfParams, function: Callable[..., Result], *arguments: object) -> Result:
-    """``function(*arguments)``, computed once; see ``quadjax.core.materialize``."""
-    return call_materialized_forward(function, params.step > 0, *arguments)
 
 
 def predict(
@@ -140,7 +129,8 @@ def predict(
         before: the sample processed last.
         after: the sample to process.
     """
-    moved, f = _call(params, advance, params.gravity, motion, before, after)
+    call = materializing(params.step > 0.0)
+    moved, f = call(advance, params.gravity, motion, before, after)
     grown = f @ covariance @ f.T + params.noise * (after.step / params.step)
     return moved, grown
 
@@ -189,11 +179,11 @@ def transition(step: jax.Array, turn: Vec3, rotation: Mat3) -> jax.Array:
 def correct(
     params: EkfParams, motion: MotionEstimate, covariance: jax.Array, at: InertialSample, fix: Fix
 ) -> tuple[MotionEstimate, jax.Array]:
-    """Correct with a pose: ``K = P H^T (H P H^T + R)^-1``.
+    """Correct with a pose.
 
-    ``H`` has six rows of the identity, which select those of ``P`` by their indices. In Joseph's
-    form, ``P <- (I - K H) P (I - K H)^T + K R K^T``, rounding does not make a variance negative
-    after a long gap.
+    The noise of its six numbers is independent, so each is processed by itself, with a division
+    in place of the inverse of a matrix (Maybeck, "Stochastic models, estimation, and control",
+    volume 1, 1979, section 5.10). A number measures one error: ``P H^T`` is a row of ``P``.
 
     Args:
         params: of the filter.
@@ -202,13 +192,14 @@ def correct(
         at: the sample processed last; its rates and force bridge the offset to the pose.
         fix: the pose; without effect unless it is ``fresh``.
     """
-    rows = jnp.array(POSE)
-    measured = covariance[rows]
-    spread = measured[:, rows] + jnp.diag(params.pose_variance)
-    gain = jnp.linalg.solve(spread, measured).T * fix.fresh
-    errors = gain @ _call(params, _innovation, params, motion, at, fix)
-    keep = jnp.eye(15).at[:, rows].add(-gain)
-    covariance = keep @ covariance @ keep.T + (gain * params.pose_variance[None, :]) @ gain.T
+    call = materializing(params.step > 0.0)
+    innovations = call(_innovation, params, motion, at, fix)
+    errors = jnp.zeros(15)
+    for number, row in enumerate(POSE):
+        column = covariance[row]
+        gain = column / (column[row] + params.pose_variance[number]) * fix.fresh
+        errors = errors + gain * (innovations[number] - errors[row])
+        covariance = covariance - gain[:, None] * column[None, :]
     position, velocity, attitude, gyro, force = (Vec3.of(e) for e in errors.reshape(5, 3))
     turned = quaternion.multiply(quaternion.exponential(attitude), motion.attitude)
     corrected = MotionEstimate(

@@ -1,7 +1,7 @@
 """Timed flights of a policy file on the stand-in plant."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -10,24 +10,18 @@ import numpy as np
 from quadjax.core.errors import InputError
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.flights import flight as recorded
-from quadjax.plant import flight
-from quadjax.plant.build import build_plant, nominal_vehicle
+from quadjax.plant.build import build_plant
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.ekf_params import ekf_params
-from quadjax.plant.flight import Flight, FlightChoices, FlightParams, Frame, Record, Recorder
-from quadjax.plant.indi import indi_params
-from quadjax.plant.onboard import OnboardChoices, OnboardParams
-from quadjax.plant.sensors import sensor_params
+from quadjax.plant.flight import Frame, Plan, advance, begin
+from quadjax.plant.onboard import onboard_params
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import Pilot, make_pilot
+from quadjax.policy.pilot import make_pilot
 from quadjax.race import laps
 from quadjax.race.environment import Choices, RaceParams, exact_rules
 from quadjax.race.laps import Laps
 from quadjax.race.layout import Layout
 from quadjax.race.track import GateSection
-from quadjax.vehicle import motor
-from quadjax.vehicle.battery import limit_estimator, middle_limit
-from quadjax.vehicle.estimator import estimator_params
+from quadjax.vehicle.battery import middle_limit
 from quadjax.vehicle.protocol import VehicleModel, VehicleParams
 from quadjax.vehicle.rate import RateCommand
 
@@ -48,20 +42,6 @@ class Flights:
     laps: Laps
     frames: Frame
     step: float
-
-
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """Flights before the start."""
-
-    choices: FlightChoices
-    params: FlightParams
-    pilot: Pilot
-    step: float  # s, of the control loop
-    limit: int  # control steps, after which a flight is out of time
-    laps: int
-    runs: int
-    recorded: int  # runs, the first ones, whose frames are kept
 
 
 def plan_flights(
@@ -91,27 +71,21 @@ def plan_flights(
     """
     choices, params = race
     params = exact_rules(choices.model, params)
-    pilot = make_pilot(choices, params, policy, deterministic)
-    hold = round(plant.sample_rate / plant.control_rate)
-    own = FlightChoices(choices, OnboardChoices(plant.navigation, plant.disturbance), hold)
-    charge = tuple(jnp.float32(x) for x in plant.battery.charge)
-    numbers = FlightParams(build_plant(plant), params, _onboard(onboard, plant, params), charge)
-    limit = round(laps.time_limit(params.track, lap_count) * plant.control_rate)
-    step = 1.0 / plant.control_rate
-    return Plan(own, numbers, pilot, step, limit, lap_count, runs, min(recorded, runs))
-
-
-def _onboard(model: VehicleParams, plant: PlantConfig, race: RaceParams) -> OnboardParams:
-    """Sensors, filters and inner loop."""
-    rate, c = plant.sample_rate, model.constants
-    first = c.rpm_max if race.battery is None else middle_limit(race.battery)
-    return OnboardParams(
-        sensors=sensor_params(plant.sensors, rate),
-        ekf=ekf_params(plant.sensors, rate, float(model.constants.g)),
-        estimator=estimator_params(motor.MODEL, model, rate),
-        inner=indi_params(nominal_vehicle(plant).motor, plant.indi, rate),
-        limit=limit_estimator(c.rpm_max, c.tau, rate),
-        first_limit=first,
+    low, high = plant.battery.charge
+    first_limit = None if params.battery is None else middle_limit(params.battery)
+    return Plan(
+        plant=build_plant(plant),
+        race=params,
+        onboard=onboard_params(plant, onboard, first_limit),
+        pilot=make_pilot(choices, params, policy, deterministic),
+        charge=(jnp.float32(low), jnp.float32(high)),
+        choices=choices,
+        step=1.0 / plant.control_rate,
+        hold=round(plant.sample_rate / plant.control_rate),
+        limit=round(laps.time_limit(params.track, lap_count) * plant.control_rate),
+        laps=lap_count,
+        runs=runs,
+        recorded=min(recorded, runs),
     )
 
 
@@ -133,39 +107,6 @@ def check_steps(layout: Layout, trained: float, step: float) -> None:
         )
 
 
-def fly_chunks(
-    plan: Plan, seed: int = 0, record: Recorder = flight.record_frame
-) -> Iterator[tuple[Flight, Record]]:
-    """Fly until every drone has finished or crashed, a second at a time.
-
-    Args:
-        plan: the flights.
-        seed: of batteries, gusts, sensors and the policy's noise.
-        record: what is kept of a control step.
-
-    Yields:
-        The drones, and the records of the chunk as NumPy arrays.
-
-    Raises:
-        InputError: see ``check_steps``.
-    """
-    race = plan.params.race
-    check_steps(plan.choices.race.layout, float(race.rules.time_step), plan.step)
-    start, key = jax.random.split(jax.random.key(seed))
-    drones = jax.jit(flight.begin, static_argnums=(0, 3, 4))(
-        plan.choices, plan.params, start, plan.runs, plan.laps
-    )
-    chunk = max(1, round(CHUNK_SECONDS / plan.step))
-    for number in range(-(-plan.limit // chunk)):
-        own = jax.random.fold_in(key, number)
-        drones, frames = flight.fly_on(
-            plan.choices, chunk, plan.params, plan.pilot, drones, own, plan.recorded, record
-        )
-        yield drones, jax.tree.map(np.asarray, frames)
-        if bool(jnp.all(drones.race.over)):
-            return
-
-
 def fly_plan(
     plan: Plan, seed: int = 0, report: Callable[[float], None] = lambda seconds: None
 ) -> Flights:
@@ -175,17 +116,23 @@ def fly_plan(
         plan: the flights.
         seed: of batteries, gusts, sensors and the policy's noise.
         report: called with the simulated seconds.
+
+    Raises:
+        InputError: see ``check_steps``.
     """
-    kept: list[Frame] = []
-    for flying, frames in fly_chunks(plan, seed):
-        drones = flying
-        kept.append(frames)
-        report(len(kept) * max(1, round(CHUNK_SECONDS / plan.step)) * plan.step)
-    joined = jax.tree.map(lambda *parts: np.concatenate(parts), *kept)
-    result = laps.laps_of(
-        plan.choices.race, drones.race, float(plan.params.plant.step), plan.limit * plan.step
-    )
-    return Flights(result, joined, plan.step)
+    check_steps(plan.choices.layout, float(plan.race.rules.time_step), plan.step)
+    start, key = jax.random.split(jax.random.key(seed))
+    drones, frames = begin(plan, start), []
+    chunk = max(1, round(CHUNK_SECONDS / plan.step))
+    for number in range(-(-plan.limit // chunk)):
+        drones, frame = advance(plan, chunk, drones, jax.random.fold_in(key, number))
+        frames.append(jax.tree.map(np.asarray, frame))
+        report(len(frames) * chunk * plan.step)
+        if bool(jnp.all(drones.race.over)):
+            break
+    joined = jax.tree.map(lambda *parts: np.concatenate(parts), *frames)
+    step, limit = float(plan.plant.step), plan.limit * plan.step
+    return Flights(laps.laps_of(plan.choices, drones.race, step, limit), joined, plan.step)
 
 
 def rows(flights: Flights, vector: Vec3 | Rotors | RateCommand, run: int) -> np.ndarray:

@@ -80,7 +80,7 @@ def write_logs(
         ended = fly_plan(
             plan, seed, lambda seconds, n=name: report(f"{n}: {seconds:.0f} s simulated")
         )
-        gates = np.stack([np.asarray(x) for x in plan.params.race.track.position.components()], 1)
+        gates = np.stack([np.asarray(x) for x in plan.race.track.position.components()], 1)
         logs = [log_quantities(ended, run, gates) for run in range(plan.recorded)]
         for run, log in enumerate(logs):
             if not all(np.isfinite(values).all() for values in log.values()):

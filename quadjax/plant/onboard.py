@@ -4,41 +4,34 @@ One sample goes from the true motion to the state that a policy observes. With `
 "ground_truth" the motion is known exactly, for development.
 """
 
-import dataclasses
-
 import jax
+import jax.numpy as jnp
 from flax import struct
 
 from quadjax.core import quaternion
+from quadjax.core.filters import Scalar
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant import ekf, gusts, indi, plant, sensors
+from quadjax.plant.build import nominal_vehicle
+from quadjax.plant.config import PlantConfig
 from quadjax.plant.ekf import EkfState
-from quadjax.plant.ekf_params import EkfParams
+from quadjax.plant.ekf_params import EkfParams, ekf_params
 from quadjax.plant.indi import IndiParams, IndiState
 from quadjax.plant.plant import PlantParams, PlantState
 from quadjax.plant.sensors import GroundTruth, Measured, SensorParams, SensorState
 from quadjax.vehicle import battery, motor
 from quadjax.vehicle import estimator as disturbance
 from quadjax.vehicle.battery import LimitEstimatorParams, LimitEstimatorState
-from quadjax.vehicle.estimator import EstimatorParams, EstimatorState
-from quadjax.vehicle.protocol import Measurement
+from quadjax.vehicle.estimator import EstimatorParams, EstimatorState, estimator_params
+from quadjax.vehicle.protocol import Measurement, VehicleParams
 from quadjax.vehicle.rate import RateCommand
 from quadjax.vehicle.rigid_body import BodyState, RigidBodyState
 
 DRAWS = sensors.DRAWS + gusts.DRAWS
 
 
-@dataclasses.dataclass(frozen=True)
-class OnboardChoices:
-    """Static choices of code."""
-
-    navigation: str = "ekf"  # ekf, ground_truth
-    disturbance: str = "estimated"  # ground_truth, estimated, none
-
-
-@struct.dataclass
-class OnboardParams:
-    """Numbers of the onboard computers."""
+class OnboardParams(struct.PyTreeNode):
+    """Numbers of the onboard computers, and two static choices."""
 
     sensors: SensorParams
     ekf: EkfParams
@@ -46,10 +39,13 @@ class OnboardParams:
     inner: IndiParams
     limit: LimitEstimatorParams  # of the battery's limit
     first_limit: jax.Array  # rpm, its first estimate
+    navigation: str = struct.field(pytree_node=False, default="ekf")  # ekf, ground_truth
+    disturbance: str = struct.field(
+        pytree_node=False, default="estimated"
+    )  # .., ground_truth, none
 
 
-@struct.dataclass
-class StateEstimate:
+class StateEstimate(struct.PyTreeNode):
     """Estimate of the drone's state at one sample."""
 
     motion: RigidBodyState  # with the external moment and force that the policy observes
@@ -59,8 +55,7 @@ class StateEstimate:
     force_bias: Vec3  # m/s^2, estimated bias of the accelerometer
 
 
-@struct.dataclass
-class OnboardState:
+class OnboardState(struct.PyTreeNode):
     """State of the onboard computers between samples."""
 
     delayed: tuple[GroundTruth, ...]  # on its way to the sensors, the oldest first
@@ -72,17 +67,39 @@ class OnboardState:
     estimate: StateEstimate
 
 
+def onboard_params(
+    config: PlantConfig, model: VehicleParams, first_limit: Scalar | None = None
+) -> OnboardParams:
+    """Sensors, filters and inner loop.
+
+    Args:
+        config: of the plant.
+        model: the onboard model, of the motor-level vehicle.
+        first_limit: () the battery's limit at first, rpm; None: the highest command.
+
+    Raises:
+        InputError: a vehicle file that cannot be read.
+    """
+    rate, c = config.sample_rate, model.constants
+    return OnboardParams(
+        sensors=sensors.sensor_params(config.sensors, rate),
+        ekf=ekf_params(config.sensors, rate, float(c.g)),
+        estimator=estimator_params(motor.MODEL, model, rate),
+        inner=indi.indi_params(nominal_vehicle(config).motor, config.indi, rate),
+        limit=battery.limit_estimator(c.rpm_max, c.tau, rate),
+        first_limit=jnp.asarray(c.rpm_max if first_limit is None else first_limit, jnp.float32),
+        navigation=config.navigation,
+        disturbance=config.disturbance,
+    )
+
+
 def begin(
-    choices: OnboardChoices,
-    params: OnboardParams,
-    body: PlantParams,
-    state: PlantState,
-    drawn: jax.Array,
+    params: OnboardParams, body: PlantParams, state: PlantState, drawn: jax.Array
 ) -> OnboardState:
     """The initial state of a drone; ``drawn`` holds (sensors.START_DRAWS,) normal numbers."""
     truth = plant.truth_of(body, state)
     own = filtered = measured = None
-    if choices.navigation == "ekf":
+    if params.navigation == "ekf":
         own, measured = sensors.init(params.sensors, truth, drawn)
         filtered = ekf.init(params.ekf, measured)
     now = _estimate(params, truth, measured, filtered)
@@ -94,7 +111,6 @@ def begin(
 
 
 def sense(
-    choices: OnboardChoices,
     params: OnboardParams,
     body: PlantParams,
     state: PlantState,
@@ -105,7 +121,6 @@ def sense(
     """One sample of sensors, filter and estimators; the inner loop is ``command_rotors``.
 
     Args:
-        choices: static choices.
         params: of the onboard computers.
         body: of the plant.
         state: of the plant, now.
@@ -115,16 +130,16 @@ def sense(
     """
     truth, *waiting = (*onboard.delayed, plant.truth_of(body, state))
     own, filtered, measured = onboard.sensors, onboard.ekf, None
-    if choices.navigation == "ekf":
+    if params.navigation == "ekf":
         own, measured = sensors.update(params.sensors, own, truth, drawn)
         filtered = ekf.update(params.ekf, filtered, measured)
     now = _estimate(params, truth, measured, filtered)
     estimated, moment, force = disturbance.update(
         params.estimator, onboard.estimator, now.measurement
     )
-    if choices.disturbance == "ground_truth":
+    if params.disturbance == "ground_truth":
         moment, force = unmodeled(params, body, state)
-    elif choices.disturbance == "none":
+    elif params.disturbance == "none":
         moment, force = Vec3.zero(), Vec3.zero()
     now = now.replace(motion=now.motion.replace(moment_ext=moment, force_ext=force))
     limit = battery.update(params.limit, onboard.limit, now.measurement.rpm, command)

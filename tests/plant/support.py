@@ -148,18 +148,13 @@ class Filtered:
         return (self.errors * weighted).sum(axis=-1)
 
 
-def filtered(
-    config: SensorsConfig, start_velocity: float, seed: int, quiet: bool = False, drones: int = 24
-) -> Filtered:
+def filtered(config: SensorsConfig, seed: int, noise: float = 1.0, drones: int = 24) -> Filtered:
     """Sensors and filter of some drones on a loop of 1.6 s, at 500 samples a second.
 
-    The loop does not start at rest: ``start_velocity`` is the assumed deviation, m/s. ``quiet``
-    filters take the motion between two samples to be straight.
+    The assumed noise is multiplied by ``noise``.
     """
     own, params = sensors.sensor_params(config, RATE), ekf_params(config, RATE)
-    params = params.replace(start=params.start.at[3:6].set(start_velocity**2))
-    if quiet:
-        params = params.replace(noise=0.01 * params.noise)
+    params = params.replace(noise=noise * params.noise)
     time = np.arange(801) / RATE
     motion = loop(time)
     found = _filter(own, params, truth_of(motion, drones), jax.random.key(seed))

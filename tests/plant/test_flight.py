@@ -11,7 +11,7 @@ from quadjax.fitting.config import LogsConfig
 from quadjax.fitting.flight_log import read_logs
 from quadjax.plant import flight as onboard_flight
 from quadjax.plant.config import PlantConfig, load_plant_config
-from quadjax.plant.flights import fly_chunks, fly_plan, recorded_flights, rows
+from quadjax.plant.flights import fly_plan, recorded_flights, rows
 from quadjax.plant.logs import log_quantities, write_logs
 from quadjax.plant.races import gate_centers, plan_logs, plan_race, race_config
 from quadjax.policy.file import Policy
@@ -108,21 +108,19 @@ def test_earlier_steps_of_another_length_are_refused(observed):
     policy, other = untrained_policy(config), EXACT.replace(control_rate=500.0)
     plan = plan_race(config, other, policy, "own", lap_count=1, runs=2)
     with pytest.raises(InputError, match="of 0.01 s, .* steps are 0.002 s: add control_rate=100"):
-        next(fly_chunks(plan))
+        fly_plan(plan)
 
 
 @pytest.mark.slow  # compiles the plant
 def test_a_history_is_of_the_known_states_and_actions():
     config = load_config("e2e", [f"observation.history={HISTORY}", "network.hidden=[8]"])
     plan = plan_race(config, EXACT, untrained_policy(config), "own", lap_count=1, runs=2)
-    first = onboard_flight.begin(plan.choices, plan.params, jax.random.key(0), 2, 1)
-
-    def record(params, now, command, rotors):
-        race = now.race.state
-        return race.past, race.action, now.onboard.estimate.motion, command
-
-    arguments = (plan.params, plan.pilot, first, jax.random.key(1), 2, record)
-    _, (past, action, motion, command) = onboard_flight.fly_on(plan.choices, 4, *arguments)
+    drones, kept = onboard_flight.begin(plan, jax.random.key(0)), []
+    for key in jax.random.split(jax.random.key(1), 4):
+        before, (drones, frame) = drones, onboard_flight.advance(plan, 1, drones, key)
+        race, motion = before.race.state, before.onboard.estimate.motion
+        kept.append((race.past, race.action, motion, jax.tree.map(lambda x: x[0], frame.command)))
+    past, action, motion, command = jax.tree.map(lambda *x: np.stack(x), *kept)
     low, high = np.asarray(plan.pilot.low)[:, None], np.asarray(plan.pilot.high)[:, None]
     given = 2.0 * (np.stack(jax.tree.leaves(command), 1) - low) / (high - low) - 1.0
     np.testing.assert_allclose(np.stack(action, 1)[1:], given[:-1], atol=1e-5)
