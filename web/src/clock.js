@@ -7,20 +7,12 @@ export class Clock {
     this.time = 0;
     this.rate = 1;
     this.playing = false;
-    this.listeners = [];
-  }
-
-  onChange(listener) {
-    this.listeners.push(listener);
-  }
-
-  changed() {
-    for (const listener of this.listeners) listener(this);
+    this.onChange = () => {};
   }
 
   seek(time) {
     this.time = Math.min(Math.max(time, 0), this.end);
-    this.changed();
+    this.onChange();
   }
 
   step(seconds) {
@@ -31,12 +23,12 @@ export class Clock {
   play(playing = true) {
     if (playing && this.time >= this.end) this.time = 0;
     this.playing = playing;
-    this.changed();
+    this.onChange();
   }
 
   setRate(rate) {
     this.rate = rate;
-    this.changed();
+    this.onChange();
   }
 
   faster(by) {
@@ -51,7 +43,7 @@ export class Clock {
       this.time = this.end;
       this.playing = false;
     }
-    this.changed();
+    this.onChange();
     return true;
   }
 }

@@ -14,20 +14,18 @@ export const seconds = (value, digits = 2) => (Number.isFinite(value) ? value.to
 
 // The theme that the page shows: chosen by the user, or the system's.
 export const theme = {
-  listeners: [],
+  onChange: () => {},
   get current() {
     const system = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
     return document.documentElement.dataset.theme || system;
   },
   toggle() {
     document.documentElement.dataset.theme = theme.current === "dark" ? "light" : "dark";
-    theme.changed();
-  },
-  changed() {
-    for (const listener of theme.listeners) listener(theme.current);
+    theme.onChange(theme.current);
   },
 };
-matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => theme.changed());
+matchMedia("(prefers-color-scheme: light)").addEventListener("change",
+  () => theme.onChange(theme.current));
 
 // Two-dimensional context of a canvas with as many pixels as the screen shows.
 export function sharp(canvas) {

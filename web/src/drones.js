@@ -1,7 +1,7 @@
 // Drones to scale with spinning rotors, and their shadows: one instanced mesh for each part.
 import {
   BoxGeometry, CircleGeometry, Color, DynamicDrawUsage, Float32BufferAttribute, InstancedMesh,
-  Matrix4, MeshBasicMaterial, MeshLambertMaterial, Quaternion, Vector3,
+  Matrix4, MeshBasicMaterial, MeshLambertMaterial, PlaneGeometry, Quaternion, Vector3,
 } from "three";
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 
@@ -15,7 +15,7 @@ function painted(geometry, shade) {
 }
 
 // Body axes: x forward, y up, z right. Shades multiply the flight's color.
-function bodyGeometry(arm, rotor) {
+function bodyGeometry(arm) {
   const parts = [
     painted(new BoxGeometry(0.9 * arm, 0.3 * arm, 0.5 * arm).translate(0, 0.02 * arm, 0), 1),
     painted(new BoxGeometry(0.22 * arm, 0.2 * arm, 0.32 * arm).translate(0.52 * arm, 0, 0), 2.2),
@@ -32,10 +32,9 @@ function bodyGeometry(arm, rotor) {
 }
 
 function bladeGeometry(rotor) {
-  return mergeGeometries([
-    new BoxGeometry(2 * rotor, 0.06 * rotor, 0.16 * rotor),
-    new BoxGeometry(0.16 * rotor, 0.06 * rotor, 2 * rotor),
-  ]);
+  const [long, wide] = [2 * rotor, 0.16 * rotor];
+  return mergeGeometries([[long, wide], [wide, long]].map((size) =>
+    new PlaneGeometry(...size).rotateX(-Math.PI / 2)));
 }
 
 function instanced(scene, geometry, material, count) {
@@ -58,9 +57,9 @@ export class Drones {
       forward * arm * Math.SQRT1_2, 0.22 * arm, right * arm * Math.SQRT1_2));
     const glass = { transparent: true, depthWrite: false, forceSinglePass: true };
     const count = flights.length;
-    this.bodies = instanced(scene, bodyGeometry(arm, rotor),
+    this.bodies = instanced(scene, bodyGeometry(arm),
       new MeshLambertMaterial({ vertexColors: true }), count);
-    this.blades = instanced(scene, bladeGeometry(rotor), new MeshBasicMaterial(), 4 * count);
+    this.blades = instanced(scene, bladeGeometry(rotor), new MeshBasicMaterial({ side: 2 }), 4 * count);
     this.discs = instanced(scene, new CircleGeometry(rotor, 12).rotateX(-Math.PI / 2),
       new MeshBasicMaterial({ ...glass, opacity: 0.28, side: 2 }), 4 * count);
     this.shadows = instanced(scene, new CircleGeometry(1.5 * arm, 12).rotateX(-Math.PI / 2),

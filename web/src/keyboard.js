@@ -1,4 +1,4 @@
-// Keys of the viewer; returns a function that stops listening.
+// Keys of the viewer.
 import { VIEWS } from "./cameras.js";
 import { theme } from "./dom.js";
 
@@ -17,16 +17,16 @@ export function listen(viewer, step) {
     f: () => viewer.toggleSight(),
     p: () => viewer.togglePanel(),
     t: () => theme.toggle(),
-    h: () => viewer.toggleHelp(),
-    "?": () => viewer.toggleHelp(),
+    h: () => viewer.overlay.toggleHelp(),
+    "?": () => viewer.overlay.toggleHelp(),
     r: () => viewer.setView(viewer.cameras.view),
     0: () => clock.seek(0),
     Home: () => clock.seek(0),
     End: () => clock.seek(clock.end),
-    Escape: () => { viewer.helpBox.hidden = true; },
+    Escape: () => { viewer.overlay.toggleHelp(true); },
   };
   VIEWS.forEach((view, index) => { keys[index + 1] = () => viewer.setView(view); });
-  const onKey = (event) => {
+  window.addEventListener("keydown", (event) => {
     const typing = ["INPUT", "SELECT", "TEXTAREA"].includes(event.target.tagName);
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (typing && event.target.type !== "range") return;
@@ -35,7 +35,5 @@ export function listen(viewer, step) {
     if (!action) return;
     event.preventDefault();
     action(event);
-  };
-  window.addEventListener("keydown", onKey);
-  return () => window.removeEventListener("keydown", onKey);
+  });
 }

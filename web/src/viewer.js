@@ -1,14 +1,15 @@
 // The 3D replay: the scene, its overlays and the playback of one set of flights.
 import { Box3, Vector3 } from "three";
 import { Bar } from "./bar.js";
-import { Cameras, VIEWS } from "./cameras.js";
+import { Cameras } from "./cameras.js";
 import { Clock } from "./clock.js";
-import { SCENE, flightColor, speedGradient } from "./colors.js";
+import { SCENE, flightColor } from "./colors.js";
 import { el, theme } from "./dom.js";
 import { Drones } from "./drones.js";
 import { Flight, ranking } from "./flight.js";
 import { listen } from "./keyboard.js";
 import { Labels } from "./labels.js";
+import { Overlay } from "./overlay.js";
 import { Panel } from "./panel.js";
 import { Sight } from "./sight.js";
 import { Stage, readGate } from "./stage.js";
@@ -18,9 +19,8 @@ const STEP = 0.02; // s, of the step buttons
 const PANEL_EVERY = 100; // ms between updates of the panel
 const SLOW = 24; // ms a frame above which fewer pixels are drawn
 const NARROW = 900; // px, below which the panel is hidden until it is asked for
-const TRAILS = { "1.5 s": 1.5, "5 s": 5, "whole flight": Infinity, none: 0 };
 
-export function softwareRendering() {
+function softwareRendering() {
   const gl = document.createElement("canvas").getContext("webgl2");
   if (!gl) return null;
   const info = gl.getExtension("WEBGL_debug_renderer_info");
@@ -54,7 +54,7 @@ function speedRange(flights) {
 }
 
 export class Viewer {
-  constructor(root, data, options = {}) {
+  constructor(root, data) {
     this.root = root;
     this.software = softwareRendering();
     if (this.software === null) {
@@ -64,145 +64,61 @@ export class Viewer {
     }
     this.gates = data.gates.map(readGate);
     this.flights = data.flights.map((raw) => new Flight(raw, this.gates));
-    const { flights } = this;
-    this.markers = data.markers || [];
+    const { flights, gates } = this;
     this.clock = new Clock(flights.reduce((end, flight) => Math.max(end, flight.end), 0));
-    this.bounds = boundsOf(flights, this.gates);
+    this.bounds = boundsOf(flights, gates);
     this.range = speedRange(flights);
     this.selected = 0;
     this.frames = { count: 0, milliseconds: 0, ratio: this.pixelRatio(), rate: 0 };
     this.build(data);
-    const size = data.drone || { arm: 0.12, rotor: 0.07 };
-    this.stage = new Stage(this.canvas, this.gates, this.bounds, this.software);
-    this.drones = new Drones(this.stage.scene, flights, size);
+    this.stage = new Stage(this.canvas, gates, this.bounds, this.software);
+    this.drones = new Drones(this.stage.scene, flights, data.drone);
     this.trails = new Trails(this.stage.scene, flights, this.range);
     this.sight = new Sight(this.stage.scene, this.bounds.radius);
-    this.labels = new Labels(this.stage.scene, flights, this.gates, this.bounds);
+    this.labels = new Labels(this.stage.scene, flights, gates, this.bounds);
     this.cameras = new Cameras(this.canvas, this.bounds);
     this.cameras.controls.addEventListener("change", () => { this.dirty = true; });
     this.cameras.controls.addEventListener("start", () => { this.cameras.touched = true; });
-    this.start(options);
-  }
-
-  start(options) {
-    this.clock.onChange(() => {
+    this.clock.onChange = () => {
       this.dirty = true;
       if (!this.clock.playing) this.bar.update();
-    });
-    this.onTheme = (name) => this.setTheme(name);
-    theme.listeners.push(this.onTheme);
+    };
+    theme.onChange = (name) => this.setTheme(name);
     this.setTheme(theme.current);
     this.select(0);
-    this.resizer = new ResizeObserver(() => this.resize());
-    this.resizer.observe(this.canvas.parentElement);
+    new ResizeObserver(() => this.resize()).observe(this.canvas.parentElement);
     this.resize();
-    this.setView(options.view || "orbit");
-    this.unlisten = listen(this, STEP);
-    if (options.play && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.clock.play();
-    this.animation = requestAnimationFrame((now) => this.frame(now));
+    this.overlay.showLens(this.cameras);
+    this.setView("orbit");
+    listen(this, STEP);
+    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) this.clock.play();
+    requestAnimationFrame((now) => this.frame(now));
   }
 
   build(data) {
     const { flights } = this;
     this.canvas = el("canvas", { class: "world", tabindex: 0, "aria-label": "3D view" });
-    this.panel = new Panel(flights, this.markers, (index) => this.select(index));
-    this.bar = new Bar(this.clock, flights, this.markers, STEP);
+    this.panel = new Panel(flights, data.markers, (index) => this.select(index));
+    this.bar = new Bar(this.clock, flights, data.markers, STEP);
+    this.overlay = new Overlay(this, data.title);
     this.element = el("div", { class: "viewer" },
-      el("div", { class: "stage" }, this.canvas, this.picture(), this.head(data),
-        this.buttons(), this.legend(), this.lens(), this.help()),
+      el("div", { class: "stage" }, this.canvas, ...this.overlay.elements),
       this.panel.element, this.bar.element);
     const { clientWidth } = this.root;
     if (clientWidth > 640 && clientWidth < NARROW) this.togglePanel(false);
     this.root.append(this.element);
   }
 
-  head(data) {
-    const laps = this.flights.reduce((most, flight) => Math.max(most, flight.lapEnds.length), 0);
-    const count = this.flights.length;
-    const what = [count > 1 ? `${count} flights, started together` : "1 flight",
-      laps ? `${laps} lap${laps > 1 ? "s" : ""}` : null,
-      this.gates.length ? `${this.gates.length} gates` : null].filter(Boolean).join(" · ");
-    return el("header", {}, el("h1", { text: data.title }), el("p", { text: what }));
-  }
-
-  buttons() {
-    this.viewButtons = VIEWS.map((view, i) => el("button", { text: view, title: `${view} (${i + 1})`,
-      onclick: () => this.setView(view) }));
-    const select = el("select", { "aria-label": "trail", title: "trail",
-      onchange: () => this.setTrail(TRAILS[select.value]) },
-    ...Object.keys(TRAILS).map((name) => el("option", { value: name, text: `trail: ${name}` })));
-    this.sizeButton = el("button", { text: "drones ×1", title: "size of the drones (d)",
-      onclick: () => this.magnify() });
-    const panelButton = el("button", { text: "data", title: "show or hide the numbers and curves (p)",
-      onclick: () => this.togglePanel() });
-    return el("nav", {}, el("div", { class: "group" }, ...this.viewButtons),
-      el("div", { class: "group" }, select, this.sizeButton, panelButton,
-        el("button", { text: "◐", title: "light or dark (t)", "aria-label": "light or dark",
-          onclick: () => theme.toggle() }),
-        el("button", { text: "help", title: "keys and mouse (h)", onclick: () => this.toggleHelp() })));
-  }
-
-  legend() {
-    this.gradient = el("div", { class: "gradient" });
-    const [low, high] = this.range;
-    return el("div", { class: "legend" }, el("span", { text: "speed" }),
-      el("span", { text: low.toFixed(0) }), this.gradient, el("span", { text: `${high.toFixed(0)} m/s` }),
-      this.gates.length ? el("span", { class: "next", text: "next gate" }) : null,
-      el("span", { class: "seen", text: "camera's view", title: "f shows or hides it" }));
-  }
-
-  lens() {
-    const slider = (name, label, low, high) => {
-      const output = el("output");
-      const input = el("input", { type: "range", min: low, max: high, step: 1, "aria-label": label,
-        oninput: () => { this.cameras[name] = Number(input.value); show(); this.showPicture(); } });
-      const show = () => { output.textContent = `${input.value}°`; };
-      setTimeout(() => { input.value = this.cameras?.[name]; show(); });
-      return el("label", {}, el("span", { text: label }), input, output);
-    };
-    this.lensBox = el("div", { class: "lens", hidden: "" },
-      slider("fieldOfView", "field of view", 40, 150), slider("tilt", "camera tilt", -10, 60));
-    return this.lensBox;
-  }
-
-  // The edge of the on-board camera's picture; what lies outside it is dimmed.
-  picture() {
-    this.pictureText = el("span");
-    this.pictureBox = el("div", { class: "picture", hidden: "" }, this.pictureText);
-    return this.pictureBox;
-  }
-
   showPicture() {
-    const { angles, picture, tilt } = this.cameras;
-    this.sight.setLens(angles, tilt);
-    this.pictureText.textContent =
-      `camera picture ${angles.map((angle) => `${angle.toFixed(0)}°`).join(" × ")}`;
-    const [x, y] = picture.map((part) => `${50 - 50 * part}%`);
-    this.pictureBox.style.inset = `${y} ${x}`;
-    this.pictureBox.hidden = this.cameras.view !== "on-board";
+    this.sight.setLens(this.cameras.angles, this.cameras.tilt);
+    this.overlay.showPicture(this.cameras);
     this.dirty = true;
   }
 
   toggleSight() {
     this.sight.shown = !this.sight.shown;
-    this.element.querySelector(".seen").hidden = !this.sight.shown;
+    this.overlay.seen.hidden = !this.sight.shown;
     this.dirty = true;
-  }
-
-  help() {
-    const keys = [["space", "play, pause"], ["← →", "one step (shift: 0.5 s)"],
-      ["↑ ↓", "playback speed"], ["1 2 3 4", "orbit, chase, on-board, top"],
-      ["n", "next drone"], ["d", "size of the drones"], ["l", "labels"], ["f", "field of view of the camera"],
-      ["p", "numbers and curves"],
-      ["t", "light, dark"], ["0", "restart"], ["r", "reset the camera"]];
-    this.helpBox = el("div", { class: "help", hidden: "" }, el("h2", { text: "Keys" }),
-      el("dl", {}, ...keys.flatMap(([key, text]) => [el("dt", { text: key }), el("dd", { text })])),
-      el("p", { text: "Drag to turn, right-drag to move, wheel or pinch to zoom." }));
-    return this.helpBox;
-  }
-
-  toggleHelp() {
-    this.helpBox.hidden = !this.helpBox.hidden;
   }
 
   togglePanel(shown = this.element.classList.contains("no-panel")) {
@@ -216,7 +132,7 @@ export class Viewer {
 
   magnify() {
     this.drones.magnification = { 1: 2, 2: 4, 4: 1 }[this.drones.magnification];
-    this.sizeButton.textContent = `drones ×${this.drones.magnification}`;
+    this.overlay.size.textContent = `drones ×${this.drones.magnification}`;
     this.dirty = true;
   }
 
@@ -229,11 +145,7 @@ export class Viewer {
     this.cameras.touched = false;
     this.cameras.setView(view);
     this.drones.hidden = view === "on-board" ? this.selected : -1;
-    this.lensBox.hidden = view !== "on-board";
-    this.viewButtons.forEach((button, i) => {
-      button.setAttribute("aria-pressed", VIEWS[i] === view);
-    });
-    this.element.dataset.view = view;
+    this.overlay.setView(view);
     this.showPicture();
   }
 
@@ -254,8 +166,7 @@ export class Viewer {
     this.trails.setTheme(name);
     this.sight.setColor(flightColor(this.selected, name));
     this.drones.setColors(this.flights.map((_, i) => flightColor(i, name)), SCENE[name].shadow);
-    for (const part of [this.labels, this.panel, this.bar]) part.setTheme(name);
-    this.gradient.style.background = speedGradient(name);
+    for (const part of [this.labels, this.panel, this.bar, this.overlay]) part.setTheme(name);
     this.panelDrawn = -Infinity;
     this.dirty = true;
   }
@@ -277,7 +188,7 @@ export class Viewer {
   }
 
   frame(now) {
-    this.animation = requestAnimationFrame((next) => this.frame(next));
+    requestAnimationFrame((next) => this.frame(next));
     const elapsed = this.before === undefined ? 0 : now - this.before;
     this.before = now;
     const moved = this.clock.advance(Math.min(elapsed, 200) / 1000);
@@ -336,7 +247,6 @@ export class Viewer {
     this.stage.renderer.render(this.stage.scene, camera);
     if (!this.drawn) performance.mark("first-frame");
     this.drawn = true;
-
   }
 
   // Numbers of a moment, for tests and scripts: positions and attitudes as drawn.
@@ -352,16 +262,5 @@ export class Viewer {
       drones: this.flights.map((flight, i) => ({ name: flight.name,
         position: this.drones.places[i].toArray(), attitude: this.drones.turns[i].toArray() })),
     };
-  }
-
-  destroy() {
-    cancelAnimationFrame(this.animation);
-    this.resizer?.disconnect();
-    this.unlisten?.();
-    theme.listeners = theme.listeners.filter((listener) => listener !== this.onTheme);
-    this.cameras?.controls.dispose();
-    this.stage?.renderer.dispose();
-    this.stage?.renderer.forceContextLoss();
-    this.element?.remove();
   }
 }
