@@ -63,18 +63,17 @@ def sweep(
         check_kind(folder, "sweep", () if overwrite else FILES)
         print(write_report(studies.open_study(plan, folder, run=False), plan, folder))
         return 0
-    from quadjax.sweeps.run import make_executor, run_sweep
+    from quadjax.sweeps.run import make_workers, run_sweep
 
     with claim(folder, "sweep", FILES, overwrite):
         if overwrite:
             studies.delete_study(plan, folder)
             remove_files(folder, FILES)
-        with make_executor(plan, folder) as executor:
-            study = studies.open_study(plan, folder)
-            kind = plan.file.executor.kind
-            print(f"{plan.file.name}: {plan.trials} trials, {executor.workers} workers ({kind})")
-            started = time.monotonic()
-            ended = run_sweep(study, plan, folder, executor)
+        place, kind = make_workers(plan, folder), plan.file.executor.kind
+        print(f"{plan.file.name}: {plan.trials} trials, {place.count} workers ({kind})")
+        started = time.monotonic()
+        ended = run_sweep(plan, folder, place)
+        study = studies.open_study(plan, folder, run=False)
         print(write_report(study, plan, folder))
     counts = studies.count(study)
     to_do = plan.trials - counts.done - counts.failed

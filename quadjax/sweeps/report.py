@@ -4,6 +4,8 @@ import contextlib
 import math
 from pathlib import Path
 
+import numpy as np
+
 from quadjax.config.loading import load_config
 from quadjax.core.files import write_csv, write_text
 from quadjax.core.markdown import table
@@ -79,24 +81,20 @@ def write_report(study: optuna.Study, sweep: Sweep, directory: Path) -> str:
 
 
 def draw(study: optuna.Study, directory: Path) -> None:
-    """Figures of the trials: Optuna's parallel coordinates, and a panel for each key.
+    """Optuna's figures of the trials.
 
-    Parallel coordinates show the trials in which every flight finished, or any if there is none:
-    the penalty of a crash is far from every lap time and would determine the scale.
+    They show the trials in which every flight finished, or any if there is none: the penalty of a
+    crash is far from every lap time and would determine the scale.
     """
     from quadjax.core.plotting import save_figure
-    from quadjax.sweeps.figures import slices_figure
 
-    over = [t for t in latest_trials(study).values() if t.value is not None]
-    save_figure(slices_figure(over), directory / "slices.png")
     complete = [t for t in study.get_trials(True, (State.COMPLETE,)) if t.user_attrs["finished"]]
     every = [t for t in complete if t.user_attrs["finished"] >= 1.0]
     shown = optuna.create_study(study_name=study.study_name)
     shown.add_trials(every or complete)
-    plot = optuna.visualization.matplotlib.plot_parallel_coordinate
-    axes = plot(shown, target=lambda t: t.values[0], target_name="median (s)")
-    for each in axes.figure.axes:
-        with contextlib.suppress(AttributeError):  # of a logarithmic axis
-            each.ticklabel_format(useOffset=False)
-    axes.figure.set_size_inches(max(8.0, 3.0 * len(study.trials[0].params)), 4.5)
-    save_figure(axes.figure, directory / "parallel.png")
+    plots, label = optuna.visualization.matplotlib, {"target_name": "median (s)"}
+    for name, plot in (("parallel", plots.plot_parallel_coordinate), ("slices", plots.plot_slice)):
+        axes = np.ravel(plot(shown, target=lambda t: t.values[0], **label))
+        figure = axes[0].figure
+        figure.set_size_inches(max(8.0, 3.0 * len(shown.trials[0].params)), 4.5)
+        save_figure(figure, directory / f"{name}.png")

@@ -1,139 +1,90 @@
-"""Running a sweep: Optuna's loop over the queue, with each trial on an executor."""
+"""Running a sweep: workers on this machine or a cluster, until no trial waits."""
 
 import contextlib
-import dataclasses
 import datetime
-import statistics
+import math
 import sys
-import threading
 import time
+import uuid
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
-from quadjax.core.errors import InputError
 from quadjax.core.interruptions import interruptions
 from quadjax.sweeps.extra import optuna
-from quadjax.sweeps.local import Function, LocalExecutor, WorkerDied
-from quadjax.sweeps.study import Counts, State, count, retry, storage_errors
-from quadjax.sweeps.sweep import Params, Sweep
-from quadjax.sweeps.trial import Job, Outcome, run_trial
+from quadjax.sweeps.study import (
+    Counts,
+    count,
+    fail_running,
+    is_journal,
+    open_study,
+    storage_errors,
+)
+from quadjax.sweeps.sweep import Sweep
+from quadjax.sweeps.trial import run_trial
+from quadjax.sweeps.workers import Function, LocalWorkers
 
-if TYPE_CHECKING:
-    from quadjax.sweeps.cluster import RayExecutor
-
-WAIT_SECONDS = 1.0  # between checks of trials that other machines run
+POLL_SECONDS = 0.2
 
 
-class TrialFailed(Exception):
-    """A trial that is queued again, or given up if it has the user attribute ``error``."""
+class Workers(Protocol):
+    """Where workers run."""
+
+    count: int
+
+    def start(self, slot: int, name: str) -> Any:
+        """Start a worker; returns what the other functions take."""
+
+    def reason(self, worker: Any) -> str | None:
+        """None while it runs; "" if it ended by itself; else why it died."""
+
+    def stop(self, worker: Any) -> None:
+        """Ask it to save its trial and to end."""
 
 
-def make_executor(
-    sweep: Sweep, directory: Path, function: Function = run_trial
-) -> "LocalExecutor | RayExecutor":
-    """The executor that the sweep file selects; ``function`` runs a trial there."""
+def make_workers(sweep: Sweep, directory: Path, function: Function = run_trial) -> Workers:
+    """The workers that the sweep file selects; ``function`` runs a trial there."""
+    seconds = sweep.file.budget.seconds
+    end = math.inf if seconds is None else time.time() + seconds
     if sweep.file.executor.kind == "local":
-        return LocalExecutor(sweep.file.executor, function, directory / "logs")
-    from quadjax.sweeps.cluster import RayExecutor
+        return LocalWorkers(sweep, directory.resolve(), function, end)
+    from quadjax.sweeps.cluster import RayWorkers
 
-    return RayExecutor(sweep.file.executor, function)
-
-
-def job_of(sweep: Sweep, params: Params, index: int, directory: Path) -> Job:
-    """What a worker needs to run a trial; ``InputError`` if the parameters do not go together."""
-    own = [f"name=trial{index:04d}", "run.devices=1"]
-    seeds = range(sweep.file.objective.seeds)
-    return Job(
-        configs=tuple(sweep.config_of(params, *own, f"seed={seed}") for seed in seeds),
-        race=sweep.config_of(params, *own, *sweep.conditions),
-        folder=(directory / "trials" / f"{index:04d}").resolve(),
-        objective=sweep.file.objective,
-        reports=0 if sweep.file.search.pruner == "none" else sweep.file.search.reports,
-    )
+    return RayWorkers(sweep, directory.resolve(), function, end)
 
 
-@dataclasses.dataclass
-class Running:
-    """A trial on an executor, as the objective function of the study."""
-
-    sweep: Sweep
-    directory: Path
-    executor: "LocalExecutor | RayExecutor"
-    stop: threading.Event
-    trial: optuna.Trial
-    pruned: bool = False
-    step: int = -1
-
-    def tell(self, step: int, value: float) -> bool:
-        """Report a new step to the pruner; returns whether the trial is to stop."""
-        if step > self.step and not self.pruned:
-            self.step = step
-            self.trial.report(value, step)
-            self.pruned = self.trial.should_prune()
-        return self.pruned or self.stop.is_set()
-
-    def run(self) -> float:
-        """Run the trial and return its value."""
-        trial, started = self.trial, time.monotonic()
-        if "index" not in trial.user_attrs:  # another machine has emptied the queue meanwhile
-            trial.study.stop()
-            raise TrialFailed
-        try:
-            params = {d.key: d.suggest(trial) for d in self.sweep.dimensions}
-            job = job_of(self.sweep, params, trial.user_attrs["index"], self.directory)
-            outcome = self.executor.run(job, self.tell)
-        except InputError as error:
-            outcome = Outcome((), 0.0, False, str(error))
-        except WorkerDied as error:
-            deaths = trial.user_attrs.get("deaths", 0) + (not self.stop.is_set())
-            trial.set_user_attr("deaths", deaths)
-            given_up = deaths > self.sweep.file.executor.retries
-            outcome = Outcome((), 0.0, False, str(error) if given_up else "")
-        own = {"values": list(outcome.values), "finished": outcome.finished, "host": outcome.host}
-        own["seconds"] = round(time.monotonic() - started, 1)
-        for name, value in (own | ({"error": outcome.error} if outcome.error else {})).items():
-            trial.set_user_attr(name, value)
-        if self.pruned:
-            raise optuna.TrialPruned
-        if not outcome.complete:
-            raise TrialFailed
-        return statistics.median(outcome.values)
-
-
-def run_sweep(
-    study: optuna.Study, sweep: Sweep, directory: Path, executor: "LocalExecutor | RayExecutor"
-) -> bool:
+def run_sweep(sweep: Sweep, directory: Path, workers: Workers) -> bool:
     """Run the trials of the queue until it is empty or the time is over; False after Ctrl-C."""
-    started, before, limit = time.monotonic(), count(study).done, sweep.file.budget.seconds
-    journal = sweep.file.storage == "journal"
-    guard = contextlib.nullcontext() if journal else storage_errors(sweep, directory)
-
-    def after(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
-        own = trial.user_attrs
-        if trial.state == State.FAIL and "index" in own and "error" not in own:
-            retry(study, trial)
-        if stop.is_set():
-            study.stop()
-        text = progress(count(study), before, time.monotonic() - started)
-        print(f"{sweep.file.name}: {text}", file=sys.stderr, flush=True)
-
+    study, started = open_study(sweep, directory), time.monotonic()
+    first, seconds = count(study), sweep.file.budget.seconds
+    shown, stopped = first, False
+    running: dict[int, tuple[str, Any]] = {}
+    guard = contextlib.nullcontext() if is_journal(sweep) else storage_errors(sweep, directory)
     with interruptions() as stop, guard:
-        while not stop.is_set() and (counts := count(study)).waiting + counts.running:
-            left = None if limit is None else limit - (time.monotonic() - started)
-            if left is not None and left <= 0:
+        while (now := count(study)).waiting + now.running or running:
+            elapsed = time.monotonic() - started
+            over = stop.is_set() or (seconds is not None and elapsed > seconds)
+            if now != shown:
+                shown, text = now, progress(now, first.done, elapsed)
+                print(f"{sweep.file.name}: {text}", file=sys.stderr, flush=True)
+            for slot in range(0 if over else min(workers.count, now.waiting + len(running))):
+                if slot not in running:
+                    name = uuid.uuid4().hex
+                    running[slot] = name, workers.start(slot, name)
+            if stop.is_set() and not stopped:
+                stopped = True
+                for _, worker in running.values():
+                    workers.stop(worker)
+            for slot, (name, worker) in list(running.items()):
+                if (reason := workers.reason(worker)) is not None:
+                    del running[slot]
+                    fail_running(study, sweep, reason if not stopped else "", name)
+            if over and not running:
                 break
-            if not counts.waiting:  # other machines run the rest
-                stop.wait(WAIT_SECONDS)
+            if not running and is_journal(sweep):
+                fail_running(study, sweep, "worker died")
+            elif not running:  # other machines run the rest
                 optuna.storages.fail_stale_trials(study)
-                continue
-            study.optimize(
-                lambda trial: Running(sweep, directory, executor, stop, trial).run(),
-                n_trials=counts.waiting,
-                timeout=left,
-                n_jobs=executor.workers,
-                catch=(TrialFailed,),
-                callbacks=[after],
-            )
+            time.sleep(POLL_SECONDS)
     return not stop.is_set()
 
 

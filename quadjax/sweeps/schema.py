@@ -114,7 +114,7 @@ class SweepFile(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "SweepFile":
-        search, executor = self.search, self.executor
+        search = self.search
         if self.storage != "journal" and not DATABASE.fullmatch(self.storage):
             raise ValueError(
                 "storage: allowed: journal, or postgresql://USER:PASSWORD@HOST:PORT/DATABASE?KEY="
@@ -127,6 +127,4 @@ class SweepFile(Section):
             )
         if search.method == "grid" and search.base_first:
             raise ValueError("search.base_first is true, allowed: false for a grid")
-        if executor.kind == "local" and executor.gpus:
-            raise ValueError("executor.gpus is not 0, allowed: only with executor.kind=ray")
         return self

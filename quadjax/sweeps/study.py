@@ -1,17 +1,14 @@
 """A sweep's Optuna study: its storage, the queue of its trials, and their states.
 
 Every trial of the budget is queued from the start, with a user attribute ``index``. A trial whose
-process died is failed and queued again with its parameters and index, unless it has an ``error``.
+worker died is failed and queued again with its parameters and index, unless it has an ``error``. Of
+several trials of an index, which two machines may queue at the same time, the first one counts.
 """
 
 import contextlib
-import copy
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
-
-import filelock
 
 from quadjax.core.errors import InputError
 from quadjax.core.secrets import DATABASE, hide
@@ -22,15 +19,33 @@ JOURNAL, DRIVER = "study.journal", "postgresql+psycopg://"
 GRACE = 4  # missed heartbeats after which a trial of another machine is retried
 State = optuna.trial.TrialState
 OVER = (State.COMPLETE, State.PRUNED)
+Retry = optuna.storages.RetryHeartbeatStaleTrialCallback  # queues a failed trial again
 
-retry = optuna.storages.RetryHeartbeatStaleTrialCallback()  # queues a failed trial again
+
+def is_journal(sweep: Sweep) -> bool:
+    """Whether the study is in a file, which only this command uses."""
+    return sweep.file.storage == "journal"
 
 
-def open_study(sweep: Sweep, directory: Path, run: bool = True) -> optuna.Study:
-    """The study of a sweep; with a full queue to run its trials, in a claimed folder."""
+def open_study(sweep: Sweep, directory: Path, run: bool = True, slot: int = 0) -> optuna.Study:
+    """The study of a sweep.
+
+    Args:
+        sweep: the sweep.
+        directory: of its results.
+        run: fill the queue with all trials that are not over; the folder is claimed.
+        slot: number of the worker, which is added to the seed of the sampler.
+
+    Raises:
+        InputError: a storage that cannot be used, or a study of another sweep.
+    """
     directory.mkdir(parents=True, exist_ok=True)
-    with storage_errors(sweep, directory), _exclusive(sweep):
-        study = _create(sweep, _open_storage(sweep, directory))
+    path = directory / JOURNAL
+    if run and is_journal(sweep) and path.exists():  # a power failure leaves a line without an end
+        with open(path, "rb+") as stream:
+            stream.truncate(stream.read().rfind(b"\n") + 1)
+    with storage_errors(sweep, directory):
+        study = _create(sweep, _open_storage(sweep, directory), slot)
         if run:
             _fill(study, sweep)
     return study
@@ -47,19 +62,25 @@ def delete_study(sweep: Sweep, directory: Path) -> None:
 
 def _open_storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
     if sweep.file.storage == "journal":
-        path = directory / JOURNAL
-        lock = filelock.FileLock(f"{path}.lock")  # released by the system with its process
-        backend = optuna.storages.journal.JournalFileBackend(str(path), lock_obj=lock)
-        with lock, open(path, "rb+") as stream:  # a power failure leaves a line without an end
-            stream.truncate(stream.read().rfind(b"\n") + 1)
+        backend = optuna.storages.journal.JournalFileBackend(str(directory / JOURNAL))
         return optuna.storages.JournalStorage(backend)
-    return optuna.storages.RDBStorage(
-        sweep.file.storage.replace("postgresql://", DRIVER, 1),
-        engine_kwargs={"pool_pre_ping": True},
-        heartbeat_interval=sweep.file.heartbeat_seconds,
-        grace_period=GRACE * sweep.file.heartbeat_seconds,
-        heartbeat_stale_trial_callback=retry,
-    )
+    from sqlalchemy.exc import IntegrityError
+
+    heartbeat = sweep.file.heartbeat_seconds
+
+    def connect() -> optuna.storages.RDBStorage:
+        return optuna.storages.RDBStorage(
+            sweep.file.storage.replace("postgresql://", DRIVER, 1),
+            engine_kwargs={"pool_pre_ping": True},
+            heartbeat_interval=heartbeat,
+            grace_period=GRACE * heartbeat,
+            heartbeat_stale_trial_callback=Retry(sweep.file.executor.retries),
+        )
+
+    try:
+        return connect()
+    except IntegrityError:  # another machine creates the tables at the same time
+        return connect()
 
 
 @contextlib.contextmanager
@@ -87,28 +108,12 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
         raise InputError(f"{where} ({hide(reason, url)})") from None
 
 
-@contextlib.contextmanager
-def _exclusive(sweep: Sweep) -> Iterator[None]:
-    """A lock among all machines of a database, which goes with the connection."""
-    if sweep.file.storage == "journal":
-        yield
-        return
-    import sqlalchemy
-
-    url = sweep.file.storage.replace("postgresql://", DRIVER, 1)
-    engine = sqlalchemy.create_engine(url, poolclass=sqlalchemy.pool.NullPool)
-    key = {"key": zlib.crc32(b"quadjax sweeps")}
-    with engine.connect() as connection:
-        connection.execute(sqlalchemy.text("select pg_advisory_lock(:key)"), key)
-        yield
-
-
-def _create(sweep: Sweep, storage: optuna.storages.BaseStorage) -> optuna.Study:
+def _create(sweep: Sweep, storage: optuna.storages.BaseStorage, slot: int) -> optuna.Study:
     search, name, wanted = sweep.file.search, sweep.file.name, sweep.definition()
     sampler = optuna.samplers.RandomSampler(seed=search.seed)  # its trials are all in the queue
     if search.method == "tpe":  # the constant liar keeps trials that run at the same time apart
         known = {"n_startup_trials": search.startup, "multivariate": True, "constant_liar": True}
-        sampler = optuna.samplers.TPESampler(seed=search.seed, **known)
+        sampler = optuna.samplers.TPESampler(seed=search.seed + slot, **known)
     pruner = {
         "none": optuna.pruners.NopPruner(),
         "median": optuna.pruners.MedianPruner(n_startup_trials=search.pruner_startup),
@@ -130,7 +135,7 @@ def _create(sweep: Sweep, storage: optuna.storages.BaseStorage) -> optuna.Study:
 
 def _fill(study: optuna.Study, sweep: Sweep) -> None:
     """Queue every trial of the budget that is not in the study, and the interrupted ones."""
-    if sweep.file.storage == "journal":  # no other command runs its trials
+    if is_journal(sweep):
         for trial in study.get_trials(deepcopy=False, states=(State.RUNNING,)):
             study.tell(trial.number, state=State.FAIL)
     latest = latest_trials(study)
@@ -141,15 +146,46 @@ def _fill(study: optuna.Study, sweep: Sweep) -> None:
         if index not in latest:
             study.enqueue_trial(params, user_attrs={"index": index})
         elif latest[index].state == State.FAIL and "error" not in latest[index].user_attrs:
-            retry(study, copy.deepcopy(latest[index]))
+            study.enqueue_trial(latest[index].params or params, user_attrs={"index": index})
+
+
+def fail_running(study: optuna.Study, sweep: Sweep, reason: str, worker: str | None = None) -> None:
+    """Fail the running trials of a worker, or of all, and queue them again up to ``retries`` times.
+
+    Args:
+        study: of the sweep.
+        sweep: the sweep.
+        reason: why the worker died; "" if it was stopped: the next command queues its trial.
+        worker: its name; None: of every worker.
+    """
+    for trial in study.get_trials(deepcopy=True, states=(State.RUNNING,)):
+        if worker is not None and trial.user_attrs.get("worker") != worker:
+            continue
+        retries = sweep.file.executor.retries
+        given_up = bool(reason) and len(Retry.retry_history(trial)) >= retries
+        if given_up:
+            optuna.Trial(study, trial._trial_id).set_user_attr("error", reason)
+        study.tell(trial.number, state=State.FAIL)
+        if reason and not given_up:
+            Retry()(study, trial)
+
+
+def is_duplicate(trial: optuna.Trial) -> bool:
+    """Whether an earlier trial has the same index and has not failed."""
+    index, earlier = trial.user_attrs["index"], trial.study.get_trials(deepcopy=False)
+    return any(
+        other.number < trial.number and other.state != State.FAIL
+        for other in earlier
+        if other.user_attrs.get("index") == index
+    )
 
 
 def latest_trials(study: optuna.Study) -> dict[int, optuna.trial.FrozenTrial]:
-    """The trial of each index: the one with a value, else the last one."""
+    """The trial of each index: the first one that has not failed, else the last one."""
     latest: dict[int, optuna.trial.FrozenTrial] = {}
     for trial in study.get_trials(deepcopy=False):
         index = trial.user_attrs.get("index")
-        if index is not None and (index not in latest or latest[index].state not in OVER):
+        if index is not None and (index not in latest or latest[index].state == State.FAIL):
             latest[index] = trial
     return latest
 

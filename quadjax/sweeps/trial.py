@@ -9,6 +9,7 @@ from pathlib import Path
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.sweeps.schema import Objective
+from quadjax.sweeps.sweep import Params, Sweep
 
 FLIGHT_SEED = 1
 
@@ -18,7 +19,7 @@ Tell = Callable[[int, float], bool]
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A trial to run; pickled to a worker."""
+    """A trial to run."""
 
     configs: tuple[Config, ...]  # one for each seed
     race: Config  # in which their policies are evaluated
@@ -29,13 +30,26 @@ class Job:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What a worker returns."""
+    """What a trial returns."""
 
     values: tuple[float, ...]  # of the finished seeds, s
     finished: float  # fraction of the flights that finished
     complete: bool  # False: stopped before the end
     error: str = ""  # why the trial cannot run
     host: str = dataclasses.field(default_factory=socket.gethostname)
+
+
+def job_of(sweep: Sweep, params: Params, index: int, directory: Path) -> Job:
+    """What a trial needs to run; ``InputError`` if its parameters do not go together."""
+    own = [f"name=trial{index:04d}", "run.devices=1"]
+    seeds = range(sweep.file.objective.seeds)
+    return Job(
+        configs=tuple(sweep.config_of(params, *own, f"seed={seed}") for seed in seeds),
+        race=sweep.config_of(params, *own, *sweep.conditions),
+        folder=(directory / "trials" / f"{index:04d}").resolve(),
+        objective=sweep.file.objective,
+        reports=0 if sweep.file.search.pruner == "none" else sweep.file.search.reports,
+    )
 
 
 def run_trial(job: Job, tell: Tell) -> Outcome:

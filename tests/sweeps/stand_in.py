@@ -33,18 +33,17 @@ def sweep(path: str, runs: str, *overrides: str) -> int:
     """A whole sweep without its report."""
     from quadjax.core.errors import run_command
     from quadjax.core.folders import claim
-    from quadjax.sweeps.run import make_executor, run_sweep
+    from quadjax.sweeps.run import make_workers, run_sweep
     from quadjax.sweeps.study import count, open_study
     from quadjax.sweeps.sweep import load_sweep
 
     def run() -> int:
         loaded = load_sweep(path, overrides)
         directory = Path(runs) / loaded.file.name
-        with claim(directory, "sweep"), make_executor(loaded, directory, run_trial) as executor:
-            study = open_study(loaded, directory)
-            if not run_sweep(study, loaded, directory, executor):
+        with claim(directory, "sweep"):
+            if not run_sweep(loaded, directory, make_workers(loaded, directory, run_trial)):
                 return 130
-        return int(count(study).failed > 0)
+            return int(count(open_study(loaded, directory, run=False)).failed > 0)
 
     return run_command(run)
 

@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.run import make_executor, progress, run_sweep
+from quadjax.sweeps.run import make_workers, progress, run_sweep
 from quadjax.sweeps.study import Counts, State, count, open_study
 from quadjax.sweeps.sweep import load_sweep
 from tests.sweeps import stand_in
@@ -120,8 +120,7 @@ def test_workers_are_pinned_and_end_with_the_sweep(tmp_path):
 def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
     search = {"method": "random", "pruner": "halving"}
     sweep, directory, study = open_small(tmp_path, search=search, budget={"trials": 6})
-    with make_executor(sweep, directory, stand_in.run_trial) as executor:
-        assert run_sweep(study, sweep, directory, executor)
+    assert run_sweep(sweep, directory, make_workers(sweep, directory, stand_in.run_trial))
     pruned = [t for t in study.get_trials() if t.state == State.PRUNED]
     assert pruned and count(study).done == 6 and all(t.intermediate_values for t in pruned)
     best = min(complete(study), key=lambda t: t.value)
@@ -130,15 +129,13 @@ def test_trials_are_pruned_and_a_budget_of_time_ends_the_sweep(tmp_path):
     sweep, directory, study = open_small(
         tmp_path, "budget.seconds=1e-3", name="other", executor={"workers": 1}
     )
-    with make_executor(sweep, directory, stand_in.run_trial) as executor:
-        assert run_sweep(study, sweep, directory, executor)
+    assert run_sweep(sweep, directory, make_workers(sweep, directory, stand_in.run_trial))
     assert count(study).done <= 1 and count(study).waiting >= 3
 
 
 def test_a_trial_that_cannot_run_is_given_up_with_its_reason(tmp_path):
     sweep, directory, study = open_small(tmp_path, "budget.trials=1")
-    with make_executor(sweep, directory, _impossible) as executor:
-        run_sweep(study, sweep, directory, executor)
+    run_sweep(sweep, directory, make_workers(sweep, directory, _impossible))
     assert count(study).failed == 1
     assert study.trials[-1].user_attrs["error"] == "track: the gates overlap"
 
@@ -147,10 +144,35 @@ def _impossible(job, tell):
     return stand_in.Outcome((), 0.0, False, "track: the gates overlap")
 
 
-def test_more_workers_than_cores_are_refused(tmp_path):
-    sweep = load_sweep(sweep_file(tmp_path), ["executor.workers=4000"])
-    with pytest.raises(InputError, match=r"executor.workers is 4000, allowed: up to \d+"):
-        make_executor(sweep, tmp_path)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("executor.workers=4000", r"executor.workers is 4000, allowed: up to \d+, the cores"),
+        ("executor.gpus=3", "executor.gpus is 3.*allowed: up to 0, what 2 GPUs have room for"),
+    ],
+)
+def test_more_workers_than_cores_or_gpus_are_refused(tmp_path, monkeypatch, change, message):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
+    with pytest.raises(InputError, match=message):
+        make_workers(load_sweep(sweep_file(tmp_path), [change]), tmp_path)
+
+
+@pytest.mark.slow
+def test_each_worker_sees_its_gpu(tmp_path, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
+    changes = ["executor.gpus=1", "executor.workers=2", "budget.trials=2"]
+    sweep, directory, _ = open_small(tmp_path, *changes)
+    assert run_sweep(sweep, directory, make_workers(sweep, directory, _wait_for_both))
+    assert sorted(path.read_text() for path in directory.glob("gpu*")) == ["3", "5"]
+
+
+def _wait_for_both(job, tell):
+    folder = job.folder.parents[1]
+    (folder / f"gpu{os.getpid()}").write_text(os.environ["CUDA_VISIBLE_DEVICES"])
+    deadline = time.monotonic() + 60.0
+    while len(list(folder.glob("gpu*"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return stand_in.Outcome((1.0,), 1.0, True)
 
 
 def test_progress_tells_the_time_left_and_whether_a_flight_finished():

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from quadjax.sweeps.run import make_executor, run_sweep
+from quadjax.sweeps.run import make_workers, run_sweep
 from quadjax.sweeps.study import State, count, delete_study, open_study
 from quadjax.sweeps.sweep import load_sweep
 from tests.sweeps import stand_in
@@ -73,9 +73,8 @@ def test_two_machines_never_run_the_same_trial(tmp_path, url):
 
     def work(number: int) -> None:
         directory = tmp_path / str(number)
-        with make_executor(found[number], directory, stand_in.run_trial) as executor:
-            study = open_study(found[number], directory)
-            assert run_sweep(study, found[number], directory, executor)
+        workers = make_workers(found[number], directory, stand_in.run_trial)
+        assert run_sweep(found[number], directory, workers)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, range(2)))
@@ -91,10 +90,10 @@ def test_a_trial_of_a_silent_machine_is_run_by_another(tmp_path, url):
     taken = study.ask()
     params = {d.key: d.suggest(taken) for d in sweep.dimensions}
     study._storage.record_heartbeat(taken._trial_id)  # as the machine that dies now did
-    with make_executor(sweep, directory, stand_in.run_trial) as executor:
-        again = open_study(sweep, directory)
-        assert count(again).running == 1
-        assert run_sweep(again, sweep, directory, executor)
+    workers = make_workers(sweep, directory, stand_in.run_trial)
+    again = open_study(sweep, directory)
+    assert count(again).running == 1
+    assert run_sweep(sweep, directory, workers)
     assert [t.state for t in again.get_trials()] == [State.FAIL, State.COMPLETE]
     assert complete(again)[0].params == params
     delete_study(sweep, directory)

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.run import make_executor, run_sweep
+from quadjax.sweeps.run import make_workers, run_sweep
 from quadjax.sweeps.study import State, count
 from quadjax.sweeps.sweep import load_sweep
 from tests.sweeps import stand_in
@@ -49,12 +49,12 @@ def test_a_node_is_killed_and_its_trial_resumes_on_the_other(tmp_path, cluster):
             time.sleep(0.1)
         nodes.remove_node(second, allow_graceful=False)
 
-    with make_executor(sweep, directory, stand_in.run_trial) as executor:
-        assert executor.workers == 2
-        killer = threading.Thread(target=kill)
-        killer.start()
-        assert run_sweep(study, sweep, directory, executor)
-        killer.join()
+    workers = make_workers(sweep, directory, stand_in.run_trial)
+    assert workers.count == 2
+    killer = threading.Thread(target=kill)
+    killer.start()
+    assert run_sweep(sweep, directory, workers)
+    killer.join()
     states = [trial.state for trial in study.get_trials()]
     assert states.count(State.FAIL) >= 1 and count(study).done == 3 and count(study).failed == 0
     assert all(trial.intermediate_values for trial in complete(study))
@@ -64,4 +64,4 @@ def test_a_node_is_killed_and_its_trial_resumes_on_the_other(tmp_path, cluster):
 
     too_large = load_sweep(sweep_file(tmp_path), ["executor.kind=ray", "executor.gpus=2"])
     with pytest.raises(InputError, match="no node has 1 CPUs and 2 GPUs"):
-        make_executor(too_large, directory)
+        make_workers(too_large, directory)

@@ -5,7 +5,7 @@ import traceback
 import pytest
 
 from quadjax.core.errors import InputError
-from quadjax.sweeps.study import JOURNAL, OVER, State, count, open_study, retry
+from quadjax.sweeps.study import JOURNAL, OVER, Retry, State, count, open_study
 from quadjax.sweeps.sweep import load_sweep
 from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, complete, finish, open_small, sweep_file
@@ -102,7 +102,7 @@ def test_a_report_reads_the_study_and_changes_nothing(tmp_path):
 def test_a_value_of_a_retried_trial_counts_whatever_comes_later(tmp_path):
     sweep, _, study = open_small(tmp_path, "budget.trials=1")
     finish(study, sweep, 12.0)
-    retry(study, study.trials[0])
+    Retry()(study, study.trials[0])
     assert count(study).done == 1 and count(study).best == 12.0 and states(study)[0] in OVER
 
 

@@ -81,7 +81,6 @@ IMPOSSIBLE_FILES = {
         {"search": {"method": "grid", "base_first": True}, **space({EPOCHS: {"range": [1, 4]}})},
         ["search.base_first", "grid"],
     ),
-    "GPUs without Ray": ({"executor": {"gpus": 0.5}}, ["executor.gpus", "ray"]),
 }
 IMPOSSIBLE = {name: (space(entries), says) for name, (entries, says) in IMPOSSIBLE_SPACES.items()}
 IMPOSSIBLE |= IMPOSSIBLE_FILES

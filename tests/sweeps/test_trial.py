@@ -11,10 +11,9 @@ from quadjax.core.errors import InputError
 from quadjax.race.laps import Laps
 from quadjax.studies.drawn_plants import OnPlants
 from quadjax.sweeps import trial
-from quadjax.sweeps.figures import slices_figure
 from quadjax.sweeps.report import importances, results_of, rows_of, write_report
-from quadjax.sweeps.run import job_of
 from quadjax.sweeps.study import State
+from quadjax.sweeps.trial import job_of
 from tests.commands import run
 from tests.sweeps.support import CLIP, RATE, finish, open_small, sweep_file
 
@@ -124,22 +123,6 @@ def test_the_report_has_a_table_importances_figures_and_the_best_config(found):
     for name in ("parallel.png", "slices.png"):
         with Image.open(directory / name) as image:
             assert image.size[0] > 600 and len(set(image.convert("L").tobytes())) > 20
-
-
-def test_the_axis_of_times_ends_near_the_best_and_crashes_are_crosses():
-    optuna = pytest.importorskip("optuna")
-    space = {"learner.discount": optuna.distributions.FloatDistribution(0.9, 1.0)}
-
-    def trial(value, finished):
-        own = {"params": {"learner.discount": 0.95}, "distributions": space, "value": value}
-        return optuna.trial.create_trial(**own, user_attrs={"finished": finished})
-
-    figure = slices_figure([trial(14.0, 1.0), trial(15.0, 1.0), trial(48.0, 0.0)])
-    (axes,) = figure.axes
-    low, high = axes.get_ylim()
-    assert 13.0 < low < 14.0 and 15.0 < high < 16.0
-    marks = [(line.get_marker(), float(line.get_ydata()[0])) for line in axes.lines]
-    assert marks == [("o", 14.0), ("o", 15.0), ("x", high)]
 
 
 def test_the_key_that_matters_is_the_most_important(tmp_path):
