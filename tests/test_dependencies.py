@@ -22,12 +22,14 @@ ALLOWED = {
     "limits": {"core", "vehicle", "race", "config", "policy", "evaluation", "flights"},
     "integrations": CONFIG | {"config", "policy", "training"},
     "plant": CONFIG - {"learners"} | {"config", "policy", "evaluation", "fitting", "flights"},
+    "replay": CONFIG - {"learners"}
+    | {"config", "policy", "flights", "evaluation", "fitting", "export"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
     "sil": CONFIG - {"learners"}
     | {"config", "policy", "training", "evaluation", "plant", "export", "studies", "flights"},
     "studies": CONFIG
     | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"}
-    | {"export", "view", "flights"},
+    | {"export", "view", "flights", "replay"},
 }
 
 

@@ -64,7 +64,8 @@ def replay(
         from quadjax.fitting.flight_log import read_log
         from quadjax.policy.file import Policy
         from quadjax.policy.race import race_of_policy
-        from quadjax.studies.replay import run
+        from quadjax.replay import replay as replay_log
+        from quadjax.replay import report as reports
 
     network = flown = drone = None
     if policy is not None:
@@ -80,16 +81,16 @@ def replay(
     assert drone is not None
     columns = logs.columns()
     folder = output / name
-    with results(folder, "replay", run.FILES, overwrite) as new, steps() as report:
+    with results(folder, "replay", reports.FILES, overwrite) as new, steps() as report:
         flight = read_log(log, columns)
         report("compiling and replaying")
-        result = run.replay(flight, gates or drone.track, drone, flown, network, drive, report)
+        result = replay_log(flight, gates or drone.track, drone, flown, network, drive, report)
         report("figures")
-        text = run.tables(result)
-        record = run.numbers(result) | {"provenance": provenance(drone)}
+        text = reports.tables(result)
+        record = reports.numbers(result) | {"provenance": provenance(drone)}
         write_text(new / "table.txt", text + "\n")
         write_json(new / "replay.json", record)
-        run.write_figures(result, new)
+        reports.write_figures(result, new)
     if json is not None:
         write_json(json, record)
     print(text)

@@ -90,7 +90,9 @@ def _save_table(flights: Sequence[Flight], path: Path | str) -> None:
         labels = signal.labels or tuple(str(i + 1) for i in range(count))
         labels = tuple(label.split(",")[0].replace(" ", "_") for label in labels)
         own = [f"{name}_{label}" for label in labels] if count > 1 else [name]
-        columns += [f"{label} [{unit}]" for label, unit in zip(own, units, strict=True)]
+        columns += [
+            f"{label} [{unit}]" if unit else label for label, unit in zip(own, units, strict=True)
+        ]
     rows = [
         np.column_stack(
             [np.full(len(f.time), run), f.time, *(f[name] for name in flights[0].signals)]

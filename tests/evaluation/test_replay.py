@@ -11,8 +11,10 @@ from quadjax.core.resources import CONFIGS
 from quadjax.fitting.columns import PLAIN
 from quadjax.fitting.flight_log import write_log
 from quadjax.fitting.simulate import random_residual
+from quadjax.flights import Flight, Signal
+from quadjax.flights.flight import motion_signals
 from quadjax.policy.file import Policy
-from quadjax.studies.replay.logged import Logged, disturbances_of
+from quadjax.replay.states import disturbances_of
 from quadjax.vehicle import motor
 from quadjax.vehicle.motor import MotorConstants
 from quadjax.vehicle.protocol import VehicleParams
@@ -27,17 +29,17 @@ POLICY = "e2e_nominal"
 
 def _log(path, flight, step):
     """The plain columns of a recorded flight."""
-    attitude = Rotation.from_euler("ZYX", flight.euler[:, ::-1])
-    acceleration = np.gradient(flight.velocity, step, axis=0) - [0.0, 0.0, 9.81]
+    attitude = Rotation.from_euler("ZYX", flight["attitude"][:, ::-1])
+    acceleration = np.gradient(flight["velocity"], step, axis=0) - [0.0, 0.0, 9.81]
     signals = {
-        "time": step * np.arange(len(flight.position)),
-        "rpm": flight.actuators,
-        "rpm_command": flight.command,
-        "gyro": flight.rates,
+        "time": step * np.arange(len(flight.time)),
+        "rpm": flight["actuators"],
+        "rpm_command": flight["command"],
+        "gyro": flight["rates"],
         "acceleration": attitude.inv().apply(acceleration),
-        "body_velocity": attitude.inv().apply(flight.velocity),
-        "position": flight.position,
-        "euler": flight.euler,
+        "body_velocity": attitude.inv().apply(flight["velocity"]),
+        "position": flight["position"],
+        "euler": flight["attitude"],
     }
     columns = {}
     for quantity, values in signals.items():
@@ -137,14 +139,11 @@ def test_the_disturbances_of_a_log_are_those_of_the_onboard_estimator():
     c = MotorConstants(**quadjax.load("e2e").vehicle.constants)
     count, step = 300, 0.005
     zero, time = np.zeros((count, 3)), step * np.arange(count)
-    flight = Logged(
-        *("log", "log.csv", time, zero, zero, Rotation.identity(count)),
-        rates=zero + np.array([2.0, 0.0, 0.0]) * time[:, None],
-        specific_force=zero - [0.0, 0.0, c.g + 0.5],
-        actuators={"rpm": np.full((count, 4), float(motor.hover_rpm(c)))},
-        commands={},
-        speeds_measured=True,
-    )
+    rates = zero + np.array([2.0, 0.0, 0.0]) * time[:, None]
+    signals = motion_signals({"velocity": zero, "attitude": zero, "rates": rates})
+    signals["specific_force"] = Signal(zero - [0.0, 0.0, c.g + 0.5], "m/s^2")
+    signals["actuators"] = Signal(np.full((count, 4), float(motor.hover_rpm(c))), "rpm")
+    flight = Flight("log", time, signals)
     found = disturbances_of(flight, motor.MODEL, VehicleParams(c))
     np.testing.assert_allclose(found["force_ext"][-1], [0.0, 0.0, -0.5], atol=1e-4)
     np.testing.assert_allclose(found["moment_ext"][-1], [2.0 * c.i_xx, 0.0, 0.0], atol=1e-6)

@@ -1,17 +1,18 @@
 """What logged flights tell a training: states to start from, and the clearance that they need."""
 
+import dataclasses
 from collections.abc import Collection, Sequence
 
 import numpy as np
 from scipy.stats import chi2
 
-from quadjax.config.race import build_vehicle, choices_of, vehicle_model_of
+from quadjax.config.race import build_vehicle, choices_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.flights.flight import Flight, Signal, motion_signals
+from quadjax.flights.flight import MOTION, Flight, Signal
 from quadjax.flights.gates import crossing_after_end, passages
-from quadjax.studies.replay.logged import Logged, logged
+from quadjax.replay.states import vehicle_flight
 
 STATES = 1024  # that are kept: with one number, all trainings are one compiled program
 REACH = 0.5  # m by which openings are wider where a logged position tells the gate ahead
@@ -22,12 +23,16 @@ AFTER_A_HIT = 0.05  # m, least increase of the margin
 MOST = 0.2  # m, largest increase in a round
 
 
-def _signals(log: FlightLog, config: Config) -> Logged | None:
-    """The signals of a log; None where it has no position or attitude."""
+def _flight(log: FlightLog, config: Config) -> Flight | None:
+    """A log as a flight with its passages, whose end is none; None without position or attitude."""
     try:
-        return logged(log, choices_of(config).model, build_vehicle(config))
+        flight = vehicle_flight(log, choices_of(config).model, build_vehicle(config))
     except InputError:
         return None
+    gates, closed = config.track.gates, config.track.closed
+    path = flight.time, flight["position"]
+    passed = passages(*path, gates, reach=REACH, closed=closed, cut=False)
+    return flight.replace(gates=gates, passages=passed)
 
 
 def states_of_logs(logs: Sequence[FlightLog], config: Config) -> Flight | None:
@@ -36,39 +41,19 @@ def states_of_logs(logs: Sequence[FlightLog], config: Config) -> Flight | None:
     Logs without a position, a passage of the first gate, or propeller speeds give none; None if no
     log gives any.
     """
-    parts: list[dict[str, np.ndarray]] = []
-    name = vehicle_model_of(config).actuators.name
-    for log in logs:
-        flight = _signals(log, config)
-        if flight is None or name not in flight.actuators:
-            continue
-        gates = config.track.gates
-        passed = _passages(flight, config)
-        if not len(passed):
-            continue
-        own = {
-            "position": flight.position,
-            "velocity": flight.velocity,
-            "attitude": flight.attitude.as_euler("ZYX")[:, ::-1],
-            "rates": flight.rates,
-            "actuators": flight.actuators[name],
-            "target": np.searchsorted(passed[:, 0], flight.time, side="right") % len(gates),
-        }
-        parts.append(own)
-    if not parts:
+    flights = [flight for log in logs if (flight := _flight(log, config)) is not None]
+    flights = [f for f in flights if len(f.passages) and "actuators" in f.signals]
+    if not flights:
         return None
-    arrays = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    rows = np.linspace(0, len(arrays["target"]) - 1, STATES).round().astype(int)
-    signals = motion_signals(arrays) | {"actuators": Signal(arrays["actuators"])}
-    signals["target"] = Signal(arrays["target"][:, None].astype(np.float64))
-    whole = Flight("states", np.arange(len(arrays["target"]), dtype=np.float64), signals)
+    signals = {}
+    for name in (*MOTION, "actuators"):
+        values = np.concatenate([flight[name] for flight in flights])
+        signals[name] = dataclasses.replace(flights[0].signals[name], values=values)
+    target = np.concatenate([flight.target for flight in flights])
+    signals["target"] = Signal(target[:, None].astype(np.float64))
+    rows = np.linspace(0, len(target) - 1, STATES).round().astype(int)
+    whole = Flight("states", np.arange(len(target), dtype=np.float64), signals)
     return whole.map(lambda values: values[rows]).replace(time=np.arange(STATES, dtype=float))
-
-
-def _passages(flight: Logged, config: Config) -> np.ndarray:
-    """Passages (k, 3) of a log, whose end does not count as one."""
-    options = {"reach": REACH, "closed": config.track.closed, "cut": False}
-    return passages(flight.time, flight.position, config.track.gates, **options)
 
 
 def clearances(
@@ -84,14 +69,14 @@ def clearances(
     """
     found: dict[int, list[float]] = {}
     for log in logs:
-        flight = _signals(log, config)
+        flight = _flight(log, config)
         if flight is None:
             continue
-        gates, passed = config.track.gates, _passages(flight, config)
+        gates, passed = flight.gates, flight.passages
         distances = [(int(number), float(clear)) for _, number, clear in passed]
         if log.name in hit:
             ahead = len(passed) % len(gates)
-            end = crossing_after_end(flight.time, flight.position, gates[ahead], BEFORE)
+            end = crossing_after_end(flight.time, flight["position"], gates[ahead], BEFORE)
             distances += [] if end is None else [(ahead, end[1])]
         for number, clear in distances:
             found.setdefault(number, []).append(clear)

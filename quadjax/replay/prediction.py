@@ -4,8 +4,8 @@ From the logged state at the start of each window the model is integrated under 
 or with its rotors at the logged speeds, and compared with the log.
 """
 
+import dataclasses
 import functools
-from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +17,9 @@ from quadjax.core.integrators import rk4_step
 from quadjax.core.vectors import Rotors
 from quadjax.export.race_tables import drone_of, state_sizes
 from quadjax.fitting.signals import derivative, low_pass
+from quadjax.flights.flight import Flight
 from quadjax.race.layout import Layout
-from quadjax.studies.replay.logged import Logged, commands_of, states_of
+from quadjax.replay.states import states_of, step_of
 from quadjax.vehicle.protocol import State, VehicleModel, VehicleParams
 from quadjax.vehicle.racing import RacingConstants, command_of
 
@@ -28,18 +29,25 @@ SMOOTH = 16.0  # Hz, of the speeds' derivative
 QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "deg", "rates": "rad/s"}
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Prediction:
-    """Errors (windows, horizons) by quantity, of the model and of a drone that does not change."""
+    """Errors (windows, horizons) by quantity, of a model and of a drone that does not change.
+
+    Attributes:
+        drive: "commands" or "speeds".
+        horizons: (h,) s; the first is one sample.
+        errors: of the model.
+        unchanged: of a drone with constant velocity and body rates.
+    """
 
     drive: str
-    horizons: np.ndarray  # (h,) s; the first is one sample
+    horizons: np.ndarray
     errors: dict[str, np.ndarray]
     unchanged: dict[str, np.ndarray]
 
 
 def predict(
-    flight: Logged,
+    flight: Flight,
     model: VehicleModel,
     params: VehicleParams,
     example: State,
@@ -49,7 +57,7 @@ def predict(
     """Errors of a model after one sample and after each horizon, over all windows.
 
     Args:
-        flight: the log.
+        flight: of ``vehicle_flight``.
         model: of the drone.
         params: of the model.
         example: a state of the model as shapes.
@@ -59,71 +67,56 @@ def predict(
     Raises:
         InputError: the log has not the commands or the speeds, or is shorter than a window.
     """
-    given = commands_of(flight, model)
-    drive = drive or ("speeds" if given is None else "commands")
+    step, path = step_of(flight), flight.source["path"]
+    drive = drive or ("commands" if "command" in flight.signals else "speeds")
     if drive == "speeds":
-        given = _commands_of_speeds(flight, model, params, given)
-    if given is None:
-        wanted = ", ".join(signal.name for signal in model.commands)
-        raise InputError(f"{flight.path}: no commands of the model {model.name} ({wanted})")
-    steps = np.array([1, *(max(1, round(h / flight.step)) for h in horizons)])
-    starts = np.arange(0, len(flight.time) - steps[-1], max(1, round(STRIDE / flight.step)))
+        commands = _commands_of_speeds(flight, model, params)
+    elif "command" in flight.signals:
+        commands = flight["command"]
+    else:
+        names = ", ".join(signal.name for signal in model.commands)
+        raise InputError(f"{path}: no commands of the model {model.name} ({names})")
+    steps = np.array([1, *(max(1, round(h / step)) for h in horizons)])
+    starts = np.arange(0, len(flight.time) - steps[-1], max(1, round(STRIDE / step)))
     if not len(starts):
         raise InputError(
-            f"{flight.path}: {flight.time[-1]:.3g} s of flight, expected more than "
-            f"{horizons[-1]:g} s (the longest horizon)"
+            f"{path}: {flight.time[-1]:.3g} s of flight, expected more than {horizons[-1]:g} s "
+            "(the longest horizon)"
         )
     layout = Layout(())
-    states = states_of(flight, model, state_sizes(layout, model))[starts]
+    states = states_of(flight, model, state_sizes(layout, model), {})[starts]
     first = jax.vmap(lambda row: drone_of(layout, model, example, row))(states)
     rows = starts[:, None] + np.arange(steps[-1])
-    speeds = flight.actuators[model.actuators.name][rows] if drive == "speeds" else None
-    motions = _roll_out(
-        model, params, first, np.float32(given[rows]), _float32(speeds), flight.step
-    )
-    found = [np.asarray(part)[:, steps - 1] for part in motions]
-    errors = {name: np.empty((len(starts), len(steps))) for name in QUANTITIES}
-    unchanged = {name: np.empty_like(values) for name, values in errors.items()}
+    speeds = np.float32(flight["actuators"][rows]) if drive == "speeds" else None
+    motions = _roll_out(model, params, first, np.float32(commands[rows]), speeds, step)
+    found = [np.asarray(part, np.float64)[:, steps - 1] for part in motions]
+    place, velocity, turn, rates = _motion(flight, starts)
+    errors, unchanged = [], []
     for column, count in enumerate(steps):
-        truth = _at(flight, starts + count)
-        mine = (*(part[:, column] for part in found[:2]), _rotation(found[2][:, column]))
-        _fill(errors, column, (*mine, found[3][:, column]), truth)
-        _fill(unchanged, column, _kept(flight, starts, count * flight.step), truth)
-    return Prediction(drive, steps * flight.step, errors, unchanged)
+        truth, seconds = _motion(flight, starts + count), count * step
+        position, speed, euler, turning = (part[:, column] for part in found)
+        attitude = Rotation.from_euler("ZYX", euler[:, ::-1])
+        errors.append(_errors((position, speed, attitude, turning), truth))
+        turned = turn * Rotation.from_rotvec(rates * seconds)
+        unchanged.append(_errors((place + velocity * seconds, velocity, turned, rates), truth))
+    of_model, of_none = (np.stack(each, axis=2) for each in (errors, unchanged))
+    tables = (dict(zip(QUANTITIES, each, strict=True)) for each in (of_model, of_none))
+    return Prediction(drive, steps * step, *tables)
 
 
 Motion = tuple[np.ndarray, np.ndarray, Rotation, np.ndarray]  # position, velocity, attitude, rates
 
 
-def _at(flight: Logged, rows: np.ndarray) -> Motion:
-    return (
-        flight.position[rows],
-        flight.velocity[rows],
-        flight.attitude[rows],
-        flight.rates[rows],
-    )
+def _motion(flight: Flight, rows: np.ndarray) -> Motion:
+    position, velocity, rates = (flight[name][rows] for name in ("position", "velocity", "rates"))
+    return position, velocity, flight.rotation[rows], rates
 
 
-def _kept(flight: Logged, rows: np.ndarray, seconds: float) -> Motion:
-    """The motion of a drone whose velocity and body rates do not change."""
-    position, velocity, attitude, rates = _at(flight, rows)
-    turn = Rotation.from_rotvec(rates * seconds)
-    return position + velocity * seconds, velocity, attitude * turn, rates
-
-
-def _fill(errors: dict[str, np.ndarray], column: int, mine: Motion, truth: Motion) -> None:
-    turn = np.degrees((mine[2].inv() * truth[2]).magnitude())
-    lengths = [np.linalg.norm(mine[i] - truth[i], axis=1) for i in (0, 1, 3)]
-    for name, values in zip(QUANTITIES, (*lengths[:2], turn, lengths[2]), strict=True):
-        errors[name][:, column] = values
-
-
-def _rotation(euler: np.ndarray) -> Rotation:
-    return Rotation.from_euler("ZYX", np.float64(euler)[:, ::-1])
-
-
-def _float32(values: np.ndarray | None) -> np.ndarray | None:
-    return None if values is None else np.asarray(values, np.float32)
+def _errors(motion: Motion, truth: Motion) -> np.ndarray:
+    """Errors (quantities, windows), in the order of ``QUANTITIES``."""
+    turn = np.degrees((motion[2].inv() * truth[2]).magnitude())
+    position, velocity, rates = (np.linalg.norm(motion[i] - truth[i], axis=1) for i in (0, 1, 3))
+    return np.stack([position, velocity, turn, rates])
 
 
 @functools.partial(jax.jit, static_argnames="model")
@@ -161,25 +154,24 @@ def _roll_out(
     def window(start: State, inputs: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, ...]:
         return jax.lax.scan(step, start, inputs)[1]
 
-    return jax.vmap(window)(first, (jnp.asarray(commands), speeds))
+    turning = None if speeds is None else jnp.asarray(speeds)
+    return jax.vmap(window)(first, (jnp.asarray(commands), turning))
 
 
-def _commands_of_speeds(
-    flight: Logged, model: VehicleModel, params: VehicleParams, given: np.ndarray | None
-) -> np.ndarray:
+def _commands_of_speeds(flight: Flight, model: VehicleModel, params: VehicleParams) -> np.ndarray:
     """Commands (n, 4) under which the rotors of a model accelerate as logged."""
-    constants = params.constants
+    constants, step = params.constants, step_of(flight)
     names = [signal.name for signal in model.commands]
-    if not flight.speeds_measured or names not in (["rpm"], ["motor_command"]):
+    if not flight.source["measured"] or names not in (["rpm"], ["motor_command"]):
         raise InputError(
-            f"{flight.path}: no measured rotor speeds for the model {model.name}, expected "
-            f"{', '.join(names)}"
+            f"{flight.source['path']}: no measured rotor speeds for the model {model.name}, "
+            f"expected {', '.join(names)}"
         )
-    if given is not None:
-        return given
-    speed = flight.actuators[model.actuators.name]
-    cutoff, rate = min(SMOOTH, 0.2 / flight.step), 1.0 / flight.step
-    steady = speed + float(constants.tau) * derivative(low_pass(speed, rate, cutoff), rate)
+    if "command" in flight.signals:
+        return flight["command"]
+    speed = flight["actuators"]
+    change = derivative(low_pass(speed, 1.0 / step, min(SMOOTH, 0.2 / step)), 1.0 / step)
+    steady = speed + float(constants.tau) * change
     if names == ["rpm"]:
         return steady
     assert isinstance(constants, RacingConstants)

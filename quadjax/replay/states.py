@@ -1,0 +1,127 @@
+"""A flight log as states and commands of a vehicle model."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadjax.core.errors import InputError
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.fitting.flight_log import FlightLog
+from quadjax.fitting.motor_map import NAMES, RPM, settled, with_simulated_speeds
+from quadjax.flights.flight import Flight, vehicle_signals
+from quadjax.vehicle.estimator import EstimatorState, estimator_params, init, update
+from quadjax.vehicle.protocol import Measurement, VehicleModel, VehicleParams
+
+DISTURBANCES = ("moment_ext", "force_ext")  # fields of the state that no log has
+COLUMNS = {  # signals of a log with the commands of a model, by the name of the command
+    "rpm": "command",
+    "motor_command": "motor_command",
+    "body_rates": "rate_command",
+    "thrust": "thrust_command",
+}
+
+
+def vehicle_flight(log: FlightLog, model: VehicleModel, params: VehicleParams) -> Flight:
+    """The flying part of a log, with the signals "actuators" and "command" of a model, if known.
+
+    Without measured rotor speeds they are those that the motor commands give; the flight then
+    starts later. ``source`` has "path" and "measured", whether the speeds are.
+
+    Args:
+        log: with position and attitude.
+        model: of the drone; its motors give the speeds that the log lacks.
+        params: of the model.
+
+    Raises:
+        InputError: no position or attitude, or no sample in flight.
+    """
+    if log.position is None or log.attitude is None:
+        raise InputError(f"{log.path}: replay needs columns for position and attitude")
+    measured = known = log.speeds_measured
+    if not measured:
+        known = all(hasattr(params.constants, name) for name in NAMES)
+        if known:
+            values = [float(getattr(params.constants, name)) for name in NAMES]
+            log = with_simulated_speeds(log, np.array(values))
+        else:
+            log = dataclasses.replace(log, flying=settled(log))
+    flight = dataclasses.replace(log, speeds_measured=known).flight().airborne()
+    if len(flight.time) < 2:
+        raise InputError(f"{log.path}: no sample in flight (logs.columns.mode)")
+    signals = dict(flight.signals)
+    states = {"thrust": -flight["specific_force"][:, 2:]}
+    if known:
+        speeds = flight["actuators"]
+        states |= {"rpm": speeds, "rotor_speed": speeds / RPM}
+    columns = [COLUMNS.get(signal.name, "") for signal in model.commands]
+    logged = [signals[name].values for name in columns if name in signals]
+    names = ("command", "actuators")
+    for name in names:
+        signals.pop(name, None)
+    nothing = np.zeros((len(flight.time), 0))
+    command = np.concatenate(logged, axis=1) if len(logged) == len(columns) else nothing
+    own = vehicle_signals(model, command, states.get(model.actuators.name, nothing))
+    signals |= {name: own[name] for name in names if own[name].values.size}
+    source = {**flight.source, "path": log.path, "measured": measured}
+    return flight.replace(signals=signals, source=source)
+
+
+def step_of(flight: Flight) -> float:
+    """Time between samples, s."""
+    return float(flight.time[-1]) / (len(flight.time) - 1)
+
+
+def disturbances_of(
+    flight: Flight, model: VehicleModel, params: VehicleParams
+) -> dict[str, np.ndarray]:
+    """External moment, N m, and force, m/s^2, (n, 3) body, by the onboard estimator.
+
+    Empty for a model without an estimator, or a log without rotor speeds.
+    """
+    if not model.can_be_disturbed or "actuators" not in flight.signals:
+        return {}
+    estimator = estimator_params(model, params, 1.0 / step_of(flight))
+    velocity = flight.rotation.inv().apply(flight["velocity"])
+    vectors = (flight["rates"], flight["specific_force"], velocity)
+    gyro, force, velocity = (Vec3(*jnp.asarray(x.T, jnp.float32)) for x in vectors)
+    speeds = Rotors(*jnp.asarray(flight["actuators"].T, jnp.float32))
+    samples = Measurement(gyro, force, speeds, velocity)
+
+    def step(state: EstimatorState, sample: Measurement) -> tuple[EstimatorState, list[jax.Array]]:
+        state, *estimates = update(estimator, state, sample)
+        return state, [each.array() for each in estimates]
+
+    def run(samples: Measurement) -> list[jax.Array]:
+        start = init(estimator, jax.tree.map(lambda x: x[0], samples))
+        return jax.lax.scan(step, start, samples)[1]
+
+    estimates = jax.jit(run)(samples)
+    return {name: np.asarray(x) for name, x in zip(DISTURBANCES, estimates, strict=True)}
+
+
+def states_of(
+    flight: Flight, model: VehicleModel, sizes: Mapping[str, int], more: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """States (n, k) float32 of a model in the order of ``sizes``, names and sizes of the fields.
+
+    ``more`` has fields that the log does not have; without it disturbances are zero.
+
+    Raises:
+        InputError: a field that the log does not have.
+    """
+    values = {name: np.zeros((len(flight.time), 3)) for name in DISTURBANCES}
+    values |= {name: flight[name] for name in ("position", "velocity", "rates")}
+    values |= {"euler": flight["attitude"]}
+    values |= {"quaternion": flight.rotation.as_quat()[:, [3, 0, 1, 2]], **more}
+    if "actuators" in flight.signals:
+        values[model.actuators.name] = flight["actuators"]
+    for name, size in sizes.items():
+        if name not in values or values[name].shape[1] != size:
+            raise InputError(
+                f"{flight.source['path']}: the model {model.name} has {name} ({size}), which no "
+                "column of the log gives"
+            )
+    return np.concatenate([values[name] for name in sizes], axis=1).astype(np.float32)

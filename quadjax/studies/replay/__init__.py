@@ -1,1 +1,0 @@
-"""A flight log replayed through a policy and a model."""
