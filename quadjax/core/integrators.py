@@ -6,21 +6,23 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
+from quadjax.core.gradients import Scalar
+
 State = TypeVar("State")
 Derivative = Callable[[State], State]
-Integrator = Callable[[Derivative, State, float], State]
+Integrator = Callable[[Derivative, State, Scalar], State]
 
 
-def _advance(state: State, slope: State, step: float) -> State:
+def _advance(state: State, slope: State, step: Scalar) -> State:
     return jax.tree.map(lambda x, dx: x + step * dx, state, slope)
 
 
-def euler_step(derivative: Derivative, state: State, dt: float) -> State:
+def euler_step(derivative: Derivative, state: State, dt: Scalar) -> State:
     """One explicit Euler step of ``dt`` seconds."""
     return _advance(state, derivative(state), dt)
 
 
-def rk4_step(derivative: Derivative, state: State, dt: float) -> State:
+def rk4_step(derivative: Derivative, state: State, dt: Scalar) -> State:
     """One step of the classical fourth-order Runge-Kutta method of ``dt`` seconds."""
     k1 = derivative(state)
     k2 = derivative(_advance(state, k1, 0.5 * dt))
@@ -31,7 +33,7 @@ def rk4_step(derivative: Derivative, state: State, dt: float) -> State:
 
 
 def rk4_loop_step(
-    derivative: Callable[[jax.Array], jax.Array], state: jax.Array, dt: float
+    derivative: Callable[[jax.Array], jax.Array], state: jax.Array, dt: Scalar
 ) -> jax.Array:
     """``rk4_step`` of one array, as a loop over the stages: it compiles faster and runs slower."""
 

@@ -179,6 +179,7 @@ class SensorsConfig(Section):
     mocap: MocapConfig = MocapConfig()
 
 
+@register
 class IndiConfig(Section):
     """Inner loop from body rates and thrust to propeller speeds."""
 

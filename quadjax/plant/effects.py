@@ -133,7 +133,7 @@ def lever_acceleration(imu: ImuConfig, rates: Vec3, turning: Vec3) -> Vec3:
     ``alpha x r + Omega x (Omega x r)`` of a rigid body, with rates, rad/s, and angular acceleration
     ``turning``, rad/s^2.
     """
-    offset = Vec3(*imu.offset)
+    offset = Vec3(*map(jnp.asarray, imu.offset))
     return cross(turning, offset) + cross(rates, cross(rates, offset))
 
 

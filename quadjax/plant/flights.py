@@ -8,21 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadjax.core.errors import InputError
+from quadjax.core.quaternion import Quaternion
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.flights import flight as recorded
-from quadjax.plant.build import build_plant
-from quadjax.plant.config import PlantConfig
 from quadjax.plant.flight import Frame, Plan, advance, begin
-from quadjax.plant.onboard import onboard_params
-from quadjax.policy.file import Policy
-from quadjax.policy.pilot import make_pilot
 from quadjax.race import laps
-from quadjax.race.environment import Choices, RaceParams, exact_rules
 from quadjax.race.laps import Laps
 from quadjax.race.layout import Layout
 from quadjax.race.track import GateSection
-from quadjax.vehicle.battery import middle_limit
-from quadjax.vehicle.protocol import VehicleModel, VehicleParams
+from quadjax.vehicle.protocol import VehicleModel
 from quadjax.vehicle.rate import RateCommand
 
 CHUNK_SECONDS = 1.0  # of flight between checks for the end
@@ -42,51 +36,6 @@ class Flights:
     laps: Laps
     frames: Frame
     step: float
-
-
-def plan_flights(
-    race: tuple[Choices, RaceParams],
-    onboard: VehicleParams,
-    plant: PlantConfig,
-    policy: Policy,
-    lap_count: int = 6,
-    runs: int = 100,
-    recorded: int = 5,
-    deterministic: bool = True,
-) -> Plan:
-    """Flights of a policy on the plant.
-
-    Args:
-        race: with the observation of the policy, as ``policy.pilot.fit_race`` returns it.
-        onboard: the onboard model, of the motor-level vehicle.
-        plant: of the plant.
-        policy: a policy file's content.
-        lap_count: laps to fly, from hover.
-        runs: number of independent drones.
-        recorded: runs whose frames are kept.
-        deterministic: apply the mean action rather than samples.
-
-    Raises:
-        InputError: files of the plant that cannot be read.
-    """
-    choices, params = race
-    params = exact_rules(choices.model, params)
-    low, high = plant.battery.charge
-    first_limit = None if params.battery is None else middle_limit(params.battery)
-    return Plan(
-        plant=build_plant(plant),
-        race=params,
-        onboard=onboard_params(plant, onboard, first_limit),
-        pilot=make_pilot(choices, params, policy, deterministic),
-        charge=(jnp.float32(low), jnp.float32(high)),
-        choices=choices,
-        step=1.0 / plant.control_rate,
-        hold=round(plant.sample_rate / plant.control_rate),
-        limit=round(laps.time_limit(params.track, lap_count) * plant.control_rate),
-        laps=lap_count,
-        runs=runs,
-        recorded=min(recorded, runs),
-    )
 
 
 def check_steps(layout: Layout, trained: float, step: float) -> None:
@@ -135,7 +84,9 @@ def fly_plan(
     return Flights(laps.laps_of(plan.choices, drones.race, step, limit), joined, plan.step)
 
 
-def rows(flights: Flights, vector: Vec3 | Rotors | RateCommand, run: int) -> np.ndarray:
+def rows(
+    flights: Flights, vector: Vec3 | Quaternion | Rotors | RateCommand, run: int
+) -> np.ndarray:
     """Components (n, k) of a vector of the frames in one recorded run, until its end."""
     going = ~flights.frames.over[:, run]
     columns = [np.asarray(x)[going, run] for x in jax.tree.leaves(vector)]

@@ -41,7 +41,9 @@ def scales(gusts: GustsConfig) -> tuple[Vec3, Vec3]:
     vertical = 0.1 * gusts.wind
     along = vertical / shape**0.4
     length = feet / shape**1.2 * METERS_PER_FOOT
-    return Vec3(along, along, vertical), Vec3(length, length, gusts.altitude)
+    numbers = (along, along, vertical), (length, length, gusts.altitude)
+    deviations, lengths = (Vec3(*map(jnp.asarray, triple)) for triple in numbers)
+    return deviations, lengths
 
 
 def init(drawn: jax.Array) -> GustState:

@@ -31,7 +31,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from quadjax.core.filters import advance, butterworth, settled
+from quadjax.core.filters import LowPass, advance, butterworth, settled
+from quadjax.core.traced import as_leaves
 from quadjax.core.vectors import Rotors, Vec3
 from quadjax.plant.config import IndiConfig
 from quadjax.vehicle.motor import MotorConstants
@@ -39,26 +40,21 @@ from quadjax.vehicle.protocol import Measurement
 from quadjax.vehicle.rate import RateCommand
 
 LEAST_RPM = 2000.0  # below it the effectiveness is constant
-ROLL = Rotors(1.0, -1.0, -1.0, 1.0)
-PITCH = Rotors(1.0, 1.0, -1.0, -1.0)
-YAW = Rotors(-1.0, 1.0, -1.0, 1.0)
+Signs = tuple[float, float, float, float]  # of the rotors
+ROLL: Signs = (1.0, -1.0, -1.0, 1.0)
+PITCH: Signs = (1.0, 1.0, -1.0, -1.0)
+YAW: Signs = (-1.0, 1.0, -1.0, 1.0)
 
 
-@struct.dataclass
-class IndiParams:
+class IndiParams(struct.PyTreeNode):
     """Numbers of the inner loop, all traced."""
 
     constants: MotorConstants  # of the onboard model
-    feedback: jax.Array  # (2,) of the filter
-    low_pass: jax.Array  # (3,)
-    derivative: jax.Array  # (3,) 1/s
-    rate_gain: Vec3  # 1/s
-    moment_lag: jax.Array  # s
-    thrust_lag: jax.Array  # s
+    filter: LowPass
+    gains: IndiConfig
 
 
-@struct.dataclass
-class IndiState:
+class IndiState(struct.PyTreeNode):
     """Two memories for each of the filter's four channels, and the last thrust estimate."""
 
     memory_1: Vec3
@@ -71,22 +67,12 @@ class IndiState:
 def indi_params(constants: MotorConstants, config: IndiConfig, sample_rate: float) -> IndiParams:
     """The inner loop with an onboard model of ``constants``, at a sample rate in Hz."""
     numbers = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), constants)
-    shared = butterworth(sample_rate, config.cutoff)
-    gains = (config.roll_gain, config.pitch_gain, config.yaw_gain)
-    return IndiParams(
-        constants=numbers,
-        feedback=shared.feedback,
-        low_pass=shared.forward,
-        derivative=shared.derivative,
-        rate_gain=Vec3(*(jnp.float32(gain) for gain in gains)),
-        moment_lag=jnp.float32(config.moment_lag),
-        thrust_lag=jnp.float32(config.thrust_lag),
-    )
+    return IndiParams(numbers, butterworth(sample_rate, config.cutoff), as_leaves(config))
 
 
-def total(signs: Rotors, values: Rotors) -> jax.Array:
+def total(signs: Signs, values: Rotors) -> jax.Array:
     """Sum () over the rotors of signs times values."""
-    parts = zip(signs.components(), values.components(), strict=True)
+    parts = zip(signs, values.components(), strict=True)
     return functools.reduce(operator.add, (sign * value for sign, value in parts))
 
 
@@ -113,7 +99,7 @@ def init(params: IndiParams, measurement: Measurement) -> IndiState:
     steady = _differentiated(params.constants, measurement)
     _, thrust = modeled(params.constants, measurement.rpm)
     zero = jnp.zeros_like(measurement.specific_force.z)
-    return IndiState(*settled(steady, params.derivative), zero, zero, thrust)
+    return IndiState(*settled(steady, params.filter.derivative), zero, zero, thrust)
 
 
 def update(
@@ -130,7 +116,8 @@ def update(
     Returns:
         The new state and the rpm commands, clipped to the range of the motors.
     """
-    c, b, b_d, a = params.constants, params.low_pass, params.derivative, params.feedback
+    c, gains, low_pass = params.constants, params.gains, params.filter
+    a, b, b_d = low_pass.feedback, low_pass.forward, low_pass.derivative
     turning, lift = modeled(c, measurement.rpm)
     rates = _differentiated(c, measurement)
     rest, memory = advance(a, [(rates, b_d), (turning * -1.0, b)], (state.memory_1, state.memory_2))
@@ -138,8 +125,9 @@ def update(
         a, [(-measurement.specific_force.z - lift, b)], (state.thrust_1, state.thrust_2)
     )
     following = IndiState(*memory, *thrust, lift + rest_thrust)
-    wanted = (command.rates - measurement.gyro) * params.rate_gain - (turning + rest)
-    rise = (command.thrust - following.thrust) / params.thrust_lag
+    rate_gain = Vec3(*map(jnp.asarray, (gains.roll_gain, gains.pitch_gain, gains.yaw_gain)))
+    wanted = (command.rates - measurement.gyro) * rate_gain - (turning + rest)
+    rise = (command.thrust - following.thrust) / gains.thrust_lag
     return following, allocate(params, measurement.rpm, wanted, rise)
 
 
@@ -152,27 +140,27 @@ def allocate(params: IndiParams, rpm: Rotors, wanted: Vec3, rise: jax.Array) -> 
         wanted: change of the angular acceleration, rad/s^2.
         rise: () derivative of the specific thrust, m/s^3.
     """
-    c = params.constants
+    c, lag = params.constants, params.gains.moment_lag
     speed = jax.tree.map(lambda w: jnp.maximum(w, LEAST_RPM), rpm)
     low = (rpm * -1.0 + c.rpm_min) * speed / c.tau
     high = (rpm * -1.0 + c.rpm_max) * speed / c.tau
-    roll = wanted.x * c.i_xx / (8.0 * c.k_p * params.moment_lag)
-    pitch = wanted.y * c.i_yy / (8.0 * c.k_q * params.moment_lag)
-    turn = ROLL * roll + PITCH * pitch
+    roll = wanted.x * c.i_xx / (8.0 * c.k_p * lag)
+    pitch = wanted.y * c.i_yy / (8.0 * c.k_q * lag)
+    turn = Rotors(*(a * roll + b * pitch for a, b in zip(ROLL, PITCH, strict=True)))
     turn = turn * _turn_scale(turn, low, high)
     lift = jnp.clip(rise / (8.0 * c.k_w), _max(low - turn), -_max(turn - high))
     base = turn + lift
     slowness = jax.tree.map(lambda w: 1.0 / w, speed)
     coupled = total(YAW, base * slowness)
-    yaw = (wanted.z * (c.i_zz / c.k_r2) - coupled) / total(Rotors.same(1.0), slowness)
-    added = YAW * yaw
+    yaw = (wanted.z * (c.i_zz / c.k_r2) - coupled) / sum(slowness.components())
+    added = Rotors(*(sign * yaw for sign in YAW))
     x = base + added * _added_scale(base, added, low, high)
     commands = rpm + x * slowness * c.tau
     return jax.tree.map(lambda u: jnp.clip(u, c.rpm_min, c.rpm_max), commands)
 
 
 def _max(values: Rotors) -> jax.Array:
-    return jnp.maximum(jnp.maximum(values.w1, values.w2), jnp.maximum(values.w3, values.w4))
+    return functools.reduce(jnp.maximum, values.components())
 
 
 def _turn_scale(turn: Rotors, low: Rotors, high: Rotors) -> jax.Array:

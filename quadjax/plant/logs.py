@@ -77,9 +77,11 @@ def write_logs(
     written: list[WrittenLog] = []
     for name, plan in plans.items():
         report(f"{name}: compiling")
-        ended = fly_plan(
-            plan, seed, lambda seconds, n=name: report(f"{n}: {seconds:.0f} s simulated")
-        )
+
+        def show(seconds: float, name: str = name) -> None:
+            report(f"{name}: {seconds:.0f} s simulated")
+
+        ended = fly_plan(plan, seed, show)
         gates = np.stack([np.asarray(x) for x in plan.race.track.position.components()], 1)
         logs = [log_quantities(ended, run, gates) for run in range(plan.recorded)]
         for run, log in enumerate(logs):

@@ -130,7 +130,7 @@ def sense(
     """
     truth, *waiting = (*onboard.delayed, plant.truth_of(body, state))
     own, filtered, measured = onboard.sensors, onboard.ekf, None
-    if params.navigation == "ekf":
+    if own is not None and filtered is not None:
         own, measured = sensors.update(params.sensors, own, truth, drawn)
         filtered = ekf.update(params.ekf, filtered, measured)
     now = _estimate(params, truth, measured, filtered)
@@ -153,7 +153,7 @@ def _estimate(
     filtered: EkfState | None,
 ) -> StateEstimate:
     none = Vec3.zero()
-    if filtered is None:
+    if filtered is None or measured is None:
         rpm, gyro, accelerometer = truth.rpm, truth.rates, truth.specific_force
         position, velocity, euler, rates = truth.position, truth.velocity, truth.euler, truth.rates
         gyro_bias = force_bias = none

@@ -188,6 +188,7 @@ def update(
     else:
         physics = jax.lax.fori_loop(0, params.substeps, advance, physics)
     euler = physics.body.euler
+    assert isinstance(euler, Vec3)
     body = physics.body.replace(euler=euler.replace(z=wrap_angle(euler.z)))
     turning = (body.rates - state.physics.body.rates) * (1.0 / params.step)
     phase = jax.tree.map(
@@ -203,7 +204,7 @@ def truth_of(params: PlantParams, state: PlantState) -> GroundTruth:
     """The true motion at the sensors: of the center of gravity, and of the unit on its frame."""
     physics, body, on = state.physics, state.physics.body, params.effects
     force, _ = loads(params, state)
-    assert body.force_ext is not None
+    assert body.force_ext is not None and isinstance(body.euler, Vec3)
     lever = effects.lever_acceleration(params.imu, body.rates, state.turning)
     shaking, turning = effects.vibration(params.imu, params.hover, body.actuators, state.phase)
     return GroundTruth(

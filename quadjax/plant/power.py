@@ -3,11 +3,12 @@
 import jax
 import jax.numpy as jnp
 
+from quadjax.core.filters import Scalar
 from quadjax.core.vectors import Rotors
 
 
 def rotor_rates(
-    tau: jax.Array, lag: jax.Array, rpm: Rotors, rpm_rate: Rotors, target: Rotors
+    tau: Scalar, lag: Scalar, rpm: Rotors, rpm_rate: Rotors, target: Rotors
 ) -> tuple[Rotors, Rotors]:
     """First and second derivative of the propeller speeds, rpm/s and rpm/s^2.
 
@@ -33,9 +34,7 @@ def rotor_rates(
     )
 
 
-def steady_speeds(
-    command: Rotors, shortfall: jax.Array, hover: jax.Array, top: jax.Array
-) -> Rotors:
+def steady_speeds(command: Rotors, shortfall: Scalar, hover: Scalar, top: Scalar) -> Rotors:
     """Steady propeller speeds of a command, rpm, at most ``top``.
 
     Args:

@@ -3,22 +3,36 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 
 from quadjax.config.loading import stored_config
 from quadjax.config.race import build_vehicle, race_of
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
+from quadjax.plant.build import build_plant
 from quadjax.plant.config import PlantConfig
-from quadjax.plant.flights import Plan, plan_flights
+from quadjax.plant.flight import Plan
+from quadjax.plant.onboard import onboard_params
 from quadjax.policy.file import Policy
-from quadjax.policy.pilot import fit_race
+from quadjax.policy.pilot import fit_race, make_pilot
+from quadjax.race.environment import exact_rules
+from quadjax.race.laps import time_limit
+from quadjax.vehicle.battery import middle_limit
 
 PARTS = ("vehicle", "track", "battery")  # sections of a stored config that describe the drone
 
 
 def plan_race(
-    config: Config, plant: PlantConfig, policy: Policy, name: str = "policy", **options: int | bool
+    config: Config,
+    plant: PlantConfig,
+    policy: Policy,
+    name: str = "policy",
+    *,
+    lap_count: int = 6,
+    runs: int = 100,
+    recorded: int = 5,
+    deterministic: bool = True,
 ) -> Plan:
     """Flights of a policy on the plant.
 
@@ -27,14 +41,33 @@ def plan_race(
         plant: of the plant.
         policy: a policy file's content.
         name: of the policy file, for messages.
-        **options: of ``plan_flights``.
+        lap_count: laps, from hover.
+        runs: number of independent drones.
+        recorded: runs whose frames are kept.
+        deterministic: apply the mean action rather than samples.
 
     Raises:
         InputError: a policy that does not fit, or files that cannot be read.
     """
-    race = fit_race(*race_of(race_config(config, policy)), policy, name)
-    onboard = build_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
-    return plan_flights(race, onboard, plant, policy, **options)
+    choices, params = fit_race(*race_of(race_config(config, policy)), policy, name)
+    params = exact_rules(choices.model, params)
+    model = build_vehicle(config.replace(vehicle=config.vehicle.with_model("motor")))
+    first_limit = None if params.battery is None else middle_limit(params.battery)
+    low, high = plant.battery.charge
+    return Plan(
+        plant=build_plant(plant),
+        race=params,
+        onboard=onboard_params(plant, model, first_limit),
+        pilot=make_pilot(choices, params, policy, deterministic),
+        charge=(jnp.float32(low), jnp.float32(high)),
+        choices=choices,
+        step=1.0 / plant.control_rate,
+        hold=round(plant.sample_rate / plant.control_rate),
+        limit=round(time_limit(params.track, lap_count) * plant.control_rate),
+        laps=lap_count,
+        runs=runs,
+        recorded=min(recorded, runs),
+    )
 
 
 def race_config(config: Config, policy: Policy) -> Config:
@@ -67,11 +100,17 @@ def plan_logs(
     Arguments and errors as of ``plan_race``.
     """
     plant = plant.replace(control_rate=plant.sample_rate)
-    options = {"lap_count": laps, "runs": flights, "recorded": flights}
-    plans = {
-        Path(file).stem: plan_race(config, plant, Policy.load(file), str(file), **options)
-        for file in policies
-    }
+    plans = {}
+    for file in policies:
+        plans[Path(file).stem] = plan_race(
+            config,
+            plant,
+            Policy.load(file),
+            str(file),
+            lap_count=laps,
+            runs=flights,
+            recorded=flights,
+        )
     if len(plans) < len(policies):
         raise InputError(f"two of the policies have the same name: {', '.join(map(str, policies))}")
     return plans
