@@ -24,6 +24,7 @@ ALLOWED = {
     "plant": CONFIG - {"learners"} | {"config", "policy", "evaluation", "fitting", "flights"},
     "replay": CONFIG - {"learners"}
     | {"config", "policy", "flights", "evaluation", "fitting", "export"},
+    "improve": CONFIG | {"config", "policy", "training", "flights", "fitting", "plant", "replay"},
     "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
     "sil": CONFIG - {"learners"}
     | {"config", "policy", "training", "evaluation", "plant", "export", "studies", "flights"},

@@ -7,13 +7,12 @@ from cyclopts import Group, Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import command_again, steps
-from quadjax.core.errors import INTERRUPTED, InputError
+from quadjax.core.errors import INTERRUPTED
 from quadjax.core.interruptions import loading
 
 FLIGHTS = Group("Flights on the plant", sort_key=2)
 Rounds = Annotated[int, Parameter(converter=opt.whole(1, 100), group=FLIGHTS)]
-Plants = Annotated[int, Parameter(converter=opt.whole(1, 1000), group=FLIGHTS)]
-ON_PLANT = ("rounds", "flights", "laps", "plant", "plant_seed", "plants", "seed", "check")
+ON_PLANT = ("rounds", "flights", "laps", "plant", "plant_seed", "seed", "check")
 Check = Annotated[int, Parameter(converter=opt.whole(0, 10_000), group=FLIGHTS)]
 
 
@@ -31,10 +30,8 @@ def improve(
     laps: Annotated[opt.Laps, Parameter(group=FLIGHTS)] = 6,
     plant: Annotated[opt.PlantConfig, Parameter(group=FLIGHTS)] = "standin",
     plant_seed: Annotated[opt.Seed | None, Parameter(group=FLIGHTS)] = None,
-    plants: Plants | None = None,
     seed: Annotated[opt.Seed, Parameter(group=FLIGHTS)] = 0,
     check: Check = 10,
-    reference: Annotated[opt.Flag, Parameter(group=FLIGHTS)] = False,
     output: opt.Folder = Path("runs/improve"),
     overwrite: opt.Flag = False,
 ) -> int:
@@ -42,9 +39,8 @@ def improve(
 
     CONFIG is the race in which the policy was trained. The flights are on the
     stand-in plant, of which only the logs are read. A model that does not predict
-    held-out flights better than the present one is rejected. With --plants the same
-    is done on several drawn plants, each time from the policy of the file. DIR gets
-    the logs, the model and the training of each round, policy.npz and table.txt.
+    held-out flights better than the present one is rejected. DIR gets the logs, the
+    model and the training of each round, policy.npz and table.txt.
     The same command resumes after a stop. With --logs it reads real logs instead:
     it prints what they change in the model and fine-tunes the policy, without
     flying.
@@ -59,28 +55,22 @@ def improve(
         flights: Flights in each round.
         laps: Laps of each flight.
         plant_seed: Seed of the plant's constants.
-        plants: Number of plants, with seeds from --plant-seed on.
         seed: Seed of batteries, gusts and sensors.
         check: Flights that evaluate the first and the last policy.
-        reference: Also fine-tune the first policy on the plant's own numbers, for
-            comparison.
         output: Folder of the results.
         overwrite: Replace earlier results.
     """
     if logs:
-        opt.refuse("with --logs", *ON_PLANT, "reference")
-    if reference and check == 0:
-        raise InputError("--reference needs flights to compare: --check of at least 1")
+        opt.refuse("with --logs", *ON_PLANT)
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.core.compilation_cache import enable_compilation_cache
         from quadjax.core.folders import claim, remove_files
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.flight_log import find_logs
+        from quadjax.improve import rounds as run
         from quadjax.learners.parallel import prepare_devices
         from quadjax.plant.config import load_plant_config
-        from quadjax.studies.improve import check as checks
-        from quadjax.studies.improve import run
 
     race, model = load_config(config, overrides), load_fit_config(fit, allow_code=allow_code)
     files = find_logs(model.logs.replace(files=tuple(logs)), Path()) if logs else []
@@ -89,7 +79,7 @@ def improve(
         drone = load_plant_config(plant)
         if plant_seed is not None:
             drone = drone.replace(constants=drone.constants.replace(seed=plant_seed))
-    numbers = rounds, flights, laps, steps_, check, seed, reference
+    numbers = rounds, flights, laps, steps_, check, seed
     setting = run.Setting(race, policy, model, drone, tuple(files), *numbers)
     enable_compilation_cache()
     prepare_devices(race.run.devices)
@@ -99,7 +89,7 @@ def improve(
             if overwrite:
                 remove_files(output, run.FILES)
             run.start(setting, output)
-            text = checks.results_of(setting, plants, output, report)
+            text = run.improve(setting, output, report)
     except run.StoppedError:
         print(f"Stopped and saved. Continue with: {command_again()}")
         return INTERRUPTED

@@ -12,7 +12,7 @@ from quadjax.core.vectors import Rotors
 from quadjax.fitting import battery
 from quadjax.fitting.battery import BatteryFit, drain_of, fit_battery
 from quadjax.fitting.flight_log import FlightLog
-from quadjax.studies.improve.model import Model, constant_lines
+from quadjax.improve.model import Model, constant_lines
 from quadjax.vehicle.battery import BatteryConfig, battery_params, highest_rpm
 
 HOVER, HIGHEST, TAU, RATE = 7500.0, 11000.0, 0.05, 200.0

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import quadjax.studies.improve as package
+import quadjax.improve as package
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.fitting.battery import BatteryFit
 from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.nominal import AXES
 from quadjax.flights import save
-from quadjax.studies.improve.model import SPEEDS, Model, Refit, check_speeds, refit, refusal
-from quadjax.studies.improve.states import (
+from quadjax.improve.model import SPEEDS, Model, Refit, check_speeds, refit, refusal
+from quadjax.improve.rounds import tuning_config
+from quadjax.improve.states import (
     STATES,
     clearances,
     margin_of,
     spread_of,
     states_of_logs,
 )
-from quadjax.studies.improve.training import tuning_config
 from quadjax.training.build import training_params
 from tests.improve.support import FIT, around_the_track, drone_log, policy_file, race
 
@@ -82,8 +82,8 @@ def test_refusals():
 
 
 def test_what_learns_knows_nothing_of_the_plant():
-    """The refit receives log files; only the flights themselves and their setting use the plant."""
-    for name in ("model", "states", "training"):
+    """The refit receives log files; only the rounds, which fly, use the plant."""
+    for name in ("model", "states"):
         text = (Path(package.__file__).parent / f"{name}.py").read_text(encoding="utf-8")
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.ImportFrom | ast.Import):

@@ -6,12 +6,18 @@ import json
 import pytest
 
 from quadjax.core.errors import InputError
+from quadjax.improve import rounds
+from quadjax.improve.rounds import (
+    Flown,
+    Setting,
+    check_setting,
+    fly_rounds,
+    learn,
+    rounds_table,
+    start,
+)
 from quadjax.plant.config import PlantConfig
 from quadjax.policy.file import Policy
-from quadjax.studies.improve import run as rounds
-from quadjax.studies.improve.flights import Flown
-from quadjax.studies.improve.rounds import rounds_table
-from quadjax.studies.improve.run import Setting, check_setting, improve, learn, start
 from tests.commands import run
 from tests.improve.support import FIT, STEPS, TINY, drone_log, policy_file, race
 from tests.race.support import BLANK
@@ -29,11 +35,11 @@ def flights(monkeypatch):
     """Flights of a simulated drone in place of the plant; the policies that flew, in order."""
     flown = []
 
-    def fly(config, plant, policy, name, folder, count, laps, seed, report):
-        flown.append(policy)
-        for index in range(count):
+    def fly(setting, state, name, folder, seed, report):
+        flown.append(state.policy)
+        for index in range(setting.flights):
             drone_log(folder / f"{name}_{index}.csv", 10 * seed + index)
-        return Flown([8.0] * count, [8.0] * count, [""] * count)
+        return Flown([8.0] * setting.flights, [8.0] * setting.flights, [""] * setting.flights)
 
     monkeypatch.setattr(rounds, "fly_and_log", fly)
     return flown
@@ -51,15 +57,15 @@ def test_a_stopped_command_repeats_no_step(tmp_path, flights, monkeypatch):
 
     monkeypatch.setattr(rounds, "train", stop)
     with pytest.raises(KeyboardInterrupt):
-        improve(setting, folder, **SILENT)
+        fly_rounds(setting, folder, **SILENT)
     monkeypatch.setattr(rounds, "train", trained)
     model = (folder / "round_1" / "model.json").stat().st_mtime_ns
-    (done,) = improve(setting, folder, **SILENT)
+    (done,) = fly_rounds(setting, folder, **SILENT)
     assert (folder / "round_1" / "model.json").stat().st_mtime_ns == model
     assert len(flights) == 1 and done.found.refused == "" and done.found.change < -0.1
     first, policy = Policy.load(setting.policy), Policy.load(folder / "policy.npz")
     assert (first.layers[0][0] != policy.layers[0][0]).any()
-    one, two = improve(setting_of(tmp_path, rounds=2), folder, **SILENT)
+    one, two = fly_rounds(setting_of(tmp_path, rounds=2), folder, **SILENT)
     assert flights == [setting.policy, folder / "round_1" / "training" / "policy.npz"]
     assert one == done
     text = rounds_table([one, two], {})
@@ -91,6 +97,23 @@ def test_flights_on_the_plant_that_crash_are_counted_once(tmp_path, capsys):
     assert run(*command) == 0 and capsys.readouterr().out == text
 
 
+def test_the_first_and_the_last_policy_are_checked_once(tmp_path, monkeypatch):
+    checked = []
+
+    def fly(setting, policy):
+        checked.append(policy.name)
+        return Flown([9.0] * setting.check, [9.0, None], ["", "hit a gate"])
+
+    monkeypatch.setattr(rounds, "fly_checks", fly)
+    setting = setting_of(tmp_path, check=2)
+    found = rounds.checked(setting, 1, tmp_path, **SILENT)
+    assert found["before"].cells == found["after"].cells == ("1 of 2", "9.00")
+    assert rounds.checked(setting, 1, tmp_path, **SILENT) == found
+    rounds.checked(setting, 2, tmp_path, **SILENT)  # after one more round
+    assert checked == ["first.npz", "policy.npz", "policy.npz"]
+    assert "| check, after | 1 of 2 | 9.00 |" in rounds_table([], found)
+
+
 @pytest.mark.slow
 def test_real_logs_are_fitted_without_flying(tmp_path, flights, capsys):
     logs = [drone_log(tmp_path / f"flight_{seed}.csv", seed) for seed in range(2)]
@@ -107,8 +130,6 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     for more, says in (
         (("--logs", "none.csv"), "none.csv: no such file"),
         (("--logs", "a.csv", "--plant-seed", "1"), "--plant-seed has no effect with --logs"),
-        (("--logs", "a.csv", "--plants", "2"), "--plants has no effect with --logs"),
-        (("--check", "0", "--reference"), "--reference needs flights to compare"),
         (("--logs", "a.csv", "--seed", "0"), "--seed has no effect with --logs"),
         (("--rounds", "0"), "--rounds: '0', allowed: an integer, 1 to 100"),
         (("vehicle.model=rate",), "vehicle.model is rate, allowed: motor"),

@@ -55,7 +55,8 @@ class Model:
     @property
     def motor(self) -> MotorConstants:
         """The constants as floats."""
-        return MotorConstants(**self.constants)
+        values: dict[str, Any] = {**self.constants}
+        return MotorConstants(**values)
 
     @property
     def hover(self) -> float:
