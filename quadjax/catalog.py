@@ -71,7 +71,7 @@ def text_of(what: str, overrides: Sequence[str] = (), model_name: str | None = N
         return track_text(read_track(what))
     if kind == "policy":
         policy, path = Policy.load(what), find_policy(what)
-        network = f"network {policy.describe()}"
+        network = f"network {policy.describe()}, noise {np.exp(policy.log_std).mean():.2f}"
         return f"{path}: {policy.vehicle} vehicle\n{network}\nsource: {policy.source}"
     return "\n".join(_vehicle_text(config) for config in vehicle_configs(what, model_name))
 

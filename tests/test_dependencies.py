@@ -16,21 +16,18 @@ ALLOWED = {
     "training": CONFIG | {"config", "policy", "flights"},
     "flights": {"core", "vehicle", "race"},
     "view": {"core", "race", "flights"},
-    "evaluation": CONFIG | {"config", "policy", "training", "view", "flights"},
+    "evaluation": CONFIG | {"config", "policy", "training", "view", "flights", "plant", "fitting"},
     "export": CONFIG - {"learners"} | {"config", "policy"},
     "fitting": {"core", "vehicle", "flights"},
     "limits": {"core", "vehicle", "race", "config", "policy", "evaluation", "flights"},
     "integrations": CONFIG | {"config", "policy", "training"},
-    "plant": CONFIG - {"learners"} | {"config", "policy", "evaluation", "fitting", "flights"},
+    "plant": CONFIG - {"learners"} | {"config", "policy", "fitting", "flights"},
     "replay": CONFIG - {"learners"}
     | {"config", "policy", "flights", "evaluation", "fitting", "export"},
     "improve": CONFIG | {"config", "policy", "training", "flights", "fitting", "plant", "replay"},
-    "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant", "studies"},
+    "sweeps": CONFIG | {"config", "policy", "training", "evaluation", "plant"},
     "sil": CONFIG - {"learners"}
-    | {"config", "policy", "training", "evaluation", "plant", "export", "studies", "flights"},
-    "studies": CONFIG
-    | {"config", "policy", "training", "evaluation", "fitting", "plant", "integrations", "limits"}
-    | {"export", "view", "flights", "replay"},
+    | {"config", "policy", "training", "evaluation", "plant", "export", "flights"},
 }
 
 
@@ -66,15 +63,12 @@ def test_every_package_is_in_the_table():
 
 
 WITHOUT_CONFIG = (
-    *("core", "vehicle", "race", "learners", "policy", "evaluation", "integrations"),
+    *("core", "vehicle", "race", "learners", "policy", "integrations"),
     *("fitting", "plant"),
 )
 # Public functions that also take a preset's name.
-EDGES = {"evaluate", "race_of_policy", "_make", "_make_vector"}
+EDGES = {"race_of_policy", "_make", "_make_vector"}
 EDGES |= {"specialize", "outside", "_constants"}  # of the drone of a config
-# Published times are those of a config's race.
-EDGES |= {"published_total", "published_row", "published_flight", "published_sampled"}
-EDGES |= {"_race", "_residual"}
 EDGES |= {"plan_race", "race_config", "plan_logs", "gate_centers"}  # flights of a race on the plant
 
 

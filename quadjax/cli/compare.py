@@ -8,11 +8,10 @@ from cyclopts import Parameter
 
 from quadjax.cli import options as opt
 from quadjax.cli.output import steps, wrote
-from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
 from quadjax.core.resources import PRETRAINED
 
-Section = Literal["table", "plants", "ablation"]
+Part = Literal["table", "plants"]
 
 
 def compare(
@@ -22,7 +21,7 @@ def compare(
     e2e: opt.PolicyFile = PRETRAINED / "e2e_nominal.npz",
     indi: opt.PolicyFile = PRETRAINED / "indi_shac.npz",
     race: Annotated[str, Parameter(metavar="CONFIG")] = "e2e",
-    parts: Annotated[list[Section] | None, Parameter(consume_multiple=True)] = None,
+    parts: Annotated[list[Part] | None, Parameter(consume_multiple=True)] = None,
     conditions: Annotated[
         list[str] | None, Parameter(consume_multiple=True, metavar="NAME ...")
     ] = None,
@@ -31,7 +30,6 @@ def compare(
     runs: opt.Runs = 100,
     sampled: opt.Flag = False,
     seed: opt.Seed = 0,
-    ablation: opt.Folder = PRETRAINED / "ablation",
     name: opt.RunName = "compare",
     output: opt.RunsFolder = Path("runs"),
     overwrite: opt.Overwrite = False,
@@ -39,8 +37,8 @@ def compare(
     """Compare E2E and INDI in the simulator and on the stand-in plant.
 
     DIR/NAME gets table.txt, compare.json, config.yaml and figures. Overrides change
-    the plant's config. The ablation evaluates the policies that are in its folder,
-    and prints how to train those that are missing.
+    the plant's config. The part plants flies both on drawn plants, without each
+    effect in turn, with each alone, and with several charges of the battery.
 
     Example: quadjax compare standin --parts table --runs 100
 
@@ -56,26 +54,26 @@ def compare(
         runs: Number of runs.
         sampled: Fly with the noise of training.
         seed: Seed of batteries, gusts and sensors.
-        ablation: Folder of the ablation's policies.
     """
     started = time.monotonic()
     with loading():
+        from quadjax import compare as comparison
         from quadjax.config.loading import load_config
+        from quadjax.core.errors import InputError
         from quadjax.core.folders import results
+        from quadjax.evaluation.conditions import read_conditions
         from quadjax.plant.config import load_plant_config
-        from quadjax.studies.comparison import Setting, read_contenders
-        from quadjax.studies.comparison_run import FILES, PARTS, Wanted, run_comparison
 
-    chosen = tuple(parts or PARTS)
+    chosen, folder = tuple(parts or comparison.PARTS), output / name
     if "plants" not in chosen:
         opt.refuse("without the part plants (--parts)", "conditions", "plants")
-    plant = load_plant_config(config, overrides)
-    setting = Setting(load_config(race), plant, laps, runs, seed, plants, not sampled)
-    contenders, folder = read_contenders(e2e, indi), output / name
-    if "plants" in chosen and runs % plants:
+    elif runs % plants:
         raise InputError(f"--runs is {runs}, allowed: multiples of --plants ({plants})")
-    with results(folder, "comparison", FILES, overwrite) as new, steps() as report:
-        wanted = Wanted(chosen, ablation, new, tuple(conditions or Wanted.conditions))
-        text = run_comparison(setting, contenders, wanted, report)
+    plant, listed = load_plant_config(config, overrides), read_conditions("plants", conditions)
+    protocol = {"laps": laps, "runs": runs, "seed": seed, "deterministic": not sampled}
+    setting = comparison.Setting(load_config(race), plant, listed, plants=plants, **protocol)
+    contenders = comparison.read_contenders(e2e, indi)
+    with results(folder, "comparison", comparison.FILES, overwrite) as new, steps() as report:
+        text = comparison.run_comparison(setting, contenders, chosen, new, report)
     print(text)
     wrote(f"{folder}/ in {time.monotonic() - started:.0f} s")

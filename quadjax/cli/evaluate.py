@@ -1,8 +1,9 @@
 """``quadjax evaluate``."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -10,9 +11,17 @@ from quadjax.cli import options as opt
 from quadjax.cli.output import note, steps, wrote
 from quadjax.core.errors import InputError
 from quadjax.core.interruptions import loading
-from quadjax.core.resources import PRETRAINED, policy_names
+from quadjax.core.resources import PRETRAINED, policy_names, preset_names
+
+if TYPE_CHECKING:
+    from quadjax.config.schema import Config as RaceConfig
+    from quadjax.evaluation.evaluation import Evaluation
+    from quadjax.policy.file import Policy
+    from quadjax.race.laps import Actor
 
 DRAWINGS = ("states", "figure", "figure_3d", "signals", "attitude", "animation")
+LENGTHS = ("laps", "gates", "seconds")
+OF_LAPS = ("deterministic", "fixed_point", "range_", "offsets", "start", *DRAWINGS)
 RECORDED = Group("Recorded flights, in place of policies", sort_key=2)
 States = Annotated[
     Path | None,
@@ -22,6 +31,14 @@ States = Annotated[
 Animation = Annotated[
     Path | None, opt.Output((".gif",)), Parameter(metavar="FILE.gif", group=opt.FILES)
 ]
+Listed = Annotated[
+    str | None,
+    Parameter(
+        name=("--conditions", "--study"),
+        metavar="NAME",
+        help=f"Fly under each of a list: {', '.join(preset_names('conditions'))}, or a YAML file.",
+    ),
+]
 
 
 def evaluate(
@@ -29,18 +46,22 @@ def evaluate(
     /,
     *overrides: opt.Overrides,
     policy: list[opt.PolicyFile] | None = None,
-    study: Literal["laps", "protocols", "spread", "races", "random-tracks"] | None = None,
+    conditions: Listed = None,
+    only: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="LABEL ...")] = None,
     laps: opt.Laps | None = None,
     gates: opt.Gates | None = None,
+    seconds: Annotated[float | None, Parameter(converter=opt.number(0.01, 1e4))] = None,
     runs: opt.Runs | None = None,
-    start: Literal["hover", "random"] = "hover",
+    start: Literal["hover", "random", "around", "before_gate"] = "hover",
     seed: opt.Seed = 0,
     deterministic: opt.Flag = False,
+    plant: opt.PlantConfig | None = None,
+    plants: opt.Count | None = None,
     fixed_point: opt.Flag = False,
     range_: Annotated[list[str] | None, Parameter(name="--range", metavar="FIELD=R")] = None,
     body: Annotated[opt.Positive | None, Parameter(metavar="RADIUS")] = None,
-    seconds: opt.Count | None = None,
     offsets: opt.Flag = False,
+    format: Literal["text", "markdown", "latex"] | None = None,
     flights: Annotated[list[str] | None, Parameter(metavar="[LABEL=]FILE", group=RECORDED)] = None,
     logs: Annotated[opt.Logs, Parameter(group=RECORDED)] = opt.PLAIN_LOGS,
     report: Annotated[Path, Parameter(metavar="DIR", group=RECORDED)] = Path("runs/report"),
@@ -61,15 +82,17 @@ def evaluate(
     Several policies, each with its own --policy, are compared in one table; without
     CONFIG and --policy, those that come with the package.
 
-    The option --study selects other flights:
+    With --conditions, the policies fly under each condition of a list:
 
-    - protocols: mean and sampled, from hover and from random starts (the table of
+    - protocols: mean and sampled, from hover and from random starts (the default of
       several policies);
     - spread: crashes and median lap of 1000 flights of 12 s from 1 m before a gate,
       with all constants drawn from ±0, 10, 20 and 30%;
     - races: whole races from around the track's start, with drawn constants;
     - random-tracks: one flight from hover on each of --runs random tracks, those of
-      randomization.tracks with the seeds that follow.
+      randomization.tracks with the seeds that follow;
+    - damage: moments, thrust, residual, a damaged rotor, a shifted mass;
+    - plants: drawn stand-in plants, without each effect, and with each alone.
 
     With --flights, recorded flights are evaluated: states of an earlier --states
     FILE.npz, or flight logs (.csv, a glob pattern for several). DIR gets tables and
@@ -79,21 +102,24 @@ def evaluate(
 
     Args:
         policy: Policy file, folder of a run, or name of a shipped policy; may be repeated.
-        study: Which flights are simulated (default: laps, of several policies protocols).
+        only: Labels of some of the conditions (default: all).
         laps: Laps of a run (default: evaluate.laps).
         gates: Gates of a run, in place of laps.
-        runs: Number of runs (default: evaluate.runs, of a study 100 or 1000).
-        start: Start from hover, or from the random states of training.
+        seconds: Of a run, in place of laps.
+        runs: Number of runs (default: of the conditions, or evaluate.runs).
+        start: Start from hover or around it, from the random states of training, or before a gate.
         seed: Of noise, disturbances and starts.
         deterministic: Mean actions only.
+        plant: Fly on the stand-in plant of this config.
+        plants: Number of drawn plants, which share the runs.
         fixed_point: Use the arithmetic of the exported C.
         range_: With --fixed-point: a range that the C was exported with.
         body: Radius of the drone, m: gates, bounds and ground are closer by it.
-        seconds: Of a flight of the study spread.
         offsets: Print the distances from the gates' centers.
+        format: Of the table (default: text, with --conditions markdown).
         flights: A group of flights, with its label; may be repeated.
         report: Folder of the tables and figures.
-        json: Write the laps, or the numbers of a study.
+        json: Write the laps, or the numbers of the conditions.
         states: Write all trajectories.
         figure: Draw the flight from two sides.
         figure_3d: Draw the flight in perspective.
@@ -105,34 +131,134 @@ def evaluate(
         opt.refuse_others("with --flights", "flights", "logs", "report", "overwrite")
         return _report(config or "e2e", overrides, flights, logs, report, overwrite)
     opt.refuse("without --flights", "logs", "report", "overwrite")
-    opt.exclude("laps", "gates")
+    opt.exclude(*LENGTHS)
     if policy is None and config is not None:
         raise InputError("--policy is missing: the file of the policy, or a shipped one's name")
-    options, files = locals(), policy or [PRETRAINED / f"{name}.npz" for name in policy_names()]
-    study = study or ("laps" if len(files) == 1 else "protocols")
-    if len(files) > 1 and study != "protocols":
-        raise InputError(f"--policy: {len(files)} policies, allowed: 1 with --study {study}")
+    if range_ and not fixed_point:
+        raise InputError("--range is allowed only with --fixed-point")
+    files = policy or [PRETRAINED / f"{name}.npz" for name in policy_names()]
+    conditions = "protocols" if conditions is None and len(files) > 1 else conditions
+    common: dict[str, Any] = {
+        "laps": laps,
+        "gates": gates,
+        "seconds": seconds,
+        "runs": runs,
+        "seed": seed,
+    }
+    common |= {"plant": plant, "plants": plants, "body_radius": body}
+    paths = (states, figure, figure_3d, signals, attitude, animation)
+    pairs = zip(DRAWINGS, paths, strict=True)
+    drawings = {name: path for name, path in pairs if path is not None}
+    if conditions is None:
+        opt.refuse("without --conditions", "only")
+    else:
+        opt.refuse(f"with --conditions {conditions}", *OF_LAPS)
     with loading():
         from quadjax.core.files import write_json
-        from quadjax.studies.policy_studies import STUDIES, Entry, write_files
+        from quadjax.evaluation.conditions import read_conditions
+        from quadjax.evaluation.evaluation import evaluate as fly
+        from quadjax.evaluation.evaluation import joined, tabulate
 
-    others = ("policy", "study", "json", *(DRAWINGS if study == "laps" else ()))
-    used = opt.options_of(STUDIES[study], options, f"with --study {study}", *others)
-    try:
-        entries = [Entry.read(file, config, overrides, note) for file in files]
-    except InputError as error:
-        text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
-        raise InputError(text) from None
-    drawings = {option: options[option] for option in DRAWINGS if options[option] is not None}
+    listed = None if conditions is None else read_conditions(conditions, only)
+    entries = [_entry(file, config, overrides) for file in files]
     with steps() as show:
         show("compiling and simulating")
-        result = STUDIES[study](entries, show, **used)
+        if listed is not None:
+            options = common | {"conditions": listed, "progress": show}
+            flown = joined(fly(*entry, name=label, **options) for label, entry in entries)
+            text, record = flown.table(format or "markdown"), flown.to_json()
+        else:
+            entry, common = entries[0][1], common | {"start": start}
+            common |= {"name": str(files[0])}
+            if fixed_point:
+                actor = _fixed_point(*entry, range_ or ())
+                results = {
+                    "fixed point, mean": fly(*entry, deterministic=True, actor=actor, **common)
+                }
+            else:
+                modes = (True,) if deterministic else (False, True)
+                both = [fly(*entry, deterministic=mean, **common) for mean in modes]
+                results = {result.label(): result for result in both}
+            first = next(iter(results.values()))
+            text, record = tabulate(results, format or "text"), first.to_json()
+            text += _offsets(first) if offsets else ""
+            _draw(first, drawings, show)
         if json is not None:
-            write_json(json, result.record)
-        if result.evaluation is not None:
-            write_files(result.evaluation, drawings, show)
-    print(result.text)
+            write_json(json, record)
+    print(text)
     wrote(json, *drawings.values())
+
+
+def _entry(
+    path: Path, config: str | None, overrides: Sequence[str]
+) -> tuple[str, tuple["Policy", "RaceConfig"]]:
+    """The label of a policy file, or of a run's folder; the policy and the race that it flies."""
+    from quadjax.config.loading import load_config
+    from quadjax.config.race import race_of
+    from quadjax.policy.file import Policy
+    from quadjax.policy.pilot import fit_race
+    from quadjax.policy.race import policy_path, race_of_policy
+
+    file, label = policy_path(path), path.name if path.is_dir() else path.stem
+    if config is None:
+        policy = Policy.load(file)
+        try:
+            race, _ = race_of_policy(policy, file, report=note)
+        except InputError as error:
+            text = str(error).replace("config=CONFIG", "quadjax evaluate CONFIG")
+            raise InputError(text) from None
+    else:
+        race = load_config(config, overrides)
+        policy = Policy.load(file, race)
+    fit_race(*race_of(race), policy, str(file))
+    return label, (policy, race)
+
+
+def _fixed_point(policy: "Policy", race: "RaceConfig", ranges: Sequence[str]) -> "Actor":
+    """The arithmetic of C that is exported with ranges, as an actor."""
+    from quadjax.config.race import race_of
+    from quadjax.export.actor import fixed_point_fly
+    from quadjax.export.race_tables import track_ranges
+    from quadjax.export.ranges import parse_overrides
+
+    _, params = race_of(race)
+    return fixed_point_fly(
+        policy, track_ranges(policy.layout, params.track) | parse_overrides(list(ranges))
+    )
+
+
+def _offsets(evaluation: "Evaluation") -> str:
+    """A line on the distances from the gates' centers; none where no gate is passed."""
+    import numpy as np
+
+    offsets = evaluation.gate_offsets
+    if not offsets.size:
+        return ""
+    wide = np.percentile(offsets, 95.0)
+    mean = f"mean {offsets.mean():.3f} m, 95% within {wide:.3f} m"
+    return f"\ndistance from the gates' centers: {mean}"
+
+
+def _draw(
+    evaluation: "Evaluation", files: Mapping[str, Path], report: Callable[[str], None]
+) -> None:
+    """Write the states, the figures and the animation, by their options."""
+    from quadjax.core.plotting import save_figure
+
+    figures = {
+        "figure": evaluation.plot,
+        "figure_3d": evaluation.plot_3d,
+        "signals": evaluation.plot_signals,
+        "attitude": evaluation.plot_attitude,
+    }
+    frames = itertools.count(1)
+    for option, path in files.items():
+        if option == "states":
+            evaluation.save_states(path)
+        elif option == "animation":
+            evaluation.animate(path, lambda: report(f"animation, frame {next(frames)}"))
+        else:
+            save_figure(figures[option](), path)
 
 
 def _report(
@@ -147,9 +273,9 @@ def _report(
     with loading():
         from quadjax.config.loading import load_config
         from quadjax.core.folders import results
+        from quadjax.evaluation.report import FILES as REPORT_FILES
+        from quadjax.evaluation.report import write_report
         from quadjax.sources import load_groups
-        from quadjax.studies.report.run import FILES as REPORT_FILES
-        from quadjax.studies.report.run import write_report
 
     race = load_config(config, overrides)
     groups = load_groups(flights, race.track, logs.columns() if logs.logs else None)

@@ -13,7 +13,7 @@ from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.plotting import INK, MUTED, SERIES, head, new_figure, tidy
 from quadjax.evaluation.published import published_total
-from quadjax.evaluation.tables import counted
+from quadjax.evaluation.table import counted
 from quadjax.training.metrics import read_metrics
 
 Metrics = Mapping[str, np.ndarray]  # column name -> (rows,)

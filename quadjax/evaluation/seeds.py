@@ -1,7 +1,6 @@
 """Train configs with several seeds and tabulate the results."""
 
 import dataclasses
-import functools
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -19,9 +18,8 @@ from quadjax.core.markdown import table
 from quadjax.core.plotting import save_figure
 from quadjax.core.provenance import provenance
 from quadjax.evaluation.curves import check_lengths, learning_figure
-from quadjax.evaluation.evaluation import evaluate
-from quadjax.evaluation.protocols import Protocols, fly_protocols, protocol_table
-from quadjax.evaluation.published import first_under, published_sampled, published_total
+from quadjax.evaluation.evaluation import Evaluations, evaluate, joined
+from quadjax.evaluation.published import first_under, published_total
 from quadjax.policy.file import Policy
 from quadjax.training.folder import check_same
 from quadjax.training.metrics import read_metrics
@@ -41,12 +39,12 @@ class SeedResult:
     last: float | None  # score of the last policy, see run.score
     best: float | None  # the same, the best policy
     flying_lap: float | None  # fastest lap of the mean flights of the best policy
-    flights: Protocols  # of the best policy
+    flights: Evaluations  # of the best policy, under configs/conditions/protocols.yaml
     memory_mib: float | None  # None where the system does not report it
 
     def to_json(self) -> dict[str, Any]:
         """The result as JSON takes it."""
-        return vars(self) | {"flights": self.flights.to_json()}
+        return vars(self) | {"flights": [row.to_json() for row in self.flights.rows]}
 
 
 def configs_of(files: Sequence[str], overrides: Sequence[str]) -> dict[str, Config]:
@@ -151,8 +149,7 @@ def evaluate_seed(run: Path, runs: int, code: Collection[str] = ()) -> SeedResul
     config = load_config(run / "config.yaml", code=code)
     summary = read_summary(run)
     policy = Policy.load(run / "policy.npz")
-    fly = functools.partial(evaluate, policy, config, runs=runs)
-    flights = fly_protocols(fly, run.name, policy.log_std, published_sampled(config))
+    flights = evaluate(policy, config, conditions="protocols", runs=runs, name=run.name)
     published = published_total(config)
     reference = None if published is None else published[1]
     first = reference and first_under(read_metrics(run / "metrics.csv"), reference)
@@ -166,7 +163,7 @@ def evaluate_seed(run: Path, runs: int, code: Collection[str] = ()) -> SeedResul
         first_steps=first_steps,
         last=summary["last_lap_total"],
         best=summary["best_lap_total"],
-        flying_lap=_lowest(flights.mean["hover"].lap_times),
+        flying_lap=_lowest(flights["mean"].lap_times),
         flights=flights,
         memory_mib=summary["peak_memory_mib"],
     )
@@ -203,4 +200,4 @@ def format_seeds(results: Sequence[SeedResult]) -> str:
     columns = [c for c in COLUMNS if reference is not None or not c[0].startswith(("<", "at"))]
     titles = [title.format(reference=_cell(reference, 2)) for title, _ in columns]
     training = table([titles, *([show(result) for _, show in columns] for result in results)])
-    return f"{training}\n\n{protocol_table([result.flights for result in results])}"
+    return f"{training}\n\n{joined(result.flights for result in results).table()}"

@@ -3,7 +3,7 @@
 from quadjax.core.files import write_json
 from quadjax.core.plotting import save_figure
 from quadjax.evaluation.curves import training_figure
-from quadjax.evaluation.evaluation import Evaluation, evaluate, lap_table
+from quadjax.evaluation.evaluation import Evaluation, evaluate, tabulate
 from quadjax.evaluation.published import first_under, published_total
 from quadjax.training.advice import no_lap
 from quadjax.training.result import Run
@@ -23,7 +23,7 @@ def write_evaluation(run: Run) -> str:
         write_json(folder / f"{file}.json", result.to_json())
         results[result.label()] = result
     save_figure(result.plot(), folder / "trajectory.png")
-    lines = [lap_table(results)]
+    lines = [tabulate(results)]
     if len(metrics["steps"]):
         curves = training_figure({config.name: metrics}, config.name, published)
         save_figure(curves, folder / "curves.png")

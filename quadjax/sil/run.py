@@ -18,7 +18,8 @@ from quadjax.core.compilation_cache import enable_compilation_cache
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_text
 from quadjax.core.provenance import provenance
-from quadjax.evaluation.tables import counted, describe_crashes, format_table, lap_row
+from quadjax.evaluation.rows import Row
+from quadjax.evaluation.table import counted, lap_table
 from quadjax.export.verify.folder import Inputs, read_inputs
 from quadjax.flights.files import save
 from quadjax.plant.config import PlantConfig
@@ -111,8 +112,7 @@ class Flown:
         how = "lock-step" if speed is None else f"{speed:g} times real time"
         label = f"{self.autopilot}, {counted(len(self.races), 'run')}"
         lines = [
-            format_table([lap_row(label, self.laps)]),
-            describe_crashes(self.laps),
+            lap_table([Row(label, self.laps)]).format(),
             f"C that flies: {self.sources}" if self.sources else "",
             f"drone: {self.world.name}, {1.0 / self.world.step:g} Hz, {how}",
             *(f"{name}: {number:,}" for name, number in self.counts.items()),

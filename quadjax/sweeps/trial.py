@@ -99,15 +99,15 @@ def _run_seed(
 def _fly(job: Job, config: Config, policy: Path) -> tuple[float, float]:
     """Value and fraction of finished flights of a policy file, in the simulator or on the plant."""
     from quadjax.evaluation.evaluation import evaluate
-    from quadjax.plant.config import load_plant_config
-    from quadjax.studies.comparison import Setting, contender, fly_drawn
 
-    asked, exact = job.objective, job.objective.deterministic
-    if asked.plant is None:
-        result = evaluate(policy, job.race, runs=asked.runs, deterministic=exact, seed=FLIGHT_SEED)
-        return result.laps.penalized, result.finished / asked.runs
-    plant, laps = load_plant_config(asked.plant), config.evaluate.laps
-    setting = Setting(config, plant, laps, asked.runs, FLIGHT_SEED, asked.plants, exact)
-    flown = fly_drawn(setting, plant, contender("", str(policy)))
-    value = statistics.fmean(one.penalized for one in flown.laps)
-    return value, flown.finished / flown.runs
+    asked, race = job.objective, job.race if job.objective.plant is None else config
+    result = evaluate(
+        policy,
+        race,
+        plant=asked.plant,
+        plants=None if asked.plant is None else asked.plants,
+        runs=asked.runs,
+        deterministic=asked.deterministic,
+        seed=FLIGHT_SEED,
+    )
+    return result.laps.penalized, result.finished / asked.runs

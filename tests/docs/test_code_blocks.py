@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 import yaml
 
+from quadjax import compare
 from quadjax.evaluation import training
 from quadjax.learners import parallel
 from quadjax.race.laps import Laps
-from quadjax.studies import comparison_run
 from quadjax.training import run as training_run
 from tests.commands import run
 from tests.docs.pages import GUIDE, ROOT, blocks_of, name_of
@@ -80,7 +80,7 @@ def traced_chunk(learner, mesh, updates, params, state):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", GUIDE, ids=name_of)
 def test_blocks_run(page, folder, monkeypatch):
-    monkeypatch.setattr(comparison_run, "run_comparison", lambda *_: "")
+    monkeypatch.setattr(compare, "run_comparison", lambda *_: "")
     if name_of(page) not in TRAINED:
         monkeypatch.setattr(parallel, "compile_chunk", traced_chunk)
         monkeypatch.setattr(training_run, "make_flights", lambda *_: lambda networks: NO_LAPS)

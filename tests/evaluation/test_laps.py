@@ -4,7 +4,8 @@ import pytest
 
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
-from quadjax.evaluation import published, tables
+from quadjax.evaluation import published, table
+from quadjax.evaluation.rows import Row, common, concatenate, describe_crashes, interval
 from quadjax.flights.flight import distinct, fastest, recorded_flights
 from quadjax.race.laps import Laps, fly_laps
 from quadjax.vehicle.registry import MODELS
@@ -61,7 +62,7 @@ def test_a_race_of_some_gates_ends_within_a_lap(flown):
     assert np.all(laps.lap_times[:, 1] < 0.5 * whole.lap_times[:, 1])
     assert laps.whole_laps.shape == (2, 1) and laps.to_json()["last_lap_gates"] == 1
     assert laps.time_limit == pytest.approx(whole.time_limit * 5 / 8)
-    text = tables.format_table([tables.lap_row("own", laps)])
+    text = table.lap_table([Row("own", laps)]).format()
     assert "1 gate" in text and "lap 2" not in text and "lap 1" in text
     even, _ = fly_laps(choices, params, scripted, own, key, runs=2, trace=True, gates=8)
     np.testing.assert_array_equal(even.lap_times, whole.lap_times)
@@ -106,7 +107,7 @@ def test_every_early_end_has_its_reason(reason, wishes):
     crash = laps.to_json()["crashes"][1]
     assert crash["run"] == 1 and crash["lap"] == 1 and crash["reason"] == reason
     assert 0 < crash["seconds"] <= LAPS * 8.0
-    assert tables.describe_crashes(laps).splitlines()[0].startswith(f"runs 1, 2: {reason} in lap 1")
+    assert describe_crashes(laps).splitlines()[0].startswith(f"runs 1, 2: {reason} in lap 1")
 
 
 def test_json_has_the_promised_keys(flown):
@@ -119,10 +120,11 @@ def test_json_has_the_promised_keys(flown):
 
 def test_the_table_has_published_times(flown):
     _, laps, _ = flown
-    own = tables.lap_row("own", laps)
+    own = Row("own", laps)
     assert own.total == pytest.approx(laps.totals.mean())
-    text = tables.format_table([own], [published.INDI])
+    text = table.lap_table([own, published.INDI]).format()
     assert "2/2" in text and "17.14" in text and "15.75" not in text
+    assert "published" in text
 
 
 @pytest.mark.parametrize(
@@ -133,12 +135,12 @@ def test_six_laps_and_their_sum_are_one_block_of_80_columns(label):
     times[3, 4:] = np.nan
     crashes = tuple("hit a gate" if run == 3 else "" for run in range(100))
     laps = Laps(times, crashes, np.full(100, 15.0), 48.0)
-    rows = [published.E2E, published.INDI]
-    lines = tables.format_table([tables.lap_row(label, laps)], rows).splitlines()
-    assert max(map(len, lines)) <= tables.WIDTH == 80
-    assert [line for line in lines if line.split()[-9:-3] == ["2.50"] * 6] and "lap 6" in lines[0]
+    rows = [Row(label, laps), published.E2E, published.INDI]
+    shown = table.lap_table(rows)
+    lines = shown.format().splitlines()
+    assert max(map(len, lines[: -len(shown.notes)])) <= table.WIDTH == 80
+    assert "2.50" in "".join(lines) and "lap 6" in "".join(lines)
     assert "15.00" in "".join(lines) and "99/100" in "".join(lines)
-    assert sum("finished" in line for line in lines) == 2  # the title, and the note
 
 
 def test_many_early_ends_are_few_lines():
@@ -146,8 +148,51 @@ def test_many_early_ends_are_few_lines():
     times[40:] = 2.0
     reasons = ("hit a gate",) * 20 + ("hit the ground",) * 8 + ("out of time",) * 12 + ("",) * 10
     laps = Laps(times, reasons, np.linspace(1.0, 1.49, 50), 16.0)
-    assert tables.describe_crashes(laps).splitlines() == [
+    assert describe_crashes(laps).splitlines() == [
         "20 runs: hit a gate in lap 1 after 1.00 to 1.19 s",
         "runs 21, 22, 23, 24, 25, 26, 27, 28: hit the ground in lap 1 after 1.20 to 1.27 s",
         "12 runs: out of time in lap 1 after 1.28 to 1.39 s",
     ]
+
+
+def flights(*totals, reason="hit a gate"):
+    """Flights of two equal laps; NaN for one that crashes."""
+    times = 0.5 * np.array(totals)[:, None] * np.ones(2)
+    crashes = tuple("" if np.isfinite(x) else reason for x in totals)
+    return Laps(times, crashes, np.nan_to_num(np.array(totals), nan=1.0), 16.0)
+
+
+def test_intervals_are_students():
+    """Of 1, 2, .. 5: mean 3, standard error sqrt(2.5 / 5), and 2.776 of them for 4 degrees."""
+    mean, width = interval(np.array([1.0, 2.0, 3.0, 4.0, 5.0, np.nan]))
+    assert mean == 3.0 and width == pytest.approx(2.776 * np.sqrt(0.5), rel=1e-3)
+    assert np.isnan(interval(np.array([np.nan]))[0]) and np.isnan(interval(np.array([2.0]))[1])
+
+
+def test_two_rows_are_compared_on_the_flights_that_both_finish():
+    """The first finishes the fast plant alone: without the other plant the second is faster."""
+    first = Row("E2E", concatenate([flights(15.0, np.nan), flights(np.nan, np.nan)]), plants=2)
+    second = Row("INDI", concatenate([flights(14.4, 18.0), flights(18.0, 18.0)]), plants=2)
+    assert (first.finished, second.finished, first.runs) == (1, 4, 4)
+    np.testing.assert_allclose(second.plant_totals, [16.2, 18.0])
+    for row, total in zip(common(first, second), (15.0, 14.4), strict=True):
+        np.testing.assert_allclose(row.plant_totals, [total, np.nan])
+
+
+def test_a_drone_that_hovers_is_neither_crashed_nor_has_it_a_lap():
+    still = Row("mine", flights(np.nan, np.nan, reason="out of time"))
+    assert (still.crashed, still.without_lap, still.runs) == (0, 2, 2)
+    text = table.policy_table([still], "crashed").format("markdown")
+    assert "| mine | 0% and 100% without a lap / - |" in text
+    assert still.to_json()["lap"] is None and still.to_json()["without_lap"] == 2
+
+
+def test_a_table_has_three_forms():
+    rows = [Row("a_b & 100%", flights(3.0, 5.0)), Row("c", flights(4.0))]
+    shown = table.lap_table(rows)
+    assert "| a_b & 100% | 2.00 | 2.00 | 4.00 | 3.00 | 2/2 |" in shown.format("markdown")
+    latex = shown.format("latex")
+    assert r"a\_b \& 100\% & 2.00" in latex and latex.count(r"\midrule") == 1
+    assert "lap 1" in shown.format("text") and "1/1" in shown.format("text")
+    with pytest.raises(InputError, match="format is 'html', allowed: text, markdown, latex"):
+        shown.format("html")

@@ -5,11 +5,11 @@ import pytest
 from PIL import Image
 
 from quadjax.core.errors import InputError
-from quadjax.core.plotting import SPEED_COLORS, save_figure
-from quadjax.evaluation import animation, scene
+from quadjax.core.plotting import save_figure
+from quadjax.evaluation import animation
+from quadjax.evaluation.charts import attitude_figure, signals_figure
 from quadjax.evaluation.curves import training_figure
-from quadjax.evaluation.figures import signals_figure, trajectory_figure
-from quadjax.evaluation.figures_3d import attitude_figure, space_figure
+from quadjax.evaluation.figures import space_figure, trajectory_figure
 from quadjax.flights.flight import Flight, Signal, motion_signals
 from quadjax.race.track import GateSection
 from quadjax.training.metrics import read_metrics
@@ -143,46 +143,20 @@ def test_figures_are_written_whole(tmp_path):
 
 def test_an_animation_is_a_gif_in_real_time(tmp_path):
     path, calls = tmp_path / "flight.gif", []
-    flights = [circle(), circle(seconds=0.7, crash="hit a gate")]
-    animation.write_animation(flights, GATES, path, lambda: calls.append(1))
+    flights = [circle(seconds=0.5), circle(seconds=0.4, crash="hit a gate")]
+    animation.write_animation(flights, GATES, path, lambda: calls.append(1), names=["E2E", "INDI"])
     with Image.open(path) as film:
-        assert film.format == "GIF" and film.size == (animation.WIDTH, animation.HEIGHT)
-        assert film.n_frames == len(calls) == animation.frame_count(flights) == 21
+        assert film.format == "GIF" and film.size[0] > 500
+        assert film.n_frames >= animation.frame_count(flights) == 11
         assert film.info["duration"] == 50
         first = np.asarray(film.convert("RGB"))
-        film.seek(10)
+        film.seek(5)
         later = np.asarray(film.convert("RGB"))
-    assert colors(first) > 20 and np.any(first != later)
+    assert len(calls) >= 11 and colors(first) > 20 and np.any(first != later)
     with pytest.raises(InputError, match="gif"):
         animation.write_animation(flights, GATES, tmp_path / "flight.mp4")
-
-
-def test_an_animation_says_which_color_is_which_speed():
-    film = animation.Film([circle()], GATES)
-    row = np.asarray(film.frame(0))[round(animation.CLOCK_ROW * animation.HEIGHT)]
-    left, right = (round(x * animation.WIDTH) for x in animation.LEGEND)
-    slow, fast = (255 * np.array(SPEED_COLORS(x)[:3]) for x in (0.0, 1.0))
-    np.testing.assert_allclose(row[left + 2], slow, atol=1)
-    np.testing.assert_allclose(row[right - 2], fast, atol=1)
-    assert colors(row[None, left:right]) >= animation.SHADES
-
-
-def test_drones_have_names_where_given(tmp_path):
-    flights = [circle(), circle(seconds=0.7)]
-    plain, named = (animation.Film(flights, GATES, names) for names in ((), ("E2E", "INDI")))
-    assert np.any(np.asarray(plain.frame(5)) != np.asarray(named.frame(5)))
-    with pytest.raises(ValueError, match="zip"):
-        animation.Film(flights, GATES, ["E2E"]).frame(0)
-
-
-def test_both_views_look_from_above():
-    """North is to the right and east towards the viewer in both; what is higher appears higher."""
-    for view in (scene.from_above(), scene.from_the_side(np.zeros(3), 10.0)):
-        centre, north, east = view.project(np.array([[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
-        assert north[0] > centre[0] and east[1] > centre[1]
-    up = scene.from_the_side(np.zeros(3), 10.0).project(np.array([0.0, 0.0, -1.0]))
-    assert up[1] < 0
-    assert np.allclose(np.linalg.det(scene.from_the_side(np.zeros(3), 10.0).axes), 1.0)
+    with pytest.raises(InputError, match="1 name for 2 flights"):
+        animation.write_animation(flights, GATES, path, names=["E2E"])
 
 
 def test_a_flight_in_space_has_its_gates_and_equal_scales():

@@ -9,13 +9,13 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.files import write_npz
 from quadjax.core.resources import CONFIGS, PRETRAINED
+from quadjax.evaluation.charts import box_figure, commands_of, gap_figure, response
+from quadjax.evaluation.figures import trajectory_figure
+from quadjax.evaluation.report import report_figures
+from quadjax.evaluation.table import flights_table
 from quadjax.fitting.signals import first_order
 from quadjax.flights.files import STATES
 from quadjax.sources import load_groups
-from quadjax.studies.report.errors import commands_of, signals_of
-from quadjax.studies.report.figures import box_figure, gap_figure, trajectory_figure
-from quadjax.studies.report.run import figures
-from quadjax.studies.report.tables import latex_table, text_table
 from tests.commands import run
 
 RACE = load_config("e2e")
@@ -79,14 +79,14 @@ def test_a_race_of_a_racing_quadcopter_has_a_report_without_errors_of_commands(f
 
 
 def test_the_table_has_every_flight_the_fastest_in_bold(groups):
-    text, latex = text_table(groups), latex_table(groups)
+    text, latex = (flights_table(groups).format(kind) for kind in ("text", "latex"))
     lines = [line.split() for line in text.splitlines()]
     assert ["2", "*2.80*", "*2.80*", "*5.60*"] in lines and ["1", "3.00", "3.00", "6.00"] in lines
     assert ["mean", "of", "3", "2.90", "2.90", "5.80"] in lines
     assert "hit a gate" in text and text.count("*2.80*") == 2
     assert r"\textbf{5.60}" in latex and latex.count(r"\textbf") == 3 + 3
     assert latex.count("&") % 3 == 0 and r"\midrule" in latex
-    escaped = latex_table({"a_b & 100%": groups["slow"]})
+    escaped = flights_table({"a_b & 100%": groups["slow"]}).format("latex")
     assert r"a\_b \& 100\%" in escaped
 
 
@@ -124,17 +124,17 @@ def test_boxes_have_units_and_every_flight(groups):
 def test_errors_are_to_the_first_order_response_of_the_commands(groups):
     motor, rate = (RACE.vehicle.with_model(model).constants for model in ("motor", "rate"))
     e2e, indi = groups["E2E simulated"][0], groups["slow"][0]
-    assert (commands_of(e2e), commands_of(indi)) == ("rpm", "rates")
-    signals = signals_of(e2e, motor)
+    assert (commands_of(e2e), commands_of(indi)) == ("motor", "rate")
+    signals = response(e2e, motor)
     np.testing.assert_allclose(signals.error, 0.0, atol=1e-6)
     assert (signals.low[0], signals.high[0], signals.unit) == (3000, 11000, "rpm")
     command = np.random.default_rng(0).uniform(-2, 2, indi["command"].shape)
     indi = indi.with_signals(command=command)
-    own = signals_of(indi, rate)
+    own = response(indi, rate)
     start = indi["rates"][0]
     wanted = indi["rates"] - first_order(command[:, :3], start, rate["tau_rate"], STEP)
     np.testing.assert_allclose(own.error, wanted, atol=1e-6)
-    names = dict(figures(groups, RACE))
+    names = dict(report_figures(groups, RACE))
     assert {"errors_1", "errors_2"} <= set(names)
     ticks = [line for line in names["errors_1"].axes[1].lines if len(line.get_xdata()) == 2]
     assert len(ticks) >= 8

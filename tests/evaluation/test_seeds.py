@@ -1,12 +1,17 @@
 """Several seeds of one config, trained, flown and tabulated."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.evaluation import seeds
+from quadjax.evaluation.conditions import read_conditions
+from quadjax.evaluation.evaluation import Evaluations
+from quadjax.evaluation.rows import Row
 from quadjax.evaluation.seeds import configs_of, train_once
-from tests.evaluation.test_protocols import protocols
+from tests.evaluation.test_laps import flights
 from tests.surface.short import OF_EACH, OF_LEARNER
 from tests.test_training import CONFIGS
 
@@ -25,7 +30,7 @@ def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
         train_once(CONFIG, [*words, "learner.discount=0.9"], tmp_path)
     result = seeds.evaluate_seed(folder, 2)
     assert result.seed == 3 and result.steps == 512
-    assert result.to_json()["flights"]["sampled"]["random"]["runs"] == 2
+    assert [row["runs"] for row in result.to_json()["flights"]] == [2] * 4
     for table in seeds.format_seeds([result]).split("\n\n")[:2]:
         assert len({line.count("|") for line in table.splitlines()}) == 1
     assert result.reference is None and "at s |" not in table  # one lap has no published time
@@ -33,7 +38,10 @@ def test_a_seed_is_trained_once_and_not_passed_off_as_another(tmp_path):
 
 def test_the_table_names_the_published_time():
     numbers = {field: 1.0 for field in seeds.SeedResult.__dataclass_fields__}
-    given = {"reference": 17.14, "seed": 2, "last": None, "flights": protocols()}
+    rows = (Row("seed 2", flights(2.0), "mean"),)
+    listed = read_conditions("protocols")
+    flown = Evaluations(listed, None, tuple(SimpleNamespace(row=row) for row in rows))
+    given = {"reference": 17.14, "seed": 2, "last": None, "flights": flown}
     result = seeds.SeedResult(**numbers | given)
     head, _, row = seeds.format_seeds([result]).split("\n\n")[0].splitlines()
     assert "<17.14 at s" in head and "| 2 |" in row and "| - |" in row

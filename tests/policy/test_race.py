@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from quadjax import sources
+from quadjax.config import race
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.core.resources import PRETRAINED, policy_names
 from quadjax.export import convert, race_source
 from quadjax.policy.file import Policy
 from quadjax.policy.race import race_of_policy
-from quadjax.studies import policy_studies
 from tests.commands import run
 from tests.export.support import made_policy
 
@@ -39,7 +39,7 @@ def races(monkeypatch):
 
     for module, name in (
         (sources, "evaluate"),
-        (policy_studies, "race_of"),
+        (race, "race_of"),
         (convert, "own_race"),
         (race_source, "own_race"),
     ):

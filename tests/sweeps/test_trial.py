@@ -1,6 +1,7 @@
 """A real trial: training, resuming, evaluation, and the command with its report."""
 
 import csv
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from PIL import Image
 from quadjax.config.loading import load_config
 from quadjax.core.errors import InputError
 from quadjax.race.laps import Laps
-from quadjax.studies.drawn_plants import OnPlants
 from quadjax.sweeps import trial
 from quadjax.sweeps.report import importances, results_of, rows_of, write_report
 from quadjax.sweeps.study import State
@@ -41,12 +41,14 @@ def test_a_trial_resumes_its_training_and_reports_to_the_pruner(tmp_path):
 def test_a_trial_is_judged_on_drawn_plants(tmp_path, monkeypatch):
     flown = []
 
-    def fly(setting, plant, own):
-        flown.append((setting.runs, setting.plants, plant.name, own.policy.vehicle))
-        times = np.array([[5.0], [np.nan]])
-        return OnPlants((Laps(times, ("", "hit a gate"), np.array([5.0, 1.0]), 8.0),))
+    def fly(policy, race, *, plant, plants, runs, **_):
+        flown.append((runs, plants, plant, race.vehicle.model))
+        times = np.array([[5.0], [np.nan]] * 3)
+        ends = ("", "hit a gate") * 3
+        laps = Laps(times, ends, np.array([5.0, 1.0] * 3), 8.0)
+        return SimpleNamespace(laps=laps, finished=laps.finished)
 
-    monkeypatch.setattr("quadjax.studies.comparison.fly_drawn", fly)
+    monkeypatch.setattr("quadjax.evaluation.evaluation.evaluate", fly)
     objective = {"seeds": 1, "runs": 6, "plant": "standin", "plants": 2}
     sweep, directory, _ = open_small(tmp_path, objective=objective)
     job = job_of(sweep, {CLIP: 0.2, RATE: 1e-3}, 0, directory)

@@ -1,0 +1,230 @@
+"""Conditions: lists of ways in which a race, a drone or a plant differs, as YAML.
+
+A file of ``configs/conditions`` has a list ``conditions`` and how each of them is flown::
+
+    runs: 100
+    start: hover
+    columns: [finished, total]
+    conditions:
+      - {label: as modeled}
+      - {label: 4% less thrust, overrides: ["vehicle.mismatch={k_w: 0.96}"]}
+      - {label: weak rotor, damage: {rotors: [0.85, 1, 1, 1]}}
+      - {label: empty battery, plant: ["battery.charge=[0.2, 0.2]"]}
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from quadjax.config.loading import load_config
+from quadjax.config.race import vehicle_model_of
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED
+from quadjax.core.sections import Field, Section, build, load_section, model_validator
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.core.yaml_files import merge_trees, parse_overrides, parse_yaml
+from quadjax.evaluation.table import COLUMNS
+from quadjax.vehicle import motor
+from quadjax.vehicle.protocol import VehicleModel, VehicleParams
+from quadjax.vehicle.rigid_body import BodyState
+
+if TYPE_CHECKING:
+    from quadjax.plant.config import PlantConfig
+
+Start = Literal["hover", "random", "around", "before_gate"]
+Factor = Annotated[float, Field(gt=0.0, le=10.0)]
+Moment = Annotated[float, Field(ge=-1.0, le=1.0)]
+Words = tuple[str, ...]
+FOLDER, DELAYS = "conditions", "delays"
+WHOLE = ("track", "vehicle")  # sections that an override names by a file
+
+
+class Damage(Section):
+    """Damage of a drone of the model ``motor``."""
+
+    rotors: tuple[Factor, Factor, Factor, Factor] = Field(
+        (1.0, 1.0, 1.0, 1.0), description="factor on the thrust of each rotor"
+    )
+    imbalance: tuple[Moment, Moment] = Field(
+        (0.0, 0.0), description="kg m, mass times shift of the center of mass along body x and y"
+    )
+
+
+class Condition(Section):
+    """One way in which the race, the simulated drone or the plant differs."""
+
+    label: str = Field(min_length=1, description="one line")
+    overrides: Words = Field((), description="KEY=VALUE of the race's config")
+    plant: Words = Field((), description="KEY=VALUE of the plant's config")
+    only: Words | None = Field(
+        None, description="the only effects of the plant that are on, or delays; null: as they are"
+    )
+    damage: Damage | None = Field(None, description="of the simulated drone")
+    start: Start | None = Field(None, description="of the flights; null: that of the list")
+    deterministic: bool | None = Field(None, description="mean actions; null: as of the list")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="added to the seed of the evaluation")
+
+    def race(self, config: Config) -> Config:
+        """The race of the condition, without its damage; see ``changed``."""
+        try:
+            return changed(config, self.overrides)
+        except InputError as error:
+            raise InputError(f"condition {self.label}: {error}") from None
+
+    def on_plant(self, plant: "PlantConfig") -> "PlantConfig":
+        """The plant of the condition.
+
+        Raises:
+            InputError: an unknown key or effect.
+        """
+        from quadjax.plant.config import without_effects
+
+        if self.only is not None:
+            none = without_effects(plant)
+            effects = [name for name in self.only if name != DELAYS]
+            for name in effects:
+                if name not in type(plant.effects).model_fields:
+                    allowed = ", ".join([*type(plant.effects).model_fields, DELAYS])
+                    raise InputError(f"{self.label}: only has {name!r}, allowed: {allowed}")
+            kept = {name: getattr(plant.effects, name) for name in effects}
+            delay = plant.delay if DELAYS in self.only else none.delay
+            plant = none.replace(effects=none.effects.replace(**kept), delay=delay)
+        tree = merge_trees(plant.model_dump(), parse_overrides(self.plant))
+        return build(type(plant), tree, self.label) if self.plant else plant
+
+
+class Conditions(Section):
+    """A list of conditions, and how each of them is flown and tabulated."""
+
+    title: str = Field("condition", description="of the column of labels")
+    columns: Words = Field(("finished", "total"), description="of the table, by name")
+    across: bool = Field(
+        False, description="a column for each condition, of the first of columns, a line per policy"
+    )
+    overrides: Words = Field((), description="KEY=VALUE of the race's config, of all conditions")
+    start: Start = Field("hover", description="of the flights")
+    deterministic: bool | None = Field(None, description="mean actions; null: as the option says")
+    runs: int | None = Field(None, ge=1, le=MAX_RUNS, description="flights; null: evaluate.runs")
+    laps: int | None = Field(None, ge=1, le=MAX_LAPS, description="of a flight; null: the race's")
+    gates: int | None = Field(None, ge=1, le=MAX_GATES, description="of a flight, in place of laps")
+    seconds: float | None = Field(None, gt=0, le=1e4, description="of a flight, in place of laps")
+    drawn: bool = Field(
+        False,
+        description="constants are drawn; populations of the model and the config's own "
+        "randomization are further conditions",
+    )
+    tracks: bool = Field(False, description="each flight is on another random track")
+    speeds: bool = Field(False, description="record the speeds of the flights")
+    plant: str | None = Field(None, description="config of the plant; null: the simulator")
+    plants: int = Field(1, ge=1, le=1000, description="drawn plants, which share the flights")
+    conditions: tuple[Condition, ...] = Field(min_length=1, max_length=1000, description="list")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name in self.columns:
+            if name not in COLUMNS:
+                raise ValueError(f"columns has {name!r}, allowed: {', '.join(COLUMNS)}")
+        labels = [condition.label for condition in self.conditions]
+        for label in labels:
+            if labels.count(label) > 1:
+                raise ValueError(f"conditions: two have the label {label!r}, allowed: one")
+        if self.seconds and (self.laps or self.gates):
+            raise ValueError(f"seconds is {self.seconds}, allowed: null with laps or gates")
+        return self
+
+    def of(self, config: Config) -> Iterator[tuple[Condition, Config]]:
+        """Each condition, and the race in it."""
+        base = changed(config, self.overrides)
+        listed = {condition.label: condition.race(base) for condition in self.conditions}
+        for condition in self.conditions:
+            yield condition, listed[condition.label]
+        if not self.drawn:
+            return
+        for name in vehicle_model_of(base).populations:
+            condition = Condition(label=name, overrides=(f"randomization={{population: {name}}}",))
+            yield condition, listed.setdefault(name, condition.race(base))
+        own = config.randomization
+        if own.drawn and own.replace(tracks=None) not in [x.randomization for x in listed.values()]:
+            yield Condition(label="own"), base.replace(randomization=own)
+
+
+def read_conditions(
+    source: Conditions | Sequence[Condition] | Path | str, only: Sequence[str] | None = None
+) -> Conditions:
+    """Conditions of a file or of ``configs/conditions``, or those that are given.
+
+    Args:
+        source: a name, a YAML file, a list, or the whole.
+        only: labels of the conditions that are kept; None: all.
+
+    Raises:
+        InputError: an unreadable file, an unknown key or label, or a value that is not allowed.
+    """
+    if isinstance(source, (str, Path)):
+        source = load_section(Conditions, source, FOLDER)
+    elif not isinstance(source, Conditions):
+        source = Conditions(conditions=tuple(source))
+    if only is None:
+        return source
+    by_label = {condition.label: condition for condition in source.conditions}
+    for label in only:
+        if label not in by_label:
+            raise InputError(f"--only: {label!r}, allowed: {', '.join(by_label)}")
+    return source.replace(conditions=tuple(by_label[label] for label in only))
+
+
+def changed(config: Config, words: Sequence[str]) -> Config:
+    """A config with ``KEY=VALUE`` overrides; a value replaces the whole of what the key names.
+
+    Raises:
+        InputError: an unknown key, or a value that is not allowed.
+    """
+    for word in words:
+        key, equals, text = word.partition("=")
+        if not equals:
+            raise InputError(f"{word} is not of the form key=value")
+        value = parse_yaml(text, key)
+        if key in WHOLE and isinstance(value, str):
+            value = getattr(load_config("e2e", [word, "rules.position_limit=null"]), key)
+        config = config.at(key, value)
+    return config
+
+
+@dataclasses.dataclass(frozen=True)
+class Damaged(motor.Motor):
+    """The motor-level model of a drone that is damaged or unbalanced.
+
+    A rotor of thrust factor f has the forces and moments that one without damage has at
+    ``sqrt(f)`` times its speed. The measured speeds are the true ones. A shift c of the center of
+    mass adds the moment ``-c x m F`` of the specific force F.
+
+    Attributes:
+        rotors: thrust factor of each of the four rotors, above 0.
+        imbalance: mass times shift of the center of mass along body x and y, kg m.
+    """
+
+    rotors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    imbalance: tuple[float, float] = (0.0, 0.0)
+
+    def force_moment(self, params: VehicleParams, body: BodyState) -> tuple[Vec3, Vec3]:
+        """Specific force, m/s^2, and moment, N m, body."""
+        slow = Rotors(*(factor**0.5 for factor in self.rotors))
+        speeds = {"actuators": body.actuators * slow, "actuator_rate": body.actuator_rate * slow}
+        force, moment = super().force_moment(params, body.replace(**speeds))
+        x, y = self.imbalance
+        return force, moment + Vec3(-y * force.z, x * force.z, y * force.x - x * force.y)
+
+
+def damaged(model: VehicleModel, damage: Damage) -> Damaged:
+    """The model of a drone with damage.
+
+    Raises:
+        InputError: another model than ``motor``.
+    """
+    if type(model) is not motor.Motor:
+        raise InputError(f"damage: the vehicle is {model.name}, allowed: motor")
+    fields = {field.name: getattr(model, field.name) for field in dataclasses.fields(motor.Motor)}
+    damages = {"rotors": damage.rotors, "imbalance": damage.imbalance}
+    return Damaged(**fields | damages | {"disturbed": True})

@@ -1,0 +1,77 @@
+"""Flights of a policy on the stand-in plant, and on several that are drawn."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+from quadjax.config.schema import Config
+from quadjax.core.errors import InputError
+from quadjax.evaluation.protocol import Protocol
+from quadjax.evaluation.rows import concatenate
+from quadjax.flights.flight import MOTORS, Flight, Signal
+from quadjax.plant.config import PlantConfig
+from quadjax.plant.flights import Flights, fly_plan, recorded_flights, rows
+from quadjax.plant.races import plan_race
+from quadjax.policy.file import Policy
+from quadjax.race.laps import Laps
+from quadjax.vehicle.registry import model
+
+RECORDED = 5  # flights of a plant that are recorded
+MOTOR_COMMAND = "motor_command"  # signal of a flight on the plant: commanded rotor speeds, rpm
+
+
+def fly_plants(
+    policy: Policy, name: str, race: Config, plant: PlantConfig, protocol: Protocol
+) -> tuple[Laps, Callable[[], list[Flight]]]:
+    """Flights from hover on drawn plants, and a function that returns the recorded ones.
+
+    Each plant has its own seed of batteries, gusts and sensors, the same for every policy.
+
+    Args:
+        policy: the policy.
+        name: of its file, for messages.
+        race: its vehicle, with its residual, is the onboard model.
+        plant: with the constants of the first drawn plant.
+        protocol: number of plants and flights, laps and seed.
+
+    Raises:
+        InputError: a policy that does not fit, or a protocol that the plant does not have.
+    """
+    if protocol.start != "hover" or protocol.gates is not None or not protocol.plain:
+        raise InputError("plant: flights are of whole laps from hover, allowed: laps, start=hover")
+
+    def fly(own: PlantConfig, number: int) -> Flights:
+        plan = plan_race(
+            race,
+            own,
+            policy,
+            name,
+            lap_count=protocol.laps,
+            runs=protocol.runs // protocol.plants,
+            recorded=RECORDED,
+            deterministic=protocol.deterministic,
+        )
+        return fly_plan(plan, protocol.seed + number)
+
+    if protocol.plants == 1:
+        flown = fly(plant, 0)
+        return flown.laps, lambda: flights_of(flown, race, policy)
+    laps = [fly(own, number).laps for number, own in enumerate(drawn(plant, protocol.plants))]
+    return concatenate(laps), lambda: flights_of(fly(plant, 0), race, policy)
+
+
+def drawn(plant: PlantConfig, count: int) -> Iterator[PlantConfig]:
+    """The same plant with the constants of ``count`` drones, from the config's seed on."""
+    for number in range(count):
+        seed = plant.constants.seed + number
+        yield plant.replace(constants=plant.constants.replace(seed=seed))
+
+
+def flights_of(flown: Flights, race: Config, policy: Policy) -> list[Flight]:
+    """The recorded flights with their true states, and the commands of the motors."""
+    flights = recorded_flights(flown, race.track.gates, model(policy.vehicle))
+    result = []
+    for run, flight in enumerate(flights):
+        command = Signal(rows(flown, flown.frames.rpm_command, run), "rpm", MOTORS)
+        signals = flight.signals | {MOTOR_COMMAND: command}
+        result.append(dataclasses.replace(flight, signals=signals))
+    return result

@@ -1,1 +1,0 @@
-"""Experiments that use the other packages: E2E against INDI, ablations, identification."""

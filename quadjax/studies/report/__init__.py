@@ -1,1 +1,0 @@
-"""Tables and figures of flights: simulated ones, flights on the plant and flight logs alike."""

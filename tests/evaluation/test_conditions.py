@@ -1,0 +1,309 @@
+"""Conditions: their files, drones that differ from the model, and starts."""
+
+import json
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import quadjax
+from quadjax.config.loading import load_config
+from quadjax.config.race import race_of
+from quadjax.core.errors import InputError
+from quadjax.core.resources import preset_names
+from quadjax.core.vectors import Rotors, Vec3
+from quadjax.evaluation import published
+from quadjax.evaluation.conditions import Condition, Conditions, Damaged, damaged, read_conditions
+from quadjax.evaluation.protocol import Protocol
+from quadjax.evaluation.rows import Row, Speeds
+from quadjax.evaluation.simulate import fly_with_speeds, start_before_gate
+from quadjax.evaluation.table import condition_table, policy_table
+from quadjax.plant.config import PlantConfig
+from quadjax.race.laps import begin, fly_race, starting_states
+from quadjax.vehicle import motor
+from quadjax.vehicle.motor import MotorConstants
+from quadjax.vehicle.protocol import VehicleParams
+from quadjax.vehicle.rigid_body import RigidBodyState
+from tests import reference as ref
+from tests.commands import run
+from tests.evaluation.support import random_policy, rate_race, script, scripted
+from tests.evaluation.test_laps import flights
+from tests.race.support import BLANK
+
+RPM = np.array([7000.0, 7600.0, 8000.0, 7300.0])
+RACE = load_config("e2e +residual", ["evaluate.laps=6"])
+
+
+@pytest.mark.parametrize("name", preset_names("conditions"))
+def test_shipped_lists_are_valid(name):
+    listed = read_conditions(name)
+    races = dict((condition.label, race) for condition, race in listed.of(RACE))
+    assert set(races) >= {condition.label for condition in listed.conditions}
+    if listed.plant is not None:
+        assert all(condition.on_plant(PlantConfig()) for condition in listed.conditions)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("conditions: []", "conditions is"),
+        ("conditions: [{label: a}, {label: a}]", "two have the label 'a'"),
+        ("conditions: [{label: a, thrust: 0.9}]", "unknown key conditions[0].thrust"),
+        ("columns: [laps]\nconditions: [{label: a}]", "columns has 'laps', allowed: crashed"),
+        ("laps: 2\nseconds: 3\nconditions: [{label: a}]", "allowed: null with laps or gates"),
+        (
+            "conditions: [{label: a, overrides: [vehicle.mass=1]}]",
+            "a: Vehicle: unknown key mass",
+        ),
+        ("conditions: [{label: a, overrides: [wind]}]", "wind is not of the form key=value"),
+    ],
+)
+def test_a_list_that_cannot_be_used_is_one_line_and_status_2(tmp_path, capsys, text, message):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    assert run("evaluate", "e2e", "--policy", "e2e_nominal", "--conditions", file) == 2
+    assert message in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--study", "spread", "--figure", "x.png"], "--figure has no effect with --conditions"),
+        (["--study", "spread", "--start", "hover"], "--start has no effect with --conditions"),
+        (["--conditions", "nap"], "nap: no such preset or file"),
+        (["--conditions", "damage", "--only", "fog"], "'fog', allowed: as modeled"),
+        (["--only", "fog"], "--only has no effect without --conditions"),
+        (["--laps", "2", "--seconds", "3"], "--laps and --seconds exclude each other"),
+        (["--plant", "standin", "--gates", "5"], "plant: flights are of whole laps from hover"),
+        (["--plants", "3", "--runs", "4"], "runs is 4, allowed: multiples of plants (3)"),
+    ],
+)
+def test_options_without_effect_are_refused(options, message, capsys):
+    assert run("evaluate", "e2e", "--policy", "e2e_nominal", *options) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_condition_changes_the_simulated_drone_only():
+    words = ("vehicle.mismatch={k_w: 0.96}", "vehicle.residual_gain=2.0")
+    moment = ("disturbance.moment_bias=[0.01, 0, 0]", "track=figure8")
+    race = Condition(label="a", overrides=(*words, *moment)).race(RACE)
+    assert race.vehicle.mismatch == {"k_w": 0.96} and race.vehicle.residual_gain == 2.0
+    assert race.disturbance.moment_bias == (0.01, 0.0, 0.0)
+    assert race.vehicle.constants == RACE.vehicle.constants and race.track.name == "figure8"
+    assert Condition(label="a").race(RACE) == RACE
+
+
+def test_each_condition_of_the_plant_changes_one_thing():
+    listed = read_conditions("plants").conditions
+    plants = {condition.label: condition.on_plant(PlantConfig()) for condition in listed}
+    assert plants.pop("all effects") == PlantConfig()
+    on = PlantConfig().effects.model_dump()
+    for name in on:
+        assert plants.pop(f"without {name}").effects.model_dump() == on | {name: 0.0}
+        alone = plants.pop(f"only {name}")
+        assert alone.effects.model_dump() == dict.fromkeys(on, 0.0) | {name: 1.0}
+        assert alone.delay.command == alone.delay.measurement == 0.0
+    still, true = plants.pop("without delays"), plants.pop("with true states")
+    assert still.delay.command == still.delay.measurement == 0.0
+    assert still.effects == PlantConfig().effects
+    assert true.navigation == true.disturbance == "ground_truth"
+    delayed, none = plants.pop("only delays"), plants.pop("no effect, no delay")
+    assert not any(delayed.effects.model_dump().values()) and delayed.delay.command > 0.0
+    assert none.delay.command == 0.0
+    assert {name: plant.battery.charge for name, plant in plants.items()} == {
+        f"charge {x:g}": (x, x) for x in (1.0, 0.6, 0.2)
+    }
+    with pytest.raises(InputError, match="only has 'wind', allowed: inflow"):
+        Condition(label="a", only=("wind",)).on_plant(PlantConfig())
+
+
+def test_arguments_come_before_the_list_and_the_list_before_the_config():
+    none = dict.fromkeys(("runs", "laps", "gates", "seconds", "plants", "tracks"))
+    listed = read_conditions("spread")
+    protocol = Protocol.of(RACE, listed, seed=3, **none)
+    assert (protocol.seconds, protocol.runs, protocol.start) == (12, 1000, "before_gate")
+    protocol = Protocol.of(RACE, listed, seed=3, **none | {"laps": 2, "runs": 7})
+    assert (protocol.seconds, protocol.laps, protocol.runs) == (None, 2, 7)
+    listed = read_conditions("random-tracks")
+    tracks = Protocol.of(RACE, listed, seed=0, **none | {"runs": 9}).tracks
+    assert (tracks.seed, tracks.count) == (256, 9)
+    sampled = Protocol.of(RACE, read_conditions("protocols"), seed=5, **none)
+    last = sampled.under(read_conditions("protocols").conditions[-1])
+    assert (last.start, last.seed, last.deterministic) == ("random", 7, False)
+
+
+def rates_and_force(model):
+    """Angular acceleration and specific force of a drone at rest, and its propellers'."""
+    params = VehicleParams(MotorConstants(**{k: jnp.float32(v) for k, v in ref.MOTOR.items()}))
+    zero = Vec3.zero()
+    rpm = Rotors(*(jnp.float32(x) for x in RPM))
+    state = RigidBodyState(zero, zero, zero, zero, rpm, zero, zero)
+    after = model.derivative(params, state, Rotors.same(jnp.float32(8000.0)))
+    force = model.specific_force(params, state)
+    return [
+        np.array([float(x) for x in v.components()]) for v in (after.rates, force, after.actuators)
+    ]
+
+
+@pytest.mark.parametrize("imbalance", [(0.0, 0.0), (1.2e-3, -0.7e-3)])
+def test_weaker_rotors_and_a_shifted_mass(imbalance):
+    c, factors = ref.MOTOR, np.array([0.85, 1.0, 0.9, 1.0])
+    model = Damaged(disturbed=True, rotors=tuple(factors), imbalance=imbalance)
+    rates, force, spin = rates_and_force(model)
+    squares, slowed = factors * RPM**2, np.sqrt(factors) * RPM
+    np.testing.assert_allclose(spin, (8000.0 - RPM) / c["tau"], rtol=1e-4)
+    np.testing.assert_allclose(force, [0.0, 0.0, -c["k_w"] * squares.sum()], rtol=1e-5)
+    x, y = imbalance
+    yaw = c["k_r1"] * slowed @ [-1, 1, -1, 1]
+    moment = [
+        c["k_p"] * squares @ [1, -1, -1, 1] - y * force[2],
+        c["k_q"] * squares @ [1, 1, -1, -1] + x * force[2],
+        yaw + c["k_r2"] * (np.sqrt(factors) * spin) @ [-1, 1, -1, 1],
+    ]
+    inertia = [c["i_xx"], c["i_yy"], c["i_zz"]]
+    np.testing.assert_allclose(rates, np.divide(moment, inertia), rtol=2e-3, atol=2e-3)
+
+
+def test_without_damage_it_is_the_model_and_other_models_have_none():
+    found = rates_and_force(Damaged(disturbed=True))
+    for value, expected in zip(found, rates_and_force(motor.MODEL), strict=True):
+        np.testing.assert_allclose(value, expected, rtol=1e-6)
+    listed = read_conditions("damage", ["rotor 1: 15% less thrust"])
+    assert damaged(motor.MODEL, listed.conditions[0].damage).rotors == (0.85, 1, 1, 1)
+    with pytest.raises(InputError, match="damage: the vehicle is rate, allowed: motor"):
+        quadjax.evaluate("indi_shac", "indi", conditions=listed, runs=1)
+
+
+def test_flights_start_before_the_gates():
+    choices, params = race_of(load_config(BLANK, ["randomization.all=0.2"]))
+    keys = jax.random.split(jax.random.key(0), 400)
+    one = jax.vmap(lambda key: start_before_gate(choices, params, key))
+    state = jax.tree.map(np.asarray, jax.jit(one)(keys))
+    drone = state.drone
+    place = np.stack([drone.position.x, drone.position.y, drone.position.z], 1)
+    yaw = np.asarray(ref.GATE_YAW)[state.target]
+    behind = np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], 1)
+    np.testing.assert_allclose(place, ref.GATES[state.target] - behind, atol=1e-5)
+    assert set(state.target) == {0, 1, 2, 3}
+    for values, half in (
+        (drone.velocity.x, 0.5),
+        (drone.euler.x, math.pi / 9),
+        (drone.euler.z, math.pi),
+        (drone.rates.y, 0.1),
+        (state.constants.k_w / ref.MOTOR["k_w"] - 1, 0.2),
+    ):
+        assert 0.95 * half < np.abs(values).max() <= half * (1 + 1e-5)
+
+
+def test_the_speeds_of_a_race_are_those_of_its_flight():
+    _, choices, params = rate_race()
+    states = starting_states(choices, params, jax.random.key(0), 2, True, around=True)
+    key = jax.random.key(1)
+    _, trace = fly_race(choices, scripted, 1, 250, True, params, script(), states, key)
+    drones = begin(states, 1), key
+    _, found = fly_with_speeds(choices, scripted, 250, None, params, script(), drones, 2.0)
+    to_first, highest, above = found
+    speed = np.linalg.norm(trace.velocity, axis=1)[1:]  # after each step but the last
+    np.testing.assert_allclose(highest, speed.max(axis=0), rtol=1e-3)
+    seconds = 0.01 * (speed > 2.0).sum(axis=0)
+    np.testing.assert_allclose(above, seconds, atol=0.011)
+    first = 0.01 * (trace.target == 0).sum(axis=0)
+    np.testing.assert_allclose(to_first, first, atol=1e-5)
+    assert np.all((seconds > 0.2) & (first > 0.2)) and abs(first[0] - first[1]) > 0.01
+
+
+def test_a_table_of_races_has_a_row_for_each_condition():
+    speeds = Speeds(*(np.array(x) for x in ([0.9, 0.0], [31.26, 40.0], [6.914, 9.0])))
+    row = Row("mine", flights(12.734, np.nan), "±0%", speeds=speeds, speed_limit=28.0)
+    none = Row("mine", flights(np.nan), "±10%")
+    listed = read_conditions("races")
+    lines = condition_table([row, none], listed.title, listed.columns).format("markdown")
+    assert "| ±0% | 1 of 2 | 12.73 s | 11.83 s | 31.3 m/s | 6.91 s | 1 hit a gate |" in lines
+    assert "| ±10% | 0 of 1 | - | - | - | - | 1 hit a gate |" in lines
+
+
+def test_a_published_time_is_below_the_policies_of_its_race():
+    rows = [
+        Row(name, flights(2.0, 2.2), condition, beside=beside)
+        for name, row in (("one", published.INDI), ("two", published.INDI), ("three", None))
+        for condition, beside in (("mean", None), ("sampled", row))
+    ]
+    lines = policy_table(rows, "total").format("markdown").splitlines()
+    assert ["published" in line for line in lines[2:6]] == [False, False, True, False]
+    assert lines[4] == "| published INDI simulated, sampled |  | 17.14 |"
+    assert lines[2] == "| one | 2.10 (2) | 2.10 (2) |" and "of 2 flights" in lines[-1]
+
+
+@pytest.mark.slow
+def test_only_the_policy_with_the_estimate_finishes_under_a_moment_and_with_damage():
+    labels = ["yaw moment -0.01 N m", "rotor 1: 15% less thrust"]
+    listed = read_conditions("damage", labels)
+    fly = {"deterministic": True, "runs": 2, "conditions": listed}
+    races = {name: RACE.at("observation.disturbance", name) for name in ("estimated", "none")}
+    adaptive = quadjax.evaluate("e2e_adaptive", races["estimated"], **fly)
+    assert [row.finished for row in adaptive.rows] == [2, 2]
+    for policy in ("e2e_adaptive", "e2e"):
+        flown = quadjax.evaluate(policy, races["none"], **fly)
+        assert [row.finished for row in flown.rows] == [0, 0]
+
+
+@pytest.mark.slow
+def test_more_drones_crash_with_larger_errors(tmp_path, capsys):
+    file = tmp_path / "found.json"
+    options = ["--study", "spread", "--runs", "60", "--seconds", "7", "--json", str(file)]
+    assert run("evaluate", "e2e +fastest", "--policy", "e2e_fastest", *options) == 0
+    assert "| e2e_fastest | " in capsys.readouterr().out
+    found = json.loads(file.read_text())["flights"]
+    assert [each["label"] for each in found] == ["±0%", "±10%", "±20%", "±30%"]
+    assert found[0]["crashed"] < found[-1]["crashed"] <= 60
+    assert 1.9 < found[0]["lap"] < 2.3
+    options = ["--study", "races", "--gates", "6", "--runs", "60", "--json", str(file)]
+    assert run("evaluate", "e2e +fastest", "--policy", "e2e_fastest", *options) == 0
+    found = json.loads(file.read_text())["flights"]
+    assert found[0]["finished"] > found[-1]["finished"]
+    assert 2.0 < found[0]["between"] < found[0]["time"] < 4.5
+    assert 5.0 < found[0]["highest_speed"] < 15.0 and found[0]["seconds_above"] is None
+
+
+@pytest.mark.slow
+def test_policies_of_several_files_are_one_table(tmp_path, capsys):
+    random_policy().save(tmp_path / "one.npz")
+    file = tmp_path / "a.json"
+    policies = ("--policy", tmp_path / "one.npz", "--policy", "e2e_nominal")
+    options = ("evaluate.laps=1", *policies, "--runs", 2, "--json", file)
+    assert run("evaluate", "e2e", *options) == 0
+    text = capsys.readouterr().out
+    assert "| one | " in text and "| e2e_nominal | " in text
+    found = json.loads(file.read_text())
+    assert [row["runs"] for row in found["flights"]] == [2] * 8
+    assert found["provenance"]["config"]["name"] == "e2e"
+
+
+@pytest.mark.slow
+def test_every_drawn_plant_has_its_own_noise_and_its_share_of_the_runs(monkeypatch):
+    from quadjax.evaluation import plants
+
+    seen, whole = [], plants.fly_plan
+
+    def fly(plan, seed):
+        seen.append((seed, plan.runs))
+        return whole(plan, seed)
+
+    monkeypatch.setattr(plants, "fly_plan", fly)
+    flown = quadjax.evaluate(
+        "e2e_nominal", "e2e", plant="standin", plants=2, runs=4, laps=1, seed=7
+    )
+    assert seen == [(7, 2), (8, 2)] and flown.row.plants == 2 and flown.row.runs == 4
+    assert len(flown.row.plant_totals) == 2
+    flight = flown.best
+    assert flight["motor_command"].shape == (len(flight.time), 4)
+    listed = Conditions(conditions=(Condition(label="a", damage={}),), plant="standin")
+    with pytest.raises(InputError, match="a: has damage, allowed: without a plant"):
+        quadjax.evaluate("e2e_nominal", "e2e", conditions=listed, runs=1)
+
+
+def test_overrides_need_a_race(capsys):
+    assert run("evaluate", "track=figure8", "--policy", "e2e") == 2
+    assert "track=figure8: no such preset or file" in capsys.readouterr().err
