@@ -19,7 +19,8 @@ from quadjax.fitting.flight_log import read_log
 from quadjax.fitting.pipeline import run_fit
 from quadjax.fitting.report import write_results
 from quadjax.improve.model import Model
-from quadjax.improve.rounds import CHECK_SEED, Round, Setting, fly_and_log, fly_checks, tune
+from quadjax.improve.rounds import CHECK_SEED, fly_and_log, fly_checks, tune
+from quadjax.improve.setting import Round, Setting
 from quadjax.plant import config as plants
 from quadjax.plant.build import drawn_factors, nominal_vehicle
 from quadjax.vehicle.battery import BatteryConfig

@@ -69,6 +69,7 @@ def improve(
         from quadjax.fitting.config import load_fit_config
         from quadjax.fitting.flight_log import find_logs
         from quadjax.improve import rounds as run
+        from quadjax.improve.setting import Setting, check_setting, start
         from quadjax.learners.parallel import prepare_devices
         from quadjax.plant.config import load_plant_config
 
@@ -80,15 +81,15 @@ def improve(
         if plant_seed is not None:
             drone = drone.replace(constants=drone.constants.replace(seed=plant_seed))
     numbers = rounds, flights, laps, steps_, check, seed
-    setting = run.Setting(race, policy, model, drone, tuple(files), *numbers)
+    setting = Setting(race, policy, model, drone, tuple(files), *numbers)
     enable_compilation_cache()
     prepare_devices(race.run.devices)
-    run.check_setting(setting)
+    check_setting(setting)
     try:
         with claim(output, run.KIND, run.FILES, overwrite), steps() as report:
             if overwrite:
                 remove_files(output, run.FILES)
-            run.start(setting, output)
+            start(setting, output)
             text = run.improve(setting, output, report)
     except run.StoppedError:
         print(f"Stopped and saved. Continue with: {command_again()}")

@@ -82,6 +82,24 @@ def passages(
     return np.array(rows, np.float64).reshape(-1, 3)[:, [0, 2, 1]]
 
 
+def passages_at(
+    time: np.ndarray, position: np.ndarray, gates: Sequence[GateSection], when: np.ndarray
+) -> np.ndarray:
+    """As ``passages``, of a flight that passes the gates in order at times (k,), s.
+
+    Without gates their indices are those of the legs, and their distances NaN.
+    """
+    if not gates:
+        return np.stack([when, np.arange(len(when)), np.full(len(when), np.nan)], axis=1)
+    order = [index % len(gates) for index in range(len(when))]
+    places = np.stack([np.interp(when, time, column) for column in position.T], axis=1)
+    clear = [
+        clearance(gates[index], ((place - gates[index].position) @ np.array(gates[index].axes))[1:])
+        for index, place in zip(order, places, strict=True)
+    ]
+    return np.stack([when, np.array(order, float), np.array(clear)], axis=1)
+
+
 def _in_order(
     time: np.ndarray,
     position: np.ndarray,

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from quadjax.flights.files import passages_at
 from quadjax.flights.flight import SIMULATED, Flight, Signal, motion_signals, vehicle_signals
+from quadjax.flights.gates import passages_at
 from quadjax.limits.problem import ACTUATORS, POSITION, RATES, VELOCITY, Problem, euler_of
 from quadjax.race.track import GateSection
 from quadjax.vehicle.protocol import VehicleModel

@@ -16,7 +16,7 @@ from quadjax.fitting.flight_log import FlightLog, read_log
 from quadjax.fitting.nominal import AXES
 from quadjax.flights import save
 from quadjax.improve.model import SPEEDS, Model, Refit, check_speeds, refit, refusal
-from quadjax.improve.rounds import tuning_config
+from quadjax.improve.setting import tuning_config
 from quadjax.improve.states import (
     STATES,
     clearances,

@@ -7,15 +7,8 @@ import pytest
 
 from quadjax.core.errors import InputError
 from quadjax.improve import rounds
-from quadjax.improve.rounds import (
-    Flown,
-    Setting,
-    check_setting,
-    fly_rounds,
-    learn,
-    rounds_table,
-    start,
-)
+from quadjax.improve.rounds import fly_rounds, learn, rounds_table
+from quadjax.improve.setting import Flown, Setting, check_setting, start
 from quadjax.plant.config import PlantConfig
 from quadjax.policy.file import Policy
 from tests.commands import run

@@ -1,0 +1,194 @@
+"""Files of earlier versions, and JSON files of lap times and pages, as flights."""
+
+import base64
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadjax.core.errors import InputError
+from quadjax.core.files import read_json, read_npz
+from quadjax.core.sections import build
+from quadjax.flights.flight import MOTION, Flight, Signal, motion_signals, vehicle_signals
+from quadjax.flights.gates import passages, passages_at
+from quadjax.race.track import GateSection
+from quadjax.vehicle.registry import MODELS
+
+RECORD = "quadjax-flights/1"  # JSON: the data of a page
+STATES, LIMIT, STARTS = "quadjax-states/1", "quadjax-limit/1", "quadjax-starts/1"
+OLD_FORMATS = (STATES, LIMIT, STARTS)  # of .npz files
+OLD_NAMES = {"attitude": "euler"}
+OLD_SIGNALS = ("position", "velocity", "euler", "rates", "actuators", "command")
+MISSING = -32768  # of the integers of a record: no value
+
+
+def read_old(path: Path, gates: tuple[GateSection, ...], name: str) -> list[Flight]:
+    """The flights of an ``.npz`` file of one of the ``OLD_FORMATS``; arguments as of ``load``."""
+    names = (*OLD_SIGNALS, "time", "target", "lap_times", "leg_times")
+    arrays, meta = read_npz(path, OLD_FORMATS, names)
+    track = meta.get("track") if meta["format"] != STARTS else []
+    gates = gates_of(path, "track", track) or gates
+    needed = {
+        STATES: ("time", *OLD_SIGNALS, "lap_times"),
+        LIMIT: ("time", *OLD_SIGNALS, "leg_times"),
+        STARTS: (*OLD_SIGNALS[:-1], "target"),
+    }[meta["format"]]
+    for key in needed:
+        if key not in arrays:
+            raise InputError(f"{path}: no array {key}, which {meta['format']} has")
+        if arrays[key].dtype.kind not in "fiu":
+            raise InputError(f"{path}: {key} holds no numbers")
+    read = {STATES: _read_states, LIMIT: _read_limit, STARTS: _read_starts}[meta["format"]]
+    try:
+        return read(arrays, meta, gates, name)
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: arrays of shapes that do not fit ({error})") from error
+
+
+def gates_of(path: Path, key: str, values: Any) -> tuple[GateSection, ...]:
+    """The gates of the metadata of a file, under a key."""
+    if not isinstance(values or [], list):
+        raise InputError(f"{path}: {key} is {values!r:.80}, expected a list")
+    pairs = enumerate(values or [])
+    return tuple(build(GateSection, each, f"{path}: {key}[{index}]") for index, each in pairs)
+
+
+def _old_flight(
+    name: str,
+    time: np.ndarray,
+    arrays: dict[str, np.ndarray],
+    meta: dict[str, Any],
+    gates: tuple[GateSection, ...],
+) -> Flight:
+    """The signals of an earlier format; code that a file names is not imported."""
+    model = MODELS.get(str(meta.get("vehicle")))
+    motion = motion_signals({key: arrays[OLD_NAMES.get(key, key)] for key in MOTION})
+    command = arrays.get("command", np.zeros((len(time), 0)))
+    signals = motion | vehicle_signals(model, command, arrays["actuators"])
+    for key, signal in signals.items():
+        if signal.values.ndim != 2 or len(signal.values) != len(time):
+            raise ValueError(f"{key} has the shape {signal.values.shape}")
+    source = {"vehicle": model.name} if model else {}
+    return Flight(name, time, signals, gates, source=source)
+
+
+def _read_states(
+    arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[GateSection, ...], name: str
+) -> list[Flight]:
+    """The runs of an evaluation, each cut at its end; without targets the openings count."""
+    reasons = {each["run"]: str(each["reason"]) for each in meta.get("crashes", [])}
+    flights, several = [], len(arrays["lap_times"]) > 1
+    for run, laps in enumerate(arrays["lap_times"]):
+        end = int(np.isfinite(arrays["position"][run, :, 0]).sum())
+        own = {key: arrays[key][run, :end] for key in OLD_SIGNALS}
+        label, time = f"{name} {run + 1}" if several else name, arrays["time"][:end]
+        flight = _old_flight(label, time, own, meta, gates)
+        target = arrays["target"][run, :end] if "target" in arrays else None
+        ends, crash = np.cumsum(laps[np.isfinite(laps)]), reasons.get(run)
+        passed = passages(time, own["position"], gates, target=target, cut=crash is None)
+        if target is not None:
+            flight = flight.replace(signals=flight.signals | {"target": Signal(target[:, None])})
+        flights.append(flight.replace(passages=passed, lap_ends=ends, crash=crash))
+    return flights
+
+
+def _read_limit(
+    arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[GateSection, ...], name: str
+) -> list[Flight]:
+    """The best known flight, whose gates are at the ends of its legs."""
+    flight = _old_flight(name, arrays["time"], arrays, meta, gates)
+    when = np.cumsum(arrays["leg_times"])
+    periodic = meta.get("start") == "periodic"
+    # A node at the end of a leg has the next gate ahead.
+    legs = np.arange(len(flight.time)) * len(when) // max(len(flight.time) - 1, 1)
+    target = Signal((legs % (len(gates) or len(when)))[:, None].astype(np.float64))
+    note = "best known lap, flying start" if periodic else "best known flight from hover"
+    return [
+        flight.replace(
+            passages=passages_at(flight.time, flight["position"], gates, when),
+            lap_ends=when[len(gates) - 1 :: len(gates)] if gates else when[:0],
+            signals=flight.signals | {"target": target},
+            source=flight.source | {"periodic": periodic, "note": note},
+        )
+    ]
+
+
+def _read_starts(
+    arrays: dict[str, np.ndarray], meta: dict[str, Any], gates: tuple[GateSection, ...], name: str
+) -> list[Flight]:
+    """Single states in which episodes start, as the samples of one flight, 1 s apart."""
+    time = np.arange(len(arrays["target"]), dtype=np.float64)
+    flight = _old_flight(name, time, arrays, meta, gates)
+    target = Signal(arrays["target"][:, None].astype(np.float64))
+    return [flight.replace(signals=flight.signals | {"target": target}, source={"starts": True})]
+
+
+def read_json_flights(path: Path, name: str) -> list[Flight]:
+    """Flights or lap times of a JSON file."""
+    value = read_json(path)
+    if value.get("format") == RECORD:
+        try:
+            gates = tuple(_gate_of_record(path, each) for each in value["gates"])
+            flights = [_flight_of_record(each, gates) for each in value["flights"]]
+            markers = value["markers"]
+            return flights + [lap_times(m["name"], np.diff([0.0, *m["lap_ends"]])) for m in markers]
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+            text = f"{type(error).__name__}: {error}"
+            raise InputError(f"{path}: damaged, not {RECORD} ({text[:200]})") from error
+    if "format" in value:
+        raise InputError(f"{path}: format is {value['format']!r:.80}, expected {RECORD}")
+    if "best_known" in value and value.get("start") == "periodic":
+        return [lap_times(name, [float(value["best_known"])])]
+    laps = value.get("laps")
+    try:
+        rows = [np.array(row, np.float64) for row in laps] if isinstance(laps, list) else []
+    except (TypeError, ValueError):
+        rows = []
+    whole = [row for row in rows if row.ndim == 1 and len(row) and np.isfinite(row).all()]
+    if not whole:
+        text = f"expected format {RECORD}, or laps: lists of times of complete runs"
+        raise InputError(f"{path}: {text}")
+    return [lap_times(name, min(whole, key=lambda row: float(row.sum())))]
+
+
+def _gate_of_record(path: Path, value: dict[str, Any]) -> GateSection:
+    axes = np.array(value["axes"], np.float64).reshape(3, 3)
+    yaw, pitch, roll = Rotation.from_matrix(axes).as_euler("ZYX", degrees=True)
+    angles = {"yaw_deg": float(yaw), "pitch_deg": float(pitch), "roll_deg": float(roll)}
+    own = {key: value[key] for key in ("position", "size", "shape")}
+    return build(GateSection, own | angles, f"{path}: gates")
+
+
+def _flight_of_record(value: dict[str, Any], gates: tuple[GateSection, ...]) -> Flight:
+    """A flight whose signals are base64 of 16-bit integers."""
+    time = np.frombuffer(base64.b64decode(value["time"]), "<f4").astype(np.float64)
+    arrays, signals = {}, {}
+    for each in value["signals"]:
+        integers = np.frombuffer(base64.b64decode(each["data"]), "<i2").reshape(len(time), -1)
+        known = np.where(integers == MISSING, np.nan, integers)
+        arrays[each["name"]] = np.array(each["offset"]) + np.array(each["scale"]) * known
+        if "title" in each:
+            values, labels = arrays[each["name"]], tuple(map(str, each["labels"]))
+            title = re.sub(r"\W+", "_", each["title"])[:40]
+            signals[title] = Signal(values, str(each["unit"]), labels)
+    turns = Rotation.from_quat(np.roll(arrays["attitude"], -1, axis=1))
+    arrays["attitude"] = turns.as_euler("ZYX")[:, ::-1]
+    passed = [[np.nan if x is None else float(x) for x in row] for row in value["passages"]]
+    return Flight(
+        name=str(value["name"]),
+        time=time,
+        signals=motion_signals(arrays) | signals,
+        gates=gates,
+        passages=np.array(passed, np.float64).reshape(-1, 3),
+        lap_ends=np.array(value["lap_ends"], np.float64),
+        crash=str(value.get("crash") or "") or None,
+        source={"note": str(value.get("note", ""))},
+    )
+
+
+def lap_times(name: str, times: Sequence[float] | np.ndarray) -> Flight:
+    """Lap times (laps,), s, without a trajectory: a flight without samples."""
+    return Flight(name, np.zeros(0), {}, lap_ends=np.cumsum(np.asarray(times, np.float64)))
