@@ -8,7 +8,7 @@ name.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,12 +38,18 @@ FORMATS = (FORMAT, *OLD_FORMATS)  # of .npz files
 WITH_ONE_NAME = ("time", "passages", "lap_ends")
 
 
-def save(flights: Sequence[Flight], path: Path | str, **meta: Any) -> None:
+def save(
+    flights: Sequence[Flight],
+    path: Path | str,
+    more: Mapping[str, np.ndarray] | None = None,
+    **meta: Any,
+) -> None:
     """Write flights of one track: as arrays (``.npz``), or as a table (``.csv``).
 
     Args:
         flights: at least one.
         path: of the file.
+        more: further arrays of an ``.npz`` file, which ``load`` does not read.
         **meta: further entries of the metadata of an ``.npz`` file.
 
     Raises:
@@ -66,7 +72,9 @@ def save(flights: Sequence[Flight], path: Path | str, **meta: Any) -> None:
         for f in flights
     ]
     gates = [gate.model_dump(mode="json") for gate in (tracks[0] if tracks else ())]
-    write_npz(path, arrays, meta | {"format": FORMAT, "gates": gates, "flights": about})
+    write_npz(
+        path, arrays | dict(more or {}), meta | {"format": FORMAT, "gates": gates, "flights": about}
+    )
 
 
 def _signals_to_json(flight: Flight) -> dict[str, Any]:

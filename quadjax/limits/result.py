@@ -16,7 +16,7 @@ from quadjax.core.errors import InputError
 from quadjax.core.provenance import provenance
 from quadjax.flights import flight as recorded
 from quadjax.flights.files import load, save
-from quadjax.flights.flight import SIMULATED, Signal, motion_signals
+from quadjax.flights.flight import SIMULATED
 from quadjax.limits.bound import LowerBound, lower_bound
 from quadjax.limits.compare import Comparison, compare, flights_figure
 from quadjax.limits.guess import policy_laps
@@ -135,10 +135,12 @@ class Result:
     def save(self, path: Path | str) -> None:
         """Write the flight as an ``.npz`` file, with the entries of ``to_json`` in ``meta``.
 
-        Its samples are the nodes of the mesh. A second flight, "verification", has the position,
-        the velocity and the commands with which it was verified, each held for 1 ms.
+        Its samples are the nodes of the mesh. ``flown_position`` (m + 1, 3) and ``flown_command``
+        (m, commands) are of the verification, each command held for 1 ms.
         """
-        save([self.flight(), self._verification()], path, **self.to_json())
+        check = self.best.check
+        flown = {"flown_position": check.position, "flown_command": check.commands}
+        save([self.flight()], path, flown, **self.to_json())
 
     def flight(self) -> recorded.Flight:
         """The best known flight; a periodic one can be repeated."""
@@ -147,13 +149,6 @@ class Result:
         facts: dict[str, Any] = {"periodic": periodic, "note": note}
         gates, model = self.config.track.gates, self.problem.model
         return self.best.trajectory.flight("best known", model, gates, **facts)
-
-    def _verification(self) -> recorded.Flight:
-        check = self.best.check
-        signals = motion_signals({"position": check.position, "velocity": check.velocity})
-        held = np.concatenate([check.commands, check.commands[-1:]])
-        time = TIME_STEP * np.arange(len(check.position))
-        return recorded.Flight("verification", time, signals | {"command": Signal(held)})
 
 
 def best_known(
