@@ -10,7 +10,7 @@ from quadjax.sweeps.workers import Function, use_device, work
 try:
     import ray
 except ImportError:
-    ray = None
+    raise InputError("executor.kind is ray: pip install 'quadjax[ray]'") from None
 
 
 def _task(gpus: float, *arguments: Any) -> None:
@@ -25,8 +25,6 @@ class RayWorkers:
     def __init__(self, sweep: Sweep, directory: Path, function: Function, end: float) -> None:
         """Connect to the cluster; ``InputError`` where none answers or has room for a trial."""
         asked = sweep.file.executor
-        if ray is None:
-            raise InputError("executor.kind is ray: pip install 'quadjax[ray]'")
         if not ray.is_initialized():
             try:
                 ray.init(address=asked.address, log_to_driver=False)

@@ -4,7 +4,7 @@ import contextlib
 import math
 from pathlib import Path
 
-import numpy as np
+import matplotlib.pyplot as plt
 
 from quadjax.config.loading import load_config
 from quadjax.core.files import write_csv, write_text
@@ -43,13 +43,13 @@ def rows_of(results: list[optuna.trial.FrozenTrial], keys: list[str]) -> list[li
     """A table with a line of titles and a line for each trial; times in s."""
     rows = [[*TITLES, *keys, "error"]]
     for t in results:
-        own = {"values": (), "finished": 0.0, "seconds": "", "host": "", "error": ""} | t.user_attrs
-        value = "" if t.value is None else f"{t.value:.3f}"
-        seeds = " ".join(f"{value:.3f}" for value in own["values"])
-        measured = [value, seeds, f"{own['finished']:.2f}", str(own["seconds"]), own["host"]]
+        own, value = t.user_attrs, "" if t.value is None else f"{t.value:.3f}"
+        seeds = " ".join(f"{value:.3f}" for value in own.get("values", ()))
+        measured = [value, seeds, f"{own.get('finished', 0.0):.2f}"]
+        measured += [str(own.get(key, "")) for key in ("seconds", "host")]
         params = [t.params.get(key, "") for key in keys]
         texts = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in params]
-        rows.append([str(own["index"]), STATES[t.state], *measured, *texts, own["error"]])
+        rows.append([str(own["index"]), STATES[t.state], *measured, *texts, own.get("error", "")])
     return rows
 
 
@@ -92,9 +92,9 @@ def draw(study: optuna.Study, directory: Path) -> None:
     every = [t for t in complete if t.user_attrs["finished"] >= 1.0]
     shown = optuna.create_study(study_name=study.study_name)
     shown.add_trials(every or complete)
-    plots, label = optuna.visualization.matplotlib, {"target_name": "median (s)"}
+    plots = optuna.visualization.matplotlib
     for name, plot in (("parallel", plots.plot_parallel_coordinate), ("slices", plots.plot_slice)):
-        axes = np.ravel(plot(shown, target=lambda t: t.values[0], **label))
-        figure = axes[0].figure
+        plot(shown, target=lambda t: t.values[0], target_name="median (s)")
+        figure = plt.gcf()
         figure.set_size_inches(max(8.0, 3.0 * len(shown.trials[0].params)), 4.5)
         save_figure(figure, directory / f"{name}.png")

@@ -7,7 +7,7 @@ import sys
 import time
 import uuid
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from quadjax.core.interruptions import interruptions
 from quadjax.sweeps.extra import optuna
@@ -23,25 +23,15 @@ from quadjax.sweeps.sweep import Sweep
 from quadjax.sweeps.trial import run_trial
 from quadjax.sweeps.workers import Function, LocalWorkers
 
+if TYPE_CHECKING:
+    from quadjax.sweeps.cluster import RayWorkers
+
 POLL_SECONDS = 0.2
 
 
-class Workers(Protocol):
-    """Where workers run."""
-
-    count: int
-
-    def start(self, slot: int, name: str) -> Any:
-        """Start a worker; returns what the other functions take."""
-
-    def reason(self, worker: Any) -> str | None:
-        """None while it runs; "" if it ended by itself; else why it died."""
-
-    def stop(self, worker: Any) -> None:
-        """Ask it to save its trial and to end."""
-
-
-def make_workers(sweep: Sweep, directory: Path, function: Function = run_trial) -> Workers:
+def make_workers(
+    sweep: Sweep, directory: Path, function: Function = run_trial
+) -> "LocalWorkers | RayWorkers":
     """The workers that the sweep file selects; ``function`` runs a trial there."""
     seconds = sweep.file.budget.seconds
     end = math.inf if seconds is None else time.time() + seconds
@@ -52,7 +42,7 @@ def make_workers(sweep: Sweep, directory: Path, function: Function = run_trial) 
     return RayWorkers(sweep, directory.resolve(), function, end)
 
 
-def run_sweep(sweep: Sweep, directory: Path, workers: Workers) -> bool:
+def run_sweep(sweep: Sweep, directory: Path, workers: "LocalWorkers | RayWorkers") -> bool:
     """Run the trials of the queue until it is empty or the time is over; False after Ctrl-C."""
     study, started = open_study(sweep, directory), time.monotonic()
     first, seconds = count(study), sweep.file.budget.seconds

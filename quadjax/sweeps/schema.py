@@ -22,15 +22,21 @@ class Range(Section):
     step: Positive | None = Field(None, description="distance of the values of a range")
     points: int | None = Field(None, ge=2, le=10_000, description="number of values of a grid")
 
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of ``range`` or ``log``."""
+        bounds = self.range or self.log
+        assert bounds is not None
+        return bounds
+
     @model_validator(mode="after")
     def _check(self) -> "Range":
         ways = [way for way in ENTRIES[:3] if getattr(self, way) is not None]
         if len(ways) != 1:
             raise ValueError(f"expected one of choices, range and log, found {len(ways)}")
-        if self.choices is None:
-            low, high = self.range or self.log
-            if low >= high:
-                raise ValueError(f"{ways[0]} [{low:g}, {high:g}], expected lowest < highest")
+        low, high = self.bounds if self.choices is None else (0.0, 1.0)
+        if low >= high:
+            raise ValueError(f"{ways[0]} [{low:g}, {high:g}], expected lowest < highest")
         texts = [json.dumps(choice) for choice in self.choices or []]
         if twice := [text for text in texts if texts.count(text) > 1]:
             raise ValueError(f"the choice {twice[0]} is there twice")

@@ -6,6 +6,7 @@ several trials of an index, which two machines may queue at the same time, the f
 """
 
 import contextlib
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from quadjax.sweeps.extra import optuna
 from quadjax.sweeps.sweep import Sweep
 
 JOURNAL, DRIVER = "study.journal", "postgresql+psycopg://"
+ATTEMPTS = 10  # to open a database whose tables others create
 GRACE = 4  # missed heartbeats after which a trial of another machine is retried
 State = optuna.trial.TrialState
 OVER = (State.COMPLETE, State.PRUNED)
@@ -62,25 +64,27 @@ def delete_study(sweep: Sweep, directory: Path) -> None:
 
 def _open_storage(sweep: Sweep, directory: Path) -> optuna.storages.BaseStorage:
     if sweep.file.storage == "journal":
-        backend = optuna.storages.journal.JournalFileBackend(str(directory / JOURNAL))
+        from optuna.storages.journal import JournalFileBackend
+
+        backend = JournalFileBackend(str(directory / JOURNAL))
         return optuna.storages.JournalStorage(backend)
     from sqlalchemy.exc import IntegrityError
 
     heartbeat = sweep.file.heartbeat_seconds
-
-    def connect() -> optuna.storages.RDBStorage:
-        return optuna.storages.RDBStorage(
-            sweep.file.storage.replace("postgresql://", DRIVER, 1),
-            engine_kwargs={"pool_pre_ping": True},
-            heartbeat_interval=heartbeat,
-            grace_period=GRACE * heartbeat,
-            heartbeat_stale_trial_callback=Retry(sweep.file.executor.retries),
-        )
-
-    try:
-        return connect()
-    except IntegrityError:  # another machine creates the tables at the same time
-        return connect()
+    for attempt in range(ATTEMPTS):
+        try:
+            return optuna.storages.RDBStorage(
+                sweep.file.storage.replace("postgresql://", DRIVER, 1),
+                engine_kwargs={"pool_pre_ping": True},
+                heartbeat_interval=heartbeat,
+                grace_period=GRACE * heartbeat,
+                heartbeat_stale_trial_callback=Retry(sweep.file.executor.retries),
+            )
+        except IntegrityError:  # another machine creates the tables at the same time
+            if attempt + 1 == ATTEMPTS:
+                raise
+            time.sleep(0.2)
+    raise AssertionError
 
 
 @contextlib.contextmanager
@@ -110,10 +114,14 @@ def storage_errors(sweep: Sweep, directory: Path) -> Iterator[None]:
 
 def _create(sweep: Sweep, storage: optuna.storages.BaseStorage, slot: int) -> optuna.Study:
     search, name, wanted = sweep.file.search, sweep.file.name, sweep.definition()
-    sampler = optuna.samplers.RandomSampler(seed=search.seed)  # its trials are all in the queue
-    if search.method == "tpe":  # the constant liar keeps trials that run at the same time apart
-        known = {"n_startup_trials": search.startup, "multivariate": True, "constant_liar": True}
-        sampler = optuna.samplers.TPESampler(seed=search.seed + slot, **known)
+    # Random and grid trials are all in the queue. The constant liar keeps trials that run at the
+    # same time apart.
+    sampler = optuna.samplers.TPESampler(
+        seed=search.seed + slot,
+        n_startup_trials=search.startup,
+        multivariate=True,
+        constant_liar=True,
+    )
     pruner = {
         "none": optuna.pruners.NopPruner(),
         "median": optuna.pruners.MedianPruner(n_startup_trials=search.pruner_startup),
@@ -205,7 +213,8 @@ def count(study: optuna.Study) -> Counts:
     trials = latest_trials(study).values()
     states = [trial.state for trial in trials]
     failed = sum(t.state == State.FAIL and "error" in t.user_attrs for t in trials)
-    values = [t.value for t in trials if t.state == State.COMPLETE and t.user_attrs["finished"]]
+    complete = [t for t in trials if t.state == State.COMPLETE and t.user_attrs["finished"]]
+    values = [t.value for t in complete if t.value is not None]
     done = sum(state in OVER for state in states)
     running, waiting = states.count(State.RUNNING), states.count(State.WAITING)
     return Counts(done, running, waiting, failed, min(values, default=None))

@@ -14,7 +14,7 @@ from quadjax.config.loading import load_config
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError, prefixed
 from quadjax.core.resources import find_file
-from quadjax.core.sections import build, value_at
+from quadjax.core.sections import Section, build, value_at
 from quadjax.core.yaml_files import flatten, merge_trees, override, parse_overrides, read_yaml
 from quadjax.plant.config import load_plant_config
 from quadjax.sweeps.extra import optuna
@@ -22,6 +22,7 @@ from quadjax.sweeps.schema import ENTRIES, MAX_TRIALS, Range, SweepFile
 
 Plain = bool | int | float | str | None  # a value as Optuna stores it: lists as JSON text
 Params = dict[str, Plain]
+Interval = optuna.distributions.FloatDistribution | optuna.distributions.IntDistribution
 
 OWN_KEYS = ("name", "seed", "run.devices", "run.tensorboard")  # set by the sweep
 RACE = ("vehicle", "track", "rules", "randomization", "disturbance", "start", "evaluate")
@@ -31,52 +32,61 @@ COMBINATIONS = 64  # combinations of the space's ends that are all checked
 
 @dataclasses.dataclass(frozen=True)
 class Dimension:
-    """One key of the config, its values and its Optuna distribution."""
+    """One key of the config with its values: ``choices``, or an interval of numbers."""
 
     key: str  # dotted
     given: Range
-    known: optuna.distributions.BaseDistribution
+    choices: tuple[Plain, ...] = ()
+    interval: Interval | None = None
 
     def suggest(self, trial: optuna.Trial) -> Plain:
         """The value of a trial."""
-        x = self.known
-        if self.given.choices is not None:
-            return trial.suggest_categorical(self.key, x.choices)
-        pick = trial.suggest_int if isinstance(x.low, int) else trial.suggest_float
-        return pick(self.key, x.low, x.high, step=x.step, log=x.log)
+        if self.interval is None:
+            return trial.suggest_categorical(self.key, self.choices)
+        x = self.interval
+        if isinstance(x, optuna.distributions.IntDistribution):
+            return trial.suggest_int(self.key, x.low, x.high, step=x.step, log=x.log)
+        return trial.suggest_float(self.key, x.low, x.high, step=x.step, log=x.log)
 
     def override(self, value: Plain) -> str:
         """The ``key=value`` override of a stored value."""
-        choices = self.given.choices
-        return override(self.key, choices[self.known.choices.index(value)] if choices else value)
+        written = self.given.choices
+        return override(self.key, written[self.choices.index(value)] if written else value)
 
     def ends(self) -> list[Plain]:
-        """All choices, or both ends of a range."""
-        return [*self.known.choices] if self.given.choices else [self.known.low, self.known.high]
+        """All choices, or both ends of an interval."""
+        return [self.interval.low, self.interval.high] if self.interval else [*self.choices]
+
+    def contains(self, value: Plain) -> bool:
+        """Whether a value is one of the choices, or in the interval."""
+        if self.interval is None:
+            return value in self.choices
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            return False
+        return self.interval.low <= value <= self.interval.high
 
     @property
     def size(self) -> float:
-        """The number of values; infinite for a continuous range."""
-        x = self.known
-        if self.given.choices:
-            return len(x.choices)
+        """The number of values; infinite for a continuous interval."""
+        x = self.interval
+        if x is None:
+            return len(self.choices)
         return math.inf if x.step is None else round((x.high - x.low) / x.step) + 1
 
     def grid(self) -> list[Plain]:
-        """Every value of a grid; an ``InputError`` for a range without ``step`` or ``points``."""
-        given, ends = self.given, self.ends()
-        if given.choices:
-            return ends
-        whole = isinstance(ends[0], int)
-        if given.points:
-            spaced = np.geomspace if given.log else np.linspace
-            values = [ends[0], *spaced(*ends, given.points)[1:-1].tolist(), ends[1]]
-        elif given.step or (whole and not given.log):
-            step = max(given.step or 1.0, (ends[1] - ends[0]) / 1e6)
-            values = np.arange(ends[0], ends[1] + 0.5 * step, step).tolist()
+        """Every value of a grid; ``InputError`` for an interval without ``step`` or ``points``."""
+        x, points = self.interval, self.given.points
+        if x is None:
+            return [*self.choices]
+        if points:
+            spaced = np.geomspace if x.log else np.linspace
+            values = [x.low, *spaced(x.low, x.high, points)[1:-1].tolist(), x.high]
+        elif x.step is not None and not x.log:
+            step = max(x.step, (x.high - x.low) / 1e6)
+            values = np.arange(x.low, x.high + 0.5 * step, step).tolist()
         else:
             raise InputError(f"space.{self.key}: a grid needs choices, step or points")
-        return sorted({round(value) for value in values}) if whole else values
+        return sorted({round(v) for v in values}) if isinstance(x.low, int) else values
 
 
 def plain(value: Any) -> Plain:
@@ -84,28 +94,28 @@ def plain(value: Any) -> Plain:
     return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
 
 
-def read_dimension(key: str, given: object, config: object) -> Dimension:
+def read_dimension(key: str, given: object, config: Section) -> Dimension:
     """A dimension of a sweep file's ``space``; the base config tells the type of its key."""
+    kinds = optuna.distributions
     with prefixed(f"space.{key}"):
         if key in OWN_KEYS:
             raise ValueError(f"{key} is set by the sweep")
-        base, kinds = value_at(config, key), optuna.distributions
+        base = value_at(config, key)
         if not isinstance(given, dict):
             raise ValueError(f"{given!r}, allowed: a mapping with choices, range or log")
         known = build(Range, given, "values")
         if known.choices is not None:
-            choices = kinds.CategoricalDistribution([*map(plain, known.choices)])
-            return Dimension(key, known, choices)
+            return Dimension(key, known, tuple(map(plain, known.choices)))
         if isinstance(base, bool) or not isinstance(base, (int, float, type(None))):
             raise ValueError("is not a number, allowed: choices")
-        (low, high), step, log = known.range or known.log, known.step, known.log is not None
+        (low, high), step, log = known.bounds, known.step, known.log is not None
         whole = all(number.is_integer() for number in (low, high, step or 1.0))
         if isinstance(base, int) and not whole:
             raise ValueError(f"expected whole numbers, found {given}")
         if isinstance(base, float) or not whole:
-            return Dimension(key, known, kinds.FloatDistribution(low, high, log, step))
-        low, high = int(low), int(high)
-        return Dimension(key, known, kinds.IntDistribution(low, high, log, int(step or 1)))
+            return Dimension(key, known, interval=kinds.FloatDistribution(low, high, log, step))
+        numbers = kinds.IntDistribution(int(low), int(high), log, int(step or 1))
+        return Dimension(key, known, interval=numbers)
 
 
 def draws(
@@ -116,11 +126,12 @@ def draws(
     All differ until the space has no others. The first ones of a longer list are the same.
     """
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
-    space, size = {d.key: d.known for d in dimensions}, size_of(dimensions)
-    found, seen = [*first], {tuple(x[d.key] for d in dimensions) for x in first}
+    size, found = size_of(dimensions), [*first]
+    seen = {tuple(x.values()) for x in first}
     while len(found) < count:
-        params = study.ask(space).params
-        key = tuple(params[d.key] for d in dimensions)
+        trial = study.ask()
+        params = {d.key: d.suggest(trial) for d in dimensions}
+        key = tuple(params.values())
         if key not in seen or len(seen) >= size:
             found.append(params)
             seen.add(key)
@@ -205,8 +216,8 @@ def _checked(file: SweepFile, folder: Path) -> Sweep:
     _check_plant(file, config)
     sweep = Sweep(file, base, fixed, dimensions, _trials(file, dimensions), conditions)
     for d in dimensions if file.search.base_first else ():
-        first, ends = plain(value_at(config, d.key)), d.ends()
-        if first not in ends and (d.given.choices is not None or not ends[0] < first < ends[1]):
+        first = plain(value_at(config, d.key))
+        if not d.contains(first):
             raise InputError(f"space.{d.key}: search.base_first needs the base's {first} in it")
     _check_values(sweep)
     size = size_of(dimensions)
