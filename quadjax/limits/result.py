@@ -135,12 +135,14 @@ class Result:
     def save(self, path: Path | str) -> None:
         """Write the flight as an ``.npz`` file, with the entries of ``to_json`` in ``meta``.
 
-        Its samples are the nodes of the mesh. ``flown_position`` (m + 1, 3) and ``flown_command``
-        (m, commands) are of the verification, each command held for 1 ms.
+        Its samples are the nodes of the mesh, as many in each leg of ``leg_times`` (legs,), s.
+        ``flown_position`` (m + 1, 3) and ``flown_command`` (m, commands) are of the verification,
+        each command held for 1 ms.
         """
         check = self.best.check
-        flown = {"flown_position": check.position, "flown_command": check.commands}
-        save([self.flight()], path, flown, **self.to_json())
+        more = {"flown_position": check.position, "flown_command": check.commands}
+        more["leg_times"] = self.best.trajectory.leg_times
+        save([self.flight()], path, more, **self.to_json())
 
     def flight(self) -> recorded.Flight:
         """The best known flight; a periodic one can be repeated."""

@@ -159,6 +159,12 @@ def fit() -> Iterator[tuple[str, Record]]:
     yield "errors", record([errors], list(errors[:16]))
 
 
+LIMIT_ONLY = ("flown_command", "flown_position", "leg_times")  # arrays of no flight
+LIMIT_ARRAYS = (
+    *("actuators", "command", "attitude", *LIMIT_ONLY, "position", "rates", "time", "velocity"),
+)
+
+
 def limits() -> Iterator[tuple[str, Record]]:
     """Best known laps of five pairs of track and drone."""
     for name, (preset, *overrides) in LIMITS.items():
@@ -167,7 +173,7 @@ def limits() -> Iterator[tuple[str, Record]]:
         result = json.loads(Path("limit.json").read_text())
         times = [value for value in result.values() if isinstance(value, float)]
         with np.load("limit.npz") as file:
-            arrays = [file[key] for key in sorted(file) if file[key].dtype.kind == "f"]
+            arrays = [file[key] if key in LIMIT_ONLY else file[key][0] for key in LIMIT_ARRAYS]
         yield name, record(arrays, times)
 
 

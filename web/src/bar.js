@@ -3,18 +3,7 @@ import { RATES } from "./clock.js";
 import { flightColor } from "./colors.js";
 import { el, seconds } from "./dom.js";
 
-const ICONS = { play: "M7 4v16l13-8z", pause: "M6 4h4v16H6zM14 4h4v16h-4z",
-  back: "M18 5v14l-10-7zM5 5h2.5v14H5z", ahead: "M6 5v14l10-7zM16.500 5H19v14h-2.500z" };
-
-function icon(name) {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  svg.setAttribute("viewBox", "0 0 24 24");
-  svg.setAttribute("aria-hidden", "true");
-  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
-  path.setAttribute("d", ICONS[name]);
-  svg.append(path);
-  return svg;
-}
+const ICONS = { play: "\u25b6", pause: "\u275a\u275a", back: "\u25c2", ahead: "\u25b8" };
 
 export class Bar {
   constructor(clock, flights, markers, step) {
@@ -28,7 +17,7 @@ export class Bar {
     ...RATES.map((rate) => el("option", { value: rate, text: `${rate}×` })));
     this.ticks = this.lapTicks(flights, markers);
     const button = (name, label, action) =>
-      el("button", { title: label, "aria-label": label, onclick: action }, icon(name));
+      el("button", { title: label, "aria-label": label, text: ICONS[name], onclick: action });
     this.element = el("div", { class: "bar" },
       button("back", "one step back (←)", () => clock.step(-step)), this.button,
       button("ahead", "one step ahead (→)", () => clock.step(step)), this.time,
@@ -59,7 +48,7 @@ export class Bar {
     const state = clock.playing ? "pause" : "play";
     if (this.button.dataset.state !== state) {
       this.button.dataset.state = state;
-      this.button.replaceChildren(icon(state));
+      this.button.textContent = ICONS[state];
       this.button.title = `${state} (space)`;
       this.button.setAttribute("aria-label", state);
     }

@@ -23,6 +23,17 @@ function decode(signal) {
   return values;
 }
 
+// Index of the first of some rising numbers that is above a value; their count if none is.
+function firstAbove(values, value) {
+  let [low, high] = [0, values.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (values[middle] <= value) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
 export class Flight {
   constructor(raw, gates) {
     this.name = raw.name;
@@ -99,16 +110,9 @@ export class Flight {
 
   // Index of the last sample at or before a time.
   index(time) {
-    let low = 0;
-    let high = this.count - 1;
-    const { last } = this;
-    if (this.time[last] <= time && (last === high || time < this.time[last + 1])) return last;
-    while (low < high) {
-      const middle = (low + high + 1) >> 1;
-      if (this.time[middle] <= time) low = middle;
-      else high = middle - 1;
-    }
-    return (this.last = low);
+    const { last, count } = this;
+    if (this.time[last] <= time && (last === count - 1 || time < this.time[last + 1])) return last;
+    return (this.last = Math.max(firstAbove(this.time, time) - 1, 0));
   }
 
   // Index and fraction towards the next sample.
@@ -142,22 +146,14 @@ export class Flight {
   timeOf(progress) {
     const p = this.progress;
     if (progress > p[this.count - 1]) return NaN;
-    let low = 0;
-    let high = this.count - 1;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (p[middle] < progress) low = middle + 1;
-      else high = middle;
-    }
-    if (low === 0) return this.time[0];
-    const f = (progress - p[low - 1]) / Math.max(p[low] - p[low - 1], 1e-9);
-    return this.time[low - 1] + f * (this.time[low] - this.time[low - 1]);
+    const i = Math.min(firstAbove(p, progress), this.count - 1);
+    if (i === 0) return this.time[0];
+    const f = Math.min((progress - p[i - 1]) / Math.max(p[i] - p[i - 1], 1e-9), 1);
+    return this.time[i - 1] + f * (this.time[i] - this.time[i - 1]);
   }
 
   lapsAt(time) {
-    let laps = 0;
-    while (laps < this.lapEnds.length && this.lapEnds[laps] <= time) laps++;
-    return laps;
+    return this.lapEnds.filter((end) => end <= time).length;
   }
 }
 

@@ -1,26 +1,22 @@
 // The pyramid that the on-board camera of a drone sees.
 import {
-  BufferAttribute, BufferGeometry, DoubleSide, LineBasicMaterial, LineSegments, MathUtils, Mesh,
-  MeshBasicMaterial, Vector3,
+  ConeGeometry, EdgesGeometry, LineBasicMaterial, LineSegments, MathUtils, Matrix4, Mesh,
+  MeshBasicMaterial, Quaternion, Vector3,
 } from "three";
 
-const EDGES = [0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1];
-const PICTURE = [1, 2, 3, 1, 3, 4];
+const RIGHT = new Vector3(0, 0, 1);
 
 export class Sight {
   constructor(scene, radius) {
     this.shown = true;
     this.length = Math.max(0.5, 0.03 * radius); // m
-    this.points = new BufferAttribute(new Float32Array(15), 3);
-    const geometry = (index) => {
-      const own = new BufferGeometry();
-      own.setAttribute("position", this.points);
-      own.setIndex(index);
-      return own;
-    };
-    this.edges = new LineSegments(geometry(EDGES), new LineBasicMaterial());
-    this.face = new Mesh(geometry(PICTURE), new MeshBasicMaterial({ transparent: true, opacity: 0.12,
-      depthWrite: false, side: DoubleSide, forceSinglePass: true }));
+    // Apex in the drone, base at x = 1 with corners at y, z = 1 and -1.
+    const pyramid = new ConeGeometry(Math.SQRT2, 1, 4).rotateY(Math.PI / 4).rotateZ(Math.PI / 2)
+      .translate(0.5, 0, 0);
+    this.edges = new LineSegments(new EdgesGeometry(pyramid), new LineBasicMaterial());
+    this.face = new Mesh(pyramid, new MeshBasicMaterial({ transparent: true, opacity: 0.06,
+      depthWrite: false, side: 2, forceSinglePass: true }));
+    this.lens = new Matrix4();
     for (const part of [this.edges, this.face]) {
       part.frustumCulled = false;
       part.matrixAutoUpdate = false;
@@ -33,27 +29,23 @@ export class Sight {
     this.face.material.color.set(color);
   }
 
-  // Corners in body axes, x forward, y up, z right: the picture at a distance of `length`.
+  // Body axes: x forward, y up, z right; the picture is at a distance of `length`.
   setLens(angles, tilt) {
-    const [right, up] = angles.map((angle) => this.length * Math.tan(MathUtils.degToRad(angle / 2)));
-    const [c, s] = [Math.cos(MathUtils.degToRad(tilt)), Math.sin(MathUtils.degToRad(tilt))];
-    [[1, 1], [1, -1], [-1, -1], [-1, 1]].forEach(([side, top], i) => {
-      this.points.setXYZ(i + 1, c * this.length - s * top * up, s * this.length + c * top * up,
-        side * right);
-    });
-    this.points.needsUpdate = true;
+    const [right, up] = angles.map((angle) => Math.tan(MathUtils.degToRad(angle / 2)));
+    const turn = new Quaternion().setFromAxisAngle(RIGHT, MathUtils.degToRad(tilt));
+    this.lens.compose(new Vector3(), turn, new Vector3(1, up, right).multiplyScalar(this.length));
   }
 
   // Corners of the picture in the world.
   corners() {
-    return [1, 2, 3, 4].map((i) =>
-      new Vector3().fromBufferAttribute(this.points, i).applyMatrix4(this.edges.matrix));
+    return [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([right, up]) =>
+      new Vector3(1, up, right).applyMatrix4(this.edges.matrix));
   }
 
   update(place, turn, scale, visible) {
     for (const part of [this.edges, this.face]) {
       part.visible = this.shown && visible;
-      part.matrix.compose(place, turn, scale);
+      part.matrix.compose(place, turn, scale).multiply(this.lens);
       part.matrixWorldNeedsUpdate = true;
     }
   }

@@ -1,8 +1,8 @@
 // The world: renderer, light, ground, gates.
 import {
-  AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, CylinderGeometry,
-  DirectionalLight, Fog, LineBasicMaterial, LineSegments, Matrix4, Mesh, MeshBasicMaterial,
-  MeshLambertMaterial, PlaneGeometry, Scene, TorusGeometry, Vector3, WebGLRenderer,
+  AmbientLight, BoxGeometry, Color, CylinderGeometry, DirectionalLight, Fog, GridHelper, Matrix4,
+  Mesh, MeshBasicMaterial, MeshLambertMaterial, PlaneGeometry, Scene, TorusGeometry, Vector3,
+  WebGLRenderer,
 } from "three";
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 import { SCENE } from "./colors.js";
@@ -78,26 +78,21 @@ export class Stage {
   // A software renderer does without the plane, which covers every pixel.
   addGround(software) {
     const { low, high } = this.bounds;
-    const [x0, x1] = [Math.floor(low.x - 3), Math.ceil(high.x + 3)];
-    const [z0, z1] = [Math.floor(low.z - 3), Math.ceil(high.z + 3)];
-    const lines = { minor: [], major: [] };
-    const step = Math.max(x1 - x0, z1 - z0) > 300 ? 10 : 1;
-    const kind = (value) => (value % (5 * step) === 0 ? lines.major : lines.minor);
-    for (let x = x0; x <= x1; x += step) kind(x).push(x, 0, z0, x, 0, z1);
-    for (let z = z0; z <= z1; z += step) kind(z).push(x0, 0, z, x1, 0, z);
-    this.grid = Object.fromEntries(Object.entries(lines).map(([name, points]) => {
-      const geometry = new BufferGeometry();
-      geometry.setAttribute("position", new BufferAttribute(new Float32Array(points), 3));
-      const mesh = new LineSegments(geometry, new LineBasicMaterial());
-      mesh.position.y = name === "major" ? 0.004 : 0.002;
-      this.scene.add(mesh);
-      return [name, mesh];
-    }));
-    const plane = new PlaneGeometry(x1 - x0, z1 - z0).rotateX(-Math.PI / 2);
+    this.width = 2 * Math.ceil(Math.max(high.x - low.x, high.z - low.z) / 2 + 3);
+    const plane = new PlaneGeometry(this.width, this.width).rotateX(-Math.PI / 2);
     this.ground = new Mesh(plane, new MeshBasicMaterial({ polygonOffset: true,
       polygonOffsetFactor: 2, polygonOffsetUnits: 2 }));
-    this.ground.position.set((x0 + x1) / 2, -0.01, (z0 + z1) / 2);
+    this.ground.position.set(Math.round((low.x + high.x) / 2), -0.01, Math.round((low.z + high.z) / 2));
     if (!software) this.scene.add(this.ground);
+  }
+
+  // Lines every meter, or every ten meters of a large track.
+  drawGrid({ grid, major }) {
+    this.grid?.removeFromParent();
+    this.grid?.dispose();
+    this.grid = new GridHelper(this.width, this.width / (this.width > 300 ? 10 : 1), major, grid);
+    this.grid.position.copy(this.ground.position).setY(0.003);
+    this.scene.add(this.grid);
   }
 
   addGate(gate) {
@@ -135,8 +130,7 @@ export class Stage {
     this.scene.background = new Color(colors.background);
     this.scene.fog.color.set(colors.background);
     this.ground.material.color.set(colors.ground);
-    this.grid.minor.material.color.set(colors.grid);
-    this.grid.major.material.color.set(colors.major);
+    this.drawGrid(colors);
     this.gateMaterial.color.set(colors.gate);
     this.nextMaterial.color.set(colors.next);
     this.postMaterial.color.set(colors.major);

@@ -34,16 +34,11 @@ void main() {
 
 const SPACING = 0.03; // s between points of a ribbon; 30 m/s^2 deviate by 3 mm from a line
 
-// Samples that are points of the ribbon, and for each sample the last point at or before it.
+// Samples that are points of the ribbon: every stride-th and the last.
 function pointsOf({ time, count }) {
-  const samples = [0];
-  const pointOf = new Uint32Array(count);
-  for (let i = 1; i < count; i++) {
-    const far = time[i] - time[samples[samples.length - 1]] >= SPACING - 1e-4;
-    if (far || i === count - 1) samples.push(i);
-    pointOf[i] = samples.length - 1;
-  }
-  return { samples, pointOf };
+  const stride = Math.max(1, Math.round((SPACING * (count - 1)) / (time[count - 1] - time[0])));
+  const samples = Array.from({ length: Math.ceil((count - 1) / stride) }, (_, i) => i * stride);
+  return { stride, samples: [...samples, count - 1] };
 }
 
 function ribbon(flight, samples) {
@@ -86,7 +81,7 @@ export class Trails {
     this.colors.colorSpace = SRGBColorSpace;
     this.resolution = new Vector2(1, 1);
     this.meshes = flights.map((flight) => {
-      const { samples, pointOf } = pointsOf(flight);
+      const { samples, stride } = pointsOf(flight);
       const uniforms = {
         now: { value: 0 }, span: { value: 1.5 }, width: { value: 3 }, opacity: { value: 1 },
         head: { value: new Vector3() }, low: { value: range[0] }, high: { value: range[1] },
@@ -99,7 +94,7 @@ export class Trails {
       mesh.frustumCulled = false;
       mesh.renderOrder = 1;
       scene.add(mesh);
-      return { mesh, uniforms, flight, pointOf };
+      return { mesh, uniforms, flight, stride };
     });
   }
 
@@ -113,10 +108,10 @@ export class Trails {
   }
 
   update(time, places) {
-    this.meshes.forEach(({ mesh, uniforms, flight, pointOf }, i) => {
-      const last = pointOf[flight.index(time)] + (time < flight.end ? 1 : 0);
-      const first = Number.isFinite(this.span)
-        ? pointOf[flight.index(Math.max(time - this.span, 0))] : 0;
+    this.meshes.forEach(({ mesh, uniforms, flight, stride }, i) => {
+      const point = (when) => Math.floor(flight.index(Math.max(when, 0)) / stride);
+      const last = time < flight.end ? point(time) + 1 : Math.ceil((flight.count - 1) / stride);
+      const first = Number.isFinite(this.span) ? point(time - this.span) : 0;
       mesh.geometry.setDrawRange(6 * first, 6 * Math.max(last - first, 0));
       mesh.visible = this.span > 0 && last > first;
       uniforms.head.value.copy(places[i]);
