@@ -22,6 +22,7 @@ from quadjax.policy.file import FORMATS as POLICY_FORMATS
 from quadjax.policy.file import Policy
 from quadjax.policy.race import policy_path, race_of_policy
 from quadjax.race.track import TrackSection
+from quadjax.training.result import is_finished
 
 LOGS = (".csv", ".ulg")
 SUFFIXES = (".npz", ".csv", ".json", ".ulg")
@@ -97,12 +98,14 @@ def load_flights(
 
 
 def _policy_of_run(folder: Path) -> Path:
+    """The best policy of a run, or, while it trains, the newest."""
     policy, kind = policy_path(folder), kind_of(folder)
     if policy == folder:
         raise InputError(f"{folder}: no policy.npz, expected the folder of a training run")
     if kind not in (None, "training"):
         raise InputError(f"{folder}: holds files of {kind}, expected the folder of a training run")
-    return policy
+    newest = folder / "policy_last.npz"
+    return newest if newest.is_file() and not is_finished(folder) else policy
 
 
 def fly(path: Path, name: str, options: Options = DEFAULT) -> list[Flight]:

@@ -32,7 +32,8 @@ def view(
 ) -> None:
     """Write flights as an interactive 3D page that opens without a server or network.
 
-    A flight is a training run's folder, also while it trains; a policy file, or
+    A flight is a training run's folder, whose newest policy is shown while it
+    trains, and the best one when it has finished; a policy file, or
     the name of one that comes with quadjax (e2e, e2e_fastest, indi, ..); states
     of quadjax evaluate --states FILE.npz; the best known lap of quadjax limit
     --npz FILE.npz; a flight log (.csv, .ulg); or flights that an earlier quadjax

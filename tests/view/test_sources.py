@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from quadjax import sources
 from quadjax.core.errors import InputError
 from quadjax.core.files import write_json, write_npz
 from quadjax.core.resources import PRETRAINED
@@ -135,6 +136,17 @@ def test_code_that_a_policy_file_names_is_not_imported(tmp_path, capsys):
             assert run(*command) == 2
             assert "code that this file names is not imported" in capsys.readouterr().err
     assert "antigravity" not in sys.modules
+
+
+def test_a_run_shows_its_newest_policy_while_it_trains(tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr(sources, "fly", lambda path, *_: shown.append(path.name) or [])
+    for name in ("policy.npz", "policy_last.npz"):
+        (tmp_path / name).write_bytes((PRETRAINED / "e2e_nominal.npz").read_bytes())
+    load_flights(tmp_path)
+    monkeypatch.setattr(sources, "is_finished", lambda folder: True)
+    load_flights(tmp_path)
+    assert shown == ["policy_last.npz", "policy.npz"]
 
 
 @pytest.mark.slow
