@@ -69,7 +69,7 @@ def row_of(file: Path, config, names: tuple[str, str], best, runs: int, picture:
     if best is not None and lap is not None:
         gap = f"{100 * (lap / best.seconds - 1):.1f}%"
     known = "-" if best is None else f"{best.seconds:.3f} s ({best.source})"
-    speed = f"{np.linalg.norm(hover.best.velocity, axis=1).max():.1f} m/s"
+    speed = f"{hover.best.speed.max():.1f} m/s"
     return [*names, shown, known, gap, f"{finished} of {runs}", speed]
 
 

@@ -168,10 +168,10 @@ def run_comparison(
             for label, (_, found) in fastest_responses(groups, setting.race).items()
         }
     if "plants" in parts:
-        flown = [fly_conditions(setting, each, report) for each in contenders]
-        texts.append(plants_table(*flown))
+        first, second = (fly_conditions(setting, each, report) for each in contenders)
+        texts.append(plants_table(first, second))
         result["plants"] = {
-            each.name: plant_numbers(*flown, place) for place, each in enumerate(contenders)
+            each.name: plant_numbers(first, second, place) for place, each in enumerate(contenders)
         }
     text = "\n\n".join(texts)
     write_text(folder / "table.txt", text + "\n")

@@ -70,8 +70,9 @@ def compare(
     elif runs % plants:
         raise InputError(f"--runs is {runs}, allowed: multiples of --plants ({plants})")
     plant, listed = load_plant_config(config, overrides), read_conditions("plants", conditions)
-    protocol = {"laps": laps, "runs": runs, "seed": seed, "deterministic": not sampled}
-    setting = comparison.Setting(load_config(race), plant, listed, plants=plants, **protocol)
+    setting = comparison.Setting(
+        load_config(race), plant, listed, laps, runs, seed, plants, not sampled
+    )
     contenders = comparison.read_contenders(e2e, indi)
     with results(folder, "comparison", comparison.FILES, overwrite) as new, steps() as report:
         text = comparison.run_comparison(setting, contenders, chosen, new, report)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -153,7 +154,7 @@ def gap_figure(groups: Groups, gates: int) -> Figure:
     leader = np.min([times for times in every if len(times) == most], axis=0)
     for index, (group, flights) in enumerate(groups.items()):
         few = len(flights) <= MANY
-        style: dict[str, object] = {"color": colors[group], "lw": 1.8 if few else 0.8}
+        style: dict[str, Any] = {"color": colors[group], "lw": 1.8 if few else 0.8}
         style |= {"alpha": 1.0 if few else 0.5}
         for number, flight in enumerate(flights):
             times = gate_times(flight)
@@ -207,7 +208,7 @@ def commands_of(flight: Flight) -> str:
     command = flight.signals.get("command")
     if command is None or "actuators" not in flight.signals:
         return ""
-    return MODELS.get(command.by_unit()[0].unit if command.unit else "", "")
+    return MODELS.get(str(command.by_unit()[0].unit), "")
 
 
 def response(flight: Flight, constants: Mapping[str, float]) -> Response:

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,7 +19,7 @@ from quadjax.core.provenance import provenance
 from quadjax.evaluation import charts, figures
 from quadjax.evaluation.conditions import Condition, Conditions, Start, damaged, read_conditions
 from quadjax.evaluation.plants import fly_plants
-from quadjax.evaluation.protocol import Protocol
+from quadjax.evaluation.protocol import Length, Protocol
 from quadjax.evaluation.published import published_flight
 from quadjax.evaluation.rows import Row
 from quadjax.evaluation.simulate import Flights, longest, prepare
@@ -52,6 +52,7 @@ class Evaluation:
         deterministic: the mean action was applied, not samples.
         start: see ``evaluate``.
         gates: of the track, in order of passage.
+        time_step: of the simulation, s.
         provenance: versions, config, policy, seed, date and device.
         record: the recorded flights; a simulation is repeated to record it.
     """
@@ -60,6 +61,7 @@ class Evaluation:
     deterministic: bool
     start: str
     gates: Sequence[GateSection]
+    time_step: float
     provenance: dict[str, Any]
     record: Record = dataclasses.field(repr=False)
 
@@ -224,13 +226,32 @@ def joined(evaluations: Iterable[Evaluations]) -> Evaluations:
     return dataclasses.replace(first, results=tuple(results))
 
 
+class Options(TypedDict, total=False):
+    """The other arguments of ``evaluate``."""
+
+    runs: int | None
+    laps: int | None
+    gates: int | None
+    seconds: float | None
+    deterministic: bool
+    start: Start
+    seed: int
+    plant: PlantConfig | Path | str | None
+    plants: int | None
+    tracks: RandomTracks | int | None
+    name: str | None
+    body_radius: float | None
+    actor: Actor
+    progress: Callable[[str], object]
+
+
 @overload
 def evaluate(
     policy: Policy | Path | str,
     config: Config | Path | str,
     *,
     conditions: None = None,
-    **options: Any,
+    **options: Unpack[Options],
 ) -> Evaluation: ...
 
 
@@ -240,7 +261,7 @@ def evaluate(
     config: Config | Path | str,
     *,
     conditions: Conditions | Sequence[Condition] | Path | str,
-    **options: Any,
+    **options: Unpack[Options],
 ) -> Evaluations: ...
 
 
@@ -305,12 +326,12 @@ def evaluate(
     if config.run.compilation_cache:
         enable_compilation_cache()
     listed = read_conditions((Condition(label="-"),) if conditions is None else conditions)
-    options = {"runs": runs, "laps": laps, "gates": gates, "seconds": seconds, "seed": seed}
     if conditions is None:
         listed = listed.replace(start=start)
     if listed.deterministic is None:
         listed = listed.replace(deterministic=deterministic)
-    protocol = Protocol.of(config, listed, plants=plants, tracks=tracks, **options)
+    length: Length = {"laps": laps, "gates": gates, "seconds": seconds}
+    protocol = Protocol.of(config, listed, length, runs, seed, plants, tracks)
     if plant is None or not isinstance(plant, PlantConfig):
         source = plant or listed.plant
         plant = None if source is None else load_plant_config(source)
@@ -363,6 +384,7 @@ class Job:
             deterministic=protocol.deterministic,
             start=protocol.start,
             gates=race.track.gates,
+            time_step=race.rules.time_step,
             provenance=provenance(self.config, self.name, protocol.seed),
             record=record,
         )

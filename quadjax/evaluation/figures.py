@@ -45,12 +45,11 @@ def trajectory_figure(
         gates: of the track, in order of passage.
         title: of a figure of one group.
     """
-    groups = flights if isinstance(flights, Mapping) else {title: flights}
+    groups: Groups = flights if isinstance(flights, Mapping) else {title: flights}
     several = isinstance(flights, Mapping)
+    drawn = {label: list(group) for label, group in groups.items()}
     if several:
-        drawn = {k: list(v) if len(v) <= MANY else [fastest(v)] for k, v in groups.items()}
-    else:
-        drawn = {title: list(flights)}
+        drawn = {k: v if len(v) <= MANY else [fastest(v)] for k, v in drawn.items()}
     every = [flight for group in drawn.values() for flight in group]
     lowest, highest = extent(every, gates)
     size, columns = highest - lowest, min(len(drawn), ACROSS)
@@ -253,11 +252,15 @@ def _draw_ends(axes: Axes, flights: Sequence[Flight]) -> None:
         return
     starts = np.array([flight["position"][0, :2] for flight in flights])
     style: dict[str, Any] = {"linestyle": "none", "zorder": 7}
-    ring = {"markerfacecolor": PAPER, "markeredgecolor": INK, "markeredgewidth": 1.8}
+    ring: dict[str, Any] = {
+        "markerfacecolor": PAPER,
+        "markeredgecolor": INK,
+        "markeredgewidth": 1.8,
+    }
     axes.plot(*starts.T, "o", markersize=9, label="start", **ring, **style)
     crashed = np.array([flight["position"][-1, :2] for flight in flights if flight.crash])
     if crashed.size:
-        cross = {"color": SERIES[1], "markeredgecolor": PAPER}
+        cross: dict[str, Any] = {"color": SERIES[1], "markeredgecolor": PAPER}
         axes.plot(*crashed.T, "X", markersize=11, label="crash", **cross, **style)
 
 

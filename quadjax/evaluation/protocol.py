@@ -1,7 +1,7 @@
 """How flights are flown: start, length, number, seed, actions, plants and tracks."""
 
 import dataclasses
-from typing import Any, Self, get_args
+from typing import Self, TypedDict, get_args
 
 from quadjax.config.schema import Config
 from quadjax.core.errors import InputError
@@ -9,7 +9,15 @@ from quadjax.core.limits import MAX_GATES, MAX_LAPS, MAX_RUNS, MAX_SEED, check_i
 from quadjax.evaluation.conditions import Condition, Conditions, Start
 from quadjax.race.random_track import RandomTracks
 
-LENGTHS = ("laps", "gates", "seconds")
+MAX_TRACKS, MAX_PLANTS = 4096, 1000
+
+
+class Length(TypedDict):
+    """How long a flight is: one of them, or none."""
+
+    laps: int | None
+    gates: int | None
+    seconds: float | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,48 +55,45 @@ class Protocol:
         cls,
         config: Config,
         listed: Conditions,
-        *,
-        runs: int | None,
-        laps: int | None,
-        gates: int | None,
-        seconds: float | None,
-        seed: int,
-        plants: int | None,
-        tracks: RandomTracks | int | None,
+        length: Length,
+        runs: int | None = None,
+        seed: int = 0,
+        plants: int | None = None,
+        tracks: RandomTracks | int | None = None,
     ) -> Self:
         """The arguments of ``evaluate``, then what the conditions say, then the config.
 
         Raises:
             InputError: a number out of range, or arguments that exclude each other.
         """
-        length: dict[str, Any] = {"laps": laps, "gates": gates, "seconds": seconds}
         named = [key for key, value in length.items() if value is not None]
         if len(named) > 1:
-            raise InputError(f"{named[1]} is {length[named[1]]}, allowed: null with {named[0]}")
+            raise InputError(f"{named[1]} is not null, allowed: one of {', '.join(length)}")
         if not named:
-            length = {key: getattr(listed, key) for key in LENGTHS}
-        if all(value is None for value in length.values()):
-            length["gates"] = config.evaluate.gates
-        length["laps"] = config.evaluate.laps if length["laps"] is None else length["laps"]
+            length = {"laps": listed.laps, "gates": listed.gates, "seconds": listed.seconds}
+        laps, gates = length["laps"], length["gates"]
+        if laps is None and length["seconds"] is None:
+            gates = config.evaluate.gates if gates is None else gates
         count = listed.runs if runs is None else runs
+        count = config.evaluate.runs if count is None else count
         if listed.tracks and tracks is None:
-            tracks = 100 if count is None else count
+            tracks = count
         if isinstance(tracks, int):
-            check_integer("tracks", tracks, 1, 4096)
+            check_integer("tracks", tracks, 1, MAX_TRACKS)
             trained = config.randomization.tracks or RandomTracks()
             tracks = trained.replace(seed=trained.seed + trained.count, count=tracks)
-        if tracks is not None:
-            count = tracks.count
         return cls(
             start=listed.start,
             deterministic=bool(listed.deterministic),
-            runs=config.evaluate.runs if count is None else count,
+            runs=count if tracks is None else tracks.count,
+            laps=config.evaluate.laps if laps is None else laps,
+            gates=gates,
+            seconds=length["seconds"],
             seed=seed,
             plants=listed.plants if plants is None else plants,
             tracks=tracks,
             drawn=listed.drawn,
             speeds=listed.speeds,
-            **length,
         )
 
     def __post_init__(self) -> None:
@@ -97,7 +102,7 @@ class Protocol:
         check_integer("gates", 1 if self.gates is None else self.gates, 1, MAX_GATES)
         check_integer("runs", self.runs, 1, MAX_RUNS)
         check_integer("seed", self.seed, 0, MAX_SEED)
-        check_integer("plants", self.plants, 1, 1000)
+        check_integer("plants", self.plants, 1, MAX_PLANTS)
         if self.seconds is not None and not 0.0 < self.seconds <= 1e4:
             raise InputError(f"seconds is {self.seconds}, allowed: above 0 and at most 10000")
         if self.start not in get_args(Start):

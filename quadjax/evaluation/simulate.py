@@ -33,7 +33,7 @@ class Flights:
     Attributes:
         choices: of the race, with the observation of the policy.
         params: of the race, by the exact rules.
-        pilot: the policy.
+        policy: with the scaling of the race.
         protocol: start, number, length and seed.
         tracks: of the protocol.
         actor: computes the actions.
@@ -41,7 +41,7 @@ class Flights:
 
     choices: Choices
     params: RaceParams
-    pilot: Pilot
+    policy: Pilot
     protocol: Protocol
     tracks: Track | None = None
     actor: Actor = pilot.fly
@@ -95,7 +95,7 @@ class Flights:
         """Simulate; with ``trace`` the states are recorded."""
         key, noise = jax.random.split(jax.random.key(self.protocol.seed))
         steps = round(self.limit / self.time_step)
-        settings = (self.choices, self.actor, self.count, steps, trace, self.params, self.pilot)
+        settings = (self.choices, self.actor, self.count, steps, trace, self.params, self.policy)
         race, kept = laps.fly_race(*settings, self.states(key), noise, self.last)
         return self._laps(race), kept
 
@@ -104,7 +104,7 @@ class Flights:
         key, noise = jax.random.split(jax.random.key(self.protocol.seed))
         drones = laps.begin(self.states(key), self.count), noise
         settings = (self.choices, self.actor, round(self.limit / self.time_step), self.last)
-        numbers = (self.params, self.pilot, drones, math.inf if limit is None else limit)
+        numbers = (self.params, self.policy, drones, math.inf if limit is None else limit)
         race, speeds = fly_with_speeds(*settings, *numbers)
         return self._laps(race), Speeds(*(np.asarray(x, np.float64) for x in speeds))
 
@@ -148,10 +148,11 @@ def start_before_gate(choices: Choices, params: RaceParams, key: jax.Array) -> R
     motion = Motion(
         position=g.position - behind,
         velocity=Vec3.of(drawn.velocity) * VELOCITY,
-        euler=Vec3.of(drawn.euler) * Vec3(ROLL_PITCH, ROLL_PITCH, math.pi),
+        euler=Vec3.of(drawn.euler) * Vec3(*map(jnp.float32, (ROLL_PITCH, ROLL_PITCH, math.pi))),
         rates=Vec3.of(drawn.rates) * RATES,
     )
-    drone = model.start(state.constants, motion, drawn.actuators, params.start.thrust)
+    low, high = map(jnp.asarray, params.start.thrust)
+    drone = model.start(state.constants, motion, drawn.actuators, (low, high))
     zero = jnp.zeros((), jnp.int32)
     fresh = state.replace(drone=drone, target=target, step=zero, gates_passed=zero)
     return with_memory(choices, params, fresh)
